@@ -1,9 +1,9 @@
-"""The one place that imports numba: a typed decorator, and a cache that is never stale.
+"""Just-in-time compilation: a typed decorator, and a cache that is never stale. Only this file imports numba.
 
-numba's own cache notices an edit of a function's file, not of another file that the function calls into. So the
-cache lives in a folder whose name is a hash of every source file with compiled functions, of the compiler's version
-and of the processor: an edit anywhere starts a new folder. Where no folder can be written, a temporary one serves;
-child processes inherit it through the environment.
+numba's own cache notices an edit of a function's file, but not of another file that the function calls into. So the
+cache is in a folder whose name is a hash of every source file with compiled functions, of the compiler's version and of
+the processor: an edit anywhere starts a new folder. If no folder can be written, a temporary one is used. Child
+processes inherit the folder through the environment.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _processor() -> str:
 
 
 def fingerprint() -> str:
-    """A hash of all compiled sources, the compiler and the processor: 16 hexadecimal digits."""
+    """Return a hash of all compiled sources, the compiler and the processor: 16 hexadecimal digits."""
     digest = hashlib.sha256()
     for path in _sources():
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
@@ -62,7 +62,7 @@ def _writable(folder: Path) -> bool:
 
 
 def cache_folder() -> tuple[Path, bool]:
-    """Where compiled code is kept, and whether it will be there next time."""
+    """Return the folder for compiled code, and True if it persists for the next process."""
     name = fingerprint()
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given and Path(given).name == name:  # a parent process chose it
@@ -84,14 +84,15 @@ os.environ["NUMBA_CACHE_DIR"] = str(CACHE)
 import numba  # noqa: E402  (the variable above must be set first)
 
 JIT_FUNCTIONS: list[str] = []
-"""Names of the functions that this process may come to compile, as far as they are imported."""
+"""Names of the imported functions that this process may compile."""
 
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile at the first call; floating-point operations keep their order (no fast-math), so that runs repeat.
+    """Compile a function at its first call.
 
-    What it calls becomes a part of it. Between functions numba counts, with a locked instruction each, who holds every
-    array that is handed on, and looks at every return for an error: a third of what a cycle's kernels took.
+    Floating-point operations keep their order (no fast-math), so that runs repeat. Calls between compiled functions are
+    inlined: otherwise numba counts the references to every array argument, with a locked instruction each, and checks
+    every return for an error. That took a third of the time of a cycle's kernels.
     """
     JIT_FUNCTIONS.append(f"{function.__module__}.{function.__qualname__}")
     compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", forceinline=True)
@@ -99,11 +100,16 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
 
 
 @jit
-def copy_to(to: npt.NDArray[np.float64], of: npt.NDArray[np.float64]) -> None:
-    """``to[:] = of`` for arrays of one shape, (n,) or (n, m).
+def copy_to(to: npt.NDArray[np.float64], source: npt.NDArray[np.float64]) -> None:
+    """Copy an array into another one of the same shape, like ``to[:] = source``.
 
-    numba looks whether shapes agree, and for the words that it would say then it compiles strings, lists of strings and
-    their joining: seconds in each process that fills the cache.
+    numba's own assignment checks the shapes. For the text of its error it compiles strings, lists of strings and their
+    joining, which takes seconds in each process that fills the cache.
+
+    Parameters
+    ----------
+    to : (n,) or (n, m), overwritten.
+    source : array of the same shape.
     """
     for i in range(to.size):
-        to.flat[i] = of.flat[i]
+        to.flat[i] = source.flat[i]

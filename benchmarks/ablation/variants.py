@@ -13,11 +13,11 @@ from ltv_mpc.control.horizon_limits import LIMITED_STATES, clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
 from ltv_mpc.control.line_search import STEPS
 from ltv_mpc.control.linearisation import (
+    Linearisation,
     linearise_rollout,
     multiply_A_transposed,
     propagate,
     velocity_over_ground,
-    views,
 )
 from ltv_mpc.control.nominal_trajectory import (
     PREVIOUS_PLAN,
@@ -33,7 +33,7 @@ from ltv_mpc.control.problem_data import (
     unpack_constants,
     unpack_objective,
 )
-from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, Indices, fill, unpack_map
+from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, EntryMap, Indices, fill
 from ltv_mpc.control.solvers.osqp import (
     ACTIVE,
     EQUALITY_ROW,
@@ -43,12 +43,12 @@ from ltv_mpc.control.solvers.osqp import (
     MOTION_ACTIVE,
     MOTION_ROW,
     NOT_ACTIVE,
+    SolveArrays,
     _forward_states,
     _guess_commands,
     _guess_excesses,
     _shift_limits,
     dual_scale,
-    unpack_arrays,
 )
 from ltv_mpc.control.terminal_check import TerminalCheck, check_terminal
 from ltv_mpc.jit import copy_to, jit
@@ -61,10 +61,17 @@ OWN, FIXED, NONE = range(3)
 
 @jit
 def begin(
-    numbers: Array, start: Array, target: Array, old: Array, stages: float, flat: Array, steers: bool, looks: bool
+    numbers: Array,
+    start: Array,
+    target: Array,
+    old: Array,
+    stages: float,
+    lin: Linearisation,
+    steers: bool,
+    looks: bool,
 ) -> int:
     """Choose the nominal trajectory (``choose_nominal``); ``steers``: steered guesses, ``looks``: terminal check."""
-    c, lin = unpack_constants(numbers), views(flat, len(target) - 1)
+    c = unpack_constants(numbers)
     o = c.objective
     X, U = lin.X, lin.U
     _set_initial_knot(start, X, U)
@@ -104,10 +111,10 @@ def begin(
 
 @jit
 def step(
-    numbers: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
+    numbers: Array, lin: Linearisation, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
 ) -> float:
     """Take a step: with the line search (``searches``) or the whole step; ``looks``: with the terminal check."""
-    c, lin = unpack_constants(numbers), views(flat, len(target) - 1)
+    c = unpack_constants(numbers)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)
     copy_to(X[0], lin.X[0])
@@ -134,23 +141,21 @@ def step(
 
 @jit
 def prepare(
-    numbers: Array,
-    flat: Array,
+    packed: Array,
+    lin: Linearisation,
     target: Array,
-    places: Indices,
-    factor: Array,
+    entries: EntryMap,
     shift: float,
-    solve: Array,
+    at: SolveArrays,
     guesses: bool,
     scales: int,
 ) -> float:
-    """Prepare the QP (``sparse_osqp.prepare``); ``guesses``: Riccati sweeps, ``scales``: how rows are scaled."""
-    N, states = len(target) - 1, limited_state_count(unpack_objective(numbers))
-    at = unpack_arrays(solve, N, states)
-    fill(numbers, flat, target, places, factor, at.A, at.q, at.l, at.u)
-    c, lin = unpack_objective(numbers), views(flat, N)
+    """Prepare the QP (``osqp.prepare``); ``guesses``: Riccati sweeps, ``scales``: how rows are scaled."""
+    N = len(target) - 1
+    fill(packed, lin, target, entries, at.problem)
+    c = unpack_objective(packed)
     E = N * STATES + 2
-    x, y, q = at.x, at.y, at.q
+    x, y, q = at.x, at.y, at.problem.q
     _shift_limits(y, E, c.t, shift)
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
     dU, kept = np.zeros((N + 1, 2)), y[E:].copy()
@@ -185,22 +190,21 @@ def prepare(
             y[k * STATES + i] = costate[i] * state_scale(i, c)
         multiply_A_transposed(lin.A, k, costate, before)
         copy_to(costate, before)
-    if rescale(places, solve, N, states, scales) < 0:
+    if rescale(entries.row, N, at, scales) < 0:
         return -1.0
-    return dual_scale(at.q, N)
+    return dual_scale(q, N)
 
 
 @jit
-def rescale(places: Indices, solve: Array, N: int, limited: int, scales: int) -> int:
-    """Rescale the rows (``sparse_osqp.rescale``); ``scales`` as in ``prepare``."""
-    at = unpack_arrays(solve, N, limited)
-    row_of = unpack_map(places, len(at.A)).row_of
+def rescale(row: Indices, N: int, at: SolveArrays, scales: int) -> int:
+    """Rescale the rows (``osqp.rescale``); ``scales`` as in ``prepare``."""
+    problem, scaled, y = at.problem, at.scaled, at.y
     E = N * STATES + 2
-    size = dual_scale(at.q, N)
+    size = dual_scale(problem.q, N)
     free = min(LIMIT_ROW * size, MAX_LIMIT_ROW)
     changed, total = 0, size
-    for i in range(len(at.rows)):
-        active = scales == OWN and abs(at.y[i]) > NOT_ACTIVE
+    for i in range(len(at.row_scale)):
+        active = scales == OWN and abs(y[i]) > NOT_ACTIVE
         if scales == NONE:
             s = 1.0
         elif i < E:
@@ -211,11 +215,11 @@ def rescale(places: Indices, solve: Array, N: int, limited: int, scales: int) ->
             s = MOTION_ROW * size
         else:
             s = (EXCESS_ROW if (i - E - 4 * N) % 3 == 2 else MOTION_ACTIVE) * size
-        if s != at.rows[i]:
-            changed, at.rows[i] = 1, s
-        at.ls[i], at.us[i], at.ys[i] = at.l[i] * s, at.u[i] * s, at.y[i] / s
-        total += at.l[i] + at.u[i] + at.y[i]
-    for i in range(len(at.A)):
-        at.As[i] = at.A[i] * at.rows[row_of[i]]
-        total += at.As[i]
+        if s != at.row_scale[i]:
+            changed, at.row_scale[i] = 1, s
+        scaled.l[i], scaled.u[i], at.scaled_y[i] = problem.l[i] * s, problem.u[i] * s, y[i] / s
+        total += problem.l[i] + problem.u[i] + y[i]
+    for i in range(len(problem.A)):
+        scaled.A[i] = problem.A[i] * at.row_scale[row[i]]
+        total += scaled.A[i]
     return changed if np.isfinite(total) else -1

@@ -217,7 +217,7 @@ class Controller:
             vertical = self._vertical_hold(start, knots, estimate)
         else:
             vertical = self._vertical_plan(start, knots, begun and estimate.depth_m is not None)
-        fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, vertical.depth_m, self._lin.flat)
+        fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, vertical.depth_m, self._lin.C)
         self._lap("predict")
         if idle:
             lateral = self._released(start, idle, goal)
@@ -410,12 +410,12 @@ class Controller:
                 # As far as it came: brought into box and slew, and taken only as far as the exact flow is no worse.
             elif not math.isfinite(np.vdot(commands, commands)):
                 return None, Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
-            part = line_search.line_search(numbers, lin.flat, target, commands, X, U)
+            part = line_search.line_search(numbers, lin, target, commands, X, U)
             # A step that was taken has a finite cost, and that takes finite states and commands.
             if part == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return None, Solve(status=SolveStatus.NON_FINITE, why="the predicted motion is not finite")
             if left > 1:
-                nominal_trajectory.relinearise(numbers, lin.flat, self.config.stages, X, U)
+                nominal_trajectory.relinearise(numbers, lin, X, U)
         return _Lateral(X, U, PlanOrigin.SOLVED, solve, ""), solve
 
     @cached_property
@@ -452,7 +452,7 @@ class Controller:
             stages = (start.t_ns - int(old.t_ns[0])) / STAGE_NS
             commands = np.ascontiguousarray(old.thrust_N[:, :2])
         kind = nominal_trajectory.choose_nominal(
-            self._numbers, start.lateral, self._target, commands, stages, self._lin.flat
+            self._numbers, start.lateral, self._target, commands, stages, self._lin
         )
         if kind == nominal_trajectory.PREVIOUS_PLAN:
             self._solver.shift_warm_start(stages)

@@ -1,10 +1,10 @@
-"""What a trajectory costs: the QP's objective (``qp/sparse.py``), of the exact flow instead of its linearisation.
+"""Cost of a trajectory: the QP's objective (qp/sparse.py), evaluated along the exact flow.
 
     J = sum over k = 1..N of  g_k (w |p_k - ref_k|^2 + r |U_k / F|^2) + s / g_k |(U_k - U_(k-1)) / F|^2  + soft limits
         + w_N |p_N - ref_N|^2 + m |p'_N - ref'_N|^2
 
-Every term is at least zero, so a sum that is not complete is a bound from below: who looks for the cheapest of several
-trajectories can leave one as soon as it costs more than another.
+Every term is at least zero, so an incomplete sum is a lower bound: a search for the cheapest of several trajectories
+can abandon one as soon as it costs more than another.
 """
 
 from __future__ import annotations
@@ -18,8 +18,19 @@ from ltv_mpc.messages import Array
 
 @jit
 def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """J of states X (N+1, 8) and commands U (N+1, 2) in a current C (N+1, 2) against ``target`` (N+1, 2) as in
-    ``Solver``.
+    """Return the cost J of a trajectory.
+
+    Parameters
+    ----------
+    X : (N+1, 8) states at the knots.
+    U : (N+1, 2) commands at the knots (N).
+    C : (N+1, 2) current at the knots, north and east (m/s).
+    target : (N+1, 2) as in ``Solver.build``.
+    o : weights, limits and knots.
+
+    Returns
+    -------
+    J, without unit.
     """
     total = 0.0
     for k in range(1, U.shape[0]):
@@ -29,22 +40,41 @@ def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
 
 @jit
 def stage_cost(X: Array, U: Array, target: Array, k: int, o: Objective) -> float:
-    """What knot k = 1 .. N adds."""
+    """Return the part of J that knot k = 1 .. N adds.
+
+    Parameters
+    ----------
+    X, U, target, o : as in ``cost``.
+    k : knot.
+
+    Returns
+    -------
+    Cost of position, thrust, change of thrust and soft limits.
+    """
     g = stage_length(o, k)
     dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
     total = o.position * g * (dn * dn + de * de)
     for i in range(2):
         here, before = U[k, i] / o.scale[i], U[k - 1, i] / o.scale[i]
         total += o.thrust * g * here * here + o.thrust_change / g * (here - before) * (here - before)
-        beyond = abs(X[k, LIMITED_STATES[i]]) - o.max_state[i]
-        if beyond > 0.0:
-            total += PENALTY * g * beyond / o.state_scale[LIMITED_STATES[i]]
+        excess = abs(X[k, LIMITED_STATES[i]]) - o.max_state[i]
+        if excess > 0.0:
+            total += PENALTY * g * excess / o.state_scale[LIMITED_STATES[i]]
     return float(total)
 
 
 @jit
 def terminal_cost(X: Array, C: Array, target: Array, o: Objective) -> float:
-    """What the last knot adds besides."""
+    """Return the part of J that only the last knot adds.
+
+    Parameters
+    ----------
+    X, C, target, o : as in ``cost``.
+
+    Returns
+    -------
+    Terminal cost of position and velocity over ground.
+    """
     N = X.shape[0] - 1
     dn, de = X[N, 0] - target[N - 1, 0], X[N, 1] - target[N - 1, 1]
     velocity, _ = velocity_over_ground(X[N], C[N])

@@ -1,13 +1,13 @@
-"""What holds over the horizon: box and slew of the two lateral thrusters, and soft limits of the motion.
+"""Limits over the horizon: box and slew of the two lateral thrusters, and soft limits of the motion.
 
-A command at knot k (k = 1 .. N) obeys  min <= U[k] <= max  and  |U[k] - U[k-1]| <= slew h[k];  linear between knots, so
-|dF/dt| <= slew everywhere, and at the junction of two plans too, since U[0] is the command in force there. These are
-the thrusters' own, and never broken.
+A command at knot k (k = 1 .. N) obeys  min <= U[k] <= max  and  |U[k] - U[k-1]| <= slew h[k].  Commands are linear
+between knots, so |dF/dt| <= slew everywhere, and also at the junction of two plans, because U[0] is the command in
+force there. These limits belong to the thrusters and are never violated.
 
-A state may be asked to stay within  |x[k]| <= most,  k = 1 .. N. The past can make that impossible, so it is bought
-off: ``PENALTY`` for each unit beyond it. A penalty that grows with the first power is exact (Fletcher 1987, section
-12.3; Kerrigan & Maciejowski 2000): once it is larger than the dual of the limit, the solution is that of the hard limit
-wherever there is one.
+A state may be required to stay within  |x[k]| <= max_state,  k = 1 .. N. The past can make that impossible, so the
+limit is soft: an excess costs ``PENALTY`` for each unit. A penalty proportional to the excess is exact (Fletcher 1987,
+section 12.3; Kerrigan & Maciejowski 2000): once it is larger than the dual of the limit, the solution is that of the
+hard limit wherever there is one.
 """
 
 from __future__ import annotations
@@ -22,34 +22,46 @@ from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
 LIMITED_STATES = (2, 5)
-"""States that can be limited: surge u through the water (m/s), yaw rate r (rad/s)."""
+"""States that can be limited: surge velocity u through the water (m/s), yaw rate r (rad/s)."""
 
 PENALTY = 100.0
-"""Cost of a stage of 0.3 s in which a limited state is beyond its limit by what is 1 in the QP."""
+"""Cost of an excess that is 1 in the QP, over one stage of 0.3 s."""
 
 
 def unlimited() -> Array:
-    """(2,), of ``LIMITED_STATES``."""
+    """Return infinite limits (2,) of ``LIMITED_STATES``."""
     return np.full(len(LIMITED_STATES), np.inf)
 
 
 @dataclass(frozen=True, slots=True)
 class HorizonLimits:
-    """Box (2,) each and the largest change over the first stage (2,), in N; limits of the motion; and what is of order
-    one besides them.
-    """
+    """Limits of thrusters and motion, and the scales of the QP that follow from the vehicle."""
 
     low: Array
+    """(2,) smallest thrust of port and starboard (N)."""
     high: Array
+    """(2,) largest thrust (N)."""
     max_change: Array
+    """(2,) largest change of thrust over the first stage (N): slew limit times its length."""
     state_scale: Array
-    """(6,) a state of 1 in the QP: n, e (m), u, v (m/s), psi (rad), r (rad/s)."""
+    """(6,) state that is 1 in the QP: n, e (m), u, v (m/s), psi (rad), r (rad/s)."""
     max_state: Array = field(default_factory=unlimited)
-    """(2,) of |x| for ``LIMITED_STATES``; infinite where there is no limit."""
+    """(2,) largest magnitude of ``LIMITED_STATES``; infinite where there is no limit."""
 
     @classmethod
     def from_vehicle(cls, vehicle: Vehicle, stage_s: float, max_state: Array | None = None) -> HorizonLimits:
-        """A vehicle's where the first stage lasts ``stage_s``; ``max_state`` of its motion is asked besides."""
+        """Return the limits of a vehicle.
+
+        Parameters
+        ----------
+        vehicle : gives box, slew and scales.
+        stage_s : length of the first stage.
+        max_state : (2,) limits of the motion; default: none.
+
+        Returns
+        -------
+        The limits.
+        """
         lateral = vehicle.thrusters[:2]
         return cls(
             np.array([t.min_N for t in lateral]),
@@ -61,22 +73,40 @@ class HorizonLimits:
 
     @property
     def limited(self) -> tuple[int, ...]:
-        """States that have a limit."""
-        return tuple(i for i, most in zip(LIMITED_STATES, self.max_state, strict=True) if np.isfinite(most))
+        """Indices of the states that have a limit."""
+        return tuple(i for i, limit in zip(LIMITED_STATES, self.max_state, strict=True) if np.isfinite(limit))
 
     @property
     def scale(self) -> Array:
-        """The larger of both sides of the box (2,): what a thrust of 1 means in the cost."""
+        """Thrust that is 1 in the cost (2,): the larger side of the box (N)."""
         return np.maximum(self.high, -self.low)
 
     def box(self, start: Array, knots: Array) -> tuple[Array, Array]:
-        """Lower and upper bound (N, 2) of U[1] .. U[N] from U[0] = ``start`` (2,): ``bounds`` at every knot (N+1,)."""
+        """Return the bounds of the commands at the knots 1 .. N: ``command_bounds`` at each.
+
+        Parameters
+        ----------
+        start : (2,) command in force at knot 0 (N).
+        knots : (N+1,) in first stages.
+
+        Returns
+        -------
+        Lower and upper bounds, (N, 2) each (N).
+        """
         reach = knots[1:, None] * self.max_change
         return np.minimum(self.low, start + reach), np.maximum(self.high, start - reach)
 
     def clip(self, commands: Array, knots: Array) -> Array:
-        """``commands`` (N+1, 2) at ``knots`` (N+1,) moved, knot by knot from the first, to the nearest that obey box
-        and slew exactly.
+        """Return the nearest commands that obey box and slew exactly, knot by knot from the first.
+
+        Parameters
+        ----------
+        commands : (N+1, 2) at the knots (N); the first is in force and stays.
+        knots : (N+1,) in first stages.
+
+        Returns
+        -------
+        (N+1, 2) commands (N).
         """
         out = commands.copy()
         clip_to_limits(out, knots, self.low, self.high, self.max_change)
@@ -85,21 +115,39 @@ class HorizonLimits:
 
 @jit
 def command_bounds(start: float, reach: float, low: float, high: float) -> tuple[float, float]:
-    """Lower and upper bound of one thruster's command at a knot to which it can change by ``reach`` from ``start``.
+    """Return the bounds of one thruster's command at a knot.
 
-    A start outside the box (a limit that was just lowered) is brought in at the slew limit, so that the QP always has a
-    solution. From a start inside, these are the box itself, however little of it is within reach: the slew rows hold
-    the commands there already, and a box that is nowhere active costs the solver nothing.
+    A start outside the box (a limit that was just lowered) returns into it at the slew limit, so that the QP always has
+    a solution. From a start inside, the bounds are the box itself, however little of it is within reach: the slew rows
+    bound the commands already, and a box that is active nowhere costs the solver nothing.
+
+    Parameters
+    ----------
+    start : command in force at knot 0 (N).
+    reach : largest change from there to the knot (N).
+    low, high : box (N).
+
+    Returns
+    -------
+    Lower and upper bound (N).
     """
     return min(low, start + reach), max(high, start - reach)
 
 
 @jit
-def clip_to_limits(U: Array, t: Array, low: Array, high: Array, change: Array) -> None:
-    """U (N+1, 2) at knots t (N+1,) in place: at each knot the slew from the knot before, then the box."""
+def clip_to_limits(U: Array, t: Array, low: Array, high: Array, max_change: Array) -> None:
+    """Clip commands in place, knot by knot: first to the slew from the knot before, then to the box.
+
+    Parameters
+    ----------
+    U : (N+1, 2) commands (N); the first stays, the others are overwritten.
+    t : (N+1,) knots in first stages.
+    low, high : (2,) box (N).
+    max_change : (2,) largest change over the first stage (N).
+    """
     for k in range(1, U.shape[0]):
         for i in range(2):
-            most_change = (t[k] - t[k - 1]) * change[i]
-            least, most = command_bounds(U[0, i], t[k] * change[i], low[i], high[i])
-            U[k, i] = min(max(U[k, i], U[k - 1, i] - most_change), U[k - 1, i] + most_change)
-            U[k, i] = min(max(U[k, i], least), most)
+            change = (t[k] - t[k - 1]) * max_change[i]
+            lower, upper = command_bounds(U[0, i], t[k] * max_change[i], low[i], high[i])
+            U[k, i] = min(max(U[k, i], U[k - 1, i] - change), U[k - 1, i] + change)
+            U[k, i] = min(max(U[k, i], lower), upper)

@@ -1,4 +1,7 @@
-"""The horizon that fits a vehicle: what `vehicle check` proposes, and what `controller` takes where none is given."""
+"""Horizon selection: the horizon that suits a vehicle.
+
+`ltv-mpc vehicle check` proposes it, and `ltv-mpc controller` takes it if no settings are given.
+"""
 
 from __future__ import annotations
 
@@ -11,29 +14,40 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
 
 MIN_HORIZON_S, MAX_HORIZON_S = 3.0, 60.0
+"""Bounds of the proposed horizon."""
 
 MIN_TIME_SCALES = 1.9
-"""Of the time scale T: so long a horizon is enough at nine of ten places of the map in docs/horizon.md, where the error
-is then within 10 % of that with the best."""
+"""Shortest horizon over the time scale T. At nine of ten points of the map in docs/horizon.md the error with this
+horizon is within 10 % of that with the best one.
+"""
 
 LENGTHENING = 1.05
-"""Steps in which a horizon is lengthened until its loop is stable."""
+"""Factor by which a horizon is lengthened until its closed loop is stable."""
 
 WEAK_ASTERN_RATIO = 0.7
-"""Top speed astern over that ahead."""
+"""Top speed astern over top speed ahead below which a vehicle counts as weak astern."""
 
 
 def proposed_horizon_s(vehicle: Vehicle) -> float:
-    """Of a vehicle of which nothing else is known."""
+    """Return the horizon (s) for a vehicle whose performance is not computed yet."""
     return select_horizon_s(vehicle, performance(vehicle))
 
 
 def select_horizon_s(vehicle: Vehicle, can: Performance) -> float:
-    """1.9 T, at least the time to turn and to stop, and what the loop needs to be stable, in whole stages (s).
+    """Return the horizon for a vehicle: 1.9 T, at least the time to turn and to stop, and long enough to be stable.
 
-    A plan that sees both can come to a point and stay there. The turn is one by 90 deg, and by 180 deg where the
-    vehicle goes astern much slower than ahead: what it will do stern-to is foreseen the sooner. A vehicle that is
-    light to the side needs longer than that, or it goes to and fro about its place (``stability.py``).
+    A plan that covers both the turn and the stop can reach a point and stay there. The turn is by 90 deg; it is by 180
+    deg if the vehicle is much slower astern than ahead, so that a plan covers the turn away from stern-to. A vehicle
+    with little sway damping needs a longer horizon than that, or it oscillates about its station (stability.py).
+
+    Parameters
+    ----------
+    vehicle : gives the time scale T and the closed loop.
+    can : performance of the vehicle.
+
+    Returns
+    -------
+    Horizon (s), a whole number of stages.
     """
     both = 0.0
     if can.turn_90deg_s is not None:
@@ -47,17 +61,18 @@ def select_horizon_s(vehicle: Vehicle, can: Performance) -> float:
 
 
 def _whole(horizon_s: float) -> float:
-    """In whole stages, within bounds."""
+    """Round a horizon up to whole stages, within its bounds."""
     stage = STAGE_NS * 1e-9
     return round(math.ceil(min(max(horizon_s, MIN_HORIZON_S), MAX_HORIZON_S) / stage - 1e-9) * stage, 1)
 
 
 def _weak_astern(can: Performance) -> bool:
+    """Return True if the top speed astern is much lower than that ahead."""
     ahead, astern = can.top_speed_ahead_mps, can.top_speed_astern_mps
     return ahead is not None and astern is not None and astern < WEAK_ASTERN_RATIO * ahead
 
 
 def _slower_rate(can: Performance) -> float:
-    """Turning rate (rad/s) to the slower side."""
+    """Return the turning rate (rad/s) to the slower side."""
     rates = (can.turning_rate_starboard_radps, can.turning_rate_port_radps)
     return min(abs(rate) for rate in rates if rate)

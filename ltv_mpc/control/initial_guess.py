@@ -1,14 +1,14 @@
-"""A plan from a steering law: where to linearise when the previous plan is not there, or no longer good.
+"""Initial guess from a steering law: the trajectory to linearise along if no previous plan is as good.
 
-At rest in the water neither a turn nor a sideways force moves the vehicle to first order, so a plan that drifts is a
-stationary point of the linearised problem however far it drifts. Turning first and pushing then is what gets out of it,
-and this law does that, crudely:
+At rest in the water, neither a turn nor a sideways force moves the vehicle to first order. So a drifting plan is a
+stationary point of the linearised problem, however far it drifts. The way out is to turn first and to push afterwards;
+this law does that, roughly:
 
-    w = (ref - p) / T_p + ref' - c      water velocity wanted (m/s, NED), limited to what the thrusters can hold
-    psi_w = direction of w, or its opposite if the vehicle shall go astern
+    w = (ref - p) / T_p + ref' - c      wanted velocity through the water (m/s, NED), limited to the top speed
+    psi_w = direction of w, or its opposite if the vehicle is to go astern
     N = I_z (w0^2 (psi_w - psi) - 2 w0 r),   X = M_x (w . e(psi) - u) / T_u + drag at w . e(psi)
 
-shared between port and starboard, inside box and slew. The QP does the rest.
+Yaw moment N and surge force X are distributed to port and starboard, inside box and slew. The QP refines the result.
 """
 
 from __future__ import annotations
@@ -24,20 +24,24 @@ from ltv_mpc.vehicle.flow import advance_by, lag_table
 from ltv_mpc.vehicle.resistance import steady_speed
 
 APPROACH_S = 4.0
-"""T_p: an error is to be gone in about the length of a horizon. Like the other two of the paper's vehicle: another's
-go with its own time, ``Constants.time_ratio``.
+"""T_p of the paper's vehicle: an error is to vanish in about the length of a horizon. This constant and the next two
+are scaled to another vehicle by ``Constants.time_ratio``.
 """
 SURGE_S = 1.0
-"""T_u: the surge's own time constant at half speed."""
+"""T_u: time constant of the surge motion at half speed."""
 TURN_RADPS = 0.5
-"""w0 of the turn."""
-TURN_A_STAGE = 0.5
-"""Most that w0 is of a stage's length: commands between two knots are a line."""
+"""w0: natural frequency of the heading law."""
+MAX_TURN_PER_STAGE = 0.5
+"""Largest w0 times a stage's length (rad): commands are linear between knots, so they cannot follow a faster law."""
 
 
 @jit
 def _wanted_velocity(target: Array, k: int, o: Objective, stage_s: float) -> tuple[float, float]:
-    """ref' over the stage from knot k: between the positions at its ends; before the first of them is none."""
+    """Return ref' (m/s) over the stage from knot k: the difference of the targets at its ends.
+
+    The target at knot 0 is not known, so the first stage takes the difference of the second. With one stage, ref' is
+    the velocity wanted at the end.
+    """
     N = len(target) - 1
     if N == 1:
         return target[1, 0], target[1, 1]
@@ -47,11 +51,22 @@ def _wanted_velocity(target: Array, k: int, o: Objective, stage_s: float) -> tup
 
 
 @jit
-def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, most: float, c: Constants) -> float:
-    """X[1:] (N, 8) and U[1:] (N, 2) under the law from X[0] and U[0], and what that costs; infinity as soon as it costs
-    more than ``most``: the rest is then left as it was.
+def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, max_cost: float, c: Constants) -> float:
+    """Simulate the steering law from X[0] and U[0], and return the cost of the trajectory.
 
-    C (N+1, 2) current at the knots; ``target`` (N+1, 2) as in ``Solver``.
+    Parameters
+    ----------
+    X : (N+1, 8) states; X[1:] is overwritten.
+    U : (N+1, 2) commands (N); U[1:] is overwritten.
+    C : (N+1, 2) current at the knots, north and east (m/s).
+    target : (N+1, 2) as in ``Solver.build``.
+    astern : True to steer with the stern ahead.
+    max_cost : the simulation stops as soon as the cost exceeds this; the remaining knots are then not written.
+    c : constants of the controller.
+
+    Returns
+    -------
+    The cost (cost.py); infinity if the simulation stopped.
     """
     N, p, o = len(target) - 1, c.p, c.objective
     fastest = steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
@@ -74,7 +89,7 @@ def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, mo
         turn = np.arctan2(sign * we, sign * wn) - x[4]
         turn -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
         wanted = wn * np.cos(x[4]) + we * np.sin(x[4])
-        w0 = min(TURN_RADPS / c.time_ratio, TURN_A_STAGE / h)
+        w0 = min(TURN_RADPS / c.time_ratio, MAX_TURN_PER_STAGE / h)
         yaw = p.inertia_yaw * (w0 * w0 * turn - 2.0 * w0 * x[5])
         surge = (
             p.mass_surge * (wanted - x[2]) / max(SURGE_S * c.time_ratio, h)
@@ -88,6 +103,6 @@ def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, mo
             U[k + 1, i] = min(max(F[i], low, U[k, i] - g * o.max_change[i]), high, U[k, i] + g * o.max_change[i])
         advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])
         total += stage_cost(X, U, target, k + 1, o)
-        if total > most:
+        if total > max_cost:
             return np.inf
     return total + terminal_cost(X, C, target, o)

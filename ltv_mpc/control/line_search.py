@@ -1,32 +1,32 @@
 """Line search along the exact flow, from the nominal trajectory towards the QP's commands.
 
-The QP knows the motion to first order only. Where that is wrong a full step can cost more than no step.
+The QP knows the motion to first order only. Where that is wrong, a full step can cost more than no step.
 """
 
 from __future__ import annotations
 
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import clip_to_limits
-from ltv_mpc.control.linearisation import propagate, views
+from ltv_mpc.control.linearisation import Linearisation, propagate
 from ltv_mpc.control.problem_data import unpack_constants
 from ltv_mpc.control.terminal_check import check_terminal
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
 
 STEPS = (1.0, 0.5, 0.25, 0.1)
-"""Parts of the QP's step that are tried in turn until the cost along the exact flow does not rise."""
+"""Fractions of the QP's step, tried in this order until the cost along the exact flow does not rise."""
 
 
 @jit
-def line_search(numbers: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array) -> float:
+def line_search(packed: Array, lin: Linearisation, target: Array, commands: Array, X: Array, U: Array) -> float:
     """Find the largest step from the nominal trajectory towards the QP's commands that does not raise the cost.
 
     The solver meets box and slew to its tolerance; the trajectory found here meets them exactly.
 
     Parameters
     ----------
-    numbers : packed constants (``problem_data.pack``).
-    flat : the linearisation's flat array, which holds the nominal trajectory.
+    packed : packed constants (problem_data.py).
+    lin : its X, U and C are the nominal trajectory and the current.
     target : (N+1, 2) as in ``Solver.build``.
     commands : (N+1, 2) port and starboard thrust that the QP asks for (N).
     X : (N+1, 8) is overwritten with the states of the trajectory found.
@@ -36,7 +36,7 @@ def line_search(numbers: Array, flat: Array, target: Array, commands: Array, X: 
     -------
     The fraction of the step taken; 0 if no step qualifies, and X and U are then the nominal trajectory.
     """
-    c, lin = unpack_constants(numbers), views(flat, len(target) - 1)
+    c = unpack_constants(packed)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)
     copy_to(X[0], lin.X[0])
@@ -48,7 +48,7 @@ def line_search(numbers: Array, flat: Array, target: Array, commands: Array, X: 
         propagate(X, U, lin.C, o.t, c.stage_s, c.p)
         if cost(X, U, lin.C, target, o) <= before:
             if check_terminal(X, lin.C, target, c).stuck and not check_terminal(lin.X, lin.C, target, c).stuck:
-                break  # within the horizon it is cheaper not to turn
+                break  # within the horizon it costs less not to turn
             return part
     copy_to(X, lin.X)
     copy_to(U, lin.U)

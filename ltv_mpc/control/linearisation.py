@@ -1,16 +1,19 @@
-"""The horizon: the motion along its knots, and its linearisation (LTV: linear time-varying).
+"""Linear time-varying (LTV) model of the horizontal motion along the horizon.
 
-State at a knot  X = [n, e, u, v, psi, r, F1, F2] (8,): flow.py. Commands U (N+1, 2) at the knots, linear between them;
-current C (N+1, 2) at the knots. Along a trajectory Xbar (N+1, 8), Ubar (N+1, 2) and for k = 0 .. N-1:
+State at a knot  X = [n, e, u, v, psi, r, F1, F2] (8,): vehicle/flow.py. Commands U (N+1, 2) at the knots, linear
+between them; current C (N+1, 2) at the knots. Along a trajectory Xbar (N+1, 8), Ubar (N+1, 2) and for k = 0 .. N-1:
 
     X[k+1] = Phi[k] + A[k] (X[k] - Xbar[k]) + B0[k] (U[k] - Ubar[k]) + B1[k] (U[k+1] - Ubar[k+1])
 
 with Phi[k] the exact flow from Xbar[k]. Xbar need not be a solution of the equations of motion: the gap
 Phi[k] - Xbar[k+1] goes into the QP (multiple shooting).
+
+Kernels take a ``Linearisation`` as it is: docs/notes/kernel-arguments.md has what that costs.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -23,63 +26,85 @@ from ltv_mpc.vehicle.sensitivity import SCRATCH, linearise_stage, thrust_gains
 
 
 class Linearisation(NamedTuple):
-    """The motion to first order along a trajectory of N stages: one array, and its parts as views of it."""
+    """First-order model of the motion along a trajectory of N stages."""
 
-    X: Array  # (N+1, 8) the trajectory; X[0] is the state at the plan's start
-    U: Array  # (N+1, 2) its commands; U[0] is the command in force at the plan's start
-    C: Array  # (N+1, 2) current, north and east
+    X: Array  # (N+1, 8) nominal states; X[0] is the state at the plan's start
+    U: Array  # (N+1, 2) nominal commands (N); U[0] is the command in force at the plan's start
+    C: Array  # (N+1, 2) current, north and east (m/s)
     Phi: Array  # (N, 8) exact flow of each stage from X[k]
-    A: Array  # (N, 8, 8)
+    A: Array  # (N, 8, 8) derivative of the flow with respect to X[k]
     B0: Array  # (N, 8, 2) with respect to U[k]
     B1: Array  # (N, 8, 2) with respect to U[k+1]
-    flat: Array  # all of it
+    flat: Array  # the storage of all of these, one after another: the QP's entry map counts in it
 
     @classmethod
     def empty(cls, stages: int) -> Linearisation:
-        """Room for one of so many stages."""
-        linearisation: Linearisation = views(np.empty(size(stages)), stages)
-        return linearisation
+        """Allocate a linearisation of N = ``stages`` stages; its numbers are undefined."""
+        return cls.view(np.empty(storage_size(stages)), stages)
+
+    @classmethod
+    def view(cls, flat: Array, stages: int) -> Linearisation:
+        """Return the parts of a flat array, which share its memory.
+
+        Parameters
+        ----------
+        flat : all numbers, in the order of the fields.
+        stages : N.
+
+        Returns
+        -------
+        The linearisation whose storage is ``flat``.
+        """
+        N, parts, begin = stages, [], 0
+        for shape in _shapes(N):
+            end = begin + math.prod(shape)
+            parts.append(flat[begin:end].reshape(shape))
+            begin = end
+        return cls._make((*parts, flat))
 
     @classmethod
     def from_arrays(cls, X: Array, U: Array, C: Array, Phi: Array, A: Array, B0: Array, B1: Array) -> Linearisation:
-        """One made of these arrays, which are copied."""
-        made = cls.empty(len(Phi))
-        for part, given in zip(made[:-1], (X, U, C, Phi, A, B0, B1), strict=True):
+        """Return a linearisation that holds copies of these arrays.
+
+        Parameters
+        ----------
+        X, U, C, Phi, A, B0, B1 : shapes as those of the fields.
+
+        Returns
+        -------
+        The linearisation.
+        """
+        lin = cls.empty(len(Phi))
+        for part, given in zip(lin[:-1], (X, U, C, Phi, A, B0, B1), strict=True):
             part[...] = given
-        return made
+        return lin
 
 
-@jit
-def size(N: int) -> int:
-    """Length of the flat array of N stages."""
-    return (N + 1) * (STATES + 4) + N * (STATES + STATES * STATES + 4 * STATES)
-
-
-@jit
-def views(flat: Array, N: int) -> Linearisation:
-    """The parts of a flat array: a kernel is handed the one, and takes it apart itself."""
-    x = (N + 1) * STATES
-    u = x + (N + 1) * 2
-    c = u + (N + 1) * 2
-    phi = c + N * STATES
-    a = phi + N * STATES * STATES
-    b0 = a + N * STATES * 2
-    return Linearisation(
-        flat[:x].reshape(N + 1, STATES),
-        flat[x:u].reshape(N + 1, 2),
-        flat[u:c].reshape(N + 1, 2),
-        flat[c:phi].reshape(N, STATES),
-        flat[phi:a].reshape(N, STATES, STATES),
-        flat[a:b0].reshape(N, STATES, 2),
-        flat[b0:].reshape(N, STATES, 2),
-        flat,
+def _shapes(N: int) -> tuple[tuple[int, ...], ...]:
+    """Shapes of X, U, C, Phi, A, B0, B1 for N stages."""
+    return (
+        *((N + 1, STATES), (N + 1, 2), (N + 1, 2), (N, STATES)),
+        *((N, STATES, STATES), (N, STATES, 2), (N, STATES, 2)),
     )
+
+
+def storage_size(N: int) -> int:
+    """Return the length of ``Linearisation.flat`` for N stages."""
+    return sum(math.prod(shape) for shape in _shapes(N))
 
 
 @jit
 def propagate(X: Array, U: Array, C: Array, t: Array, stage_s: float, p: Coefficients) -> None:
-    """X[1:] (N, 8) from X[0] under commands U (N+1, 2) in a current C (N+1, 2), at knots t (N+1,) in stages of
-    ``stage_s``.
+    """Propagate the state along the horizon by the exact flow.
+
+    Parameters
+    ----------
+    X : (N+1, 8) states; X[0] is given, X[1:] is overwritten.
+    U : (N+1, 2) commands at the knots (N).
+    C : (N+1, 2) current at the knots, north and east (m/s).
+    t : (N+1,) knots in first stages.
+    stage_s : length of the first stage.
+    p : coefficients of the vehicle.
     """
     h = (t[1] - t[0]) * stage_s
     lag = lag_table(h, p)
@@ -91,7 +116,20 @@ def propagate(X: Array, U: Array, C: Array, t: Array, stage_s: float, p: Coeffic
 
 
 def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
-    """States (N+1, 8) from X0 (8,) under U (N+1, 2) in C (N+1, 2); stage k lasts h[k] seconds."""
+    """Return the states along a horizon, by the exact flow.
+
+    Parameters
+    ----------
+    X0 : (8,) state at the first knot.
+    U : (N+1, 2) commands at the knots (N).
+    C : (N+1, 2) current at the knots, north and east (m/s).
+    h : (N,) lengths of the stages (s).
+    p : coefficients of the vehicle.
+
+    Returns
+    -------
+    (N+1, 8) states.
+    """
     X = np.empty((len(U), STATES))
     X[0] = X0
     propagate(X, U, C, np.concatenate([[0.0], np.cumsum(h)]), 1.0, p)
@@ -100,18 +138,33 @@ def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
 
 @jit
 def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
-    """Phi, A, B0 and B1 along the X, U and C that ``lin`` holds, at knots t (N+1,) in stages of ``stage_s``."""
+    """Linearise the flow along a given trajectory.
+
+    Parameters
+    ----------
+    lin : X, U and C are given; Phi, A, B0 and B1 are overwritten.
+    t : (N+1,) knots in first stages.
+    stage_s : length of the first stage.
+    p : coefficients of the vehicle.
+    """
     _linearise(lin, t, stage_s, p, False)
 
 
 @jit
 def linearise_rollout(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
-    """The same along the exact flow from X[0], which is written into X[1:]: one pass over the motion instead of two."""
+    """Propagate the state by the exact flow from X[0], and linearise along it: one pass instead of two.
+
+    Parameters
+    ----------
+    lin : X[0], U and C are given; X[1:], Phi, A, B0 and B1 are overwritten.
+    t, stage_s, p : as in ``linearise_along``.
+    """
     _linearise(lin, t, stage_s, p, True)
 
 
 @jit
-def _linearise(lin: Linearisation, t: Array, stage_s: float, p: Coefficients, rolls: bool) -> None:
+def _linearise(lin: Linearisation, t: Array, stage_s: float, p: Coefficients, rollout: bool) -> None:
+    """Linearise along ``lin``; ``rollout``: along the exact flow from X[0], written into X[1:]."""
     X, U, C = lin.X, lin.U, lin.C
     h = (t[1] - t[0]) * stage_s
     lag = lag_table(h, p)
@@ -125,12 +178,25 @@ def _linearise(lin: Linearisation, t: Array, stage_s: float, p: Coefficients, ro
         linearise_stage(
             X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, gain, Z, lin.Phi[k], lin.A[k], lin.B0[k], lin.B1[k]
         )
-        if rolls:
+        if rollout:
             copy_to(X[k + 1], lin.Phi[k])
 
 
 def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linearisation:
-    """The motion to first order along X (N+1, 8), U (N+1, 2), in a current C (N+1, 2); every stage lasts h seconds."""
+    """Return the linearisation along a trajectory with equidistant knots.
+
+    Parameters
+    ----------
+    X : (N+1, 8) states.
+    U : (N+1, 2) commands (N).
+    C : (N+1, 2) current, north and east (m/s).
+    h : length of each stage (s).
+    p : coefficients of the vehicle.
+
+    Returns
+    -------
+    The linearisation; it holds copies of X, U and C.
+    """
     lin = Linearisation.empty(len(U) - 1)
     lin.X[...], lin.U[...], lin.C[...] = X, U, C
     linearise_along(lin, np.arange(float(len(U))), h, p)
@@ -139,7 +205,17 @@ def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linear
 
 @jit
 def velocity_over_ground(x: Array, c: Array) -> tuple[Array, Array]:
-    """[n', e'] (2,) at a state x (8,) in a current c (2,), and its derivative with respect to [u, v, psi], (2, 3)."""
+    """Return the velocity over ground and its derivative.
+
+    Parameters
+    ----------
+    x : (8,) state.
+    c : (2,) current, north and east (m/s).
+
+    Returns
+    -------
+    [n', e'] (2,) in m/s, and its derivative with respect to [u, v, psi] (2, 3).
+    """
     cos, sin = np.cos(x[4]), np.sin(x[4])
     velocity, slope = np.empty(2), np.empty((2, 3))
     # n' = cos psi u - sin psi v + c_n,  e' = sin psi u + cos psi v + c_e
@@ -152,7 +228,15 @@ def velocity_over_ground(x: Array, c: Array) -> tuple[Array, Array]:
 
 @jit
 def multiply_A(A: Array, k: int, x: Array, out: Array) -> None:
-    """out = A_k x: A (N, 8, 8), x and out (8,)."""
+    """Compute out = A_k x, using the zeros of A_k.
+
+    Parameters
+    ----------
+    A : (N, 8, 8) as in ``Linearisation``.
+    k : stage.
+    x : (8,) factor.
+    out : (8,) is overwritten.
+    """
     x2, x3, x4, x5, x6, x7 = x[2], x[3], x[4], x[5], x[6], x[7]
     for i in range(6):
         out[i] = (
@@ -168,7 +252,12 @@ def multiply_A(A: Array, k: int, x: Array, out: Array) -> None:
 
 @jit
 def multiply_A_transposed(A: Array, k: int, x: Array, out: Array) -> None:
-    """out = A_k' x: A (N, 8, 8), x and out (8,)."""
+    """Compute out = A_k' x, using the zeros of A_k.
+
+    Parameters
+    ----------
+    A, k, x, out : as in ``multiply_A``.
+    """
     x0, x1, x2, x3, x4, x5 = x[0], x[1], x[2], x[3], x[4], x[5]
     out[0], out[1] = x0, x1
     for j in range(2, 8):
@@ -182,7 +271,17 @@ def multiply_A_transposed(A: Array, k: int, x: Array, out: Array) -> None:
 
 
 def describe_non_finite(lin: Linearisation, target: Array) -> str:
-    """In words: which of the inputs is not finite, and from which knot or stage on."""
+    """Describe which input of a QP is not finite, and from which knot or stage on.
+
+    Parameters
+    ----------
+    lin : linearisation.
+    target : (N+1, 2) as in ``Solver.build``.
+
+    Returns
+    -------
+    One sentence for the report of a solve.
+    """
     names = (*Linearisation._fields[:-1], "target")
     for name, values in zip(names, (*lin[:-1], target), strict=True):
         finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)

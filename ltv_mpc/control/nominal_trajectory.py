@@ -1,7 +1,17 @@
 """Nominal trajectory: the solution of the equations of motion that a cycle linearises along.
 
 It starts at the predicted state. It is the previous plan on the new knots, or a steering guess where that costs less
-(``initial_guess.py``).
+(initial_guess.py).
+
+Arguments of the kernels in this file:
+
+    packed   packed constants (problem_data.py)
+    start    (10,) state n, e, u, v, psi, r, F1, F2 at the first knot, then the commands of port and starboard there
+    target   (N+1, 2) as in ``Solver.build``
+    old      (N+1, 2) commands of the previous plan (N)
+    stages   by how many first stages the previous plan began earlier
+    C        (N+1, 2) current at the knots, north and east (m/s)
+    X, U     (N+1, 8) states and (N+1, 2) commands (N) at the knots; overwritten
 """
 
 from __future__ import annotations
@@ -11,7 +21,7 @@ import numpy as np
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
-from ltv_mpc.control.linearisation import linearise_rollout, propagate, views
+from ltv_mpc.control.linearisation import Linearisation, linearise_rollout, propagate
 from ltv_mpc.control.problem_data import Objective, unpack_constants
 from ltv_mpc.control.shooting_grid import locate
 from ltv_mpc.control.terminal_check import TerminalCheck, check_terminal
@@ -20,13 +30,19 @@ from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 
 PREVIOUS_PLAN, STEERED_AHEAD, STEERED_ASTERN = range(3)
-"""Where the trajectory linearised along comes from: the previous plan, or a law that steers either way."""
+"""Origin of the nominal trajectory: the previous plan, or the steering law ahead or astern."""
 
 
 @jit
 def shift_controls(old: Array, t: Array, stages: float, U: Array) -> None:
-    """U[1:] (N+1, 2) at knots t (N+1,) from the commands of a plan that began so many first stages earlier; its last
-    ones are kept.
+    """Interpolate the commands of a previous plan at the new knots 1 .. N; its last ones are held beyond its end.
+
+    Parameters
+    ----------
+    old : (N+1, 2) commands of the previous plan (N).
+    t : (N+1,) knots in first stages.
+    stages : by how many first stages the previous plan began earlier.
+    U : (N+1, 2); U[1:] is overwritten.
     """
     low = 0
     for k in range(1, U.shape[0]):
@@ -36,12 +52,14 @@ def shift_controls(old: Array, t: Array, stages: float, U: Array) -> None:
 
 
 @jit
-def shifted_trajectory(numbers: Array, start: Array, old: Array, stages: float, C: Array, X: Array, U: Array) -> None:
-    """Evaluate the previous plan on the new knots, inside box and slew: states X (N+1, 8) and commands U (N+1, 2).
+def shifted_trajectory(packed: Array, start: Array, old: Array, stages: float, C: Array, X: Array, U: Array) -> None:
+    """Evaluate the previous plan on the new knots, inside box and slew.
 
-    The other arguments are those of ``choose_nominal``.
+    Parameters
+    ----------
+    packed, start, old, stages, C, X, U : as at the head of this file.
     """
-    c = unpack_constants(numbers)
+    c = unpack_constants(packed)
     _set_initial_knot(start, X, U)
     _shift_into_limits(old, stages, c.objective, U)
     propagate(X, U, C, c.objective.t, c.stage_s, c.p)
@@ -49,70 +67,90 @@ def shifted_trajectory(numbers: Array, start: Array, old: Array, stages: float, 
 
 @jit
 def _set_initial_knot(start: Array, X: Array, U: Array) -> None:
-    """The first knot of X (N+1, 8) and U (N+1, 2)."""
+    """Set the first knot of X (N+1, 8) and U (N+1, 2)."""
     copy_to(X[0], start[:STATES])
     copy_to(U[0], start[STATES:])
 
 
 @jit
 def _shift_into_limits(old: Array, stages: float, o: Objective, U: Array) -> None:
-    """``shift_controls``, inside box and slew."""
+    """Shift the previous plan's commands to the new knots, then clip them to box and slew."""
     shift_controls(old, o.t, stages, U)
     clip_to_limits(U, o.t, o.low, o.high, o.max_change)
 
 
 @jit
-def choose_nominal(numbers: Array, start: Array, target: Array, old: Array, stages: float, flat: Array) -> int:
-    """The trajectory to linearise along and the linearisation, into ``flat`` (``horizon.views``), whose C is given.
+def choose_nominal(packed: Array, start: Array, target: Array, old: Array, stages: float, lin: Linearisation) -> int:
+    """Choose the nominal trajectory, and linearise along it.
 
-    ``numbers`` are packed constants; ``start`` (10,) the state at the first knot and the commands in force there;
-    ``target`` as in ``Solver``; ``old`` (N+1, 2) the previous plan's commands, ``stages`` how many first stages earlier
-    it began, NaN where there is none.
-    Returns where it comes from.
+    The candidates are the previous plan and two steering guesses, ahead and astern; the one of least cost is chosen.
+    Where one of two ends stuck (terminal_check.py), the cost beyond the horizon counts too.
+
+    Parameters
+    ----------
+    packed, start, target, old : as at the head of this file.
+    stages : as there; NaN if there is no previous plan.
+    lin : has the current C; all the rest is overwritten.
+
+    Returns
+    -------
+    PREVIOUS_PLAN, STEERED_AHEAD or STEERED_ASTERN.
     """
-    c, lin = unpack_constants(numbers), views(flat, len(target) - 1)
+    c = unpack_constants(packed)
     o = c.objective
     X, U = lin.X, lin.U
     _set_initial_knot(start, X, U)
-    kind, least = STEERED_AHEAD, np.inf
+    kind, lowest = STEERED_AHEAD, np.inf
     end = TerminalCheck(False, 0.0)
     if not np.isnan(stages):
         _shift_into_limits(old, stages, o, U)
         linearise_rollout(lin, o.t, c.stage_s, c.p)
-        kind, least = PREVIOUS_PLAN, cost(X, U, lin.C, target, o)
+        kind, lowest = PREVIOUS_PLAN, cost(X, U, lin.C, target, o)
         end = check_terminal(X, lin.C, target, c)
     other_X, other_U = np.empty_like(X), np.empty_like(U)
     _set_initial_knot(start, other_X, other_U)
     for astern in (False, True):
-        other = steering_guess(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else least, c)
-        if np.isinf(other) and not np.isinf(least):
+        other = steering_guess(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else lowest, c)
+        if np.isinf(other) and not np.isinf(lowest):
             continue
         other_end = check_terminal(other_X, lin.C, target, c)
-        counts = 1.0 if end.stuck or other_end.stuck else 0.0
-        if other + counts * other_end.tail_cost < least + counts * end.tail_cost or np.isinf(least):
+        tail_weight = 1.0 if end.stuck or other_end.stuck else 0.0
+        if other + tail_weight * other_end.tail_cost < lowest + tail_weight * end.tail_cost or np.isinf(lowest):
             copy_to(X, other_X)
             copy_to(U, other_U)
-            kind, least, end = STEERED_ASTERN if astern else STEERED_AHEAD, other, other_end
+            kind, lowest, end = STEERED_ASTERN if astern else STEERED_AHEAD, other, other_end
     if kind != PREVIOUS_PLAN:
         linearise_rollout(lin, o.t, c.stage_s, c.p)
     return kind
 
 
 @jit
-def relinearise(numbers: Array, flat: Array, N: int, X: Array, U: Array) -> None:
-    """Linearise once more, along X (N+1, 8) and U (N+1, 2)."""
-    c, lin = unpack_constants(numbers), views(flat, N)
+def relinearise(packed: Array, lin: Linearisation, X: Array, U: Array) -> None:
+    """Linearise along another trajectory, in the same current.
+
+    Parameters
+    ----------
+    packed : as at the head of this file.
+    lin : all but C is overwritten.
+    X : (N+1, 8) its states; only the first is used.
+    U : (N+1, 2) its commands (N).
+    """
+    c = unpack_constants(packed)
     copy_to(lin.X, X)
     copy_to(lin.U, U)
     linearise_rollout(lin, c.objective.t, c.stage_s, c.p)
 
 
 @jit
-def ramp_to(numbers: Array, start: Array, goal: Array, C: Array, X: Array, U: Array) -> None:
-    """X (N+1, 8) and U (N+1, 2) where the lateral thrusters go to goal (N+1, 2) at the slew limit; ``start`` as in
-    ``choose_nominal``.
+def ramp_to(packed: Array, start: Array, goal: Array, C: Array, X: Array, U: Array) -> None:
+    """Move the lateral thrusters to given commands at the slew limit, and predict the motion.
+
+    Parameters
+    ----------
+    packed, start, C, X, U : as at the head of this file.
+    goal : (N+1, 2) wanted commands of port and starboard (N).
     """
-    c = unpack_constants(numbers)
+    c = unpack_constants(packed)
     o = c.objective
     copy_to(U, goal)
     _set_initial_knot(start, X, U)

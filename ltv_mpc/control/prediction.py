@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control.linearisation import views
 from ltv_mpc.control.sent_commands import SentCommands, command_at
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Times
@@ -218,8 +217,7 @@ def predict_state(
 
 
 @jit
-def fill_currents(depth: Array, north: Array, east: Array, at: Array, flat: Array) -> None:
-    """The current at depths ``at`` (N+1,) into the C of a linearisation's flat array."""
-    C = views(flat, len(at) - 1).C
+def fill_currents(depth: Array, north: Array, east: Array, at: Array, C: Array) -> None:
+    """Evaluate the current at depths ``at`` (N+1,) into C (N+1, 2)."""
     for k in range(len(at)):
         C[k, 0], C[k, 1] = current_at_depth(depth, north, east, at[k])

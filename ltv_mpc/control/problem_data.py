@@ -1,8 +1,9 @@
-"""What stays the same from cycle to cycle, as compiled code reads it.
+"""Problem data that stay the same from cycle to cycle: weights, limits and vehicle, packed for compiled code.
 
-A call from Python into compiled code costs about 0.3 us for each array and each field of a tuple that is handed over;
-a cycle is some fifty microseconds. So weights, limits and vehicle travel as one flat array, and every kernel that is
-called from Python takes it apart itself, which costs nothing.
+This is the one file that packs kernel arguments into a flat array. A call from Python into compiled code costs about
+0.15 us for each array and 0.3 us for each number of a tuple that is passed; ``Constants`` has 37 of both, and a cycle
+makes nine such calls. Passed as they are they cost more than 5 % of a cycle (docs/notes/kernel-arguments.md). So they
+travel as one flat array (``packed``), and each kernel that is called from Python unpacks it, which costs nothing.
 """
 
 from __future__ import annotations
@@ -21,34 +22,45 @@ from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 
 
 class Objective(NamedTuple):
-    """Weights (``config.Weights``) and limits (``limits.HorizonLimits``)."""
+    """Weights of the cost (``config.Weights``), limits (``HorizonLimits``), scales and knots of the QP."""
 
     position: float  # per m2
-    terminal_position: float  # per m2, at the last knot besides
+    terminal_position: float  # per m2, at the last knot, in addition
     terminal_velocity: float  # s2/m2
     thrust: float  # of (F / scale)^2
-    thrust_change: float
-    low: Array  # (2,) N
-    high: Array
-    max_change: Array  # N over the first stage
-    scale: Array  # N: a thrust of 1 in the cost
-    state_scale: Array  # (6,) a state of 1 in the QP
-    max_state: Array  # (2,) of ``limits.LIMITED_STATES``
+    thrust_change: float  # of (change of F / scale)^2
+    low: Array  # (2,) smallest thrust of port and starboard (N)
+    high: Array  # (2,) largest thrust (N)
+    max_change: Array  # (2,) largest change of thrust over the first stage (N)
+    scale: Array  # (2,) thrust that is 1 in the cost (N)
+    state_scale: Array  # (6,) state that is 1 in the QP
+    max_state: Array  # (2,) limits of ``horizon_limits.LIMITED_STATES``, infinite where there is none
     t: Array  # (N+1,) knots in first stages: shooting_grid.py
 
 
 class Constants(NamedTuple):
-    """All that a cycle needs besides its inputs."""
+    """All that a cycle needs beside its inputs."""
 
     objective: Objective
-    p: Coefficients
-    vertical: Array  # (3,) least and most thrust (N) and slew (N/s) of the vertical thruster
-    stage_s: float  # of the first stage
-    time_ratio: float  # the vehicle's time by that of the paper's: scaling.py
+    p: Coefficients  # of the vehicle
+    vertical: Array  # (3,) vertical thruster: smallest and largest thrust (N), slew limit (N/s)
+    stage_s: float  # length of the first stage
+    time_ratio: float  # the vehicle's time scale over that of the paper's vehicle: scaling.py
 
 
 def pack_objective(knots: Array, limits: HorizonLimits, weights: Weights) -> Array:
-    """The flat array that ``objective`` takes apart; ``knots`` (N+1,) as in ``shooting_grid.py``."""
+    """Pack weights, limits and knots into one flat array; ``unpack_objective`` is the inverse.
+
+    Parameters
+    ----------
+    knots : (N+1,) times of the knots in first stages (shooting_grid.py).
+    limits : limits of thrusters and motion.
+    weights : weights of the cost.
+
+    Returns
+    -------
+    (22 + N+1,) packed objective.
+    """
     cost = (
         weights.position_per_m2,
         weights.terminal_position_per_m2,
@@ -63,45 +75,76 @@ def pack_objective(knots: Array, limits: HorizonLimits, weights: Weights) -> Arr
 def pack_constants(
     vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float, max_state: Array | None = None
 ) -> Array:
-    """The flat array that ``constants`` takes apart: a packed objective comes first. The first stage lasts stage_s;
-    ``max_state`` (2,) of ``limits.LIMITED_STATES``.
+    """Pack all constants of a controller into one flat array; ``unpack_constants`` is the inverse.
+
+    Parameters
+    ----------
+    vehicle : gives limits, coefficients and scales.
+    weights : weights of the cost.
+    knots : (N+1,) times of the knots in first stages.
+    stage_s : length of the first stage.
+    max_state : (2,) limits of ``horizon_limits.LIMITED_STATES``; default: none.
+
+    Returns
+    -------
+    (47 + N,) packed constants; they begin with a packed objective.
     """
     vertical = vehicle.thrusters[2]
     rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s, time_ratio(vehicle))
-    ours = pack_objective(knots, HorizonLimits.from_vehicle(vehicle, stage_s, max_state), weights)
-    return np.concatenate([ours, vehicle.coefficients(), rest])
+    packed = pack_objective(knots, HorizonLimits.from_vehicle(vehicle, stage_s, max_state), weights)
+    return np.concatenate([packed, vehicle.coefficients(), rest])
 
 
 @jit
-def unpack_objective(flat: Array) -> Objective:
-    """The inverse of ``pack_objective``; the beginning of what ``pack`` makes serves as well."""
-    end = 22 + int(flat[21])
+def unpack_objective(packed: Array) -> Objective:
+    """Return the objective at the beginning of a packed objective or of packed constants."""
+    end = 22 + int(packed[21])
     return Objective(
-        flat[0], flat[1], flat[2], flat[3], flat[4],
-        flat[5:7], flat[7:9], flat[9:11], flat[11:13], flat[13:19], flat[19:21], flat[22:end],
+        packed[0], packed[1], packed[2], packed[3], packed[4],
+        packed[5:7], packed[7:9], packed[9:11], packed[11:13], packed[13:19], packed[19:21], packed[22:end],
     )  # fmt: skip
 
 
 @jit
+def unpack_constants(packed: Array) -> Constants:
+    """Return the constants that ``pack_constants`` packed."""
+    rest = packed[22 + int(packed[21]) :]
+    return Constants(unpack_objective(packed), coefficients(rest[:19]), rest[19:22], rest[22], rest[23])
+
+
+@jit
 def stage_length(o: Objective, k: int) -> float:
-    """Of the stage that ends at knot k = 1 .. N, in first stages."""
+    """Return the length of the stage that ends at knot k = 1 .. N, in first stages.
+
+    Parameters
+    ----------
+    o : has the knots.
+    k : knot.
+
+    Returns
+    -------
+    g_k = t_k - t_(k-1).
+    """
     return float(o.t[k] - o.t[k - 1])
 
 
 @jit
 def limited_state_count(o: Objective) -> int:
-    """How many states have a limit."""
+    """Return the number of states that have a limit."""
     return int(np.isfinite(o.max_state).sum())
 
 
 @jit
 def state_scale(i: int, o: Objective) -> float:
-    """What state i = 0 .. 7 of 1 means in the QP: a delivered thrust is scaled as its command."""
+    """Return the value of state i that is 1 in the QP; a delivered thrust has the scale of its command.
+
+    Parameters
+    ----------
+    i : state 0 .. 7 of n, e, u, v, psi, r, F1, F2.
+    o : has the scales.
+
+    Returns
+    -------
+    S_i in the state's unit.
+    """
     return float(o.state_scale[i] if i < 6 else o.scale[i - 6])
-
-
-@jit
-def unpack_constants(flat: Array) -> Constants:
-    """The inverse of ``pack``."""
-    rest = flat[22 + int(flat[21]) :]
-    return Constants(unpack_objective(flat), coefficients(rest[:19]), rest[19:22], rest[22], rest[23])

@@ -1,13 +1,13 @@
-"""The knots of a horizon, in first stages: t (N+1,), t[0] = 0, t[1] = 1; equidistant, or further and further apart.
+"""Shooting grid: the knots of a horizon t (N+1,), in first stages, with t[0] = 0 and t[1] = 1.
 
-A plan is renewed every stage, so its far end only has to say where the near end leads to: stages that grow look far
-ahead at the cost of few. The first half of them keep the first one's length, then each is longer than the one before by
-one common factor q, so that together they reach the horizon T:
+A plan is renewed every stage, so its far end only needs to show where the near end leads. Stages that grow look far
+ahead with few of them. The first half have the length of the first stage; each later one is longer than the one before
+by a common factor q, such that all together reach the horizon T:
 
     g_k = 1 for k <= N // 2,   g_k = q^(k - N // 2) beyond,   g_1 + .. + g_N = T,   t_k = g_1 + .. + g_k
 
-The cost is a sum over stages that stands for an integral: a stage's weights go with its length g (position, thrust),
-that of a change of thrust with 1 / g, and what slew allows with g.
+The cost is a sum over stages that approximates an integral. So the weights of a stage (position, thrust) are
+proportional to its length g, that of a change of thrust to 1 / g, and the change that the slew limit allows to g.
 """
 
 from __future__ import annotations
@@ -20,7 +20,17 @@ from ltv_mpc.messages import Array
 
 
 def knots(stages: int, horizon: float) -> Array:
-    """t (N+1,) of so many stages that reach ``horizon``, which is at least their number: equidistant where it is."""
+    """Return the knots of a horizon; equidistant if ``horizon`` is not larger than ``stages``.
+
+    Parameters
+    ----------
+    stages : N.
+    horizon : T in first stages, at least N.
+
+    Returns
+    -------
+    t (N+1,) in first stages.
+    """
     near = stages // 2
     far = np.arange(1.0, stages - near + 1)
     lengths = np.ones(stages)
@@ -33,8 +43,13 @@ def knots(stages: int, horizon: float) -> Array:
 
 @jit
 def shift(values: Array, t: Array, stages: float) -> None:
-    """values (N, M), a row for each knot t[1] .. t[N], become those of knots so many first stages later: linear between
-    knots, the last ones kept.
+    """Shift values at the knots 1 .. N to knots that lie later; the last values are held.
+
+    Parameters
+    ----------
+    values : (N, M) a row for each of the knots t[1] .. t[N], linear between them; overwritten.
+    t : (N+1,) knots in first stages.
+    stages : by how many first stages the new knots lie later.
     """
     N, low, old = values.shape[0], 0, values.copy()
     if N == 1:
@@ -48,7 +63,18 @@ def shift(values: Array, t: Array, stages: float) -> None:
 
 @jit
 def locate(t: Array, at: float, near: int) -> tuple[int, float]:
-    """Stage k and part of it in which ``at`` lies, held within t (N+1,); ``near`` is a stage at or before it."""
+    """Return the stage that contains a time, and the position within it; a time beyond the knots is clamped.
+
+    Parameters
+    ----------
+    t : (N+1,) knots in first stages.
+    at : time in first stages.
+    near : stage from which the search starts; at or before the one searched for.
+
+    Returns
+    -------
+    Stage k with t[k] <= at < t[k+1], and the fraction of it before ``at``, 0 .. 1.
+    """
     last = len(t) - 2
     k = near
     while k < last and t[k + 1] <= at:

@@ -1,18 +1,18 @@
-"""Whether the loop that a horizon closes is stable: its poles where a place is held.
+"""Stability of the closed loop with a given horizon, from its poles at station keeping.
 
-A plan of which the first stage is flown before it is made anew is a feedback, and nothing makes it a stable one: the
-best plan of a finite horizon may leave beyond it what has to be done within. About a steady state, with no limit
-active, it is linear. State z = [X; U] (10,), the state X of flow.py and the commands in force, over stages k = 1 .. N
-of length g_k:
+The controller applies the first stage of a plan and then plans again: a feedback that need not be stable. The optimal
+plan of a finite horizon can postpone beyond the horizon what has to be done within it. About a steady state, with no
+limit active, the feedback is linear. State z = [X; U] (10,) is the state X of vehicle/flow.py and the commands in
+force, over stages k = 1 .. N of length g_k:
 
     z+ = A_k z + B_k U+,  A_k = [[A, B0], [0, 0]],  B_k = [B1; I]                                     linearisation.py
     J  = sum g_k (w |p|^2 + r |U+ / F|^2) + s / g_k |(U+ - U) / F|^2 + w_N |p_N|^2 + m |p'_N|^2       cost.py
 
-The Riccati recursion from the last stage to the first ends with its U+ = - K z, and A_1 - B_1 K has the poles. A hull
-without linear drag to the side keeps a small sideways drift for ever, whatever is done: a pole at 1, which does not
-grow.
+The Riccati recursion from the last stage to the first ends with U+ = - K z, and the eigenvalues of A_1 - B_1 K are the
+poles. A hull without linear sway drag keeps a small sway velocity for ever, whatever the thrusters do: a pole at 1,
+which does not grow.
 
-A place is held with the bow into a current; with the stern into it the poles are the same.
+The station is held with the bow into a current; with the stern into it the poles are the same.
 """
 
 from __future__ import annotations
@@ -28,27 +28,58 @@ from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 
 CURRENT_RATIOS = (0.1, 0.2, 0.35, 0.5)
-"""Currents, over top speed."""
+"""Currents in which the poles are checked, over the vehicle's top speed."""
 
 POLE_TOLERANCE = 1e-6
-"""Of a pole at 1."""
+"""Rounding error that a pole at 1 may have."""
 
 AUGMENTED_STATES = STATES + 2
+"""Size of z = [X; U]."""
 
 
 def is_stable(vehicle: Vehicle, horizon_s: float) -> bool:
-    """In all of ``CURRENT_RATIOS``, with the weights that follow from the vehicle."""
+    """Return True if no pole grows in any of ``CURRENT_RATIOS``, with the vehicle's default weights.
+
+    Parameters
+    ----------
+    vehicle : vehicle to be controlled.
+    horizon_s : horizon of the plan.
+
+    Returns
+    -------
+    True if the largest pole is at most 1.
+    """
     return all(spectral_radius(vehicle, horizon_s, share) <= 1.0 + POLE_TOLERANCE for share in CURRENT_RATIOS)
 
 
 def spectral_radius(vehicle: Vehicle, horizon_s: float, share: float) -> float:
-    """Size of the largest pole, per cycle, in a current of this share of top speed."""
+    """Return the magnitude of the largest pole, per cycle.
+
+    Parameters
+    ----------
+    vehicle, horizon_s : as in ``is_stable``.
+    share : current over the vehicle's top speed.
+
+    Returns
+    -------
+    Spectral radius of A_1 - B_1 K.
+    """
     A, B, K = closed_loop(vehicle, horizon_s, share)
     return float(np.abs(np.linalg.eigvals(A - B @ K)).max())
 
 
 def closed_loop(vehicle: Vehicle, horizon_s: float, share: float) -> tuple[Array, Array, Array]:
-    """A_1 (10, 10), B_1 (10, 2) and K (2, 10), heading north into a current to the south."""
+    """Linearise the closed loop, heading north into a current to the south.
+
+    Parameters
+    ----------
+    vehicle, horizon_s : as in ``is_stable``.
+    share : current over the vehicle's top speed.
+
+    Returns
+    -------
+    A_1 (10, 10), B_1 (10, 2) and K (2, 10).
+    """
     p, weights = vehicle.coefficients(), default_weights(vehicle)
     X, C = steady_state(vehicle, share)
     stage_s = STAGE_NS * 1e-9
@@ -73,7 +104,17 @@ def closed_loop(vehicle: Vehicle, horizon_s: float, share: float) -> tuple[Array
 
 
 def steady_state(vehicle: Vehicle, share: float) -> tuple[Array, Array]:
-    """X (8,) of the place and C (2,): heading north into a current of this share of top speed."""
+    """Return the steady state of station keeping, heading north into a current to the south.
+
+    Parameters
+    ----------
+    vehicle : vehicle to be controlled.
+    share : current over the vehicle's top speed.
+
+    Returns
+    -------
+    State X (8,) and current C (2,), north and east (m/s).
+    """
     p, speed = vehicle.coefficients(), share * characteristic_scales(vehicle).speed_mps
     push = (p.linear_surge + p.quadratic_surge * speed) * speed
     port, starboard = p.arm_starboard, p.arm_port  # no moment
@@ -83,7 +124,7 @@ def steady_state(vehicle: Vehicle, share: float) -> tuple[Array, Array]:
 
 
 def _stage(X: Array, C: Array, h: float, p: Coefficients) -> tuple[Array, Array]:
-    """A (10, 10) and B (10, 2) of a stage of h seconds."""
+    """Return A (10, 10) and B (10, 2) of a stage of h seconds."""
     lin = linearise(np.tile(X, (2, 1)), np.tile(X[6:], (2, 1)), np.tile(C, (2, 1)), h, p)
     A = np.zeros((AUGMENTED_STATES, AUGMENTED_STATES))
     A[:STATES, :STATES], A[:STATES, STATES:] = lin.A[0], lin.B0[0]

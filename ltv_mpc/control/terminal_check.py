@@ -1,19 +1,19 @@
-"""What lies beyond the horizon, as far as a choice between trajectories needs it: whether one of them ends stuck.
+"""Terminal check: detect a trajectory that ends stuck, and estimate its cost beyond the horizon.
 
-At full thrust stern-to and off its target, a vehicle that is weaker astern may not get any nearer. To turn costs more
-within the horizon than to stay: it drifts meanwhile. So it would stay, for ever. At the end of a trajectory, with
-d = |ref - p|, e = (ref - p) / d and b = ref' - c, the velocity through the water that keeps pace with the target,
+A vehicle that is weaker astern can be off its target with its stern towards it, at full thrust, and not get any nearer.
+Within the horizon a turn costs more than staying, because the vehicle drifts while it turns. So it would stay for ever.
+At the end of a trajectory, with d = |ref - p|, e = (ref - p) / d and b = ref' - c, the velocity through the water that
+keeps pace with the target,
 
-    s = the largest with |e s + b| <= V          speed at which it can still close in; V - |b| where there is none
+    s = the largest with |e s + b| <= V          closing speed towards the target; V - |b| if there is none
     V = top speed ahead, or astern where the stern points along e s + b
     stuck: d > NEAR_LENGTHS L and s < SLOW_RATIO of the top speed ahead
 
-    beyond = w / h integral of (d - s t)^2 dt until it is there, over MAX_TAIL_TIMES T at most
+    tail cost = w / h integral of (d - s t)^2 dt until the target is reached, over MAX_TAIL_TIMES T at most
 
-L, T and V as in ``scaling.py``. That is added to the costs of two guesses where one of them ends stuck, and the line
-search takes no step from where it is not to where it would be (``nominal_trajectory.py``). Else it counts for
-nothing: it holds
-for a steady current, and within the horizon the QP knows better.
+L, T and V as in scaling.py. The tail cost is added to the costs of two trajectories where one of them ends stuck
+(nominal_trajectory.py), and the line search takes no step from a trajectory that is not stuck to one that is. Otherwise
+the tail cost is ignored: it assumes a steady current, and within the horizon the QP is more accurate.
 """
 
 from __future__ import annotations
@@ -27,25 +27,41 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.resistance import steady_speed
 
-NEAR_LENGTHS, SLOW_RATIO = 0.1, 0.1
+NEAR_LENGTHS = 0.1
+"""Distance below which a vehicle is never stuck, over its length scale L."""
+
+SLOW_RATIO = 0.1
+"""Closing speed below which a vehicle is stuck, over its top speed ahead."""
+
 MAX_TAIL_TIMES = 200.0
-"""24 minutes of the paper's vehicle: who holds a place holds it for long, and a steered guess turns in a wider circle
-than the plan that comes of it.
+"""Longest time of the tail cost over the time scale T: 24 minutes for the paper's vehicle. A station is held for long,
+and a steering guess turns in a wider circle than the plan that results from it.
 """
 
 TIME_S = PAPER_SCALES.time_s
 
 
 class TerminalCheck(NamedTuple):
-    """Of the end of one trajectory."""
+    """Terminal check of one trajectory."""
 
-    stuck: bool
-    tail_cost: float  # cost
+    stuck: bool  # True if it cannot approach its target any more
+    tail_cost: float  # cost beyond the horizon, in units of the cost
 
 
 @jit
 def closing_speed(en: float, ee: float, bn: float, be: float, V: float) -> float:
-    """The largest s with |e s + b| <= V."""
+    """Return the closing speed: the largest s with |e s + b| <= V.
+
+    Parameters
+    ----------
+    en, ee : unit vector towards the target, north and east.
+    bn, be : velocity through the water that keeps pace with the target (m/s).
+    V : top speed through the water (m/s).
+
+    Returns
+    -------
+    s (m/s); V - |b| < 0 if the vehicle cannot keep on the line.
+    """
     along, square = en * bn + ee * be, bn * bn + be * be
     root = along * along - square + V * V
     return -along + math.sqrt(root) if root >= 0.0 else V - math.sqrt(square)
@@ -53,7 +69,19 @@ def closing_speed(en: float, ee: float, bn: float, be: float, V: float) -> float
 
 @jit
 def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalCheck:
-    """Of states X (N+1, 8) in a current C (N+1, 2); ``target`` (N+1, 2) as in ``Solver``."""
+    """Check the end of a trajectory.
+
+    Parameters
+    ----------
+    X : (N+1, 8) states at the knots; only the last is used.
+    C : (N+1, 2) current at the knots, north and east (m/s).
+    target : (N+1, 2) as in ``Solver.build``.
+    c : constants of the controller.
+
+    Returns
+    -------
+    Whether it is stuck, and its tail cost.
+    """
     N, o, p = len(target) - 1, c.objective, c.p
     dn, de = target[N - 1, 0] - X[N, 0], target[N - 1, 1] - X[N, 1]
     d = math.sqrt(dn * dn + de * de)

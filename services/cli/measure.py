@@ -1,4 +1,4 @@
-"""Measure: ``profile``; ``localisation-check``, ``fleet`` and ``qp`` have files of their own."""
+"""Panel Measure: the command ``profile``; the other commands of the panel have their own files."""
 
 from __future__ import annotations
 
@@ -31,15 +31,20 @@ def profile(
         typer.Option("--horizons", metavar="STAGES,...", help="Stages of 0.3 s: 17 is 5.1 s, 34 is 10.2 s."),
     ] = "17,34",
     solvers: Annotated[
-        str, typer.Option("--solvers", metavar="NAME,...", help="Any that is installed. PIQP is always measured too.")
+        str, typer.Option("--solvers", metavar="NAME,...", help="Installed solvers. PIQP is always measured too.")
     ] = "osqp,riccati",
-    cycles: Annotated[int, typer.Option("--cycles", metavar="N", help="Cycles a horizon.", min=10, max=100_000)] = 600,
+    cycles: Annotated[
+        int, typer.Option("--cycles", metavar="N", help="Number of cycles per horizon.", min=10, max=100_000)
+    ] = 600,
     run: Annotated[
         str | None,
-        typer.Option("--run", metavar="RUN", help="A recorded run's problems: its folder, its run.mcap, or latest."),
+        typer.Option(
+            "--run", metavar="RUN", help="Use the problems of a recorded run: its folder, its run.mcap, or latest."
+        ),
     ] = None,
     seed: Annotated[
-        int, typer.Option("--seed", metavar="N", help="Of the closed loops, and of the order.", min=0, max=2**53 - 1)
+        int,
+        typer.Option("--seed", metavar="N", help="Seed of the closed loops and of the order.", min=0, max=2**53 - 1),
     ] = 0,
     as_json: Json = False,
     force: Force = False,
@@ -47,12 +52,11 @@ def profile(
         Path | None, typer.Option("--out", metavar="DIR", help="Also write profile.json and .png into this folder.")
     ] = None,
 ) -> int:
-    """How long a cycle takes, by solver and horizon.
+    """Measure the time of a control cycle and of its stages, by solver and horizon.
 
-    And each of its stages.
-    On closed loops in lock step with the true state: half of the cycles the paper's descent, a quarter in a current of
-    4 cm/s that the controller is not told of, a quarter 2 m off with the heading up to 3 rad off. Each cycle is solved
-    by all, in an order drawn anew, and compared with PIQP by its own interface.
+    The cycles come from closed loops in lock step with the true state: half of them from the paper's descent, a quarter
+    with a current of 4 cm/s that the controller does not know, a quarter that start 2 m off with a heading error of up
+    to 3 rad. Every solver solves each cycle, in random order. The ratios compare it with PIQP by its own interface.
     """
     import msgspec
     from rich.console import Console

@@ -1,9 +1,9 @@
 """Export of the controller's QP as C code that OSQP generates, without allocation or libraries.
 
-The folder holds OSQP's sources and a workspace with one cycle's problem in it, of a vehicle somewhat off its
-plan. The pattern is that of every cycle, so a program of one's own puts its numbers in with osqp_update_data_mat and
-osqp_update_data_vec; which number is where is in mpc_layout.h. The sample, emosqp.c, solves the problem and prints the
-first free thrusts.
+The folder contains OSQP's sources and a workspace with the problem of one cycle, in which the vehicle is somewhat off
+its plan. Every cycle has the same pattern, so a C program can replace the numbers with osqp_update_data_mat and
+osqp_update_data_vec; mpc_layout.h describes the place of each number. The sample, emosqp.c, solves the problem and
+prints the first free thrusts.
 """
 
 from __future__ import annotations
@@ -79,31 +79,31 @@ class Exported(NamedTuple):
     thrust_N: Array  # (2,)
 
 
-def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[OsqpSolver, Array]:
-    """Return a solver with the problem loaded, and the first free commands (2,) of the linearisation trajectory.
+def loaded_solver(vehicle: Vehicle, config: ControllerConfig) -> tuple[OsqpSolver, Array]:
+    """Return a solver with the problem loaded, and the first free nominal commands (2,) in N.
 
-    Raises ``ConfigError`` where another solver is configured.
+    Raises ``ConfigError`` if the settings have another solver, or limits of the motion.
     """
-    # The first QP of a cycle is the one to show: a second is linearised where its own solution nearly is.
+    # One QP a cycle: a second one would be linearised close to its own solution.
     first = msgspec.structs.replace(config, sqp_iterations=1)
     controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), first)
     solver = controller._solver
     if not isinstance(solver, OsqpSolver):
         problem = "must be osqp: OSQP generates the code"
         raise ConfigError("controller settings", "solver", problem, value=config.solver)
-    if solver.form.limited:
+    if solver.form.limits.limited:
         raise ConfigError(
             "controller settings", "limits", "must be empty: the generated code supports thruster limits only"
         )
     controller.plan(Estimate.at_rest(north_m=0.1))
-    # A cycle later, not where that plan led: the solution is not where it was linearised.
+    # One cycle later and away from the first plan, so that the solution differs from the nominal trajectory.
     controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=-0.2, east_m=0.1, heading_rad=0.3), t_ns=STAGE_NS))
     return solver, controller._lin.U[1]
 
 
-def export(folder: Path, solver: OsqpSolver, before: Array, config: ControllerConfig) -> Exported:
-    """Write the code into ``folder``, over what is there; ``solver`` and ``before`` as ``solved`` gives them."""
-    answer = solver.solve()
+def export(folder: Path, solver: OsqpSolver, nominal: Array, config: ControllerConfig) -> Exported:
+    """Write the code into ``folder``, over existing files; ``solver`` and ``nominal`` come from ``loaded_solver``."""
+    result = solver.solve()
     qp, settings = solver.scaled_problem()
     generator = osqp.OSQP(algebra="builtin")
     P, A = csc_matrix(triu(qp.P, format="csc")), csc_matrix(qp.A)
@@ -129,10 +129,10 @@ def export(folder: Path, solver: OsqpSolver, before: Array, config: ControllerCo
             starboard=STATES + 1,
             port_scale=float(scale[0]),
             starboard_scale=float(scale[1]),
-            port_before=float(before[0]),
-            starboard_before=float(before[1]),
+            port_before=float(nominal[0]),
+            starboard_before=float(nominal[1]),
         ),
         encoding="utf-8",
     )
     (folder / "emosqp.c").write_text(SAMPLE, encoding="utf-8")
-    return Exported(form.stages, form.variables, form.rows, answer.commands[1])
+    return Exported(form.stages, form.variables, form.rows, result.commands[1])

@@ -1,1 +1,1 @@
-"""The quadratic programme of one cycle: what it is, its layout, how well it was solved."""
+"""Quadratic programme of one cycle: its form and layout, its Riccati recursion, its residuals and diagnostics."""

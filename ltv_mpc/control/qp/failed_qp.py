@@ -1,4 +1,4 @@
-"""A QP that was not solved: what is wrong with it in words, and as a file (``ltv-mpc qp show FILE``)."""
+"""Diagnosis of a QP that was not solved: its errors as text, and the problem as a file (``ltv-mpc qp show FILE``)."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ FILE = "QP file"
 
 @dataclass(frozen=True)
 class FailedQp:
-    """The problem that was not solved, what its rows are, and the solver's account."""
+    """QP that was not solved, the names of its rows, and the solver's report."""
 
     qp: QP
     rows: tuple[ConstraintRow, ...]
     solve: Solve
 
     def save(self, path: Path) -> None:
-        """Into one file, numpy's npz."""
+        """Write the problem to one file in numpy's npz format."""
         qp = self.qp
         parts: dict[str, Any] = {"format": FORMAT, "q": qp.q, "l": qp.l, "u": qp.u}
         for name, matrix in (("P", qp.P), ("A", qp.A)):
@@ -47,7 +47,7 @@ class FailedQp:
 
     @classmethod
     def load(cls, path: Path) -> FailedQp:
-        """Raises ``ConfigError`` for a file that is none."""
+        """Read a file that ``save`` wrote. Raises ``ConfigError`` if it is missing, unreadable or no such file."""
         try:
             parts = _parts(path)
         except FileNotFoundError:
@@ -55,13 +55,14 @@ class FailedQp:
         except UNREADABLE as error:
             raise ConfigError(f"{FILE} {path}", "", f"cannot be read: {str(error)[:200]}") from None
         try:
-            return cls._of(parts)
+            return cls._from_parts(parts)
         except (LookupError, ValueError, TypeError, ArithmeticError) as error:
             problem = f"is not a QP saved by this program: {str(error)[:200]}"
             raise ConfigError(f"{FILE} {path}", "", problem) from None
 
     @classmethod
-    def _of(cls, parts: dict[str, Any]) -> FailedQp:
+    def _from_parts(cls, parts: dict[str, Any]) -> FailedQp:
+        """Return the problem from the arrays of its file. Raises an exception of any kind if they do not fit."""
         if str(parts["format"]) != FORMAT:
             raise ValueError(f"format {parts['format']}, must be {FORMAT}")
         for name in ("q", "l", "u", "P_data", "A_data"):
@@ -74,21 +75,21 @@ class FailedQp:
 
         def matrix(name: str, rows: int) -> csc_array:
             data, indices, indptr = (parts[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
-            made = csc_array((data, indices, indptr), shape=(rows, n))
-            made.check_format()
-            return made
+            checked = csc_array((data, indices, indptr), shape=(rows, n))
+            checked.check_format()
+            return checked
 
         rows = tuple(
             ConstraintRow(str(of), float(scale), str(unit))
             for of, scale, unit in zip(parts["row_of"], parts["row_scale"], parts["row_unit"], strict=True)
         )
         if not len(rows) == len(parts["u"]) == m:
-            raise ValueError(f"{m} lower bounds, {len(parts['u'])} upper, {len(rows)} rows: must be as many of each")
+            raise ValueError(f"{m} lower bounds, {len(parts['u'])} upper, {len(rows)} rows: must be equal numbers")
         qp = QP(matrix("P", n), parts["q"], matrix("A", m), parts["l"], parts["u"])
         return cls(qp, rows, msgspec.json.decode(str(parts["solve"]), type=Solve))
 
     def faults(self) -> list[str]:
-        """What is wrong with the problem itself: numbers that are not finite, bounds that exclude each other."""
+        """Return descriptions of the errors in the problem: numbers that are not finite, contradictory bounds."""
         qp = self.qp
         found = []
         for name, values in (("P", qp.P.data), ("q", qp.q), ("A", qp.A.data)):
@@ -105,22 +106,22 @@ class FailedQp:
         return found
 
 
-LARGEST = 1 << 26
-"""Bytes of all parts: the longest horizon's QP has a hundredth of it."""
+MAX_BYTES = 1 << 26
+"""Largest size of all parts: the QP of the longest horizon has a hundredth of it."""
 
 UNREADABLE = (
     *(OSError, ValueError, TypeError, EOFError, LookupError, ArithmeticError, MemoryError),
     *(NotImplementedError, RuntimeError, BadZipFile, zlib.error),
 )
-"""What zipfile, zlib and numpy raise on bytes that are no npz file."""
+"""Exceptions of zipfile, zlib and numpy for bytes that are no npz file."""
 
 
 def _parts(path: Path) -> dict[str, Any]:
-    """The arrays of an npz file by name, none larger than it says in two places. Raises ``UNREADABLE``."""
+    """Return the arrays of an npz file by name. Raises ``UNREADABLE``, also if a size contradicts another."""
     with ZipFile(path) as archive:
         entries = archive.infolist()
-        if sum(entry.file_size for entry in entries) > LARGEST:
-            raise ValueError(f"more than {LARGEST} bytes unpacked")
+        if sum(entry.file_size for entry in entries) > MAX_BYTES:
+            raise ValueError(f"more than {MAX_BYTES} bytes unpacked")
         for entry in entries:
             with archive.open(entry) as file:
                 version = npy.read_magic(file)
@@ -128,21 +129,31 @@ def _parts(path: Path) -> dict[str, Any]:
                 shape, _, dtype = head(file)
             if not 0 <= math.prod(shape) * dtype.itemsize <= entry.file_size:
                 raise ValueError(f"{entry.filename}: shape {shape} of {entry.file_size} bytes")
-    with np.load(path, allow_pickle=False) as held:
-        return {name: held[name] for name in held.files}
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
 
 
 def _checked(parts: dict[str, Any], name: str, kinds: str) -> None:
-    """Of one dimension and of such numbers (numpy's letters)."""
+    """Check that a part has one dimension and numbers of these kinds (numpy's letters)."""
     part = parts[name]
     if part.ndim != 1 or part.dtype.kind not in kinds:
         raise ValueError(f"{name}: {part.dtype} {part.shape}")
 
 
 def worst_violation(qp: QP, x: Array, rows: tuple[ConstraintRow, ...]) -> str:
-    """Which row a point x (n,) violates most, by how much, in words; empty where it violates none.
+    """Describe the row that a point violates most.
 
-    Violations are compared as the QP has them, where rows are of order one.
+    Violations are compared in the QP's own scaling, where rows are of order one.
+
+    Parameters
+    ----------
+    qp : problem.
+    x : (n,) primal point.
+    rows : names of its rows.
+
+    Returns
+    -------
+    Name of the row and violation with its unit; empty if no row is violated.
     """
     Ax = qp.A @ x
     over = np.maximum(qp.l - Ax, Ax - qp.u)

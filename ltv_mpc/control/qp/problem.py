@@ -1,4 +1,4 @@
-"""A convex quadratic programme and its solution, as every solver here takes and returns them.
+"""Convex quadratic programme (QP) and its solution, the common form of all solvers.
 
 minimise 1/2 x' P x + q' x   subject to   l <= A x <= u
 """
@@ -14,19 +14,19 @@ from ltv_mpc.messages import Array, Solve
 
 @dataclass(frozen=True, slots=True)
 class QP:
-    """P (n, n) symmetric positive semidefinite, both triangles; A (m, n); equalities have l == u."""
+    """Convex quadratic programme; equalities have l == u."""
 
-    P: csc_array
-    q: Array
-    A: csc_array
-    l: Array  # noqa: E741  (the standard name)
-    u: Array
+    P: csc_array  # (n, n) symmetric positive semidefinite, both triangles
+    q: Array  # (n,)
+    A: csc_array  # (m, n)
+    l: Array  # noqa: E741  (m,) the standard name
+    u: Array  # (m,)
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Primal x (n,), dual y (m,) of l <= A x <= u (positive at u, negative at l), and the solver's account."""
+    """Solution of a QP, and the solver's report."""
 
-    x: Array
-    y: Array
+    x: Array  # (n,) primal
+    y: Array  # (m,) dual of l <= A x <= u: positive at u, negative at l
     solve: Solve

@@ -1,4 +1,4 @@
-"""How far a point is from the optimum: the residuals of the Karush-Kuhn-Tucker conditions, for any solver's answer."""
+"""Residuals of the Karush-Kuhn-Tucker conditions: the distance of any solver's result from the optimum."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ltv_mpc.messages import Array
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """All in the infinity norm; zero at the optimum."""
+    """Residuals in the infinity norm; zero at the optimum."""
 
     stationarity: float  # P x + q + A' y
     primal: float  # violation of l <= A x <= u
@@ -20,7 +20,18 @@ class Residuals:
 
 
 def residuals(qp: QP, x: Array, y: Array) -> Residuals:
-    """Residuals of x (n,), y (m,)."""
+    """Return the residuals of a point.
+
+    Parameters
+    ----------
+    qp : problem.
+    x : (n,) primal point.
+    y : (m,) dual, positive at u, negative at l.
+
+    Returns
+    -------
+    Residuals of stationarity, feasibility and complementarity.
+    """
     Ax = qp.A @ x
     stationarity = np.abs(qp.P @ x + qp.q + qp.A.T @ y).max()
     primal = max(np.maximum(qp.l - Ax, 0.0).max(), np.maximum(Ax - qp.u, 0.0).max())

@@ -1,19 +1,19 @@
-"""The QP along its stages: Riccati's sweeps, which solve it where no inequality is left.
+"""Riccati recursion on the QP: it solves the problem exactly where no inequality is left.
 
     minimise   the QP's cost (``sparse.py``)  +  sum over k = 1..N, i of   1/2 w g^2 + l g,   g = [z_k, z_k - z_(k-1)]
     subject to the dynamics,   z_k = dU_k / F (2,)
 
-``weight`` w and ``linear`` l (N, 4) are what a method that deals with box and slew (``solvers/riccati_solver.py``)
-makes of
-them; g are the rows of both, in the order [box of port, of starboard, slew of port, of starboard].
+A method that treats box and slew (solvers/riccati_solver.py) turns them into the quadratic terms ``weight`` w and the
+linear terms ``linear`` l (N, 4). g are their rows, in the order [box of port, of starboard, slew of port, of
+starboard].
 
-What the rest depends on at knot k is s = [dX_k, dU_k] (10,), and the input mu = dU_(k+1):
+The state of the recursion at knot k is s = [dX_k, dU_k] (10,), and its input is mu = dU_(k+1):
 
     s_(k+1) = [A_k dX_k + B0_k dU_k + B1_k mu + gap_k,  mu],      gap_k = Phi_k - Xbar_(k+1)
     V_k(s)  = cost of knot k + min over mu of  cost of the change + V_(k+1)(s_(k+1)) = 1/2 s' P s + p' s
 
-A sweep backward gives P, p and the law mu = K s + kappa, one forward the commands. Both together are some 2000 products
-a stage, and cost as much as two or three iterations of OSQP (Rao, Wright & Rawlings 1998).
+A backward sweep gives P, p and the feedback law mu = K s + kappa, a forward sweep the commands. Both together take
+about 2000 products a stage, as long as two or three iterations of OSQP (Rao, Wright & Rawlings 1998).
 """
 
 from __future__ import annotations
@@ -29,42 +29,52 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
 LIMIT_ROWS = 4
-"""g of a stage."""
+"""Rows g of a stage."""
 
-WIDE = 10
-"""s = [u, v, psi, r, F1, F2, U1, U2, n, e]; and as many are what s_(k+1) depends on besides n and e, which carry over:
-[u, v, psi, r, F1, F2, U1, U2, mu1, mu2].
+DIM = 10
+"""Size of s = [u, v, psi, r, F1, F2, U1, U2, n, e]. As many numbers determine s_(k+1), except that n and e are
+integrated: [u, v, psi, r, F1, F2, U1, U2, mu1, mu2].
 """
-ROW = 12
-"""Room for a row of so many numbers: whole vector registers."""
-D, P, W, Q = 0, ROW * WIDE, 2 * ROW * WIDE, 3 * ROW * WIDE
-"""Where in the scratch array: ds_(k+1); P; P D; D' P D. It is one array, and most places in it are written out, for the
-reason that ``vehicle/sensitivity.py`` gives: four times as fast.
+STRIDE = 12
+"""Length of a row in memory: whole vector registers."""
+D, P, W, Q = 0, STRIDE * DIM, 2 * STRIDE * DIM, 3 * STRIDE * DIM
+"""Offsets in the scratch array: D = ds_(k+1); P; P D; D' P D. It is one array, and most offsets in it are written out,
+for the reason given in vehicle/sensitivity.py: this is four times as fast.
 """
-AHEAD, SLOPE, K = 4 * ROW * WIDE, 4 * ROW * WIDE + ROW, 4 * ROW * WIDE + 2 * ROW
-"""p + P gap; D' of it; both rows of K."""
-SCRATCH = K + 2 * ROW
+P_GAP, SLOPE, K = 4 * STRIDE * DIM, 4 * STRIDE * DIM + STRIDE, 4 * STRIDE * DIM + 2 * STRIDE
+"""Offsets of p + P gap, of D' (p + P gap), and of both rows of K."""
+SCRATCH = K + 2 * STRIDE
 
-LAW = 2 * WIDE + 2
-"""Numbers of a stage's law: K (2, 10), kappa (2,)."""
+LAW = 2 * DIM + 2
+"""Size of a stage's feedback law: K (2, 10), kappa (2,)."""
 
 
 class SweepWorkspace(NamedTuple):
-    """What the sweeps of one problem share, and what each of them is told and says."""
+    """Workspace of the sweeps of one problem: constants, inputs and results."""
 
-    models: Array  # (N, 10, 12) what every s_(k+1) depends on
-    low: Array  # (N, 4) between what g must stay
-    high: Array
-    weight: Array  # (N, 4) w and l: to be filled in before a sweep
-    linear: Array
-    g: Array  # (N, 4) that the last sweep came to
-    laws: Array  # (N, LAW) its laws
-    Z: Array  # (SCRATCH,)
+    models: Array  # (N, 10, 12) derivative of each s_(k+1)
+    low: Array  # (N, 4) lower bounds of g
+    high: Array  # (N, 4) upper bounds of g
+    weight: Array  # (N, 4) w, input of a sweep
+    linear: Array  # (N, 4) l, input of a sweep
+    g: Array  # (N, 4) result of the last sweep
+    laws: Array  # (N, LAW) its feedback laws
+    Z: Array  # (SCRATCH,) scratch
 
 
 @jit
 def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
-    """For as many sweeps as it takes."""
+    """Return the workspace for the sweeps of one problem.
+
+    Parameters
+    ----------
+    lin : the motion along the nominal trajectory.
+    o : weights, limits and scales.
+
+    Returns
+    -------
+    The workspace; weight, linear, g and laws are undefined.
+    """
     N = lin.U.shape[0] - 1
     low, high = np.empty((N, LIMIT_ROWS)), np.empty((N, LIMIT_ROWS))
     for k in range(N):
@@ -72,8 +82,8 @@ def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
         for i in range(2):
             F, change = o.scale[i], reach * o.max_change[i]
             here, step = lin.U[k + 1, i], lin.U[k + 1, i] - lin.U[k, i]
-            least, most = command_bounds(lin.U[0, i], o.t[k + 1] * o.max_change[i], o.low[i], o.high[i])
-            low[k, i], high[k, i] = (least - here) / F, (most - here) / F
+            lower, upper = command_bounds(lin.U[0, i], o.t[k + 1] * o.max_change[i], o.low[i], o.high[i])
+            low[k, i], high[k, i] = (lower - here) / F, (upper - here) / F
             low[k, 2 + i], high[k, 2 + i] = (-change - step) / F, (change - step) / F
     weight, linear, g = np.empty((N, LIMIT_ROWS)), np.empty((N, LIMIT_ROWS)), np.empty((N, LIMIT_ROWS))
     return SweepWorkspace(_models(lin), low, high, weight, linear, g, np.empty((N, LAW)), np.empty(SCRATCH))
@@ -81,11 +91,11 @@ def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
 
 @jit
 def _models(lin: Linearisation) -> Array:
-    """Of every stage, as ``SweepWorkspace`` has them."""
+    """Return ``SweepWorkspace.models``."""
     N = lin.U.shape[0] - 1
-    models = np.zeros((N, WIDE, ROW))
+    models = np.zeros((N, DIM, STRIDE))
     for k in range(N):
-        for a in range(WIDE):
+        for a in range(DIM):
             row = models[k, a]
             if a == 6 or a == 7:
                 row[2 + a] = 1.0
@@ -100,8 +110,19 @@ def _models(lin: Linearisation) -> Array:
 
 @jit
 def sweep(lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace, dU: Array) -> bool:
-    """dU (N+1, 2): deviations of the commands (N) that cost least, and ``work.g`` of them. False where there are none
-    such, or not finite. ``target`` as in ``Solver``.
+    """Find the deviations of the commands of least cost, by one backward and one forward sweep.
+
+    Parameters
+    ----------
+    lin : the motion along the nominal trajectory.
+    target : (N+1, 2) as in ``Solver.build``.
+    o : weights, limits and scales.
+    work : its weight and linear are given; its g and laws are overwritten.
+    dU : (N+1, 2) is overwritten with the deviations (N).
+
+    Returns
+    -------
+    False if the cost has no minimum, or the result is not finite.
     """
     if not _backward(lin, target, o, work):
         return False
@@ -116,28 +137,28 @@ def sweep(lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace,
 
 @jit
 def _backward(lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace) -> bool:
-    """The law of every stage, from the last one on."""
+    """Compute the feedback law of every stage, from the last to the first; False if the cost has no minimum."""
     weight, linear, laws, Z = work.weight, work.linear, work.laws, work.Z
     N = laws.shape[0]
-    p = np.zeros(WIDE)
+    p = np.zeros(DIM)
     Z[:] = 0.0
-    _add_end(lin, target, o, Z, p)
+    _add_terminal_cost(lin, target, o, Z, p)
     for k in range(N - 1, -1, -1):
-        _add_knot(lin, target, o, k + 1, Z, p)
+        _add_stage_cost(lin, target, o, k + 1, Z, p)
         model = work.models[k].ravel()
-        for i in range(WIDE * ROW):
+        for i in range(DIM * STRIDE):
             Z[D + i] = model[i]
-        _drift(lin, k, Z, p)
-        _square(Z)
+        _add_gap(lin, k, Z, p)
+        _quadratic_form(Z)
         for i in range(2):
             # s / g |(U_(k+1) - U_k) / F|^2, and the rows of box and slew
             F = o.scale[i]
             change = o.thrust_change / (stage_length(o, k + 1) * F * F)
             both = change + weight[k, 2 + i] / (F * F)
             slope = change * (lin.U[k + 1, i] - lin.U[k, i]) + linear[k, 2 + i] / F
-            Z[Q + (ROW + 1) * (8 + i)] += both + weight[k, i] / (F * F)
-            Z[Q + (ROW + 1) * (6 + i)] += both
-            Z[Q + ROW * (8 + i) + 6 + i] -= both
+            Z[Q + (STRIDE + 1) * (8 + i)] += both + weight[k, i] / (F * F)
+            Z[Q + (STRIDE + 1) * (6 + i)] += both
+            Z[Q + STRIDE * (8 + i) + 6 + i] -= both
             Z[SLOPE + 8 + i] += slope + linear[k, i] / F
             Z[SLOPE + 6 + i] -= slope
         if not _law(Z, laws[k]):
@@ -148,182 +169,188 @@ def _backward(lin: Linearisation, target: Array, o: Objective, work: SweepWorksp
 
 
 @jit
-def _add_end(lin: Linearisation, target: Array, o: Objective, Z: Array, p: Array) -> None:
-    """What the velocity over ground at the last knot costs, to P and p."""
+def _add_terminal_cost(lin: Linearisation, target: Array, o: Objective, Z: Array, p: Array) -> None:
+    """Add the cost of the velocity over ground at the last knot to P and p."""
     N = lin.U.shape[0] - 1
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
     for i in range(2):
         for j in range(3):
             p[j] += o.terminal_velocity * V[i, j] * (velocity[i] - target[N, i])
             for m in range(3):
-                Z[P + ROW * j + m] += o.terminal_velocity * V[i, j] * V[i, m]
+                Z[P + STRIDE * j + m] += o.terminal_velocity * V[i, j] * V[i, m]
 
 
 @jit
-def _add_knot(lin: Linearisation, target: Array, o: Objective, k: int, Z: Array, p: Array) -> None:
-    """What position and thrust at knot k cost, to P and p."""
+def _add_stage_cost(lin: Linearisation, target: Array, o: Objective, k: int, Z: Array, p: Array) -> None:
+    """Add the cost of position and thrust at knot k to P and p."""
     g = stage_length(o, k)
     position = o.position * g + (o.terminal_position if k == lin.U.shape[0] - 1 else 0.0)
     for i in range(2):
         thrust = o.thrust * g / (o.scale[i] * o.scale[i])
-        Z[P + ROW * (6 + i) + 6 + i] += thrust
+        Z[P + STRIDE * (6 + i) + 6 + i] += thrust
         p[6 + i] += thrust * lin.U[k, i]
-        Z[P + ROW * (8 + i) + 8 + i] += position
+        Z[P + STRIDE * (8 + i) + 8 + i] += position
         p[8 + i] += position * (lin.X[k, i] - target[k - 1, i])
 
 
 @jit
 def _state(a: int) -> int:
-    """Where entry a of s stands in X; of both commands, nowhere."""
+    """Return the index in X of entry a of s, which is not a command."""
     return 2 + a if a < 6 else a - 8
 
 
 @jit
-def _square(Z: Array) -> None:
-    """P D, row by row, and D' P D: as calls with constants, so that the compiler sees which numbers are whose. One
-    function for the rows of both, told where they are, it does not take apart any more: eight times as slow.
+def _quadratic_form(Z: Array) -> None:
+    """Compute P D and D' P D, row by row.
+
+    The calls have constant arguments, so that the compiler knows the offsets. One function for the rows of both, with
+    the offsets as arguments, is eight times as slow.
     """
-    _row_of_PD(0, Z)
-    _row_of_PD(1, Z)
-    _row_of_PD(2, Z)
-    _row_of_PD(3, Z)
-    _row_of_PD(4, Z)
-    _row_of_PD(5, Z)
-    _row_of_PD(6, Z)
-    _row_of_PD(7, Z)
-    _row_of_PD(8, Z)
-    _row_of_PD(9, Z)
-    _row_of_DPD(0, Z)
-    _row_of_DPD(1, Z)
-    _row_of_DPD(2, Z)
-    _row_of_DPD(3, Z)
-    _row_of_DPD(4, Z)
-    _row_of_DPD(5, Z)
-    _row_of_DPD(6, Z)
-    _row_of_DPD(7, Z)
-    _row_of_DPD(8, Z)
-    _row_of_DPD(9, Z)
+    _PD_row(0, Z)
+    _PD_row(1, Z)
+    _PD_row(2, Z)
+    _PD_row(3, Z)
+    _PD_row(4, Z)
+    _PD_row(5, Z)
+    _PD_row(6, Z)
+    _PD_row(7, Z)
+    _PD_row(8, Z)
+    _PD_row(9, Z)
+    _DPD_row(0, Z)
+    _DPD_row(1, Z)
+    _DPD_row(2, Z)
+    _DPD_row(3, Z)
+    _DPD_row(4, Z)
+    _DPD_row(5, Z)
+    _DPD_row(6, Z)
+    _DPD_row(7, Z)
+    _DPD_row(8, Z)
+    _DPD_row(9, Z)
 
 
 @jit
-def _row_of_PD(a: int, Z: Array) -> None:
-    i = P + ROW * a
+def _PD_row(a: int, Z: Array) -> None:
+    """Compute row a of P D."""
+    i = P + STRIDE * a
     p0, p1, p2, p3, p4 = Z[i], Z[i + 1], Z[i + 2], Z[i + 3], Z[i + 4]
     p5, p6, p7, p8, p9 = Z[i + 5], Z[i + 6], Z[i + 7], Z[i + 8], Z[i + 9]
-    for j in range(ROW):
-        Z[W + ROW * a + j] = (
-            (p0 * Z[D + j] + p1 * Z[D + ROW + j])
-            + (p2 * Z[D + 2 * ROW + j] + p3 * Z[D + 3 * ROW + j])
-            + (p4 * Z[D + 4 * ROW + j] + p5 * Z[D + 5 * ROW + j])
-            + (p6 * Z[D + 6 * ROW + j] + p7 * Z[D + 7 * ROW + j])
-            + (p8 * Z[D + 8 * ROW + j] + p9 * Z[D + 9 * ROW + j])
+    for j in range(STRIDE):
+        Z[W + STRIDE * a + j] = (
+            (p0 * Z[D + j] + p1 * Z[D + STRIDE + j])
+            + (p2 * Z[D + 2 * STRIDE + j] + p3 * Z[D + 3 * STRIDE + j])
+            + (p4 * Z[D + 4 * STRIDE + j] + p5 * Z[D + 5 * STRIDE + j])
+            + (p6 * Z[D + 6 * STRIDE + j] + p7 * Z[D + 7 * STRIDE + j])
+            + (p8 * Z[D + 8 * STRIDE + j] + p9 * Z[D + 9 * STRIDE + j])
         )
 
 
 @jit
-def _row_of_DPD(a: int, Z: Array) -> None:
+def _DPD_row(a: int, Z: Array) -> None:
+    """Compute row a of D' P D."""
     i = D + a
-    d0, d1, d2, d3, d4 = Z[i], Z[i + ROW], Z[i + 2 * ROW], Z[i + 3 * ROW], Z[i + 4 * ROW]
-    d5, d6, d7, d8, d9 = Z[i + 5 * ROW], Z[i + 6 * ROW], Z[i + 7 * ROW], Z[i + 8 * ROW], Z[i + 9 * ROW]
-    for j in range(ROW):
-        Z[Q + ROW * a + j] = (
-            (d0 * Z[W + j] + d1 * Z[W + ROW + j])
-            + (d2 * Z[W + 2 * ROW + j] + d3 * Z[W + 3 * ROW + j])
-            + (d4 * Z[W + 4 * ROW + j] + d5 * Z[W + 5 * ROW + j])
-            + (d6 * Z[W + 6 * ROW + j] + d7 * Z[W + 7 * ROW + j])
-            + (d8 * Z[W + 8 * ROW + j] + d9 * Z[W + 9 * ROW + j])
+    d0, d1, d2, d3, d4 = Z[i], Z[i + STRIDE], Z[i + 2 * STRIDE], Z[i + 3 * STRIDE], Z[i + 4 * STRIDE]
+    d5, d6, d7, d8, d9 = Z[i + 5 * STRIDE], Z[i + 6 * STRIDE], Z[i + 7 * STRIDE], Z[i + 8 * STRIDE], Z[i + 9 * STRIDE]
+    for j in range(STRIDE):
+        Z[Q + STRIDE * a + j] = (
+            (d0 * Z[W + j] + d1 * Z[W + STRIDE + j])
+            + (d2 * Z[W + 2 * STRIDE + j] + d3 * Z[W + 3 * STRIDE + j])
+            + (d4 * Z[W + 4 * STRIDE + j] + d5 * Z[W + 5 * STRIDE + j])
+            + (d6 * Z[W + 6 * STRIDE + j] + d7 * Z[W + 7 * STRIDE + j])
+            + (d8 * Z[W + 8 * STRIDE + j] + d9 * Z[W + 9 * STRIDE + j])
         )
 
 
 @jit
-def _drift(lin: Linearisation, k: int, Z: Array, p: Array) -> None:
-    """p + P gap, and D' of it."""
-    for a in range(WIDE):
-        Z[AHEAD + a] = p[a]
-    for m in range(WIDE):
+def _add_gap(lin: Linearisation, k: int, Z: Array, p: Array) -> None:
+    """Compute p + P gap and D' (p + P gap)."""
+    for a in range(DIM):
+        Z[P_GAP + a] = p[a]
+    for m in range(DIM):
         if m != 6 and m != 7:
             i = _state(m)
             gap = lin.Phi[k, i] - lin.X[k + 1, i]
-            if gap != 0.0:  # along a solution of the equations of motion there is none
-                for a in range(WIDE):
-                    Z[AHEAD + a] += Z[P + ROW * m + a] * gap
-    for j in range(ROW):
+            if gap != 0.0:  # a solution of the equations of motion has no gaps
+                for a in range(DIM):
+                    Z[P_GAP + a] += Z[P + STRIDE * m + a] * gap
+    for j in range(STRIDE):
         Z[SLOPE + j] = 0.0
-    for a in range(WIDE):
-        x = Z[AHEAD + a]
-        for j in range(WIDE):
-            Z[SLOPE + j] += x * Z[D + ROW * a + j]
+    for a in range(DIM):
+        x = Z[P_GAP + a]
+        for j in range(DIM):
+            Z[SLOPE + j] += x * Z[D + STRIDE * a + j]
 
 
 @jit
 def _law(Z: Array, law: Array) -> bool:
-    """mu = K s + kappa, [K, kappa] = -H^-1 [G, h]; false where H is not positive definite.
+    """Compute the law mu = K s + kappa with [K, kappa] = -H^-1 [G, h]; False if H is not positive definite.
 
-    H and G are the last two rows of D' P D; the columns of n and e, which carry over, are those of P D.
+    H and G are the last two rows of D' P D; the columns of n and e are those of P D, because n and e are integrated.
     """
-    u, v = Q + 8 * ROW, Q + 9 * ROW
+    u, v = Q + 8 * STRIDE, Q + 9 * STRIDE
     H00, H01, H11 = Z[u + 8], 0.5 * (Z[u + 9] + Z[v + 8]), Z[v + 9]
     det = H00 * H11 - H01 * H01
     if not (H00 > 0.0 and det > 0.0):
         return False
     for j in range(2):
-        Z[u + 8 + j], Z[v + 8 + j] = Z[W + ROW * (8 + j) + 8], Z[W + ROW * (8 + j) + 9]
+        Z[u + 8 + j], Z[v + 8 + j] = Z[W + STRIDE * (8 + j) + 8], Z[W + STRIDE * (8 + j) + 9]
     a, b, c = H00 / det, H01 / det, H11 / det
-    for j in range(ROW):
-        Z[K + j] = b * Z[Q + 9 * ROW + j] - c * Z[Q + 8 * ROW + j]
-        Z[K + ROW + j] = b * Z[Q + 8 * ROW + j] - a * Z[Q + 9 * ROW + j]
-    for j in range(WIDE):
-        law[j], law[WIDE + j] = Z[K + j], Z[K + ROW + j]
-    law[2 * WIDE] = b * Z[SLOPE + 9] - c * Z[SLOPE + 8]
-    law[2 * WIDE + 1] = b * Z[SLOPE + 8] - a * Z[SLOPE + 9]
+    for j in range(STRIDE):
+        Z[K + j] = b * Z[Q + 9 * STRIDE + j] - c * Z[Q + 8 * STRIDE + j]
+        Z[K + STRIDE + j] = b * Z[Q + 8 * STRIDE + j] - a * Z[Q + 9 * STRIDE + j]
+    for j in range(DIM):
+        law[j], law[DIM + j] = Z[K + j], Z[K + STRIDE + j]
+    law[2 * DIM] = b * Z[SLOPE + 9] - c * Z[SLOPE + 8]
+    law[2 * DIM + 1] = b * Z[SLOPE + 8] - a * Z[SLOPE + 9]
     return True
 
 
 @jit
 def _value(law: Array, Z: Array, p: Array) -> None:
-    """P and p of the knot before, without what that knot itself costs: P = M + G' K, p = m + G' kappa, with D' P D the
-    M of all that s has but n and e, which carry over.
+    """Compute P = M + G' K and p = m + G' kappa of the knot before, without the cost of that knot itself.
+
+    M is D' P D for all of s but n and e, which are integrated.
     """
-    u, v = Q + 8 * ROW, Q + 9 * ROW
+    u, v = Q + 8 * STRIDE, Q + 9 * STRIDE
     for j in range(8):
-        p[j] = Z[SLOPE + j] + Z[u + j] * law[2 * WIDE] + Z[v + j] * law[2 * WIDE + 1]
-        Z[Q + ROW * j + 8], Z[Q + ROW * j + 9] = Z[W + 8 * ROW + j], Z[W + 9 * ROW + j]
-    _row_of_P(0, Z)
-    _row_of_P(1, Z)
-    _row_of_P(2, Z)
-    _row_of_P(3, Z)
-    _row_of_P(4, Z)
-    _row_of_P(5, Z)
-    _row_of_P(6, Z)
-    _row_of_P(7, Z)
-    for j in range(8, WIDE):
-        p[j] = Z[AHEAD + j] + Z[u + j] * law[2 * WIDE] + Z[v + j] * law[2 * WIDE + 1]
+        p[j] = Z[SLOPE + j] + Z[u + j] * law[2 * DIM] + Z[v + j] * law[2 * DIM + 1]
+        Z[Q + STRIDE * j + 8], Z[Q + STRIDE * j + 9] = Z[W + 8 * STRIDE + j], Z[W + 9 * STRIDE + j]
+    _P_row(0, Z)
+    _P_row(1, Z)
+    _P_row(2, Z)
+    _P_row(3, Z)
+    _P_row(4, Z)
+    _P_row(5, Z)
+    _P_row(6, Z)
+    _P_row(7, Z)
+    for j in range(8, DIM):
+        p[j] = Z[P_GAP + j] + Z[u + j] * law[2 * DIM] + Z[v + j] * law[2 * DIM + 1]
         for m in range(8):
-            Z[P + ROW * j + m] = Z[P + ROW * m + j]
+            Z[P + STRIDE * j + m] = Z[P + STRIDE * m + j]
         for m in range(8, j + 1):
-            Z[P + ROW * j + m] += Z[u + j] * Z[K + m] + Z[v + j] * Z[K + ROW + m]
-            Z[P + ROW * m + j] = Z[P + ROW * j + m]
+            Z[P + STRIDE * j + m] += Z[u + j] * Z[K + m] + Z[v + j] * Z[K + STRIDE + m]
+            Z[P + STRIDE * m + j] = Z[P + STRIDE * j + m]
 
 
 @jit
-def _row_of_P(a: int, Z: Array) -> None:
-    g0, g1 = Z[Q + 8 * ROW + a], Z[Q + 9 * ROW + a]
-    for j in range(ROW):
-        Z[P + ROW * a + j] = Z[Q + ROW * a + j] + g0 * Z[K + j] + g1 * Z[K + ROW + j]
+def _P_row(a: int, Z: Array) -> None:
+    """Compute row a of P, for a = 0 .. 7."""
+    g0, g1 = Z[Q + 8 * STRIDE + a], Z[Q + 9 * STRIDE + a]
+    for j in range(STRIDE):
+        Z[P + STRIDE * a + j] = Z[Q + STRIDE * a + j] + g0 * Z[K + j] + g1 * Z[K + STRIDE + j]
 
 
 @jit
 def _forward(lin: Linearisation, models: Array, laws: Array, dU: Array) -> None:
-    """The commands under the laws."""
-    s, after = np.zeros(WIDE), np.empty(WIDE)
+    """Compute the deviations of the commands dU (N+1, 2) under the feedback laws."""
+    s, after = np.zeros(DIM), np.empty(DIM)
     dU[0, 0] = dU[0, 1] = 0.0
     for k in range(laws.shape[0]):
         for i in range(2):
-            mu = laws[k, 2 * WIDE + i]
-            for j in range(WIDE):
-                mu += laws[k, WIDE * i + j] * s[j]
+            mu = laws[k, 2 * DIM + i]
+            for j in range(DIM):
+                mu += laws[k, DIM * i + j] * s[j]
             dU[k + 1, i] = mu
-        for a in range(WIDE):
+        for a in range(DIM):
             if a == 6 or a == 7:
                 after[a] = dU[k + 1, a - 6]
                 continue
@@ -332,5 +359,5 @@ def _forward(lin: Linearisation, models: Array, laws: Array, dU: Array) -> None:
             for j in range(8):
                 total += models[k, a, j] * s[j]
             after[a] = total + models[k, a, 8] * dU[k + 1, 0] + models[k, a, 9] * dU[k + 1, 1]
-        for a in range(WIDE):
+        for a in range(DIM):
             s[a] = after[a]

@@ -1,4 +1,4 @@
-"""Names and units of the rows of the QP."""
+"""Names, scales and units of the rows of the QP, in the order of qp/sparse.py."""
 
 from __future__ import annotations
 
@@ -13,43 +13,68 @@ STATE_UNITS = ("m", "m", "m/s", "m/s", "rad", "rad/s", "N", "N")
 
 
 class ConstraintRow(NamedTuple):
-    """One row of A."""
+    """Name, scale and unit of one row of A."""
 
     name: str  # "slew of port in stage 4"
-    scale: float  # the row times this is in ``unit``
+    scale: float  # the row times this has the unit ``unit``
     unit: str
 
 
 def dynamics(stages: Sequence[int], scale: Array) -> Iterator[ConstraintRow]:
-    """Of the motion up to the end of each of these stages; ``scale`` (8,) of the states."""
+    """Yield the rows of the dynamics.
+
+    Parameters
+    ----------
+    stages : numbers of the stages.
+    scale : (8,) scales of the states.
+    """
     for k in stages:
-        for name, unit, by in zip(STATE_NAMES, STATE_UNITS, scale.tolist(), strict=True):
-            yield ConstraintRow(f"the motion ({name}) up to the end of stage {k}", by, unit)
+        for name, unit, factor in zip(STATE_NAMES, STATE_UNITS, scale.tolist(), strict=True):
+            yield ConstraintRow(f"the motion ({name}) up to the end of stage {k}", factor, unit)
 
 
 def terminal_velocity() -> Iterator[ConstraintRow]:
-    """Of the velocity over ground at the horizon's end."""
+    """Yield the rows of the velocity over ground at the horizon's end."""
     for name in ("north", "east"):
         yield ConstraintRow(f"the velocity over ground ({name}) at the end", 1.0, "m/s")
 
 
 def slew(stages: Sequence[int], scale: Array) -> Iterator[ConstraintRow]:
-    """Of the change of both commands in each of these stages; ``scale`` (2,) of the thrusts."""
+    """Yield the rows of the slew limits.
+
+    Parameters
+    ----------
+    stages : numbers of the stages.
+    scale : (2,) scales of the thrusts (N).
+    """
     for k in stages:
-        for side, by in zip(SIDES, scale.tolist(), strict=True):
-            yield ConstraintRow(f"slew of {side} in stage {k}", by, "N")
+        for side, factor in zip(SIDES, scale.tolist(), strict=True):
+            yield ConstraintRow(f"slew of {side} in stage {k}", factor, "N")
 
 
 def motion(stages: Sequence[int], limited: Sequence[int], scale: Array) -> Iterator[ConstraintRow]:
-    """Of the states ``limited`` at the end of each of these stages; ``scale`` of all states."""
+    """Yield the rows of the limits of the motion.
+
+    Parameters
+    ----------
+    stages : numbers of the stages.
+    limited : indices of the states that have a limit.
+    scale : (8,) scales of the states.
+    """
     for k in stages:
         for i in limited:
-            for of in ("upper limit of", "lower limit of", "excess of"):
-                yield ConstraintRow(f"{of} {STATE_NAMES[i]} at the end of stage {k}", float(scale[i]), STATE_UNITS[i])
+            for kind in ("upper limit of", "lower limit of", "excess of"):
+                yield ConstraintRow(f"{kind} {STATE_NAMES[i]} at the end of stage {k}", float(scale[i]), STATE_UNITS[i])
 
 
 def box(stages: Sequence[int], scale: Array) -> Iterator[ConstraintRow]:
-    """Of both commands at the end of each of these stages."""
+    """Yield the rows of the box.
+
+    Parameters
+    ----------
+    stages : numbers of the stages.
+    scale : (2,) scales of the thrusts (N).
+    """
     for k in stages:
-        for side, by in zip(SIDES, scale.tolist(), strict=True):
-            yield ConstraintRow(f"limit of {side} at the end of stage {k}", by, "N")
+        for side, factor in zip(SIDES, scale.tolist(), strict=True):
+            yield ConstraintRow(f"limit of {side} at the end of stage {k}", factor, "N")

@@ -1,24 +1,38 @@
-"""The sparse QP of the LTV-MPC, in deviations from the trajectory that it was linearised along.
+"""Sparse quadratic programme (QP) of one LTV-MPC cycle, in deviations from the nominal trajectory.
 
     minimise   sum over k = 1..N of   g_k (w |p_k - ref_k|^2 + r |U_k / F|^2) + s / g_k |(U_k - U_(k-1)) / F|^2
                + w_N |p_N - ref_N|^2 + m |p'_N - ref'_N|^2
     subject to dX_(k+1) = A_k dX_k + B0_k dU_k + B1_k dU_(k+1) + Phi_k - Xbar_(k+1),   dX_0 = 0, dU_0 = 0
                p'_N = V dX_N + p'bar_N
-               min <= Ubar_k + dU_k <= max,   |U_k - U_(k-1)| <= slew h_k
+               |U_k - U_(k-1)| <= slew h_k,   min <= Ubar_k + dU_k <= max
 
 and for each state x that has a limit (horizon_limits.py), with the cost  g_k c e_k / S  of its excess e_k,
 
-               xbar_k + dx_k - e_k <= most,   xbar_k + dx_k + e_k >= -most,   e_k >= 0
+               xbar_k + dx_k - e_k <= max_state,   xbar_k + dx_k + e_k >= -max_state,   e_k >= 0
 
-g_k = h_k / 0.3 s: the length of the stage that ends at knot k (shooting_grid.py). p = [n, e], p' its velocity over
-ground; F the
-thrusters' largest thrust; dX = X - Xbar. The terminal velocity is what tells a vehicle that stops on its point from one
-that passes, or orbits, it: within a short horizon both are as near. The sparsity pattern is fixed by N: only numbers
-change from cycle to cycle.
+g_k = h_k / 0.3 s is the length of the stage that ends at knot k (shooting_grid.py), p = [n, e], p' the velocity over
+ground, F the thrusters' largest thrust, dX = X - Xbar. The cost of the terminal velocity separates a vehicle that stops
+on its point from one that passes or orbits it: within a short horizon both are equally near. The sparsity pattern is
+fixed by N: only numbers change from cycle to cycle.
 
-Variables are scaled to be of order one, z_k = [dX_k / S, dU_k / F] and p'_N - ref'_N at the end; the rows of the
-dynamics are divided by the same scales. S comes from the vehicle (scaling.py), its last two are F. What else a solver
-wants of its rows is the solver's own business.
+Variables are scaled to be of order one; the rows of the dynamics are divided by the same scales. S comes from the
+vehicle (scaling.py), its last two components are F. A solver may scale the rows further (solvers/osqp.py).
+
+Columns of A, for stages k = 0 .. N-1:
+
+    dX_(k+1) / S, dU_(k+1) / F       10 k + 0 .. 9      ``STAGE_VARIABLES`` a stage
+    p'_N - ref'_N                    10 N + 0 .. 1
+    excess of a limited state        10 N + 2 + ...     one a stage and limited state
+
+Rows of A, with E = 8 N + 2 (``SparseQp.equalities``) and thruster i = 0 (port), 1 (starboard):
+
+    dynamics                         8 k + 0 .. 7       l = u
+    terminal velocity                8 N + 0 .. 1       l = u
+    slew of thruster i               E + 2 k + i
+    box of thruster i                E + 2 (N + k) + i
+    limit of a state                 E + 4 N + ...      upper, lower, excess: 3 a stage and limited state
+
+``_constant_entries`` and ``_jacobian_entries`` place the entries of A, ``fill`` computes a cycle's numbers.
 """
 
 from __future__ import annotations
@@ -32,7 +46,7 @@ from scipy.sparse import coo_array, csc_array
 
 from ltv_mpc.control.config import STAGE_NS, Weights
 from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, HorizonLimits, command_bounds
-from ltv_mpc.control.linearisation import Linearisation, linearise, size, velocity_over_ground, views
+from ltv_mpc.control.linearisation import Linearisation, linearise, storage_size, velocity_over_ground
 from ltv_mpc.control.problem_data import pack_objective, stage_length, state_scale, unpack_objective
 from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
@@ -49,206 +63,240 @@ STAGE_VARIABLES = STATES + 2
 """Variables a stage: the state at its end and both commands there."""
 
 STATE_PATTERN = np.ones((STATES, STATES), dtype=bool)
-"""Which entries of A can be other than zero: positions carry over and depend on the rest; thrust on itself."""
+"""Entries of A_k that can differ from zero: a position depends on itself and on the rest, a thrust on itself alone."""
 STATE_PATTERN[:, :2] = False
 STATE_PATTERN[6:, :] = False
 np.fill_diagonal(STATE_PATTERN, True)
 
 THRUST_PATTERN = np.ones((STATES, 2), dtype=bool)
-"""Which entries of B0 and B1 can be other than zero."""
+"""Entries of B0_k and B1_k that can differ from zero."""
 THRUST_PATTERN[6, 1] = THRUST_PATTERN[7, 0] = False
 
-
 NO_BOUND = 1e3
-"""A bound that is none, in units of the QP: hundreds of m/s. Finite: not every solver takes an infinite one well."""
+"""Bound of a row without one, in units of the QP: hundreds of m/s. It is finite because some solvers take an infinite
+bound badly.
+"""
+
+
+class QpNumbers(NamedTuple):
+    """Numbers of one QP that change every cycle; P does not."""
+
+    A: Array  # (nnz,) stored entries of A, by column
+    q: Array  # (n,)
+    l: Array  # noqa: E741  (m,)
+    u: Array  # (m,)
 
 
 class EntryMap(NamedTuple):
-    """Where numbers go: A_data[place] = flat[source] * scale, and the slope of the velocity at the end."""
+    """Places of a cycle's numbers among the stored entries of A: A[place] = lin.flat[source] * factor."""
 
-    place: Indices
-    source: Indices
-    velocity: Indices  # (6,)
-    row_of: Indices  # (nnz,) the row of each stored entry of A
-
-
-@jit
-def unpack_map(flat: Indices, entries: int) -> EntryMap:
-    """The parts of a flat array, as ``SparseQp.map`` holds them."""
-    taken = (len(flat) - 6 - entries) // 2
-    return EntryMap(flat[:taken], flat[taken : 2 * taken], flat[2 * taken : 2 * taken + 6], flat[2 * taken + 6 :])
+    place: Indices  # (number of Jacobian entries,)
+    source: Indices  # of the same length, as the next one
+    factor: Array  # scale of the column over that of the row
+    velocity: Indices  # (6,) places of V, the derivative of the terminal velocity, by row
+    row: Indices  # (nnz,) row of each stored entry
 
 
 class SparseQp:
-    """The layout for given knots: where each number of a cycle goes.
-
-    Columns: 10 a stage (the state at its end, both commands there), then the terminal velocity, then an excess of each
-    limited state a stage. Rows: 8 of dynamics a stage, 2 of the terminal velocity (these are the ``equalities``), then
-    2 of slew a stage, 2 of box a stage, and 3 of each limited state a stage.
-    """
+    """Sparse QP layout for given knots, limits and weights: columns and rows as at the head of this file."""
 
     def __init__(self, knots: Array, limits: HorizonLimits, weights: Weights) -> None:
-        """``knots`` (N+1,) as in ``shooting_grid.py``, ``limits`` and ``weights`` fix P; A, q, l and u change every
-        cycle.
+        """Lay out the QP and compute P, which no cycle changes.
+
+        Parameters
+        ----------
+        knots : (N+1,) times of the knots in first stages (shooting_grid.py).
+        limits : limits of thrusters and motion.
+        weights : weights of the cost.
         """
-        self.stages = stages = len(knots) - 1
-        self._lengths = np.diff(knots)
+        self.stages = len(knots) - 1
         self.limits = limits
         self.weights = weights
-        position = weights.position_per_m2 * self._lengths
-        position[-1] += weights.terminal_position_per_m2
-        self.limited = limits.limited
-        self.variables = stages * STAGE_VARIABLES + 2 + stages * len(self.limited)
-        self.equalities = stages * STATES + 2
-        self.rows = self.equalities + 4 * stages + 3 * stages * len(self.limited)
-        self._position = position
-        self.numbers = pack_objective(knots, limits, weights)
+        self.packed = pack_objective(knots, limits, weights)
+        """Argument of the kernels (problem_data.py)."""
         self.state_scale = np.concatenate([limits.state_scale, limits.scale])
-        self.P = self._cost()
-        self._make_pattern()
+        """(8,) scales S of the states."""
+        self.variables = self.stages * (STAGE_VARIABLES + len(limits.limited)) + 2
+        """Number of columns n."""
+        self.equalities = self.stages * STATES + 2
+        """Number of equality rows; they are the first ones."""
+        self.P = _hessian(np.diff(knots), limits, weights, self.variables)
+        self._lay_out_rows()
 
-    # --- the cost ---
-
-    def _cost(self) -> csc_array:
-        N, r = self.stages, self.weights.thrust * self._lengths[:, None]
-        s = self.weights.thrust_change / self._lengths[:, None]
-        diagonal = np.zeros((N, STAGE_VARIABLES))
-        diagonal[:, :2] = self._position[:, None] * self.limits.state_scale[:2] ** 2
-        # r_k |U_k|^2 + s_k |U_k - U_(k-1)|^2 + s_(k+1) |U_(k+1) - U_k|^2, the last one without a successor
-        diagonal[:, STATES:] = r + s
-        diagonal[:-1, STATES:] += s[1:]
-        between = np.zeros((N - 1, STAGE_VARIABLES))
-        between[:, STATES:] = -s[1:]
-        at = np.arange(N * STAGE_VARIABLES, dtype=np.int32)
-        last = N * STAGE_VARIABLES + np.arange(2, dtype=np.int32)
-        rows = np.concatenate([at, at[:-STAGE_VARIABLES], at[STAGE_VARIABLES:], last])
-        columns = np.concatenate([at, at[STAGE_VARIABLES:], at[:-STAGE_VARIABLES], last])
-        end = np.full(2, self.weights.terminal_velocity_s2_per_m2)
-        values = np.concatenate([diagonal.ravel(), between.ravel(), between.ravel(), end])
-        there = values != 0.0
-        return csc_array(coo_array((values[there], (rows[there], columns[there])), shape=(self.variables,) * 2))
-
-    # --- the constraints ---
-
-    def _make_pattern(self) -> None:
-        """Which entry of A is which number of the linearisation: entries are numbered, and found again in columns."""
-        N, E = self.stages, self.equalities
-        # A linearisation that holds, instead of its numbers, where each of them lies.
-        where = views(np.arange(float(size(N))), N)
-        per_state = self.state_scale[None, :] / self.state_scale[:, None]
-        per_thrust = self.limits.scale[None, :] / self.state_scale[:, None]
-        fixed: list[tuple[int, int, float]] = []  # row, column, number
-        taken: list[tuple[int, int, float, float]] = []  # row, column, where from, scale
-        for k in range(N):
-            before, here = (k - 1) * STAGE_VARIABLES, k * STAGE_VARIABLES
-            for i in range(STATES):
-                row = k * STATES + i
-                fixed.append((row, here + i, -1.0))
-                for j in range(2):
-                    if THRUST_PATTERN[i, j]:
-                        taken.append((row, here + STATES + j, where.B1[k, i, j], per_thrust[i, j]))
-                        if k > 0:
-                            taken.append((row, before + STATES + j, where.B0[k, i, j], per_thrust[i, j]))
-                taken += [
-                    (row, before + j, where.A[k, i, j], per_state[i, j])
-                    for j in range(STATES)
-                    if k > 0 and STATE_PATTERN[i, j]
-                ]
-            for j in range(2):
-                slew, box = E + k * 2 + j, E + (N + k) * 2 + j
-                fixed += [(slew, here + STATES + j, 1.0), (box, here + STATES + j, 1.0)]
-                if k > 0:
-                    fixed.append((slew, before + STATES + j, -1.0))
-        excess, row = N * STAGE_VARIABLES + 2, E + 4 * N
-        for k in range(N):
-            for i in self.limited:
-                fixed += [
-                    (row, k * STAGE_VARIABLES + i, 1.0),
-                    (row, excess, -1.0),
-                    (row + 1, k * STAGE_VARIABLES + i, 1.0),
-                ]
-                fixed += [(row + 1, excess, 1.0), (row + 2, excess, 1.0)]
-                excess, row = excess + 1, row + 3
+    def _lay_out_rows(self) -> None:
+        """Place the entries of A among the stored ones, which are ordered by column."""
+        N, limited = self.stages, self.limits.limited
+        constant = _constant_entries(N, limited)
+        jacobian = _jacobian_entries(N, self.state_scale, self.limits.scale)
         end = (N - 1) * STAGE_VARIABLES + 2
         velocity = [(N * STATES + i, end + j) for i in range(2) for j in range(3)]
-        fixed += [(N * STATES + i, N * STAGE_VARIABLES + i, -1.0) for i in range(2)]
-        at = [entry[:2] for entry in fixed] + [entry[:2] for entry in taken] + velocity
+        at = [entry[:2] for entry in constant] + [entry[:2] for entry in jacobian] + velocity
         rows, columns = np.array(at, dtype=np.int32).T  # OSQP's own type
-        numbered = csc_array(
-            coo_array((np.arange(1.0, len(at) + 1.0), (rows, columns)), shape=(self.rows, self.variables))
-        )
+        shape = (self.equalities + N * (4 + 3 * len(limited)), self.variables)
+        numbered = csc_array(coo_array((np.arange(1.0, len(at) + 1.0), (rows, columns)), shape=shape))
         place = np.argsort(numbered.data)
-        self._template = np.zeros(len(at))
-        self._template[place[: len(fixed)]] = [entry[2] for entry in fixed]
-        middle = slice(len(fixed), len(fixed) + len(taken))
-        source = np.array([entry[2] for entry in taken], dtype=np.int64)
         self.pattern = numbered
-        """Of A; its numbers mean nothing."""
-        self.map: Indices = np.concatenate([place[middle], source, place[middle.stop :], numbered.indices]).astype(
-            np.int64
+        """(m, n) sparsity pattern of A; its numbers mean nothing."""
+        self._constants = np.zeros(len(at))
+        self._constants[place[: len(constant)]] = [entry[2] for entry in constant]
+        middle = slice(len(constant), len(constant) + len(jacobian))
+        self.entries = EntryMap(
+            place[middle].astype(np.int64),
+            np.array([entry[2] for entry in jacobian], dtype=np.int64),
+            np.array([entry[3] for entry in jacobian]),
+            place[middle.stop :].astype(np.int64),
+            numbered.indices.astype(np.int64),
         )
-        self.factor = np.array([entry[3] for entry in taken])
+
+    @property
+    def rows(self) -> int:
+        """Number of rows m."""
+        return int(self.pattern.shape[0])
 
     @cached_property
     def row_names(self) -> tuple[ConstraintRow, ...]:
-        """What each row is."""
+        """Name, scale and unit of each row."""
         stages, thrusts = range(1, self.stages + 1), self.limits.scale
         return (
             *rows.dynamics(stages, self.state_scale),
             *rows.terminal_velocity(),
             *rows.slew(stages, thrusts),
             *rows.box(stages, thrusts),
-            *rows.motion(stages, self.limited, self.state_scale),
+            *rows.motion(stages, self.limits.limited, self.state_scale),
         )
 
-    def template(self) -> Array:
-        """Room for A's numbers (nnz,), with those in it that never change."""
-        return self._template.copy()
-
-    def fill(self, lin: Linearisation, target: Array, A_data: Array, q: Array, l: Array, u: Array) -> None:  # noqa: E741
-        """One cycle's numbers into A_data (nnz,), made by ``template``, q (n,), l and u (m,)."""
-        fill(self.numbers, lin.flat, target, self.map, self.factor, A_data, q, l, u)
+    def allocate(self) -> QpNumbers:
+        """Return arrays for a cycle's numbers, with those entries of A that never change."""
+        return QpNumbers(self._constants.copy(), np.zeros(self.variables), np.zeros(self.rows), np.zeros(self.rows))
 
     def build(self, lin: Linearisation, target: Array) -> QP:
-        """The QP of one cycle; ``target`` (N+1, 2) as in ``Solver``."""
-        A_data, q = self.template(), np.empty(self.variables)
-        lower, upper = np.empty(self.rows), np.empty(self.rows)
-        self.fill(lin, np.ascontiguousarray(target), A_data, q, lower, upper)
-        return self.assemble(A_data, q, lower, upper)
+        """Return the QP of one cycle.
 
-    def assemble(self, A_data: Array, q: Array, l: Array, u: Array) -> QP:  # noqa: E741
-        """Numbers of this form as a QP."""
-        A = csc_array((A_data, self.pattern.indices, self.pattern.indptr), shape=self.pattern.shape)
-        return QP(self.P, q, A, l, u)
+        Parameters
+        ----------
+        lin : the motion along the nominal trajectory.
+        target : (N+1, 2) as in ``Solver.build``.
+
+        Returns
+        -------
+        The QP, its rows not scaled by any solver.
+        """
+        numbers = self.allocate()
+        fill(self.packed, lin, np.ascontiguousarray(target), self.entries, numbers)
+        return self.assemble(numbers)
+
+    def assemble(self, numbers: QpNumbers) -> QP:
+        """Return the QP that has these numbers; it shares their memory."""
+        pattern = self.pattern
+        A = csc_array((numbers.A, pattern.indices, pattern.indptr), shape=pattern.shape)
+        return QP(self.P, numbers.q, A, numbers.l, numbers.u)
 
     def commands(self, lin: Linearisation, x: Array) -> Array:
-        """Commands (N+1, 2) at the knots of a solution x (n,)."""
+        """Return the commands of a solution.
+
+        Parameters
+        ----------
+        lin : the linearisation that the QP was built from.
+        x : (n,) primal solution.
+
+        Returns
+        -------
+        (N+1, 2) port and starboard thrust at the knots (N); the first row is the command in force.
+        """
         U = lin.U.copy()
-        U[1:] += (
-            x[: self.stages * STAGE_VARIABLES].reshape(self.stages, STAGE_VARIABLES)[:, STATES:] * self.limits.scale
-        )
+        stages = x[: self.stages * STAGE_VARIABLES].reshape(self.stages, STAGE_VARIABLES)
+        U[1:] += stages[:, STATES:] * self.limits.scale
         return U
 
 
+def _hessian(lengths: Array, limits: HorizonLimits, weights: Weights, variables: int) -> csc_array:
+    """Return P (n, n); ``lengths`` (N,) of the stages in first stages."""
+    N, r = len(lengths), weights.thrust * lengths[:, None]
+    s = weights.thrust_change / lengths[:, None]
+    position = weights.position_per_m2 * lengths
+    position[-1] += weights.terminal_position_per_m2
+    diagonal = np.zeros((N, STAGE_VARIABLES))
+    diagonal[:, :2] = position[:, None] * limits.state_scale[:2] ** 2
+    # r_k |U_k|^2 + s_k |U_k - U_(k-1)|^2 + s_(k+1) |U_(k+1) - U_k|^2, the last one without a successor
+    diagonal[:, STATES:] = r + s
+    diagonal[:-1, STATES:] += s[1:]
+    between = np.zeros((N - 1, STAGE_VARIABLES))
+    between[:, STATES:] = -s[1:]
+    at = np.arange(N * STAGE_VARIABLES, dtype=np.int32)
+    last = N * STAGE_VARIABLES + np.arange(2, dtype=np.int32)
+    rows = np.concatenate([at, at[:-STAGE_VARIABLES], at[STAGE_VARIABLES:], last])
+    columns = np.concatenate([at, at[STAGE_VARIABLES:], at[:-STAGE_VARIABLES], last])
+    end = np.full(2, weights.terminal_velocity_s2_per_m2)
+    values = np.concatenate([diagonal.ravel(), between.ravel(), between.ravel(), end])
+    stored = values != 0.0
+    return csc_array(coo_array((values[stored], (rows[stored], columns[stored])), shape=(variables, variables)))
+
+
+def _constant_entries(N: int, limited: tuple[int, ...]) -> list[tuple[int, int, float]]:
+    """Return row, column and value of the entries of A that are the same in every cycle."""
+    E = N * STATES + 2
+    entries = []
+    for k in range(N):
+        here = k * STAGE_VARIABLES
+        entries += [(k * STATES + i, here + i, -1.0) for i in range(STATES)]
+        for i in range(2):
+            slew, box, command = E + 2 * k + i, E + 2 * (N + k) + i, here + STATES + i
+            entries += [(slew, command, 1.0), (box, command, 1.0)]
+            if k > 0:
+                entries.append((slew, command - STAGE_VARIABLES, -1.0))
+    excess, row = N * STAGE_VARIABLES + 2, E + 4 * N
+    for k in range(N):
+        for i in limited:
+            state = k * STAGE_VARIABLES + i
+            entries += [(row, state, 1.0), (row, excess, -1.0)]
+            entries += [(row + 1, state, 1.0), (row + 1, excess, 1.0)]
+            entries.append((row + 2, excess, 1.0))
+            excess, row = excess + 1, row + 3
+    entries += [(N * STATES + i, N * STAGE_VARIABLES + i, -1.0) for i in range(2)]
+    return entries
+
+
+def _jacobian_entries(N: int, state_scale: Array, thrust_scale: Array) -> list[tuple[int, int, float, float]]:
+    """Return row, column, index in the linearisation's storage and factor of the entries that it gives."""
+    # A linearisation that holds, instead of its numbers, the index of each.
+    index = Linearisation.view(np.arange(float(storage_size(N))), N)
+    per_state = state_scale[None, :] / state_scale[:, None]
+    per_thrust = thrust_scale[None, :] / state_scale[:, None]
+    entries = []
+    for k in range(N):
+        before, here = (k - 1) * STAGE_VARIABLES, k * STAGE_VARIABLES
+        for i in range(STATES):
+            row = k * STATES + i
+            for j in range(2):
+                if THRUST_PATTERN[i, j]:
+                    entries.append((row, here + STATES + j, index.B1[k, i, j], per_thrust[i, j]))
+                    if k > 0:
+                        entries.append((row, before + STATES + j, index.B0[k, i, j], per_thrust[i, j]))
+            if k > 0:
+                entries += [
+                    (row, before + j, index.A[k, i, j], per_state[i, j]) for j in range(STATES) if STATE_PATTERN[i, j]
+                ]
+    return entries
+
+
 @jit
-def fill(
-    numbers: Array,
-    flat: Array,
-    target: Array,
-    places: Indices,
-    factor: Array,
-    data: Array,
-    q: Array,
-    l: Array,  # noqa: E741
-    u: Array,
-) -> None:
-    """What ``SparseQp.fill`` does."""
+def fill(packed: Array, lin: Linearisation, target: Array, entries: EntryMap, to: QpNumbers) -> None:
+    """Compute one cycle's numbers of the QP.
+
+    Parameters
+    ----------
+    packed : a packed objective (problem_data.py).
+    lin : the motion along the nominal trajectory.
+    target : (N+1, 2) as in ``Solver.build``.
+    entries : ``SparseQp.entries``.
+    to : is overwritten; made by ``SparseQp.allocate``.
+    """
     N = len(target) - 1
-    lin, c = views(flat, N), unpack_objective(numbers)
+    c = unpack_objective(packed)
     X, U, F = lin.X, lin.U, c.scale
-    to = unpack_map(places, len(data))
-    for i in range(len(to.place)):
-        data[to.place[i]] = flat[to.source[i]] * factor[i]
+    data, q, l, u = to.A, to.q, to.l, to.u  # noqa: E741
+    for i in range(len(entries.place)):
+        data[entries.place[i]] = lin.flat[entries.source[i]] * entries.factor[i]
     velocity, slope = velocity_over_ground(X[N], lin.C[N])
     E = N * STATES + 2
     for k in range(N):
@@ -270,9 +318,11 @@ def fill(
             if k > 0:
                 q[column - STAGE_VARIABLES + STATES + i] -= s * step
             slew, box = E + 2 * k + i, E + 2 * (N + k) + i
-            low, high = command_bounds(U[0, i], c.t[k + 1] * c.max_change[i], c.low[i], c.high[i])
+            # slew:  -slew h <= (Ubar_(k+1) - Ubar_k) + (dU_(k+1) - dU_k) <= slew h
             change = g * c.max_change[i]
             l[slew], u[slew] = -change / F[i] - step, change / F[i] - step
+            # box:  low <= Ubar_(k+1) + dU_(k+1) <= high
+            low, high = command_bounds(U[0, i], c.t[k + 1] * c.max_change[i], c.low[i], c.high[i])
             l[box], u[box] = (low - U[k + 1, i]) / F[i], (high - U[k + 1, i]) / F[i]
     excess, row = N * STAGE_VARIABLES + 2, E + 4 * N
     for k in range(N):
@@ -290,7 +340,7 @@ def fill(
         l[N * STATES + i] = u[N * STATES + i] = target[N, i] - velocity[i]
         q[N * STAGE_VARIABLES + i] = 0.0
         for j in range(3):
-            data[to.velocity[3 * i + j]] = slope[i, j] * c.state_scale[2 + j]
+            data[entries.velocity[3 * i + j]] = slope[i, j] * c.state_scale[2 + j]
 
 
 def build_qp(
@@ -303,16 +353,24 @@ def build_qp(
     *,
     end_velocity_mps: Pair = (0.0, 0.0),
 ) -> QP:
-    """The QP of one cycle, linearised along a trajectory.
+    """Build the QP of one cycle, linearised along a trajectory with knots 0.3 s apart.
 
-    ``X`` (N+1, 8) states n, e, u, v, psi, r and delivered port and starboard thrust; ``U`` (N+1, 2) their commands;
-    ``current`` (N+1, 2) north and east (m/s), all at knots 0.3 s apart; ``reference`` (N, 2) north and east (m) wanted
-    at the knots 1 .. N, and ``end_velocity_mps`` over ground at the last. Its unknowns are scaled deviations from X and
-    U in the order of the stages: this file's head.
+    Parameters
+    ----------
+    vehicle : gives the motion, the limits of the thrusters and the scales.
+    X : (N+1, 8) states n, e (m), u, v (m/s), psi (rad), r (rad/s), delivered port and starboard thrust (N).
+    U : (N+1, 2) commands of port and starboard (N).
+    current : (N+1, 2) north and east (m/s).
+    reference : (N, 2) north and east (m) wanted at the knots 1 .. N.
+    weights : default: those that follow from the vehicle.
+    end_velocity_mps : velocity over ground wanted at the last knot, north and east.
+
+    Returns
+    -------
+    The QP in scaled deviations from X and U, ordered as at the head of this file.
     """
     stage_s = STAGE_NS * 1e-9
     lin = linearise(X, U, current, stage_s, vehicle.coefficients())
-    form = SparseQp(
-        np.arange(float(len(U))), HorizonLimits.from_vehicle(vehicle, stage_s), weights or default_weights(vehicle)
-    )
+    limits = HorizonLimits.from_vehicle(vehicle, stage_s)
+    form = SparseQp(np.arange(float(len(U))), limits, weights or default_weights(vehicle))
     return form.build(lin, np.vstack([reference, end_velocity_mps]))

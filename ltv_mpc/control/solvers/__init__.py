@@ -1,8 +1,10 @@
-"""Solvers: each takes a cycle's linearisation and returns commands; none ever raises for a problem it cannot solve."""
+"""Solvers of the controller's QP, by name; docs/add-solver.md shows how to add one."""
 
 from __future__ import annotations
 
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from collections.abc import Callable
+
+from ltv_mpc.control.config import STAGE_NS, ControllerConfig, ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.solvers.interface import Solver, SolverResult
@@ -12,23 +14,37 @@ from ltv_mpc.control.solvers.riccati_solver import RiccatiSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 
-OSQP, RICCATI = "osqp", "riccati"
-"""The solvers of this project, which keep their workspace from cycle to cycle. Every other name is one of qpsolvers."""
+SOLVERS: dict[str, Callable[[ResolvedConfig, HorizonLimits], Solver]] = {
+    "osqp": OsqpSolver,
+    "riccati": RiccatiSolver,
+}
+"""Solvers of this project by name, which keep their workspace between cycles. Other names are backends of qpsolvers."""
 
 
 def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
-    """Return the solver that ``config`` names. Raises ``ConfigError`` if it is unknown or cannot solve the problem."""
+    """Return the solver that the settings name.
+
+    Parameters
+    ----------
+    vehicle : gives limits and scales.
+    config : settings of the controller; ``config.solver`` is the name.
+
+    Returns
+    -------
+    A new solver, without a warm start.
+
+    Raises
+    ------
+    ConfigError
+        The solver is not known or not installed, or it cannot take limits of the motion.
+    """
     config = resolve_weights(config, vehicle)
     limits = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9, config.limits.max_abs)
-    if config.solver == OSQP:
-        return OsqpSolver(config, limits)
-    if config.solver == RICCATI:
-        if limits.limited:
-            problem = "does not support motion limits: use osqp or a solver of qpsolvers"
-            raise ConfigError("controller settings", "solver", problem, value=config.solver)
-        return RiccatiSolver(config, limits)
-    known = (RICCATI, *known_solvers())
-    if config.solver not in known:
+    if config.solver in SOLVERS:
+        return SOLVERS[config.solver](config, limits)
+    installed = known_solvers()
+    if config.solver not in installed:
+        known = dict.fromkeys((*SOLVERS, *installed))
         problem = f"is not installed or not known; installed: {', '.join(known)}"
         raise ConfigError("controller settings", "solver", problem, value=config.solver)
     return QpsolversBackend(config, limits)

@@ -1,4 +1,4 @@
-"""What a solver is to the controller: from a linearised cycle to commands."""
+"""Solver interface: from the linearisation of one cycle to commands."""
 
 from __future__ import annotations
 
@@ -9,35 +9,53 @@ from ltv_mpc.messages import Array, Solve
 
 
 class SolverResult(NamedTuple):
-    """Commands (N+1, 2) at the knots, the first of them the one in force there, and the solver's account."""
+    """Commands of a solve, and the solver's report."""
 
-    commands: Array
+    commands: Array  # (N+1, 2) port and starboard thrust at the knots (N); the first is the command in force
     solve: Solve
 
 
 class Solver(Protocol):
-    """Keeps its workspace and its warm start from cycle to cycle; never raises for a problem it cannot solve."""
+    """Solver of the controller's QP (qp/sparse.py), which keeps its workspace and warm start from cycle to cycle.
+
+    A cycle calls ``shift_warm_start`` or ``reset_warm_start``, then ``build``, ``update`` and ``solve``. None of them
+    raises for a problem that cannot be solved: the status of the result says so. docs/add-solver.md shows how to add
+    one.
+    """
 
     def shift_warm_start(self, stages: float) -> None:
-        """The next problem's knots begin so many first stages after the last one's, along the same plan."""
+        """Prepare the warm start for knots that lie later along the same plan.
+
+        Parameters
+        ----------
+        stages : by how many first stages the next problem's knots lie later than the last one's.
+        """
         ...
 
     def reset_warm_start(self) -> None:
-        """The next problem has nothing to do with the last one."""
+        """Discard the warm start: the next problem is unrelated to the last one."""
         ...
 
     def build(self, lin: Linearisation, target: Array) -> None:
-        """The problem's numbers.
+        """Compute the problem's numbers.
 
-        ``target`` (N+1, 2), north and east: the positions (m) wanted at the knots 1 .. N, then the velocity over
-        ground (m/s) wanted at the last one.
+        Parameters
+        ----------
+        lin : the motion along the nominal trajectory.
+        target : (N+1, 2) north and east: the positions (m) wanted at the knots 1 .. N, then the velocity over ground
+            (m/s) wanted at the last one.
         """
         ...
 
     def update(self) -> None:
-        """The numbers into the solver."""
+        """Pass the numbers to the solver's workspace."""
         ...
 
     def solve(self) -> SolverResult:
-        """Solve what was built; commands that are not finite are never handed out."""
+        """Solve the problem that was built last.
+
+        Returns
+        -------
+        Commands and report. Commands that are not finite are never returned: the nominal commands replace them.
+        """
         ...

@@ -1,20 +1,19 @@
 """OSQP on the sparse QP: one workspace, updated in place, with a step size for each kind of row.
 
-OSQP's method (Stellato et al. 2020) is the alternating direction method of multipliers with one step size rho. One is
-wrong for two of three kinds of row: the dynamics want 1e4 to 1e7 times that of box and slew, and a limit that is active
-100 times that of one that is not. A row multiplied by s acts as if its step size were rho s^2, so the rows are scaled
-and rho stays 1. Which limits are active is known before the solve from the previous one's duals, and looked at again
-after each turn of some iterations: where it has changed the rows are scaled anew. A's numbers change in every cycle
-anyway, so the factorisation is paid already.
+OSQP's method (Stellato et al. 2020) is the alternating direction method of multipliers with one step size rho. A single
+one is wrong for two of three kinds of row: the dynamics need 1e4 to 1e7 times that of box and slew, and an active limit
+100 times that of an inactive one. A row multiplied by s acts as if its step size were rho s^2, so the rows are scaled
+and rho stays 1. The duals of the previous solve show beforehand which limits are active. They are checked again after
+each batch of iterations: if the active set has changed, the rows are scaled again. A changes in every cycle anyway, so
+this needs no additional factorisation.
 
-The first guess: commands and duals of box and slew from sweeps along the stages (``riccati_solver.py``), which
-nearly always
-are the solution's; the states that they lead to, gaps closed, by a sweep forward, the duals of the dynamics (costates)
-by one backward. What is left for OSQP is to say so, after one iteration. Where the sweeps do not apply (an active limit
-of the motion, a cost without a weight on thrust) the guess is the trajectory that was linearised along, with the duals
-of the previous solve.
+First guess: commands and duals of box and slew from the Riccati method (riccati_solver.py), which nearly always are
+those of the solution. A forward sweep gives the states that they lead to, with the gaps closed; a backward sweep gives
+the duals of the dynamics (costates). OSQP then confirms the solution after one iteration. Where the Riccati method does
+not apply (an active limit of the motion, a cost without a weight on thrust), the guess is the nominal trajectory with
+the duals of the previous solve.
 
-The over-relaxation is off: with step sizes this unequal the plain iteration is the faster one.
+Over-relaxation is off: with step sizes this unequal the plain iteration is faster.
 """
 
 from __future__ import annotations
@@ -33,13 +32,12 @@ from ltv_mpc.control.linearisation import (
     multiply_A,
     multiply_A_transposed,
     velocity_over_ground,
-    views,
 )
 from ltv_mpc.control.problem_data import Objective, limited_state_count, stage_length, state_scale, unpack_objective
 from ltv_mpc.control.qp.failed_qp import worst_violation
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.riccati import LIMIT_ROWS
-from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, Indices, SparseQp, fill, unpack_map
+from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, EntryMap, Indices, QpNumbers, SparseQp, fill
 from ltv_mpc.control.solvers import riccati_solver
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.control.solvers.osqp_workspace import BASE_SETTINGS, Settings, Workspace, make_workspace
@@ -48,182 +46,164 @@ from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.flow import STATES
 
 EQUALITY_ROW = 300.0
-"""s of the dynamics: their step size is its square."""
+"""Scale s of the dynamics; their step size is its square."""
 
 LIMIT_ROW = 0.015
-"""s of box and slew rows that are not active, where the gradient is small."""
+"""Scale s of inactive box and slew rows, if the gradient is small."""
 
 GRADIENT = 0.5
-"""Largest entry of q up to which LIMIT_ROW holds; beyond, duals grow with q, and the step size with them."""
+"""Largest entry of q up to which LIMIT_ROW holds. Beyond it, duals grow with q, and the step size with them."""
 
 MAX_LIMIT_ROW = 0.2
+"""Largest scale s of inactive box and slew rows."""
 
 MAX_LOOSENING = 5.0
-"""By how much the tolerance grows with the duals, at most."""
+"""Largest factor by which the tolerance grows with the duals."""
 
 ACTIVE = 10.0
-"""By how much more rows of active limits are scaled."""
+"""Factor on the scale of active box and slew rows."""
 
 MOTION_ROW, MOTION_ACTIVE, EXCESS_ROW = 0.05, 1.5, 15.0
-"""s of the limits of a state, not active and active, and of its excess, while the gradient is small."""
+"""Scales s of the limits of a state, inactive and active, and of its excess, if the gradient is small."""
 
 NOT_ACTIVE = 1e-9
-"""A dual below this is what rounding left of none."""
+"""Magnitude below which a dual is zero up to rounding."""
 
 FIRST_BATCH = 1
-"""Iterations until OSQP first looks at its residuals: the guess mostly is the solution."""
+"""Iterations of the first batch: the first guess usually is the solution."""
 
 BATCH = 9
-"""Iterations between two looks at the active limits."""
+"""Iterations between two checks of the active limits."""
 
 CONSTANT_BATCHES = 6
-"""Turns until each is twice as long as the one before: with its rows left alone, OSQP converges always."""
+"""Number of batches after which each is twice as long as the one before: with constant scales OSQP always converges."""
 
 CHECK = 3
-"""Iterations between two looks at the residuals."""
+"""Iterations between two checks of the residuals."""
 
 
 class SolveArrays(NamedTuple):
-    """The numbers of one solve, in one array."""
+    """Numbers of one solve: the problem, the point, and both with scaled rows."""
 
-    A: Array  # (nnz,) of the problem
-    q: Array  # (n,)
-    l: Array  # noqa: E741  (m,)
-    u: Array
-    x: Array  # (n,) primal and dual: of the last solve, or the first guess of the next
-    y: Array
-    rows: Array  # (m,) by what each row is multiplied
-    As: Array  # the same with scaled rows
-    ls: Array
-    us: Array
-    ys: Array
-
-
-@jit
-def unpack_arrays(flat: Array, N: int, limited: int) -> SolveArrays:
-    """The parts of a flat array for N stages and so many limited states."""
-    n, m = N * (STAGE_VARIABLES + limited) + 2, N * (STATES + 4 + 3 * limited) + 2
-    e = (len(flat) - 2 * n - 7 * m) // 2
-    q = e
-    l = q + n  # noqa: E741
-    x = l + 2 * m
-    y = x + n
-    As = y + 2 * m
-    ls = As + e
-    return SolveArrays(
-        flat[:q],
-        flat[q:l],
-        flat[l : l + m],
-        flat[l + m : x],
-        flat[x:y],
-        flat[y : y + m],
-        flat[y + m : As],
-        flat[As:ls],
-        flat[ls : ls + m],
-        flat[ls + m : ls + 2 * m],
-        flat[ls + 2 * m :],
-    )
+    problem: QpNumbers
+    x: Array  # (n,) primal point: of the last solve, or the first guess of the next
+    y: Array  # (m,) its dual
+    row_scale: Array  # (m,) factor of each row
+    scaled: QpNumbers  # the problem with scaled rows; q is that of ``problem``
+    scaled_y: Array  # (m,) dual of the scaled rows
 
 
 class OsqpSolver:
-    """The default solver."""
+    """OSQP as the default solver of the controller."""
 
     def __init__(self, config: ResolvedConfig, limits: HorizonLimits) -> None:
-        """``config.tolerance`` is absolute, on the residuals of the scaled problem."""
+        """Lay out the QP; OSQP is set up with the first problem.
+
+        Parameters
+        ----------
+        config : knots, weights, limit of iterations; ``tolerance`` is absolute, on residuals of the scaled problem.
+        limits : limits of thrusters and motion.
+        """
         self.form = form = SparseQp(config.knots, limits, config.weights)
-        self._most = config.max_iterations
+        self._max_iterations = config.max_iterations
         self._tolerance = self._eps = config.tolerance
-        entries = form.pattern.nnz
-        self._flat = np.zeros(2 * entries + 2 * form.variables + 7 * form.rows)
-        self._arrays: SolveArrays = unpack_arrays(self._flat, form.stages, len(form.limited))
-        self._arrays.A[:] = form.template()
+        problem = form.allocate()
+        self._arrays = SolveArrays(
+            problem,
+            np.zeros(form.variables),
+            np.zeros(form.rows),
+            np.zeros(form.rows),
+            form.allocate()._replace(q=problem.q),
+            np.zeros(form.rows),
+        )
+        self._scale = form.limits.scale  # a property, and it costs time
         self._shift = math.nan
         self._finite, self._why = False, "build() must be called before solve()"
         self._lin: Linearisation | None = None
         self._workspace: Workspace | None = None
 
     def shift_warm_start(self, stages: float) -> None:
-        """As in ``Solver``."""
+        """Shift the duals of the limits to later knots (see ``Solver``)."""
         self._shift = stages
 
     def reset_warm_start(self) -> None:
-        """As in ``Solver``."""
+        """Discard the warm start (see ``Solver``)."""
         self._shift = math.nan
 
     def build(self, lin: Linearisation, target: Array) -> None:
-        """As in ``Solver``."""
+        """Compute the problem, its first guess and the scales of its rows (see ``Solver``)."""
         self._lin, form = lin, self.form
-        size = prepare(form.numbers, lin.flat, target, form.map, form.factor, self._shift, self._flat)
+        size = prepare(form.packed, lin, target, form.entries, self._shift, self._arrays)
         self._finite = size >= 0.0
         self._why = "" if self._finite else describe_non_finite(lin, target)
         self._eps = self._tolerance * min(size, MAX_LOOSENING)
 
     def update(self) -> None:
-        """As in ``Solver``."""
-        if not self._finite:  # one NaN would poison the workspace for every later solve
+        """Pass the problem to OSQP; the first one sets it up (see ``Solver``)."""
+        if not self._finite:  # a NaN would stay in the workspace for every later solve
             return
         if self._workspace is None:
-            at = self._arrays
-            # Nothing new yet, but compiled: it may not be called again before the first hard problem.
-            rescale(self.form.map, self._flat, self.form.stages, len(self.form.limited))
+            # It changes nothing here, but it is compiled: the next call may come with the first hard problem.
+            rescale(self.form.entries.row, self.form.stages, self._arrays)
             of, settings = self.scaled_problem()
             self._workspace = make_workspace(of.P, of.q, of.A, of.l, of.u, settings)
-            self._workspace.warm_start(at.x, at.ys)
+            self._workspace.warm_start(self._arrays.x, self._arrays.scaled_y)
         else:
             self._load(self._workspace)
 
     def _load(self, solver: Workspace) -> None:
-        at = self._arrays
-        solver.update_matrix(at.As)
-        solver.update_vectors(at.q, at.ls, at.us)
-        solver.warm_start(at.x, at.ys)
+        """Pass the scaled problem and the first guess to OSQP."""
+        scaled = self._arrays.scaled
+        solver.update_matrix(scaled.A)
+        solver.update_vectors(scaled.q, scaled.l, scaled.u)
+        solver.warm_start(self._arrays.x, self._arrays.scaled_y)
 
     def solve(self) -> SolverResult:
-        """As in ``Solver``. Ends after ``max_iterations`` or a few more, never by time."""
+        """Solve the problem (see ``Solver``). It ends after ``max_iterations`` or a few more, never by time."""
         lin, solver = self._lin, self._workspace
         assert lin is not None  # built
         if not self._finite or solver is None:
-            return self._nothing(lin, self._why)
-        commands = np.empty_like(lin.U)
-        iterations, turn = 0, 0
+            return self._no_solution(lin, self._why)
+        at, commands = self._arrays, np.empty_like(lin.U)
+        iterations, batch = 0, 0
         while True:
-            length = BATCH * 2 ** max(0, turn - CONSTANT_BATCHES) if turn else FIRST_BATCH
-            solver.set_limits(min(length, self._most), self._eps)
-            turn += 1
+            length = BATCH * 2 ** max(0, batch - CONSTANT_BATCHES) if batch else FIRST_BATCH
+            solver.set_limits(min(length, self._max_iterations), self._eps)
+            batch += 1
             status = solver.solve()
-            account = solver.statistics()
-            iterations += account.iterations
-            if not store_solution(self.form.numbers, *solver.solution(), lin.flat, self._flat, commands):
+            statistics = solver.statistics()
+            iterations += statistics.iterations
+            x, scaled_y = solver.solution()
+            at.x[:] = x
+            if not store_solution(x, scaled_y, at.row_scale, lin.U, self._scale, at.y, commands):
                 self._workspace = None
-                return self._nothing(lin, "OSQP returned a value that is not finite; rebuilt")
-            if status is SolveStatus.SOLVED or iterations >= self._most:
+                return self._no_solution(lin, "OSQP returned a value that is not finite; rebuilt")
+            if status is SolveStatus.SOLVED or iterations >= self._max_iterations:
                 break
-            if rescale(self.form.map, self._flat, self.form.stages, len(self.form.limited)) > 0:
+            if rescale(self.form.entries.row, self.form.stages, self._arrays) > 0:
                 self._load(solver)
         self._shift = 0.0
         why = ""
         if status is not SolveStatus.SOLVED:
-            residuals = f"primal residual {account.primal_residual:.1e}, dual {account.dual_residual:.1e}"
+            residuals = f"primal residual {statistics.primal_residual:.1e}, dual {statistics.dual_residual:.1e}"
             why = f"OSQP: {status.value.replace('_', ' ')} after {iterations} iterations, {residuals}"
             violated = worst_violation(self.problem(), self._arrays.x, self.form.row_names)
             why += f"; {violated}" if violated else ""
         solve = Solve(
             status=status,
             iterations=iterations,
-            primal_residual=account.primal_residual,
-            dual_residual=account.dual_residual,
+            primal_residual=statistics.primal_residual,
+            dual_residual=statistics.dual_residual,
             why=why,
         )
         return SolverResult(commands, solve)
 
     def problem(self) -> QP:
-        """Return the problem that was built last, without the scales of its rows."""
-        at = self._arrays
-        return self.form.assemble(at.A.copy(), at.q.copy(), at.l.copy(), at.u.copy())
+        """Return the problem that was built last, with rows that are not scaled."""
+        return self.form.assemble(QpNumbers(*(part.copy() for part in self._arrays.problem)))
 
     def scaled_problem(self) -> tuple[QP, Settings]:
-        """The problem that was built last as OSQP gets it, its rows scaled, and OSQP's settings for it."""
-        at = self._arrays
+        """Return the problem that was built last with the scaled rows that OSQP receives, and OSQP's settings."""
         settings = {
             **BASE_SETTINGS,
             "alpha": 1.0,
@@ -231,39 +211,59 @@ class OsqpSolver:
             "check_termination": CHECK,
             "max_iter": FIRST_BATCH,
         }
-        return self.form.assemble(at.As, at.q, at.ls, at.us), settings
+        return self.form.assemble(self._arrays.scaled), settings
 
     def point(self) -> tuple[Array, Array]:
-        """Primal (n,) and dual (m,) of ``problem`` where the last solve ended."""
+        """Return the primal (n,) and dual (m,) of ``problem`` at the end of the last solve."""
         return self._arrays.x.copy(), self._arrays.y.copy()
 
-    def _nothing(self, lin: Linearisation, why: str) -> SolverResult:
+    def _no_solution(self, lin: Linearisation, why: str) -> SolverResult:
+        """Return the nominal commands and a report that says why; the warm start is discarded."""
         self.reset_warm_start()
         return SolverResult(lin.U.copy(), Solve(status=SolveStatus.NON_FINITE, why=why))
 
 
 @jit
 def prepare(
-    numbers: Array, flat: Array, target: Array, places: Indices, factor: Array, shift: float, solve: Array
+    packed: Array, lin: Linearisation, target: Array, entries: EntryMap, shift: float, at: SolveArrays
 ) -> float:
-    """The problem, its first guess, and both with scaled rows, into ``solve`` (``room``).
+    """Compute a cycle's problem, its first guess, and both with scaled rows, into ``at``.
 
-    Returns how much larger than GRADIENT the cost's gradient is, as a step size goes with it; -1 if a number is not
-    finite.
+    Parameters
+    ----------
+    packed : a packed objective (problem_data.py).
+    lin : the motion along the nominal trajectory.
+    target : (N+1, 2) as in ``Solver.build``.
+    entries : ``SparseQp.entries``.
+    shift : by how many first stages the last solve's knots were earlier; NaN if there is none to begin with.
+    at : holds the point of the last solve, and is overwritten.
+
+    Returns
+    -------
+    ``dual_scale`` of the problem; -1 if a number is not finite.
     """
-    N, states = len(target) - 1, limited_state_count(unpack_objective(numbers))
-    at = unpack_arrays(solve, N, states)
-    fill(numbers, flat, target, places, factor, at.A, at.q, at.l, at.u)
-    first_guess(numbers, flat, target, at.q, shift, at.x, at.y)
-    if rescale(places, solve, N, states) < 0:
+    fill(packed, lin, target, entries, at.problem)
+    first_guess(packed, lin, target, shift, at)
+    N = len(target) - 1
+    if rescale(entries.row, N, at) < 0:
         return -1.0
-    return dual_scale(at.q, N)
+    return dual_scale(at.problem.q, N)
 
 
 @jit
 def dual_scale(q: Array, N: int) -> float:
-    """How much larger than for a small gradient duals, and with them step sizes and residuals, are. What an excess of a
-    limited state costs is no gradient: it is paid by nobody who keeps within the limit.
+    """Return the factor by which duals, and so step sizes and residuals, are larger than for a small gradient.
+
+    The cost of an excess does not count as gradient: it acts only beyond a limit.
+
+    Parameters
+    ----------
+    q : (n,) linear cost.
+    N : stages.
+
+    Returns
+    -------
+    Factor >= 1.
     """
     gradient = 0.0
     for i in range(N * STAGE_VARIABLES + 2):
@@ -272,19 +272,29 @@ def dual_scale(q: Array, N: int) -> float:
 
 
 @jit
-def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: float, x: Array, y: Array) -> None:
-    """x (n,) and y (m,) to begin with, in place of those of the last solve, ``shift`` stages earlier (NaN: of none)."""
+def first_guess(packed: Array, lin: Linearisation, target: Array, shift: float, at: SolveArrays) -> None:
+    """Compute the first guess of the primal and the dual.
+
+    Parameters
+    ----------
+    packed : a packed objective (problem_data.py).
+    lin : the motion along the nominal trajectory.
+    target : (N+1, 2) as in ``Solver.build``.
+    shift : by how many first stages the last solve's knots were earlier; NaN if there is none to begin with.
+    at : has the problem and the point of the last solve; x and y are overwritten.
+    """
     N = len(target) - 1
-    c, lin = unpack_objective(numbers), views(flat, N)
+    c = unpack_objective(packed)
+    q, x, y = at.problem.q, at.x, at.y
     E = N * STATES + 2
     _shift_limits(y, E, c.t, shift)
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
-    dU, kept = np.zeros((N + 1, 2)), y[E:].copy()
-    if not kept[4 * N :].any():  # no limit of the motion, of which the sweeps know nothing, was active
+    dU, previous = np.zeros((N + 1, 2)), y[E:].copy()
+    if not previous[4 * N :].any():  # no limit of the motion, which the sweeps ignore, was active
         _guess_commands(c, lin, target, dU, y[E:])
-    if not _forward_states(c, lin, dU, x):  # but one is
+    if not _forward_states(c, lin, dU, x):  # but one is active now
         dU[:, :] = 0.0
-        y[E:] = kept
+        y[E:] = previous
         _forward_states(c, lin, dU, x)
     _guess_excesses(c, lin, q, np.isnan(shift), x, y)
     # m (p'_N - ref'_N) = y: the terminal velocity's own column
@@ -317,8 +327,9 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
 
 @jit
 def _forward_states(c: Objective, lin: Linearisation, dU: Array, x: Array) -> bool:
-    """x (n,): the commands dU (N+1, 2), and the states that they lead to, by a forward sweep that closes the gaps.
-    Returns whether these states are within the limits of the motion.
+    """Compute x (n,) from the commands' deviations dU (N+1, 2) by a forward sweep that closes the gaps.
+
+    Returns True if the states are within the limits of the motion.
     """
     N, within = dU.shape[0] - 1, True
     x[:] = 0.0
@@ -341,8 +352,9 @@ def _forward_states(c: Objective, lin: Linearisation, dU: Array, x: Array) -> bo
 
 @jit
 def _guess_commands(c: Objective, lin: Linearisation, target: Array, dU: Array, y: Array) -> None:
-    """Commands dU (N+1, 2), and the duals y of slew and box in place of those of the last solve:
-    ``riccati_solver.py``.
+    """Compute the commands' deviations dU (N+1, 2) and the duals y of slew and box by the Riccati method.
+
+    Its active set starts from the duals of the last solve.
     """
     N = dU.shape[0] - 1
     rows = np.empty((N, LIMIT_ROWS))
@@ -350,7 +362,7 @@ def _guess_commands(c: Objective, lin: Linearisation, target: Array, dU: Array, 
         for i in range(2):
             rows[k, i], rows[k, 2 + i] = _known(y[2 * (N + k) + i]), _known(y[2 * k + i])
     outcome, _, _ = riccati_solver.solve(lin, target, c, riccati_solver.MAX_SWEEPS, rows, dU)
-    if outcome == riccati_solver.FAILED:  # a cost that does not say what the commands should be: y as it is
+    if outcome == riccati_solver.FAILED:  # the cost does not determine the commands: y stays
         return
     for k in range(N):
         for i in range(2):
@@ -359,13 +371,16 @@ def _guess_commands(c: Objective, lin: Linearisation, target: Array, dU: Array, 
 
 @jit
 def _known(dual: float) -> float:
+    """Return the dual, or exactly zero if it is zero up to rounding."""
     return dual if abs(dual) > NOT_ACTIVE else 0.0
 
 
 @jit
 def _guess_excesses(c: Objective, lin: Linearisation, q: Array, new: bool, x: Array, y: Array) -> None:
-    """Excesses of the limited states of x, and their duals, 0 = q - y_upper + y_lower + y_excess, from those of the
-    limits. A ``new`` problem has none of these yet: what is beyond its limit is held to stay there.
+    """Compute the excesses of the limited states, and their duals from those of the limits.
+
+    0 = q - y_upper + y_lower + y_excess. A ``new`` problem has no duals of the limits yet: a state beyond its limit is
+    expected to stay there.
     """
     N = len(c.t) - 1
     column, row = N * STAGE_VARIABLES + 2, N * (STATES + 4) + 2
@@ -384,7 +399,7 @@ def _guess_excesses(c: Objective, lin: Linearisation, q: Array, new: bool, x: Ar
 
 @jit
 def _shift_limits(y: Array, E: int, t: Array, stages: float) -> None:
-    """The duals of all limits on knots t (N+1,) so many first stages later: linear between knots, the last kept."""
+    """Shift the duals of all limits to knots that lie later: linear between the knots t (N+1,), the last are held."""
     if np.isnan(stages):
         y[E:] = 0.0
         return
@@ -398,19 +413,26 @@ def _shift_limits(y: Array, E: int, t: Array, stages: float) -> None:
 
 
 @jit
-def rescale(places: Indices, solve: Array, N: int, limited: int) -> int:
-    """The problem and its dual with rows scaled by what the dual says of them, in ``solve`` (``room``).
+def rescale(row: Indices, N: int, at: SolveArrays) -> int:
+    """Scale the rows of the problem and of its dual by what the dual says of them.
 
-    Returns 1 if a scale has changed, 0 if none has, -1 if a number is not finite.
+    Parameters
+    ----------
+    row : (nnz,) row of each stored entry of A (``EntryMap``).
+    N : stages.
+    at : its scaled parts are overwritten.
+
+    Returns
+    -------
+    1 if a scale has changed, 0 if none has, -1 if a number is not finite.
     """
-    at = unpack_arrays(solve, N, limited)
-    row_of = unpack_map(places, len(at.A)).row_of
+    problem, scaled, y = at.problem, at.scaled, at.y
     E = N * STATES + 2
-    size = dual_scale(at.q, N)
+    size = dual_scale(problem.q, N)
     free = min(LIMIT_ROW * size, MAX_LIMIT_ROW)
     changed, total = 0, size
-    for i in range(len(at.rows)):
-        active = abs(at.y[i]) > NOT_ACTIVE
+    for i in range(len(at.row_scale)):
+        active = abs(y[i]) > NOT_ACTIVE
         if i < E:
             s = EQUALITY_ROW
         elif i < E + 4 * N:
@@ -419,34 +441,42 @@ def rescale(places: Indices, solve: Array, N: int, limited: int) -> int:
             s = MOTION_ROW * size
         else:
             s = (EXCESS_ROW if (i - E - 4 * N) % 3 == 2 else MOTION_ACTIVE) * size
-        if s != at.rows[i]:
-            changed, at.rows[i] = 1, s
-        at.ls[i], at.us[i], at.ys[i] = at.l[i] * s, at.u[i] * s, at.y[i] / s
-        total += at.l[i] + at.u[i] + at.y[i]
-    for i in range(len(at.A)):
-        at.As[i] = at.A[i] * at.rows[row_of[i]]
-        total += at.As[i]
+        if s != at.row_scale[i]:
+            changed, at.row_scale[i] = 1, s
+        scaled.l[i], scaled.u[i], at.scaled_y[i] = problem.l[i] * s, problem.u[i] * s, y[i] / s
+        total += problem.l[i] + problem.u[i] + y[i]
+    for i in range(len(problem.A)):
+        scaled.A[i] = problem.A[i] * at.row_scale[row[i]]
+        total += scaled.A[i]
     return changed if np.isfinite(total) else -1
 
 
 @jit
-def store_solution(numbers: Array, x: Array, y: Array, flat: Array, solve: Array, commands: Array) -> bool:
-    """A solution x (n,), y (m,) of the problem with scaled rows into ``solve`` (``room``), and as commands (N+1, 2).
+def store_solution(x: Array, scaled_y: Array, row_scale: Array, U: Array, F: Array, y: Array, commands: Array) -> bool:
+    """Compute the dual of the unscaled rows and the commands of a solution.
 
-    Returns whether it is finite.
+    Parameters
+    ----------
+    x : (n,) primal solution.
+    scaled_y : (m,) its dual, of the scaled rows.
+    row_scale : (m,) factor of each row.
+    U : (N+1, 2) nominal commands (N).
+    F : (2,) scale of the thrusts (N).
+    y : (m,) is overwritten with the dual of the unscaled rows.
+    commands : (N+1, 2) is overwritten with the commands (N).
+
+    Returns
+    -------
+    True if the solution is finite.
     """
-    N = commands.shape[0] - 1
-    o = unpack_objective(numbers)
-    at, U, F = unpack_arrays(solve, N, limited_state_count(o)), views(flat, N).U, o.scale
     total = 0.0
     for i in range(len(x)):
-        at.x[i] = x[i]
         total += x[i]
     for i in range(len(y)):
-        at.y[i] = y[i] * at.rows[i]
-        total += y[i]
+        y[i] = scaled_y[i] * row_scale[i]
+        total += scaled_y[i]
     for i in range(2):
         commands[0, i] = U[0, i]
-        for k in range(N):
+        for k in range(commands.shape[0] - 1):
             commands[k + 1, i] = U[k + 1, i] + x[k * STAGE_VARIABLES + STATES + i] * F[i]
     return bool(np.isfinite(total))

@@ -1,6 +1,6 @@
-"""Any solver that qpsolvers knows and that is installed, by name: for comparison, and where OSQP is not wanted.
+"""Backends of qpsolvers as solvers of the controller: every installed one, by its name.
 
-qpsolvers imports every backend that it finds, 0.3 s; so it is imported where one is asked for, and nowhere else.
+qpsolvers imports every backend that it finds, which takes 0.3 s. So it is imported only where a backend is used.
 """
 
 from __future__ import annotations
@@ -21,37 +21,43 @@ from ltv_mpc.messages import Array, Solve, SolveStatus
 
 
 def known_solvers() -> list[str]:
-    """Names of the installed solvers."""
+    """Return the names of the installed backends of qpsolvers."""
     import qpsolvers
 
     return list(qpsolvers.available_solvers)
 
 
 class QpsolversBackend:
-    """One of qpsolvers' backends on the sparse QP, from nothing in each cycle."""
+    """Backend of qpsolvers on the sparse QP; each cycle starts without a warm start."""
 
     def __init__(self, config: ResolvedConfig, limits: HorizonLimits) -> None:
-        """``config`` names the backend."""
+        """Lay out the QP.
+
+        Parameters
+        ----------
+        config : ``config.solver`` names the backend.
+        limits : limits of thrusters and motion.
+        """
         self._name = config.solver
         self._form = SparseQp(config.knots, limits, config.weights)
         self._lin: Linearisation | None = None
         self._qp: QP | None = None
 
     def shift_warm_start(self, stages: float) -> None:
-        """As in ``Solver``; it has no warm start."""
+        """Do nothing: there is no warm start."""
 
     def reset_warm_start(self) -> None:
-        """As in ``Solver``; it has no warm start."""
+        """Do nothing: there is no warm start."""
 
     def build(self, lin: Linearisation, target: Array) -> None:
-        """As in ``Solver``."""
+        """Build the QP (see ``Solver``)."""
         self._lin, self._qp = lin, self._form.build(lin, target)
 
     def update(self) -> None:
-        """As in ``Solver``; the backend takes the whole problem at once."""
+        """Do nothing: the backend takes the whole problem at once."""
 
     def solve(self) -> SolverResult:
-        """As in ``Solver``."""
+        """Solve the QP (see ``Solver``)."""
         assert self._lin is not None, "build() must be called before solve()"
         assert self._qp is not None, "build() must be called before solve()"
         solution = solve_qp(self._qp, self._name)
@@ -59,7 +65,22 @@ class QpsolversBackend:
 
 
 def solve_qp(qp: QP, solver: str = "osqp") -> Solution:
-    """Solve one QP from nothing with any installed solver. Raises ``ConfigError`` for an unknown name."""
+    """Solve one QP with a backend of qpsolvers, without a warm start.
+
+    Parameters
+    ----------
+    qp : problem.
+    solver : name of the backend.
+
+    Returns
+    -------
+    Solution; its report says why there is none, if so.
+
+    Raises
+    ------
+    ConfigError
+        The backend is not known or not installed.
+    """
     import qpsolvers
 
     if solver not in known_solvers():
@@ -75,34 +96,35 @@ def solve_qp(qp: QP, solver: str = "osqp") -> Solution:
     two_sided = vstack([G, -G], format="csc")
     h = np.concatenate([qp.u[~equal], -qp.l[~equal]])
     if not all(np.isfinite(part).all() for part in (qp.P.data, qp.q, qp.A.data, qp.l, qp.u)):
-        return _nothing(qp, SolveStatus.NON_FINITE, "the problem is not finite")
+        return _no_solution(qp, SolveStatus.NON_FINITE, "the problem is not finite")
     if solver in qpsolvers.dense_solvers and solver not in qpsolvers.sparse_solvers:
         problem = qpsolvers.Problem(qp.P.toarray(), qp.q, two_sided.toarray(), h, E.toarray(), qp.l[equal])
     else:
         problem = qpsolvers.Problem(csc_matrix(qp.P), qp.q, csc_matrix(two_sided), h, csc_matrix(E), qp.l[equal])
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what a backend deprecates is between it and qpsolvers
-            answer = qpsolvers.solve_problem(problem, solver, None, False, **EXACT.get(solver, {}))
+            warnings.simplefilter("ignore")  # deprecations of a backend concern qpsolvers, not the user
+            result = qpsolvers.solve_problem(problem, solver, None, False, **EXACT.get(solver, {}))
     except Exception as error:  # each backend has its own exceptions, and a failed solve is a value here
-        return _nothing(qp, SolveStatus.FAILED, f"{solver}: {error}")
-    if not answer.found or answer.x is None:
-        return _nothing(qp, SolveStatus.FAILED, f"{solver}: no solution")
-    if not np.isfinite(answer.x).all():
-        return _nothing(qp, SolveStatus.NON_FINITE, f"{solver} returned a value that is not finite")
+        return _no_solution(qp, SolveStatus.FAILED, f"{solver}: {error}")
+    if not result.found or result.x is None:
+        return _no_solution(qp, SolveStatus.FAILED, f"{solver}: no solution")
+    if not np.isfinite(result.x).all():
+        return _no_solution(qp, SolveStatus.NON_FINITE, f"{solver} returned a value that is not finite")
     y = np.zeros(len(qp.l))
-    if answer.y is not None and answer.z is not None:
-        y[equal] = answer.y
+    if result.y is not None and result.z is not None:
+        y[equal] = result.y
         half = int((~equal).sum())
-        y[~equal] = answer.z[:half] - answer.z[half:]
-    return Solution(np.array(answer.x), y, Solve(status=SolveStatus.SOLVED))
+        y[~equal] = result.z[:half] - result.z[half:]
+    return Solution(np.array(result.x), y, Solve(status=SolveStatus.SOLVED))
 
 
 EXACT: dict[str, dict[str, float]] = {
     "osqp": {"eps_abs": 1e-7, "eps_rel": 1e-7, "max_iter": 100_000, "polishing": True}
 }
-"""What a backend needs to be told where its defaults are coarse."""
+"""Settings of backends whose defaults are too coarse."""
 
 
-def _nothing(qp: QP, status: SolveStatus, why: str) -> Solution:
+def _no_solution(qp: QP, status: SolveStatus, why: str) -> Solution:
+    """Return zeros as the solution, and a report that says why."""
     return Solution(np.zeros(len(qp.q)), np.zeros(len(qp.l)), Solve(status=status, why=why))

@@ -16,7 +16,7 @@ from scipy.sparse import csc_matrix
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, SparseQp
+from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, SparseQp, fill
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.flow import STATES
@@ -29,8 +29,7 @@ class PiqpYardstick:
         """Lay out the QP. ``tolerance`` is absolute and relative; None: PIQP's own."""
         self.form = form = SparseQp(config.knots, limits, config.weights)
         self._tolerance = tolerance
-        self._A, self._q = form.template(), np.empty(form.variables)
-        self._l, self._u = np.empty(form.rows), np.empty(form.rows)
+        self._numbers = form.allocate()
         row_of = form.pattern.indices
         E, slews, boxes = form.equalities + 2 * form.stages * np.arange(3)
         # Rows of A by kind, and where their numbers lie in A's. Those of limited states change as little as slew's.
@@ -53,17 +52,18 @@ class PiqpYardstick:
     def build(self, lin: Linearisation, target: Array) -> None:
         """Build the QP (see ``Solver``)."""
         self._lin = lin
-        self.form.fill(lin, target, self._A, self._q, self._l, self._u)
-        self._finite = bool(np.isfinite(self._A.sum() + self._q.sum() + self._l.sum() + self._u.sum()))
+        fill(self.form.packed, lin, target, self.form.entries, self._numbers)
+        self._finite = bool(np.isfinite(sum(part.sum() for part in self._numbers)))
 
     def update(self) -> None:
         """Update the workspace (see ``Solver``)."""
         if not self._finite:
             return
+        A, q, l, u = self._numbers  # noqa: E741
         equal, slew, box = self._kinds
-        self._low[self._thrusts], self._high[self._thrusts] = self._l[box], self._u[box]
+        self._low[self._thrusts], self._high[self._thrusts] = l[box], u[box]
         if self._solver is None:
-            whole = csc_matrix(self.form.assemble(self._A, self._q, self._l, self._u).A)
+            whole = csc_matrix(self.form.assemble(self._numbers).A)
             self._equalities, self._slews = csc_matrix(whole[equal]), csc_matrix(whole[slew])
             self._P = csc_matrix(self.form.P)
             self._solver = piqp.SparseSolver()
@@ -73,13 +73,13 @@ class PiqpYardstick:
                 to.eps_abs = to.eps_rel = self._tolerance
                 to.eps_duality_gap_abs = to.eps_duality_gap_rel = self._tolerance
             self._solver.setup(
-                self._P, self._q, self._equalities, self._l[equal], self._slews, self._l[slew], self._u[slew],
+                self._P, q, self._equalities, l[equal], self._slews, l[slew], u[slew],
                 self._low, self._high,
             )  # fmt: skip
         else:
-            self._equalities.data[:] = self._A[self._equal]
+            self._equalities.data[:] = A[self._equal]
             self._solver.update(
-                c=self._q, A=self._equalities, b=self._l[equal], h_l=self._l[slew], h_u=self._u[slew],
+                c=q, A=self._equalities, b=l[equal], h_l=l[slew], h_u=u[slew],
                 x_l=self._low, x_u=self._high,
             )  # fmt: skip
 

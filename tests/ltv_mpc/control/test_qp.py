@@ -80,7 +80,7 @@ def test_the_objective_is_the_documented_cost(cycles):
         q1, d1 = both(rng.normal(size=(N, STAGE_VARIABLES)), rng.normal(size=2))
         assert q1 - q0 == pytest.approx(d1 - d0, rel=1e-9)
     # and the cost that the line search compares is the same one
-    assert cost(lin.X, lin.U, lin.C, cycle.target, unpack_objective(form.numbers)) == pytest.approx(
+    assert cost(lin.X, lin.U, lin.C, cycle.target, unpack_objective(form.packed)) == pytest.approx(
         2 * (d0 + 0.5 * form.weights.terminal_velocity_s2_per_m2 * (velocity**2).sum()), rel=1e-12
     )
 
