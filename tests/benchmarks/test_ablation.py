@@ -1,4 +1,4 @@
-"""The ablation study: what it switches off, what it counts, and what it makes of paired runs."""
+"""Ablation study: what it switches off, what it counts, and its statistics of paired runs."""
 
 import math
 

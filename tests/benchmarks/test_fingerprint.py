@@ -1,4 +1,4 @@
-"""The fingerprint of the numbers that a run produces: the same twice, another where one number is another."""
+"""Fingerprint of a run's numbers: equal for equal runs, different if one number differs."""
 
 import numpy as np
 import pytest

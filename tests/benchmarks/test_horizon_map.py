@@ -1,4 +1,4 @@
-"""The analysis of the horizon map: a law that is put in comes out, and a campaign's folder is read as it was flown."""
+"""Analysis of the horizon map: it recovers a known law, and reads a campaign's folder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LAW = np.array([0.2, -0.3, 0.4, -0.8, 0.5])
 
 
 def made_up(count: int) -> list[Place]:
-    """Errors are smallest at the law's horizon, jump below it and grow above it."""
+    """Return places whose errors are smallest at the law's horizon, jump below it and grow above it."""
     rng = np.random.default_rng(3)
     made = []
     for _ in range(count):

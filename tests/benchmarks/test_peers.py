@@ -57,12 +57,12 @@ def trajectory(seed: int, gap: float) -> tuple[Linearisation, Array]:
 
 
 def along(commands: Array, lin: Linearisation) -> Linearisation:
-    """The exact flow under other commands."""
+    """Return the exact flow under other commands."""
     return linearise(roll_out(lin.X[0], commands, lin.C, np.full(N, H), P), commands, lin.C, H, P)
 
 
 def optimum(lin: Linearisation, target: Array, limits: HorizonLimits = LIMITS) -> Array:
-    """Commands (N+1, 2) of the QP."""
+    """Return the commands (N+1, 2) of the QP."""
     form = SparseQp(CONFIG.knots, limits, CONFIG.weights)
     return form.commands(lin, solve_qp(form.build(lin, target), "daqp").x)
 

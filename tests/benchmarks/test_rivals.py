@@ -1,4 +1,4 @@
-"""What the controller is compared with does its work: a rival that cannot fly proves nothing."""
+"""Rivals of the controller: each must fly well, or the comparison proves nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stretches of many steps against one step at a time: the same messages and steps, in the same order, bit for bit."""
+"""Time windows of many steps against single steps: the same messages and steps in the same order, bit for bit."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ S = 1000 * MS
 
 
 class Ears:
-    """What is published, as bytes, and each step."""
+    """Observer that keeps published messages, as bytes, and steps."""
 
     def __init__(self) -> None:
         self.said: list[tuple[str, int, int, type[Message], bytes]] = []
@@ -62,7 +62,7 @@ class Ears:
 
 
 class Through:
-    """Carries each message as it was published, so that a stretch is one step."""
+    """Transport that carries each message as published, so that every window is one step."""
 
     def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:  # noqa: ARG002
         return [Delivery(message.received_t_ns, message)]
@@ -235,7 +235,7 @@ def estimate(t_ns: int, _: Inbox) -> list[Message]:
 
 
 def plans(t_ns: int, _: Inbox) -> list[Message]:
-    """At two of three cycles."""
+    """Return a plan at two of three cycles."""
     return [plan(t_ns, t_ns)] if t_ns % (210 * MS) else []
 
 
@@ -252,7 +252,7 @@ def table() -> list[Many]:
 
 
 def cycling_first() -> list[Many]:
-    """The same, with those that cycle before those that they hear."""
+    """Return the nodes with cycles before the nodes that they read."""
     *others, controller, other = table()
     return [controller, *others[:2], other, *others[2:]]
 

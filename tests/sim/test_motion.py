@@ -1,4 +1,4 @@
-"""The true vehicle's motion against conservation laws, closed forms and an independent integration of the equations."""
+"""Motion of the true vehicle against conservation laws, closed forms and an independent integration."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def travel(
     held: bool = False,
     h: float = H,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """States (T, 8), revolutions (T, 3) and thrusts (T, 3) for commands (T, 3), one a step."""
+    """Return states (T, 8), revolutions (T, 3) and thrusts (T, 3) for commands (T, 3), one for each step."""
     state, n, F = np.array(s, dtype=float), np.zeros(3), np.zeros(3)
     vehicle = motion.MotionState(state, n, F)
     water = WaterSample(DEPTHS, current, current, 0.0)
@@ -107,7 +107,7 @@ def test_the_way_made_good_is_that_through_the_water_plus_that_of_the_water():
 
 
 def equations(t, x, p, command, lag, current):
-    """model.md, section "Equations of motion", written again: scalars, governor without sampling."""
+    """Return the derivative by the equations of docs/model.md, written again for scalars and a continuous governor."""
     u, v, psi, r, z, w, n1, n2, n3 = x[2:]
     m_x, m_y, m_z, i_z = p.mass_surge, p.mass_sway, p.mass_heave, p.inertia_yaw
     a, b = 0.4 * RHO * DIAMETER**4, RHO * DIAMETER**3 / 3

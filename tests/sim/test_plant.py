@@ -1,4 +1,4 @@
-"""The plant as a node: what it does with plans, what it says, and when."""
+"""Plant as a node: its reaction to plans, and its messages with their times."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ VEHICLE = Vehicle.load("paper")
 
 
 def scenario(**changes) -> Scenario:
-    """The paper's descent with other values: ``water={...}``, ``plant={...}``, ``run={...}``."""
+    """Return the paper's descent with other values: ``water={...}``, ``plant={...}``, ``run={...}``."""
     base = Scenario.load("descent")
     tables = {name: msgspec.structs.replace(getattr(base, name), **values) for name, values in changes.items()}
     return msgspec.structs.replace(base, **tables)
@@ -50,7 +50,7 @@ def arrival(
 def run(
     plant: Plant, until_ns: int, arrivals: dict[int, list[ReceivedMessage]], *, start_ns: int = -S
 ) -> list[Truth | Applied]:
-    """Everything published; ``arrivals`` are the inboxes by step."""
+    """Return all published messages; ``arrivals`` are the inboxes by step."""
     said = []
     for t in range(start_ns, until_ns + 1, PERIOD_NS):
         said += step(plant, t, arrivals.get(t, []))

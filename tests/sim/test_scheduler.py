@@ -1,4 +1,4 @@
-"""The order of steps and deliveries, on nodes small enough to write the answer down by hand."""
+"""Order of steps and deliveries, on nodes small enough to derive the result by hand."""
 
 from __future__ import annotations
 

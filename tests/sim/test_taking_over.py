@@ -1,4 +1,4 @@
-"""The thrusters taken and handed back in a closed loop: never a jump, whoever has them."""
+"""Change of command authority in a closed loop: thrust never jumps."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Operator(OneByOne):
 
 
 class Seen:
-    """What travels, by type."""
+    """Observer that keeps messages by type."""
 
     def __init__(self) -> None:
         self.applied: list[Applied] = []

@@ -1,4 +1,4 @@
-"""What a router's log says of denied attempts: each once, by whom, and nothing else. The lines are Zenoh 1.10.2's."""
+"""Denied attempts in a router's log: each counts once, with its client. The lines are those of Zenoh 1.10.2."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A validator accepts each frame once, in order, and counts the others by reason."""
+"""Message validation: each frame is accepted once, in order; the others are counted by reason."""
 
 from __future__ import annotations
 

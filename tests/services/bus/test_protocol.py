@@ -1,4 +1,4 @@
-"""The protocol's page and schemas in docs/ are what the code says now, and say all of it."""
+"""Protocol page and schemas in docs/: they match the code, and are complete."""
 
 from __future__ import annotations
 

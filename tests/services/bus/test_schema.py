@@ -1,4 +1,4 @@
-"""The schemas of what travels, held against the messages themselves and against what Foxglove's reader takes."""
+"""Schemas of the messages, compared with the messages themselves and with the limits of Foxglove's reader."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ RECORD = StepRecord(
 
 
 def problems(value: Any, schema: dict[str, Any], at: str = "$") -> list[str]:
-    """What of ``value`` breaks ``schema``: the few keywords of JSON Schema that the schemas use."""
+    """Return the violations of ``schema`` by ``value``, for the keywords that the schemas use."""
     if "anyOf" in schema:
         found = [problems(value, one, at) for one in schema["anyOf"]]
         return [] if [] in found else [problem for one in found for problem in one]

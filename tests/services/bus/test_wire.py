@@ -1,4 +1,4 @@
-"""What travels is what was sent, or it is refused: held against json, a second decoder, and 10,000 hostile frames."""
+"""Wire format: decoding returns what was sent or rejects it, by json, a second decoder, and 10,000 hostile frames."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ RUBBISH: tuple[Any, ...] = (
 
 
 def mutated(rng: random.Random, signal: Message) -> bytes:
-    """A frame of ``signal`` with one or two things wrong, from bits to meanings."""
+    """Return a frame of ``signal`` with one or two errors, from bits to meanings."""
     message: Any = unpack(encode(signal, HEADER))
     for _ in range(rng.choice((1, 1, 2))):
         place: Any = message

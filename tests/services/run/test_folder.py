@@ -1,4 +1,4 @@
-"""The folder of a run: where it is made, what is refused, what is written."""
+"""Folder of a run: where it is made, what is rejected, what is written."""
 
 from __future__ import annotations
 

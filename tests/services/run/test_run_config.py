@@ -1,4 +1,4 @@
-"""The files that a run's folder holds: what was read, and enough of it to run again as it was."""
+"""Files in a run's folder: the inputs as read, complete enough to repeat the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The summary of a recording of processes, written by hand: losses, restarts, refusals, wall times."""
+"""Summary of a recording of processes, written by hand: losses, restarts, rejections, wall times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The water from one run to the next: saved with what is not known of it, handed on, and of use."""
+"""Water estimate of one run as the prior of the next: saved with its uncertainty, loaded, and useful."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def run_config(*settings: str) -> RunConfig:
 
 
 class Visit(NamedTuple):
-    """How a run ended."""
+    """Result of a run."""
 
     saved: WaterPrior
     estimate: Estimate
@@ -86,7 +86,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunFo
 
 
 def estimate(first_m: float, sd_mps: float, *, known: bool = True) -> Estimate:
-    """A window of three depths, their currents as large as the depth is deep, and 2 and 3 cm/s of velocity's sd."""
+    """Return an estimate: a window of three depths, currents equal to the depths, and a velocity sd of 2 and 3 cm/s."""
     depth = first_m + np.arange(3.0)
     sd = np.full(3, sd_mps)
     current = CurrentProfile(depth_m=depth, north_mps=depth / 100, east_mps=-depth / 100, sd_mps=sd if known else None)

@@ -1,4 +1,4 @@
-"""The paper's figures and tables: made whole from short runs, and what the page in docs/ says of them."""
+"""Figures and tables of the paper, from short runs, and their copies on the page in docs/."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ DPI = 50
 
 
 def options(folder: Path, *more: str) -> list[str]:
-    """A short run into ``folder``; nothing is read from beside the checkout."""
+    """Return options for a short run into ``folder``, which reads nothing outside the checkout."""
     (folder / "paper.md").write_text(EMPTY_PAGE)
     return [
         *("--out", str(folder / "figures"), "--runs", str(folder / "runs"), "--page", str(folder / "paper.md")),

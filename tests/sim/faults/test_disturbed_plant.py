@@ -47,7 +47,7 @@ def steady(thrust_N: tuple[float, float, float]) -> ReceivedMessage:
 
 
 def run(plant: Plant, until_ns: int, *, disturbance: Disturbance | None = None, at_ns: int = 0, plan=None):
-    """Truths by time."""
+    """Return the truths by time."""
     truth = {}
     for t in range(0, until_ns + 1, PERIOD_NS):
         inbox = [] if plan is None or t else [plan]

@@ -1,4 +1,4 @@
-"""What comes of messages on their way, message by message, and the same through a lock step."""
+"""Message faults, message by message and through a lock step."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def message_faults(harm: MessageFault, size: float = 1.0, kind: type[Message] = 
 
 
 def through(way: MessageFaults, *, until_ns: int = 3 * S) -> list[Delivery]:
-    """All that comes of ten messages a second."""
+    """Return all deliveries of ten messages a second."""
     times = range(0, until_ns, PERIOD_NS)
     return [
         d for i, t in enumerate(times) for d in way.carry("sensors", "estimator", ReceivedMessage(depth(t), 1, i, t))

@@ -30,7 +30,7 @@ class Healthy(OneByOne):
 
 
 def said(failure: Failure, size: float = 1.0) -> list[tuple[int, PressureDepth]]:
-    """What the gauge says, and when; the compass is well."""
+    """Return the readings of the faulty pressure sensor with their times; the compass has no fault."""
     sensors = FaultySensors(Healthy(), [SensorFault(PressureDepth, failure, INTERVAL, size, seed=3)])
     result = []
     for t in range(0, 4 * S, PERIOD_NS):

@@ -1,4 +1,4 @@
-"""The column of water: measured profiles, interpolation against numpy's, and the slow change in time."""
+"""Water column: measured profiles, interpolation against numpy's, and the slow change in time."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def water(request, tmp_path) -> Water:
 
 
 def added(water: Water, feature: Feature, t_ns: int, depths=DEPTHS) -> np.ndarray:
-    """What the feature makes of the same water, along its direction; across it nothing."""
+    """Return the velocity that the feature adds along its direction; across it there is none."""
     plain, with_it = make(water, 3), make(msgspec.structs.replace(water, feature=feature), 3)
     extra = with_it.over(depths, t_ns) - plain.over(depths, t_ns)
     cos, sin = math.cos(feature.direction_rad), math.sin(feature.direction_rad)

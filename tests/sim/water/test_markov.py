@@ -1,4 +1,4 @@
-"""The Gauss-Markov current against the stationary law of its cut chain, found by another route: on a grid."""
+"""Gauss-Markov current against the stationary distribution of its truncated chain, computed on a grid."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ SD, LENGTH = 0.04, 8.0
 
 @pytest.fixture(scope="module")
 def profiles():
-    """Currents of many seeds, (SEEDS, CELLS, 2), as the paper's scenario has them."""
+    """Return currents of many seeds, (SEEDS, CELLS, 2), for the paper's scenario."""
     return np.array([make(Water(), seed).over(np.arange(CELLS), 0) for seed in range(SEEDS)])
 
 
 def stationary(bound: float, points: int = 801) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Transition matrix and stationary law on a grid, of the chain that redraws what leaves the bound."""
+    """Return transition matrix and stationary distribution on a grid of the chain that redraws beyond the bound."""
     a = math.exp(-1.0 / LENGTH)
     x = np.linspace(-bound, bound, points)
     P = norm.pdf((x[None, :] - a * x[:, None]) / math.sqrt(1 - a * a))

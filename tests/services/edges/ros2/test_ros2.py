@@ -1,4 +1,4 @@
-"""The edge to ROS 2: bytes by hand, frames turned and turned back, covariance by sampling, and the process on a bus."""
+"""Bridge to ROS 2: bytes by hand, conversion of frames and back, covariance by sampling, and the process on a bus."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def test_there_and_back_again_is_where_it_began(
 
 
 def turned(q: np.ndarray[Any, Any], d: np.ndarray[Any, Any]) -> tuple[float, ...]:
-    """The attitude q (x, y, z, w) after a further turn d about the world's axes."""
+    """Return the attitude q (x, y, z, w) after a further rotation d about the world's axes."""
     angle = float(np.linalg.norm(d))
     s = math.sin(angle / 2) / angle
     (a, b, c), w = d * s, math.cos(angle / 2)

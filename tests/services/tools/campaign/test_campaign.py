@@ -50,7 +50,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def finished(file: Path) -> Path:
-    """By one worker."""
+    """Finish the campaign with one worker."""
     out = file.parent / "one"
     assert run(["campaign", str(file), "--out", str(out), "--workers", "1", "--json"]) == 0
     return out
@@ -61,7 +61,7 @@ def results(folder: Path) -> bytes:
 
 
 def lines(folder: Path) -> list[str]:
-    """Of the store: the settings, and a row a run."""
+    """Return the lines of the store: the settings, and one row for each run."""
     return (folder / "results.jsonl").read_text().splitlines(keepends=True)
 
 
@@ -105,7 +105,7 @@ def test_interrupted_and_gone_on_with_by_more_workers_it_gives_the_same_bytes(
 
 
 def started(file: Path, out: Path, log: Path, *options: str) -> subprocess.Popen[bytes]:
-    """A campaign of its own, as soon as it has rows."""
+    """Start a campaign process, and return when it has rows."""
     command = [sys.executable, "-P", "-m", "services.cli", "campaign", str(file), "--out", str(out), *options]
     before = len(lines(out)) if out.exists() else 1
     with log.open("wb") as said:
@@ -206,7 +206,7 @@ def test_a_folder_of_another_campaign_or_of_something_else_is_refused(
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """A scheduler of its own on loopback with two workers, each without a nanny that would start it anew."""
+    """Start a scheduler on loopback with two workers, without a nanny that would restart them."""
     pytest.importorskip("distributed")
     env = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
     place = tmp_path / "scheduler.json"

@@ -1,4 +1,4 @@
-"""The page of a campaign and the order of its points, from rows made for the purpose."""
+"""Page of a campaign and ranking of its points, from synthetic rows."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ sensors = ["paper", "realistic"]
 
 
 def made_up(folder: Path) -> list[Row]:
-    """A value that is horizon / 10, more by 1 with realistic sensors, and what a seed is hard or easy for all by."""
+    """Return rows of value horizon / 10, larger by 1 with realistic sensors, and an offset of each seed."""
     (folder / "c.toml").write_text(FILE)
     campaign = load(folder / "c.toml")
     hard = [0.0, 5.0, -3.0, 1.0, -1.0]

@@ -1,4 +1,4 @@
-"""Which faults a campaign has: a function of its seed, spread over classes and targets, one after the other."""
+"""Faults of a campaign: a function of its seed, spread over classes and targets, in sequence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The judge on runs that are written down by hand: what it must see, and what it must let pass."""
+"""Verdicts on runs that are written by hand: violations that must be found, and cases that must pass."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def fault(kind: str, target: str = "estimate", **changes) -> Fault:
 
 
 def log(*, off_m: float = 0.0, sd_m: float = 1.0, off_s: tuple[float, float] = (0.0, 200.0)) -> Log:
-    """A vehicle that holds its place, 0.1 m off it, as it should; ``off_m`` north of where it believes to be."""
+    """Return the log of a vehicle that holds its point 0.1 m off; ``off_m`` north of its own estimate."""
     of = Log(VEHICLE)
     for t in range(0, UNTIL_NS, 100 * MS):
         here = off_m if off_s[0] * S <= t <= off_s[1] * S else 0.0
