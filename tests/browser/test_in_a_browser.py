@@ -164,7 +164,7 @@ def test_the_buttons_do_what_they_say(browser: Any, live: Served) -> None:
         page.select_option("#speed", "5")
         until(lambda: vehicle.heard_of(ClockCommand))
         page.click("text=Pause")
-        page.click("text=Go on")
+        page.click("text=Resume")
         until(lambda: len(vehicle.heard_of(ClockCommand)) == 3)
     assert [one.action for one in vehicle.heard_of(Command)] == ["stop"]
     assert [one.node for one in vehicle.heard_of(Kill)] == ["controller"]
