@@ -40,7 +40,7 @@ def recovered(recovery: Recovery) -> str:
     """Format the result of a recovery: messages saved and bytes lost."""
     lines = []
     for part in recovery.segments:
-        state = "whole" if part.whole else f"{part.lost_bytes} bytes lost"
+        state = "complete" if part.whole else f"{part.lost_bytes} bytes lost"
         lines.append(f"{part.file}: {part.messages} messages saved, {state} of {part.size_bytes}")
         lines += [f"  byte {loss.offset}: {loss.length} bytes: {loss.why}" for loss in part.losses]
         if part.orphans:
@@ -74,7 +74,7 @@ def _row(key: Key) -> tuple[str, ...]:
 
 def _segment(segment: Segment) -> str:
     times = "" if segment.first_s is None else f", {segment.first_s:.1f} to {segment.last_s:.1f} s"
-    state = "whole" if segment.whole else f"INCOMPLETE, {segment.lost_bytes} bytes unreadable"
+    state = "complete" if segment.whole else f"INCOMPLETE, {segment.lost_bytes} bytes unreadable"
     return f"{segment.file}: {segment.bytes / 1e6:.2f} MB, {segment.messages} messages{times}, {state}"
 
 

@@ -148,7 +148,7 @@ def test_nothing_is_written_over(whole: Path, tmp_path: Path) -> None:
 def test_where_nothing_can_be_saved_nothing_is_left_behind(whole: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     for content, problem in (
-        (whole.read_bytes()[:300], "not one whole message"),
+        (whole.read_bytes()[:300], "no complete message"),
         (b"depth_m\n1\n", "not an MCAP file"),
     ):
         path.write_bytes(content)
