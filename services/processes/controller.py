@@ -40,6 +40,7 @@ from services.bus.topics import BY_TYPE, Topic
 from services.processes.failed_qps import FailedQps
 from services.runtime import metrics as prometheus
 from services.runtime.controller_status import ControllerStatusReporter, StatusSink
+from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from services.runtime.stage_timer import StageTimer
@@ -89,8 +90,7 @@ def main(config: Config) -> int:
                 node,
                 stop=request,
                 say=say,
-                foreign=True,
-                input_delay_ns=round(config.input_delay_s * 1e9),
+                clock=ClockOptions(sync_to_inputs=True, input_delay_ns=round(config.input_delay_s * 1e9)),
                 compute_delay_ns=round(config.compute_delay_s * 1e9),
                 stages=node_stages,
                 report=ControllerStatusReporter(node, shown),

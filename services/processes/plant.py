@@ -7,6 +7,7 @@ import msgspec
 from services.bus.options import BusOptions
 from services.run.run_config import RunConfig, resolve
 from services.runtime.clock_master import ClockMasterSettings
+from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from sim.plant import Plant
@@ -35,7 +36,7 @@ def main(config: Config) -> int:
     return serve(
         Plant.name,
         config.bus,
-        lambda request, say: Runner(_make(run_config), stop=request, say=say, clock_master=clock_master),
+        lambda request, say: Runner(_make(run_config), stop=request, say=say, clock=ClockOptions(master=clock_master)),
     )
 
 

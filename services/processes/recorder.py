@@ -37,7 +37,7 @@ def main(config: Config) -> int:
     """Record until a stop is requested."""
 
     def work(request: StopRequest, say: Say) -> None:
-        SUPERVISOR_LINK.state()
+        SUPERVISOR_LINK.restored_state()
         recording = config.folder / "run.mcap"
         with SegmentWriter(recording, start_ns=config.start_ns, metadata=config.metadata) as writer:
             RecordingLoop(writer, start_ns=config.start_ns, stop=request, say=say).serve(config.bus)

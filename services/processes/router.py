@@ -50,7 +50,7 @@ def main(config: Config) -> int:
     options = msgspec.structs.replace(bus, listen=endpoints, mode=bus.mode or "router", namespace=namespace)
 
     def work(request: StopRequest, say: Say) -> None:
-        SUPERVISOR_LINK.state()
+        SUPERVISOR_LINK.restored_state()
         if secure:
             _route_with_roles(options, request, say)
             return

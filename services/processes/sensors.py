@@ -8,6 +8,7 @@ from ltv_mpc.messages import Truth
 from ltv_mpc.node import ReceivedMessage
 from services.bus.options import BusOptions
 from services.run.run_config import RunConfig, resolve
+from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from sim.plant import PERIOD_NS
@@ -28,7 +29,9 @@ def main(config: Config) -> int:
     return serve(
         Sensors.name,
         config.bus,
-        lambda request, say: Runner(_make(run_config), stop=request, say=say, speed=run_config.scenario.run.speed),
+        lambda request, say: Runner(
+            _make(run_config), stop=request, say=say, clock=ClockOptions(speed=run_config.scenario.run.speed)
+        ),
     )
 
 

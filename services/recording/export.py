@@ -1,12 +1,12 @@
-"""A recording as tables: one file a key, CSV or Parquet, a row a message, a column a number.
+"""Export of a recording as tables: one CSV or Parquet file for each key, one row for each message.
 
     published_s, published_ns   vehicle time of publication
-    t_s, t_ns                   validity time, where the message has one
-    ...                         the header's fields, then the message's own, by the names that travel, units in them
+    t_s, t_ns                   validity time, if the message has one
+    ...                         the header's fields, then the message's own, by their names on the bus, with units
 
-A field inside another is ``outer.inner``. A list that is as long in every message of its key becomes a column an entry,
-``name_0``, ``name_1``; a matrix ``name_0_0``, ``name_0_1``. A list of changing length stays one column: JSON in CSV, a
-list in Parquet. Structures of changing form are JSON in both. Where nothing was said the cell is empty (null).
+A nested field is ``outer.inner``. A list that has the same length in every message of its key becomes one column for
+each entry, ``name_0``, ``name_1``; a matrix ``name_0_0``, ``name_0_1``. A list of varying length is one column: JSON in
+CSV, a list in Parquet. Structures of varying form are JSON in both. A missing value is an empty cell (null).
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ from services.recording.recover import Progress, RawMessage, no_progress, read_s
 
 Format: TypeAlias = Literal["csv", "parquet"]
 
-WIDEST = 1024
-"""Columns of one field; a longer list stays one column."""
+MAX_COLUMNS = 1024
+"""Columns of one field; a longer list is one column."""
 MAX_KEYS = 500
 BATCH_ROWS = 5000
-"""Rows of a table in memory; also of a row group of Parquet."""
+"""Rows of a table that are kept in memory; also the row group of Parquet."""
 INT64 = 2**63
-LARGEST = 2**1023
-"""Integers beyond it are no float: they stay text."""
+MAX_FLOAT_INT = 2**1023
+"""Larger integers do not fit a float and become text."""
 
 _SCALARS: dict[type, str] = {int: "int", float: "float", bool: "bool", str: "text"}
 _NUMBERS = {int, float, NoneType}
 
 
 class ExportedFile(msgspec.Struct, frozen=True, kw_only=True):
-    """One file."""
+    """File that was written."""
 
     file: str
     key: str
@@ -52,7 +52,7 @@ class ExportedFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ExportResult(msgspec.Struct, frozen=True, kw_only=True):
-    """All of them; ``unreadable``: messages that are no JSON object, which are left out."""
+    """Result of an export. ``unreadable`` counts the messages that are not a JSON object and were skipped."""
 
     folder: str
     files: tuple[ExportedFile, ...]
@@ -60,7 +60,7 @@ class ExportResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Column(msgspec.Struct, frozen=True, kw_only=True):
-    """``kind`` is int, float, bool, text, json; or numbers or integers, a list of ``depth`` levels."""
+    """Column of a table. ``kind``: int, float, bool, text, json; or numbers or integers, lists of ``depth`` levels."""
 
     name: str
     kind: str
@@ -68,15 +68,15 @@ class Column(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ColumnMapping(msgspec.Struct, frozen=True, kw_only=True):
-    """How a field of a message becomes columns: one, or one an entry of a list of ``shape``."""
+    """Mapping of a message field to columns: one, or one for each entry of a list of ``shape``."""
 
     path: str
     columns: tuple[Column, ...]
     shape: tuple[int, ...] = ()
-    mixed: bool = False  # a list with integers among its floats, which tables keep apart
+    mixed: bool = False  # a list of integers and floats, which tables do not mix
 
     def cells(self, value: Any) -> Sequence[Any]:
-        """A value for each column."""
+        """Return the cell of each column."""
         if value is None:
             return (None,) * len(self.columns)
         if self.mixed:
@@ -92,39 +92,39 @@ class ColumnMapping(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Sink(Protocol):
-    """A file that takes rows."""
+    """Output file for rows."""
 
     def write(self, rows: Sequence[Sequence[Any]]) -> None:
-        """Append; a row has a value for each column."""
+        """Append rows; a row has a value for each column."""
         ...
 
     def close(self) -> None:
-        """The end of the file."""
+        """Finish the file."""
         ...
 
 
 def export(parts: Sequence[Path], folder: Path, form: Format, *, progress: Progress = no_progress) -> ExportResult:
-    """The recording's segments as tables into ``folder``, which is there.
+    """Export the recording's segments as tables into ``folder``, which exists.
 
-    Raises ``ConfigError`` where a segment is no MCAP file, or pyarrow is needed and not installed.
+    Raises ``ConfigError`` if a segment is not an MCAP file, or pyarrow is needed and not installed.
     """
     open_sink = _csv if form == "csv" else _parquet()
     layouts: dict[str, _Layout] = {}
     unreadable = 0
-    for line, message in _messages(parts, progress, (0.0, 0.5)):
+    for raw, message in _messages(parts, progress, (0.0, 0.5)):
         if message is None:
             unreadable += 1
             continue
-        if line.key not in layouts and len(layouts) >= MAX_KEYS:
+        if raw.key not in layouts and len(layouts) >= MAX_KEYS:
             raise ConfigError(f"recording {parts[0]}", "", f"more than {MAX_KEYS} keys")
-        layouts.setdefault(line.key, _Layout()).add(message)
+        layouts.setdefault(raw.key, _Layout()).add(message)
     tables = {
         key: _Table(key, layout.spreads(), folder, name, open_sink) for key, layout, name in _named(layouts, form)
     }
     try:
-        for line, message in _messages(parts, progress, (0.5, 1.0)):
+        for raw, message in _messages(parts, progress, (0.5, 1.0)):
             if message is not None:
-                tables[line.key].add(line.t_ns, message)
+                tables[raw.key].add(raw.t_ns, message)
     finally:
         for table in tables.values():
             table.close()
@@ -135,14 +135,14 @@ def export(parts: Sequence[Path], folder: Path, form: Format, *, progress: Progr
 def _messages(
     parts: Sequence[Path], progress: Progress, share: tuple[float, float]
 ) -> Iterator[tuple[RawMessage, dict[str, Any] | None]]:
-    """Each line with its map, flattened; None where it is none."""
+    """Yield each message with its flattened map; None if it is not a map."""
     decode = msgspec.json.Decoder().decode
-    for _, line in read_segments(parts, progress, share):
+    for _, raw in read_segments(parts, progress, share):
         try:
-            plain = decode(line.data)
+            plain = decode(raw.data)
         except (msgspec.DecodeError, ValueError, RecursionError):
             plain = None
-        yield line, dict(_leaves(plain, "")) if isinstance(plain, dict) else None
+        yield raw, dict(_leaves(plain, "")) if isinstance(plain, dict) else None
 
 
 def _leaves(table: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
@@ -154,7 +154,7 @@ def _leaves(table: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def _named(layouts: dict[str, _Layout], form: Format) -> Iterator[tuple[str, _Layout, str]]:
-    """With a file's name each: keys come from a file, and must not lead out of the folder."""
+    """Yield each key with a safe file name: keys come from a file, and must not lead out of the folder."""
     taken: set[str] = set()
     for key in sorted(layouts):
         stem = name = re.sub(r"[^A-Za-z0-9_.-]", "-", key).lstrip(".-")[:100] or "key"
@@ -167,7 +167,7 @@ def _named(layouts: dict[str, _Layout], form: Format) -> Iterator[tuple[str, _La
 
 
 class _Field:
-    """What one path was seen to hold."""
+    """Types and shapes seen in one field."""
 
     def __init__(self) -> None:
         self.kinds: set[str] = set()
@@ -175,7 +175,7 @@ class _Field:
         self._entries: set[type] = set()
 
     def add(self, value: Any) -> None:
-        """A value of a message."""
+        """Add a value of a message."""
         if value is None:
             return
         if isinstance(value, list):
@@ -184,11 +184,11 @@ class _Field:
             return
         kind = _SCALARS.get(type(value), "json")
         if kind == "int" and not -INT64 <= value < INT64:
-            kind = "float" if abs(value) < LARGEST else "json"
+            kind = "float" if abs(value) < MAX_FLOAT_INT else "json"
         self.kinds.add(kind)
 
     def spread(self, path: str) -> ColumnMapping:
-        """The columns for all that was seen."""
+        """Return the columns for all values seen."""
         if self.kinds == {"list"}:
             return self._spread_list(path)
         if self.kinds <= {"int", "float"}:  # none of them: always null
@@ -203,10 +203,10 @@ class _Field:
         if int in entries:
             largest = max(abs(x) for row in rows for x in row if type(x) is int)
             entries |= {float} if largest >= INT64 else set()
-            entries |= {str} if largest >= LARGEST else set()
+            entries |= {str} if largest >= MAX_FLOAT_INT else set()
         even = entries <= _NUMBERS and len({len(row) for row in rows}) == 1
         self._entries |= entries
-        if len(self._shapes) < 3:  # beyond two it changes, however many there are
+        if len(self._shapes) < 3:  # with three different shapes it varies anyway
             shape = (len(value),) if rows[0] is value else (len(rows), len(rows[0]))
             self._shapes.add(shape if even else None)
         elif not even:
@@ -219,7 +219,7 @@ class _Field:
         shape = next(iter(shapes)) or ()
         whole = self._entries <= {int, NoneType} and int in self._entries
         mixed = not whole and int in self._entries
-        if len(shapes) > 1 or not 0 < math.prod(shape) <= WIDEST:
+        if len(shapes) > 1 or not 0 < math.prod(shape) <= MAX_COLUMNS:
             kind = "integers" if whole else "numbers"
             return ColumnMapping(path=path, columns=(Column(name=path, kind=kind, depth=len(shape)),), mixed=mixed)
         kind = "int" if whole else "float"
@@ -233,13 +233,13 @@ def _floats(value: list[Any]) -> list[Any]:
 
 
 class _Layout:
-    """The fields of a key's messages."""
+    """Fields of a key's messages."""
 
     def __init__(self) -> None:
         self._fields: dict[str, _Field] = {}
 
     def add(self, message: dict[str, Any]) -> None:
-        """A message of the key."""
+        """Add a message of the key."""
         for path, value in message.items():
             field = self._fields.get(path)
             if field is None:
@@ -247,14 +247,14 @@ class _Layout:
             field.add(value)
 
     def spreads(self) -> list[ColumnMapping]:
-        """In the order in which the fields were first seen."""
+        """Return the mappings in the order in which the fields were first seen."""
         parents = {path.rpartition(".")[0] for path in self._fields}
-        # a field that is null here and a map there has the columns of the map
+        # a field that is null in some messages and a map in others has the columns of the map
         return [field.spread(path) for path, field in self._fields.items() if field.kinds or path not in parents]
 
 
 class _Table:
-    """One key's rows on their way to its file."""
+    """Table of one key, written in batches of rows."""
 
     def __init__(
         self,
@@ -276,11 +276,11 @@ class _Table:
 
     @property
     def exported(self) -> ExportedFile:
-        """What was written."""
+        """Description of the file that was written."""
         return ExportedFile(file=self._name, key=self._key, rows=self._count, columns=self._width)
 
     def add(self, published_ns: int, message: dict[str, Any]) -> None:
-        """A message of the key."""
+        """Add a message of the key."""
         row: list[Any] = [published_ns / 1e9, published_ns if published_ns < INT64 else None]
         if self._timed:
             t_ns = message.get("t_ns")
@@ -293,7 +293,7 @@ class _Table:
             self._flush()
 
     def close(self) -> None:
-        """What is left, and the end of the file."""
+        """Write the remaining rows and finish the file."""
         self._flush()
         self._sink.close()
 
@@ -323,12 +323,12 @@ class _CsvSink:
 
 
 def _csv(path: Path, key: str, columns: list[Column]) -> Sink:
-    del key  # the file's name says it
+    del key  # the file name has it
     return _CsvSink(path, columns)
 
 
 def need_pyarrow() -> None:
-    """Raises ``ConfigError`` where Parquet cannot be written."""
+    """Check that Parquet can be written. Raises ``ConfigError`` if pyarrow is not installed."""
     if find_spec("pyarrow") is None:
         problem = "needs the package pyarrow: pip install pyarrow (extra parquet), or use --format csv"
         raise ConfigError("option --format", "", problem, value="parquet")

@@ -1,6 +1,6 @@
-"""What a recording holds, in figures: of each key its messages, rate, times and gaps; the run; whether it is whole.
+"""Summary of a recording: messages, rate, times and gaps of each key, the run's settings, and whether it is complete.
 
-Each message is read for three numbers alone, so a recording of any length takes little memory.
+Only three numbers of each message are read, so a recording of any length takes little memory.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from services.recording.recover import RECOVERY, RawMessage, SegmentReader
 from services.recording.sequence_gaps import SequenceGaps
 
 MAX_EVENTS = 1000
-"""That are listed; all are counted."""
+"""Events that are listed; all are counted."""
 MAX_GAPS = 20
-"""That are listed of each source."""
+"""Gaps that are listed of each source."""
 
 
 class Segment(msgspec.Struct, frozen=True, kw_only=True):
-    """One file of the recording."""
+    """File of the recording."""
 
     file: str
     bytes: int
@@ -39,23 +39,23 @@ class Segment(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Source(msgspec.Struct, frozen=True, kw_only=True):
-    """One start of a process, as the writer of one key."""
+    """Writer of one key: one start of a process."""
 
     epoch: int
     messages: int
-    published: int  # up to the last one that is there
+    published: int  # up to the last recorded one
     missing: int
     doubled: int
-    gaps: tuple[tuple[int, int], ...]  # first and last sequence number that is missing, at most MAX_GAPS
+    gaps: tuple[tuple[int, int], ...]  # first and last missing sequence number, at most MAX_GAPS
 
 
 class Key(msgspec.Struct, frozen=True, kw_only=True):
-    """The messages of one key. Times are of publication, vehicle time."""
+    """Messages of one key. Times are vehicle times of publication."""
 
     key: str
-    message: str  # empty where the table of topics has no such key
+    message: str  # message type; empty if the table of topics has no such key
     messages: int
-    rate_hz: float | None  # between the first and the last; None of fewer than two, or of no time
+    rate_hz: float | None  # from the first to the last message; None if that is no time
     first_s: float
     last_s: float
     bytes: int  # as JSON, before compression
@@ -64,7 +64,7 @@ class Key(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Event(msgspec.Struct, frozen=True, kw_only=True):
-    """A mark on the time axis."""
+    """Run event: a mark on the time axis."""
 
     t_s: float
     node: str
@@ -73,7 +73,7 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Info(msgspec.Struct, frozen=True, kw_only=True):
-    """A recording in figures. What the file does not say is "unknown"."""
+    """Summary of a recording. Entries that the file does not have are "unknown"."""
 
     recording: str
     scenario: str
@@ -112,10 +112,10 @@ class _KeyStatistics:
         self.bytes = 0
         self.sources: dict[int, SequenceGaps] = {}
 
-    def add(self, line: RawMessage, header: _Header) -> None:
-        self.first_ns = line.t_ns if self.first_ns is None else min(self.first_ns, line.t_ns)
-        self.last_ns = max(self.last_ns, line.t_ns) if self.bytes else line.t_ns
-        self.bytes += len(line.data)
+    def add(self, raw: RawMessage, header: _Header) -> None:
+        self.first_ns = raw.t_ns if self.first_ns is None else min(self.first_ns, raw.t_ns)
+        self.last_ns = max(self.last_ns, raw.t_ns) if self.bytes else raw.t_ns
+        self.bytes += len(raw.data)
         self.sources.setdefault(header.epoch, SequenceGaps()).add(header.sequence)
 
 
@@ -128,32 +128,32 @@ class _Collector:
         self._header = msgspec.json.Decoder(_Header).decode
         self._event = msgspec.json.Decoder(_RunEvent).decode
 
-    def add(self, line: RawMessage) -> None:
+    def add(self, raw: RawMessage) -> None:
         try:
-            header = self._header(line.data)
+            header = self._header(raw.data)
         except (msgspec.DecodeError, ValueError, RecursionError):
             self.unreadable += 1
             return
-        self.keys.setdefault(line.key, _KeyStatistics()).add(line, header)
-        if line.key.startswith("event/"):
+        self.keys.setdefault(raw.key, _KeyStatistics()).add(raw, header)
+        if raw.key.startswith("event/"):
             self.events_total += 1
             with contextlib.suppress(msgspec.DecodeError, ValueError, RecursionError):
-                event = self._event(line.data)
+                event = self._event(raw.data)
                 if len(self.events) < MAX_EVENTS:
                     self.events.append(Event(t_s=event.t_ns / 1e9, node=event.node, kind=event.kind, text=event.text))
 
 
 def read(parts: Sequence[Path]) -> Info:
-    """Of the recording's segments, in their order. Raises ``ConfigError`` where one is no MCAP file."""
+    """Summarise the segments of a recording, in their order. Raises ``ConfigError`` if one is not an MCAP file."""
     collector = _Collector()
     segments: list[Segment] = []
     metadata: dict[str, str] = {}
     recovered = False
     for path in parts:
-        lines = SegmentReader(path)
-        segments.append(_segment(lines, collector))
-        metadata = metadata or lines.metadata
-        recovered = recovered or RECOVERY in lines.others
+        reader = SegmentReader(path)
+        segments.append(_segment(reader, collector))
+        metadata = metadata or reader.metadata
+        recovered = recovered or RECOVERY in reader.others
     keys = tuple(_key(name, of) for name, of in sorted(collector.keys.items()))
     first = min((key.first_s for key in keys), default=0.0)
     last = max((key.last_s for key in keys), default=0.0)
@@ -178,14 +178,14 @@ def read(parts: Sequence[Path]) -> Info:
     )
 
 
-def _segment(lines: SegmentReader, collector: _Collector) -> Segment:
+def _segment(reader: SegmentReader, collector: _Collector) -> Segment:
     count, first, last = 0, None, None
-    for line in lines:
+    for raw in reader:
         count += 1
-        first = line.t_ns if first is None else min(first, line.t_ns)
-        last = line.t_ns if last is None else max(last, line.t_ns)
-        collector.add(line)
-    records = lines.records
+        first = raw.t_ns if first is None else min(first, raw.t_ns)
+        last = raw.t_ns if last is None else max(last, raw.t_ns)
+        collector.add(raw)
+    records = reader.records
     return Segment(
         file=records.path.name,
         bytes=records.size,

@@ -1,4 +1,4 @@
-"""The segments that restarted recorders have left, made into the one recording that a run is read from."""
+"""Joining of recording segments: one recording from those that restarted recorders have left."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from services.recording.recover import recover, segments
 
 
 def next_segment(recording: Path) -> Path:
-    """Where a recorder writes: run.mcap, or what follows the segments that are there."""
+    """Return the file that a recorder writes: run.mcap, or the next segment if that exists."""
     if not recording.exists():
         return recording
     names = (recording.with_name(f"{recording.stem}.{number}{recording.suffix}") for number in itertools.count(2))
@@ -20,14 +20,14 @@ def next_segment(recording: Path) -> Path:
 
 
 def segments_of(recording: Path) -> Iterator[str]:
-    """Join what is there into ``recording``; what is to be said of it. Where that fails everything stays as it is."""
+    """Join the segments into ``recording``. Yield what to report. If joining fails, all files stay as they are."""
     parts = segments(recording)
     if len(parts) == 1:
         return
     draft = recording.with_name(f"{recording.stem}.joined.mcap")
     try:
         draft.unlink(missing_ok=True)
-        made = recover(parts, draft)
+        recovery = recover(parts, draft)
         draft.replace(recording)
     except (ConfigError, OSError) as error:
         with contextlib.suppress(OSError):
@@ -36,4 +36,5 @@ def segments_of(recording: Path) -> Iterator[str]:
         return
     for part in parts[1:]:
         part.unlink()
-    yield f"{len(parts)} segments of the recording joined, {made.messages} messages; {made.lost_bytes} bytes lost"
+    count = f"{recovery.messages} messages; {recovery.lost_bytes} bytes were damaged"
+    yield f"{len(parts)} segments of the recording joined, {count}"

@@ -1,15 +1,15 @@
-"""A recording as a trace for https://ui.perfetto.dev: where the time goes between an estimate and its thrust.
+"""Export of a recording as a trace for https://ui.perfetto.dev: the delays between an estimate and its thrust.
 
-    a process   a track: of the controller a slice a cycle, its stages inside; of the others a slice a step that has
-                published something, from its cause to its last word
-    thrusters   a slice for each plan while it is followed, and the delivered thrusts as counters
-    arrows      from the estimate to the cycle that planned on it, and on to the thrust
+    process     one track; for the controller one slice for each cycle, with its stages inside; for the others one slice
+                for each step that has published something, from its cause to its last output
+    thrusters   one slice for each plan while it is followed, and the delivered thrusts as counters
+    arrows      from the estimate to the cycle that used it, and on to the thrust
     marks       events
 
-Times are vehicle time, from the recording's start, so that a run at ten times real time shows the delays that its
-vehicle had. Stages are measured on the wall clock: inside a cycle they are stretched by its own ratio of vehicle to
-wall time, and the time that belongs to no stage (``--compute-delay-s``) is between the last two. In lock step nothing
-takes time but what is set; a slice is drawn at least ``THINNEST_NS`` wide, so that it can be seen and hold an arrow.
+Times are vehicle times from the recording's start, so a run at ten times real time shows the delays that its vehicle
+had. Stages are measured by the wall clock: within a cycle they are scaled by its ratio of vehicle to wall time, and
+time that belongs to no stage (``--compute-delay-s``) lies between the last two. In lock step nothing takes time except
+by settings; a slice is drawn at least ``MIN_SLICE_NS`` wide, so that it is visible and can hold an arrow.
 
 Source: Trace Event Format (Chrome), the JSON that Perfetto reads.
 """
@@ -28,15 +28,15 @@ from services.bus import topics
 from services.recording.records import start_of
 from services.recording.recover import Progress, RawMessage, no_progress, read_segments
 
-THINNEST_NS = 1000
+MIN_SLICE_NS = 1000
 STEPS, THRUSTERS = 1, 2
 """Tracks of a process."""
 
 FIRST_PROCESSES = ("sensors", "estimator", "controller", "plant")
-"""From above, as data go."""
+"""Processes from top to bottom, in the order of the data flow."""
 
-SILENT = ("record", "status", "event", "rejected", "timing", "clock")
-"""Words about oneself: no output of a step."""
+RUNTIME_KEYS = ("record", "status", "event", "rejected", "timing", "clock")
+"""Messages of the runtime, which are not outputs of a step."""
 
 
 PlanId: TypeAlias = tuple[int, int]
@@ -44,7 +44,7 @@ PlanId: TypeAlias = tuple[int, int]
 
 
 class TraceSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """What the file holds."""
+    """Contents of a trace file."""
 
     file: str
     processes: int
@@ -131,8 +131,8 @@ class _Slice(NamedTuple):
     args: dict[str, Any]
 
 
-class _Place(NamedTuple):
-    """In a slice: where an arrow begins or ends."""
+class _ArrowPoint(NamedTuple):
+    """Point in a slice at which an arrow begins or ends."""
 
     node: str
     track: int
@@ -140,7 +140,7 @@ class _Place(NamedTuple):
 
 
 class _Followed(NamedTuple):
-    """A plan at the actuators."""
+    """Plan that the actuators follow."""
 
     plan: PlanId
     received_ns: int
@@ -153,7 +153,7 @@ _DECODERS: dict[type, Callable[[bytes], Any]] = {
 
 
 class _TraceData:
-    """What of a recording goes into its trace."""
+    """Data of a recording that go into its trace."""
 
     def __init__(self) -> None:
         self.steps: dict[str, list[_Slice]] = {}
@@ -167,9 +167,9 @@ class _TraceData:
         self._nodes_of: dict[int, set[str]] = {}
         self._open: dict[str, tuple[_Record, int]] = {}  # the newest step by process, and its last output
 
-    def add(self, line: RawMessage) -> None:
+    def add(self, raw: RawMessage) -> None:
         try:
-            self._add(line)
+            self._add(raw)
         except (msgspec.DecodeError, ValueError, RecursionError):
             self.unreadable += 1
 
@@ -177,53 +177,53 @@ class _TraceData:
         for node in list(self._open):
             self._close(node)
 
-    def place_of(self, estimate_t_ns: int) -> _Place | None:
-        """The step that published the estimate of that validity time."""
+    def step_of(self, estimate_t_ns: int) -> _ArrowPoint | None:
+        """Return the step that published the estimate of that validity time; None if it is unknown."""
         if estimate_t_ns not in self.estimates:
             return None
         node, published_ns = self.estimates[estimate_t_ns]
         steps = self.steps.get(node, [])
         i = bisect_right(steps, published_ns, key=lambda step: step.begin_ns) - 1
-        return _Place(node, STEPS, steps[i].begin_ns) if i >= 0 else None
+        return _ArrowPoint(node, STEPS, steps[i].begin_ns) if i >= 0 else None
 
-    def _add(self, line: RawMessage) -> None:
-        first = line.key.partition("/")[0]
-        match line.key:
+    def _add(self, raw: RawMessage) -> None:
+        first = raw.key.partition("/")[0]
+        match raw.key:
             case "timing":
-                timing: _Timing = _DECODERS[_Timing](line.data)
+                timing: _Timing = _DECODERS[_Timing](raw.data)
                 self.timings[timing.epoch, timing.t_ns] = timing
             case "applied":
-                self._applied(_DECODERS[_Applied](line.data))
+                self._applied(_DECODERS[_Applied](raw.data))
             case _ if first == "record":
-                self._record(_DECODERS[_Record](line.data))
+                self._record(_DECODERS[_Record](raw.data))
             case _ if first == "event":
-                self.events.append(_DECODERS[_Event](line.data))
+                self.events.append(_DECODERS[_Event](raw.data))
             case "plan":
-                plan: _Plan = _DECODERS[_Plan](line.data)
+                plan: _Plan = _DECODERS[_Plan](raw.data)
                 self.plans[plan.epoch, plan.sequence] = plan
-        if first not in SILENT:
-            self._output(line)
+        if first not in RUNTIME_KEYS:
+            self._output(raw)
 
     def _record(self, record: _Record) -> None:
         self._close(record.node)
         self._nodes_of.setdefault(record.epoch, set()).add(record.node)
         self._open[record.node] = record, 0
 
-    def _output(self, line: RawMessage) -> None:
-        header: _Header = _DECODERS[_Header](line.data)
-        node = self._writer(line.key, header.epoch)
+    def _output(self, raw: RawMessage) -> None:
+        header: _Header = _DECODERS[_Header](raw.data)
+        node = self._writer(raw.key, header.epoch)
         if node in self._open:
             record, last_ns = self._open[node]
-            self._open[node] = record, max(last_ns, line.t_ns) if last_ns else line.t_ns
-        if line.key == "estimate":
-            estimate: _Estimate = _DECODERS[_Estimate](line.data)
-            self.estimates[estimate.t_ns] = node, line.t_ns
-            if node not in self._open:  # someone's own navigation, which keeps no record of its steps
-                shown = _Slice(line.t_ns, line.t_ns + THINNEST_NS, "estimate", {"validity_s": estimate.t_ns / 1e9})
+            self._open[node] = record, max(last_ns, raw.t_ns) if last_ns else raw.t_ns
+        if raw.key == "estimate":
+            estimate: _Estimate = _DECODERS[_Estimate](raw.data)
+            self.estimates[estimate.t_ns] = node, raw.t_ns
+            if node not in self._open:  # a foreign navigation system, which has no step records
+                shown = _Slice(raw.t_ns, raw.t_ns + MIN_SLICE_NS, "estimate", {"validity_s": estimate.t_ns / 1e9})
                 self.steps.setdefault(node, []).append(shown)
 
     def _writer(self, key: str, epoch: int) -> str:
-        """By the epoch, where it is one process's alone; in lock step all share one, and the table of topics says."""
+        """Return the writer of a message, by its epoch; in lock step, where all share one epoch, by its topic."""
         nodes = self._nodes_of.get(epoch, set())
         if len(nodes) == 1:
             return next(iter(nodes))
@@ -233,15 +233,15 @@ class _TraceData:
     def _close(self, node: str) -> None:
         record, end_ns = self._open.pop(node, (None, 0))
         if record is None or not end_ns or node == "controller":
-            return  # nothing came of it; or its cycles say more
+            return  # a step without outputs, or one of the controller, whose cycles tell more
         caused = record.cause not in ("grid", "cycle") and record.inbox
         begin_ns = record.inbox[-1].received_t_ns if caused else record.t_ns
         before = self.steps.setdefault(node, [])
         args = {"step": record.step, "cause": record.cause, "validity_s": record.t_ns / 1e9}
-        if before and begin_ns < before[-1].end_ns:  # it waited for the one before
+        if before and begin_ns < before[-1].end_ns:  # it waited for the step before
             args["waited_ms"] = (before[-1].end_ns - begin_ns) / 1e6
             begin_ns = before[-1].end_ns
-        before.append(_Slice(begin_ns, max(end_ns, begin_ns + THINNEST_NS), record.cause, args))
+        before.append(_Slice(begin_ns, max(end_ns, begin_ns + MIN_SLICE_NS), record.cause, args))
 
     def _applied(self, applied: _Applied) -> None:
         self.thrusts.append(applied)
@@ -251,15 +251,12 @@ class _TraceData:
 
 
 def write(parts: Sequence[Path], out: Path, *, progress: Progress = no_progress) -> TraceSummary:
-    """The recording's segments as one trace file.
-
-    Raises ``ConfigError`` where a segment is no MCAP file.
-    """
+    """Write the recording's segments as one trace file. Raises ``ConfigError`` if one is not an MCAP file."""
     data = _TraceData()
     metadata: dict[str, str] = {}
-    for lines, line in read_segments(parts, progress):
-        data.add(line)
-        metadata = metadata or lines.metadata
+    for reader, raw in read_segments(parts, progress):
+        data.add(raw)
+        metadata = metadata or reader.metadata
     data.finish()
     trace = _Trace(start_of(metadata))
     trace.draw(data)
@@ -286,7 +283,7 @@ class _Trace:
             self._pid(name)
 
     def draw(self, data: _TraceData) -> None:
-        """Everything."""
+        """Draw all tracks, arrows, counters and marks."""
         for node, steps in data.steps.items():
             self._track(node, STEPS, "steps")
             for step in steps:
@@ -294,7 +291,7 @@ class _Trace:
         cycles = self._cycles(data)
         thrusts = self._thrusts(data)
         for key, plan in data.plans.items():
-            places = data.place_of(plan.estimate_t_ns), cycles.get(key), thrusts.get(key)
+            places = data.step_of(plan.estimate_t_ns), cycles.get(key), thrusts.get(key)
             self._arrow([place for place in places if place is not None])
         self._counters(data.thrusts)
         for event in data.events:
@@ -302,7 +299,7 @@ class _Trace:
             self._add(event.t_ns, mark | {"args": {"text": event.text}})
 
     def save(self, out: Path, metadata: dict[str, str]) -> None:
-        """Events in the order of their times; of two at once the longer one first, inside which the other lies."""
+        """Write the events in order of time; of two at the same time first the longer one, which contains the other."""
         self._events.sort(key=lambda event: event[:2])
         about = {
             "vehicle_time_of_0_ns": str(self.start_ns),
@@ -315,10 +312,10 @@ class _Trace:
             file.write(b",\n".join([*self._head, *(event for _, _, event in self._events)]))
             file.write(b"\n]}\n")
 
-    def _cycles(self, data: _TraceData) -> dict[PlanId, _Place]:
-        """A slice each, its stages inside; when it begins, by plan."""
+    def _cycles(self, data: _TraceData) -> dict[PlanId, _ArrowPoint]:
+        """Draw one slice for each cycle, with its stages. Return the begin of each by plan."""
         self._track("controller", STEPS, "cycles")
-        begun: dict[PlanId, _Place] = {}
+        begins_of: dict[PlanId, _ArrowPoint] = {}
         plans = {(plan.epoch, plan.cycle_t_ns): plan for plan in data.plans.values()}
         times = sorted(data.timings.keys() | plans.keys(), key=lambda key: key[1])
         for key in times:
@@ -332,31 +329,31 @@ class _Trace:
                 args |= {"expected_delay_ms": plan.expected_delay_ns / 1e6} | ({"why": plan.why} if plan.why else {})
             begin_ns, end_ns = self._slice("controller", STEPS, _Slice(key[1], key[1] + duration_ns, name, args))
             if plan is not None:
-                begun[plan.epoch, plan.sequence] = _Place("controller", STEPS, begin_ns)
+                begins_of[plan.epoch, plan.sequence] = _ArrowPoint("controller", STEPS, begin_ns)
             if timing is not None:
                 for stage in _stages(timing, begin_ns, end_ns):
                     self._draw_slice(self._pid("controller"), STEPS, stage.begin_ns, stage.end_ns, stage)
-        return begun
+        return begins_of
 
-    def _thrusts(self, data: _TraceData) -> dict[PlanId, _Place]:
-        """A slice for each plan that was followed, from its first knot or its arrival; when it begins, by plan."""
+    def _thrusts(self, data: _TraceData) -> dict[PlanId, _ArrowPoint]:
+        """Draw one slice for each followed plan, from its first knot or its arrival. Return the begins by plan."""
         self._track("plant", THRUSTERS, "thrusters")
         begins = []
         for followed in data.followed:
             plan = data.plans.get(followed.plan)
             begins.append(max([followed.received_ns, *(plan.t_ns[:1] if plan is not None else [])]))
         ends = [*begins[1:], *(applied.t_ns for applied in data.thrusts[-1:] if begins)]
-        begun: dict[PlanId, _Place] = {}
+        begins_of: dict[PlanId, _ArrowPoint] = {}
         for followed, begin_ns, end_ns in zip(data.followed, begins, ends, strict=True):
             plan = data.plans.get(followed.plan)
             args = {"epoch": followed.plan[0], "late": followed.late, "received_s": followed.received_ns / 1e9}
             name = f"plan {followed.plan[1]}" + (f": {plan.origin}" if plan is not None else "")
             drawn_ns, _ = self._slice("plant", THRUSTERS, _Slice(begin_ns, end_ns, name, args))
-            begun[followed.plan] = _Place("plant", THRUSTERS, drawn_ns)
-        return begun
+            begins_of[followed.plan] = _ArrowPoint("plant", THRUSTERS, drawn_ns)
+        return begins_of
 
-    def _arrow(self, places: Sequence[_Place]) -> None:
-        """One chain: estimate, cycle, thrust; each inside the slice that it belongs to, and none against the time."""
+    def _arrow(self, places: Sequence[_ArrowPoint]) -> None:
+        """Draw one chain of arrows, estimate to cycle to thrust, unless it runs backwards in time."""
         times = [place.t_ns for place in places]
         if len(places) < 2 or times != sorted(times) or times[0] < self.start_ns:
             return
@@ -374,10 +371,10 @@ class _Trace:
             self._add(applied.t_ns, event)
 
     def _slice(self, node: str, track: int, of: _Slice) -> tuple[int, int]:
-        """Begin and end as drawn: on one track none begins before the one before has ended."""
+        """Draw a slice. Return its begin and end as drawn: slices of one track do not overlap."""
         pid = self._pid(node)
         begin_ns = max(of.begin_ns, self._ends.get((pid, track), self.start_ns))
-        end_ns = self._ends[pid, track] = max(of.end_ns, begin_ns + THINNEST_NS)
+        end_ns = self._ends[pid, track] = max(of.end_ns, begin_ns + MIN_SLICE_NS)
         self._draw_slice(pid, track, begin_ns, end_ns, of)
         return begin_ns, end_ns
 
@@ -406,7 +403,7 @@ class _Trace:
 
 
 def _stages(timing: _Timing, begin_ns: int, end_ns: int) -> Iterator[_Slice]:
-    """One after the other from the cycle's begin; the last one ends with it."""
+    """Yield the stages, one after the other from the begin of the cycle; the last one ends with the cycle."""
     stages = [(name, us) for name, us in timing.stage_us.items() if us > 0]
     ratio = timing.compute_ns / timing.compute_wall_ns if timing.compute_wall_ns > 0 else 1.0
     at_ns = begin_ns

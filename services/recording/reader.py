@@ -1,7 +1,7 @@
-"""Reads a run's recording, from the front, message by message: also one that is being written or was cut off.
+"""Reader of a recording, sequential and message by message, also while it is being written or after it was truncated.
 
-A file that ends in the middle gives every message up to its last whole one; ``Recording.cut`` then says so. The index
-at the end is not needed.
+A truncated file yields every message up to its last complete one; ``Recording.cut`` is then True. The index at the end
+of the file is not needed.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from services.recording.writer import RUN
 
 
 class RecordedMessage(msgspec.Struct, frozen=True):
-    """One message. ``t_ns`` is the vehicle time of its publication; ``plain`` its map, header included.
+    """Decoded message of a recording. ``plain`` is its map, including the header fields.
 
-    ``kind`` is None where the table of topics has no such key.
+    ``t_ns`` is the vehicle time of publication. ``kind`` is None if the table of topics has no such key.
     """
 
     key: str
@@ -32,14 +32,14 @@ class RecordedMessage(msgspec.Struct, frozen=True):
     plain: dict[str, Any]
 
     def typed(self) -> tuple[Message, wire.Header]:
-        """The signal and its header. Raises ``WireError`` where it is no such message."""
+        """Return the typed message and its header. Raises ``WireError`` if it is not a valid message of its type."""
         if self.kind is None:
             raise wire.WireError(f"no topic has the key {self.key}")
         return wire.from_map(self.kind, self.plain)
 
 
 class StoredMessage(NamedTuple):
-    """One message as it stands in the file: ``data`` is its JSON, ``crc`` that of the frame as it was received."""
+    """Message as stored in the file: ``data`` is its JSON, ``crc`` the CRC-32 of the frame as it was received."""
 
     key: str
     kind: type[Message] | None
@@ -49,7 +49,7 @@ class StoredMessage(NamedTuple):
 
 
 class Recording:
-    """A file that was opened; iterating reads it from the front. ``metadata`` is complete once iteration began."""
+    """Recording file; iteration reads it from the start. ``metadata`` is complete once iteration has started."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -61,13 +61,13 @@ class Recording:
         for key, kind, t_ns, _, data in self.stored():
             try:
                 plain = decode(data)
-            except (msgspec.DecodeError, ValueError, RecursionError):  # nobody that writes recordings wrote it
+            except (msgspec.DecodeError, ValueError, RecursionError):  # not written by a recorder
                 self.cut = True
                 return
             yield RecordedMessage(key, kind, t_ns, plain)
 
     def stored(self, keys: Container[str] | None = None) -> Iterator[StoredMessage]:
-        """The messages undecoded; ``keys`` are those that are wanted, None: all."""
+        """Yield the messages without decoding them; ``keys`` selects them, None: all."""
         channels: dict[int, tuple[str, type[Message] | None] | None] = {}
         start_ns = 0
         for record in self._records():
@@ -84,7 +84,7 @@ class Recording:
                 start_ns = start_of(record.metadata)
 
     def _records(self) -> Iterator[Record]:
-        """Up to the first that is lost: what follows it would seem to follow what comes before it."""
+        """Yield the records up to the first loss: the ones behind it would seem to follow those before it."""
         records = Records(self.path)
         self.cut = False
         for record in records:

@@ -1,12 +1,12 @@
-"""The records of an MCAP file, one by one from its front, whatever its bytes are: whole, cut or damaged.
+"""Records of an MCAP file, read sequentially, also if the file is truncated or damaged.
 
     file    magic, records, magic
     record  opcode (u8), length (u64), content; little-endian throughout
     chunk   a record whose content is compressed records, with their CRC-32
 
-A file ends in its middle where its writer was killed: what is whole before that place is given. A chunk is the unit of
-what can be lost: zstd gives nothing of a compressed block that is not complete, and a wrong CRC says that something in
-it is wrong, not what. Memory is bounded by the largest record and by ``MAX_CHUNK_BYTES``, whatever lengths are claimed.
+If its writer was killed, a file is truncated: everything complete before that place is read. The unit of loss is a
+chunk, because zstd decompresses no incomplete block, and a wrong CRC does not tell which byte of the chunk is wrong.
+Memory is bounded by the largest record and by ``MAX_CHUNK_BYTES``, whatever lengths the file claims.
 
 Source: https://mcap.dev/spec
 """
@@ -33,38 +33,38 @@ from ltv_mpc.errors import ConfigError
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 1 << 24
-"""Bytes; our own chunks have 1 MiB and a message more."""
+"""Limit of a decompressed chunk. Our own chunks have 1 MiB plus one message."""
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
-MESSAGE = int(Opcode.MESSAGE)  # a comparison of plain numbers, some hundred thousand times a file
+MESSAGE = int(Opcode.MESSAGE)  # an int compares faster than an enum, and a file has some hundred thousand records
 
-RUBBISH = (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError, MemoryError)
-"""What mcap, zstd and struct raise on damaged content; UnicodeDecodeError is a ValueError."""
+DECODING_ERRORS = (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError, MemoryError)
+"""Exceptions of mcap, zstd and struct on damaged content; UnicodeDecodeError is a ValueError."""
 
 Record: TypeAlias = Schema | Channel | Message | Metadata
 
-_watcher: ContextVar[Callable[[float], None] | None] = ContextVar("watcher of readings", default=None)
+_progress: ContextVar[Callable[[float], None] | None] = ContextVar("progress of reading", default=None)
 
 
 @contextmanager
-def report_progress(told: Callable[[float], None]) -> Iterator[None]:
-    """Who reads within it, however deep, tells which share of a file it has read."""
-    before = _watcher.set(told)
+def report_progress(callback: Callable[[float], None]) -> Iterator[None]:
+    """Report the share of a file that is read, 0 to 1, for all reading within the context."""
+    before = _progress.set(callback)
     try:
         yield
     finally:
-        _watcher.reset(before)
+        _progress.reset(before)
 
 
 def start_of(metadata: dict[str, str]) -> int:
-    """Vehicle time (ns) that log time 0 stands for; 0 where the file does not say."""
+    """Return the vehicle time (ns) of log time 0; 0 if the metadata do not have it."""
     text = metadata.get("start_ns", "0")
     return int(text) if re.fullmatch(r"-?\d{1,19}", text) else 0
 
 
 class Loss(NamedTuple):
-    """Bytes of the file that gave nothing."""
+    """Bytes of the file that could not be read."""
 
     offset: int
     length: int
@@ -72,11 +72,11 @@ class Loss(NamedTuple):
 
 
 class Records:
-    """The file's schemas, channels, messages and metadata, in its order; a message never comes before its channel.
+    """Schemas, channels, messages and metadata of a file, in its order; a channel comes before its messages.
 
-    Once iterated: ``whole`` says whether the file has its end and lost nothing, ``losses`` which bytes gave nothing,
-    ``orphans`` how many messages were left out because the record that names their channel is lost. ``position`` is
-    how far it was read, of ``size`` bytes. Iterating raises ``ConfigError`` where the file is no MCAP file.
+    After iteration, ``losses`` lists the unreadable bytes, and ``orphans`` counts the messages that were skipped
+    because the record of their channel is lost. ``position`` is the place of the newest record, of ``size`` bytes.
+    Iteration raises ``ConfigError`` if the file is not an MCAP file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -90,12 +90,12 @@ class Records:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is missing."""
+        """True if the file is complete and nothing is lost."""
         return self.finished and not self.losses and not self.orphans
 
     @property
     def lost_bytes(self) -> int:
-        """All bytes that gave nothing."""
+        """Number of unreadable bytes."""
         return sum(loss.length for loss in self.losses)
 
     def __iter__(self) -> Iterator[Record]:
@@ -106,15 +106,15 @@ class Records:
             file.seek(0)
             if file.read(len(MAGIC)) != MAGIC[: self.size]:
                 raise ConfigError(f"recording {self.path}", "", "not an MCAP file")
-            yield from self._records(file)  # nothing of a file whose writer was killed before its first record
+            yield from self._records(file)  # none, if the writer was killed before the first record
 
     def _records(self, file: BinaryIO) -> Iterator[Record]:
-        summary = False  # what follows DataEnd repeats what was there
-        told = _watcher.get()
+        summary = False  # the records behind DataEnd repeat earlier ones
+        callback = _progress.get()
         while True:
             start = self.position = file.tell()
-            if told is not None:
-                told(start / self.size)
+            if callback is not None:
+                callback(start / self.size)
             head = file.read(_HEAD.size)
             if len(head) < _HEAD.size:
                 if head:
@@ -132,8 +132,8 @@ class Records:
                 summary = True
             elif not summary:
                 try:
-                    found = list(_opened(opcode, content))
-                except RUBBISH as error:
+                    found = list(_decoded(opcode, content))
+                except DECODING_ERRORS as error:
                     why = " ".join(str(error).split()) or type(error).__name__
                     self._lose(start, _HEAD.size + length, f"{_name(opcode)}: {why}"[:200])
                 else:
@@ -149,7 +149,7 @@ class Records:
         self.losses.append(Loss(offset, length, why))
 
     def _is_known(self, record: Record) -> bool:
-        """Whether it is no message of a channel that was lost."""
+        """Return False for a message of a lost channel."""
         if isinstance(record, Channel):
             self._channels.add(record.id)
         elif isinstance(record, Message) and record.channel_id not in self._channels:
@@ -158,8 +158,8 @@ class Records:
         return True
 
 
-def _opened(opcode: int, content: bytes) -> Iterator[Record]:
-    """What a record holds."""
+def _decoded(opcode: int, content: bytes) -> Iterator[Record]:
+    """Yield the records that a record contains."""
     match opcode:
         case Opcode.CHUNK:
             yield from _chunk(Chunk.read(_stream(content)))
@@ -188,7 +188,7 @@ def _chunk(chunk: Chunk) -> Iterator[Record]:
         if opcode == MESSAGE:
             yield _message(data, start - length, start)
         else:
-            yield from _opened(opcode, data[start - length : start])
+            yield from _decoded(opcode, data[start - length : start])
 
 
 def _message(data: bytes, start: int, end: int) -> Message:
@@ -200,7 +200,7 @@ def _decompressed(chunk: Chunk) -> bytes:
     if chunk.uncompressed_size > MAX_CHUNK_BYTES:
         raise ValueError(f"{chunk.uncompressed_size} bytes, at most {MAX_CHUNK_BYTES}")
     if chunk.compression == "zstd":
-        # The frame says a size of its own, which zstd would believe.
+        # The frame claims a size of its own, which zstd would trust.
         if zstandard.frame_content_size(chunk.data) > MAX_CHUNK_BYTES:
             raise ValueError("its zstd frame claims too many bytes")
         return zstandard.decompress(chunk.data, chunk.uncompressed_size)

@@ -1,8 +1,8 @@
-"""A whole recording out of one that was cut, damaged, or left in segments: run.mcap, run.2.mcap, run.3.mcap, ...
+"""Recovery of a truncated or damaged recording, or of one in segments: run.mcap, run.2.mcap, run.3.mcap, ...
 
-A recorder that is killed leaves a file without an end; one that is started again goes on in the next segment. Messages
-are copied as they are, byte for byte and in their order; only ``log_time`` is moved where a segment counts from another
-start than the first. What was lost stands in the metadata record ``recovery`` of the file that is made.
+A recorder that is killed leaves a file without an end; a restarted recorder continues in the next segment. Messages are
+copied byte for byte, in their order. Only ``log_time`` is shifted if a segment has another start than the first. The
+metadata record ``recovery`` of the new file lists what was lost.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ _NUMBERED = re.compile(r"(.+)\.(\d+)")
 
 
 class RecoveredSegment(msgspec.Struct, frozen=True, kw_only=True):
-    """One segment."""
+    """Segment that was recovered."""
 
     file: str
     size_bytes: int
     messages: int
     whole: bool
     lost_bytes: int
-    orphans: int  # messages whose channel is named in a lost part
+    orphans: int  # messages whose channel record is lost
     losses: tuple[Loss, ...]
 
 
 class Recovery(msgspec.Struct, frozen=True, kw_only=True):
-    """What was made of what."""
+    """Result of a recovery."""
 
     file: str
     messages: int
@@ -48,7 +48,7 @@ class Recovery(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def segments(recording: Path) -> tuple[Path, ...]:
-    """The recording and what restarted recorders have written beside it: run.mcap, run.2.mcap, ... that are there."""
+    """Return the recording and the segments of restarted recorders that exist: run.mcap, run.2.mcap, ..."""
     found: list[tuple[int, Path]] = []
     for path in recording.parent.glob("*.mcap"):
         match = _NUMBERED.fullmatch(path.stem)
@@ -58,12 +58,12 @@ def segments(recording: Path) -> tuple[Path, ...]:
 
 
 def recovered_path(recording: Path) -> Path:
-    """Where a recovery goes: run.recovered.mcap beside run.mcap."""
+    """Return the path of a recovered recording: run.recovered.mcap beside run.mcap."""
     return recording.with_name(f"{recording.stem}.recovered.mcap")
 
 
 def is_whole(recording: Path) -> bool:
-    """Whether the file has its end and nothing in it is damaged. Raises ``ConfigError`` where it is no MCAP file."""
+    """Return True if the file is complete and undamaged. Raises ``ConfigError`` if it is not an MCAP file."""
     records = Records(recording)
     for _ in records:
         pass
@@ -71,9 +71,9 @@ def is_whole(recording: Path) -> bool:
 
 
 def recover(parts: Sequence[Path], out: Path) -> Recovery:
-    """Every whole message of the segments, in their order, into ``out``.
+    """Copy every complete message of the segments, in their order, into ``out``.
 
-    Raises ``ConfigError`` where ``out`` exists already, a segment is no MCAP file, or there is not one whole message.
+    Raises ``ConfigError`` if ``out`` exists already, a segment is not an MCAP file, or there is no complete message.
     """
     try:
         file = out.open("xb")
@@ -81,17 +81,17 @@ def recover(parts: Sequence[Path], out: Path) -> Recovery:
         raise ConfigError(f"recovery {out}", "", "exists: name another with --out") from None
     try:
         with file:
-            made = _Copy(file).of(parts, out)
-        if not made.messages:
+            recovery = _Copy(file).run(parts, out)
+        if not recovery.messages:
             raise ConfigError(f"recording {parts[0]}", "", "holds no complete message: nothing can be recovered")
     except BaseException:
         out.unlink()
         raise
-    return made
+    return recovery
 
 
 class _Copy:
-    """Into one file: schemas and channels once each, whatever numbers the segments gave them."""
+    """Copy of segments into one file, with each schema and channel once, whatever ids the segments gave them."""
 
     def __init__(self, file: BinaryIO) -> None:
         # Any: the package leaves the types of some of its methods out.
@@ -100,19 +100,19 @@ class _Copy:
         self._channels: dict[str, int] = {}
         self._start_ns: int | None = None
 
-    def of(self, parts: Sequence[Path], out: Path) -> Recovery:
+    def run(self, parts: Sequence[Path], out: Path) -> Recovery:
         self._mcap.start(PROFILE, LIBRARY)
-        salvaged = tuple(self._segment(Records(path)) for path in parts)
-        made = Recovery(
+        recovered = tuple(self._segment(Records(path)) for path in parts)
+        recovery = Recovery(
             file=str(out),
-            messages=sum(part.messages for part in salvaged),
-            lost_bytes=sum(part.lost_bytes for part in salvaged),
-            segments=salvaged,
+            messages=sum(part.messages for part in recovered),
+            lost_bytes=sum(part.lost_bytes for part in recovered),
+            segments=recovered,
         )
-        words = {part.file: f"{part.messages} messages, {part.lost_bytes} bytes lost" for part in salvaged}
-        self._mcap.add_metadata(RECOVERY, words)
+        losses = {part.file: f"{part.messages} messages, {part.lost_bytes} bytes lost" for part in recovered}
+        self._mcap.add_metadata(RECOVERY, losses)
         self._mcap.finish()
-        return made
+        return recovery
 
     def _segment(self, records: Records) -> RecoveredSegment:
         schemas: dict[int, Schema] = {}
@@ -146,7 +146,7 @@ class _Copy:
         self._mcap.add_message(channel, at, message.data, at, message.sequence)
 
     def _begin(self, record: Metadata) -> int:
-        """How much later this segment's log time is than the first one's; of the first its account is kept."""
+        """Return the shift of this segment's log time to the first segment's, whose metadata are kept."""
         start_ns = start_of(record.metadata)
         if self._start_ns is None:
             self._start_ns = start_ns
@@ -168,7 +168,7 @@ class _Copy:
 
 
 class RawMessage(msgspec.Struct, frozen=True):
-    """One message as the file holds it: its key, vehicle time of publication, and JSON."""
+    """Message as stored in the file: its key, vehicle time of publication, and JSON."""
 
     key: str
     t_ns: int
@@ -176,9 +176,9 @@ class RawMessage(msgspec.Struct, frozen=True):
 
 
 class SegmentReader:
-    """The messages of one segment; ``metadata`` is what the run was made of, complete once iteration began.
+    """Messages of one segment. ``metadata`` is the run's record, complete once iteration has started.
 
-    ``others`` holds further metadata by the name of its record, complete at the end.
+    ``others`` has the other metadata records by name, complete after iteration.
     """
 
     def __init__(self, path: Path) -> None:
@@ -205,24 +205,29 @@ class SegmentReader:
 
 
 Progress: TypeAlias = Callable[[float], None]
-"""Is told which share of the work is done, 0 to 1, at most every ``PROGRESS_INTERVAL`` messages."""
+"""Callback that receives the share of the work that is done, 0 to 1."""
+
 PROGRESS_INTERVAL = 1000
+"""Messages between two reports of progress."""
 
 
 def no_progress(share: float) -> None:
-    """Tell nobody."""
+    """Ignore the progress."""
 
 
 def read_segments(
     parts: Sequence[Path], progress: Progress, share: tuple[float, float] = (0.0, 1.0)
 ) -> Iterator[tuple[SegmentReader, RawMessage]]:
-    """Every message of the segments in their order; ``progress`` on the way from the first to the second ``share``."""
+    """Yield every message of the segments in their order, with its reader.
+
+    ``progress`` receives values from the first to the second number of ``share``.
+    """
     sizes = [path.stat().st_size for path in parts]
     before, total = 0, max(1, sum(sizes))
     for path, size in zip(parts, sizes, strict=True):
-        lines = SegmentReader(path)
-        for count, line in enumerate(lines):
+        reader = SegmentReader(path)
+        for count, raw in enumerate(reader):
             if count % PROGRESS_INTERVAL == 0:
-                progress(share[0] + (share[1] - share[0]) * (before + lines.records.position) / total)
-            yield lines, line
+                progress(share[0] + (share[1] - share[0]) * (before + reader.records.position) / total)
+            yield reader, raw
         before += size

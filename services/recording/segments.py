@@ -1,7 +1,7 @@
-"""A recording that a full or failing disk does not end: run.mcap, then run.2.mcap, ... as soon as one can be written.
+"""Recording in segments, which continues after a disk error: run.mcap, then run.2.mcap, ...
 
-What the disk refused is cut off behind what it last took, so that every segment can be read to its end; what was in it
-and is not is handed back, to be counted. Until a segment can be opened, everything is handed back.
+After a write error the segment is truncated to its last successful flush, so that it can be read to its end. Messages
+that are lost by that, and all messages until the next segment can be opened, are returned by ``refused`` and counted.
 """
 
 from __future__ import annotations
@@ -23,22 +23,28 @@ RETRY_S = 1.0
 
 
 class SegmentWriter:
-    """Writes the next free segment beside ``recording``; a context manager. Raises ``OSError`` if it cannot begin."""
+    """Writer of the next free segment beside ``recording``; a context manager.
 
-    def __init__(self, recording: Path, *, start_ns: int, metadata: Mapping[str, str]) -> None:
+    Raises ``OSError`` if the first segment cannot be opened.
+    """
+
+    def __init__(
+        self, recording: Path, *, start_ns: int, metadata: Mapping[str, str], retry_s: float = RETRY_S
+    ) -> None:
         self._recording = recording
         self._start_ns, self._metadata = start_ns, metadata
-        self._unsafe: list[Source] = []  # since the last flush
+        self._unsafe: list[Source] = []  # sources of the messages since the last flush
         self._refused: list[Source] = []
         self._news: list[str] = []
-        self._retry_s = 0.0
+        self._retry_period_s = retry_s
+        self._retry_s = 0.0  # monotonic time of the next attempt
         self.resumes = recording.exists()
-        """Whether an earlier recorder has left a segment."""
+        """True if an earlier recorder has left a segment."""
         self._writer: RunWriter | None = self._open()
 
     def write_plain(self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
-        """As ``RunWriter.write_plain``; what is not kept comes out of ``refused``."""
-        writer = self._writer or self._open_again()
+        """Write a message, as ``RunWriter.write_plain``. If it cannot be kept, ``refused`` returns it."""
+        writer = self._writer or self._reopen()
         source = (key, message["epoch"])
         if writer is None:
             self._refused.append(source)
@@ -52,10 +58,10 @@ class SegmentWriter:
             self._unsafe.pop()
             raise
         else:
-            self._settle(writer)
+            self._note_flush(writer)
 
     def flush_if_due(self, *, now: bool = False) -> None:
-        """To be called also while nothing arrives; ``now``: it is due."""
+        """Flush if it is due, or ``now``. Must also be called while no messages arrive."""
         writer = self._writer
         if writer is None:
             return
@@ -64,20 +70,20 @@ class SegmentWriter:
         except OSError as error:
             self._give_up(writer, error)
         else:
-            self._settle(writer)
+            self._note_flush(writer)
 
     def refused(self) -> list[Source]:
-        """Of messages that were given and are not in the file, since the last call."""
+        """Return the sources of the messages since the last call that are not in the file."""
         refused, self._refused = self._refused, []
         return refused
 
     def news(self) -> list[str]:
-        """What is to be said, since the last call."""
+        """Return the reports for the user since the last call."""
         news, self._news = self._news, []
         return news
 
     def close(self) -> None:
-        """The end of the file. What it does not take shows in ``refused``."""
+        """Finish the file. Messages that the disk does not take are returned by ``refused``."""
         writer, self._writer = self._writer, None
         if writer is None:
             return
@@ -104,15 +110,15 @@ class SegmentWriter:
                 raise
         except OSError:
             with contextlib.suppress(OSError):
-                path.unlink()  # else each try would leave an empty one
+                path.unlink()  # otherwise each attempt would leave an empty file
             raise
         return writer
 
-    def _open_again(self) -> RunWriter | None:
+    def _reopen(self) -> RunWriter | None:
         now_s = time.monotonic()
         if now_s < self._retry_s:
             return None
-        self._retry_s = now_s + RETRY_S
+        self._retry_s = now_s + self._retry_period_s
         try:
             self._writer = self._open()
         except OSError:
@@ -120,15 +126,15 @@ class SegmentWriter:
         self._news.append(f"recording continues in {self._writer.path.name}")
         return self._writer
 
-    def _settle(self, writer: RunWriter) -> None:
+    def _note_flush(self, writer: RunWriter) -> None:
         if writer.unsafe == 0:
             self._unsafe.clear()
 
     def _give_up(self, writer: RunWriter, error: OSError) -> None:
-        """The segment ends where the disk last took something."""
+        """Truncate the segment to its last successful flush, and retry later with the next one."""
         writer.abandon()
         self._writer = None
-        self._retry_s = time.monotonic() + RETRY_S
+        self._retry_s = time.monotonic() + self._retry_period_s
         self._refused += self._unsafe
         self._news.append(f"not recording: {error.strerror}; {len(self._unsafe)} messages not recorded so far")
         self._unsafe.clear()

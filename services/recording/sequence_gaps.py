@@ -1,29 +1,30 @@
-"""Which sequence numbers of one source are missing: whatever the order they came in, and however often."""
+"""Gaps in the sequence numbers of one source, for any order of arrival and any duplicates."""
 
 from __future__ import annotations
 
 MAX_GAPS = 1_000
-"""That may still be filled: of more, the oldest are lost for good."""
+"""Gaps that late messages may still fill; beyond that number the oldest count as lost."""
 
 
 class SequenceGaps:
-    """Fed with the sequence numbers that are there; they count without a gap. Memory: two numbers a gap."""
+    """Account of the sequence numbers that have arrived. Memory: two numbers for each gap."""
 
-    def __init__(self, begins: int = 0) -> None:
-        """``begins``: the first number that counts."""
+    def __init__(self, begins: int = 0, *, max_gaps: int = MAX_GAPS) -> None:
+        """``begins``: the first sequence number that is expected."""
         self.messages = 0
         self.doubled = 0
         self._begins = self._next = begins
+        self._max_gaps = max_gaps
         self._missing: list[list[int]] = []  # [first, last], in order
-        self._lost = 0  # for good
+        self._lost = 0  # no longer fillable
 
     def add(self, sequence: int) -> bool:
-        """A message that is there; whether it was not there before."""
+        """Add a message. Return False if it is a duplicate."""
         self.messages += 1
         if sequence >= self._next:
             if sequence > self._next:
                 self._missing.append([self._next, sequence - 1])
-                if len(self._missing) > MAX_GAPS:
+                if len(self._missing) > self._max_gaps:
                     first, last = self._missing.pop(0)
                     self._lost += last - first + 1
             self._next = sequence + 1
@@ -34,27 +35,27 @@ class SequenceGaps:
         return False
 
     def mark_lost(self) -> None:
-        """One that was there is not."""
+        """Count a message that was added as missing after all."""
         self.messages -= 1
         self._lost += 1
 
     @property
     def published(self) -> int:
-        """How many there were, up to the last one that is there."""
+        """Number of published messages, up to the last one that has arrived."""
         return self._next - self._begins
 
     @property
     def missing(self) -> int:
-        """How many of them are not there."""
+        """Number of missing messages."""
         return self._lost + sum(last - first + 1 for first, last in self._missing)
 
     @property
     def ranges(self) -> tuple[tuple[int, int], ...]:
-        """First and last number of each gap that may still be filled."""
+        """First and last sequence number of each gap that may still be filled."""
         return tuple((first, last) for first, last in self._missing)
 
     def _fill(self, sequence: int) -> bool:
-        """Whether a late one fills a place; most recent gaps first, where it is as a rule."""
+        """Fill a gap with a late message. Return True if it belongs to one; the newest gap is the most likely."""
         for i in range(len(self._missing) - 1, -1, -1):
             first, last = self._missing[i]
             if sequence > last:

@@ -1,15 +1,14 @@
-"""A run's recording: run.mcap, which Foxglove and every MCAP library open.
+"""Writer of a run's recording: run.mcap, which Foxglove and every MCAP library can open.
 
-One channel a key, JSON messages with a JSON schema; a message is the plain map that travels (``services/bus/wire.py``).
-MCAP's ``sequence``, 32 bits without a meaning of their own there, is the CRC-32 of the frame as it was received: what a
-step record finds it by, however its sender spelled it (the header's own ``sequence`` is in the message). MCAP knows no
-negative times: ``log_time`` = ``publish_time`` = vehicle time of publication minus the run's start, ns. What the run
-was made of stands in the metadata record ``run``, at the head of the file, where a cut file has it too.
+    channel      one for each key; JSON messages with a JSON schema: the plain map of a frame (``services/bus/wire.py``)
+    sequence     CRC-32 of the frame as received, by which a step record finds it; MCAP gives the field no meaning
+    log_time     = publish_time = vehicle time of publication minus the run's start (ns); MCAP has no negative times
+    metadata     record ``run`` at the start of the file, where a truncated file has it too: settings and versions
 
-Chunks have at most 1 MiB and are flushed at least every half second of wall time, so that a SIGKILL costs little. In
-lock step nothing is flushed by the wall clock: the file is a function of its messages, byte for byte. MCAP's writer
-keeps its index in memory until it writes it at the end: 1.6 kB a chunk, 11 MB an hour at two chunks a second
-(docs/notes/libraries.md).
+The header's own sequence number is in the message. Chunks have at most 1 MiB and are flushed at least every half second
+of wall time, so that a SIGKILL costs little. In lock step nothing is flushed by the wall clock: the file depends on its
+messages alone, byte for byte. MCAP's writer keeps its index in memory until the end: 1.6 kB for each chunk, 11 MB an
+hour at two chunks a second (docs/notes/libraries.md).
 """
 
 from __future__ import annotations
@@ -36,21 +35,21 @@ RUN = "run"
 
 
 class RunWriter:
-    """Writes ``path``; a context manager. ``flush_s`` None: by size alone."""
+    """Writer of one file; a context manager. ``flush_s``: longest interval between flushes; None: by size alone."""
 
     def __init__(
         self, path: Path, *, start_ns: int, metadata: Mapping[str, str], flush_s: float | None = FLUSH_S
     ) -> None:
         self.path = path
         self.messages = 0
-        self._safe = 0, 0  # bytes and messages that were flushed
+        self._flushed = 0, 0  # bytes and messages
         self._start_ns = start_ns
         self._flush_s = flush_s
         self._flushed_at = time.monotonic()
         self._channels: dict[str, int] = {}
         self._schemas: dict[type[Message], int] = {}
         self._file = path.open("wb")
-        # Any: the package leaves the types of some of its methods out.
+        # Any: the package does not annotate all of its methods.
         self._mcap: Any = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         try:
             self._mcap.start(PROFILE, LIBRARY)
@@ -60,15 +59,15 @@ class RunWriter:
             raise
 
     def write(self, writer: str, signal: Message, header: wire.Header, t_ns: int) -> None:
-        """A signal that node ``writer`` published at vehicle time ``t_ns``."""
+        """Write a message that node ``writer`` published at vehicle time ``t_ns``."""
         self.write_plain(topics.key_of(type(signal), writer), type(signal), wire.to_map(signal, header), t_ns)
 
     def write_plain(
         self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int | None = None
     ) -> None:
-        """A message as it travelled: ``wire.unpack`` of its payload. Raises ``WireError`` where JSON cannot hold it.
+        """Write a plain message: ``wire.unpack`` of its payload. Raises ``WireError`` if JSON cannot represent it.
 
-        ``crc``: of the payload; None: it is spelled as our own encoder does.
+        ``crc`` is that of the payload; None: that of our own encoder's payload.
         """
         log_time = max(0, t_ns - self._start_ns)
         try:
@@ -84,29 +83,29 @@ class RunWriter:
         self.flush_if_due()
 
     def flush_if_due(self) -> None:
-        """To be called also while nothing arrives."""
+        """Flush if ``flush_s`` has passed. Must also be called while no messages arrive."""
         if self._flush_s is not None and time.monotonic() - self._flushed_at >= self._flush_s:
             self.flush()
 
     def flush(self) -> None:
-        """Everything so far to the operating system."""
+        """Pass all messages so far to the operating system."""
         self._mcap.flush()
-        self._safe = self._file.tell(), self.messages
+        self._flushed = self._file.tell(), self.messages
         self._flushed_at = time.monotonic()
 
     @property
     def unsafe(self) -> int:
-        """How many messages a failing disk would cost now."""
-        return self.messages - self._safe[1]
+        """Number of messages that are not flushed yet."""
+        return self.messages - self._flushed[1]
 
     def abandon(self) -> None:
-        """After an ``OSError``: cut off what was not flushed, and close without an end."""
+        """Truncate the file to its last flush and close it without an index, after an ``OSError``."""
         with contextlib.suppress(OSError):
-            os.truncate(self.path, self._safe[0])
+            os.truncate(self.path, self._flushed[0])
         self._close()
 
     def close(self) -> None:
-        """The index, and the end of the file."""
+        """Write the index and the end of the file, and close it."""
         if not self._file.closed:
             try:
                 self._mcap.finish()
@@ -121,7 +120,7 @@ class RunWriter:
         self.close()
 
     def _close(self) -> None:
-        with contextlib.suppress(OSError):  # a full disk does not take what a buffer still has
+        with contextlib.suppress(OSError):  # a full disk does not take the rest of the buffer
             self._file.close()
 
     def _register(self, key: str, kind: type[Message]) -> int:

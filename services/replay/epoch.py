@@ -1,4 +1,4 @@
-"""One start of a node, replayed: a new node is fed the inbox of each of its step records, in their order."""
+"""Replay of one start of a node: a new node steps on the inbox of each recorded step, in their order."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ltv_mpc.messages import InboxEntry, Message
 from ltv_mpc.node import Node
 from services.bus.wire import WireError
 from services.recording.reader import StoredMessage
-from services.replay.frames import Frames, Header, arrival
+from services.replay.frames import Frames, Header, received_message
 from services.replay.verdict import Gap
 
 REACH = 100_000
-"""How many messages may lie in the file between a step's record and a message of its inbox: what was written by several
-processes stands there in the order in which the recorder heard it, and a mailbox holds 50,000."""
+"""Largest distance in the file, in messages, between a step's record and a message of its inbox. The file has the
+messages of several processes in the order in which the recorder received them, and a mailbox holds 50,000."""
 
 
 class Record(msgspec.Struct, frozen=True):
-    """A step record, as far as a replay reads it."""
+    """Fields of a step record that a replay reads."""
 
     epoch: int
     step: int
@@ -29,56 +29,56 @@ class Record(msgspec.Struct, frozen=True):
 
 
 class Outcome(Protocol):
-    """What becomes of the replayed outputs of an epoch."""
+    """Consumer of an epoch's replayed and recorded outputs."""
 
     @property
     def behind(self) -> bool:
-        """Whether the file holds outputs of later steps than were replayed."""
+        """True if the file has outputs of later steps than were replayed."""
         ...
 
     def add_replayed(self, record: Record, signals: Sequence[Message]) -> None:
-        """A step made these."""
+        """Add the outputs of a replayed step."""
         ...
 
     def step_failed(self, record: Record, error: Exception) -> None:
-        """A step that has a record, and so was survived, ended like this."""
+        """Add a replayed step that raised. The recorded one did not, because the node survived it."""
         ...
 
     def add_recorded(self, stored: StoredMessage, header: Header) -> None:
-        """The file holds this output of the epoch."""
+        """Add a recorded output of the epoch."""
         ...
 
     def stop(self) -> None:
-        """After a gap: no step will make anything any more."""
+        """Note a gap: no more steps are replayed."""
         ...
 
     def close(self, gap: Gap | None) -> None:
-        """Nothing more comes."""
+        """Note the end of the file."""
         ...
 
 
 class Epoch:
-    """From its first record to its last. After a gap nothing is stepped any more: the node's state is not known."""
+    """Epoch of a node, from its first record to its last. No step is replayed after a gap: the state is unknown."""
 
     def __init__(self, number: int, make: Callable[[], Node], frames: Frames, outcome: Outcome) -> None:
         self.number = number
         self.outcome = outcome
-        self.last_at = 0  # place in the file of its newest record
-        self.steps_run = 0  # as its records and its status say
+        self.last_at = 0  # position of its newest record in the file
+        self.steps_run = 0  # by its records and its status
         self.gap: Gap | None = None
         self._make = make
         self._node: Node | None = None
         self._frames = frames
-        self._records: dict[int, tuple[int, Record]] = {}  # that wait for their turn, with their places in the file
+        self._records: dict[int, tuple[int, Record]] = {}  # waiting for their turn, with their positions in the file
         self._next = 0
 
     @property
     def waits(self) -> bool:
-        """Whether something is still to come for it."""
+        """True while records wait for their turn."""
         return bool(self._records)
 
     def take(self, record: Record, at: int) -> None:
-        """A record of the file. One that was doubled on its way counts once."""
+        """Add a record of the file. A duplicate counts once."""
         self.last_at = at
         self.steps_run = max(self.steps_run, record.step + 1)
         if self.gap is None and record.step >= self._next:
@@ -86,26 +86,26 @@ class Epoch:
             self.advance(at)
 
     def advance(self, at: int | None) -> None:
-        """Do every step whose turn it is. ``at``: how far the file is read; None: to its end."""
+        """Replay every step whose inputs are there. ``at``: position in the file; None: the file is read to its end."""
         while self._records and self.gap is None:
             since, record = self._records.get(self._next, (None, None))
             if record is None or since is None:
-                lacks = f"the record of step {self._next}"
+                missing = f"the record of step {self._next}"
                 since, record = next(iter(self._records.values()))
             else:
                 inbox = [self._frames.find(entry) for entry in record.inbox]
                 if None not in inbox:
                     self._step(record, inbox)  # type: ignore[arg-type]
                     continue
-                lacks = _name(record.inbox[inbox.index(None)])
+                missing = _name(record.inbox[inbox.index(None)])
             if at is not None and at - since <= REACH:
                 return
-            self._stop(f"{lacks} is not in the file", record.t_ns)
+            self._stop(f"{missing} is not in the file", record.t_ns)
 
     def close(self) -> None:
-        """The file has been read, or a newer epoch has taken over long ago."""
+        """Finish: the file has been read, or a newer epoch started long ago."""
         self.advance(None)
-        if self.gap is None and self.outcome.behind:  # killed before its status told of them
+        if self.gap is None and self.outcome.behind:  # killed before it published a status
             self.steps_run = max(self.steps_run, self._next + 1)
         if self.gap is not None:
             self.gap = msgspec.structs.replace(self.gap, steps=self.steps_run - self.gap.first_step)
@@ -117,7 +117,7 @@ class Epoch:
     def _step(self, record: Record, inbox: Sequence[StoredMessage]) -> None:
         del self._records[record.step]
         try:
-            arrivals = list(map(arrival, inbox, record.inbox))
+            arrivals = list(map(received_message, inbox, record.inbox))
         except WireError as error:
             self._stop(f"this version does not know the message: {error}", record.t_ns)
             return

@@ -1,4 +1,7 @@
-"""One pass over a recording: each message goes to the nodes that read it, wrote it, or whose step it records."""
+"""Replay of nodes in one pass over a recording: each message goes to the nodes that it concerns.
+
+These are the nodes that read it, wrote it, or whose step it records.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,17 @@ from ltv_mpc.node import Node
 from services.bus.topics import STATES, key_of
 from services.recording.reader import Recording, StoredMessage
 from services.replay.epoch import REACH, Epoch, Outcome, Record
-from services.replay.frames import HANDED, Frames, Header, unwrap
+from services.replay.frames import INJECTOR_KEY, Frames, Header, unwrap
 
 SWEEP = 10_000
-"""Messages between two looks at what is too old to be asked for."""
+"""Messages between two removals of those that are too old to be needed."""
 
 T = TypeVar("T")
 Made = TypeVar("Made", bound=Outcome)
 
 
 class _Status(msgspec.Struct, frozen=True):
-    """Of a process's word about itself, what a replay reads."""
+    """Fields of a node status that a replay reads."""
 
     steps: int
 
@@ -34,7 +37,7 @@ _status = msgspec.json.Decoder(_Status).decode
 
 
 def _read(decode: Callable[[bytes], T], stored: StoredMessage) -> T | None:
-    """None where it is no such message: nobody has acted on it either."""
+    """Return the decoded message; None if it is not valid. No node has acted on it then."""
     try:
         return decode(stored.data)
     except (msgspec.MsgspecError, UnicodeDecodeError):
@@ -42,10 +45,10 @@ def _read(decode: Callable[[bytes], T], stored: StoredMessage) -> T | None:
 
 
 class NodeReplay(Generic[Made]):
-    """One node's part of a recording: its epochs by number, in the order of their start."""
+    """Replay of one node: its epochs by number, in the order of their start."""
 
     def __init__(self, name: str, make: Callable[[], Node], outcome: Callable[[int], Made]) -> None:
-        """``make`` builds a new node; ``outcome`` takes what becomes of an epoch."""
+        """``make`` builds a new node; ``outcome`` builds the consumer of an epoch's outputs."""
         node = make()
         self.name = name
         self.epochs: dict[int, Epoch] = {}
@@ -61,11 +64,11 @@ class NodeReplay(Generic[Made]):
 
     @property
     def keys(self) -> frozenset[str]:
-        """All that it needs of a file."""
+        """Keys that the replay needs."""
         return self.reads | self.writes | {self.record_key, self.status_key}
 
     def take(self, stored: StoredMessage, header: Header, at: int) -> None:
-        """A message of the file; ``at`` is its place there."""
+        """Take a message of the file; ``at`` is its position."""
         if stored.key == self.record_key:
             record = _read(_record, stored)
             if record is not None:
@@ -85,7 +88,7 @@ class NodeReplay(Generic[Made]):
                 self.epochs[header.epoch].outcome.add_recorded(stored, header)
 
     def sweep(self, at: int) -> None:
-        """Forget what nobody asks for any more, and end the epochs that a newer one has followed."""
+        """Discard messages that are no longer needed, and close epochs that a newer one has followed."""
         self._frames.discard_before(at - REACH)
         for epoch in self._open[:-1]:
             if epoch.last_at < at - REACH:
@@ -93,7 +96,7 @@ class NodeReplay(Generic[Made]):
                 self._open.remove(epoch)
 
     def close(self) -> None:
-        """The file has been read."""
+        """Close all epochs at the end of the file."""
         for epoch in self._open:
             epoch.close()
         self._open.clear()
@@ -113,19 +116,19 @@ def feed(
     *,
     progress: Callable[[int], None] = lambda _: None,
 ) -> None:
-    """Read the recordings, a run's segments in their order, once. ``progress`` is told the vehicle time."""
+    """Read the recordings, a run's segments in their order, once. ``progress`` receives the vehicle time."""
     readers: dict[str, list[NodeReplay[Made]]] = {}
     for node in nodes:
         for key in node.keys:
             readers.setdefault(key, []).append(node)
     every = list(dict.fromkeys(node for of_key in readers.values() for node in of_key))
     t_ns = None
-    stream = chain.from_iterable(recording.stored({*readers, HANDED}) for recording in recordings)
+    stream = chain.from_iterable(recording.stored({*readers, INJECTOR_KEY}) for recording in recordings)
     for at, stored in enumerate(stream, 1):
         if t_ns is None:
             progress(stored.t_ns)
         t_ns = stored.t_ns
-        frame = stored if stored.key != HANDED else unwrap(stored)
+        frame = stored if stored.key != INJECTOR_KEY else unwrap(stored)
         header = None if frame is None else _read(_header, frame)
         if frame is not None and header is not None:
             for node in readers.get(frame.key, ()):

@@ -1,7 +1,7 @@
-"""The nodes of a run, built anew from what its recording says that it was made of.
+"""Nodes of a run, rebuilt from the settings in its recording.
 
-run.mcap holds every settings file of its folder, so that it needs no other file; the process of a node and lock step
-build it of the same ones.
+run.mcap contains every settings file of the run's folder, so a replay needs no other file. The processes and lock step
+build their nodes from the same settings.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ SETTINGS: Mapping[str, type[msgspec.Struct]] = {
     ControllerNode.name: ControllerConfig,
     Estimator.name: EstimatorConfig,
 }
-"""Whose settings another file may replace: RUN/config/<name>.toml."""
+"""Nodes whose settings another file may replace: RUN/config/<name>.toml."""
 
 
 def run_config_of(metadata: Mapping[str, str], *, source: str) -> RunConfig:
-    """What the run was made of. ``metadata`` are the recording's. Raises ``ConfigError``."""
+    """Return the configuration of the run, from the recording's ``metadata``. Raises ``ConfigError``."""
     if SCENARIO not in metadata:
         raise ConfigError(
             source, "", f"does not hold the run's settings ({SCENARIO}): it is not a recording of this program"
@@ -55,22 +55,22 @@ def run_config_of(metadata: Mapping[str, str], *, source: str) -> RunConfig:
 
 
 def names(run_config: RunConfig) -> tuple[str, ...]:
-    """Every node that can be replayed, in the order of the launch table."""
+    """Return the nodes that can be replayed, in the order of the process table."""
     return tuple(node.name for node in make_nodes(run_config))
 
 
 def make(run_config: RunConfig, name: str) -> Node:
-    """A new node, as at the start of its process."""
+    """Build a new node, as at the start of its process."""
     return next(node for node in make_nodes(run_config) if node.name == name)
 
 
 def settings_of(run_config: RunConfig, name: str) -> msgspec.Struct:
-    """The table of a node whose settings may be replaced."""
+    """Return the settings of a node that may be replaced."""
     return run_config.scenario.controller if name == ControllerNode.name else run_config.scenario.estimator
 
 
 def node_of(path: Path) -> str:
-    """Whose settings the file holds: by its keys, which no two tables share. Raises ``ConfigError``."""
+    """Return the node whose settings the file has, by its keys, which no two nodes share. Raises ``ConfigError``."""
     table = config.read_toml(path, what="settings")
     shared = {name: len(table.keys() & set(kind.__struct_fields__)) for name, kind in SETTINGS.items()}
     fits = [name for name, count in shared.items() if count == max(shared.values())]
@@ -81,9 +81,9 @@ def node_of(path: Path) -> str:
 
 
 def replaced(run_config: RunConfig, path: Path) -> tuple[str, RunConfig, tuple[Change, ...]]:
-    """The node, the situation with its settings taken from the file, and what is otherwise. Raises ``ConfigError``.
+    """Return the node whose settings the file has, the configuration with these settings, and the changes.
 
-    A key that is left out has its default, as for ``--settings``.
+    A missing key has its default, as for ``--settings``. Raises ``ConfigError``.
     """
     name = node_of(path)
     scenario = run_config.scenario
@@ -101,7 +101,7 @@ def replaced(run_config: RunConfig, path: Path) -> tuple[str, RunConfig, tuple[C
 
 def _changes(run: msgspec.Struct, here: msgspec.Struct) -> tuple[Change, ...]:
     was, is_ = _flat(msgspec.to_builtins(run)), _flat(msgspec.to_builtins(here))
-    for table in (was, is_):  # where it stands is no setting
+    for table in (was, is_):  # a file's folder is not a setting
         table |= {key: Path(str(table[key])).name for key in ("water_prior",) if key in table}
     return tuple(
         Change(key=key, run=was.get(key), here=is_.get(key)) for key in {**was, **is_} if was.get(key) != is_.get(key)

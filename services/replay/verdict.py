@@ -1,4 +1,4 @@
-"""What a replay came to: how many steps could be compared, how many were identical, and the first that was not."""
+"""Verdict of a replay: how many steps were compared and identical, and the first difference."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 import msgspec
 
 MAX_FIELDS = 20
-"""Of a difference; what is beyond is counted."""
+"""Fields of a difference that are listed; all are counted."""
 
 MAX_GAPS = 20
-"""Of a node; what is beyond is counted."""
+"""Gaps of a node that are listed; all are counted."""
 
 
 class FieldDifference(msgspec.Struct, frozen=True, kw_only=True):
-    """One value: ``path`` as in ``thrust_N[3][0]``, the values as JSON; None: not there, or null."""
+    """Value that differs: ``path`` as in ``thrust_N[3][0]``, the values as JSON; None: missing, or null."""
 
     path: str
     recorded: Any
@@ -23,7 +23,7 @@ class FieldDifference(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Difference(msgspec.Struct, frozen=True, kw_only=True):
-    """A step whose output is not the recorded one. ``what`` says how, where it is not in the fields."""
+    """Step whose output is not the recorded one. ``what`` describes differences that are not in the fields."""
 
     node: str
     epoch: int
@@ -37,21 +37,21 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Gap(msgspec.Struct, frozen=True, kw_only=True):
-    """Steps of one epoch that cannot be replayed, from ``first_step`` to its end, because something is not there."""
+    """Steps of one epoch that cannot be replayed, from ``first_step`` to its end, because something is missing."""
 
     epoch: int
     first_step: int
     steps: int
-    t_ns: int | None  # of the first one whose record is there
+    t_ns: int | None  # of the first step whose record exists
     why: str
 
 
 class NodeVerdict(msgspec.Struct, frozen=True, kw_only=True):
-    """One node, over all its epochs.
+    """Verdict on one node, over all its epochs.
 
-    A step is compared where its record, its inbox and its outputs are in the file and the steps of its epoch before it
-    could be replayed. ``outputs_lost`` were published and are not in the file; ``outputs_unpublished`` were still to be
-    published when the node or the run ended.
+    A step is compared if its record, its inbox and its outputs are in the file, and all earlier steps of its epoch
+    could be replayed. ``outputs_lost`` were published and are not in the file; ``outputs_unpublished`` were not
+    published yet when the node or the run ended.
     """
 
     node: str
@@ -67,8 +67,8 @@ class NodeVerdict(msgspec.Struct, frozen=True, kw_only=True):
     first_difference: Difference | None
 
 
-class Elsewhere(msgspec.Struct, frozen=True, kw_only=True):
-    """Something that made the run and is otherwise here."""
+class ProvenanceDifference(msgspec.Struct, frozen=True, kw_only=True):
+    """Entry of the run's provenance that differs on this machine."""
 
     what: str
     run: str
@@ -76,26 +76,26 @@ class Elsewhere(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):
-    """All nodes."""
+    """Verdict on all nodes of a run."""
 
     recording: str
     scenario: str
     mode: str
-    cut: bool  # the file ends in its middle
+    cut: bool  # the file is truncated
     vehicle_s: float
     wall_s: float
     times_real_time: float
-    identical: bool  # every step that can be compared, and there is one
+    identical: bool  # every compared step, and there is at least one
     steps_run: int
     steps_compared: int
     steps_identical: int
     nodes: tuple[NodeVerdict, ...]
     first_difference: Difference | None
-    elsewhere: tuple[Elsewhere, ...]
+    provenance_differences: tuple[ProvenanceDifference, ...]
 
 
 class Change(msgspec.Struct, frozen=True, kw_only=True):
-    """A setting that is another than in the run; None: it is not set."""
+    """Setting that differs from the run's; None: it is not set."""
 
     key: str
     run: Any
@@ -103,7 +103,7 @@ class Change(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Deviation(msgspec.Struct, frozen=True, kw_only=True):
-    """Replayed minus recorded: root mean square, largest size, and the last one."""
+    """Replayed minus recorded value: root mean square, largest magnitude, and the last one."""
 
     of: str
     unit: str
@@ -113,7 +113,7 @@ class Deviation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Shares(msgspec.Struct, frozen=True, kw_only=True):
-    """Shares of the plans of one origin."""
+    """Shares of one origin among the recorded and replayed plans."""
 
     origin: str
     recorded: float
@@ -121,7 +121,7 @@ class Shares(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class WhatIfVerdict(msgspec.Struct, frozen=True, kw_only=True):
-    """One node with the settings of a file. ``pairs``: outputs of one epoch and time that both have."""
+    """Comparison of one node with other settings. ``pairs``: outputs of the same epoch and time on both sides."""
 
     recording: str
     scenario: str
@@ -136,10 +136,10 @@ class WhatIfVerdict(msgspec.Struct, frozen=True, kw_only=True):
     deviations: tuple[Deviation, ...]
     shares: tuple[Shares, ...]
     wall_s: float
-    elsewhere: tuple[Elsewhere, ...]
+    provenance_differences: tuple[ProvenanceDifference, ...]
 
 
 def first(differences: Sequence[Difference | None]) -> Difference | None:
-    """The earliest in vehicle time."""
-    there = [difference for difference in differences if difference is not None]
-    return min(there, key=lambda difference: difference.t_ns, default=None)
+    """Return the earliest difference in vehicle time; None if there is none."""
+    present = [difference for difference in differences if difference is not None]
+    return min(present, key=lambda difference: difference.t_ns, default=None)

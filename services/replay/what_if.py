@@ -1,7 +1,7 @@
-"""What a node would have answered to the recorded inputs with other settings.
+"""Replay of a node with other settings (what-if replay), on the recorded inputs.
 
-The inputs stay as they were recorded: each plan is another, but the estimates that follow are still those of the
-vehicle that moved by the recorded ones. Where it would have been, only a run tells.
+The inputs are the recorded ones: plans differ, but the estimates that follow are still those of the vehicle that
+followed the recorded plans. Only a new run shows where the vehicle would have been.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from services.replay.frames import Header
 from services.replay.verdict import Deviation, Gap, Shares
 
 MAX_WAITING = 1000
-"""Signals of one side that wait for the other's of the same time."""
+"""Messages of one side that wait for the other side's message of the same time."""
 
 
 class _Kind(NamedTuple):
-    """How two signals of one node are compared."""
+    """Comparison of two messages of one node."""
 
     signal: type[Message]
-    columns: tuple[tuple[str, str], ...]  # what is compared, and its unit
-    time: Callable[[Any], int]  # by which two belong together
+    columns: tuple[tuple[str, str], ...]  # quantity and unit
+    time: Callable[[Any], int]  # time that identifies a pair
     deviations: Callable[[Any, Any], Array]  # recorded, replayed -> (K, columns)
     origin: Callable[[Any], str] = lambda _: ""
 
 
 def _thrusts(recorded: Plan, replayed: Plan) -> Array:
-    """At the recorded plan's knots, as far as the replayed one reaches; (K, 3)."""
+    """Return the thrust deviations (K, 3) at the recorded plan's knots that the replayed plan covers."""
     t, knots = recorded.t_ns - recorded.t_ns[0], replayed.t_ns - recorded.t_ns[0]
     both = (t >= knots[0]) & (t <= knots[-1])
     thrust = np.column_stack([np.interp(t[both], knots, column) for column in replayed.thrust_N.T])
@@ -48,7 +48,7 @@ def _thrusts(recorded: Plan, replayed: Plan) -> Array:
 
 
 def _motion(recorded: Estimate, replayed: Estimate) -> Array:
-    """(1, 6) in the order of the columns; a depth that either leaves out counts as 0."""
+    """Return the deviations (1, 6) in the order of the columns; 0 for a depth that one of them does not have."""
     was, is_ = recorded, replayed
     down = 0.0 if was.depth_m is None or is_.depth_m is None else is_.depth_m - was.depth_m
     row = (
@@ -87,7 +87,7 @@ _KINDS: Mapping[str, _Kind] = {
 
 
 class WhatIf:
-    """Over all epochs of one node."""
+    """Comparison of one node's outputs with the recorded ones, over all epochs."""
 
     def __init__(self, node: str) -> None:
         self.pairs = 0
@@ -101,12 +101,12 @@ class WhatIf:
 
     @property
     def kind(self) -> type[Message]:
-        """Which of the node's outputs are compared."""
+        """Output type that is compared."""
         return self._kind.signal
 
     @property
     def deviations(self) -> tuple[Deviation, ...]:
-        """One for each column; none where there is no pair."""
+        """Deviations, one for each column; none if there is no pair."""
         if not self._rows:
             return ()
         values = np.column_stack([np.sqrt(self._squares / self._rows), self._max_abs, self._final]).tolist()
@@ -117,7 +117,7 @@ class WhatIf:
 
     @property
     def shares(self) -> tuple[Shares, ...]:
-        """By origin; none where a signal has none."""
+        """Shares by origin; none if the messages have no origin."""
         total, again = self.recorded.total(), self.replayed.total()
         return tuple(
             Shares(origin=name, recorded=self.recorded[name] / total, replayed=self.replayed[name] / again)
@@ -126,11 +126,11 @@ class WhatIf:
         )
 
     def epoch_outcome(self, epoch: int) -> WhatIfEpoch:
-        """What takes the outputs of one epoch."""
+        """Return the consumer of one epoch's outputs."""
         return WhatIfEpoch(self, epoch)
 
     def add(self, epoch: int, signal: Message, *, replayed: bool) -> None:
-        """One of either side, in any order; of a time that has been, or of another kind, it is left out."""
+        """Add a message of one side, in any order. Messages of another type, or of a paired time, are skipped."""
         kind = self._kind
         if not isinstance(signal, kind.signal):
             return
@@ -156,37 +156,37 @@ class WhatIf:
 
 
 class WhatIfEpoch:
-    """The outcome of one epoch, on its way into the whole."""
+    """Consumer of one epoch's outputs, which adds them to the comparison of all."""
 
-    def __init__(self, whole: WhatIf, epoch: int) -> None:
-        self._whole = whole
+    def __init__(self, comparison: WhatIf, epoch: int) -> None:
+        self._comparison = comparison
         self._epoch = epoch
 
     @property
     def behind(self) -> bool:
-        """Not asked: what has no counterpart is left out."""
+        """False: outputs without a counterpart are skipped."""
         return False
 
     def add_replayed(self, record: Record, signals: Sequence[Message]) -> None:  # noqa: ARG002
-        """A step made these."""
-        self._whole.steps += 1
+        """Add the outputs of a replayed step."""
+        self._comparison.steps += 1
         for signal in signals:
-            self._whole.add(self._epoch, signal, replayed=True)
+            self._comparison.add(self._epoch, signal, replayed=True)
 
     def step_failed(self, record: Record, error: Exception) -> None:
-        """Other settings must not break a node."""
+        """Raise: other settings must not break a node."""
         raise RuntimeError(f"step {record.step} at {record.t_ns / 1e9:.3f} s") from error
 
     def add_recorded(self, stored: StoredMessage, header: Header) -> None:  # noqa: ARG002
-        """The file holds this output of the epoch."""
-        if stored.kind is not self._whole.kind:
+        """Add a recorded output of the epoch."""
+        if stored.kind is not self._comparison.kind:
             return
-        with contextlib.suppress(wire.WireError):  # rubbish on its key
+        with contextlib.suppress(wire.WireError):  # an invalid message on this key
             signal = wire.from_validated_map(stored.kind, msgspec.json.decode(stored.data))
-            self._whole.add(self._epoch, signal, replayed=False)
+            self._comparison.add(self._epoch, signal, replayed=False)
 
     def stop(self) -> None:
-        """No step will make anything any more."""
+        """Do nothing: outputs without a counterpart are skipped."""
 
     def close(self, gap: Gap | None) -> None:
-        """Nothing more comes."""
+        """Do nothing: outputs without a counterpart are skipped."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from services.replay.verdict import Difference, Elsewhere, NodeVerdict, Verdict, WhatIfVerdict
+from services.replay.verdict import Difference, NodeVerdict, ProvenanceDifference, Verdict, WhatIfVerdict
 
 MAX_VALUE_LENGTH = 32
 MODES = {"lockstep": "in lock step", "services": "as processes"}
@@ -25,7 +25,7 @@ def text(verdict: Verdict) -> str:
         f"identical     {_share(verdict.steps_identical, compared)} of {compared} steps, byte for byte",
         *_losses(verdict),
         *_difference(verdict.first_difference),
-        *_elsewhere(verdict.elsewhere),
+        *_provenance_differences(verdict.provenance_differences),
         f"took          {verdict.wall_s:.1f} s, {verdict.times_real_time:.0f} times real time",
         "",
         verdict.recording,
@@ -53,7 +53,7 @@ def what_if_text(verdict: WhatIfVerdict) -> str:
             f"{share.origin:<22}{100 * share.recorded:>10.1f} %{100 * share.replayed:>10.1f} %"
             for share in verdict.shares
         ]
-    lines += ["", *_elsewhere(verdict.elsewhere), verdict.recording]
+    lines += ["", *_provenance_differences(verdict.provenance_differences), verdict.recording]
     return "\n".join(lines)
 
 
@@ -93,7 +93,7 @@ def _difference(difference: Difference | None) -> Iterator[str]:
         yield f"    and {difference.more_fields} more fields"
 
 
-def _elsewhere(differing: Iterable[Elsewhere]) -> Iterator[str]:
+def _provenance_differences(differing: Iterable[ProvenanceDifference]) -> Iterator[str]:
     lines = [f"{entry.what}: the run {entry.run}, here {entry.here}" for entry in differing]
     yield from _labelled("differs", [SAME_MACHINE_NEEDED, *lines] if lines else [])
 

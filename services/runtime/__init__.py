@@ -1,1 +1,1 @@
-"""One process of a run: a node on the bus, by the vehicle clock."""
+"""Runtime of one process: a pure node on the bus, stepped by the vehicle clock."""

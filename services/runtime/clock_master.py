@@ -1,4 +1,7 @@
-"""The time-keeper's part in a process: repeat the clock ten times a second, start it when all are ready, slow it."""
+"""Clock master: starts the clock when all nodes are ready, announces it ten times a second, and slows it.
+
+The clock slips when a node cannot keep up, this one included; then ``clock_rate.py`` also lowers its speed.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +15,15 @@ from services.runtime.clock_rate import ClockRate
 from services.runtime.node_status import MAX_BACKLOG_US
 
 REPEAT_US = 100_000
-TELL_US = 1_000_000
-"""At most so often it is said that the clock was slowed, when that has come to twice as many times as at the last word,
-or the pace to less than half of it; it is counted always."""
+REPORT_INTERVAL_US = 1_000_000
+"""Shortest interval between two events that report slips. One is published when the number of slips has doubled since
+the last event, or the speed has halved. Slips are always counted."""
 MAX_CATCH_UP_US = 100_000
-"""By how much wall time the grid may be behind; what is beyond that the clock gives up."""
+"""Wall time by which grid steps may be late and still catch up; the clock slips by what is beyond it."""
 
 
 class ClockMasterSettings(msgspec.Struct, frozen=True, kw_only=True):
-    """What the process that keeps the time has to know."""
+    """Settings of the clock master."""
 
     start_ns: int
     end_ns: int
@@ -29,7 +32,7 @@ class ClockMasterSettings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ClockMaster:
-    """Drives a ``ClockSource`` from a step loop; ``clock`` is what the process itself reads."""
+    """Driver of a ``ClockSource``, called by the step loop. ``clock`` is the clock that the process itself reads."""
 
     def __init__(
         self,
@@ -42,18 +45,18 @@ class ClockMaster:
     ) -> None:
         self._source = ClockSource(epoch=epoch, start_ns=settings.start_ns, speed=settings.speed, now_us=now_us)
         self._rate = ClockRate(self._source.speed)
-        self._still_until_us = 0  # by then what was given up has passed
+        self._slipping_until_us = 0  # until then the newest slip is still to pass
         self._clock = clock
         self._publish = publish
-        self._missing = dict.fromkeys(settings.expects)  # a dict keeps the order of the launch table
+        self._missing = dict.fromkeys(settings.expects)  # a dict keeps the order of the process table
         self._repeat_us = 0
-        self._told_us, self._told_times, self._told_speed = -TELL_US, 0, self._source.speed
+        self._reported_us, self._reported_slips, self._reported_speed = -REPORT_INTERVAL_US, 0, self._source.speed
         self._ended = False
         clock.follow(self._source.set_speed(now_us, self._rate.speed))
 
     @property
     def due_us(self) -> int:
-        """Return when ``run_due`` has something to do (monotonic, us): the start, the next rate, or a repetition."""
+        """Monotonic time (us) of the next start, speed change or repetition."""
         match self._source.message.state:
             case ClockState.WAITING if not self._missing:
                 return 0
@@ -64,38 +67,38 @@ class ClockMaster:
 
     @property
     def waiting_for(self) -> str:
-        """The nodes that are not ready."""
+        """Names of the nodes that are not ready yet."""
         return ", ".join(self._missing)
 
     def on_status(self, status: NodeStatus, now_us: int, node: str) -> None:
-        """Another process's word. Who cannot keep up is waited for, as this process itself is."""
+        """Note a node's status. If the node cannot keep up, the clock slips, as it does for this process."""
         if status.ready and not status.finished:
             self._missing.pop(status.node, None)
         if self._source.message.state is ClockState.RUNNING:
             self._slip(status.min_queue_delay_us if status.min_queue_delay_us > MAX_BACKLOG_US else 0, now_us, node)
 
     def on_command(self, command: ClockCommand, now_us: int, node: str) -> None:
-        """An operator wants time to go on otherwise; who waits for the start keeps waiting, and an end is an end."""
+        """Change speed, pause or continue, as an operator requests; not before the start or after the run's end."""
         if self._ended:
             return
-        said = []
+        changes = []
         if fraction_of(command.speed) != self._source.speed:
             self._rate.request(fraction_of(command.speed))
             self._change(self._source.set_speed(now_us, self._rate.speed, requested=command.speed), now_us)
-            said.append(f"at {command.speed:g} x real time")
+            changes.append(f"at {command.speed:g} x real time")
         if command.paused and self._source.message.state is ClockState.RUNNING:
             self._change(self._source.pause(now_us), now_us)
-            said.append("paused")
+            changes.append("paused")
         elif not command.paused and self._source.message.state is ClockState.PAUSED:
             self._change(self._source.run(now_us), now_us)
-            said.append("resumed")
+            changes.append("resumed")
         self._rate.restart_window()
-        if said:
-            text = f"clock {', '.join(said)}, as requested"
+        if changes:
+            text = f"clock {', '.join(changes)}, as requested"
             self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="clock", text=text))
 
     def run_due(self, now_us: int) -> None:
-        """What is due by the wall: the start, the repetition."""
+        """Start the clock, change its speed, or repeat its announcement, whichever is due."""
         if self._source.message.state is ClockState.WAITING and not self._missing:
             self._change(self._source.run(now_us), now_us)
         elif self._source.message.state is ClockState.RUNNING and self._rate.window_over(now_us):
@@ -104,20 +107,20 @@ class ClockMaster:
             self._send(now_us)
 
     def on_late_step(self, now_us: int, due_us: int, node: str) -> None:
-        """A step of the grid that was due at ``due_us`` starts only now."""
+        """Note that a grid step that was due at ``due_us`` starts only now."""
         self._slip(now_us - due_us - MAX_CATCH_UP_US, now_us, node)
 
     def _slip(self, us: int, now_us: int, node: str) -> None:
-        """So much of wall time that nobody catches up with."""
-        if us <= 0 or now_us < self._still_until_us:  # it is waited for already
+        """Slip by ``us`` of wall time, unless an earlier slip has not passed yet."""
+        if us <= 0 or now_us < self._slipping_until_us:
             return
         self._change(self._source.slip(now_us, us), now_us)
         self._rate.add_slip(us)
-        self._still_until_us = self._source.message.at_monotonic_us + us
-        much_more = self._source.slips >= 2 * self._told_times or 2 * self._rate.speed < self._told_speed
-        if now_us - self._told_us < TELL_US or not much_more:
+        self._slipping_until_us = self._source.message.at_monotonic_us + us
+        much_more = self._source.slips >= 2 * self._reported_slips or 2 * self._rate.speed < self._reported_speed
+        if now_us - self._reported_us < REPORT_INTERVAL_US or not much_more:
             return
-        self._told_us, self._told_times, self._told_speed = now_us, self._source.slips, self._rate.speed
+        self._reported_us, self._reported_slips, self._reported_speed = now_us, self._source.slips, self._rate.speed
         text = (
             f"clock slowed {self._source.slips} times, by {self._source.slipped_ns / 1e9:.2f} s of vehicle time in all;"
             f" now at {float(self._rate.speed):.3g} x real time"
@@ -125,7 +128,7 @@ class ClockMaster:
         self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="slowed", text=text))
 
     def stop(self, now_us: int) -> None:
-        """The run is complete: time stands still for whoever is left."""
+        """Stop the clock: the run is complete."""
         self._ended = True
         self._change(self._source.pause(now_us), now_us)
 

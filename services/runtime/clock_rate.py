@@ -1,15 +1,15 @@
-"""How fast the clock may go on a machine that cannot keep the speed that was asked for.
+"""Adaptive clock speed, for a machine that cannot keep the requested speed.
 
-A clock that stands still now and then is no cure for a machine that does three seconds of work in one of the wall: as
-soon as it goes on, messages wait again, and each waiting is ``speed`` times as long in vehicle time. So what had to be
-given up over a window says what the machine can do, and the next window is gone at that pace:
+Slips alone do not help a machine that needs three seconds for one second of vehicle time: as soon as the clock
+continues, messages queue again, and each delay is ``speed`` times as long in vehicle time. So the slips within a window
+tell what the machine can do, and set the speed of the next window:
 
-    speed  <-  speed x (1 - given up / window)      where it was more than ``MAX_SLIP_RATIO`` of the window
-    speed  <-  min(asked, GROWTH x speed)           where nothing was given up
+    speed  <-  speed x (1 - slipped / window)       if more than ``MAX_SLIP_RATIO`` of the window slipped
+    speed  <-  min(requested, GROWTH x speed)       if nothing slipped
 
-What it can do is not known at first, and a run that begins too fast begins with seconds of vehicle time in which
-nothing is of now. So it begins in real time and doubles, window by short window, until that was too much or enough;
-likewise when more speed is asked for.
+At first the possible speed is not known, and a run that starts too fast has seconds of vehicle time with stale
+messages. So the clock starts in real time, and its speed doubles with each short window until something slips or the
+requested speed is reached. The same happens when a higher speed is requested.
 """
 
 from __future__ import annotations
@@ -18,42 +18,42 @@ from fractions import Fraction
 
 WINDOW_US = 500_000
 FIRST_WINDOW_US = 150_000
-"""While it doubles. Who cannot keep up says so within 50 ms."""
+"""Window while the speed doubles. A node that cannot keep up reports it within 50 ms."""
 MAX_SLIP_RATIO = Fraction(1, 20)
-"""One hiccup of the machine: the clock waits for it, and goes on as before."""
-GROWTH = Fraction(51, 50)  # 2 % a window: 10 s from half the speed to most of it again
+"""Slipped share of a window that does not change the speed: a single hiccup of the machine."""
+GROWTH = Fraction(51, 50)  # 2 % a window: about 17 s from half of a speed back to it
 REAL_TIME = Fraction(1)
-"""Below it no pace is kept: who asks for real time or less gets it, with what has to be given up now and then."""
+"""The speed is never lowered below real time, or below the requested speed if that is lower; the clock then slips."""
 
 
 class ClockRate:
-    """Told of every standstill; asked for the speed once a window is over."""
+    """Speed of the clock, from the slips of the last window."""
 
     def __init__(self, requested: Fraction) -> None:
         self.requested = requested
         self.speed = min(requested, REAL_TIME)
         self._doubles = self.speed < requested
         self._since_us: int | None = None
-        self._given_up_us = 0
+        self._slipped_us = 0
 
     def request(self, speed: Fraction) -> None:
-        """Go at this speed, as soon as it is known to be possible."""
+        """Request a speed, which is approached as far as the machine can keep it."""
         self.requested = speed
         self.speed = min(speed, max(self.speed, REAL_TIME))
         self._doubles = self.speed < speed
         self.restart_window()
 
     def restart_window(self) -> None:
-        """Forget the window: the clock stood still for another reason."""
-        self._since_us, self._given_up_us = None, 0
+        """Discard the current window, because the clock was paused or changed for another reason."""
+        self._since_us, self._slipped_us = None, 0
 
-    def add_slip(self, standstill_us: int) -> None:
-        """The clock stands still so long (wall time)."""
-        self._given_up_us += standstill_us
+    def add_slip(self, slip_us: int) -> None:
+        """Add a slip (wall time)."""
+        self._slipped_us += slip_us
 
     @property
     def window_end_us(self) -> int:
-        """Return when the running window ends (monotonic, us); 0 before it has begun."""
+        """Monotonic time (us) at which the window ends; 0 before it starts."""
         return 0 if self._since_us is None else self._since_us + self._window_us
 
     @property
@@ -61,20 +61,20 @@ class ClockRate:
         return FIRST_WINDOW_US if self._doubles else WINDOW_US
 
     def window_over(self, now_us: int) -> bool:
-        """Whether a window has ended with another ``speed``."""
+        """Return True if the window has ended and ``speed`` has changed."""
         if self._since_us is None:
             self._since_us = now_us
         window_us = now_us - self._since_us
         if window_us < self._window_us:
             return False
         before = self.speed
-        share = min(Fraction(self._given_up_us, window_us), Fraction(1, 2))
+        share = min(Fraction(self._slipped_us, window_us), Fraction(1, 2))
         if share > MAX_SLIP_RATIO:
             self.speed = max(min(self.requested, REAL_TIME), self.speed * (1 - share))
             self._doubles = False
-        elif not self._given_up_us:
+        elif not self._slipped_us:
             self.speed = min(self.requested, self.speed * (2 if self._doubles else GROWTH))
             self._doubles = self._doubles and self.speed < self.requested
         self.speed = self.speed.limit_denominator(1000)
-        self._since_us, self._given_up_us = now_us, 0
+        self._since_us, self._slipped_us = now_us, 0
         return self.speed != before

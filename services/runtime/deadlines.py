@@ -1,7 +1,7 @@
 """Queue of a process's periodic duties: status, heartbeat, controller status and clock announcement.
 
-Each duty keeps the time at which it is due next, because some are brought forward by events: a node that falls behind
-reports earlier, and the clock is announced when it changes.
+Each duty keeps the time at which it is due next, because events can bring it forward: a node that falls behind reports
+earlier, and a change of the clock is announced at once.
 """
 
 from __future__ import annotations

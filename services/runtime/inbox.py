@@ -1,4 +1,4 @@
-"""What has arrived for the next step: one ordered list, and what the step's record will keep of it."""
+"""Pending inbox: the messages for the next step, in order of arrival, with their entries for the step's record."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from services.bus.topics import BY_TYPE, LATEST
 
 
 class PendingInbox:
-    """Fills between two steps. Of a key of which the newest counts, the newest stays, at its own place."""
+    """Inbox that fills between two steps. Of a key with delivery LATEST only the newest message is kept."""
 
     def __init__(self) -> None:
         self._pairs: list[tuple[ReceivedMessage, InboxEntry]] = []
 
     def add(self, signal: Message, *, key: str, epoch: int, sequence: int, crc: int, received_t_ns: int) -> None:
-        """Put at the end."""
+        """Append a message."""
         if BY_TYPE[type(signal)].delivery is LATEST:
             self._pairs = [pair for pair in self._pairs if pair[1].key != key]
         arrival = ReceivedMessage(signal, epoch, sequence, received_t_ns)
@@ -22,6 +22,6 @@ class PendingInbox:
         self._pairs.append((arrival, entry))
 
     def take(self) -> tuple[list[ReceivedMessage], tuple[InboxEntry, ...]]:
-        """All of it, for a step and its record."""
+        """Return and remove all messages, with their entries for the step's record."""
         pairs, self._pairs = self._pairs, []
         return [arrival for arrival, _ in pairs], tuple([entry for _, entry in pairs])

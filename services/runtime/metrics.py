@@ -1,7 +1,7 @@
-"""The controller's state for Prometheus: GET /metrics on loopback, in its text format 0.0.4, and nothing else.
+"""Controller metrics for Prometheus: GET /metrics on loopback, in its text format 0.0.4, and nothing else.
 
-prometheus_client writes the text. Its server is not used, because it answers a request with any Host: a web page whose
-name was pointed at this machine (DNS rebinding) sends that name as Host, and is refused here.
+prometheus_client writes the text. Its server is not used, because it accepts any Host header: a web page whose name
+resolves to this machine (DNS rebinding) sends that name as Host, and is rejected here.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from ltv_mpc.messages import Authority, ControllerStatus, Health
 
 HOST = "127.0.0.1"
 NAMES = (HOST, "localhost")
-PATIENCE_S = 5.0  # with a client that does not finish its request
+REQUEST_TIMEOUT_S = 5.0  # for a client that does not finish its request
 
 
 class Metrics(Collector):
-    """Collector of the controller's newest state."""
+    """Collector of the newest controller status."""
 
     def __init__(self) -> None:
         self._status: ControllerStatus | None = None
@@ -33,26 +33,26 @@ class Metrics(Collector):
         self._registry.register(self)
 
     def show(self, status: ControllerStatus, now_us: int) -> None:
-        """The newest state."""
+        """Keep the newest status."""
         del now_us
         self._status = status
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the metrics of the newest state that have a value; none before the first state."""
+        """Yield the metrics of the newest status that have a value; none before the first status."""
         if self._status is not None:
             yield from (metric for metric in _metrics(self._status) if metric.samples)
 
     def text(self) -> bytes:
-        """Return what is scraped."""
+        """Return the metrics in Prometheus text format."""
         return generate_latest(self._registry)
 
 
 @contextmanager
 def serving(metrics: Metrics, port: int) -> Iterator[None]:
-    """Answer on loopback while this lasts. Raises ``OSError`` where the port is taken."""
+    """Serve the metrics on loopback within the context. Raises ``OSError`` if the port is in use."""
 
     class Handler(BaseHTTPRequestHandler):
-        timeout = PATIENCE_S
+        timeout = REQUEST_TIMEOUT_S
 
         def do_GET(self) -> None:
             if self.headers.get("Host") not in (*NAMES, *(f"{name}:{port}" for name in NAMES)):
@@ -68,7 +68,7 @@ def serving(metrics: Metrics, port: int) -> Iterator[None]:
                 self.wfile.write(body)
 
         def log_message(self, format: str, *args: object) -> None:
-            del format, args  # a line for each scrape is nothing to read
+            del format, args  # no log line for each scrape
 
     with ThreadingHTTPServer((HOST, port), Handler) as server:
         server.daemon_threads = True
@@ -94,11 +94,11 @@ def _metrics(s: ControllerStatus) -> Iterator[Metric]:
         rejected.add_metric((reason,), count)
     yield rejected
     clock_error_s = _seconds(s.clock_error_ns)
-    yield GaugeMetricFamily("ltv_mpc_clock_error_seconds", "Bound of the clock's error.", clock_error_s)
-    yield GaugeMetricFamily("ltv_mpc_tracking_error_metres", "Estimate to reference.", s.error_m)
-    yield GaugeMetricFamily("ltv_mpc_progress_ratio", "Along the reference.", s.progress)
-    yield _one_of("authority", "Who commands the thrusters.", s.authority, Authority)
-    yield _one_of("health", "How well the inputs keep up.", s.health, Health)
+    yield GaugeMetricFamily("ltv_mpc_clock_error_seconds", "Bound of the clock error.", clock_error_s)
+    yield GaugeMetricFamily("ltv_mpc_tracking_error_metres", "Distance from the estimate to the reference.", s.error_m)
+    yield GaugeMetricFamily("ltv_mpc_progress_ratio", "Completed share of the reference.", s.progress)
+    yield _one_of("authority", "Source of the thruster commands.", s.authority, Authority)
+    yield _one_of("health", "Health of the inputs.", s.health, Health)
 
 
 def _gauge(name: str, help_: str, label: str, values: Mapping[str, float | None]) -> Metric:
@@ -110,9 +110,9 @@ def _gauge(name: str, help_: str, label: str, values: Mapping[str, float | None]
     return gauge
 
 
-def _one_of(name: str, help_: str, value: str, words: Iterable[str]) -> Metric:
-    """Return a gauge that is 1 for the word that holds and 0 for the others."""
-    return _gauge(name, help_, name, {str(word): float(word == value) for word in words})
+def _one_of(name: str, help_: str, value: str, values: Iterable[str]) -> Metric:
+    """Return a gauge that is 1 for the current value and 0 for the others."""
+    return _gauge(name, help_, name, {str(one): float(one == value) for one in values})
 
 
 def _seconds(ns: int | None) -> float | None:

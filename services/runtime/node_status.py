@@ -1,4 +1,8 @@
-"""A process's word about itself: twice a second from its own step loop, so that it is a heartbeat, and a last one."""
+"""Node status of a process: ready, waiting for which inputs, step count, message counts and backlog.
+
+Each process publishes it twice a second from its own step loop, so that it also shows that the process works, and once
+more, with ``finished``, before it ends.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +17,21 @@ from services.runtime.clock import VehicleClock
 from services.runtime.stopping import Say
 
 PERIOD_US = 500_000
-EARLY_PERIOD_US = 100_000  # before the start: who waits for this word should not wait long
-SILENCE_US = 2_000_000  # without a word of the clock
-HURRIED_PERIOD_US = 50_000  # of who cannot keep up: the time-keeper is to know before much has piled up
-LONGEST_WAY_US = 10_000_000  # one that seems to have been longer on its way was stamped by another machine's clock
+EARLY_PERIOD_US = 100_000  # before the start: the clock master waits for this status
+HURRIED_PERIOD_US = 50_000  # of a process that falls behind: the clock master slows the clock before much has piled up
+CLOCK_TIMEOUT_US = 2_000_000
+"""Silence of the clock after which the process reports that it waits for it."""
+
+MAX_TRANSIT_US = 10_000_000
+"""A message with a longer transit time was stamped by the clock of another machine."""
 
 MAX_BACKLOG_US = 20_000
-"""So long each message may wait at a process: estimates come through two of them before a plan is made of them."""
+"""Waiting time of a message that does not yet count as falling behind. An estimate waits in two processes before a plan
+is made from it."""
 
 
 class Counts(Protocol):
-    """What became of the messages that came."""
+    """Counts of the messages that a process received."""
 
     @property
     def received(self) -> int: ...
@@ -33,97 +41,125 @@ class Counts(Protocol):
     def rejected(self) -> int: ...
 
 
-class NodeStatusReporter:
-    """Counts a process's steps, knows what it waits for, and publishes both."""
+class WaitingFor:
+    """Conditions that a process waits for: the clock, the start, and inputs that have not arrived yet."""
 
     def __init__(
         self,
-        node: str,
-        *,
-        outbox: Outbox,
-        counts: Counts,
-        mailbox: Mailbox,
         clock: VehicleClock,
-        reads: Iterable[type[Message]],
-        say: Say,
-        foreign: bool = False,
-        missing: Callable[[], str] | None = None,
+        inputs: Iterable[type[Message]],
+        *,
+        clock_source: str = "the clock of `ltv-mpc plant`",
+        node_waits: Callable[[], str] | None = None,
     ) -> None:
-        """``foreign``: without a clock it goes by the stamps of its inputs.
+        """``clock_source`` names what the process waits for while it has no time.
 
-        ``missing``: the node's own word for what it needs and has not; without one, whatever it never heard of.
+        ``node_waits`` is the node's own account of what it needs. Without it, the process waits for each of ``inputs``
+        that has never arrived; an operator's inputs are not waited for.
         """
+        self.clock = clock
+        self._clock_source = clock_source
+        self._node_waits = node_waits
+        self._missing = dict.fromkeys(kind for kind in inputs if BY_TYPE[kind].written_by != OPERATOR)
+        self._clock_received_us: int | None = None
+
+    def on_input(self, kind: type[Message]) -> None:
+        """Note an input of this type."""
+        self._missing.pop(kind, None)
+
+    def on_clock(self, now_us: int) -> None:
+        """Note a clock announcement."""
+        self._clock_received_us = now_us
+
+    def text(self, now_us: int) -> str:
+        """Return what the process waits for; empty if for nothing."""
+        newest = self.clock.newest
+        if newest is None:
+            return self._clock_source
+        if newest.state is ClockState.WAITING:
+            return "the start"
+        if newest.state is ClockState.PAUSED:
+            return "the clock, which is paused"
+        if self._clock_received_us is not None and now_us - self._clock_received_us > CLOCK_TIMEOUT_US:
+            return "the clock, whose messages have stopped"
+        if self._node_waits is not None:
+            return self._node_waits()
+        return ", ".join(BY_TYPE[kind].key for kind in self._missing)
+
+
+class NodeStatusReporter:
+    """Reporter of a process's status, from the events of its step loop."""
+
+    def __init__(
+        self, node: str, *, outbox: Outbox, counts: Counts, mailbox: Mailbox, waiting: WaitingFor, say: Say
+    ) -> None:
+        self.steps = 0
+        self.due_us = 0
         self._node = node
-        self._no_time = "an estimate, or a clock" if foreign else "the clock of `ltv-mpc plant`"
         self._outbox = outbox
         self._counts = counts
         self._mailbox = mailbox
-        self._clock = clock
+        self._waiting = waiting
         self._say = say
-        self._said = ""
-        self._missing = missing
-        self._never_heard = dict.fromkeys(kind for kind in reads if BY_TYPE[kind].written_by != OPERATOR)
-        self._clock_heard_us: int | None = None
-        self._said_us = 0
-        self._busy_us, self._busy_steps = 0, 0
-        self.steps = 0
-        self._least_wait_us: int | None = None
-        self.due_us = 0
+        self._printed = ""  # newest waiting text on stderr
+        self._busy_us, self._busy_steps = 0, 0  # since the last status
+        self._min_wait_us: int | None = None  # since the last status
 
     def on_input(self, kind: type[Message]) -> None:
-        """A signal of this kind was let in."""
-        self._never_heard.pop(kind, None)
+        """Note an accepted input of this type."""
+        self._waiting.on_input(kind)
+
+    def on_clock(self, now_us: int) -> None:
+        """Note a clock announcement."""
+        self._waiting.on_clock(now_us)
 
     def on_delivery(self, sent_us: int, arrived_us: int, now_us: int) -> None:
-        """The message taken last was sent, came and was taken then.
+        """Note when the newest message was sent, arrived here and was taken from the mailbox.
 
-        Faster than real time a router that cannot keep up counts as well. In real time the way is what it is: a long
-        link's delay is to be measured and compensated, not to be waited for.
+        If vehicle time runs faster than real time, the transit counts as waiting too, so that a slow router is noticed.
+        In real time it does not: the delay of a long link is measured and compensated, not waited for.
         """
-        newest = self._clock.newest
+        newest = self._waiting.clock.newest
         fast = newest is not None and newest.num > newest.den
-        stamped = fast and 0 < sent_us <= arrived_us < sent_us + LONGEST_WAY_US
-        since_us = sent_us if stamped else arrived_us
-        wait_us = max(0, now_us - since_us)
-        self._least_wait_us = wait_us if self._least_wait_us is None else min(self._least_wait_us, wait_us)
+        counts_transit = fast and 0 < sent_us <= arrived_us < sent_us + MAX_TRANSIT_US
+        wait_us = max(0, now_us - (sent_us if counts_transit else arrived_us))
+        self._min_wait_us = wait_us if self._min_wait_us is None else min(self._min_wait_us, wait_us)
         if wait_us > MAX_BACKLOG_US:
             self.due_us = min(self.due_us, now_us + HURRIED_PERIOD_US)
 
-    @property
-    def min_queue_delay_us(self) -> int:
-        """The least wait since the last word: a queue that stands. One that a long step has left drains by itself."""
-        return self._least_wait_us or 0
-
-    def on_clock(self, now_us: int) -> None:
-        """The time-keeper lives."""
-        self._clock_heard_us = now_us
-
     def on_step(self, took_us: int) -> None:
-        """A step is done."""
+        """Note a step that took ``took_us`` of wall time."""
         self.steps += 1
         self._busy_us += took_us
         self._busy_steps += 1
 
+    @property
+    def min_queue_delay_us(self) -> int:
+        """Shortest waiting time of a message since the last status: the backlog that does not drain by itself.
+
+        The longest waiting time would also count the queue that one long step leaves, which drains by itself.
+        """
+        return self._min_wait_us or 0
+
     def publish(self, now_us: int, *, others: str = "", finished: bool = False) -> None:
-        """Say it now. ``others`` names the nodes that the time-keeper waits for."""
-        waiting_for = "" if finished else others or self._waiting_for(now_us)
-        if waiting_for and waiting_for != self._said:
+        """Publish the status. ``others`` names the nodes that the clock master waits for."""
+        waiting_for = "" if finished else others or self._waiting.text(now_us)
+        if waiting_for and waiting_for != self._printed:
             self._say(f"waiting for {waiting_for}")
-        self._said = waiting_for
-        newest = self._clock.newest
-        running = newest is not None and newest.state is ClockState.RUNNING
-        self._said_us = now_us
+        self._printed = waiting_for
+        clock = self._waiting.clock
+        running = clock.newest is not None and clock.newest.state is ClockState.RUNNING
         self.due_us = now_us + (PERIOD_US if running else EARLY_PERIOD_US)
         self._outbox.publish(
             NodeStatus(
                 node=self._node,
-                t_ns=self._clock.read(now_us) or 0,
+                t_ns=clock.read(now_us) or 0,
                 ready=True,
                 waiting_for=waiting_for,
                 steps=self.steps,
                 published=self._outbox.published + 1,  # this one included
                 received=self._counts.received,
-                # Of a key that overflowed the next frame shows the gap, which is counted as well: not the sum.
+                # Not the sum: after an overflow the next frame of that key shows the gap, which ``dropped`` counts.
                 dropped=max(self._counts.dropped, self._mailbox.overflowed),
                 rejected=self._counts.rejected,
                 step_us=self._busy_us / self._busy_steps if self._busy_steps else 0.0,
@@ -132,18 +168,4 @@ class NodeStatusReporter:
             )
         )
         self._busy_us, self._busy_steps = 0, 0
-        self._least_wait_us = None
-
-    def _waiting_for(self, now_us: int) -> str:
-        newest = self._clock.newest
-        if newest is None:
-            return self._no_time
-        if newest.state is ClockState.WAITING:
-            return "the start"
-        if newest.state is ClockState.PAUSED:
-            return "the clock, which is paused"
-        if self._clock_heard_us is not None and now_us - self._clock_heard_us > SILENCE_US:
-            return "the clock, whose messages have stopped"
-        if self._missing is not None:
-            return self._missing()
-        return ", ".join(BY_TYPE[kind].key for kind in self._never_heard)
+        self._min_wait_us = None

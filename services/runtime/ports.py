@@ -1,4 +1,4 @@
-"""What a node's process publishes and subscribes to: the node's own ports, and those that every process has."""
+"""Ports of a process: the message types that it publishes and subscribes to, for its node and for the runtime."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from services.bus.topics import BY_TYPE
 
 
 def times_cycles(node: Node) -> bool:
-    """Whether its caller measures each cycle, and tells the node with the next one."""
+    """Return True if the runtime measures each cycle and delivers the timing to the node's next cycle."""
     return isinstance(node.schedule, Cycle) and CycleTiming in node.reads
 
 
 def inputs(node: Node) -> list[type[Message]]:
-    """What comes from other processes; its own words it is handed without the bus."""
+    """Return the inputs from other processes. The node's own messages are delivered without the bus."""
     own = (RejectedFrame, Clock)
     return [kind for kind in node.reads if BY_TYPE[kind].written_by != node.name and kind not in own]
 
 
 def outputs(node: Node, *, clock_master: bool) -> list[type[Message]]:
-    """What its process publishes."""
+    """Return the types that the process publishes."""
     kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, RejectedFrame, RunEvent]
     if times_cycles(node):
         kinds.append(CycleTiming)
@@ -33,7 +33,7 @@ def outputs(node: Node, *, clock_master: bool) -> list[type[Message]]:
 
 
 def subscribe(session: Session, kinds: Iterable[type[Message]], mailbox: Mailbox) -> None:
-    """All of them into one mailbox: arrival has one order."""
+    """Subscribe to all types with one mailbox, so that arrivals have one order."""
     for kind in dict.fromkeys(kinds):
         topic = BY_TYPE[kind]
         session.subscribe(f"{topic.key}/*" if topic.written_by == "*" else topic.key, topic, mailbox)

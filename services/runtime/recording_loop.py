@@ -1,7 +1,7 @@
-"""The recorder's loop: everything on the run's keys into one file, nothing lost in silence.
+"""Loop of the recorder: writes every message on the run's keys into one file, and reports every loss.
 
-What is missing is proved twice: gaps in the sequences of each key and source, and, at the end, the count that each
-process gives in its last status of all that it has published.
+Losses are found in two ways: by gaps in the sequence numbers of each key and source, and at the end by the number of
+published messages that each process gives in its last status.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.runtime.deadlines import DeadlineQueue
-from services.runtime.node_status import NodeStatusReporter
+from services.runtime.node_status import NodeStatusReporter, WaitingFor
 from services.runtime.stopping import Say, StopRequest
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 NAME = "recorder"
-LAST_WORDS_US = 1_000_000  # at most so long it waits for what the others say they have published
-SILENCE_US = 200_000  # and no longer than this after the last message
-GATHERING_S = 0.05  # nobody waits for a recorder, and to be woken costs it as much as to write a message
+FINAL_STATUS_US = 1_000_000  # longest wait for the last status of all other processes
+FINAL_SILENCE_US = 200_000  # the wait ends when no message has arrived for this time
+GATHERING_S = 0.05  # no process waits for the recorder, and waking it costs as much as writing a message
 
 
 class RecordingLoop:
-    """Writes what arrives until ``stop`` is asked for, then what is still on its way.
+    """Loop of one recorder: writes messages until a stop is requested, then those that are still on their way.
 
-    A recorder that was started anew counts from its own start; what was lost between shows when segments are joined.
+    A restarted recorder counts from its own start. What was lost in between shows when the segments are joined.
     """
 
     def __init__(self, writer: SegmentWriter, *, start_ns: int, stop: StopRequest, say: Say) -> None:
@@ -53,20 +53,25 @@ class RecordingLoop:
 
     @property
     def dropped(self) -> int:
-        """Messages that were published and are not in the file, as far as is known."""
+        """Number of published messages that are not in the file, as far as known."""
         return self._losses.missing
 
     @property
     def missing(self) -> dict[str, int]:
-        """By process: what it says it has published, minus what is in the file; only where that is not 0."""
+        """Published minus recorded messages, by process, where the difference is not 0."""
         return self._publish_counts.missing
 
     def serve(self, bus: BusOptions) -> None:
-        """Open, subscribe to everything, write, say the last word, close."""
+        """Connect, subscribe to every key, record until a stop is requested, publish the last status, disconnect."""
         with open_session(bus, stop=self._stop, say=self._say) as session:
             self._out = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(NodeStatus, RunEvent, RejectedFrame))
             self._status = NodeStatusReporter(
-                NAME, outbox=self._out, counts=self, mailbox=self.mailbox, clock=self._clock, reads=(), say=self._say
+                NAME,
+                outbox=self._out,
+                counts=self,
+                mailbox=self.mailbox,
+                waiting=WaitingFor(self._clock, ()),
+                say=self._say,
             )
             session.subscribe("**", None, self.mailbox)
             deadlines = DeadlineQueue()
@@ -82,15 +87,15 @@ class RecordingLoop:
             self._finish()
 
     def _finish(self) -> None:
-        """Until every process has said how much it has published and all of that is here, or nothing more comes."""
-        started_us = heard_us = monotonic_us()
+        """Record until each process has reported its count and all its messages have arrived, or no more arrive."""
+        started_us = arrived_us = monotonic_us()
         while self._take(0.0) or (
             (self._publish_counts.unfinished(self._out.epoch) or self.missing)
-            and monotonic_us() - heard_us < SILENCE_US
-            and monotonic_us() - started_us < LAST_WORDS_US
+            and monotonic_us() - arrived_us < FINAL_SILENCE_US
+            and monotonic_us() - started_us < FINAL_STATUS_US
         ):
             if self._take(0.01):
-                heard_us = monotonic_us()
+                arrived_us = monotonic_us()
         self._writer.flush_if_due(now=True)
         self._settle()
         if lost := self._account():
@@ -101,7 +106,7 @@ class RecordingLoop:
             pass
 
     def _settle(self) -> None:
-        """What the disk has refused is counted and said."""
+        """Count and report the messages that the disk did not take."""
         for key, epoch in self._writer.refused():
             self.received -= 1
             self._losses.mark_lost(key, epoch)
@@ -121,7 +126,7 @@ class RecordingLoop:
         return f"lost: {', '.join(gaps)}" if gaps else ""
 
     def _gather(self, timeout_s: float) -> None:
-        """Wait for a message, then take all that have come when it has waited a little more."""
+        """Wait for a message, then for ``GATHERING_S``, and record all that have arrived by then."""
         if self._take(timeout_s):
             time.sleep(GATHERING_S)
             for _ in range(len(self.mailbox)):
@@ -147,11 +152,11 @@ class RecordingLoop:
         signal = from_map(kind, message)[0] if kind in (Clock, NodeStatus) else None
         if isinstance(signal, Clock):
             self._follow(signal)
-        # Nothing is sent after it arrived, whatever its sender says; and no message moves the time of another.
+        # No message is sent after its arrival, whatever its stamp says; and no message changes the time of another.
         t_ns = self._clock.at(min(header.sent_monotonic_us or frame.received_monotonic_us, frame.received_monotonic_us))
         self._writer.write_plain(frame.key, kind, message, self._start_ns if t_ns is None else t_ns, crc(frame.payload))
         self.received += 1
-        # Who had spoken before this recorder, who was started anew, is counted from its next message on.
+        # A process that has published before this restarted recorder began is counted from its next message on.
         if not self._publish_counts.count(header.epoch, late=self._writer.resumes and header.sequence > 0):
             self._losses.start_at(frame.key, header.epoch, header.sequence)
         if not self._losses.add(frame.key, header.epoch, header.sequence):
@@ -163,5 +168,5 @@ class RecordingLoop:
     def _follow(self, clock: Clock) -> None:
         try:
             self._clock.follow(clock)
-        except ClockError as error:  # it records what is said, by whomever
+        except ClockError as error:  # the recorder records the messages of any clock master
             self._say(str(error))

@@ -1,7 +1,10 @@
-"""When a node's next step is due, by vehicle time.
+"""Step schedule: the vehicle time at which a node's next step is due.
 
-A grid skips nothing: t = k x period. A cycle starts at its period, or when the last one ended, if that is later. Both
-begin at the first multiple of the period that is not before the start, as in lock step.
+    Grid        every multiple of the period, none is skipped: t = k x period
+    Cycle       the last start plus the period, or the end of the last step if that is later
+    OnMessage   no schedule: messages cause the steps
+
+Grid and Cycle begin at the first multiple of the period that is not before the start, as in lock step.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from ltv_mpc.node import Cycle, Grid, OnMessage, Schedule
 
 
 class StepSchedule:
-    """``next_ns`` is None while it is not known: before the clock was heard, or for ever where messages decide."""
+    """Schedule of one node. ``next_ns`` is None before the clock is known, and always for OnMessage."""
 
     def __init__(self, schedule: Schedule, *, end_ns: int | None = None) -> None:
         self._period_ns = 0 if isinstance(schedule, OnMessage) else schedule.period_ns
@@ -20,18 +23,18 @@ class StepSchedule:
         self.next_ns: int | None = None
 
     def start(self, now_ns: int, *, phase_ns: int = 0) -> None:
-        """The clock was heard for the first time. Cycles start ``phase_ns`` after the multiples of their period."""
+        """Start at the first clock reading. Cycles start ``phase_ns`` after the multiples of their period."""
         if self._period_ns and self.next_ns is None:
             self.next_ns = -(-now_ns // self._period_ns) * self._period_ns
             if self._may_shift:
                 self.next_ns += min(phase_ns, self._period_ns // 2)
 
     def reset(self) -> None:
-        """The clock was set: the next step is not known until it is heard again."""
+        """Discard the next step, because the clock was set; ``start`` schedules it again."""
         self.next_ns = None
 
     def advance(self, ended_ns: int) -> None:
-        """The step that was due is done, its outputs are out; the clock reads ``ended_ns``."""
+        """Schedule the next step after one that ended at ``ended_ns``."""
         if self.next_ns is None:
             return
         self.next_ns += self._period_ns
@@ -40,5 +43,5 @@ class StepSchedule:
 
     @property
     def finished(self) -> bool:
-        """Whether the last step is done."""
+        """True once the last step is done."""
         return self._end_ns is not None and self.next_ns is not None and self.next_ns > self._end_ns

@@ -1,4 +1,4 @@
-"""One node as one process."""
+"""Main function of a process: signals, failures and exit code."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def run_until_stopped(
     *,
     failures: tuple[type[Exception], ...] = (BusError, ClockError),
 ) -> int:
-    """Do ``work`` until it is done or a signal stops it. The exit code: 0 done, 1 failed, 130 Ctrl-C.
+    """Run ``work`` until it returns or a signal stops it. Return the exit code: 0 done, 1 failed, 130 Ctrl-C.
 
     An exception of ``failures`` becomes one line on stderr and exit code 1.
     """
@@ -38,10 +38,10 @@ def run_until_stopped(
 
 
 def serve(name: str, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]) -> int:
-    """Run a node until told to stop or done; the exit code is that of ``run_until_stopped``."""
+    """Run a node until it is done or a signal stops it. Return the exit code, as ``run_until_stopped``."""
 
     def work(request: StopRequest, say: Say) -> None:
-        state = SUPERVISOR_LINK.state()
+        state = SUPERVISOR_LINK.restored_state()
         make(request, say).serve(bus, state)
 
     return run_until_stopped(name, work)

@@ -1,4 +1,4 @@
-"""The controller's state in one line on stderr: kept up to date on a terminal, told every 10 s where it is a pipe."""
+"""Status line of the controller on stderr: updated in place on a terminal, printed every 10 s into a pipe."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ ERASE = "\r\x1b[2K"
 
 
 class StatusLine:
-    """Takes each ``ControllerStatus``, and every other line that the process says, so that neither tears the other."""
+    """Writer of the status line and of all other lines of the process, so that they do not overwrite each other."""
 
     def __init__(self, name: str, estimates_on: str, out: TextIO) -> None:
-        """``estimates_on`` is the key, with its namespace, that is named while nothing has come on it."""
+        """``estimates_on`` is the estimates' key with its namespace, shown until the first one arrives."""
         self._name = name
         self._estimates_on = estimates_on
         self._out = out
@@ -24,15 +24,15 @@ class StatusLine:
         self._due_us: int | None = None
 
     def say(self, text: str) -> None:
-        """A line that stays."""
+        """Print a line that stays."""
         self._write(f"{ERASE if self._shown else ''}{self._name}: {text}\n{self._shown}")
 
     def saying(self, say: Say) -> Say:
-        """``say`` where it is no terminal, else this line's own."""
+        """Return ``self.say`` on a terminal, else ``say``."""
         return self.say if self._terminal else say
 
     def show(self, status: ControllerStatus, now_us: int) -> None:
-        """The newest state."""
+        """Show the newest status."""
         line = text(status, self._estimates_on)
         if self._terminal:
             self._shown = f"{self._name}: {line}"
@@ -42,18 +42,18 @@ class StatusLine:
             self._write(f"{self._name}: {line}\n")
 
     def close(self) -> None:
-        """Leave the terminal at a new line."""
+        """Leave the terminal's cursor on a new line."""
         if self._shown:
             self._shown = ""
             self._write("\n")
 
-    def _write(self, words: str) -> None:
-        self._out.write(words)
+    def _write(self, text: str) -> None:
+        self._out.write(text)
         self._out.flush()
 
 
 def text(status: ControllerStatus, estimates_on: str) -> str:
-    """Who is in charge, health, input age, cycle time, error, clock, and what was refused."""
+    """Return authority, health, input age, cycle time, error, clock and rejections, in one line."""
     parts = [status.authority.value, status.health.value]
     if status.estimate_age_ns is None:
         parts.append(f"no estimate yet on {estimates_on}")

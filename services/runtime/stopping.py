@@ -1,4 +1,4 @@
-"""How a process is told to stop, and what it says and returns: signals, words on stderr, true exit codes."""
+"""Stop requests, lines on stderr and exit codes of a process."""
 
 from __future__ import annotations
 
@@ -14,53 +14,56 @@ from typing import TypeAlias
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 
 Say: TypeAlias = Callable[[str], None]
-"""One line for a person."""
+"""Function that prints one line for the user."""
 
 
 class StopRequest:
-    """Asked for by a signal or another thread. No lock in it: a handler may come while the same thread waits here."""
+    """Request to stop, made by a signal or another thread.
+
+    It uses no lock: a signal handler may run in the thread that waits here.
+    """
 
     def __init__(self) -> None:
         self.requested = False
         self.interrupted = False
-        self._bell: queue.SimpleQueue[None] = queue.SimpleQueue()
+        self._wakeups: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._wake: Callable[[], None] = lambda: None
 
     def __call__(self) -> bool:
-        """Whether it was asked for."""
+        """Return True if a stop is requested."""
         return self.requested
 
     @property
     def exit_code(self) -> int:
-        """Of a process that did stop cleanly."""
+        """Exit code of a process that has stopped cleanly: 130 after Ctrl-C, else 0."""
         return INTERRUPTED if self.interrupted else DONE
 
     def on_request(self, wake: Callable[[], None]) -> None:
-        """``wake`` is called when it is asked for, to end a wait elsewhere."""
+        """Call ``wake`` at the request, to end a wait elsewhere."""
         self._wake = wake
 
     def request(self) -> None:
-        """Ask for it."""
+        """Request a stop."""
         self.requested = True
-        self._bell.put(None)
+        self._wakeups.put(None)
         self._wake()
 
     def receive(self, number: int, _frame: FrameType | None) -> None:
-        """Ask for it by signal."""
+        """Request a stop, as a signal handler."""
         self.interrupted = number == signal.SIGINT
         self.request()
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait until it is asked for, at most ``timeout_s``; whether it was."""
+        """Wait for a request, at most ``timeout_s``. Return True if there is one."""
         if not self.requested:
             with contextlib.suppress(queue.Empty):
-                self._bell.get(timeout=timeout_s)
+                self._wakeups.get(timeout=timeout_s)
         return self.requested
 
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopRequest]:
-    """SIGTERM and SIGINT ask for a clean stop while this lasts."""
+    """Make SIGTERM and SIGINT request a clean stop within the context."""
     request = StopRequest()
     before = {number: signal.signal(number, request.receive) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
@@ -71,7 +74,7 @@ def stop_on_signals() -> Iterator[StopRequest]:
 
 
 def stderr_printer(name: str) -> Say:
-    """A process's words for a person: lines on stderr, with its name."""
+    """Return a function that prints lines on stderr, prefixed by ``name``."""
 
     def say(text: str) -> None:
         sys.stderr.write(f"{name}: {text}\n")

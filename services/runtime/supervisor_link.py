@@ -1,10 +1,11 @@
-"""What a process owes its supervisor, and gets from it: a pulse from its own loop, and the state to go on from.
+"""Link of a process to its supervisor: heartbeats one way, the state to continue from the other way.
 
-Pulse   the monotonic time, written to a pipe by the loop that does the work, every ``HEARTBEAT_PERIOD_US``. A process
-        that is stopped, or whose loop does not come round, has none, however well its other threads live; and it does
-        not take the way of the messages, whose router may be what has failed.
-State   of a process that is started anew in the place of a dead one; it stands on its standard input from the start.
-A process that nobody supervises owes nothing, and begins anew.
+Heartbeat   the monotonic time, written to a pipe every ``HEARTBEAT_PERIOD_US`` by the loop that does the work, like a
+            systemd watchdog ping. A process that is stopped, or whose loop hangs, sends none, even if its other threads
+            run. Heartbeats do not travel over the bus, because its router may be what has failed.
+State       of a process that is started in place of a dead one: written to its standard input before it starts.
+
+A process without a supervisor sends no heartbeats and starts without a state.
 """
 
 from __future__ import annotations
@@ -17,68 +18,69 @@ from collections.abc import Callable
 HEARTBEAT_PERIOD_US = 50_000
 HEARTBEAT_FORMAT = struct.Struct("<q")
 LAST_HEARTBEAT = -1
-"""In place of a time: the loop has come to its end, and what follows is waited for by another clock."""
+"""Value in place of a time: the loop has ended, and no heartbeats follow. The supervisor then waits for the exit."""
 
 STATE_LENGTH = struct.Struct("<I")
 STDIN = 0
 
 
 class SupervisorLink:
-    """The two lines to a supervisor; without one both are idle."""
+    """Link to the supervisor; idle until ``connect``."""
 
     def __init__(self) -> None:
-        self._pulse: int | None = None
-        self._restored: Callable[[], None] | None = None
-        self._has_state = False
         self.due_us: int | None = None
-        """When the next pulse is due, monotonic; None where nobody listens."""
+        """Monotonic time at which the next heartbeat is due; None without a supervisor."""
+        self._heartbeat_fd: int | None = None
+        self._stdin = STDIN
+        self._state_is_unread = False
+        self._on_restored: Callable[[], None] | None = None
 
-    def by(self, pulse: int, *, restored: Callable[[], None] | None = None) -> None:
-        """A supervisor reads from the pipe ``pulse``. ``restored`` is called once the state was read."""
-        os.set_blocking(pulse, False)
-        self._pulse, self._restored, self._has_state, self.due_us = pulse, restored, True, 0
+    def connect(self, heartbeat_fd: int, *, stdin: int = STDIN, on_restored: Callable[[], None] | None = None) -> None:
+        """Use the supervisor's heartbeat pipe and standard input. ``on_restored`` is called once the state is read."""
+        os.set_blocking(heartbeat_fd, False)
+        self._heartbeat_fd, self._stdin, self._on_restored = heartbeat_fd, stdin, on_restored
+        self._state_is_unread, self.due_us = True, 0
 
     def beat(self, now_us: int) -> None:
-        """The loop has come round."""
+        """Send a heartbeat if one is due."""
         if self.due_us is not None and now_us >= self.due_us:
             self.due_us = now_us + HEARTBEAT_PERIOD_US
             self._write(now_us)
 
     def last_beat(self) -> None:
-        """The loop has ended as it should."""
+        """Report that the loop has ended in order."""
         if self.due_us is not None:
             self.due_us = None
             self._write(LAST_HEARTBEAT)
 
-    def state(self) -> bytes:
-        """Return the state that this process continues from, as it travels; empty where there is none.
+    def restored_state(self) -> bytes:
+        """Return the encoded state that this process continues from; empty if there is none.
 
-        Raises ``SystemExit`` where the supervisor is no more.
+        Raises ``SystemExit`` if the supervisor has died.
         """
-        if not self._has_state:
+        if not self._state_is_unread:
             return b""
-        self._has_state = False
-        (length,) = STATE_LENGTH.unpack(_read(STATE_LENGTH.size))
-        state = _read(length)
-        if self._restored is not None:
-            self._restored()
+        self._state_is_unread = False
+        (length,) = STATE_LENGTH.unpack(self._read(STATE_LENGTH.size))
+        state = self._read(length)
+        if self._on_restored is not None:
+            self._on_restored()
         return state
 
-    def _write(self, word: int) -> None:
-        assert self._pulse is not None
-        with contextlib.suppress(BlockingIOError, BrokenPipeError):  # a supervisor that is stopped, or no more
-            os.write(self._pulse, HEARTBEAT_FORMAT.pack(word))
+    def _read(self, size: int) -> bytes:
+        data = b""
+        while len(data) < size:
+            piece = os.read(self._stdin, size - len(data))
+            if not piece:
+                raise SystemExit(1)
+            data += piece
+        return data
 
-
-def _read(size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        piece = os.read(STDIN, size - len(data))
-        if not piece:
-            raise SystemExit(1)
-        data += piece
-    return data
+    def _write(self, value: int) -> None:
+        assert self._heartbeat_fd is not None
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):  # the supervisor is stopped or dead
+            os.write(self._heartbeat_fd, HEARTBEAT_FORMAT.pack(value))
 
 
 SUPERVISOR_LINK = SupervisorLink()
-"""This process's own."""
+"""The link of this process."""

@@ -1,1 +1,1 @@
-"""All processes of a run: started, watched, and ended in order by one launcher."""
+"""Supervisor of a run: starts all processes, restarts the ones that die or hang, and stops them in order."""

@@ -1,4 +1,4 @@
-"""What the launcher hears of a run: the newest message of each key, decoded only when someone looks."""
+"""Bus monitor of the supervisor: the newest message of each key, decoded only when it is read."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 S = TypeVar("S", bound=Message)
 STATUS = BY_TYPE[NodeStatus].key
 
-SHOWN: tuple[type[Message], ...] = (Truth, Estimate, Plan, Applied, CycleTiming, Clock)
-KEPT: tuple[type[Message], ...] = (ControllerState, EstimatorState)
-PLANS = 32
-"""Of which one is in force: 10 s of them."""
+DISPLAYED: tuple[type[Message], ...] = (Truth, Estimate, Plan, Applied, CycleTiming, Clock)
+RESTORED: tuple[type[Message], ...] = (ControllerState, EstimatorState)
+PLAN_HISTORY = 32
+"""Plans that are kept, 10 s of them: one of them is in force at the actuators."""
 
 
 class Activity(NamedTuple):
-    """The newest thing that shows that a process does its work."""
+    """Newest message that shows that a process does its work."""
 
-    epoch: int  # of the process
-    arrived_s: float  # monotonic
+    epoch: int  # of the process; 0 for the router, which has none
+    arrived_s: float  # monotonic time
 
 
-class _Plans(LatestCache):
-    """Keeps some of the last plans besides."""
+class _RecentPlans(LatestCache):
+    """Cache of the newest plan that also keeps the last ``PLAN_HISTORY`` plans."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.payloads: deque[bytes] = deque(maxlen=PLANS)
+        self.payloads: deque[bytes] = deque(maxlen=PLAN_HISTORY)
 
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
         super().offer(topic, key, payload)
@@ -58,15 +58,15 @@ class _Plans(LatestCache):
 
 
 class BusMonitor:
-    """The launcher's ears. ``nodes`` are the processes whose word it waits for."""
+    """Subscriptions of the supervisor. ``nodes`` are the processes whose status it reads."""
 
     def __init__(self, session: Session, nodes: Iterable[str]) -> None:
         self._newest = LatestCache()
-        self._plans = _Plans()
+        self._plans = _RecentPlans()
         self._events = Mailbox()
         self._kills = Mailbox()
         self._clock = VehicleClock()
-        for kind in (*SHOWN, *KEPT):
+        for kind in (*DISPLAYED, *RESTORED):
             session.subscribe(BY_TYPE[kind].key, BY_TYPE[kind], self._plans if kind is Plan else self._newest)
         for node in nodes:
             session.subscribe(f"{STATUS}/{node}", BY_TYPE[NodeStatus], self._newest)
@@ -74,18 +74,18 @@ class BusMonitor:
         session.subscribe(BY_TYPE[Kill].key, BY_TYPE[Kill], self._kills)
 
     def newest(self, kind: type[S], node: str = "") -> S | None:
-        """The newest signal of this kind (of this node, where every node writes it)."""
+        """Return the newest message of this type; of ``node``, if every node writes it. None if there is none."""
         key = BY_TYPE[kind].key
         frame = (self._plans if kind is Plan else self._newest).get(f"{key}/{node}" if node else key)
         if frame is None:
             return None
         try:
             return decode(kind, frame.payload)[0]
-        except WireError:  # its readers count it
+        except WireError:  # counted by the processes that read it
             return None
 
     def plan_in_force(self) -> Plan | None:
-        """The plan that the actuators have accepted last, if it was heard."""
+        """Return the plan that the actuators have accepted last; None if it has not been received."""
         applied = self.newest(Applied)
         if applied is None or applied.plan_sequence < 0:
             return None
@@ -99,21 +99,24 @@ class BusMonitor:
         return None
 
     def running(self) -> bool:
-        """Whether vehicle time goes on."""
+        """Return True if the vehicle clock runs."""
         clock = self.newest(Clock)
         return clock is not None and clock.state is ClockState.RUNNING
 
     def last_activity(self, node: str) -> Activity | None:
-        """What shows that ``node`` works: an estimate, a plan that the actuators have taken, for others a word; of the
-        router, which says none, whatever came through it. While time stands still a word is all there is.
+        """Return the newest message that shows that ``node`` works; None if there is none.
+
+        While the clock runs, an estimator shows it by an estimate and a controller by a plan that the actuators have
+        accepted. All other processes, and these two while the clock is paused, show it by their status. The router
+        publishes none: any message that came through it counts.
         """
         if node == ROUTER:
             return Activity(0, self._newest.arrived_s)
         if node == "controller" and self.running():
             applied, frame = self.newest(Applied), self._newest.get(BY_TYPE[Applied].key)
             return None if applied is None or frame is None else Activity(applied.plan_epoch, frame.arrived_s)
-        works_by = BY_TYPE[Estimate].key if node == "estimator" and self.running() else f"{STATUS}/{node}"
-        frame = self._newest.get(works_by)
+        key = BY_TYPE[Estimate].key if node == "estimator" and self.running() else f"{STATUS}/{node}"
+        frame = self._newest.get(key)
         if frame is None:
             return None
         try:
@@ -121,8 +124,8 @@ class BusMonitor:
         except WireError:
             return None
 
-    def kills(self) -> list[str]:
-        """Whose process an operator wants ended, since the last call."""
+    def kill_requests(self) -> list[str]:
+        """Return the processes that an operator has asked to kill since the last call."""
         nodes = []
         while (frame := self._kills.take(0.0)) is not None:
             try:
@@ -131,8 +134,8 @@ class BusMonitor:
                 continue
         return nodes
 
-    def events(self) -> list[RunEvent]:
-        """What has happened since the last call."""
+    def new_events(self) -> list[RunEvent]:
+        """Return the run events since the last call."""
         events = []
         while (frame := self._events.take(0.0)) is not None:
             try:
@@ -142,7 +145,7 @@ class BusMonitor:
         return events
 
     def t_ns(self) -> int | None:
-        """Vehicle time now."""
+        """Return the vehicle time; None while it is not known."""
         if (message := self.newest(Clock)) is not None:
             try:
                 self._clock.follow(message)

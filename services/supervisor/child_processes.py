@@ -1,4 +1,4 @@
-"""The processes of a run, each at its work; all are forked from one that has loaded what they need."""
+"""Child processes of a run, by name, and the fork server that starts them."""
 
 from __future__ import annotations
 
@@ -9,85 +9,91 @@ from pathlib import Path
 
 import msgspec
 
+from services.runtime.stopping import DONE
 from services.supervisor import forkserver, process_table
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
 from services.supervisor.hang_detector import HANG_TIMEOUT_S
-from services.supervisor.managed_process import ManagedProcess
+from services.supervisor.managed_process import ManagedProcess, Program
 from services.supervisor.parent_death import OrphanCleanup
 
-WORLD_PATIENCE_S = 10.0
-"""Plant and sensors are not started anew: a machine that is busy for a while shall not end the run."""
+SIMULATION_HANG_TIMEOUT_S = 10.0
+"""Hang timeout of plant and sensors. They are not restarted, so a busy machine must not end the run too early."""
 
 
 class ChildProcesses:
-    """``children`` are by name, in the order of their start; each started anew takes its former self's place."""
+    """Current child processes. A restarted process replaces the failed one under the same name."""
 
-    def __init__(self, scenario: Path, logs: Path, guard: OrphanCleanup) -> None:
-        self.children: dict[str, ManagedProcess] = {}
+    def __init__(self, scenario: Path, logs: Path, cleanup: OrphanCleanup) -> None:
+        self.by_name: dict[str, ManagedProcess] = {}
+        """Child processes in the order of their start."""
         self.forks: ForkServer | None = None
-        """None where the system has no such thing, and everyone is spawned."""
+        """Fork server; None if the system does not support one: children are then spawned."""
         self._scenario = scenario
         self._logs = logs
-        self._guard = guard
+        self._cleanup = cleanup
         self._rows: dict[str, process_table.ProcessRow] = {}
         self._starts: dict[str, int] = {}
 
-    def load(self) -> None:
-        """Begin to load what everyone needs."""
-        if forkserver.possible():
-            self.forks = ForkServer(self._scenario, self._log("forkserver"), self._guard)
+    def start_fork_server(self) -> None:
+        """Start the fork server, which begins to load what all processes need."""
+        if forkserver.is_supported():
+            self.forks = ForkServer(self._scenario, self._log("forkserver"), self._cleanup)
 
-    def keep_loaded(self) -> None:
-        """Another fork server in the place of one that is dead; until it has loaded, whoever is to begin is spawned."""
+    def replace_dead_fork_server(self) -> None:
+        """Start another fork server if the current one is dead. Until it has loaded, children are spawned."""
         if self.forks is not None and self.forks.exit_code() is not None:
             self.forks.close()
-            self.load()
+            self.start_fork_server()
 
     def start(self, row: process_table.ProcessRow, config: msgspec.Struct) -> None:
-        """The first of its name."""
+        """Write the config of a process and start it."""
         self._rows[row.name] = row
         write_config(self._config(row.name), config)
-        self.children[row.name] = self._begin(row.name, b"")
+        self.by_name[row.name] = self._start(row.name, b"")
 
     def restart(self, name: str, state: bytes) -> None:
-        """Another in the place of one that is dead; ``state``: the state to go on from, as it travels, or nothing."""
-        self.children[name].close()
-        self.children[name] = self._begin(name, state)
+        """Start a new process in place of a dead one. ``state`` is the encoded state to continue from, or empty."""
+        self.by_name[name].close()
+        self.by_name[name] = self._start(name, state)
 
     def restartable(self, name: str) -> bool:
-        """Whether it may be started anew."""
+        """Return True if the process table allows a restart of this process."""
         return self._rows[name].restartable
 
+    @property
+    def run_complete(self) -> bool:
+        """True once the plant has done its last step."""
+        plant = self.by_name.get("plant")
+        return plant is not None and plant.exit_code() == DONE
+
     def close(self) -> None:
-        """Nobody begins any more."""
+        """Close the fork server: no more processes are started."""
         if self.forks is not None:
             self.forks.close()
             self.forks = None
 
-    def listen(self, timeout_s: float, stop: Callable[[], bool]) -> None:
-        """Take pulses for so long, or until one has ended."""
+    def wait(self, timeout_s: float, stop: Callable[[], bool]) -> None:
+        """Read heartbeats for ``timeout_s``. Return earlier if a child has ended or a stop is requested."""
         until = time.monotonic() + timeout_s
         while (left_s := until - time.monotonic()) > 0 and not stop():
-            pulses = {child.pulse: child for child in self._living()}
-            for pulse in select.select(list(pulses), [], [], left_s)[0]:
-                pulses[pulse].listen()
-            if any(child.gone for child in pulses.values()):
+            by_fd = {child.heartbeat_fd: child for child in self._running()}
+            for fd in select.select(list(by_fd), [], [], left_s)[0]:
+                by_fd[fd].read_heartbeats()
+            if any(child.pipe_closed for child in by_fd.values()):
                 return
 
-    def _living(self) -> Iterable[ManagedProcess]:
-        return (child for child in self.children.values() if child.pulse >= 0 and not child.gone)
+    def _running(self) -> Iterable[ManagedProcess]:
+        return (child for child in self.by_name.values() if child.heartbeat_fd >= 0 and not child.pipe_closed)
 
-    def _begin(self, name: str, state: bytes) -> ManagedProcess:
+    def _start(self, name: str, state: bytes) -> ManagedProcess:
+        row = self._rows[name]
         return ManagedProcess(
-            name,
-            self._rows[name].module,
-            self._config(name),
-            log=self._log(name),
-            guard=self._guard,
+            Program(name, row.module, self._config(name), self._log(name)),
+            cleanup=self._cleanup,
             forks=self.forks,
             state=state,
-            patience_s=HANG_TIMEOUT_S if self._rows[name].restartable else WORLD_PATIENCE_S,
+            hang_timeout_s=HANG_TIMEOUT_S if row.restartable else SIMULATION_HANG_TIMEOUT_S,
         )
 
     def _config(self, name: str) -> Path:

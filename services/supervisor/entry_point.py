@@ -1,9 +1,11 @@
-"""Entry point of every process of a run: ``python -P -m services.supervisor.entry_point PARENT MODULE CONFIG [PULSE]``.
+"""Entry point of every process of a run.
+
+    python -P -m services.supervisor.entry_point PARENT MODULE CONFIG [HEARTBEAT]
 
 MODULE has a struct ``Config`` and a function ``main(config) -> exit code``. CONFIG is a file that holds the config as
-JSON; the process is named after it. The process ends with its PARENT (a pid). PULSE is a descriptor, given by a
-supervisor: the pipe for the pulse. The supervisor also writes the state to go on from to the standard input.
-A process that is forked instead calls ``run`` with the same arguments.
+JSON; the process is named after it. The process ends with its PARENT (a pid). HEARTBEAT is the descriptor of the
+heartbeat pipe, given by a supervisor, which also writes the state to continue from to the standard input. A forked
+process calls ``run`` with the same arguments.
 """
 
 from __future__ import annotations
@@ -34,10 +36,10 @@ def read_config(path: Path, kind: type[Any]) -> Any:
     return msgspec.json.decode(path.read_bytes(), type=kind, dec_hook=lambda wanted, text: wanted(text))
 
 
-def run(parent: str, module: str, config: str, pulse: str = "") -> int:
-    """Become the process and return its exit code: that of ``main``, or 2 where a setting is refused.
+def run(parent: str, module: str, config: str, heartbeat: str = "") -> int:
+    """Run the process and return its exit code: that of ``main``, or 2 if a setting is rejected.
 
-    The recorder does not die with its parent: it finishes its file.
+    The recorder is not killed at its parent's death: it finishes its file.
     """
     name = Path(config).stem
     if name != RECORDER:
@@ -47,8 +49,8 @@ def run(parent: str, module: str, config: str, pulse: str = "") -> int:
     from ltv_mpc.errors import ConfigError
     from services.runtime.supervisor_link import SUPERVISOR_LINK
 
-    if pulse:
-        SUPERVISOR_LINK.by(int(pulse), restored=stop_at_end_of_input if name == RECORDER else None)
+    if heartbeat:
+        SUPERVISOR_LINK.connect(int(heartbeat), on_restored=stop_at_end_of_input if name == RECORDER else None)
     node = importlib.import_module(module)
     try:
         code: int = node.main(read_config(Path(config), node.Config))

@@ -1,16 +1,15 @@
-"""Fork server: a process that has loaded what the others of a run need, and forks them. Both its ends are here.
+"""Fork server: a process that has loaded what the processes of a run need, and forks them. Both its ends are here.
 
-Its reason, measured on two cores (docs/notes/process-start.md): a run is ready after 3.0 s with it and 4.7 s without,
-for 1.7 and 6.1 s of processor time; a dead estimator or controller is back after at most 0.94 s with it and 2.7 s
-without, where 2 s are promised (docs/faults.md). A fork uses nothing up: the second fault is mended as quickly as the
-first.
+It makes starts and restarts quicker, because a forked process need not import and load compiled code: a failed
+estimator or controller must be back within 2 s (docs/faults.md), which spawning often misses. Measured times are in
+docs/notes/process-start.md. The server is the same after a fork, so the second restart is as quick as the first.
 
-    request   module, config and log (JSON), with the child's standard input and its pulse (descriptors)
-    answer    the child's pid; the first one, ``LOADED``, says that it is ready
+    request   module, config and log (JSON), with the child's standard input and heartbeat pipe (descriptors)
+    reply     the child's pid; the first reply, ``LOADED``, says that the server is ready
 
-The server has one thread and opens no session, so a fork finds every lock free. A child is forked twice, and who stands
-between ends at once: so the supervisor, as the nearest subreaper, becomes its parent, waits for it, and is outlived by
-it no more than by a child that it has spawned itself. The server may die without anyone else.
+The server has one thread and opens no session, so no lock is held during a fork. It forks twice, and the process in
+between ends at once. The supervisor, as the nearest subreaper, then adopts the child: it can wait for it, and the child
+dies with it, as a spawned one does. If the server dies, its children live on.
 """
 
 from __future__ import annotations
@@ -37,20 +36,20 @@ from services.supervisor.parent_death import OrphanCleanup, die_with_parent
 PR_SET_CHILD_SUBREAPER = 36
 PID = struct.Struct("<q")
 LOADED = 0
-"""In place of a pid."""
+"""Reply in place of a pid: the server is ready."""
 
 PROGRAM = ("-m", "services.supervisor.forkserver")
 NAME = "ltv-forkserver"
-MOST_BYTES = 65_536  # of a request
+MAX_REQUEST_BYTES = 65_536
 DESCRIPTORS = 2
-ANSWER_S = 2.0
-"""A fork takes some ten milliseconds, on a machine that is full some hundred; who does not answer is done for."""
+REPLY_TIMEOUT_S = 2.0
+"""A fork takes about 10 ms, about 100 ms on a busy machine. A server that does not reply in time is killed."""
 
-ADOPTION_S = 2.0  # at most so long a child waits for its new parent, who may be no more
+ADOPTION_TIMEOUT_S = 2.0  # a child waits at most this long for its new parent, which may have died
 
 
 class Request(msgspec.Struct, frozen=True):
-    """Who is to be forked."""
+    """Request to fork a process."""
 
     module: str
     config: str
@@ -60,8 +59,8 @@ class Request(msgspec.Struct, frozen=True):
 # --- the supervisor's end --------------------------------------------------------------------------------------------
 
 
-def possible() -> bool:
-    """Return True if the system has what it takes: Linux, and not one of its imitations."""
+def is_supported() -> bool:
+    """Return True if the system supports it: Linux with ``prctl`` and ``pidfd_open``, which some emulations lack."""
     if sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "prctl"):
         return False
     try:
@@ -72,13 +71,16 @@ def possible() -> bool:
 
 
 class ForkServer:
-    """Starts to load at once; to be made by the main thread, which the children live with."""
+    """Handle of a fork server, which begins to load on construction.
 
-    def __init__(self, scenario: Path, log: Path, guard: OrphanCleanup) -> None:
+    It must be constructed by the main thread: the kernel ties the children to it.
+    """
+
+    def __init__(self, scenario: Path, log: Path, cleanup: OrphanCleanup) -> None:
         self.log = log
         self.loaded = False
-        self._guard = guard
-        _adopt(True)
+        self._cleanup = cleanup
+        _set_subreaper(True)
         self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs, log.open("wb") as output:
             self._process = subprocess.Popen(
@@ -89,57 +91,57 @@ class ForkServer:
                 start_new_session=True,
                 pass_fds=(theirs.fileno(),),
             )
-        guard.watch(self._process.pid)
+        cleanup.add(self._process.pid)
 
     @property
     def pid(self) -> int:
-        """Of the fork server itself."""
+        """Process id of the fork server."""
         return self._process.pid
 
     def exit_code(self) -> int | None:
-        """None while it runs."""
+        """Return the exit code of the fork server; None while it runs."""
         return self._process.poll()
 
     def is_loaded(self) -> bool:
-        """Whether it can fork."""
-        if not self.loaded and self._answers(0.0):
-            self.loaded = self._answer() == LOADED
+        """Return True if the server has loaded and can fork."""
+        if not self.loaded and self._has_reply(0.0):
+            self.loaded = self._reply() == LOADED
         return self.loaded
 
-    def fork(self, module: str, config: Path, log: Path, stdin: int, pulse: int) -> Forked | None:
-        """Fork a child; None where it cannot be had, for now or for good."""
+    def fork(self, module: str, config: Path, log: Path, stdin: int, heartbeat: int) -> ForkedProcess | None:
+        """Fork a child. Return None if the server has not loaded yet, is dead, or does not reply in time."""
         if not self.is_loaded():
             return None
         request = msgspec.json.encode(Request(module, str(config), str(log)))
         try:
-            socket.send_fds(self._requests, [request], [stdin, pulse])
-            pid = self._answer() if self._answers(ANSWER_S) else None
+            socket.send_fds(self._requests, [request], [stdin, heartbeat])
+            pid = self._reply() if self._has_reply(REPLY_TIMEOUT_S) else None
         except OSError:
             pid = None
         if pid is None:
             self.loaded = False
             self._process.kill()
             return None
-        return Forked(pid)
+        return ForkedProcess(pid)
 
     def close(self) -> None:
-        """Nobody is forked any more; who was lives on."""
+        """Kill the server; its children live on."""
         self._requests.close()
         self._process.kill()
         self._process.wait()
-        self._guard.release(self._process.pid)
-        _adopt(False)
+        self._cleanup.remove(self._process.pid)
+        _set_subreaper(False)
 
-    def _answers(self, within_s: float) -> bool:
+    def _has_reply(self, within_s: float) -> bool:
         return bool(select.select([self._requests], [], [], within_s)[0])
 
-    def _answer(self) -> int | None:
+    def _reply(self) -> int | None:
         data = self._requests.recv(PID.size)
         return int(PID.unpack(data)[0]) if data else None
 
 
-class Forked:
-    """A child that the fork server has forked, as ``subprocess.Popen`` has one that it has spawned."""
+class ForkedProcess:
+    """Handle of a forked child, with the methods of ``subprocess.Popen``."""
 
     def __init__(self, pid: int) -> None:
         self.pid = pid
@@ -147,7 +149,7 @@ class Forked:
         self._ended = os.pidfd_open(pid)
 
     def poll(self) -> int | None:
-        """Its exit code, minus the signal's number where one ended it; None while it runs."""
+        """Return the exit code, or minus the number of the signal that ended the child; None while it runs."""
         if self._code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid:
@@ -156,7 +158,7 @@ class Forked:
         return self._code
 
     def wait(self, timeout: float | None = None) -> int:
-        """The exit code. Raises ``subprocess.TimeoutExpired``."""
+        """Wait for the exit and return the exit code. Raises ``subprocess.TimeoutExpired``."""
         if self._code is None:
             ended = select.poll()
             ended.register(self._ended, select.POLLIN)
@@ -167,35 +169,35 @@ class Forked:
         return code
 
     def send_signal(self, number: int) -> None:
-        """To it, if it runs: nobody else can have its pid before it was waited for."""
+        """Send a signal if the child runs. Its pid is not reused before it was waited for."""
         if self.poll() is None:
             os.kill(self.pid, number)
 
     def kill(self) -> None:
-        """SIGKILL."""
+        """Send SIGKILL."""
         self.send_signal(signal.SIGKILL)
 
 
-def _adopt(whether: bool) -> None:
-    """Whose parent ends becomes a child of this process."""
-    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, int(whether), 0, 0, 0)
+def _set_subreaper(on: bool) -> None:
+    """Make this process adopt, or no longer adopt, its orphaned descendants."""
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, int(on), 0, 0, 0)
 
 
 # --- the server ------------------------------------------------------------------------------------------------------
 
 
 def main() -> None:
-    """``sys.argv``: the parent's pid, the descriptor of the socket to it, the scenario."""
+    """Serve requests. ``sys.argv``: the parent's pid, the descriptor of the socket to it, the scenario."""
     parent, channel, scenario = sys.argv[1:]
     die_with_parent(int(parent))
     entry_point.name_process(NAME)
     load(scenario)
     gc.collect()
-    gc.freeze()  # no collection of a child writes to what all share
+    gc.freeze()  # so that a child's garbage collection does not copy the shared pages
     with socket.socket(fileno=int(channel)) as requests:
         requests.send(PID.pack(LOADED))
         while True:
-            data, descriptors, _, _ = socket.recv_fds(requests, MOST_BYTES, DESCRIPTORS)
+            data, descriptors, _, _ = socket.recv_fds(requests, MAX_REQUEST_BYTES, DESCRIPTORS)
             if not data:
                 return
             pid = _fork(int(parent), msgspec.json.decode(data, type=Request), descriptors, requests)
@@ -212,43 +214,43 @@ def load(scenario: str) -> None:
 
 
 def _fork(parent: int, request: Request, descriptors: list[int], requests: socket.socket) -> int:
-    """The pid of a child of ``parent``."""
-    said, say = os.pipe()
+    """Fork a child of ``parent``. Return its pid."""
+    reading, writing = os.pipe()
     between = os.fork()
     if between == 0:
         try:
             pid = os.fork()
             if pid == 0:
-                for end in (said, say):
+                for end in (reading, writing):
                     os.close(end)
                 requests.close()
-                _become(parent, request, descriptors)
-            os.write(say, PID.pack(pid))
+                _run_child(parent, request, descriptors)
+            os.write(writing, PID.pack(pid))
         finally:
             os._exit(0)
-    for end in (say, *descriptors):
+    for end in (writing, *descriptors):
         os.close(end)
-    with os.fdopen(said, "rb") as answer:
-        (pid,) = PID.unpack(answer.read(PID.size))
+    with os.fdopen(reading, "rb") as reply:
+        (pid,) = PID.unpack(reply.read(PID.size))
     os.waitpid(between, 0)
     return int(pid)
 
 
-def _become(parent: int, request: Request, descriptors: list[int]) -> NoReturn:
-    """Be the child that is asked for, to the end."""
+def _run_child(parent: int, request: Request, descriptors: list[int]) -> NoReturn:
+    """Run the requested child to its end."""
     code = 1
     try:
         os.setsid()
-        stdin, pulse = descriptors
+        stdin, heartbeat = descriptors
         log = os.open(request.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
         for number, place in ((stdin, 0), (log, 1), (log, 2)):
             os.dup2(number, place)
         os.close(stdin)
         os.close(log)
-        until = time.monotonic() + ADOPTION_S
+        until = time.monotonic() + ADOPTION_TIMEOUT_S
         while os.getppid() != parent and time.monotonic() < until:
             time.sleep(0.001)
-        code = entry_point.run(str(parent), request.module, request.config, str(pulse))
+        code = entry_point.run(str(parent), request.module, request.config, str(heartbeat))
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
     except BaseException:

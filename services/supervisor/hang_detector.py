@@ -1,13 +1,12 @@
-"""Is a process alive? By the pulse of the loop that does its work, and by nothing else.
+"""Hang detection: a process hangs if the loop that does its work sends no heartbeats, as with a systemd watchdog.
 
-    silent = now - max(last pulse, excused)
-    hung  <=>  silent - starved > patience      from its first pulse until it says that its loop has ended
+    silent = now - max(last heartbeat, excused)
+    hung  <=>  silent - starved > timeout      from the first heartbeat until the process reports the end of its loop
 
-``excused`` is the last time the supervisor itself came late: whoever was stopped together with it, as by a machine that
-was suspended, has had no time to beat either. ``starved`` is how long of its silence the loop has waited for a
-processor that others had: a stopped loop waits for none, nor one that is blocked, and one that is ready to run but is
-not let does not get there sooner by a restart. A loop that spins is found by the time that it has the processor. Times
-are seconds of one monotonic clock.
+``excused`` is the last time at which the supervisor itself was late: if the whole machine was suspended, no process
+could send heartbeats either. ``starved`` is the part of the silence in which the loop was ready to run but waited for a
+processor that other processes had; a restart would not help it. A stopped or blocked loop does not wait for a
+processor, and a loop that spins has one: both are detected. Times are seconds of one monotonic clock.
 """
 
 from __future__ import annotations
@@ -15,54 +14,54 @@ from __future__ import annotations
 from collections.abc import Callable
 
 HANG_TIMEOUT_S = 0.5
-"""Ten pulses. A step of a node takes milliseconds."""
+"""Ten heartbeats. A step of a node takes milliseconds."""
 
 QUIET_S = 0.1
-"""Two pulses: until then nobody asks who has the processor."""
+"""Two heartbeats: silence after which the time without a processor is measured."""
 
 LATE_S = 0.25
-"""Between two looks of the supervisor, who looks twenty times a second."""
+"""Interval between two checks of the supervisor that counts as late; it checks twenty times a second."""
 
 
 class HangDetector:
-    """One process's pulse."""
+    """Heartbeats of one process."""
 
-    def __init__(self, patience_s: float = HANG_TIMEOUT_S) -> None:
-        self._patience_s = patience_s
+    def __init__(self, timeout_s: float = HANG_TIMEOUT_S) -> None:
+        self._timeout_s = timeout_s
         self._last_s: float | None = None
         self._excused_s = float("-inf")
-        self._waited_s: float | None = None  # for a processor, when its silence was first noticed
+        self._starved_before_s: float | None = None  # cpu_wait_s when the silence was first noticed
         self._ended = False
 
     def beat(self, at_s: float) -> None:
-        """A pulse that was sent at ``at_s``."""
+        """Note a heartbeat that was sent at ``at_s``."""
         self._last_s = at_s if self._last_s is None else max(self._last_s, at_s)
 
     def end(self) -> None:
-        """Its loop has ended as it should."""
+        """Note that the loop has ended in order: no more heartbeats are expected."""
         self._ended = True
 
     def excuse(self, now_s: float) -> None:
-        """Whoever watches has come late."""
+        """Restart the timeout, because the supervisor itself was late."""
         self._excused_s = now_s
 
     @property
     def last_s(self) -> float | None:
-        """When it was last seen alive; None before its first pulse."""
+        """Time of the newest heartbeat; None before the first."""
         return self._last_s
 
-    def hung(self, now_s: float, waited_s: Callable[[], float]) -> bool:
-        """Whether it has been silent for too long; to be asked often. ``waited_s``: how long its loop has waited for a
-        processor in all its life.
+    def hung(self, now_s: float, cpu_wait_s: Callable[[], float]) -> bool:
+        """Return True if the process hangs. Must be called often.
+
+        ``cpu_wait_s`` returns how long the loop has waited for a processor since it started.
         """
         if self._last_s is None or self._ended:
             return False
         silent_s = now_s - max(self._last_s, self._excused_s)
         if silent_s < QUIET_S:
-            self._waited_s = None
+            self._starved_before_s = None
             return False
-        waited = waited_s()
-        if self._waited_s is None:
-            self._waited_s = waited
-        starved_s = waited - self._waited_s
-        return silent_s - starved_s > self._patience_s
+        waited_s = cpu_wait_s()
+        if self._starved_before_s is None:
+            self._starved_before_s = waited_s
+        return silent_s - (waited_s - self._starved_before_s) > self._timeout_s

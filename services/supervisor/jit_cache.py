@@ -1,8 +1,8 @@
-"""Fill the cache of compiled code before any child: five at once would each compile all of it.
+"""Cache of compiled numba kernels, filled before any process starts: otherwise each process would compile them all.
 
-It takes a minute and a half of processor time, half of that for the controller. Three processes share it: the
-controller, all other nodes, and what the controller comes to last; of the little that two of them need each compiles
-its own.
+Compiling takes a minute and a half of processor time, half of that for the controller. Three processes share the work:
+the controller, all other nodes, and the kernels that the controller needs last. Kernels that two of them need are few,
+and are compiled twice.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ltv_mpc.jit import CACHE, JIT_FUNCTIONS
 from services.supervisor.parent_death import die_with_parent
 
 MARK = "rehearsed"
-"""A file in the cache's folder, which is named after the sources: where it stands, nothing is left to compile."""
+"""File in the cache folder, which is named after the sources; if it exists, everything is compiled."""
 
 EXPECTED = "expected"
-"""Another: how many functions there are to compile, about."""
+"""File with the approximate number of functions to compile."""
 
-LOOK_S = 0.2
+POLL_S = 0.2
 
 
 def is_warm() -> bool:
-    """Whether a rehearsal has filled the cache before."""
+    """Return True if everything is compiled."""
     return (CACHE / MARK).exists()
 
 
@@ -50,22 +50,22 @@ def fill(scenario: Path, log: Path) -> subprocess.Popen[bytes]:
 
 
 def share() -> float:
-    """How much of it is done, about, between 0 and 1."""
+    """Return the approximate share that is compiled, 0 to 1."""
     try:
         expected = int((CACHE / EXPECTED).read_text())
-    except (OSError, ValueError):  # nobody has counted yet
+    except (OSError, ValueError):  # the file is not written yet
         return 0.0
     return min(1.0, sum(1 for _ in CACHE.rglob("*.nbi")) / expected)
 
 
 def warm_up(scenario: str) -> None:
-    """Every node of it: all their compiled code and solvers are loaded then."""
+    """Run all nodes of a scenario briefly: all their compiled code and solvers are then loaded."""
     warm_up_controller(scenario)
     warm_up_others(scenario)
 
 
 def warm_up_controller(scenario: str) -> None:
-    """The controller."""
+    """Run the controller of a scenario briefly."""
     from services.processes import controller
     from services.run.run_config import resolve
 
@@ -74,7 +74,7 @@ def warm_up_controller(scenario: str) -> None:
 
 
 def warm_up_solver(scenario: str) -> None:
-    """Of the controller what a cycle comes to last."""
+    """Run the part of the controller that a cycle reaches last."""
     from services.processes import controller
     from services.run.run_config import resolve
 
@@ -83,7 +83,7 @@ def warm_up_solver(scenario: str) -> None:
 
 
 def warm_up_others(scenario: str) -> None:
-    """Plant, sensors and estimator."""
+    """Run plant, sensors and estimator of a scenario briefly."""
     from services.processes import estimator, plant, sensors
     from services.run.run_config import resolve
 
@@ -98,16 +98,16 @@ PARTS: dict[str, Callable[[str], None]] = {
     "others": warm_up_others,
     "solver": warm_up_solver,
 }
-"""Each in a process of its own, all at once."""
+"""Parts that are compiled at the same time, each by a process of its own."""
 
 
-def main() -> int:
-    """Of the scenario that is named; then nothing is left to compile."""
-    scenario, *part = sys.argv[1:]
+def main(arguments: Sequence[str]) -> int:
+    """Compile what a run of the named scenario needs. Return 0 if everything is compiled."""
+    scenario, *part = arguments
     if part:
         name, parent = part
         die_with_parent(int(parent))
-        gc.disable()  # nearly all that a compiler makes lives on: a twelfth of the time goes into looking through it
+        gc.disable()  # a compiler frees next to nothing: collection would take a twelfth of the time
         PARTS[name](scenario)
         return 0
     children = [
@@ -116,10 +116,11 @@ def main() -> int:
     try:
         from services.processes import sensors  # noqa: F401
 
-        # About a seventh of what is decorated belongs to other forms and references than a run's own.
+        # An upper bound: about a seventh of the functions is for layouts and references that a run does not
+        # use.
         (CACHE / EXPECTED).write_text(str(len(JIT_FUNCTIONS)))
         while any(child.poll() is None for child in children):
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
     finally:
         for child in children:
             child.kill()
@@ -131,4 +132,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -1,4 +1,4 @@
-"""What the screen shows of a run at one moment, from what the launcher hears."""
+"""Live view of a run for the screen, from the newest messages on the bus."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.screen import LiveView
 
 
-def live_view(run_config: RunConfig, watch: BusMonitor, states: Mapping[str, str], wall_s: float) -> LiveView:
-    """The newest of everything. ``states`` are the processes' own."""
+def live_view(run_config: RunConfig, monitor: BusMonitor, states: Mapping[str, str], wall_s: float) -> LiveView:
+    """Return the run at this moment. ``states`` are the states of the processes, by name."""
     scenario = run_config.scenario
-    clock = watch.newest(Clock)
-    t_ns = watch.t_ns()
-    status = {name: word for name in states if (word := watch.newest(NodeStatus, name)) is not None}
+    clock = monitor.newest(Clock)
+    t_ns = monitor.t_ns()
+    status = {name: newest for name in states if (newest := monitor.newest(NodeStatus, name)) is not None}
     return LiveView(
         t_ns=scenario.start_ns if t_ns is None else min(t_ns, scenario.end_ns),
         start_ns=scenario.start_ns,
@@ -24,11 +24,11 @@ def live_view(run_config: RunConfig, watch: BusMonitor, states: Mapping[str, str
         requested_speed=scenario.run.speed if clock is None else clock.requested_speed,
         wall_s=wall_s,
         phase=_phase(clock, t_ns, scenario.end_ns),
-        truth=watch.newest(Truth),
-        estimate=watch.newest(Estimate),
-        plan=watch.newest(Plan),
-        applied=watch.newest(Applied),
-        timing=watch.newest(CycleTiming),
+        truth=monitor.newest(Truth),
+        estimate=monitor.newest(Estimate),
+        plan=monitor.newest(Plan),
+        applied=monitor.newest(Applied),
+        timing=monitor.newest(CycleTiming),
         status=status,
         state=states,
     )

@@ -1,4 +1,4 @@
-"""A place on loopback for a run's own router."""
+"""Loopback endpoints for a run's own router."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import socket
 
 
 def free_port() -> int:
-    """A TCP port that nobody listens on now."""
+    """Return a TCP port on which no process listens now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
 
 
-def answers(endpoint: str) -> bool:
-    """Whether somebody listens at ``PROTOCOL/HOST:PORT``."""
+def is_listening(endpoint: str) -> bool:
+    """Return True if a process listens at ``PROTOCOL/HOST:PORT``."""
     host, _, port = endpoint.partition("/")[2].rpartition(":")
     try:
         socket.create_connection((host, int(port)), timeout=0.2).close()

@@ -1,4 +1,9 @@
-"""One child process of the supervisor: in a session of its own, its words in a log, its end never missed."""
+"""Managed child process of the supervisor: session, log file, heartbeat pipe, exit code.
+
+A dead process is noticed within milliseconds: the kernel closes its end of the heartbeat pipe, and ``select`` in
+``child_processes.py`` returns. A process that hangs keeps the pipe open and is found by its silence
+(``hang_detector.py``).
+"""
 
 from __future__ import annotations
 
@@ -9,7 +14,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from services.runtime.supervisor_link import HEARTBEAT_FORMAT, LAST_HEARTBEAT, STATE_LENGTH
 from services.supervisor import entry_point
@@ -19,13 +24,13 @@ from services.supervisor.parent_death import OrphanCleanup
 
 LAST_LINES = 12
 LOG_TAIL_BYTES = 16_384
-PIPE_BYTES = 1 << 20  # what is said to a child fits into its pipe, so that a stopped one holds nobody up
-BEATS = 4096  # bytes taken at once
-EXIT_S = 0.2  # from the end of its pipes to that of the process
+PIPE_BYTES = 1 << 20  # a state fits into the pipe, so that a stopped child does not block the supervisor
+HEARTBEAT_BYTES = 4096  # read at once
+EXIT_TIMEOUT_S = 0.2  # from the end of the heartbeat pipe to the exit of the process
 
 
-class Process(Protocol):
-    """What was forked or spawned."""
+class ProcessHandle(Protocol):
+    """Handle of a forked or spawned process, as ``subprocess.Popen``."""
 
     pid: int
 
@@ -35,57 +40,66 @@ class Process(Protocol):
     def kill(self) -> None: ...
 
 
-class ManagedProcess:
-    """Start it from the main thread only: a child dies with the thread that spawned it, or has adopted it.
+class Program(NamedTuple):
+    """Program of a child process: its name, module, config file and log file."""
 
-    ``config`` is the file of its config, ``state`` the state to go on from, as it travels, or nothing. It is forked
-    where ``forks`` can, and else spawned, which takes longer (``forkserver.py`` has the figures).
+    name: str
+    module: str
+    config: Path
+    log: Path
+
+
+class ManagedProcess:
+    """Child process, started on construction.
+
+    It must be constructed by the main thread: the kernel kills a child when the thread that spawned or adopted it ends.
+    The child is forked if ``forks`` can fork it, and spawned otherwise, which takes longer (see ``forkserver.py``).
+    ``state`` is the encoded state that it continues from; empty if it begins without one.
     """
 
     def __init__(
         self,
-        name: str,
-        module: str,
-        config: Path,
+        program: Program,
         *,
-        log: Path,
-        guard: OrphanCleanup,
+        cleanup: OrphanCleanup,
         forks: ForkServer | None = None,
         state: bytes = b"",
-        patience_s: float = HANG_TIMEOUT_S,
+        hang_timeout_s: float = HANG_TIMEOUT_S,
     ) -> None:
-        self.name = name
-        self.gone = False  # it has closed its pulse: nothing more comes from it
-        self.heartbeat = HangDetector(patience_s)
-        self._log = log
-        self._guard = guard
-        self._released = False
+        self.name = program.name
+        self.hang_detector = HangDetector(hang_timeout_s)
+        self.pipe_closed = False
+        """True once the child has closed its heartbeat pipe: it has ended, or is about to."""
+        self.heartbeat_fd = -1
+        """Reading end of the heartbeat pipe: readable when a heartbeat arrives and when the child ends."""
+        self._log = program.log
+        self._cleanup = cleanup
+        self._removed = False  # from the list of the orphan cleanup
         self._stdin = -1
-        self.pulse = -1
-        """To be watched: it can be read when the child beats, and when it is no more."""
-        process: Process | None = None
+        process: ProcessHandle | None = None
         if forks is not None:
-            process = self._start(lambda stdin, beats: forks.fork(module, config, log, stdin, beats))
+            process = self._start(lambda stdin, heartbeat: forks.fork(*program[1:], stdin, heartbeat))
         if process is None:
-            process = self._start(lambda stdin, beats: _spawn(module, config, log, stdin, beats))
+            process = self._start(lambda stdin, heartbeat: _spawn(program, stdin, heartbeat))
         assert process is not None
         self._process = process
-        guard.watch(self.pid)
-        with contextlib.suppress(BrokenPipeError):  # it is dead itself, which shows elsewhere
+        cleanup.add(self.pid)
+        with contextlib.suppress(BrokenPipeError):  # the child is already dead, which is noticed elsewhere
             os.write(self._stdin, STATE_LENGTH.pack(len(state)) + state)
 
-    def _start(self, start: Callable[[int, int], Process | None]) -> Process | None:
-        """By ``start``, which is given the child's ends of two new pipes. Where it gives nothing, both are closed: one
-        that was forked nonetheless, too late, ends at the end of its input.
+    def _start(self, start: Callable[[int, int], ProcessHandle | None]) -> ProcessHandle | None:
+        """Start the child by ``start``, which receives the child's ends of two new pipes.
+
+        If ``start`` returns None, both pipes are closed. A child that was forked too late ends at the end of its input.
         """
         stdin, self._stdin = os.pipe()
         _widen(self._stdin)
-        self.pulse, beats = os.pipe()
-        os.set_blocking(self.pulse, False)
+        self.heartbeat_fd, heartbeat = os.pipe()
+        os.set_blocking(self.heartbeat_fd, False)
         try:
-            process = start(stdin, beats)
+            process = start(stdin, heartbeat)
         finally:
-            os.close(beats)
+            os.close(heartbeat)
             os.close(stdin)
         if process is None:
             self.close()
@@ -93,28 +107,28 @@ class ManagedProcess:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id."""
         return self._process.pid
 
-    def listen(self) -> None:
-        """Take the pulses that have come; after the last one of all, wait for the exit, which is not far."""
+    def read_heartbeats(self) -> None:
+        """Read the heartbeats that have arrived. At the end of the pipe, wait for the exit, which follows at once."""
         with contextlib.suppress(BlockingIOError):
-            while beats := os.read(self.pulse, BEATS):
-                for (at_us,) in HEARTBEAT_FORMAT.iter_unpack(beats):
+            while data := os.read(self.heartbeat_fd, HEARTBEAT_BYTES):
+                for (at_us,) in HEARTBEAT_FORMAT.iter_unpack(data):
                     if at_us == LAST_HEARTBEAT:
-                        self.heartbeat.end()
+                        self.hang_detector.end()
                     else:
-                        self.heartbeat.beat(at_us / 1e6)
-            self.gone = True
+                        self.hang_detector.beat(at_us / 1e6)
+            self.pipe_closed = True
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(EXIT_S)
+                self._process.wait(EXIT_TIMEOUT_S)
 
-    def starved_s(self) -> float:
-        """How long its loop has waited for a processor so far."""
-        return starved_s(self.pid)
+    def cpu_wait_s(self) -> float:
+        """Return how long the child's loop has waited for a processor since it started."""
+        return cpu_wait_s(self.pid)
 
-    def waits_for_the_disk(self) -> bool:
-        """Whether it is in a wait that not even SIGKILL ends, as of a write to a slow disk."""
+    def in_uninterruptible_sleep(self) -> bool:
+        """Return True in state D of ``ps``, as during a write to a slow disk; not even SIGKILL ends such a process."""
         try:
             stat = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8", errors="replace")
         except OSError:
@@ -122,24 +136,24 @@ class ManagedProcess:
         return stat.rpartition(")")[2].split()[0] == "D"
 
     def exit_code(self) -> int | None:
-        """None while it runs; minus the signal's number where one ended it."""
+        """Return the exit code, or minus the number of the signal that ended the child; None while it runs."""
         code = self._process.poll()
-        if code is not None and not self._released:
-            self._released = True
-            self._guard.release(self.pid)
+        if code is not None and not self._removed:
+            self._removed = True
+            self._cleanup.remove(self.pid)
         return code
 
-    def ask_to_stop(self) -> None:
-        """SIGTERM: finish the step, say the last word, exit. The recorder finishes its file."""
+    def terminate(self) -> None:
+        """Send SIGTERM: the child finishes its step, publishes its last status and exits."""
         if self.exit_code() is None:
             self._process.send_signal(signal.SIGTERM)
 
-    def end(self, within_s: float) -> bool:
-        """Wait for its exit, then kill it; whether it went by itself."""
+    def wait_or_kill(self, timeout_s: float) -> bool:
+        """Wait for the exit, then kill the child. Return False if it had to be killed."""
         try:
-            self._process.wait(max(0.0, within_s))
+            self._process.wait(max(0.0, timeout_s))
         except subprocess.TimeoutExpired:
-            self._process.kill()  # also what is stopped: SIGKILL needs nobody's cooperation
+            self._process.kill()  # SIGKILL also ends a stopped process
             self._process.wait()
             self.exit_code()
             return False
@@ -147,45 +161,47 @@ class ManagedProcess:
         return True
 
     def kill(self) -> None:
-        """SIGKILL, which a process that is stopped or hangs obeys too."""
-        self.end(0.0)
+        """Send SIGKILL, which also ends a process that is stopped or hangs, and wait for the exit."""
+        self.wait_or_kill(0.0)
 
     def close(self) -> None:
-        """Nothing is left to say to it, or to hear."""
-        if self.pulse >= 0:
-            os.close(self.pulse)
-            self.pulse = -1
+        """Close both pipes."""
+        if self.heartbeat_fd >= 0:
+            os.close(self.heartbeat_fd)
+            self.heartbeat_fd = -1
         if self._stdin >= 0:
             os.close(self._stdin)
             self._stdin = -1
 
     def last_lines(self) -> tuple[str, ...]:
-        """The end of what it said."""
+        """Return the last lines of the child's log."""
         return last_lines(self._log)
 
 
-def _spawn(module: str, config: Path, log: Path, stdin: int, beats: int) -> Process:
-    with log.open("wb") as output:
+def _spawn(program: Program, stdin: int, heartbeat: int) -> ProcessHandle:
+    arguments = (str(os.getpid()), program.module, str(program.config), str(heartbeat))
+    with program.log.open("wb") as output:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", entry_point.__name__, str(os.getpid()), module, str(config), str(beats)],
+            [sys.executable, "-P", "-m", entry_point.__name__, *arguments],
             stdin=stdin,
             stdout=output,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            pass_fds=(beats,),
+            pass_fds=(heartbeat,),
         )
 
 
 def _widen(pipe: int) -> None:
+    """Set the capacity of a pipe to ``PIPE_BYTES``."""
     import fcntl
 
     if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
-        with contextlib.suppress(OSError):  # beyond what this user may have
+        with contextlib.suppress(OSError):  # more than this user is allowed
             fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
 
-def starved_s(pid: int) -> float:
-    """How long a process's main thread has waited for a processor so far (s); 0 where nobody says."""
+def cpu_wait_s(pid: int) -> float:
+    """Return how long the main thread of a process has waited for a processor (s); 0 if the system does not tell."""
     try:
         _, waited_ns, _ = Path(f"/proc/{pid}/task/{pid}/schedstat").read_text(encoding="utf-8").split()
     except (OSError, ValueError):
@@ -194,7 +210,7 @@ def starved_s(pid: int) -> float:
 
 
 def last_lines(log: Path) -> tuple[str, ...]:
-    """The end of a log; nothing where there is none."""
+    """Return the last lines of a log file; none if there is no such file."""
     try:
         text = log.read_bytes()[-LOG_TAIL_BYTES:].decode(errors="replace")
     except OSError:
@@ -203,7 +219,7 @@ def last_lines(log: Path) -> tuple[str, ...]:
 
 
 def describe_exit(code: int) -> str:
-    """An exit code in words."""
+    """Describe an exit code, or minus a signal number, as in "was ended by SIGKILL"."""
     if code >= 0:
         return f"ended with exit code {code}"
     try:

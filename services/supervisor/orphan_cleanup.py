@@ -1,8 +1,9 @@
-"""A process of a few MB that outlives its supervisor by two seconds, and kills, by pid, what is left of the children.
+"""Orphan cleanup: a process of a few MB that kills, by pid, the children that outlive their supervisor by two seconds.
 
-Run by its path with ``python -I -S``, in a session of its own. Its standard input has lines ``+PID TICKS`` and
-``-PID``; TICKS is the child's start time, so that a pid that was given away since is not mistaken for it. The end of
-the input is the supervisor's end, however that came about. It imports nothing of the project, to stay small.
+It is run by its path with ``python -I -S``, in a session of its own. Its standard input has lines ``+PID TICKS`` and
+``-PID``. TICKS is the child's start time, so that a pid that the system has reused is not mistaken for the child. The
+end of the input means that the supervisor has ended, however it ended. To stay small, it imports nothing of the
+project.
 """
 
 import contextlib
@@ -16,7 +17,7 @@ POLL_S = 0.05
 
 
 def start_ticks(pid: int) -> int | None:
-    """When the process started, in clock ticks since boot; None when there is no such process (a zombie is none)."""
+    """Return the start time of a process in clock ticks since boot; None if there is none, or only a zombie."""
     try:
         with open(f"/proc/{pid}/stat") as file:
             fields = file.read().rpartition(")")[2].split()
@@ -26,7 +27,7 @@ def start_ticks(pid: int) -> int | None:
 
 
 def main() -> None:
-    """Follow the list until the input ends, then see to it that the list is empty."""
+    """Keep the list of children until the input ends; then kill those that still run after ``GRACE_S``."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     children: dict[int, int | None] = {}

@@ -1,8 +1,12 @@
-"""No orphan, however the supervisor ends: children die with it, the recorder finishes its file, a guard sees to both.
+"""Parent-death handling: no child process outlives the supervisor, however the supervisor ends.
 
-A thread that waits for a pipe's end leaves a child that is stopped or holds the GIL; PDEATHSIG alone would cut the
-recording, and fires when only the spawning thread ends. So children are spawned from the supervisor's main thread, in
-sessions of their own; each asks for SIGKILL at its parent's death, the recorder for a clean stop at its input's end.
+    every child     asks the kernel for SIGKILL at its parent's death (PR_SET_PDEATHSIG)
+    the recorder    asks for SIGTERM at the end of its standard input instead, so that it can finish its file
+    orphan cleanup  a small separate process that kills, by pid, what is left after two seconds
+
+Each covers what the others cannot: a thread that waits for the end of a pipe cannot end a child that is stopped or
+holds the GIL. PDEATHSIG alone would cut the recording. PDEATHSIG also fires when only the spawning thread ends; so
+children are spawned by the supervisor's main thread, in sessions of their own.
 """
 
 from __future__ import annotations
@@ -21,16 +25,16 @@ PR_SET_PDEATHSIG = 1
 
 
 def die_with_parent(parent: int) -> None:
-    """SIGKILL at the death of process ``parent``, and at once if it is dead already."""
+    """Request SIGKILL at the death of process ``parent``; exit at once if it is already dead."""
     libc = ctypes.CDLL(None)
-    if hasattr(libc, "prctl"):  # Linux; elsewhere the guard alone does it
+    if hasattr(libc, "prctl"):  # Linux; elsewhere the orphan cleanup alone does it
         libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
 
 
 def stop_at_end_of_input() -> None:
-    """SIGTERM to this very process when its standard input ends: its supervisor wants it to finish, or is no more."""
+    """Send SIGTERM to this process when its standard input ends: the supervisor has closed it, or has died."""
 
     def wait() -> None:
         while os.read(0, 1):
@@ -41,7 +45,7 @@ def stop_at_end_of_input() -> None:
 
 
 class OrphanCleanup:
-    """The supervisor's end of the guard."""
+    """Handle of the process that kills orphaned children (``orphan_cleanup.py``)."""
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
@@ -54,26 +58,26 @@ class OrphanCleanup:
 
     @property
     def pid(self) -> int:
-        """Of the guard itself."""
+        """Process id of the cleanup process."""
         return self._process.pid
 
-    def watch(self, pid: int) -> None:
-        """A child was spawned."""
+    def add(self, pid: int) -> None:
+        """Add a child that was started."""
         ticks = orphan_cleanup.start_ticks(pid)
         if ticks is not None:
-            self._tell(f"+{pid} {ticks}")
+            self._send(f"+{pid} {ticks}")
 
-    def release(self, pid: int) -> None:
-        """A child has ended and was waited for."""
-        self._tell(f"-{pid}")
+    def remove(self, pid: int) -> None:
+        """Remove a child that has ended and was waited for."""
+        self._send(f"-{pid}")
 
     def close(self) -> None:
-        """The supervisor's work is done; ends at once when every child was released."""
+        """Close the input of the cleanup process and wait for its end. It ends at once if no child is left."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait()
 
-    def _tell(self, line: str) -> None:
+    def _send(self, line: str) -> None:
         assert self._process.stdin is not None
         self._process.stdin.write(line + "\n")
         self._process.stdin.flush()

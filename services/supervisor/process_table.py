@@ -1,4 +1,4 @@
-"""ProcessRow table: which processes a run is made of, in the order of their start, and the config of each."""
+"""Process table: the processes of a run, in the order of their start, and the config of each."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from sim.scenario import Scenario
 
 
 class ProcessRow(msgspec.Struct, frozen=True):
-    """One row. ``module`` has the process's ``Config`` and ``main``.
+    """One row of the table. ``module`` has the process's ``Config`` and ``main``.
 
-    ``restartable``: its death need not end a run; of the others' the run dies. ``needs`` must be ready before it
-    starts: the recorder comes first, so that nothing is said before it listens.
+    ``restartable``: the process is restarted if it fails; otherwise the run ends. ``needs`` lists the processes that
+    must be ready before this one starts. The recorder comes first, so that it records the first message of all others.
     """
 
     name: str
@@ -36,7 +36,7 @@ PROCESSES = (
 
 
 class RunContext(msgspec.Struct, frozen=True, kw_only=True):
-    """What the processes of one run share: its folder and its bus."""
+    """Folder and bus of one run, which its processes share."""
 
     folder: RunFolder
     router: str  # endpoint
@@ -45,20 +45,20 @@ class RunContext(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def processes(scenario: Scenario) -> tuple[ProcessRow, ...]:
-    """The rows that a scenario needs: with the truth given away there is nothing to estimate."""
+    """Return the rows that a scenario needs. With ``run.perfect_state`` there is no estimator."""
     return tuple(row for row in PROCESSES if not (row.name == "estimator" and scenario.run.perfect_state))
 
 
-def config_of(name: str, run_config: RunConfig, place: RunContext) -> msgspec.Struct:
-    """The config of a process of this run, which reads its settings from the run's own folder."""
-    # Only who starts processes needs these, and not for the list of them.
+def config_of(name: str, run_config: RunConfig, context: RunContext) -> msgspec.Struct:
+    """Return the config of a process of this run. The process reads its settings from the run's own folder."""
+    # Imported here: a reader of the table alone does not need them.
     from services.processes import controller, estimator, plant, recorder, router, sensors
 
-    scenario, folder = run_config.scenario, RunFolder(place.folder.path.absolute())
-    bus = BusOptions(connect=(place.router,), namespace=place.namespace, certs=place.certs, role=name)
+    scenario, folder = run_config.scenario, RunFolder(context.folder.path.absolute())
+    bus = BusOptions(connect=(context.router,), namespace=context.namespace, certs=context.certs, role=name)
     match name:
         case "router":
-            return router.Config(bus=msgspec.structs.replace(bus, connect=(), listen=(place.router,)))
+            return router.Config(bus=msgspec.structs.replace(bus, connect=(), listen=(context.router,)))
         case "recorder":
             metadata = recorder.metadata(scenario.run.seed, run_config.files)
             return recorder.Config(bus=bus, folder=folder.path, start_ns=scenario.start_ns, metadata=metadata)

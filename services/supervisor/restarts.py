@@ -1,9 +1,9 @@
-"""What becomes of a process that has died or hangs: started anew, as often as the budget allows, or the end of the run.
+"""Restart policy: whether a process that died or hangs is restarted, or the run ends.
 
-    restart  <=>  the process may be restarted, it had come to work before, and fewer than ``MAX_RESTARTS`` restarts
-                  process were done within the last ``WINDOW_S``
+    restart  <=>  the process may be restarted, all processes had been ready before, and fewer than ``MAX_RESTARTS``
+                  restarts of any process were done within the last ``WINDOW_S`` (as systemd's StartLimitBurst)
 
-Whoever dies again and again is not mended by another start; then the run ends in order, with the reason.
+Another restart does not repair a process that fails again and again; the run then ends in order, with the reason.
 """
 
 from __future__ import annotations
@@ -16,57 +16,57 @@ WINDOW_S = 60.0
 
 
 class RestartBudget:
-    """Restarts of all processes together; times are seconds of one monotonic clock."""
+    """Limit on the restarts of all processes together; times are seconds of one monotonic clock."""
 
-    def __init__(self, most: int = MAX_RESTARTS, window_s: float = WINDOW_S) -> None:
-        self._most, self._window_s = most, window_s
-        self._spent: deque[float] = deque()
+    def __init__(self, max_restarts: int = MAX_RESTARTS, window_s: float = WINDOW_S) -> None:
+        self._max_restarts, self._window_s = max_restarts, window_s
+        self._restarts_s: deque[float] = deque()
 
     def spend(self, now_s: float) -> bool:
-        """Whether there was one left; it is spent then."""
-        while self._spent and now_s - self._spent[0] >= self._window_s:
-            self._spent.popleft()
-        if len(self._spent) >= self._most:
+        """Spend one restart. Return False if none is left."""
+        while self._restarts_s and now_s - self._restarts_s[0] >= self._window_s:
+            self._restarts_s.popleft()
+        if len(self._restarts_s) >= self._max_restarts:
             return False
-        self._spent.append(now_s)
+        self._restarts_s.append(now_s)
         return True
 
 
 class ProcessFailure(NamedTuple):
-    """One process's death, however it came about."""
+    """Death or hang of one process."""
 
     node: str
     how: str  # "was ended by SIGKILL", "hung: ..."
-    alive_s: float  # when it was last known to live
-    seen_s: float
+    alive_s: float  # last sign of life: the newest heartbeat
+    seen_s: float  # when the supervisor noticed
 
 
 class Recovery(NamedTuple):
-    """A process that was started anew and has not done any work yet."""
+    """Restarted process that has not shown yet that it works."""
 
-    fault: ProcessFailure
-    before: int  # epoch of its former self; 0 where it has none
-    begun_s: float
+    failure: ProcessFailure
+    old_epoch: int  # epoch of the process that failed; 0 if it has none
+    started_s: float
 
     def is_over(self, epoch: int, arrived_s: float) -> bool:
-        """Whether a message of ``epoch`` that came at ``arrived_s`` shows that it works again."""
-        return arrived_s > self.begun_s and (epoch != self.before or self.before == 0)
+        """Return True if a message of ``epoch`` that arrived at ``arrived_s`` shows that the new process works."""
+        return arrived_s > self.started_s and (epoch != self.old_epoch or self.old_epoch == 0)
 
 
 class RestartRefusal(NamedTuple):
-    """No restart: the run ends."""
+    """Decision against a restart: the run ends."""
 
     why: str
-    in_order: bool  # there is nothing to hurry from: everyone else is well
+    in_order: bool  # the other processes are well and may finish one after the other
 
 
-def judge(
-    fault: ProcessFailure, *, restartable: bool, had_worked: bool, budget: RestartBudget
+def restart_refusal(
+    failure: ProcessFailure, *, restartable: bool, had_started: bool, budget: RestartBudget
 ) -> RestartRefusal | None:
-    """None: it is to be started anew."""
-    if not restartable or not had_worked:
-        return RestartRefusal(f"{fault.node} {fault.how}", in_order=False)
-    if not budget.spend(fault.seen_s):
-        text = f"{fault.node} {fault.how}, and {MAX_RESTARTS} restarts within {WINDOW_S:.0f} s are the limit: stopping"
-        return RestartRefusal(text, in_order=True)
+    """Return why a failed process is not restarted; None if it is. A restart is then spent."""
+    if not restartable or not had_started:
+        return RestartRefusal(f"{failure.node} {failure.how}", in_order=False)
+    if not budget.spend(failure.seen_s):
+        limit = f"the limit of {MAX_RESTARTS} restarts within {WINDOW_S:.0f} s is reached"
+        return RestartRefusal(f"{failure.node} {failure.how}; {limit}: stopping safely", in_order=True)
     return None

@@ -1,7 +1,7 @@
-"""The state that a process continues from when it takes the place of a dead one.
+"""State that a restarted process continues from.
 
-It is the newest that the dead one has published, with what is newer by then: the estimate, and for a controller the
-plan in force at the actuators. Nobody else publishes these while the process is dead.
+It is the newest state that the failed process has published, updated with newer messages: the newest estimate, and for
+a controller the plan that the actuators follow. No other process publishes these while the process is dead.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from services.bus.wire import Header, encode
 from services.supervisor.bus_monitor import BusMonitor
 
 
-def restore_state(node: str, watch: BusMonitor) -> bytes:
-    """Return the state for a new process of this name, as it travels; empty where it has none to continue from."""
+def restore_state(node: str, monitor: BusMonitor) -> bytes:
+    """Return the encoded state for a new process of this name; empty if there is none to continue from."""
     kind = STATES.get(node)
-    state = None if kind is None else watch.newest(kind)
+    state = None if kind is None else monitor.newest(kind)
     if state is None:
         return b""
-    state = msgspec.structs.replace(state, estimate=watch.newest(Estimate) or state.estimate)
+    state = msgspec.structs.replace(state, estimate=monitor.newest(Estimate) or state.estimate)
     if isinstance(state, ControllerState):
-        state = msgspec.structs.replace(state, plan=watch.plan_in_force())
+        state = msgspec.structs.replace(state, plan=monitor.plan_in_force())
     return encode(state, Header(epoch=0, sequence=0))

@@ -1,4 +1,4 @@
-"""What a person sees of a run while it goes on: the newest message of each kind, and each process's word."""
+"""Interface of a run's screen, and the view that it shows: the newest message of each type, and process states."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ltv_mpc.messages import Applied, CycleTiming, Estimate, NodeStatus, Plan, T
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveView:
-    """The run at one moment. Everything but the time is None or empty until it was heard."""
+    """State of a run at one moment. Everything but the time is None or empty until the first message has arrived."""
 
     t_ns: int  # vehicle time
     start_ns: int
     end_ns: int
-    speed: float  # of the clock, times real time
-    requested_speed: float  # more than that where the machine cannot keep up
+    speed: float  # of the clock, as a multiple of real time
+    requested_speed: float  # greater than ``speed`` if the machine cannot keep up
     wall_s: float  # since the start of the run
-    phase: str  # what the run does in one word: starting, afloat, diving, stopping
+    phase: str  # starting, afloat, diving, stopping
     truth: Truth | None = None
     estimate: Estimate | None = None
     plan: Plan | None = None
@@ -30,18 +30,18 @@ class LiveView:
 
 
 class Screen(Protocol):
-    """Whatever shows a run: fed about ten times a second from one thread, closed once."""
+    """Display of a run: updated about ten times a second from one thread, closed once."""
 
     def update(self, view: LiveView) -> None:
         """Show this moment."""
         ...
 
     def wait(self, what: str, share: float) -> None:
-        """What is done before there is anything to show, and which share of it, 0 .. 1."""
+        """Show the progress of a preparation, 0 to 1, before the run has started."""
         ...
 
     def say(self, text: str) -> None:
-        """One line that stays: a phase, a loss, a restart."""
+        """Print one line that stays: a phase, a loss, a restart."""
         ...
 
     def close(self) -> None:

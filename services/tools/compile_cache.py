@@ -17,7 +17,7 @@ def main() -> int:
         with progress_bar("compiling, once") as told:
             while process.poll() is None:
                 told(jit_cache.share())
-                time.sleep(jit_cache.LOOK_S)
+                time.sleep(jit_cache.POLL_S)
     finally:
         process.kill()
         process.wait()

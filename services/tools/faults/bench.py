@@ -112,7 +112,7 @@ def run(of: RunConfig, faults: Sequence[Fault], folder: Path, *, patience_s: flo
 
 def _await(place: str) -> None:
     until = time.monotonic() + ROUTER_S
-    while not loopback.answers(place) and time.monotonic() < until:
+    while not loopback.is_listening(place) and time.monotonic() < until:
         time.sleep(0.02)
 
 

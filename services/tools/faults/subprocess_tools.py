@@ -17,7 +17,7 @@ class Started:
     """Context manager of child processes, which kills those that still run at its end or when this process dies."""
 
     def __init__(self) -> None:
-        self._guard = OrphanCleanup()
+        self._cleanup = OrphanCleanup()
         self._processes: list[Process] = []
 
     def __enter__(self) -> Started:
@@ -28,8 +28,8 @@ class Started:
             if process.poll() is None:
                 process.kill()
                 process.wait()
-            self._guard.release(process.pid)
-        self._guard.close()
+            self._cleanup.remove(process.pid)
+        self._cleanup.close()
 
     def start(self, words: Sequence[str], log: Path, *, results: bool) -> Process:
         """Start ``python -m WORDS``, its stderr in ``log``; ``results``: what it writes on standard output too."""
@@ -41,7 +41,7 @@ class Started:
                 stderr=subprocess.STDOUT if results else output,
                 start_new_session=True,
             )
-        self._guard.watch(process.pid)
+        self._cleanup.add(process.pid)
         self._processes.append(process)
         return process
 

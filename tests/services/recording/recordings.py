@@ -1,4 +1,4 @@
-"""Small recordings, made by hand: what tests cut, damage, count and convert."""
+"""Small synthetic recordings, which tests truncate, damage, count and convert."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ def depth(i: int) -> PressureDepth:
 
 
 A_CHUNK = 300
-"""Messages: each flush ends one, as each half second does where the wall clock counts."""
+"""Messages of a chunk: each flush ends one, as each half second does with the wall clock."""
 
 
 def write(
     path: Path, messages: Iterable[tuple[str, Message, int, int, int]], *, start_ns: int = START_NS, **metadata: str
 ) -> Path:
-    """``messages``: writer, signal, epoch, sequence, vehicle time of publication."""
+    """Write ``messages``: writer, message, epoch, sequence number, vehicle time of publication."""
     with RunWriter(path, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
         for i, (node, signal, epoch, sequence, t_ns) in enumerate(messages):
             writer.write(node, signal, Header(epoch=epoch, sequence=sequence), t_ns)
@@ -36,7 +36,7 @@ def write(
 
 
 def foreign(path: Path, key: str, *messages: bytes, **metadata: str) -> Path:
-    """A recording that somebody else wrote: any bytes as messages, with all checksums right."""
+    """Write a foreign recording: any bytes as messages, with correct checksums."""
     with path.open("wb") as file:
         writer: Any = Writer(file)
         writer.start()
@@ -49,6 +49,6 @@ def foreign(path: Path, key: str, *messages: bytes, **metadata: str) -> Path:
 
 
 def write_depths(path: Path, sequences: Iterable[int], *, epoch: int = 1, start_ns: int = START_NS) -> Path:
-    """One key; ``depth(i)`` has the sequence ``i``."""
+    """Write one key; ``depth(i)`` has the sequence number ``i``."""
     messages = (("sensors", depth(i), epoch, i, depth(i).t_ns) for i in sequences)
     return write(path, messages, start_ns=start_ns, seed="7")

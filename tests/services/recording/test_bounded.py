@@ -1,24 +1,18 @@
-"""However many sources speak, what is remembered of them is bounded, and nothing that was missed is forgotten."""
+"""Loss accounting with any number of sources: memory is bounded, and no loss is forgotten."""
 
 from __future__ import annotations
 
-import pytest
-
-from services.recording import loss_accounting, publish_counts, sequence_gaps
 from services.recording.loss_accounting import LossAccounting
 from services.recording.publish_counts import PublishCounts
 from services.recording.sequence_gaps import SequenceGaps
 
 
-@pytest.fixture(autouse=True)
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loss_accounting, "MAX_SOURCES", 10)
-    monkeypatch.setattr(loss_accounting, "MAX_KEYS", 3)
-    monkeypatch.setattr(publish_counts, "MAX_EPOCHS", 10)
+def accounting() -> LossAccounting:
+    return LossAccounting(max_sources=10, max_keys=3)
 
 
 def test_what_forgotten_sources_have_lost_stays_counted() -> None:
-    of = LossAccounting()
+    of = accounting()
     for epoch in range(1000):
         of.add("plan", epoch, 0)
         of.add("plan", epoch, 3)  # two are missing
@@ -33,7 +27,7 @@ def test_what_forgotten_sources_have_lost_stays_counted() -> None:
 
 
 def test_a_source_that_was_forgotten_counts_from_where_it_is_heard_again() -> None:
-    of = LossAccounting()
+    of = accounting()
     for epoch in range(20):
         of.add("plan", epoch, 0)
     of.add("plan", 0, 500)
@@ -42,7 +36,7 @@ def test_a_source_that_was_forgotten_counts_from_where_it_is_heard_again() -> No
 
 
 def test_of_too_many_keys_the_sums_are_one() -> None:
-    of = LossAccounting()
+    of = accounting()
     for k in range(100):
         of.add(f"status/{k}", 1, 0)
         of.add(f"status/{k}", 1, 2)  # one is missing
@@ -51,9 +45,8 @@ def test_of_too_many_keys_the_sums_are_one() -> None:
     assert (of.missing, sum(of.by_key().values())) == (100, 100)
 
 
-def test_of_very_many_gaps_the_oldest_are_lost_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sequence_gaps, "MAX_GAPS", 3)
-    of = SequenceGaps()
+def test_of_very_many_gaps_the_oldest_are_lost_for_good() -> None:
+    of = SequenceGaps(max_gaps=3)
     for sequence in range(0, 20, 2):
         assert of.add(sequence)
     assert (of.missing, of.ranges) == (9, ((13, 13), (15, 15), (17, 17)))
@@ -63,10 +56,10 @@ def test_of_very_many_gaps_the_oldest_are_lost_for_good(monkeypatch: pytest.Monk
 
 
 def test_what_comes_twice_makes_up_for_nothing_that_did_not_come() -> None:
-    of = LossAccounting()
+    of = accounting()
     assert [of.add("plan", 7, sequence) for sequence in (0, 3, 3, 1, 1, 0)] == [True, True, False, True, False, False]
     assert (of.published, of.missing, of.by_key()) == (4, 1, {"plan": 1})
-    kept = PublishCounts()
+    kept = PublishCounts(max_epochs=10)
     for again in (False, True, False):
         kept.count(7)
         if again:
@@ -76,7 +69,7 @@ def test_what_comes_twice_makes_up_for_nothing_that_did_not_come() -> None:
 
 
 def test_what_forgotten_processes_did_not_keep_of_their_word_stays_counted() -> None:
-    of = PublishCounts()
+    of = PublishCounts(max_epochs=10)
     for epoch in range(1000):
         of.count(epoch)
         of.set_published(epoch, f"node {epoch % 2}", 3)  # two are missing
@@ -88,7 +81,7 @@ def test_what_forgotten_processes_did_not_keep_of_their_word_stays_counted() -> 
 
 
 def test_who_spoke_before_anybody_counted_keeps_every_word() -> None:
-    of = PublishCounts()
+    of = PublishCounts(max_epochs=10)
     assert not of.count(1, late=True)
     assert not of.count(1)
     assert of.count(2)

@@ -1,4 +1,4 @@
-"""Tables of a recording: each number back bit for bit, under the name that it travels by, in a file of its key."""
+"""Export as tables: each number bit for bit, under its name on the bus, in the file of its key."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def exported(tmp_path: Path, form: Format, *signals: tuple[str, Message]) -> exp
 
 
 def leaves(value: Any, name: str) -> dict[str, Any]:
-    """Every scalar of a message's map by the column's name, by a rule of its own: join by "." and "_"."""
+    """Return every scalar of a message's map by column name, by an independent rule: join by "." and "_"."""
     if isinstance(value, dict) and value:
         return {k: v for key, inner in value.items() for k, v in leaves(inner, f"{name}.{key}".lstrip(".")).items()}
     if isinstance(value, list) and value and not any(isinstance(x, dict | str) for x in value):
@@ -47,7 +47,7 @@ def leaves(value: Any, name: str) -> dict[str, Any]:
 
 
 LATEST = {type(signal): signal for signal in EXAMPLES}
-"""One message of a kind, so that every list has one length."""
+"""One message of each type, so that every list has one length."""
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
@@ -74,7 +74,7 @@ def test_every_kind_of_message_comes_back_bit_for_bit_with_its_types(form: Forma
 
 
 def said(cell: Any, like: Any) -> Any:
-    """A cell as the value that it stands for: text is itself, all else in CSV, and structures, are JSON or nothing."""
+    """Return the value of a cell: text as it is; in CSV everything else, and structures, as JSON or empty."""
     if isinstance(like, str) or not isinstance(cell, str):
         return cell
     return json.loads(cell) if cell else None

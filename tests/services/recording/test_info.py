@@ -1,4 +1,4 @@
-"""A recording in figures: counts, rates, times, gaps by key and source, events, whether it is whole."""
+"""Summary of a recording: counts, rates, times, gaps by key and source, events, completeness."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_gaps_are_what_a_set_says_whatever_the_order(sequences: list[int]) -> No
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """10 Hz from -1 s on with a gap; then a second start of the source; an event; a second segment, cut."""
+    """10 Hz from -1 s on with a gap; then a second start of the source; an event; a second, truncated segment."""
     there = [i for i in range(20) if i not in (5, 6, 9)]
     first = [("sensors", depth(i), 7, i, START_NS + i * S // 10) for i in there]
     event = RunEvent(t_ns=S, node="plant", kind="slowed", text="by 0.4 s")

@@ -1,4 +1,4 @@
-"""A trace for Perfetto: held against the rules of the format, and against a run whose delays are known."""
+"""Export for Perfetto: checked against the rules of the format, and against a run with known delays."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def example(kind: type[Message], **fields: Any) -> Message:
 
 
 def held_to_the_rules(trace: dict[str, Any]) -> list[Event]:
-    """Phases and their fields, times that do not fall, slices that nest, arrows that begin and end in a slice."""
+    """Check phases and their fields, order of times, nesting of slices, and that arrows begin and end in a slice."""
     events: list[Event] = trace["traceEvents"]
     assert {event["ph"] for event in events} <= set("MXCistf")
     timed = [event for event in events if event["ph"] != "M"]
@@ -149,7 +149,7 @@ def test_the_delay_from_an_estimate_to_its_thrust_can_be_read_off(tmp_path: Path
 
 
 def test_someone_elses_estimates_have_a_place_too_and_an_arrow_never_points_back(tmp_path: Path) -> None:
-    """No step record is there; the second estimate is stamped later than the cycle that used it began."""
+    """There is no step record; the second estimate is stamped later than the start of the cycle that used it."""
     first, second = cycle(0), cycle(1)
     late = ("estimator", second[1][1], ESTIMATOR, 1, 310 * MS)
     written, events = drawn(write(tmp_path / "run.mcap", [*first[1:], late, *second[2:]]), tmp_path / "trace.json")

@@ -1,4 +1,4 @@
-"""run.mcap: written here, read by mcap's own reader and by ours, whole and cut."""
+"""Recording file: written here, read by mcap's own reader and by ours, complete and truncated."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_what_every_node_writes_has_a_channel_for_each_node_and_one_schema(path:
 
 
 def test_signals_come_back_as_they_were_bit_for_bit(path: Path) -> None:
-    """Finite numbers exactly, be they awkward; NaN by way of null; vehicle time with its sign."""
+    """Finite numbers exactly, also awkward ones; NaN as null; vehicle time with its sign."""
     awkward = [0.1 + 0.2, -0.0, 5e-324, 1.7976931348623157e308, 1 / 3, -1e-17]
     half = np.random.Generator(np.random.PCG64(1)).standard_normal((6, 6))
     estimate = msgspec.structs.replace(
@@ -265,7 +265,7 @@ def test_losses_are_the_gaps_of_each_key_and_epoch() -> None:
 
 
 def test_the_recording_package_starts_without_the_simulation() -> None:
-    """It serves real vehicles."""
+    """The package is used on real vehicles."""
     code = (
         "import sys, services.recording.reader, services.recording.writer, services.recording.loss_accounting;"
         "print([m for m in sys.modules if m.partition('.')[0] in ('sim', 'zenoh', 'numba')])"

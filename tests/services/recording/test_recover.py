@@ -1,4 +1,4 @@
-"""Recordings that were cut, damaged or left in segments: every whole message comes back, what is lost is said."""
+"""Recovery of truncated, damaged or segmented recordings: every complete message is kept, losses are reported."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def messages(path: Path) -> list[tuple[str, int, bytes]]:
 
 
 def chunks(path: Path) -> list[tuple[int, int]]:
-    """Offset and length of each chunk, by mcap's own index."""
+    """Return offset and length of each chunk, from mcap's own index."""
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
@@ -32,7 +32,7 @@ def chunks(path: Path) -> list[tuple[int, int]]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three thousand messages in some ten chunks."""
+    """Write three thousand messages in about ten chunks."""
     return write_depths(tmp_path_factory.mktemp("whole") / "run.mcap", range(3000))
 
 
@@ -106,7 +106,7 @@ def test_messages_whose_channel_is_lost_are_left_out_and_counted(whole: Path, tm
 
 
 def test_segments_are_joined_in_the_order_of_their_numbers_in_one_time(tmp_path: Path) -> None:
-    """The tenth is not the second; a recorder that began later counts from there."""
+    """Segment 10 does not follow segment 1; a recorder that started later has another start time."""
     write_depths(tmp_path / "run.mcap", range(10))
     write_depths(tmp_path / "run.2.mcap", range(12, 20))
     write_depths(tmp_path / "run.10.mcap", range(20, 30), start_ns=START_NS + 5_000_000)
@@ -140,7 +140,7 @@ def test_nothing_is_written_over(whole: Path, tmp_path: Path) -> None:
     path.write_bytes(whole.read_bytes()[:-100])
     out = recovered_path(path)
     out.write_text("mine")
-    with pytest.raises(ConfigError, match=r"run\.recovered\.mcap.*exists already.*--out"):
+    with pytest.raises(ConfigError, match=r"run\.recovered\.mcap.*exists: name another with --out"):
         recovered(path)
     assert out.read_text() == "mine"
 
@@ -148,7 +148,7 @@ def test_nothing_is_written_over(whole: Path, tmp_path: Path) -> None:
 def test_where_nothing_can_be_saved_nothing_is_left_behind(whole: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     for content, problem in (
-        (whole.read_bytes()[:300], "no complete message"),
+        (whole.read_bytes()[:300], "holds no complete message"),
         (b"depth_m\n1\n", "not an MCAP file"),
     ):
         path.write_bytes(content)

@@ -1,4 +1,4 @@
-"""A recording that outlives its recorder and a full disk: what is kept can be read, what is not is counted."""
+"""Recording in segments, after a restart and with a full disk: segments can be read, losses are counted."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def sequences(path: Path) -> list[int]:
 
 
 def fill_up(writer: SegmentWriter) -> None:
-    """From now on the disk below the open segment has no room."""
+    """Make the disk of the open segment full from now on."""
     assert writer._writer is not None
     with Path("/dev/full").open("wb") as full:
         os.dup2(full.fileno(), writer._writer._file.fileno())
@@ -41,8 +41,8 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "run.mcap"
 
 
-def opened(path: Path) -> SegmentWriter:
-    return SegmentWriter(path, start_ns=0, metadata={"seed": "7"})
+def opened(path: Path, retry_s: float = segments.RETRY_S) -> SegmentWriter:
+    return SegmentWriter(path, start_ns=0, metadata={"seed": "7"}, retry_s=retry_s)
 
 
 def test_a_restarted_recorder_writes_the_next_segment_and_the_join_is_complete(path: Path) -> None:
@@ -129,12 +129,11 @@ def test_it_goes_on_in_the_next_segment_as_soon_as_there_is_room(path: Path, mon
 
 
 def test_while_there_is_no_room_every_try_is_in_vain_and_leaves_no_file(
-    path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path,
 ) -> None:
-    """Not even for the head of a file, of which a part is written."""
-    monkeypatch.setattr(segments, "RETRY_S", 0.0)
+    """There is not even room for the head of a file, of which a part is written."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with opened(path) as writer:
+    with opened(path, retry_s=0.0) as writer:
         fill_up(writer)
         put(writer, 0)
         writer.flush_if_due(now=True)

@@ -1,4 +1,4 @@
-"""A recording written again with something else in it: lost, damaged, doubled, of another epoch."""
+"""Altered copies of a recording: messages lost, damaged, duplicated, of another epoch."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from services.replay.replay import metadata_of
 Plain = dict[str, Any]
 
 Change = Callable[[StoredMessage, Plain], Iterable[Plain]]
-"""One message of the file -> what is to stand there in its place."""
+"""Function from one message of the file to the messages in its place."""
 
 
 def messages(recording: Path) -> list[tuple[StoredMessage, Plain]]:
-    """All of a file."""
+    """Return all messages of a file."""
     return [(stored, msgspec.json.decode(stored.data)) for stored in Recording(recording).stored()]
 
 
@@ -32,7 +32,7 @@ def rewritten(
     spell: Callable[[Plain], bytes] = wire.pack,
     keep_crc: bool = False,
 ) -> Path:
-    """``out``, with every message as ``change`` leaves it, under the CRC of the frame that ``spell`` makes of it.
+    """Write ``out`` with every message changed by ``change``, and the CRC of the frame that ``spell`` encodes.
 
     ``keep_crc``: under the CRC that it had, as if somebody had edited the file.
     """
@@ -48,5 +48,5 @@ def rewritten(
 
 
 def without(key: str, sequence: int) -> Change:
-    """One message is lost."""
+    """Return a change that loses one message."""
     return lambda stored, plain: [] if (stored.key, plain["sequence"]) == (key, sequence) else [plain]

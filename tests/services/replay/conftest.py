@@ -1,4 +1,4 @@
-"""A short run in lock step, with every node and a delay: what the tests replay and damage."""
+"""Short run in lock step, with every node and a delay, which the tests replay and damage."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from services.tools import lockstep_run
 
 @pytest.fixture(scope="package")
 def locked_run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    """Three seconds after one afloat; a plan arrives 0.4 s after its cycle began."""
+    """Run three seconds after one second afloat; a plan arrives 0.4 s after the start of its cycle."""
     settings = ["run.duration_s=3", "run.compute_delay_s=0.4", "run.seed=3"]
     run_config = resolve("descent", [Override("test", settings)])
     run = folder.make("descent", run_config.files, out=tmp_path_factory.mktemp("replay") / "run")

@@ -1,4 +1,4 @@
-"""``ltv-mpc replay``: exit codes, one object with --json, and the first difference in words."""
+"""Command ``ltv-mpc replay``: exit codes, one object with --json, and the text of the first difference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is kept of a file while it is read, and a node that breaks where the recorded one did not."""
+"""Epochs: frames kept while a file is read, and a node that raises where the recorded one did not."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_what_was_used_or_is_old_is_not_kept() -> None:
 
 
 class Fragile(OneByOne):
-    """Steps until it is told of a depth."""
+    """Node that raises at a depth."""
 
     name = "sensors"
     schedule = Grid(1)
@@ -66,9 +66,9 @@ def test_a_step_that_raises_only_in_the_replay_is_a_difference_and_ends_its_epoc
     epoch.take(Record(epoch=7, step=1, t_ns=1, inbox=(entry(*depth(0)),)), 2)
     epoch.take(Record(epoch=7, step=2, t_ns=2, inbox=()), 3)
     epoch.close()
-    assert (outcome.steps_compared, outcome.steps_identical) == (2, 1)
-    assert outcome.first_difference is not None
-    assert (outcome.first_difference.step, outcome.first_difference.what) == (
+    assert (outcome.counts.compared, outcome.counts.identical) == (2, 1)
+    assert outcome.counts.first_difference is not None
+    assert (outcome.counts.first_difference.step, outcome.counts.first_difference.what) == (
         1,
         "the replay raised ZeroDivisionError: at 1",
     )
@@ -93,7 +93,7 @@ def ping(sequence: int) -> tuple[StoredMessage, Header]:
 
 
 def killed(*heard: tuple[StoredMessage, Header]) -> tuple[Epoch, Comparison]:
-    """One step whose record is in the file, and outputs after which nothing more is said of the node."""
+    """Return an epoch with one recorded step, and outputs after which the file has nothing more of the node."""
     outcome = Comparison("sensors", 7)
     epoch = Epoch(7, Fragile, Frames(), outcome)
     epoch.take(Record(epoch=7, step=0, t_ns=0, inbox=()), 0)
@@ -108,8 +108,8 @@ def test_outputs_of_a_step_whose_record_a_new_recorder_has_missed_are_no_differe
     next output is there, of another one that comes later.
     """
     epoch, outcome = killed(depth(0), depth(2), ping(0))
-    assert outcome.first_difference is None
-    assert (outcome.steps_compared, outcome.steps_identical) == (1, 1)
+    assert outcome.counts.first_difference is None
+    assert (outcome.counts.compared, outcome.counts.identical) == (1, 1)
     assert epoch.gap is not None
     assert (epoch.gap.first_step, epoch.gap.steps) == (1, 1)
 
@@ -118,5 +118,5 @@ def test_an_output_that_the_replay_did_not_make_is_a_difference() -> None:
     for heard in ((depth(0), ping(0)), (depth(0), ping(0), ping(1)), (depth(0), depth(1), depth(2))):
         epoch, outcome = killed(*heard)
         assert epoch.gap is None
-        assert outcome.first_difference is not None
-        assert outcome.first_difference.what == "recorded, not made by the replay"
+        assert outcome.counts.first_difference is not None
+        assert outcome.counts.first_difference.what == "recorded, but not made by the replay"

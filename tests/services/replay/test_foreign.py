@@ -1,4 +1,4 @@
-"""What others publish, however they spell it and whatever their clock says, is replayed as it was understood live."""
+"""Foreign publishers: other encodings and other clocks replay as they were understood live."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from services.bus.topics import key_of
 from services.recording.reader import Recording
 from services.recording.writer import RunWriter
 from services.replay import replay as engine
-from services.replay.frames import arrival
+from services.replay.frames import received_message
 from tests.services.bus.messages import EXAMPLES
 
 HEADER = wire.Header(epoch=77, sequence=3, sent_monotonic_us=5)
 
 
 def backwards(value: Any) -> Any:
-    """Every map's fields in another order."""
+    """Reverse the order of every map's fields."""
     if isinstance(value, dict):
         return {name: backwards(value[name]) for name in reversed(value)}
     return [backwards(x) for x in value] if isinstance(value, list) else value
 
 
 def shortest(value: Any) -> Any:
-    """1.0 as 1, as JavaScript sends it."""
+    """Encode 1.0 as 1, as JavaScript does."""
     if isinstance(value, dict):
         return {name: shortest(x) for name, x in value.items()}
     if isinstance(value, list):
@@ -68,13 +68,13 @@ def test_a_frame_is_found_by_its_own_checksum_and_means_what_it_meant_at_the_doo
         (stored,) = Recording(path).stored()
         assert stored.crc == wire.crc(payload)
         entry = InboxEntry(key=key, epoch=header.epoch, sequence=3, crc=stored.crc, received_t_ns=9)
-        again = arrival(stored, entry)
+        again = received_message(stored, entry)
         assert (again.epoch, again.sequence, again.received_t_ns) == (header.epoch, 3, 9)
-        assert wire.encode(again.signal, header) == wire.encode(live, header)
+        assert wire.encode(again.message, header) == wire.encode(live, header)
 
 
 def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording: Path, tmp_path: Path) -> None:
-    """Somebody's estimates, nanoseconds since 1970, whole numbers without a point; no plant, no sensors."""
+    """Foreign estimates in nanoseconds since 1970, integral floats encoded as integers; no plant, no sensors."""
     run = engine.Run(recording)
     run_config = run.run_config
     node = ControllerNode(run_config.vehicle, run_config.reference, run_config.scenario.controller)

@@ -1,4 +1,4 @@
-"""A run's outputs again, byte for byte: what is other is found and named, and what is lost is a gap."""
+"""Replay of a run, byte for byte: differences are found and named, losses are gaps."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from services.recording.reader import StoredMessage
 from services.recording.writer import RunWriter
 from services.replay import nodes
 from services.replay import replay as engine
-from services.replay.comparison import NOT_MADE, NOT_RECORDED
+from services.replay.comparison import NOT_RECORDED, NOT_REPLAYED
 from services.replay.verdict import NodeVerdict, Verdict
 from services.run.provenance import provenance_table
 from tests.services.replay.altered import Plain, messages, rewritten, without
@@ -35,7 +35,7 @@ def of(verdict: Verdict, name: str) -> NodeVerdict:
 
 
 def test_every_step_of_a_run_in_lock_step_is_identical_from_the_file_alone(recording: Path, tmp_path: Path) -> None:
-    """Taken out of its folder: what it was made of stands in it. The last plan was on its way when the run ended."""
+    """The file alone is enough: it has the settings. The last plan was still on its way when the run ended."""
     bare = Path(shutil.copy(recording, tmp_path / "elsewhere.mcap"))
     told: list[int] = []
     verdict = replayed(bare, progress=told.append)
@@ -46,7 +46,7 @@ def test_every_step_of_a_run_in_lock_step_is_identical_from_the_file_alone(recor
     ]
     assert of(verdict, "plant").steps_run == of(verdict, "sensors").steps_run == 401
     assert of(verdict, "controller").outputs_compared >= of(verdict, "controller").steps_run >= 8
-    assert (verdict.cut, verdict.elsewhere, verdict.first_difference) == (False, (), None)
+    assert (verdict.cut, verdict.provenance_differences, verdict.first_difference) == (False, (), None)
     assert told[-1] == 3_000_000_000
     assert verdict.vehicle_s == 4.0
 
@@ -61,7 +61,7 @@ def test_one_node_alone(recording: Path) -> None:
 
 @pytest.mark.parametrize("keep_crc", [False, True])
 def test_one_digit_of_a_plan_is_found_and_named(recording: Path, tmp_path: Path, keep_crc: bool) -> None:
-    """The CRC tells on a frame that is another, the bytes of the file on a file that was edited."""
+    """The CRC reveals another frame, the bytes of the file an edited file."""
 
     def damaged(stored: StoredMessage, plain: Plain) -> Iterable[Plain]:
         if stored.key == "plan" and plain["sequence"] == 4:
@@ -88,7 +88,7 @@ def test_one_digit_of_a_plan_is_found_and_named(recording: Path, tmp_path: Path,
 
 
 def test_the_same_values_in_another_spelling_are_another_frame(recording: Path, tmp_path: Path) -> None:
-    """JSON cannot tell: the checksum of what travelled does."""
+    """JSON is the same: only the checksum of the frame differs."""
 
     def backwards(message: Plain) -> bytes:
         return wire.pack(dict(reversed(message.items())) if "solve" in message else message)
@@ -130,7 +130,7 @@ def test_a_lost_output_is_counted_and_its_step_is_not_compared(recording: Path, 
 def test_what_an_injector_has_harmed_is_compared_with_what_was_said_and_given(
     recording: Path, tmp_path: Path, at_a: list[float]
 ) -> None:
-    """A plan that the recorder heard otherwise than it was said and taken, or not at all; both ends are in the file."""
+    """The recorder received another plan than was published and accepted, or none; the file has both ends."""
     run = engine.Run(recording)
     out = tmp_path / "run.mcap"
     count = 0
@@ -167,7 +167,7 @@ def test_a_handed_frame_that_nobody_can_read_is_nobody_s(recording: Path, tmp_pa
 
 
 def test_after_a_gap_a_node_is_compared_again_from_its_next_start(recording: Path, tmp_path: Path) -> None:
-    """The run twice in one file, the first with a loss; the second is of new epochs."""
+    """The file has the run twice, the first time with a loss, the second time with new epochs."""
     crc_of: dict[tuple[str, int], int] = {}
 
     def second(stored: StoredMessage, plain: Plain) -> Plain:
@@ -203,7 +203,7 @@ def test_after_a_gap_a_node_is_compared_again_from_its_next_start(recording: Pat
 def test_a_damaged_copy_beside_the_right_frame_changes_nothing(
     recording: Path, tmp_path: Path, damaged_first: bool
 ) -> None:
-    """As a recorder that listens on both sides of a bad link hears it: inputs and outputs alike."""
+    """As a recorder on both sides of a bad link receives it, for inputs and outputs."""
 
     def doubled(stored: StoredMessage, plain: Plain) -> Iterable[Plain]:
         if stored.key == "sensor/depth":
@@ -223,7 +223,7 @@ def test_an_input_may_stand_in_the_file_behind_the_record_that_names_it(recordin
     held: list[Plain] = []
 
     def late(stored: StoredMessage, plain: Plain) -> Iterable[Plain]:
-        """Each sensor message comes five later."""
+        """Return a change that delays each sensor message by five."""
         if stored.key != "sensor/imu":
             return [plain]
         held.append(plain)
@@ -246,7 +246,7 @@ def test_outputs_that_nothing_lost_explains_are_differences(recording: Path, tmp
         return [plain, plain | {"sequence": last + 1}] if again else [plain]
 
     last = max(plain["sequence"] for stored, plain in messages(recording) if stored.key == "localisation")
-    for change, what in ((silent, NOT_RECORDED), (talkative, NOT_MADE)):
+    for change, what in ((silent, NOT_RECORDED), (talkative, NOT_REPLAYED)):
         verdict = replayed(rewritten(recording, tmp_path / "run.mcap", change), only="estimator")
         assert not verdict.identical
         assert verdict.first_difference is not None
@@ -277,7 +277,7 @@ def test_a_run_made_elsewhere_says_what_is_otherwise_here(recording: Path, tmp_p
             assert stored.kind is not None
             writer.write_plain(stored.key, stored.kind, plain, stored.t_ns)
     verdict = replayed(out, only="controller")
-    assert [(entry.what, entry.run, entry.here) for entry in verdict.elsewhere] == [
+    assert [(entry.what, entry.run, entry.here) for entry in verdict.provenance_differences] == [
         ("processor", "Motorola 6502", provenance_table()["processor"])
     ]
 

@@ -1,4 +1,4 @@
-"""With other settings a replay says what would have changed; with the run's own, nothing."""
+"""What-if replay: other settings change the outputs, the run's own settings do not."""
 
 from __future__ import annotations
 

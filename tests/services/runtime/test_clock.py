@@ -1,4 +1,4 @@
-"""Vehicle time: exact integers, one time for all who hear in time, and never a step back for who hears late."""
+"""Vehicle clock: exact integers, the same time for all timely followers, and no step back for late ones."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ def test_however_much_is_announced_ahead_what_is_kept_of_it_is_bounded() -> None
     clock.follow(k.run(T0_US))
     for i in range(10_000):
         clock.follow(msgspec.structs.replace(k.message, clock_sequence=i + 2, at_monotonic_us=T0_US + 10**9 + i))
-    assert len(clock._lines) == MAX_SEGMENTS
+    assert len(clock._segments) == MAX_SEGMENTS
     assert clock.newest is not None
     assert clock.newest.at_us == T0_US + 10**9 + 9_999
     assert clock.read(T0_US + LEAD_US + 1_000_000) == START_NS + 1_000_000_000
@@ -272,7 +272,7 @@ def test_a_grid_may_be_behind_by_a_tenth_of_a_second_and_beyond_that_slows_the_c
 
 
 def test_who_cannot_keep_up_is_waited_for() -> None:
-    """An estimator whose inputs wait longer and longer: the clock stands still as long as the last one waited."""
+    """An estimator whose inputs wait longer and longer: the clock slips by the newest waiting time."""
     sent: list[object] = []
     clock = VehicleClock()
     keeping = keeping_time(clock, sent, "estimator")

@@ -1,4 +1,4 @@
-"""What an operator may ask of vehicle time: another speed, to stand still, to go on; announced ahead, no step back."""
+"""Clock commands of an operator: speed, pause, continue; announced ahead, without a step back."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ MS = 1_000
 
 
 class Kept:
-    """A time-keeper without a bus, at a wall time that tests set (us)."""
+    """Clock master without a bus, at wall times that the tests set (us)."""
 
     def __init__(self, *expects: str) -> None:
         self.said: list[Clock | RunEvent] = []

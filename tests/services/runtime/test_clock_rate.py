@@ -1,4 +1,4 @@
-"""The clock goes as fast as the machine can, and again as fast as was asked for when it can do that."""
+"""Adaptive clock speed: as fast as the machine can, up to the requested speed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ASKED = Fraction(10)
 
 
 def found(asked: Fraction) -> ClockRate:
-    """On a machine that can do what is asked for, once that is known."""
+    """A rate that has reached its requested speed."""
     pace, now_us = ClockRate(asked), 0
     while pace.speed < asked:
         now_us += FIRST_WINDOW_US
@@ -27,7 +27,7 @@ def found(asked: Fraction) -> ClockRate:
 
 
 def windows(pace: ClockRate, *given_up_us: int) -> list[float]:
-    """The speed after each window."""
+    """Return the speed after each window."""
     pace.restart_window()
     pace.window_over(0)
     speeds = []
@@ -101,7 +101,7 @@ def test_another_speed_that_is_asked_for_begins_anew() -> None:
 
 
 class Machine:
-    """Does ``can`` vehicle seconds of work in one of the wall; its node says every 50 ms how long messages wait."""
+    """Machine that does ``can`` vehicle seconds of work in one second; its node reports the queue delay every 50 ms."""
 
     def __init__(self, can: float) -> None:
         self._can = can
@@ -115,7 +115,7 @@ class Machine:
         self.waits_us: list[float] = []
 
     def run(self, wall_us: int, step_us: int = 5_000) -> None:
-        """Wall time passes."""
+        """Let wall time pass."""
         for _ in range(wall_us // step_us):
             self.now_us += step_us
             self.keeping.run_due(self.now_us)
@@ -130,7 +130,7 @@ class Machine:
 
 
 def test_on_a_machine_that_can_do_three_of_ten_messages_soon_wait_no_more() -> None:
-    """Standing still now and then alone leaves a third of a second of waiting in the median."""
+    """Slips alone would leave a median queue delay of a third of a second."""
     machine = Machine(3.0)
     machine.run(3_000_000)
     begun_ns, begun_us = machine.clock.read(machine.now_us), machine.now_us
@@ -146,7 +146,7 @@ def test_on_a_machine_that_can_do_three_of_ten_messages_soon_wait_no_more() -> N
 
 
 def test_from_the_first_second_on_no_message_waits_long() -> None:
-    """At ten times real time from the first: 0.3 s, three seconds of the vehicle's."""
+    """At ten times real time from the start the delay would be 0.3 s, three seconds of vehicle time."""
     machine = Machine(3.0)
     machine.run(3_000_000)
     assert max(machine.waits_us) < 150_000
@@ -160,7 +160,7 @@ def test_on_a_machine_that_can_do_it_the_speed_is_the_one_asked_for() -> None:
 
 
 def test_that_the_clock_is_slowed_again_and_again_is_said_ever_more_seldom() -> None:
-    """Each is a mark on the time axis of every picture."""
+    """Each event is a mark on the time axis of every figure."""
     machine = Machine(3.0)
     machine.run(60_000_000)
     told = [one.text for one in machine.said if isinstance(one, RunEvent)]

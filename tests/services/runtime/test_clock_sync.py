@@ -1,4 +1,4 @@
-"""Another side's clock by what is stamped and what is reported: the stated error holds whatever the delays do."""
+"""Synchronisation with another side's clock: the error bound holds for any delays."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def steady(_rng: random.Random) -> float:
 
 
 def mostly_quick(rng: random.Random) -> float:
-    """A link with stalls."""
+    """Return the delays of a link with stalls."""
     return 0.002 + (rng.random() < 0.05) * rng.uniform(0.2, 0.5)
 
 
 @dataclass
 class Theirs:
-    """The true clock of the other side."""
+    """True clock of the other side."""
 
     offset_ns: int
     ppm: float = 0.0
@@ -54,7 +54,7 @@ def exchanged(
     until_s: int = 60,
     seed: int = 1,
 ) -> Iterator[int]:
-    """A message each 0.1 s from there, a plan each 0.3 s from here, a tenth of both doubled; the time of each event.
+    """Exchange a message every 0.1 s and a plan every 0.3 s, a tenth of both duplicated; yield the time of each event.
 
     Delays are drawn one by one, so that messages overtake each other; the report of a plan is in the next message.
     """
@@ -210,7 +210,7 @@ def applied(t_ns: int, received_ns: int, sequence: int, epoch: int = EPOCH) -> A
 
 
 def begun() -> tuple[VehicleClock, ClockSync, int]:
-    """In force, by estimates that took 20 ms; and the time."""
+    """Return an active synchronisation, by estimates delayed by 20 ms, and the time."""
     clock = VehicleClock()
     time = ClockSync(clock, epoch=EPOCH)
     for m_us in range(0, GRACE_US + 100_001, 100_000):

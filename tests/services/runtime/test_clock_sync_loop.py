@@ -1,4 +1,4 @@
-"""A closed loop with a side that has its own clock, over links whose delay jumps: what it does to the error held."""
+"""Closed loop with another side's clock, over links with jumping delays: effect on the tracking error."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SETTLED_S = 20.0
 
 @dataclass
 class Link:
-    """One way: each message delayed by itself, a tenth doubled; one that is overtaken is turned away, as by a door."""
+    """One-way link: each message has its own delay, a tenth is duplicated, overtaken messages are rejected."""
 
     delay_s: Callable[[], float]
     rng: random.Random
@@ -81,7 +81,7 @@ class _Tied:
 
 @dataclass
 class Flown:
-    """What came of it."""
+    """Result of a closed loop."""
 
     off_m: np.ndarray
     clock_off_s: np.ndarray
@@ -92,7 +92,7 @@ class Flown:
 
 
 def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> Flown:
-    """From 1 m off to a point and 35 s there, in a current that is known, every cycle for nothing."""
+    """Go to a point 1 m away and hold it for 35 s, in a known current, with cycles that take no time."""
     rng = random.Random(4)
     scenario = Scenario.load("hover")
     start = msgspec.structs.replace(scenario.plant, north_m=1.0, heading_rad=1.0)
@@ -146,7 +146,7 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
 
 
 def _shifted(signal: Message, by_ns: int) -> Message:
-    """The same in the other clock."""
+    """Return the message in the other clock's time."""
     match signal:
         case Plan():
             return msgspec.structs.replace(signal, t_ns=signal.t_ns + by_ns, cycle_t_ns=signal.cycle_t_ns + by_ns)

@@ -1,4 +1,4 @@
-"""What a controller says of itself: the figures, the line on a terminal and in a pipe, the page for Prometheus."""
+"""Controller status: its figures, the status line on a terminal and in a pipe, the metrics for Prometheus."""
 
 from __future__ import annotations
 

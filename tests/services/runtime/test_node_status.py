@@ -1,4 +1,4 @@
-"""What counts as being behind: waiting in a process always, the way there only where time is hurried."""
+"""Node status: queue delay counts always, transit only if the clock runs faster than real time."""
 
 from __future__ import annotations
 
@@ -10,18 +10,26 @@ import pytest
 
 from ltv_mpc.messages import ClockState, GnssFix, NodeStatus, UsblFix
 from services.runtime.clock import ClockSegment, VehicleClock
-from services.runtime.node_status import HURRIED_PERIOD_US, LONGEST_WAY_US, MAX_BACKLOG_US, NodeStatusReporter
+from services.runtime.node_status import (
+    HURRIED_PERIOD_US,
+    MAX_BACKLOG_US,
+    MAX_TRANSIT_US,
+    NodeStatusReporter,
+    WaitingFor,
+)
 
 MS = 1_000
 SENT, WAY = 10**9, 70 * MS
 
 
 def behind(speed: int, *, sent_us: int = SENT, waits_us: int = 5 * MS) -> NodeStatusReporter:
-    """Of a message that was 70 ms on its way and then waited."""
+    """Return the reporter after a message with 70 ms of transit that then waited."""
     clock = VehicleClock()
     clock.set_segment(ClockSegment(0, 0, speed, 1, ClockState.RUNNING))
     nothing: Any = None
-    report = NodeStatusReporter("n", outbox=nothing, counts=nothing, mailbox=nothing, clock=clock, reads=(), say=print)
+    report = NodeStatusReporter(
+        "n", outbox=nothing, counts=nothing, mailbox=nothing, waiting=WaitingFor(clock, ()), say=print
+    )
     report.due_us = 10**18
     report.on_delivery(sent_us, SENT + WAY, SENT + WAY + waits_us)
     return report
@@ -33,7 +41,7 @@ def behind(speed: int, *, sent_us: int = SENT, waits_us: int = 5 * MS) -> NodeSt
         (10, SENT, WAY + 5 * MS),
         (1, SENT, 5 * MS),  # in real time a long link is a long link
         (10, 0, 5 * MS),  # not stamped
-        (10, SENT + WAY - LONGEST_WAY_US - 1, 5 * MS),  # stamped by another host's clock
+        (10, SENT + WAY - MAX_TRANSIT_US - 1, 5 * MS),  # stamped by another host's clock
     ],
 )
 def test_the_way_counts_faster_than_real_time_alone(speed: int, sent_us: int, waited_us: int) -> None:
@@ -74,10 +82,8 @@ def test_a_node_that_knows_what_it_needs_is_asked(missing: Callable[[], str] | N
         outbox=outbox,
         counts=counts,
         mailbox=mailbox,
-        clock=clock,
-        reads=(GnssFix, UsblFix),
+        waiting=WaitingFor(clock, (GnssFix, UsblFix), node_waits=missing),
         say=lambda _: None,
-        missing=missing,
     )
     report.publish(SENT)
     assert said[0].waiting_for == says

@@ -1,4 +1,4 @@
-"""The recorder on a real router: what one bad frame may not do to all others."""
+"""Recorder on a real router: one bad frame must not affect the others."""
 
 from __future__ import annotations
 
@@ -19,12 +19,10 @@ from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, encode, to_map
-from services.recording import segments
 from services.recording.reader import RecordedMessage, Recording
 from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 from services.runtime.clock import boot_id, monotonic_us
-from services.runtime.node_status import NodeStatusReporter
 from services.runtime.recording_loop import RecordingLoop
 from services.runtime.stopping import StopRequest
 from tests.services.words import status
@@ -34,16 +32,16 @@ KEY = BY_TYPE[PressureDepth].key
 EPOCH = 77
 
 UNREAD = "read/by/nobody"
-"""A key of no topic: what comes on it is refused and counted."""
+"""Key of no topic: messages on it are rejected and counted."""
 
 
 class Listening(SegmentWriter):
-    """Says that the word of ``AFTER`` has been written: whatever was sent before it on the same link has come."""
+    """Segment writer that sets an event once the status of ``AFTER`` is written: all earlier messages have arrived."""
 
     AFTER = "after"
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path, start_ns=-S, metadata={})
+        super().__init__(path, start_ns=-S, metadata={}, retry_s=0.0)
         self.heard = threading.Event()
 
     def write_plain(self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
@@ -52,8 +50,13 @@ class Listening(SegmentWriter):
             self.heard.set()
 
 
-def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]], None]) -> list[RecordedMessage]:
-    """What is recorded of what ``say`` publishes, properly and as bytes on the key of depths."""
+def record(
+    path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]], None], *, overflowed: int = 0
+) -> list[RecordedMessage]:
+    """Return the recording of what ``say`` publishes, as messages and as bytes on the key of depths.
+
+    ``overflowed`` is the number of messages that found no room in the recorder's mailbox.
+    """
     endpoint = f"tcp/127.0.0.1:{port}"
     stop = StopRequest()
     with (
@@ -61,6 +64,7 @@ def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]
         Listening(path) as writer,
     ):
         loop = RecordingLoop(writer, start_ns=-S, stop=stop, say=print)
+        loop.mailbox.overflowed = overflowed
         thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"),))
         thread.start()
         out = Outbox(session, node="plant", epoch=EPOCH, kinds=(Clock, NodeStatus))
@@ -121,20 +125,12 @@ def test_a_frame_with_a_wrong_header_neither_moves_the_others_nor_ends_the_recor
 
 
 def test_what_a_mailbox_had_no_room_for_is_among_the_dropped_of_the_status(tmp_path: Path, free_port: int) -> None:
-    """And not twice: the frames after it show a gap in their sequence."""
+    """They are not counted twice: the frames after them show a gap in their sequence numbers."""
 
     def say(_: Outbox, put: Callable[[bytes], None]) -> None:
         put(encode(PressureDepth(t_ns=0, depth_m=1.0), Header(epoch=EPOCH, sequence=3, sent_monotonic_us=0)))
 
-    original = NodeStatusReporter.publish
-
-    def crowded(report: NodeStatusReporter, now_us: int, *, others: str = "", finished: bool = False) -> None:
-        report._mailbox.overflowed = 5
-        original(report, now_us, others=others, finished=finished)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(NodeStatusReporter, "publish", crowded)
-        messages = record(tmp_path / "run.mcap", free_port, say)
+    messages = record(tmp_path / "run.mcap", free_port, say, overflowed=5)
     own = [message.plain for message in messages if message.key == "status/recorder"]
     assert own[-1]["dropped"] == 5  # 3 of which are also the gap before sequence 3
 
@@ -142,7 +138,6 @@ def test_what_a_mailbox_had_no_room_for_is_among_the_dropped_of_the_status(tmp_p
 def test_a_disk_that_is_full_for_a_while_costs_messages_that_are_counted_and_said(
     tmp_path: Path, free_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(segments, "RETRY_S", 0.0)
     original = RunWriter.write_plain
     refused: list[int] = []
 

@@ -1,4 +1,4 @@
-"""Pure nodes on a real router on loopback: nothing skipped, nothing lost, every step told before its outputs."""
+"""Runner on a real router on loopback: no step skipped, no message lost, each record before its step's outputs."""
 
 from __future__ import annotations
 
@@ -41,6 +41,7 @@ from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, crc, decode
 from services.runtime.clock import monotonic_us
 from services.runtime.clock_master import ClockMasterSettings
+from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.stopping import StopRequest
 from tests.stepping import OneByOne
@@ -81,7 +82,7 @@ class Sensors(OneByOne):
         self.last_t_ns: int | None = None
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        """Speaks at every tenth step only."""
+        """Publish at every tenth step only."""
         assert [type(arrival.message) for arrival in inbox] == [Truth]
         self.last_t_ns = t_ns
         return [Estimate.at_rest(north_m=t_ns * 1e-9)] if t_ns % (10 * TICK_NS) == 0 else []
@@ -115,7 +116,7 @@ class Commanded(Controller):
 
 
 class Listener(OneByOne):
-    """Reads what a test publishes by hand."""
+    """Node that keeps what a test publishes."""
 
     name = "estimator"
     schedule = OnMessage((ImuSample, PressureDepth, CompassHeading))
@@ -156,7 +157,7 @@ def listening(bus: BusOptions) -> Iterator[tuple[Session, Mailbox]]:
 
 @contextmanager
 def running(bus: BusOptions, *runners: Runner) -> Iterator[None]:
-    """Each in a thread, told to stop and waited for at the end."""
+    """Run each in a thread; stop and join them at the end."""
     threads = [threading.Thread(target=runner.serve, args=(bus,)) for runner in runners]
     for thread in threads:
         thread.start()
@@ -202,7 +203,7 @@ def run(
     speed: float,
     heard: Callable[[], bool] = lambda: True,
 ) -> list[Frame]:
-    """All that was said in a run of ``nodes``, each with its compute delay; the first keeps the time.
+    """Return all frames of a run of ``nodes``, each with its compute delay; the first is the clock master.
 
     They are told to stop when the first has done its last step and ``heard`` says that the others have heard of it.
     """
@@ -214,7 +215,7 @@ def run(
             node,
             stop=StopRequest(),
             say=print,
-            clock_master=clock_master if i == 0 else None,
+            clock=ClockOptions(master=clock_master if i == 0 else None),
             compute_delay_ns=delay_ns,
         )
         for i, (node, delay_ns) in enumerate(nodes)
@@ -342,7 +343,7 @@ def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus: BusOptions) -> None:
-    """So that a replay can raise it again."""
+    """A replay can then raise it again."""
     runner = Runner(Listener(ArithmeticError("made up")), stop=StopRequest(), say=print)
     frames: list[Frame] = []
     with ExitStack() as stack:
@@ -402,14 +403,14 @@ def test_a_step_that_is_late_takes_all_that_has_arrived_before_it_starts(bus: Bu
 
     node = Slow(burst)
     clock_master = ClockMasterSettings(start_ns=0, end_ns=10**12, speed=1.0, expects=())
-    runner = Runner(node, stop=StopRequest(), say=print, clock_master=clock_master)
+    runner = Runner(node, stop=StopRequest(), say=print, clock=ClockOptions(master=clock_master))
     with listening(bus) as (session, _), running(bus, runner):
         until(lambda: len(node.inboxes) > 2)
     assert node.inboxes[:3] == [[], list(range(50)), []]
 
 
 class Flooded(OneByOne):
-    """Notes when its cycles begin."""
+    """Node that keeps the times of its cycles."""
 
     name = "estimator"
     schedule = Cycle(100_000_000)
@@ -425,13 +426,13 @@ class Flooded(OneByOne):
 
 
 def test_a_flood_does_not_keep_a_cycle_from_its_time(bus: BusOptions) -> None:
-    """Rubbish on an input: each frame is refused, and the next one is there already."""
+    """Invalid frames on an input: each is rejected, and the next one is already there."""
     node, topic = Flooded(), BY_TYPE[PressureDepth]
     runner = Runner(
         node,
         stop=StopRequest(),
         say=print,
-        clock_master=ClockMasterSettings(start_ns=0, end_ns=10**12, speed=1.0, expects=()),
+        clock=ClockOptions(master=ClockMasterSettings(start_ns=0, end_ns=10**12, speed=1.0, expects=())),
     )
     take = runner.mailbox.take
 
@@ -446,9 +447,9 @@ def test_a_flood_does_not_keep_a_cycle_from_its_time(bus: BusOptions) -> None:
 def test_without_a_clock_estimates_give_the_time_and_earlier_commands_are_rejected(
     bus: BusOptions,
 ) -> None:
-    """Stamped in Unix time by a side that answers each plan, as its own clock has it."""
+    """The other side stamps in Unix time and reports each received plan by its own clock."""
     offset_ns = 1_763_740_800_000_000_000
-    runner = Runner(Commanded(), stop=StopRequest(), say=print, foreign=True)
+    runner = Runner(Commanded(), stop=StopRequest(), say=print, clock=ClockOptions(sync_to_inputs=True))
     frames: list[Frame] = []
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
@@ -475,7 +476,7 @@ def test_without_a_clock_estimates_give_the_time_and_earlier_commands_are_reject
         assert abs(reading.offset_ns - offset_ns) <= reading.error_ns
     (rejected,) = (s for _, s, _ in read(frames) if isinstance(s, RejectedFrame))
     assert rejected.key == "command"
-    assert "no time yet" in rejected.reason
+    assert "no estimate received yet" in rejected.reason
     for _, plan, header in read(frames):
         if isinstance(plan, Plan):
             assert -1e9 < plan.cycle_t_ns - (offset_ns + header.sent_monotonic_us * 1000) <= 0
@@ -499,7 +500,7 @@ def answer(header: Header, plan: Plan, t_ns: int) -> Applied:
 
 def test_an_estimate_stamped_an_hour_off_is_refused_and_the_node_never_sees_it(bus: BusOptions) -> None:
     controller = Controller()
-    runner = Runner(controller, stop=StopRequest(), say=print, foreign=True)
+    runner = Runner(controller, stop=StopRequest(), say=print, clock=ClockOptions(sync_to_inputs=True))
     frames: list[Frame] = []
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
@@ -528,7 +529,7 @@ class Rare(Commanded):
 def test_a_command_does_not_wait_for_the_next_cycle(bus: BusOptions) -> None:
     clock_master = ClockMasterSettings(start_ns=1, end_ns=10**15, speed=1.0, expects=())
     controller = Rare()
-    runner = Runner(controller, stop=StopRequest(), say=print, clock_master=clock_master)
+    runner = Runner(controller, stop=StopRequest(), say=print, clock=ClockOptions(master=clock_master))
     frames: list[Frame] = []
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) and s.t_ns > 1 for _, s, _ in read(drained(box, []))))

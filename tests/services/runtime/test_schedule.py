@@ -1,4 +1,4 @@
-"""When the next step is due: a grid skips nothing, a cycle never runs twice at once and does not drift."""
+"""Step schedule: a grid skips no step; cycles do not overlap and do not drift."""
 
 from __future__ import annotations
 

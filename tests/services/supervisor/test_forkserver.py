@@ -1,4 +1,4 @@
-"""Children that are forked are the supervisor's own: their words, their end, and nobody is left of them."""
+"""Forked children behave as spawned ones: logs, exit codes, and none outlives the supervisor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from services.supervisor import forkserver, orphan_cleanup
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
-from services.supervisor.managed_process import ManagedProcess
+from services.supervisor.managed_process import ManagedProcess, Program
 from services.supervisor.parent_death import OrphanCleanup
 from services.supervisor.process_table import ProcessRow
 
@@ -38,7 +38,7 @@ class Config(msgspec.Struct):
 def main(config):
     '''In the place of a node: what its config asks for.'''
     print(config.task, flush=True)
-    SUPERVISOR_LINK.state()
+    SUPERVISOR_LINK.restored_state()
     SUPERVISOR_LINK.beat(time.monotonic_ns() // 1000)
     match config.task:
         case "exits":
@@ -54,11 +54,11 @@ sys.modules["quick"] = types.SimpleNamespace(Config=Config, main=main)
 forkserver.load = lambda scenario: None
 forkserver.main()
 """
-"""A fork server whose children do little, loaded at once."""
+"""Program of a fork server that loads nothing, with children that do little."""
 
 
 class Quick(msgspec.Struct):
-    """As the fork server's children have it."""
+    """Config of these children."""
 
     task: str
     code: int = 0
@@ -94,11 +94,11 @@ def until(condition: Callable[[], bool]) -> None:
 def forked(server: ForkServer, log: Path, watch: OrphanCleanup, name: str, task: str, code: int = 0) -> ManagedProcess:
     config = log.with_name(f"{name}.json")
     write_config(config, Quick(task, code))
-    return ManagedProcess(name, "quick", config, log=log, guard=watch, forks=server)
+    return ManagedProcess(Program(name, "quick", config, log), cleanup=watch, forks=server)
 
 
 def stat(pid: int) -> list[str]:
-    """State, parent, group, session, ..."""
+    """Return state, parent, group, session, ..."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
 
 
@@ -107,7 +107,7 @@ def test_its_exit_code_and_its_words_are_its_own(
     server: ForkServer, watch: OrphanCleanup, tmp_path: Path, task: str, code: int
 ) -> None:
     child = forked(server, tmp_path / "log", watch, "plant", task, code)
-    assert child.end(PATIENCE_S)
+    assert child.wait_or_kill(PATIENCE_S)
     child.close()
     assert child.exit_code() == code
     said = child.last_lines()
@@ -128,16 +128,16 @@ def test_it_is_a_child_of_the_supervisor_in_a_session_of_its_own_and_says_so(
     assert child.exit_code() == -signal.SIGKILL
 
 
-def refused(tmp_path: Path) -> tuple[str, Path]:
-    """A module and a config that end in one line, in whatever process."""
+def rejected(tmp_path: Path) -> Program:
+    """Program that ends with one line on stderr, forked or spawned."""
     config = tmp_path / "plant.json"
     write_config(config, plant.Config(bus=BusOptions(), scenario="hoover"))
-    return plant.__name__, config
+    return Program("plant", plant.__name__, config, tmp_path / "log")
 
 
 def test_where_nobody_forks_it_is_spawned_and_bad_input_is_one_line(watch: OrphanCleanup, tmp_path: Path) -> None:
-    child = ManagedProcess("plant", *refused(tmp_path), log=tmp_path / "log", guard=watch, forks=None)
-    assert child.end(PATIENCE_S)
+    child = ManagedProcess(rejected(tmp_path), cleanup=watch, forks=None)
+    assert child.wait_or_kill(PATIENCE_S)
     child.close()
     assert child.exit_code() == 2
     (line,) = (tmp_path / "log").read_text().splitlines()
@@ -147,19 +147,19 @@ def test_where_nobody_forks_it_is_spawned_and_bad_input_is_one_line(watch: Orpha
 def test_one_that_is_forked_too_late_ends_and_another_has_its_place(
     server: ForkServer, watch: OrphanCleanup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A fork server that is not let: its answer comes when nobody waits for it any more."""
+    """The fork server's reply comes after the timeout."""
     until(server.is_loaded)
-    monkeypatch.setattr(server, "_answers", lambda _within_s: False)
+    monkeypatch.setattr(server, "_has_reply", lambda _within_s: False)
     before = set(own_children())
-    child = ManagedProcess("plant", *refused(tmp_path), log=tmp_path / "log", guard=watch, forks=server)
-    assert child.end(PATIENCE_S)
+    child = ManagedProcess(rejected(tmp_path), cleanup=watch, forks=server)
+    assert child.wait_or_kill(PATIENCE_S)
     child.close()
     assert child.exit_code() == 2
     until(lambda: set(own_children()) - before <= {child.pid})
 
 
 def own_children() -> Iterator[int]:
-    """Those that live."""
+    """Yield the pids of this process's living children."""
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             state, parent, *_ = stat(int(folder.name))
@@ -173,12 +173,12 @@ def test_its_pulse_comes_and_its_end_is_seen(server: ForkServer, watch: OrphanCl
     child = forked(server, tmp_path / "log", watch, "plant", "exits")
 
     def ended() -> bool:
-        child.listen()
-        return child.gone
+        child.read_heartbeats()
+        return child.pipe_closed
 
     until(ended)
-    assert child.heartbeat.last_s is not None
-    child.end(PATIENCE_S)
+    assert child.hang_detector.last_s is not None
+    child.wait_or_kill(PATIENCE_S)
     child.close()
 
 
@@ -196,9 +196,9 @@ def test_one_after_the_other_is_forked_and_nothing_is_used_up(
 @pytest.fixture
 def crew(tmp_path: Path, watch: OrphanCleanup) -> Iterator[ChildProcesses]:
     crew = ChildProcesses(tmp_path / "scenario.toml", tmp_path, watch)
-    crew.load()
+    crew.start_fork_server()
     yield crew
-    for child in crew.children.values():
+    for child in crew.by_name.values():
         child.kill()
         child.close()
     crew.close()
@@ -212,22 +212,22 @@ def test_a_dead_fork_server_takes_nobody_with_it_and_another_takes_its_place(
     until(first.is_loaded)
     for name in ("plant", "sensors"):
         crew.start(ProcessRow(name, "quick", True, ()), Quick("sleeps"))
-    until(lambda: all(child.last_lines() for child in crew.children.values()))
+    until(lambda: all(child.last_lines() for child in crew.by_name.values()))
     os.kill(first.pid, signal.SIGKILL)
     until(lambda: first.exit_code() is not None)
     assert (
         first.fork("quick", tmp_path / "plant.json", tmp_path / "log", 0, 1) is None
     )  # whoever is to begin now is spawned
-    crew.keep_loaded()
+    crew.replace_dead_fork_server()
     second = crew.forks
     assert second is not None
     assert second is not first
     until(second.is_loaded)
-    assert [child.exit_code() for child in crew.children.values()] == [None, None]
-    crew.children["plant"].kill()
+    assert [child.exit_code() for child in crew.by_name.values()] == [None, None]
+    crew.by_name["plant"].kill()
     crew.restart("plant", b"")
-    until(lambda: bool(crew.children["plant"].last_lines()))
-    assert stat(crew.children["plant"].pid)[1] == str(os.getpid())
+    until(lambda: bool(crew.by_name["plant"].last_lines()))
+    assert stat(crew.by_name["plant"].pid)[1] == str(os.getpid())
 
 
 SUPERVISOR = f"""
@@ -235,20 +235,20 @@ import sys, time
 from pathlib import Path
 import msgspec
 from services.supervisor import forkserver
-from services.supervisor.managed_process import ManagedProcess
+from services.supervisor.managed_process import ManagedProcess, Program
 from services.supervisor.parent_death import OrphanCleanup
 forkserver.PROGRAM = ("-c", {QUICK!r})
-folder, guard = Path(sys.argv[1]), OrphanCleanup()
-server = forkserver.ForkServer(folder / "scenario.toml", folder / "forkserver.log", guard)
+folder, cleanup = Path(sys.argv[1]), OrphanCleanup()
+server = forkserver.ForkServer(folder / "scenario.toml", folder / "forkserver.log", cleanup)
 while not server.is_loaded():
     time.sleep(0.01)
 print(server.pid, flush=True)
 for k, (name, task) in enumerate([("plant", "sleeps"), ("controller", "holds the GIL"), ("recorder", "holds the GIL")]):
     config = folder / f"{{name}}.json"
     config.write_bytes(msgspec.json.encode({{"task": task, "code": 0}}))
-    child = ManagedProcess(name, "quick", config, log=folder / f"{{k}}.log", guard=guard, forks=server)
-    while not child.last_lines() or child.heartbeat.last_s is None:
-        child.listen()
+    child = ManagedProcess(Program(name, "quick", config, folder / f"{{k}}.log"), cleanup=cleanup, forks=server)
+    while not child.last_lines() or child.hang_detector.last_s is None:
+        child.read_heartbeats()
     print(child.pid, flush=True)
 time.sleep(600)
 """

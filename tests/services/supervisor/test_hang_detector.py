@@ -1,4 +1,4 @@
-"""Who is hung: by the pulse of its own loop, and with patience for who was stopped together with everyone."""
+"""Hang detection by heartbeats, with an excuse for a suspended machine and a starved process."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import sys
 import time
 
 from services.supervisor.hang_detector import HangDetector
-from services.supervisor.managed_process import starved_s
+from services.supervisor.managed_process import cpu_wait_s
 
 
 def never() -> float:
-    """It had a processor whenever it wanted one."""
+    """Return a constant: the process has not waited for a processor."""
     return 7.0
 
 
-def beating(until_s: float, patience_s: float = 0.5) -> HangDetector:
-    heart = HangDetector(patience_s)
+def beating(until_s: float, timeout_s: float = 0.5) -> HangDetector:
+    heart = HangDetector(timeout_s)
     for k in range(1, round(until_s * 20) + 1):
         heart.beat(k / 20)
     return heart
@@ -48,7 +48,7 @@ def test_who_has_ended_its_loop_in_order_is_waited_for_by_others() -> None:
 
 
 def test_after_a_late_look_of_the_supervisor_everyone_has_the_whole_patience_again() -> None:
-    """A machine that was suspended for ten seconds."""
+    """The machine was suspended for ten seconds."""
     heart = beating(3.0)
     heart.excuse(13.0)
     assert not heart.hung(13.4, never)
@@ -56,7 +56,7 @@ def test_after_a_late_look_of_the_supervisor_everyone_has_the_whole_patience_aga
 
 
 def test_a_process_waiting_for_a_processor_is_not_hung_and_a_spinning_one_is() -> None:
-    """Silent since 3.0 s; from 3.15 s on others have the processor."""
+    """Silence since 3.0 s; from 3.15 s on other processes have the processor."""
     heart = beating(3.0)
     assert not heart.hung(3.15, lambda: 1.0)
     assert not heart.hung(3.8, lambda: 1.4)
@@ -76,7 +76,7 @@ def test_what_it_waited_before_its_silence_does_not_excuse_it() -> None:
 
 
 def test_linux_says_how_long_a_process_waited_for_a_processor() -> None:
-    """Two spin on one processor: each waits about half of the time."""
+    """Two processes spin on one processor: each waits about half of the time."""
     one = sorted(os.sched_getaffinity(0))[:1]
     spin = f"import os, time; os.sched_setaffinity(0, {one}); t = time.time() + 0.6\nwhile time.time() < t: pass"
     processes = [subprocess.Popen([sys.executable, "-S", "-c", spin + "\ninput()"], stdin=-1) for _ in range(2)]
@@ -84,7 +84,7 @@ def test_linux_says_how_long_a_process_waited_for_a_processor() -> None:
         waited = 0.0
         deadline = time.monotonic() + 20
         while waited < 0.1 and time.monotonic() < deadline:
-            waited = max(starved_s(process.pid) for process in processes)
+            waited = max(cpu_wait_s(process.pid) for process in processes)
         assert waited >= 0.1
     finally:
         for process in processes:

@@ -1,4 +1,4 @@
-"""An operator's word to end a process reaches the launcher."""
+"""An operator's request to kill a process reaches the supervisor."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ def test_whose_process_shall_end_is_heard_once(free_port: int) -> None:
         while not heard and time.monotonic() < until:
             out.publish(Kill(node="estimator"))
             time.sleep(0.05)
-            heard += watch.kills()
+            heard += watch.kill_requests()
         assert set(heard) == {"estimator"}

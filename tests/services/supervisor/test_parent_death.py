@@ -1,4 +1,4 @@
-"""What outlives a supervisor is ended two seconds later, by pid, and nothing else is."""
+"""Orphan cleanup: children that outlive their supervisor by two seconds are killed by pid, and no other process is."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ def sleeper() -> Iterator[subprocess.Popen[bytes]]:
 def test_what_is_left_two_seconds_after_the_end_is_killed_even_if_it_is_stopped(
     sleeper: subprocess.Popen[bytes],
 ) -> None:
-    watch = OrphanCleanup()
-    watch.watch(sleeper.pid)
+    cleanup = OrphanCleanup()
+    cleanup.add(sleeper.pid)
     sleeper.send_signal(19)  # SIGSTOP
     began = time.monotonic()
-    watch.close()  # what the kernel does when the supervisor dies, by whatever death
+    cleanup.close()  # what the kernel does when the supervisor dies, by whatever death
     assert sleeper.wait(5.0) == -9
     assert orphan_cleanup.GRACE_S <= time.monotonic() - began < orphan_cleanup.GRACE_S + 1.5
 
 
 def test_a_guard_with_nothing_left_to_watch_ends_at_once(sleeper: subprocess.Popen[bytes]) -> None:
-    watch = OrphanCleanup()
-    watch.watch(sleeper.pid)
-    watch.release(sleeper.pid)
+    cleanup = OrphanCleanup()
+    cleanup.add(sleeper.pid)
+    cleanup.remove(sleeper.pid)
     began = time.monotonic()
-    watch.close()
+    cleanup.close()
     assert time.monotonic() - began < orphan_cleanup.GRACE_S
     assert sleeper.poll() is None
 
@@ -53,19 +53,19 @@ def test_a_pid_that_was_given_to_another_process_since_is_left_alone(
     assert ticks is not None
     with monkeypatch.context() as patched:
         patched.setattr(orphan_cleanup, "start_ticks", lambda _: ticks - 1)
-        watch = OrphanCleanup()
-        watch.watch(sleeper.pid)
-    watch.close()
+        cleanup = OrphanCleanup()
+        cleanup.add(sleeper.pid)
+    cleanup.close()
     assert sleeper.poll() is None
 
 
 def test_the_guard_is_a_few_megabytes() -> None:
-    watch = OrphanCleanup()
+    cleanup = OrphanCleanup()
     try:
-        pages = int(Path(f"/proc/{watch.pid}/statm").read_text().split()[1])
+        pages = int(Path(f"/proc/{cleanup.pid}/statm").read_text().split()[1])
         assert pages * 4096 < 16e6
     finally:
-        watch.close()
+        cleanup.close()
 
 
 SUPERVISOR = """
@@ -83,7 +83,7 @@ for task in tasks.values():
         [sys.executable, "-P", "-c", begin + task, str(__import__("os").getpid())],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
     )
-    guard.watch(child.pid)
+    guard.add(child.pid)
     child.stdout.readline()
     print(child.pid, flush=True)
 time.sleep(600)
@@ -91,7 +91,7 @@ time.sleep(600)
 
 
 def test_a_killed_supervisor_leaves_nobody_not_even_who_is_stopped_or_holds_the_gil() -> None:
-    """What no thread of a child could do anything about: the kernel ends two of them, the guard the third."""
+    """Children that no thread of their own could end: the kernel ends two of them, the orphan cleanup the third."""
     supervisor = subprocess.Popen([sys.executable, "-P", "-c", SUPERVISOR], stdout=subprocess.PIPE, text=True)
     assert supervisor.stdout is not None
     pids = [int(supervisor.stdout.readline()) for _ in range(3)]

@@ -1,4 +1,4 @@
-"""Each row of the process table: its module takes the config that the launcher writes for it."""
+"""Process table: the module of each row accepts the config that the supervisor writes for it."""
 
 from __future__ import annotations
 

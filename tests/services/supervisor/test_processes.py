@@ -1,4 +1,4 @@
-"""Whole runs as processes: complete, failed, interrupted, orphaned; and every node alone, in any order of start."""
+"""Runs of real processes: complete, failed, interrupted, orphaned; and each node alone, in any order of start."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PATIENCE_S = 90.0
 
 
 class Screen:
-    """Keeps what it is told; ``on_diving`` is called once, as soon as the vehicle dives."""
+    """Screen that keeps what it shows; ``on_diving`` is called once, as soon as the vehicle dives."""
 
     def __init__(self, on_diving: Callable[[], None] = lambda: None) -> None:
         self.said: list[str] = []
@@ -59,8 +59,9 @@ def run_config(duration_s: float, speed: float = 10.0) -> RunConfig:
 
 
 def children_of(parent: int) -> dict[int, str]:
-    """Pid and command line of every living child; Python's own helper of multiprocessing, which other tests leave to a
-    worker for as long as it lives, is none of the launcher's.
+    """Return pid and command line of every living child.
+
+    Multiprocessing's resource tracker, which other tests leave to a test worker, does not belong to the supervisor.
     """
     children = {}
     for entry in Path("/proc").iterdir():
@@ -73,7 +74,7 @@ def children_of(parent: int) -> dict[int, str]:
 
 
 def pid_of(name: str, launcher: int) -> int:
-    """Of a run's process, by what it calls itself."""
+    """Return the pid of a run's process, by its process name."""
     (pid,) = (pid for pid in children_of(launcher) if Path(f"/proc/{pid}/comm").read_text() == f"ltv-{name}\n")
     return pid
 
@@ -93,7 +94,7 @@ def until(condition: Callable[[], bool], within_s: float = PATIENCE_S) -> None:
 
 
 def recorded(path: Path) -> tuple[Recording, dict[str, int], dict[str, int]]:
-    """The recording, its messages by key, and what is missing, by key from the sequences, by node from last words."""
+    """Return the recording, its message counts by key, and the losses by key and by node."""
     recording, count, losses = Recording(path), dict[str, int](), LossAccounting()
     promised: dict[int, tuple[str, int]] = {}
     of_epoch: dict[int, int] = {}
@@ -109,7 +110,7 @@ def recorded(path: Path) -> tuple[Recording, dict[str, int], dict[str, int]]:
 
 
 def dives(recording: Path) -> bool:
-    """Whether a plan for the descent is in the file as far as it has been written."""
+    """Return True if the file has a plan for the descent so far."""
     if recording.stat().st_size < 100_000:
         return False
     return any(message.kind is Plan and message.plain["cycle_t_ns"] > 0 for message in Recording(recording))
@@ -117,7 +118,7 @@ def dives(recording: Path) -> bool:
 
 @pytest.fixture
 def launcher(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
-    """``ltv-mpc sim`` in a process of its own, running: the vehicle dives and is recorded."""
+    """Run ``ltv-mpc sim`` in a process of its own; the vehicle dives and is recorded."""
     out = tmp_path / "run"
     log = (tmp_path / "launcher.log").open("wb")
     process = subprocess.Popen(
@@ -168,7 +169,7 @@ def test_a_run_of_processes_records_every_message_and_leaves_no_process(tmp_path
 
 
 def test_the_estimator_starts_from_the_prior_and_the_run_saves_its_profile(tmp_path: Path) -> None:
-    """A current deeper than the profiler's range, which only the file can have told."""
+    """A current deeper than the profiler's range, which only the file can have provided."""
     known = tmp_path / "known.csv"
     known.write_text("depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0,0,0.1,0\n50,0.5,-0.25,0.001,0\n")
     s = resolve("descent", [Override("test", ["run.duration_s=8", f"estimator.water_prior={known}"])])
@@ -203,8 +204,9 @@ def test_the_death_of_the_world_ends_the_run_and_it_is_named_with_its_last_lines
 
 
 class Mischief:
-    """A screen that does harm to one process after the other, as soon as the one before is back; then the plant is
-    asked to have done its last step.
+    """Screen that kills or stops one process after the other, as soon as the previous one is back.
+
+    Then it stops the plant, which ends the run.
     """
 
     def __init__(self, harm: Sequence[tuple[str, signal.Signals]]) -> None:
@@ -215,15 +217,15 @@ class Mischief:
         self._over = False
 
     def update(self, view: LiveView) -> None:
-        """The next harm as soon as the one before is mended: nothing is there to be waited for."""
-        back = self.supervisor.restarts >= self._harmed and not self.supervisor._recovering
+        """Do the next harm as soon as the previous failure is recovered."""
+        back = self.supervisor.failures.restarts >= self._harmed and not self.supervisor.failures.recovering
         if self._harm and view.phase == "diving" and back:
             name, number = self._harm.pop(0)
             self._harmed += 1
             os.kill(pid_of(name, os.getpid()), number)
-        elif not self._harm and back and not self.supervisor._unsaid and not self._over:
+        elif not self._harm and back and self.supervisor.recovered and not self._over:
             self._over = True
-            self.supervisor._crew.children["plant"].ask_to_stop()
+            self.supervisor.children.by_name["plant"].terminate()
 
     def wait(self, what: str, share: float) -> None:
         pass
@@ -236,7 +238,7 @@ class Mischief:
 
 
 def test_a_killed_or_hung_process_continues_where_it_was_and_the_run_completes(tmp_path: Path) -> None:
-    """One after the other, the fork server in between: the one that is killed next is spawned, and so takes longer."""
+    """One after the other; after the fork server, the next one is spawned, which takes longer."""
     s = resolve("hover", [Override("test", ["run.duration_s=600", "run.surface_time_s=2", "run.speed=1"])])
     run = folder.make("test", s.files, out=tmp_path / "run")
     mischief = Mischief(
@@ -332,7 +334,7 @@ def test_ctrl_c_ends_everything_within_two_seconds_and_leaves_a_valid_recording(
 def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_file(
     launcher: tuple[subprocess.Popen[bytes], Path],
 ) -> None:
-    """One child is stopped, so that it can do nothing about it itself (of one that holds the GIL: test_orphans)."""
+    """One child is stopped, so that it cannot end itself (for one that holds the GIL: test_parent_death)."""
     process, out = launcher
     pids = children_of(process.pid)
     nodes = [pid_of(name, process.pid) for name in ("plant", "sensors", "estimator", "controller")]

@@ -1,8 +1,15 @@
-"""Started anew or the end of the run: the budget, and whom it is for."""
+"""Restart policy: restart or end of the run, the restart budget, and the processes it is for."""
 
 from __future__ import annotations
 
-from services.supervisor.restarts import MAX_RESTARTS, WINDOW_S, ProcessFailure, Recovery, RestartBudget, judge
+from services.supervisor.restarts import (
+    MAX_RESTARTS,
+    WINDOW_S,
+    ProcessFailure,
+    Recovery,
+    RestartBudget,
+    restart_refusal,
+)
 
 
 def fault(at_s: float = 10.0, node: str = "estimator") -> ProcessFailure:
@@ -26,12 +33,12 @@ def test_a_restart_counts_for_a_minute_and_a_denied_one_never() -> None:
 
 
 def test_who_may_be_and_has_worked_is_started_anew() -> None:
-    assert judge(fault(), restartable=True, had_worked=True, budget=RestartBudget()) is None
+    assert restart_refusal(fault(), restartable=True, had_started=True, budget=RestartBudget()) is None
 
 
 def test_the_world_is_not_started_anew_and_costs_no_restart() -> None:
-    budget = RestartBudget(most=1)
-    refusal = judge(fault(node="plant"), restartable=False, had_worked=True, budget=budget)
+    budget = RestartBudget(max_restarts=1)
+    refusal = restart_refusal(fault(node="plant"), restartable=False, had_started=True, budget=budget)
     assert refusal is not None
     assert refusal.why == "plant was ended by SIGKILL"
     assert not refusal.in_order
@@ -39,13 +46,13 @@ def test_the_world_is_not_started_anew_and_costs_no_restart() -> None:
 
 
 def test_who_dies_before_it_has_ever_worked_is_not_mended_by_another_start() -> None:
-    assert judge(fault(), restartable=True, had_worked=False, budget=RestartBudget()) is not None
+    assert restart_refusal(fault(), restartable=True, had_started=False, budget=RestartBudget()) is not None
 
 
 def test_without_a_restart_left_the_run_ends_in_order_and_says_why() -> None:
-    budget = RestartBudget(most=1)
-    assert judge(fault(1.0), restartable=True, had_worked=True, budget=budget) is None
-    refusal = judge(fault(2.0), restartable=True, had_worked=True, budget=budget)
+    budget = RestartBudget(max_restarts=1)
+    assert restart_refusal(fault(1.0), restartable=True, had_started=True, budget=budget) is None
+    refusal = restart_refusal(fault(2.0), restartable=True, had_started=True, budget=budget)
     assert refusal is not None
     assert refusal.in_order
     assert "estimator was ended by SIGKILL" in refusal.why
@@ -53,13 +60,13 @@ def test_without_a_restart_left_the_run_ends_in_order_and_says_why() -> None:
 
 
 def test_it_is_back_with_the_first_message_of_another_epoch() -> None:
-    recovery = Recovery(fault(10.0), before=7, begun_s=10.1)
+    recovery = Recovery(fault(10.0), old_epoch=7, started_s=10.1)
     assert not recovery.is_over(7, 10.4)  # one of its former self, that was on its way
     assert recovery.is_over(8, 10.4)
     assert not recovery.is_over(8, 10.05)
 
 
 def test_who_has_no_epoch_is_back_with_the_first_message_after_its_start() -> None:
-    recovery = Recovery(fault(10.0, "router"), before=0, begun_s=10.1)
+    recovery = Recovery(fault(10.0, "router"), old_epoch=0, started_s=10.1)
     assert not recovery.is_over(0, 10.05)
     assert recovery.is_over(0, 10.2)

@@ -1,4 +1,4 @@
-"""What a process that is started anew is told: what is in force, which need not be what was said last."""
+"""State that a restarted process continues from: the plan in force, which need not be the newest."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.services.bus.messages import CONTROLLER_STATE, ESTIMATOR_STATE, EXAMP
 
 
 class Ether:
-    """A session that hands over what it is given."""
+    """Session that passes messages to its subscribers."""
 
     def __init__(self) -> None:
         self._inlets: dict[str, Callable[[Topic | None, str, bytes], None]] = {}

@@ -1,0 +1,98 @@
+"""Receiving end of a process: validates each message, answers rejected ones, and passes the others on.
+
+An accepted message goes to the reporters, the clock and the inbox of the node's next step. A rejected one is answered
+with a ``RejectedFrame`` message that names the reason.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from ltv_mpc.messages import Clock, ClockCommand, Command, Message, NodeStatus, RejectedFrame
+from ltv_mpc.node import Node, OnMessage
+from services.bus.mailbox import Frame
+from services.bus.message_validation import MessageValidator, rejection
+from services.bus.topics import OPERATOR
+from services.bus.wire import WireError
+from services.runtime.clock import monotonic_us
+from services.runtime.node_io import NodeIO
+from services.runtime.process_time import ProcessTime
+from services.runtime.reporters import Reporters
+
+NO_TIME = "no estimate received yet, so there is no vehicle time: retry when the status shows estimates"
+"""Rejection reason of a command before there is a time: its age is unknown when it is carried out."""
+
+
+class StepTrigger(NamedTuple):
+    """Request for a step by an input."""
+
+    cause: str
+    """Key of the input."""
+    t_ns: int | None
+    """Time of a step that the input's arrival causes; None for a command: a step in between, as soon as possible."""
+
+
+class InputReceiver:
+    """Validation and routing of one process's inputs."""
+
+    def __init__(
+        self, node: Node, io: NodeIO, time: ProcessTime, reporters: Reporters, validator: MessageValidator
+    ) -> None:
+        self._node = node
+        self._triggers = frozenset(node.schedule.types if isinstance(node.schedule, OnMessage) else ())
+        self._io = io
+        self._time = time
+        self._reporters = reporters
+        self._validator = validator
+
+    def take(self, frame: Frame) -> StepTrigger | None:
+        """Accept or reject a frame. Return the step that it causes, if any."""
+        time, io = self._time, self._io
+        received_us = frame.received_monotonic_us
+        try:
+            message, header = self._validator.validate(frame)
+        except WireError as error:
+            self._reject(frame, str(error))
+            return None
+        if frame.topic is not None and frame.topic.written_by == OPERATOR and time.clock.newest is None:
+            reason = NO_TIME
+        else:
+            reason = time.rejection_reason(message, received_us)
+        if reason:
+            self._validator.reject(reason)
+            self._reject(frame, reason)
+            return None
+        status, kind = self._reporters.process, type(message)
+        status.on_input(kind)
+        status.on_delivery(header.sent_monotonic_us, received_us, monotonic_us())
+        if self._reporters.node is not None:
+            self._reporters.node.on_input(message)
+        self._pass_to_clock(message)
+        if kind not in self._node.reads:
+            return None
+        received_ns = time.received_ns(message, received_us)
+        io.deliver(message, header, key=frame.key, payload=frame.payload, received_t_ns=received_ns)
+        if kind in self._triggers:
+            stamped: Any = message  # a type that causes steps has its validity time
+            return StepTrigger(frame.key, stamped.t_ns)
+        if kind is Command and time.schedule.next_ns is not None:
+            return StepTrigger(frame.key, None)
+        return None
+
+    def _pass_to_clock(self, message: Message) -> None:
+        time = self._time
+        if isinstance(message, Clock):
+            self._reporters.process.on_clock(monotonic_us())
+            time.follow(message)
+        elif time.master is not None and isinstance(message, NodeStatus):
+            time.master.on_status(message, monotonic_us(), self._node.name)
+        elif time.master is not None and isinstance(message, ClockCommand):
+            time.master.on_command(message, monotonic_us(), self._node.name)
+
+    def _reject(self, frame: Frame, reason: str) -> None:
+        now_ns = self._time.now_ns(frame.received_monotonic_us)
+        rejected = rejection(frame, reason, node=self._node.name, t_ns=now_ns)
+        if RejectedFrame in self._node.reads:
+            self._io.publish_and_deliver(rejected, now_ns)
+        else:
+            self._io.publish(rejected)

@@ -1,0 +1,101 @@
+"""Vehicle time in one process: the clock that it follows or keeps, and the schedule of its steps.
+
+clock master     the plant's process: announces the time and follows its own announcements
+follower         all other processes of a run: follow the announced clock (``clock.py``)
+synchronised     a controller without an announced clock: takes the time from its inputs' stamps (``clock_sync.py``)
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ltv_mpc.messages import Clock, Message
+from ltv_mpc.node import Node
+from services.runtime.clock import VehicleClock, monotonic_us
+from services.runtime.clock_master import ClockMaster, ClockMasterSettings
+from services.runtime.clock_sync import SHARED_CLOCK, STAMPED_INPUTS, ClockOffset, ClockSync
+from services.runtime.schedule import StepSchedule
+from services.runtime.stopping import Say
+
+INPUT_LATENCY_US = 6_000
+"""Cycles start this long after the multiples of their period. Measurements of an instant arrive within it: a cycle that
+started at the instant itself would just miss them and plan on an estimate that is a whole period old."""
+
+
+SYNCHRONISED = "vehicle time already follows the estimates: restart this process to use the clock"
+"""Rejection reason of a clock announcement that comes after the synchronisation with the estimates."""
+
+
+class ClockOptions(NamedTuple):
+    """Choice of the clock that a process follows."""
+
+    master: ClockMasterSettings | None = None
+    """Settings of the process that keeps the time; None for a follower."""
+    sync_to_inputs: bool = False
+    """Take the time from the inputs' stamps if no clock is announced."""
+    input_delay_ns: int = 0
+    """Smallest transport delay of the inputs, for the one-way mode of the synchronisation."""
+    speed: float | None = None
+    """Clock speed that this process expects; another one is an error. None: any."""
+
+
+class ProcessTime:
+    """Vehicle time and the step schedule of one process."""
+
+    def __init__(self, node: Node, options: ClockOptions, *, epoch: int, say: Say) -> None:
+        self.clock = VehicleClock(speed=options.speed)
+        self.master: ClockMaster | None = None  # set when the process is connected
+        self.sync: ClockSync | None = None
+        if options.sync_to_inputs:
+            self.sync = ClockSync(self.clock, epoch=epoch, input_delay_ns=options.input_delay_ns)
+        self.schedule = StepSchedule(node.schedule, end_ns=options.master.end_ns if options.master else None)
+        self._say = say
+
+    def now_ns(self, now_us: int) -> int:
+        """Return the vehicle time at a monotonic time; 0 while it is not known."""
+        reading = self.clock.read(now_us)
+        return 0 if reading is None else reading
+
+    def received_ns(self, message: Message, received_us: int) -> int:
+        """Return the vehicle time of a message's arrival; its own stamp while the vehicle time is not known."""
+        if isinstance(message, STAMPED_INPUTS) and self.clock.read(received_us) is None:
+            return message.t_ns
+        return self.now_ns(received_us)
+
+    def offset(self, now_us: int) -> ClockOffset:
+        """Return the offset to the other side's clock and its error bound."""
+        return SHARED_CLOCK if self.sync is None else self.sync.offset(now_us)
+
+    @property
+    def next_step_us(self) -> int | None:
+        """Monotonic time at which the next scheduled step is due; None while it is not known."""
+        return None if self.schedule.next_ns is None else self.clock.due_us(self.schedule.next_ns)
+
+    def start_schedule(self) -> None:
+        """Schedule the first step, if the time is known and the schedule has not started."""
+        newest = self.clock.newest
+        if newest is not None:
+            reading = self.clock.read(monotonic_us())
+            phase_ns = INPUT_LATENCY_US * 1000 * newest.num // newest.den
+            self.schedule.start(newest.vehicle_ns if reading is None else reading, phase_ns=phase_ns)
+
+    def follow(self, message: Clock) -> None:
+        """Follow a clock announcement. Raises ``ClockError`` if the clock cannot be followed."""
+        if self.clock.follow(message):
+            self.start_schedule()
+
+    def rejection_reason(self, message: Message, received_us: int) -> str:
+        """Return why a message does not fit the time that the process follows; empty if it fits."""
+        sync = self.sync
+        if sync is None:
+            return ""
+        if isinstance(message, Clock):
+            return SYNCHRONISED if sync.active else ""
+        clock_steps, was_active = sync.clock_steps, sync.active
+        reason = sync.check_stamp(message, received_us)
+        if sync.clock_steps > clock_steps:
+            self.schedule.reset()
+            self._say("the stamps of the other side jumped: its clock was set")
+        if sync.active and (not was_active or sync.clock_steps > clock_steps):
+            self.start_schedule()
+        return reason

@@ -1,0 +1,38 @@
+"""Status reporters of a process: the node status that every process publishes, and the node's own status."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+from ltv_mpc.messages import Message
+from services.bus.message_validation import MessageValidator
+from services.runtime.clock_sync import ClockOffset
+from services.runtime.node_status import NodeStatusReporter
+
+
+class NodeReporter(Protocol):
+    """Reporter of one kind of node, as the controller's (``controller_status.py``); ``due_us`` is its next deadline."""
+
+    due_us: int
+
+    @property
+    def writes(self) -> tuple[type[Message], ...]: ...
+    def on_input(self, message: Message) -> None:
+        """Note an accepted input."""
+        ...
+
+    def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> None:
+        """Note a step whose outputs are published."""
+        ...
+
+    def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: ClockOffset) -> Message:
+        """Return the status that is due and set the next deadline."""
+        ...
+
+
+class Reporters(NamedTuple):
+    """Reporters of one process."""
+
+    process: NodeStatusReporter
+    node: NodeReporter | None

@@ -1,0 +1,217 @@
+"""Step loop of a process: waits for inputs and deadlines, and steps the node by vehicle time.
+
+    while steps remain and no stop is requested:
+        wait    take inputs from the mailbox and run the deadlines, until the next step is due
+        step    node.steps(inbox) -> outputs: published at once, after the step's record
+
+A step is due by the node's schedule (``schedule.py``), by an input that causes it, or by a command. If the inputs stop,
+nothing changes here: the controller's cycles continue by the clock, and the controller itself decides what to do when
+its estimates stop (``ltv_mpc/safety/health.py``). If the estimator process has died or hangs, the supervisor restarts
+it (``services/supervisor/failure_handler.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from ltv_mpc.messages import CycleTiming, Message, Plan
+from ltv_mpc.node import Node
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.message_validation import MessageValidator
+from services.runtime import ports
+from services.runtime.clock import monotonic_us
+from services.runtime.deadlines import DeadlineQueue
+from services.runtime.input_receiver import InputReceiver
+from services.runtime.node_io import NodeIO
+from services.runtime.process_time import ProcessTime
+from services.runtime.reporters import NodeReporter, Reporters
+from services.runtime.stage_timer import StageTimer
+from services.runtime.stopping import StopRequest
+from services.runtime.supervisor_link import SUPERVISOR_LINK
+
+MAX_DRAIN_US = 20_000
+"""Longest time that taking inputs may delay a due step, so that a message flood cannot starve the controller."""
+
+FINAL_DRAIN_US, FINAL_SILENCE_US = 300_000, 20_000
+"""After a stop request the mailbox is drained until no frame has arrived for FINAL_SILENCE_US, at most FINAL_DRAIN_US:
+messages published before the request may still be on their way."""
+
+
+class StepLoopPorts(NamedTuple):
+    """Objects that a step loop reads from and writes to, once the process is connected."""
+
+    mailbox: Mailbox
+    io: NodeIO
+    time: ProcessTime
+    reporters: Reporters
+    validator: MessageValidator
+
+
+class StepLoop:
+    """Loop of one connected process, from its first step to its last."""
+
+    def __init__(
+        self, node: Node, connected: StepLoopPorts, *, stop: StopRequest, stages: StageTimer, compute_delay_ns: int
+    ) -> None:
+        self._node = node
+        self._stop = stop
+        self._stages = stages
+        self._compute_delay_ns = compute_delay_ns
+        self._measures_cycles = ports.times_cycles(node)
+        self._mailbox, self._io, self._time, self._reporters, validator = connected
+        self._receiver = InputReceiver(node, self._io, self._time, self._reporters, validator)
+        self._command = ""  # key of a command that the next step must not wait for
+        self._deadlines = DeadlineQueue()
+        self._add_deadlines(validator)
+
+    def run(self) -> None:
+        """Step until a stop is requested or the schedule ends; then take the inputs that are still on their way."""
+        while not self._time.schedule.finished and self._wait(self._step_due_us):
+            self._scheduled_step()
+        SUPERVISOR_LINK.last_beat()
+        if self._time.master is not None:
+            self._time.master.stop(monotonic_us())
+        self._drain()
+
+    def finish(self) -> None:
+        """Publish the waiting step records and the last status."""
+        self._io.flush_records()
+        self._reporters.process.publish(monotonic_us(), finished=True)
+
+    # --- waiting -----------------------------------------------------------------------------------------------------
+
+    def _add_deadlines(self, validator: MessageValidator) -> None:
+        """Add the periodic duties of the process to the deadline queue."""
+        (status, report), master = self._reporters, self._time.master
+        self._deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
+        if master is not None:
+            self._deadlines.add(lambda: master.due_us, master.run_due)
+        self._deadlines.add(lambda: status.due_us, self._publish_status)
+        if report is not None:
+            self._deadlines.add(lambda: report.due_us, lambda now_us: self._publish_report(report, validator, now_us))
+
+    def _wait(self, due_us: Callable[[], int | None]) -> bool:
+        """Take inputs until ``due_us`` has passed and the mailbox is empty. Return False if a stop is requested."""
+        entered_us = monotonic_us()
+        while not self._stop():
+            now_us = monotonic_us()
+            self._deadlines.run_due(now_us)
+            due = due_us()
+            frame = self._mailbox.take((self._deadlines.next_us(due) - now_us) / 1e6)
+            if frame is not None:
+                self._take(frame)
+            if due is None:
+                continue
+            if monotonic_us() >= (due if frame is None else max(due, entered_us) + MAX_DRAIN_US):
+                return True
+        return False
+
+    def _step_due_us(self) -> int | None:
+        return monotonic_us() if self._command else self._time.next_step_us
+
+    def _take(self, frame: Frame) -> None:
+        trigger = self._receiver.take(frame)
+        if trigger is None:
+            return
+        if trigger.t_ns is None:
+            self._command = trigger.cause
+        else:
+            self._step(trigger.t_ns, trigger.cause, monotonic_us())
+
+    def _drain(self) -> None:
+        """Take the inputs that were published before the stop request and are still on their way."""
+        now_us = monotonic_us()
+        end_us, silent_us = now_us + FINAL_DRAIN_US, now_us + FINAL_SILENCE_US
+        while now_us < min(end_us, silent_us):
+            frame = self._mailbox.take((silent_us - now_us) / 1e6)
+            if frame is not None:  # None also when the stop request itself wakes the mailbox
+                self._take(frame)
+                silent_us = monotonic_us() + FINAL_SILENCE_US
+            now_us = monotonic_us()
+
+    # --- one step ----------------------------------------------------------------------------------------------------
+
+    def _scheduled_step(self) -> None:
+        """Do the step that is due by the schedule, or the one that a command requests."""
+        now_us, time = monotonic_us(), self._time
+        self._stages.start()
+        if self._command:  # between two scheduled steps, which keep their times
+            cause, self._command = self._command, ""
+            self._step(time.now_ns(now_us), cause, now_us)
+            return
+        schedule = time.schedule
+        t_ns = schedule.next_ns
+        assert t_ns is not None
+        if schedule.on_grid:
+            if time.master is not None:
+                time.master.on_late_step(now_us, time.clock.due_us(t_ns) or now_us, self._node.name)
+            self._step(t_ns, "grid", now_us)
+        else:
+            self._step(max(t_ns, time.now_ns(now_us)), "cycle", now_us)
+        schedule.advance(time.now_ns(monotonic_us()))
+
+    def _step(self, t_ns: int, cause: str, started_us: int) -> None:
+        """Step the node and publish its outputs. ``started_us`` is the monotonic time at which the step was due."""
+        status, report = self._reporters
+        arrivals = self._io.begin_step(status.steps, t_ns, cause)
+        self._stages("read")
+        (outputs,) = self._node.steps([(t_ns, arrivals)])
+        status.on_step(monotonic_us() - started_us)
+        if not outputs:
+            return
+        self._io.flush_records()
+        plan = _plan_in(outputs) if self._measures_cycles else None
+        if plan is not None and self._compute_delay_ns:
+            self._hold(self._compute_delay_ns)
+        self._publish(outputs)
+        if plan is not None:
+            self._publish_timing(plan, t_ns, started_us)
+        if report is not None:
+            now_us = monotonic_us()
+            report.on_step(outputs, now_us - started_us, now_us)
+
+    def _publish(self, outputs: Sequence[Message]) -> None:
+        sync = self._time.sync
+        for message in outputs:
+            now_us = monotonic_us()
+            sent = self._io.publish(message)
+            if sync is not None and isinstance(message, Plan):
+                sync.on_plan_sent(sent.sequence, now_us)
+
+    def _hold(self, delay_ns: int) -> None:
+        """Wait on the vehicle's clock before the plan is published: the computing time of a slower machine."""
+        until_ns = self._time.now_ns(monotonic_us()) + delay_ns
+        self._wait(lambda: self._time.clock.due_us(until_ns))
+        self._stages.resume()
+
+    def _publish_timing(self, plan: Plan, t_ns: int, started_us: int) -> None:
+        """Publish the computing time of a cycle and deliver it to the next one, as any other message."""
+        self._stages("publish")
+        now_us = monotonic_us()
+        now_ns = self._time.now_ns(now_us)
+        timing = CycleTiming(
+            t_ns=t_ns,
+            compute_ns=max(0, now_ns - t_ns),
+            compute_wall_ns=(now_us - started_us) * 1000,
+            estimate_age_ns=t_ns - plan.estimate_t_ns,
+            stage_us=self._stages.stage_us,
+        )
+        self._io.publish_and_deliver(timing, now_ns)
+
+    # --- reporting ---------------------------------------------------------------------------------------------------
+
+    def _publish_status(self, now_us: int) -> None:
+        """Publish the waiting step records, then the status of the process."""
+        self._io.flush_records()
+        master = self._time.master
+        self._reporters.process.publish(now_us, others=master.waiting_for if master else "")
+
+    def _publish_report(self, report: NodeReporter, validator: MessageValidator, now_us: int) -> None:
+        """Publish the node's own status, as the controller's."""
+        time = self._time
+        self._io.publish(report.status(now_us, time.now_ns(now_us), validator, time.offset(now_us)))
+
+
+def _plan_in(outputs: Sequence[Message]) -> Plan | None:
+    return next((message for message in outputs if isinstance(message, Plan)), None)
