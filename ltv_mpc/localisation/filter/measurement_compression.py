@@ -76,18 +76,23 @@ def touched_states(
 
 
 @jit
-def _combine(out: Array, of: npt.NDArray[np.int64], by: Array, count: int, rows: Array, first: int) -> None:
-    """Add a sparse combination of rows, out_k += sum_a by_a rows[of_a]_k for k >= first, four rows in one pass."""
+def _combine(out: Array, columns: npt.NDArray[np.int64], values: Array, count: int, rows: Array, first: int) -> None:
+    """Add a sparse combination of rows, out += sum_a values_a rows[columns_a] from ``first`` on, four at a time."""
     to = out[first:]  # slices start at index 0: a loop over an index that may be negative is not vectorised
     a = 0
     while a + 4 <= count:
-        c0, c1, c2, c3 = by[a], by[a + 1], by[a + 2], by[a + 3]
-        r0, r1, r2, r3 = rows[of[a]][first:], rows[of[a + 1]][first:], rows[of[a + 2]][first:], rows[of[a + 3]][first:]
+        c0, c1, c2, c3 = values[a], values[a + 1], values[a + 2], values[a + 3]
+        r0, r1, r2, r3 = (
+            rows[columns[a]][first:],
+            rows[columns[a + 1]][first:],
+            rows[columns[a + 2]][first:],
+            rows[columns[a + 3]][first:],
+        )
         for k in range(len(to)):
             to[k] += (c0 * r0[k] + c1 * r1[k]) + (c2 * r2[k] + c3 * r3[k])
         a += 4
     while a < count:
-        c, r = by[a], rows[of[a]][first:]
+        c, r = values[a], rows[columns[a]][first:]
         for k in range(len(to)):
             to[k] += c * r[k]
         a += 1
@@ -96,8 +101,8 @@ def _combine(out: Array, of: npt.NDArray[np.int64], by: Array, count: int, rows:
 class SparseRows(NamedTuple):
     """Non-zero entries of m rows: column and value of each, packed to the left, and their number in each row."""
 
-    of: npt.NDArray[np.int64]  # (m, w) columns
-    by: Array  # (m, w) values
+    columns: npt.NDArray[np.int64]  # (m, w)
+    values: Array  # (m, w)
     counts: npt.NDArray[np.int64]  # (m,)
 
 
@@ -111,13 +116,13 @@ def sparse_rows(column: npt.NDArray[np.int64], value: Array) -> SparseRows:
     value : (m, w) value of each entry.
     """
     m, w = value.shape
-    of, by, counts = np.empty((m, w), dtype=np.int64), np.empty((m, w)), np.zeros(m, dtype=np.int64)
+    columns, values, counts = np.empty((m, w), dtype=np.int64), np.empty((m, w)), np.zeros(m, dtype=np.int64)
     for i in range(m):
         for a in range(w):
             if value[i, a] != 0.0:
-                of[i, counts[i]], by[i, counts[i]] = column[i, a], value[i, a]
+                columns[i, counts[i]], values[i, counts[i]] = column[i, a], value[i, a]
                 counts[i] += 1
-    return SparseRows(of, by, counts)
+    return SparseRows(columns, values, counts)
 
 
 @jit
@@ -131,7 +136,7 @@ def project(H: SparseRows, P: Array) -> Array:
     """
     HP = np.zeros((len(H.counts), P.shape[1]))
     for i in range(len(HP)):
-        _combine(HP[i], H.of[i], H.by[i], H.counts[i], P, 0)
+        _combine(HP[i], H.columns[i], H.values[i], H.counts[i], P, 0)
     return HP
 
 
@@ -148,7 +153,7 @@ def innovation_covariance(H: SparseRows, PH: Array, variance: Array) -> Array:
     m = len(variance)
     S = np.zeros((m, m))
     for i in range(m):
-        _combine(S[i], H.of[i], H.by[i], H.counts[i], PH, i)
+        _combine(S[i], H.columns[i], H.values[i], H.counts[i], PH, i)
         for j in range(i):
             S[i, j] = S[j, i]
         S[i, i] += variance[i]
