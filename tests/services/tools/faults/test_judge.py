@@ -121,7 +121,7 @@ def test_a_silent_instrument_must_be_reported():
     assert one.late == ""
     assert one.reaction_s == pytest.approx(1.0, abs=1e-6)  # three thirds of a second after the start
     of.reports = [r._replace(wrong={}) if r.t_ns < 35 * S else r for r in of.reports]
-    assert "said 4.0 s after its threshold" in seen(of, what).late
+    assert "reported 4.0 s after its threshold" in seen(of, what).late
 
 
 def test_every_frame_that_is_none_must_be_refused():
@@ -150,7 +150,7 @@ def test_a_plan_of_a_solver_in_trouble_must_not_call_itself_solved():
 
 def test_a_second_commander_must_be_refused_and_never_followed():
     what = fault("second_commander", "plant")
-    assert "nobody says" in seen(log(), what).late
+    assert "no status reports" in seen(log(), what).late
     of = log()
     of.applied = [(*row[:3], 3, 0) if row[0] >= START_S * S + 100 * MS else row for row in of.applied]
     assert seen(of, what).late == ""
