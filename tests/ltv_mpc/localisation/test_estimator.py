@@ -241,7 +241,7 @@ def test_the_published_covariance_is_the_beliefs_mapped_to_published_quantities(
         other = belief.copy()
         error = np.zeros(layout.size)
         error[k] = h
-        other.add(error)
+        other.apply_error(error)
         e = estimate(ErrorStateFilter(SUITE, CONFIG, other), grid(CONFIG))
         return np.array(
             [e.north_m, e.east_m, e.velocity_north_mps, e.velocity_east_mps, e.heading_rad, e.yaw_rate_radps]

@@ -111,8 +111,8 @@ def test_partials_are_minus_the_derivatives_of_the_residual(sensor, seed):
         error = np.zeros(LAYOUT.size)
         error[k] = h
         up, down = belief.copy(), belief.copy()
-        up.add(error)
-        down.add(-error)
+        up.apply_error(error)
+        down.apply_error(-error)
         difference[:, k] = (LINEARISED[sensor](down, seen).residual - LINEARISED[sensor](up, seen).residual) / (2 * h)
     scale = np.abs(difference).max(axis=1, keepdims=True)
     np.testing.assert_allclose(H / scale, difference / scale, atol=1e-6)

@@ -29,7 +29,7 @@ def moved(belief, k, by):
     error = np.zeros(LAYOUT.size)
     error[k] = by
     other = belief.copy()
-    other.add(error)
+    other.apply_error(error)
     return other
 
 
