@@ -56,7 +56,7 @@ for sensors in ("./with_log.toml", "realistic"):
     situation = resolve("descent", [Override("test", settings)])
     errors, nodes = Errors(), make_nodes(situation, unread=False)
     scenario = situation.scenario
-    LockStep(nodes, start_ns=scenario.start_ns, observe=errors).advance(scenario.end_ns)
+    LockStep(nodes, start_ns=scenario.start_ns, observer=errors).advance(scenario.end_ns)
     estimator = next(node for node in nodes if isinstance(node, Estimator))
     print(json.dumps({"account": dict(estimator.account), "rms_m": float(np.sqrt(np.mean(errors.errors)))}))
 """
