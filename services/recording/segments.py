@@ -40,11 +40,12 @@ class SegmentWriter:
         self._retry_s = 0.0  # monotonic time of the next attempt
         self.resumes = recording.exists()
         """True if an earlier recorder has left a segment."""
-        self._writer: RunWriter | None = self._open()
+        self.segment: RunWriter | None = self._open()
+        """Writer of the open segment; None while none can be opened."""
 
     def write_plain(self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
         """Write a message, as ``RunWriter.write_plain``. If it cannot be kept, ``refused`` returns it."""
-        writer = self._writer or self._reopen()
+        writer = self.segment or self._reopen()
         source = (key, message["epoch"])
         if writer is None:
             self._refused.append(source)
@@ -62,7 +63,7 @@ class SegmentWriter:
 
     def flush_if_due(self, *, now: bool = False) -> None:
         """Flush if it is due, or ``now``. Must also be called while no messages arrive."""
-        writer = self._writer
+        writer = self.segment
         if writer is None:
             return
         try:
@@ -84,7 +85,7 @@ class SegmentWriter:
 
     def close(self) -> None:
         """Finish the file. Messages that the disk does not take are returned by ``refused``."""
-        writer, self._writer = self._writer, None
+        writer, self.segment = self.segment, None
         if writer is None:
             return
         try:
@@ -120,11 +121,11 @@ class SegmentWriter:
             return None
         self._retry_s = now_s + self._retry_period_s
         try:
-            self._writer = self._open()
+            self.segment = self._open()
         except OSError:
             return None
-        self._news.append(f"recording continues in {self._writer.path.name}")
-        return self._writer
+        self._news.append(f"recording continues in {self.segment.path.name}")
+        return self.segment
 
     def _note_flush(self, writer: RunWriter) -> None:
         if writer.unsafe == 0:
@@ -133,7 +134,7 @@ class SegmentWriter:
     def _give_up(self, writer: RunWriter, error: OSError) -> None:
         """Truncate the segment to its last successful flush, and retry later with the next one."""
         writer.abandon()
-        self._writer = None
+        self.segment = None
         self._retry_s = time.monotonic() + self._retry_period_s
         self._refused += self._unsafe
         self._news.append(f"not recording: {error.strerror}; {len(self._unsafe)} messages not recorded so far")

@@ -44,13 +44,13 @@ class RunWriter:
         self.messages = 0
         self._flushed = 0, 0  # bytes and messages
         self._start_ns = start_ns
-        self._flush_s = flush_s
+        self.flush_s = flush_s
         self._flushed_at = time.monotonic()
         self._channels: dict[str, int] = {}
         self._schemas: dict[type[Message], int] = {}
-        self._file = path.open("wb")
+        self.file = path.open("wb")
         # Any: the package does not annotate all of its methods.
-        self._mcap: Any = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._mcap: Any = Writer(self.file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         try:
             self._mcap.start(PROFILE, LIBRARY)
             self._mcap.add_metadata(RUN, {"start_ns": str(start_ns), **metadata})
@@ -84,13 +84,13 @@ class RunWriter:
 
     def flush_if_due(self) -> None:
         """Flush if ``flush_s`` has passed. Must also be called while no messages arrive."""
-        if self._flush_s is not None and time.monotonic() - self._flushed_at >= self._flush_s:
+        if self.flush_s is not None and time.monotonic() - self._flushed_at >= self.flush_s:
             self.flush()
 
     def flush(self) -> None:
         """Pass all messages so far to the operating system."""
         self._mcap.flush()
-        self._flushed = self._file.tell(), self.messages
+        self._flushed = self.file.tell(), self.messages
         self._flushed_at = time.monotonic()
 
     @property
@@ -106,10 +106,10 @@ class RunWriter:
 
     def close(self) -> None:
         """Write the index and the end of the file, and close it."""
-        if not self._file.closed:
+        if not self.file.closed:
             try:
                 self._mcap.finish()
-                self._file.flush()
+                self.file.flush()
             finally:
                 self._close()
 
@@ -121,7 +121,7 @@ class RunWriter:
 
     def _close(self) -> None:
         with contextlib.suppress(OSError):  # a full disk does not take the rest of the buffer
-            self._file.close()
+            self.file.close()
 
     def _register(self, key: str, kind: type[Message]) -> int:
         if kind not in self._schemas:

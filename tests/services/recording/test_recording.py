@@ -192,7 +192,7 @@ def test_a_writer_with_a_period_flushes_by_itself_also_while_nothing_arrives(pat
     late = RunWriter(path, start_ns=START_NS, metadata={}, flush_s=1e9)
     late.write("sensors", depth(0), header(0), 0)
     assert list(Recording(path)) == []
-    late._flush_s = 0.0
+    late.flush_s = 0.0
     late.flush_if_due()
     assert len(list(Recording(path))) == 1
     late.close()
@@ -221,10 +221,10 @@ def test_a_disk_that_fills_up_ends_the_writing_with_its_error_and_the_file_is_cl
         RunWriter(Path("/dev/full"), start_ns=0, metadata={"much": "x" * 100_000})
     writer = RunWriter(path, start_ns=0, metadata={}, flush_s=0.0)
     with Path("/dev/full").open("wb") as full:
-        os.dup2(full.fileno(), writer._file.fileno())
+        os.dup2(full.fileno(), writer.file.fileno())
     with pytest.raises(OSError, match="No space left"), writer:
         writer.write("sensors", depth(0), header(0), 0)
-    assert writer._file.closed
+    assert writer.file.closed
 
 
 def test_what_a_failing_disk_took_only_half_of_is_cut_off(path: Path) -> None:
@@ -234,11 +234,11 @@ def test_what_a_failing_disk_took_only_half_of_is_cut_off(path: Path) -> None:
     whole = path.read_bytes()
     writer.write("sensors", depth(1), header(1), 0)
     assert writer.unsafe == 1
-    writer._file.write(b"half of a chunk")
-    writer._file.flush()
+    writer.file.write(b"half of a chunk")
+    writer.file.flush()
     writer.abandon()
     assert path.read_bytes() == whole
-    assert writer._file.closed
+    assert writer.file.closed
 
 
 def test_a_key_that_no_topic_has_stays_readable_as_a_plain_map() -> None:

@@ -31,9 +31,9 @@ def sequences(path: Path) -> list[int]:
 
 def fill_up(writer: SegmentWriter) -> None:
     """Make the disk of the open segment full from now on."""
-    assert writer._writer is not None
+    assert writer.segment is not None
     with Path("/dev/full").open("wb") as full:
-        os.dup2(full.fileno(), writer._writer._file.fileno())
+        os.dup2(full.fileno(), writer.segment.file.fileno())
 
 
 @pytest.fixture
