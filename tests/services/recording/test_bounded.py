@@ -11,7 +11,7 @@ def accounting() -> LossAccounting:
     return LossAccounting(max_sources=10, max_keys=3)
 
 
-def test_what_forgotten_sources_have_lost_stays_counted() -> None:
+def test_losses_of_dropped_sources_stay_counted() -> None:
     of = accounting()
     for epoch in range(1000):
         of.add("plan", epoch, 0)
@@ -26,7 +26,7 @@ def test_what_forgotten_sources_have_lost_stays_counted() -> None:
     assert of.by_key() == {"plan": 2002}
 
 
-def test_a_source_that_was_forgotten_counts_from_where_it_is_heard_again() -> None:
+def test_a_dropped_source_counts_from_its_next_message() -> None:
     of = accounting()
     for epoch in range(20):
         of.add("plan", epoch, 0)
@@ -35,7 +35,7 @@ def test_a_source_that_was_forgotten_counts_from_where_it_is_heard_again() -> No
     assert of.missing == 1
 
 
-def test_of_too_many_keys_the_sums_are_one() -> None:
+def test_too_many_keys_share_one_sum() -> None:
     of = accounting()
     for k in range(100):
         of.add(f"status/{k}", 1, 0)
@@ -45,7 +45,7 @@ def test_of_too_many_keys_the_sums_are_one() -> None:
     assert (of.missing, sum(of.by_key().values())) == (100, 100)
 
 
-def test_of_very_many_gaps_the_oldest_are_lost_for_good() -> None:
+def test_the_oldest_of_very_many_gaps_count_as_lost() -> None:
     of = SequenceGaps(max_gaps=3)
     for sequence in range(0, 20, 2):
         assert of.add(sequence)
@@ -55,7 +55,7 @@ def test_of_very_many_gaps_the_oldest_are_lost_for_good() -> None:
     assert (of.missing, of.doubled) == (8, 1)
 
 
-def test_what_comes_twice_makes_up_for_nothing_that_did_not_come() -> None:
+def test_duplicates_do_not_replace_missing_messages() -> None:
     of = accounting()
     assert [of.add("plan", 7, sequence) for sequence in (0, 3, 3, 1, 1, 0)] == [True, True, False, True, False, False]
     assert (of.published, of.missing, of.by_key()) == (4, 1, {"plan": 1})
@@ -68,7 +68,7 @@ def test_what_comes_twice_makes_up_for_nothing_that_did_not_come() -> None:
     assert kept.missing == {"controller": 1}
 
 
-def test_what_forgotten_processes_did_not_keep_of_their_word_stays_counted() -> None:
+def test_missing_messages_of_closed_accounts_stay_counted() -> None:
     of = PublishCounts(max_epochs=10)
     for epoch in range(1000):
         of.count(epoch)
@@ -80,7 +80,7 @@ def test_what_forgotten_processes_did_not_keep_of_their_word_stays_counted() -> 
     assert not of.unfinished(5000)
 
 
-def test_who_spoke_before_anybody_counted_keeps_every_word() -> None:
+def test_a_process_that_published_before_counting_misses_nothing() -> None:
     of = PublishCounts(max_epochs=10)
     assert not of.count(1, late=True)
     assert not of.count(1)

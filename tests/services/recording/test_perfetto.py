@@ -148,7 +148,7 @@ def test_the_delay_from_an_estimate_to_its_thrust_can_be_read_off(tmp_path: Path
     assert (mark["name"], mark["args"]["text"]) == ("slowed", "by 0.4 s")
 
 
-def test_someone_elses_estimates_have_a_place_too_and_an_arrow_never_points_back(tmp_path: Path) -> None:
+def test_foreign_estimates_have_a_slice_and_arrows_never_point_back(tmp_path: Path) -> None:
     """There is no step record; the second estimate is stamped later than the start of the cycle that used it."""
     first, second = cycle(0), cycle(1)
     late = ("estimator", second[1][1], ESTIMATOR, 1, 310 * MS)
@@ -173,7 +173,7 @@ def test_a_run_in_lock_step_with_a_delay_has_a_slice_a_cycle_and_an_arrow_a_plan
 EVENT = b'{"epoch":1,"sequence":0,"t_ns":1%s,"node":"x","kind":"y","text":"z"}'
 
 
-def test_rubbish_on_its_keys_is_counted_and_nothing_is_drawn_of_it(tmp_path: Path) -> None:
+def test_invalid_messages_are_counted_and_not_drawn(tmp_path: Path) -> None:
     zeros = b"0" * 400
     rubbish = (
         b"",

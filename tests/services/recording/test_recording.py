@@ -153,7 +153,7 @@ def test_a_damaged_chunk_ends_the_reading_and_is_not_believed(path: Path) -> Non
 
 
 @pytest.mark.parametrize("message", [b"[1]", b"null", b"{", b'{"x":"\xff"}', b"[" * 100_000])
-def test_a_message_that_nobody_could_have_sent_ends_the_reading(path: Path, message: bytes) -> None:
+def test_an_impossible_message_ends_the_reading(path: Path, message: bytes) -> None:
     recording = Recording(foreign(path, "sensor/depth", b'{"epoch":1}', message, b'{"epoch":2}', start_ns="7"))
     assert [(found.t_ns, found.plain) for found in recording] == [(7, {"epoch": 1})]
     assert recording.cut
@@ -227,7 +227,7 @@ def test_a_disk_that_fills_up_ends_the_writing_with_its_error_and_the_file_is_cl
     assert writer.file.closed
 
 
-def test_what_a_failing_disk_took_only_half_of_is_cut_off(path: Path) -> None:
+def test_a_partly_written_chunk_is_truncated(path: Path) -> None:
     writer = RunWriter(path, start_ns=0, metadata={}, flush_s=1e9)
     writer.write("sensors", depth(0), header(0), 0)
     writer.flush()
@@ -276,7 +276,7 @@ def test_the_recording_package_starts_without_the_simulation() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_who_waits_hears_how_much_was_read_and_nobody_else_does(path: Path) -> None:
+def test_progress_is_reported_within_its_context_only(path: Path) -> None:
     write_depths(path, 5000)
     shares: list[float] = []
     with report_progress(shares.append):

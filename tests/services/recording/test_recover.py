@@ -118,7 +118,7 @@ def test_segments_are_joined_in_the_order_of_their_numbers_in_one_time(tmp_path:
     assert segments(Path(made.file)) == (Path(made.file),)
 
 
-def test_what_the_run_was_made_of_and_each_frames_checksum_are_kept(tmp_path: Path) -> None:
+def test_recovery_keeps_the_run_s_metadata_and_each_frame_s_checksum(tmp_path: Path) -> None:
     path = write_depths(tmp_path / "run.mcap", range(500))
     path.write_bytes(path.read_bytes()[:-200])
     made = recovered(path)
@@ -202,7 +202,7 @@ def test_a_record_that_lies_costs_no_memory_and_is_a_loss_with_its_reason(
     assert (loss.offset, loss.length) == (len(MAGIC + CHANNEL + MESSAGE), len(content))
 
 
-def test_what_follows_the_end_is_a_loss(whole: Path, tmp_path: Path) -> None:
+def test_bytes_after_the_end_are_a_loss(whole: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(whole.read_bytes() + b"more")
     records = Records(path)

@@ -111,7 +111,9 @@ def test_a_full_disk_returns_what_it_cannot_store_and_the_segment_ends_whole(pat
     assert sequences(path) == [0, 1, 2]
 
 
-def test_it_goes_on_in_the_next_segment_as_soon_as_there_is_room(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recording_continues_in_the_next_segment_as_soon_as_there_is_room(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     now_s = 0.0
     monkeypatch.setattr(segments.time, "monotonic", lambda: now_s)
     with opened(path) as writer:
@@ -149,7 +151,7 @@ def test_while_there_is_no_room_every_try_is_in_vain_and_leaves_no_file(
     assert sequences(path.with_name("run.2.mcap")) == [4]
 
 
-def test_what_the_end_of_the_file_costs_is_handed_back_too(path: Path) -> None:
+def test_messages_lost_at_the_end_of_the_file_are_returned_too(path: Path) -> None:
     writer = opened(path)
     put(writer, 0)
     fill_up(writer)
@@ -162,7 +164,7 @@ def test_a_file_that_may_not_be_written_is_refused_at_once_and_nothing_is_left_o
         opened(tmp_path / "nowhere" / "run.mcap")
 
 
-def test_losses_of_one_who_comes_later_begin_with_what_it_hears_first() -> None:
+def test_losses_of_a_late_recorder_start_with_its_first_message() -> None:
     losses = LossAccounting()
     losses.start_at(KEY, 7, 500)
     losses.add(KEY, 7, 500)

@@ -14,7 +14,9 @@ from services.run.folder import RunFolder
 from tests.services.replay.altered import Plain, rewritten
 
 
-def test_it_ends_with_0_and_says_100_percent(locked_run: RunFolder, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_identical_replay_ends_with_0_and_reports_100_percent(
+    locked_run: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli(["replay", str(locked_run.path)]) == 0
     out, err = capsys.readouterr()
     lines = {line[:13].strip(): line[14:] for line in out.splitlines() if line}

@@ -29,7 +29,7 @@ def entry(stored: StoredMessage, header: Header) -> InboxEntry:
     )
 
 
-def test_what_was_used_or_is_old_is_not_kept() -> None:
+def test_used_and_old_frames_are_discarded() -> None:
     frames = Frames()
     for at in range(10):
         frames.add(*depth(at), at)
@@ -76,7 +76,7 @@ def test_a_step_that_raises_only_in_the_replay_is_a_difference_and_ends_its_epoc
     assert (epoch.gap.first_step, epoch.gap.steps) == (2, 1)
 
 
-def test_a_missing_input_is_waited_for_as_far_as_it_may_stand_and_no_further() -> None:
+def test_a_missing_input_is_waited_for_up_to_the_largest_distance() -> None:
     frames, outcome = Frames(), Comparison("sensors", 7)
     epoch = Epoch(7, Fragile, frames, outcome)
     epoch.take(Record(epoch=7, step=0, t_ns=0, inbox=(entry(*depth(0)),)), 0)

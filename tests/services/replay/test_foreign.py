@@ -49,9 +49,7 @@ SPELLINGS: tuple[Callable[[Any], bytes], ...] = (
 
 
 @pytest.mark.parametrize("signal", EXAMPLES, ids=lambda signal: type(signal).__name__)
-def test_a_frame_is_found_by_its_own_checksum_and_means_what_it_meant_at_the_door(
-    signal: Message, tmp_path: Path
-) -> None:
+def test_a_frame_is_found_by_its_checksum_and_decoded_as_it_was_live(signal: Message, tmp_path: Path) -> None:
     kind, plain = type(signal), wire.to_map(signal, HEADER) if not isinstance(signal, StepRecord) else None
     if plain is None:  # its epoch is its sender's
         plain = wire.to_map(signal, msgspec.structs.replace(HEADER, epoch=signal.epoch))  # type: ignore[attr-defined]

@@ -127,7 +127,7 @@ def test_a_lost_output_is_counted_and_its_step_is_not_compared(recording: Path, 
 
 
 @pytest.mark.parametrize("at_a", [[], [1e-9]])
-def test_what_an_injector_has_harmed_is_compared_with_what_was_said_and_given(
+def test_frames_harmed_by_an_injector_are_compared_at_both_ends(
     recording: Path, tmp_path: Path, at_a: list[float]
 ) -> None:
     """The recorder received another plan than was published and accepted, or none; the file has both ends."""
@@ -154,7 +154,7 @@ def test_what_an_injector_has_harmed_is_compared_with_what_was_said_and_given(
     assert verdict.steps_compared == verdict.steps_run == replayed(recording).steps_run
 
 
-def test_a_handed_frame_that_nobody_can_read_is_nobody_s(recording: Path, tmp_path: Path) -> None:
+def test_an_unreadable_injector_frame_is_skipped(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "run.mcap"
     with RunWriter(out, start_ns=-1_000_000_000, metadata=dict(engine.Run(recording).metadata)) as writer:
         for i, text in enumerate(("AAA=", "?", "gA==", "")):
@@ -267,7 +267,7 @@ def test_steps_known_only_from_the_process_report_are_run_and_not_compared(recor
     assert [(gap.first_step, gap.steps) for gap in controller.gaps] == [(steps, 100)]
 
 
-def test_a_run_made_elsewhere_says_what_is_otherwise_here(recording: Path, tmp_path: Path) -> None:
+def test_provenance_differences_of_another_machine_are_reported(recording: Path, tmp_path: Path) -> None:
     run = engine.Run(recording)
     scenario = run.metadata["scenario.toml"].replace(provenance_table()["processor"], "Motorola 6502")
     run.metadata = dict(run.metadata) | {"scenario.toml": scenario}

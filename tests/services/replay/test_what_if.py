@@ -81,9 +81,7 @@ def test_another_filter_setting_gives_other_estimates(locked_run: RunFolder, tmp
         ("# nothing\n", "its keys fit none of them"),
     ],
 )
-def test_a_file_that_is_not_one_of_the_two_is_refused(
-    locked_run: RunFolder, tmp_path: Path, text: str, wrong: str
-) -> None:
+def test_a_settings_file_of_no_node_is_rejected(locked_run: RunFolder, tmp_path: Path, text: str, wrong: str) -> None:
     settings = tmp_path / "mine.toml"
     settings.write_text(text)
     with pytest.raises(ConfigError) as refused:

@@ -38,13 +38,13 @@ def follower(keeper: ClockSource) -> VehicleClock:
     return clock
 
 
-def test_before_the_start_it_stands_at_the_start_and_nothing_is_due() -> None:
+def test_before_the_start_the_clock_holds_the_start_time_and_nothing_is_due() -> None:
     clock = follower(keeper())
     assert clock.read(T0_US + 10_000_000) == START_NS
     assert clock.due_us(START_NS) is None
 
 
-def test_it_runs_at_its_speed_from_the_announced_instant_on() -> None:
+def test_the_clock_runs_at_its_speed_from_the_announced_instant_on() -> None:
     k = keeper(2.5)
     clock = follower(k)
     clock.follow(k.run(T0_US))
@@ -54,7 +54,7 @@ def test_it_runs_at_its_speed_from_the_announced_instant_on() -> None:
     assert clock.read(begin + 1_000_000) == START_NS + 2_500_000_000
 
 
-def test_a_pause_freezes_it_and_it_goes_on_where_it_stood() -> None:
+def test_a_paused_clock_resumes_where_it_stopped() -> None:
     k = keeper(10)
     clock = follower(k)
     clock.follow(k.run(T0_US))
@@ -71,7 +71,7 @@ def at_speed(k: ClockSource, now_us: int, speed: float) -> Clock:
     return k.set_speed(now_us, fraction_of(speed), requested=speed)
 
 
-def test_a_change_of_speed_bends_the_line_without_a_jump() -> None:
+def test_a_change_of_speed_causes_no_jump() -> None:
     k = keeper(1)
     clock = follower(k)
     clock.follow(k.run(T0_US))
@@ -103,7 +103,7 @@ def test_a_reading_is_exact_to_the_nanosecond_below(at: int, num: int, den: int,
     assert 0 <= exact - ClockSegment(at, 0, num, den, ClockState.RUNNING).read(at + after) < 1
 
 
-def test_the_time_at_an_instant_does_not_depend_on_what_was_read_before() -> None:
+def test_the_time_at_an_instant_does_not_depend_on_earlier_readings() -> None:
     k = keeper(10)
     clock, fresh = follower(k), follower(k)
     for c in (clock, fresh):
@@ -138,7 +138,7 @@ CHANGES = st.lists(
 
 
 @given(changes=CHANGES, readings=st.lists(st.integers(1, 90_000), min_size=5, max_size=60))
-def test_no_follower_ever_steps_back_however_late_it_hears_and_whatever_it_misses(
+def test_no_follower_steps_back_after_late_or_lost_announcements(
     changes: list[tuple[int, str, float, int, bool]], readings: list[int]
 ) -> None:
     k = keeper()
@@ -167,7 +167,7 @@ def test_no_follower_ever_steps_back_however_late_it_hears_and_whatever_it_misse
 
 
 @given(changes=CHANGES)
-def test_who_hears_in_time_reads_what_the_keeper_reads(changes: list[tuple[int, str, float, int, bool]]) -> None:
+def test_timely_followers_read_the_clock_master_s_time(changes: list[tuple[int, str, float, int, bool]]) -> None:
     k = keeper()
     own, other = follower(k), follower(k)
     now_us = T0_US
@@ -186,7 +186,7 @@ def test_who_hears_in_time_reads_what_the_keeper_reads(changes: list[tuple[int, 
         assert own.read(at_us) == other.read(at_us)
 
 
-def test_a_line_that_slows_lets_readers_hold_still_until_it_catches_up() -> None:
+def test_after_a_slip_readings_hold_still_until_the_clock_catches_up() -> None:
     k = keeper(10)
     clock = follower(k)
     clock.follow(k.run(T0_US))
@@ -202,7 +202,7 @@ def test_a_line_that_slows_lets_readers_hold_still_until_it_catches_up() -> None
     assert (k.slips, k.slipped_ns) == (1, 300_000_000)
 
 
-def test_however_much_is_announced_ahead_what_is_kept_of_it_is_bounded() -> None:
+def test_the_number_of_announced_segments_is_bounded() -> None:
     k = keeper(1.0)
     clock = follower(k)
     clock.follow(k.run(T0_US))
@@ -214,7 +214,7 @@ def test_however_much_is_announced_ahead_what_is_kept_of_it_is_bounded() -> None
     assert clock.read(T0_US + LEAD_US + 1_000_000) == START_NS + 1_000_000_000
 
 
-def test_a_clock_of_another_host_or_of_another_plant_is_refused_in_words() -> None:
+def test_a_clock_of_another_host_or_plant_is_an_error_with_its_reason() -> None:
     clock = follower(keeper())
     with pytest.raises(ClockError, match="another host"):
         clock.follow(msgspec.structs.replace(keeper().message, host_boot_id="other", clock_sequence=1))
@@ -222,7 +222,7 @@ def test_a_clock_of_another_host_or_of_another_plant_is_refused_in_words() -> No
         clock.follow(msgspec.structs.replace(keeper().message, clock_epoch=2, clock_sequence=1))
 
 
-def test_a_speed_that_differs_from_the_time_keepers_is_an_error_that_names_both() -> None:
+def test_a_speed_that_differs_from_the_clock_master_s_is_an_error_that_names_both() -> None:
     VehicleClock(speed=2.5).follow(keeper(2.5).message)
     with pytest.raises(ClockError, match=r"5 here and 2\.5 at the plant"):
         VehicleClock(speed=5).follow(keeper(2.5).message)
@@ -251,7 +251,7 @@ def test_the_clock_starts_when_the_last_expected_node_is_ready() -> None:
     assert clock.due_us(START_NS) == T0_US + 2 + LEAD_US
 
 
-def test_a_grid_may_be_behind_by_a_tenth_of_a_second_and_beyond_that_slows_the_clock() -> None:
+def test_the_clock_slips_when_a_grid_is_late_by_more_than_a_tenth_of_a_second() -> None:
     sent: list[object] = []
     clock = VehicleClock()
     keeping = keeping_time(clock, sent)
@@ -271,7 +271,7 @@ def test_a_grid_may_be_behind_by_a_tenth_of_a_second_and_beyond_that_slows_the_c
     assert len(sent) == 4
 
 
-def test_who_cannot_keep_up_is_waited_for() -> None:
+def test_the_clock_slips_for_a_node_that_cannot_keep_up() -> None:
     """An estimator whose inputs wait longer and longer: the clock slips by the newest waiting time."""
     sent: list[object] = []
     clock = VehicleClock()

@@ -26,7 +26,7 @@ class Kept:
         return next(one for one in reversed(self.said) if isinstance(one, Clock))
 
 
-def test_a_pause_is_announced_ahead_and_time_then_stands_still_until_it_goes_on() -> None:
+def test_a_pause_is_announced_ahead_and_lasts_until_the_clock_resumes() -> None:
     kept = Kept()
     kept.asked(1000 * MS, paused=True)
     assert kept.newest().at_monotonic_us == 1000 * MS + LEAD_US
@@ -47,7 +47,7 @@ def test_another_speed_holds_from_its_instant_on() -> None:
     assert kept.clock.read(3000 * MS + LEAD_US) == before_ns + 10**9
 
 
-def test_what_changes_nothing_is_not_announced_and_each_change_is_an_event() -> None:
+def test_only_changes_are_announced_and_each_is_an_event() -> None:
     kept = Kept()
     count = len(kept.said)
     kept.asked(1000 * MS)
@@ -59,7 +59,7 @@ def test_what_changes_nothing_is_not_announced_and_each_change_is_an_event() -> 
     ]
 
 
-def test_who_waits_for_the_start_keeps_waiting_and_an_end_is_an_end() -> None:
+def test_a_command_neither_starts_the_clock_nor_continues_it_after_the_end() -> None:
     waiting = Kept("controller")
     waiting.asked(1000 * MS)
     waiting.asked(1000 * MS, paused=True, speed=4.0)

@@ -38,7 +38,7 @@ def windows(pace: ClockRate, *given_up_us: int) -> list[float]:
     return speeds
 
 
-def test_what_was_given_up_says_what_the_machine_can_do() -> None:
+def test_slips_lower_the_speed_to_what_the_machine_can_do() -> None:
     assert windows(found(ASKED), int(0.3 * WINDOW_US)) == [pytest.approx(7.0)]
     assert windows(found(ASKED), 10 * WINDOW_US) == [5.0]  # at most half at once
 
@@ -54,12 +54,12 @@ def test_a_hiccup_changes_nothing_and_quiet_brings_the_speed_back() -> None:
     assert windows(pace, 0, 0) == [10.0, 10.0]
 
 
-def test_nobody_is_kept_below_real_time_who_did_not_ask_for_it() -> None:
+def test_the_speed_is_not_lowered_below_real_time() -> None:
     assert windows(found(Fraction(3, 2)), WINDOW_US, WINDOW_US) == [1.0, 1.0]
     assert windows(found(Fraction(1, 2)), WINDOW_US) == [0.5]
 
 
-def test_it_begins_in_real_time_and_doubles_until_it_was_too_much_or_enough() -> None:
+def test_the_speed_starts_at_real_time_and_doubles_until_slips_or_the_request() -> None:
     def speeds(asked: Fraction, *given_up_us: int) -> list[float]:
         pace, now_us, of = ClockRate(asked), 0, []
         pace.window_over(now_us)
@@ -78,7 +78,7 @@ def test_it_begins_in_real_time_and_doubles_until_it_was_too_much_or_enough() ->
     assert speeds(Fraction(1, 2), 0, 0) == [0.5, 0.5, 0.5]
 
 
-def test_more_speed_is_gone_up_to_likewise_and_less_at_once() -> None:
+def test_a_higher_request_is_approached_and_a_lower_one_holds_at_once() -> None:
     pace = found(Fraction(4))
     pace.request(Fraction(20))
     assert pace.speed == 4
@@ -91,7 +91,7 @@ def test_more_speed_is_gone_up_to_likewise_and_less_at_once() -> None:
     assert not pace.window_over(2 * 10**9)
 
 
-def test_another_speed_that_is_asked_for_begins_anew() -> None:
+def test_another_requested_speed_starts_a_new_window() -> None:
     pace = found(ASKED)
     windows(pace, WINDOW_US)
     pace.request(Fraction(4))
@@ -129,7 +129,7 @@ class Machine:
                 )
 
 
-def test_on_a_machine_that_can_do_three_of_ten_messages_soon_wait_no_more() -> None:
+def test_on_a_machine_with_a_third_of_the_speed_messages_soon_stop_queueing() -> None:
     """Slips alone would leave a median queue delay of a third of a second."""
     machine = Machine(3.0)
     machine.run(3_000_000)
@@ -152,14 +152,14 @@ def test_from_the_first_second_on_no_message_waits_long() -> None:
     assert max(machine.waits_us) < 150_000
 
 
-def test_on_a_machine_that_can_do_it_the_speed_is_the_one_asked_for() -> None:
+def test_a_fast_machine_reaches_the_requested_speed() -> None:
     machine = Machine(12.0)
     machine.run(3_000_000)
     newest = next(one for one in reversed(machine.said) if isinstance(one, Clock))
     assert (newest.speed_num, newest.speed_den, newest.requested_speed) == (10, 1, 10.0)
 
 
-def test_that_the_clock_is_slowed_again_and_again_is_said_ever_more_seldom() -> None:
+def test_repeated_slips_are_reported_ever_more_rarely() -> None:
     """Each event is a mark on the time axis of every figure."""
     machine = Machine(3.0)
     machine.run(60_000_000)

@@ -48,13 +48,13 @@ def test_the_way_counts_faster_than_real_time_alone(speed: int, sent_us: int, wa
     assert behind(speed, sent_us=sent_us).min_queue_delay_us == waited_us
 
 
-def test_who_is_far_behind_says_so_soon() -> None:
+def test_a_node_that_is_far_behind_reports_earlier() -> None:
     assert behind(1, waits_us=MAX_BACKLOG_US).due_us == 10**18
     late_us = MAX_BACKLOG_US + 1
     assert behind(1, waits_us=late_us).due_us == SENT + WAY + late_us + HURRIED_PERIOD_US
 
 
-def test_what_one_long_step_has_kept_waiting_is_no_queue_that_stands() -> None:
+def test_the_queue_after_one_long_step_is_no_backlog() -> None:
     report = behind(1, waits_us=500 * MS)
     assert report.min_queue_delay_us == 500 * MS
     report.on_delivery(SENT, SENT + WAY, SENT + WAY + 2 * MS)
@@ -70,7 +70,7 @@ def test_what_one_long_step_has_kept_waiting_is_no_queue_that_stands() -> None:
         (lambda: "", ""),  # begun: that this vehicle has no acoustic fixes is nothing to wait for
     ],
 )
-def test_a_node_that_knows_what_it_needs_is_asked(missing: Callable[[], str] | None, says: str) -> None:
+def test_a_node_s_own_account_of_its_needs_is_published(missing: Callable[[], str] | None, says: str) -> None:
     clock = VehicleClock()
     clock.set_segment(ClockSegment(0, 0, 1, 1, ClockState.RUNNING))
     said: list[NodeStatus] = []

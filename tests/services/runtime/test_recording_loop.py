@@ -124,7 +124,7 @@ def test_a_frame_with_a_wrong_header_neither_moves_the_others_nor_ends_the_recor
     assert [reason.partition(" = ")[0] for reason in reasons] == ["sent_monotonic_us", "sequence"]
 
 
-def test_what_a_mailbox_had_no_room_for_is_among_the_dropped_of_the_status(tmp_path: Path, free_port: int) -> None:
+def test_messages_without_room_in_the_mailbox_count_as_dropped(tmp_path: Path, free_port: int) -> None:
     """They are not counted twice: the frames after them show a gap in their sequence numbers."""
 
     def say(_: Outbox, put: Callable[[bytes], None]) -> None:
@@ -135,7 +135,7 @@ def test_what_a_mailbox_had_no_room_for_is_among_the_dropped_of_the_status(tmp_p
     assert own[-1]["dropped"] == 5  # 3 of which are also the gap before sequence 3
 
 
-def test_a_disk_that_is_full_for_a_while_costs_messages_that_are_counted_and_said(
+def test_messages_lost_by_a_full_disk_are_counted_and_reported(
     tmp_path: Path, free_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     original = RunWriter.write_plain

@@ -355,7 +355,7 @@ def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus
     assert [s.inbox[0].key for _, s, _ in read(frames) if isinstance(s, StepRecord)] == ["sensor/depth"]
 
 
-def test_what_was_on_its_way_when_a_process_is_told_to_stop_is_taken(bus: BusOptions) -> None:
+def test_messages_on_their_way_at_a_stop_request_are_taken(bus: BusOptions) -> None:
     class ToldToStop(Listener):
         def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
             if not self.heard:  # the request, which wakes, then a message
@@ -498,7 +498,7 @@ def answer(header: Header, plan: Plan, t_ns: int) -> Applied:
     )
 
 
-def test_an_estimate_stamped_an_hour_off_is_refused_and_the_node_never_sees_it(bus: BusOptions) -> None:
+def test_an_estimate_stamped_an_hour_off_is_rejected(bus: BusOptions) -> None:
     controller = Controller()
     runner = Runner(controller, stop=StopRequest(), say=print, clock=ClockOptions(sync_to_inputs=True))
     frames: list[Frame] = []

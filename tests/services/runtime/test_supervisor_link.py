@@ -59,7 +59,7 @@ def test_a_loop_sends_a_heartbeat_each_turn_up_to_the_expected_rate(pipe: tuple[
     assert beats(pipe) == [LAST_HEARTBEAT]
 
 
-def test_a_cycle_beats_with_each_of_its_stages(pipe: tuple[int, int]) -> None:
+def test_each_stage_of_a_cycle_sends_a_heartbeat(pipe: tuple[int, int]) -> None:
     process = SupervisorLink()
     process.connect(pipe[1])
     timer = StageTimer(process)
@@ -68,7 +68,7 @@ def test_a_cycle_beats_with_each_of_its_stages(pipe: tuple[int, int]) -> None:
     assert len(beats(pipe)) == 1
 
 
-def test_a_process_that_nobody_supervises_beats_for_nobody_and_begins_at_once() -> None:
+def test_an_unsupervised_process_sends_no_heartbeats_and_starts_at_once() -> None:
     process = SupervisorLink()
     process.beat(1)
     process.last_beat()
@@ -76,7 +76,7 @@ def test_a_process_that_nobody_supervises_beats_for_nobody_and_begins_at_once() 
     assert process.restored_state() == b""
 
 
-def test_a_supervisor_that_does_not_listen_holds_nobody_up(pipe: tuple[int, int]) -> None:
+def test_a_supervisor_that_does_not_read_blocks_no_process(pipe: tuple[int, int]) -> None:
     process = SupervisorLink()
     process.connect(pipe[1])
     for k in range(20_000):
@@ -84,9 +84,7 @@ def test_a_supervisor_that_does_not_listen_holds_nobody_up(pipe: tuple[int, int]
     assert 0 < len(beats(pipe)) <= (1 << 16) // HEARTBEAT_FORMAT.size
 
 
-def test_a_process_in_another_s_place_is_given_the_state_to_go_on_from_once(
-    pipe: tuple[int, int], stdin: tuple[int, int]
-) -> None:
+def test_a_restarted_process_reads_its_restored_state_once(pipe: tuple[int, int], stdin: tuple[int, int]) -> None:
     given(stdin, STATE_LENGTH.pack(5) + b"state")
     read: list[None] = []
     process = SupervisorLink()
@@ -95,14 +93,16 @@ def test_a_process_in_another_s_place_is_given_the_state_to_go_on_from_once(
     assert process.restored_state() == b""  # it has had it
 
 
-def test_there_may_be_no_state_to_go_on_from(pipe: tuple[int, int], stdin: tuple[int, int]) -> None:
+def test_the_restored_state_may_be_empty(pipe: tuple[int, int], stdin: tuple[int, int]) -> None:
     given(stdin, STATE_LENGTH.pack(0))
     process = SupervisorLink()
     process.connect(pipe[1], stdin=stdin[0])
     assert process.restored_state() == b""
 
 
-def test_a_process_whose_supervisor_is_no_more_never_begins(pipe: tuple[int, int], stdin: tuple[int, int]) -> None:
+def test_a_process_whose_supervisor_is_dead_exits_before_it_starts(
+    pipe: tuple[int, int], stdin: tuple[int, int]
+) -> None:
     given(stdin, STATE_LENGTH.pack(100) + b"half")
     read: list[None] = []
     process = SupervisorLink()

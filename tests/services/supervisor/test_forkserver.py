@@ -103,7 +103,7 @@ def stat(pid: int) -> list[str]:
 
 
 @pytest.mark.parametrize(("task", "code"), [("exits", 0), ("exits", 7), ("raises", 1)])
-def test_its_exit_code_and_its_words_are_its_own(
+def test_a_forked_child_has_its_own_exit_code_and_log(
     server: ForkServer, watch: OrphanCleanup, tmp_path: Path, task: str, code: int
 ) -> None:
     child = forked(server, tmp_path / "log", watch, "plant", task, code)
@@ -115,7 +115,7 @@ def test_its_exit_code_and_its_words_are_its_own(
     assert (said[-1] == "RuntimeError: as it was told to") == (task == "raises")
 
 
-def test_it_is_a_child_of_the_supervisor_in_a_session_of_its_own_and_says_so(
+def test_a_forked_child_belongs_to_the_supervisor_and_has_its_own_session(
     server: ForkServer, watch: OrphanCleanup, tmp_path: Path
 ) -> None:
     child = forked(server, tmp_path / "log", watch, "plant", "sleeps")
@@ -135,7 +135,9 @@ def rejected(tmp_path: Path) -> Program:
     return Program("plant", plant.__name__, config, tmp_path / "log")
 
 
-def test_where_nobody_forks_it_is_spawned_and_bad_input_is_one_line(watch: OrphanCleanup, tmp_path: Path) -> None:
+def test_without_a_fork_server_a_child_is_spawned_and_bad_input_is_one_line(
+    watch: OrphanCleanup, tmp_path: Path
+) -> None:
     child = ManagedProcess(rejected(tmp_path), cleanup=watch, forks=None)
     assert child.wait_or_kill(PATIENCE_S)
     child.close()
@@ -169,7 +171,7 @@ def own_children() -> Iterator[int]:
             yield int(folder.name)
 
 
-def test_its_pulse_comes_and_its_end_is_seen(server: ForkServer, watch: OrphanCleanup, tmp_path: Path) -> None:
+def test_heartbeats_arrive_and_the_end_is_noticed(server: ForkServer, watch: OrphanCleanup, tmp_path: Path) -> None:
     child = forked(server, tmp_path / "log", watch, "plant", "exits")
 
     def ended() -> bool:
@@ -204,9 +206,7 @@ def crew(tmp_path: Path, watch: OrphanCleanup) -> Iterator[ChildProcesses]:
     crew.close()
 
 
-def test_a_dead_fork_server_takes_nobody_with_it_and_another_takes_its_place(
-    crew: ChildProcesses, tmp_path: Path
-) -> None:
+def test_a_dead_fork_server_kills_no_child_and_is_replaced(crew: ChildProcesses, tmp_path: Path) -> None:
     first = crew.forks
     assert first is not None
     until(first.is_loaded)

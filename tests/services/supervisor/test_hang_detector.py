@@ -23,7 +23,7 @@ def beating(until_s: float, timeout_s: float = 0.5) -> HangDetector:
     return heart
 
 
-def test_who_has_not_begun_is_not_hung() -> None:
+def test_a_process_without_a_first_heartbeat_is_not_hung() -> None:
     assert not HangDetector().hung(1e9, never)
 
 
@@ -35,19 +35,19 @@ def test_silence_for_longer_than_the_patience_is_a_hang_and_not_before() -> None
     assert not heart.hung(4.0, never)
 
 
-def test_a_pulse_that_was_delayed_on_its_way_does_not_take_a_newer_one_back() -> None:
+def test_a_delayed_heartbeat_does_not_replace_a_newer_one() -> None:
     heart = beating(3.0)
     heart.beat(1.0)
     assert heart.last_s == 3.0
 
 
-def test_who_has_ended_its_loop_in_order_is_waited_for_by_others() -> None:
+def test_a_process_whose_loop_has_ended_is_not_hung() -> None:
     heart = beating(3.0)
     heart.end()
     assert not heart.hung(100.0, never)
 
 
-def test_after_a_late_look_of_the_supervisor_everyone_has_the_whole_patience_again() -> None:
+def test_a_late_supervisor_restarts_the_timeout_of_every_process() -> None:
     """The machine was suspended for ten seconds."""
     heart = beating(3.0)
     heart.excuse(13.0)
@@ -65,7 +65,7 @@ def test_a_process_waiting_for_a_processor_is_not_hung_and_a_spinning_one_is() -
     assert heart.hung(9.0, lambda: 6.4)
 
 
-def test_what_it_waited_before_its_silence_does_not_excuse_it() -> None:
+def test_waiting_for_a_processor_before_the_silence_is_no_excuse() -> None:
     heart = beating(3.0)
     assert not heart.hung(3.15, lambda: 100.0)
     assert heart.hung(3.6, lambda: 100.0)

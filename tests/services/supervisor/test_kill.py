@@ -12,7 +12,7 @@ from services.bus.topics import OPERATOR
 from services.supervisor.bus_monitor import BusMonitor
 
 
-def test_whose_process_shall_end_is_heard_once(free_port: int) -> None:
+def test_each_kill_request_is_returned_once(free_port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
     with (
         open_session(BusOptions(listen=(endpoint,)), stop=lambda: False, say=print) as here,

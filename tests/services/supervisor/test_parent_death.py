@@ -24,7 +24,7 @@ def sleeper() -> Iterator[subprocess.Popen[bytes]]:
     process.wait()
 
 
-def test_what_is_left_two_seconds_after_the_end_is_killed_even_if_it_is_stopped(
+def test_children_left_after_two_seconds_are_killed_even_if_stopped(
     sleeper: subprocess.Popen[bytes],
 ) -> None:
     cleanup = OrphanCleanup()
@@ -36,7 +36,7 @@ def test_what_is_left_two_seconds_after_the_end_is_killed_even_if_it_is_stopped(
     assert orphan_cleanup.GRACE_S <= time.monotonic() - began < orphan_cleanup.GRACE_S + 1.5
 
 
-def test_a_guard_with_nothing_left_to_watch_ends_at_once(sleeper: subprocess.Popen[bytes]) -> None:
+def test_an_orphan_cleanup_without_children_ends_at_once(sleeper: subprocess.Popen[bytes]) -> None:
     cleanup = OrphanCleanup()
     cleanup.add(sleeper.pid)
     cleanup.remove(sleeper.pid)
@@ -46,9 +46,7 @@ def test_a_guard_with_nothing_left_to_watch_ends_at_once(sleeper: subprocess.Pop
     assert sleeper.poll() is None
 
 
-def test_a_pid_that_was_given_to_another_process_since_is_left_alone(
-    sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_reused_pid_is_not_killed(sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch) -> None:
     ticks = orphan_cleanup.start_ticks(sleeper.pid)
     assert ticks is not None
     with monkeypatch.context() as patched:
@@ -59,7 +57,7 @@ def test_a_pid_that_was_given_to_another_process_since_is_left_alone(
     assert sleeper.poll() is None
 
 
-def test_the_guard_is_a_few_megabytes() -> None:
+def test_the_orphan_cleanup_needs_a_few_megabytes() -> None:
     cleanup = OrphanCleanup()
     try:
         pages = int(Path(f"/proc/{cleanup.pid}/statm").read_text().split()[1])
@@ -90,7 +88,7 @@ time.sleep(600)
 """
 
 
-def test_a_killed_supervisor_leaves_nobody_not_even_who_is_stopped_or_holds_the_gil() -> None:
+def test_a_killed_supervisor_leaves_no_child_even_if_stopped_or_holding_the_gil() -> None:
     """Children that no thread of their own could end: the kernel ends two of them, the orphan cleanup the third."""
     supervisor = subprocess.Popen([sys.executable, "-P", "-c", SUPERVISOR], stdout=subprocess.PIPE, text=True)
     assert supervisor.stdout is not None

@@ -184,7 +184,7 @@ def test_the_estimator_starts_from_the_prior_and_the_run_saves_its_profile(tmp_p
     assert learned.sd_mps[at] < 0.02
 
 
-def test_the_death_of_the_world_ends_the_run_and_it_is_named_with_its_last_lines(tmp_path: Path) -> None:
+def test_a_failed_simulation_process_ends_the_run_with_its_last_lines(tmp_path: Path) -> None:
     s = run_config(600.0)
     run = folder.make("test", s.files, out=tmp_path / "run")
 
@@ -345,7 +345,7 @@ def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_fil
     assert not recorded(out / "run.mcap")[0].cut
 
 
-def test_started_in_the_wrong_order_each_node_waits_says_for_what_and_goes_on(tmp_path: Path, free_port: int) -> None:
+def test_nodes_started_in_the_wrong_order_name_what_they_wait_for_and_continue(tmp_path: Path, free_port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
     scenario = tmp_path / "short.toml"
     scenario.write_text('title = "short"\n[run]\nduration_s = 2.0\nspeed = 5.0\n')

@@ -32,11 +32,11 @@ def test_a_restart_counts_for_a_minute_and_a_denied_one_never() -> None:
     assert budget.spend(61.0)
 
 
-def test_who_may_be_and_has_worked_is_started_anew() -> None:
+def test_a_restartable_process_that_has_worked_is_restarted() -> None:
     assert restart_refusal(fault(), restartable=True, had_started=True, budget=RestartBudget()) is None
 
 
-def test_the_world_is_not_started_anew_and_costs_no_restart() -> None:
+def test_plant_and_sensors_are_not_restarted_and_cost_no_restart() -> None:
     budget = RestartBudget(max_restarts=1)
     refusal = restart_refusal(fault(node="plant"), restartable=False, had_started=True, budget=budget)
     assert refusal is not None
@@ -45,7 +45,7 @@ def test_the_world_is_not_started_anew_and_costs_no_restart() -> None:
     assert budget.spend(0.0)
 
 
-def test_who_dies_before_it_has_ever_worked_is_not_mended_by_another_start() -> None:
+def test_a_process_that_fails_before_it_was_ready_is_not_restarted() -> None:
     assert restart_refusal(fault(), restartable=True, had_started=False, budget=RestartBudget()) is not None
 
 
@@ -59,14 +59,14 @@ def test_without_a_restart_left_the_run_ends_in_order_and_says_why() -> None:
     assert "stopping safely" in refusal.why
 
 
-def test_it_is_back_with_the_first_message_of_another_epoch() -> None:
+def test_a_process_is_back_with_the_first_message_of_another_epoch() -> None:
     recovery = Recovery(fault(10.0), old_epoch=7, started_s=10.1)
     assert not recovery.is_over(7, 10.4)  # one of its former self, that was on its way
     assert recovery.is_over(8, 10.4)
     assert not recovery.is_over(8, 10.05)
 
 
-def test_who_has_no_epoch_is_back_with_the_first_message_after_its_start() -> None:
+def test_a_process_without_an_epoch_is_back_with_its_first_message() -> None:
     recovery = Recovery(fault(10.0, "router"), old_epoch=0, started_s=10.1)
     assert not recovery.is_over(0, 10.05)
     assert recovery.is_over(0, 10.2)

@@ -62,7 +62,7 @@ def handed(node: str, watch: BusMonitor) -> ControllerState | EstimatorState:
     return decode(STATES[node], restore_state(node, watch))[0]
 
 
-def test_of_several_plans_the_one_is_in_force_that_the_actuators_say_they_follow() -> None:
+def test_the_plan_in_force_is_the_one_that_the_actuators_report() -> None:
     ether, watch = heard()
     for sequence in range(4):
         ether.put(plan(sequence * 300), epoch=5, sequence=sequence)
@@ -74,7 +74,7 @@ def test_of_several_plans_the_one_is_in_force_that_the_actuators_say_they_follow
     np.testing.assert_array_equal(found.thrust_N, PLAN.thrust_N)
 
 
-def test_no_plan_is_in_force_before_one_was_accepted_or_where_it_was_not_heard() -> None:
+def test_no_plan_is_in_force_before_one_is_accepted_or_if_it_was_not_received() -> None:
     ether, watch = heard()
     assert watch.plan_in_force() is None
     ether.put(plan(0), epoch=5)
@@ -99,13 +99,13 @@ def test_a_new_process_receives_its_checkpoint_the_newest_estimate_and_the_plan(
     assert handed("controller", watch).plan.cycle_t_ns == 0
 
 
-def test_who_has_nothing_to_go_on_from_is_told_nothing() -> None:
+def test_without_a_published_state_the_restored_state_is_empty() -> None:
     _, watch = heard()
     assert restore_state("controller", watch) == restore_state("estimator", watch) == b""
     assert restore_state("recorder", watch) == restore_state("router", watch) == b""
 
 
-def test_what_shows_that_a_process_works_is_its_work_once_time_goes_on() -> None:
+def test_while_the_clock_runs_a_process_shows_by_its_outputs_that_it_works() -> None:
     ether, watch = heard()
     ether.put(STATUS, epoch=3, node="estimator")
     assert epoch_of(watch.last_activity("estimator")) == 3
