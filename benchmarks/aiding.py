@@ -18,7 +18,7 @@ from services.run.nodes import make_nodes
 from services.tools import lockstep_run
 from services.tools.batch.executor import run_each
 from services.tools.batch.job import Job
-from sim.scheduler import LockStep
+from sim.scheduler import LockStep, Observation
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "sensors"
 SUITES = {
@@ -59,7 +59,10 @@ def hover(job: Job) -> Drift:
     """One run."""
     run_config, log = job.run_config(), _Log()
     lockstep = LockStep(
-        make_nodes(run_config), start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observer=log
+        make_nodes(run_config),
+        start_ns=run_config.scenario.start_ns,
+        latest=lockstep_run.LATEST,
+        observation=Observation(log),
     )
     lockstep.advance(run_config.scenario.end_ns)
     return Drift(*np.array(log.rows).T)

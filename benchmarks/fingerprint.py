@@ -42,7 +42,7 @@ from services.tools import lockstep_run
 from services.tools.faults import kinds, lockstep_runs
 from services.tools.faults.draw import Run
 from services.tools.faults.fault import Fault, Place
-from sim.scheduler import LockStep
+from sim.scheduler import LockStep, Observation
 
 S = 1_000_000_000
 DURATION_S = 40.0
@@ -154,7 +154,7 @@ def lockstep(of: RunConfig, nodes: list[Node]) -> Values:
         nodes,
         start_ns=of.scenario.start_ns,
         compute_delay_ns=delay_ns,
-        observer=collector,
+        observation=Observation(collector),
         latest=lockstep_run.LATEST,
         make_rejection=lockstep_run.rejected_message,
     ).advance(of.scenario.end_ns)

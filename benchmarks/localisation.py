@@ -36,7 +36,7 @@ from ltv_mpc.node import Due
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run
 from services.tools.batch.job import Job
-from sim.scheduler import LockStep, Step
+from sim.scheduler import LockStep, Observation, Step
 
 CELLS = (25, 50, 70, 140, 280, 500)
 DESCENT_S = 60.0
@@ -92,9 +92,9 @@ class Descent(NamedTuple):
                 steps.append((step.t_ns, step.inbox))
 
         nodes = make_nodes(run_config)
-        LockStep(nodes, start_ns=scenario.start_ns, on_step=stepped, latest=lockstep_run.LATEST).advance(
-            scenario.end_ns
-        )
+        LockStep(
+            nodes, start_ns=scenario.start_ns, observation=Observation(on_step=stepped), latest=lockstep_run.LATEST
+        ).advance(scenario.end_ns)
         return cls(run_config.suite, steps)
 
     def aligned(self, config: EstimatorConfig) -> tuple[Estimator, list[Due]]:

@@ -32,7 +32,7 @@ from ltv_mpc.node import Due, Grid, Node, ReceivedMessage
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools.lockstep_run import LATEST
-from sim.scheduler import LockStep
+from sim.scheduler import LockStep, Observation
 
 S = 1_000_000_000
 EVERY_NS, LASTS_NS, FIRST_NS = 30 * S, 8 * S, 6 * S
@@ -131,7 +131,7 @@ def fly(settings: tuple[str, ...], breaker: Breaker | None) -> Watcher:
     if breaker is not None:
         table.insert(1, breaker)
     watcher = Watcher()
-    lockstep = LockStep(table, start_ns=here.scenario.start_ns, observer=watcher, latest=LATEST)
+    lockstep = LockStep(table, start_ns=here.scenario.start_ns, observation=Observation(watcher), latest=LATEST)
     lockstep.advance(here.scenario.end_ns)
     return watcher
 

@@ -37,7 +37,7 @@ from services.tools import lockstep_run
 from services.tools.batch.job import Job
 from sim.scenario import Feature as Shape
 from sim.scenario import Water
-from sim.scheduler import LockStep, Step
+from sim.scheduler import LockStep, Observation, Step
 from sim.sensors.adcp import Profiler, beams
 from sim.sensors.node import Sensors
 from sim.sensors.outlier_masks import Mask
@@ -127,7 +127,10 @@ class Descent:
         self._beams = beams(self.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T  # (4, 3), body
         scenario = run_config.scenario
         LockStep(
-            nodes, start_ns=scenario.start_ns, observer=self, on_step=self._stepped, latest=lockstep_run.LATEST
+            nodes,
+            start_ns=scenario.start_ns,
+            observation=Observation(self, on_step=self._stepped),
+            latest=lockstep_run.LATEST,
         ).advance(scenario.end_ns)
         self.end_ns = scenario.end_ns
 

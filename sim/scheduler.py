@@ -72,6 +72,17 @@ class Observer(Protocol):
         ...
 
 
+class Observation(NamedTuple):
+    """Observer of a run, and what it is notified of."""
+
+    observer: Observer | None = None
+    types: frozenset[type[Message]] | None = None  # of messages; None: all
+    on_step: Callable[[Step], None] | None = None  # called with each step, before the step's messages
+
+
+NO_OBSERVATION = Observation()
+
+
 class Delivery(NamedTuple):
     """Copy of a message that a transport delivers to one reader."""
 
@@ -208,15 +219,9 @@ def _time_of(entry: tuple[EventOrder, ReceivedMessage]) -> int:
 class _EventLog:
     """Steps and messages of a time window, and the observers that are notified of them at its end."""
 
-    def __init__(
-        self,
-        observer: Observer | None,
-        types: frozenset[type[Message]] | None,
-        on_step: Callable[[Step], None] | None,
-    ) -> None:
-        self._observer = observer
-        self._types = frozenset[type[Message]]() if observer is None else types
-        self._on_step = on_step
+    def __init__(self, observation: Observation) -> None:
+        self._observer, types, self._on_step = observation
+        self._types = frozenset[type[Message]]() if self._observer is None else types
         self._events: list[tuple[EventOrder, str, Step | ReceivedMessage]] = []
 
     @property
@@ -253,9 +258,7 @@ class LockStep:
         *,
         start_ns: int,
         compute_delay_ns: int | Callable[[int], int] = 0,
-        observer: Observer | None = None,
-        observed_types: frozenset[type[Message]] | None = None,
-        on_step: Callable[[Step], None] | None = None,
+        observation: Observation = NO_OBSERVATION,
         latest: frozenset[type[Message]] = LATEST,
         make_rejection: MakeRejection = rejected_by_type_name,
         transport: Transport | None = None,
@@ -267,15 +270,13 @@ class LockStep:
         nodes : nodes in the order in which they step at one instant.
         start_ns : vehicle time of the start (ns).
         compute_delay_ns : delay of a cycle's output (ns): one for all cycles, or a function of a cycle's start.
-        observer : is notified of each published message.
-        observed_types : types of which the observer is notified; None: of all.
-        on_step : is called with each step, before the step's messages are reported to the observer.
+        observation : observer of messages and steps.
         latest : types of which a reader receives the newest message only.
         make_rejection : returns the message that reports a rejected one.
         transport : carries all messages; None: they arrive as published.
         """
         self._compute_delay_ns = compute_delay_ns if callable(compute_delay_ns) else lambda _: compute_delay_ns
-        self._log = _EventLog(observer, observed_types, on_step)
+        self._log = _EventLog(observation)
         self._make_rejection = make_rejection
         self._transport = transport
         self._nodes = [_ScheduledNode(index, node, start_ns, latest) for index, node in enumerate(nodes)]

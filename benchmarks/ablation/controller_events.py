@@ -33,7 +33,7 @@ from sim.faults import world
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval
 from sim.faults.solver_faults import FaultySolver, SolverClock, SolverFault, SolverFaultInterval
-from sim.scheduler import LockStep
+from sim.scheduler import LockStep, Observation
 
 S = 1_000_000_000
 SAMPLES_PER_S = 100
@@ -486,7 +486,7 @@ class Locked:
             [*self.others, *self.around(make_nodes(s))],
             start_ns=s.scenario.start_ns,
             compute_delay_ns=self.delay_ns,
-            observer=log,
+            observation=Observation(log),
             latest=lockstep_run.LATEST,
             make_rejection=lockstep_run.rejected_message,
             transport=bus if self.harms or self.others else None,

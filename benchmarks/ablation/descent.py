@@ -29,7 +29,7 @@ from services.tools import lockstep_run
 from services.tools.faults import lockstep_runs
 from sim.faults.message_faults import MessageFaultInterval
 from sim.faults.sensor_faults import FaultySensors, SensorFault
-from sim.scheduler import LockStep
+from sim.scheduler import LockStep, Observation
 from sim.sensors.imu import InertialUnit
 from sim.sensors.node import Sensors
 
@@ -89,8 +89,7 @@ class Descent:
         lockstep = LockStep(
             nodes,
             start_ns=scenario.start_ns,
-            observer=watch,
-            observed_types=watch.received_estimates,
+            observation=Observation(watch, types=watch.message_types),
             latest=lockstep_run.LATEST,
             make_rejection=lockstep_run.rejected_message,
             transport=lockstep_runs.Bus(self.harmed) if self.harmed else None,
@@ -173,7 +172,7 @@ class Watch:
     truth: dict[int, Truth] = field(default_factory=dict)
     estimate: dict[int, Estimate] = field(default_factory=dict)
 
-    heard = frozenset({Truth, Estimate, LocalisationReport})
+    message_types = frozenset({Truth, Estimate, LocalisationReport})
 
     def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002  (the type says who)
         """Keep what is of a whole second."""

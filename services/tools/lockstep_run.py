@@ -19,7 +19,7 @@ from services.run.summary import LOCKSTEP, summarise
 from services.run.water import EstimatedCurrent
 from sim.evaluation.metrics import RunMetrics
 from sim.evaluation.summary import Messages, Summary
-from sim.scheduler import EPOCH, LockStep, Step
+from sim.scheduler import EPOCH, LockStep, Observation, Step
 
 LATEST = frozenset(topic.message_type for topic in topics.TOPICS if topic.delivery is topics.LATEST)
 
@@ -65,9 +65,9 @@ def simulate(
         make_nodes(run_config, unread=recorded),
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
-        observer=log,
-        observed_types=None if recorded else log.observed_types,
-        on_step=log.stepped if recorded else None,
+        observation=Observation(
+            log, types=None if recorded else log.observed_types, on_step=log.stepped if recorded else None
+        ),
         latest=LATEST,
         make_rejection=rejected_message,
     )

@@ -38,7 +38,7 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.messages import Estimate, Truth
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
-from sim.scheduler import LockStep
+from sim.scheduler import LockStep, Observation
 
 class Errors:
     def __init__(self):
@@ -56,7 +56,7 @@ for sensors in ("./with_log.toml", "realistic"):
     situation = resolve("descent", [Override("test", settings)])
     errors, nodes = Errors(), make_nodes(situation, unread=False)
     scenario = situation.scenario
-    LockStep(nodes, start_ns=scenario.start_ns, observer=errors).advance(scenario.end_ns)
+    LockStep(nodes, start_ns=scenario.start_ns, observation=Observation(errors)).advance(scenario.end_ns)
     estimator = next(node for node in nodes if isinstance(node, Estimator))
     print(json.dumps({"account": dict(estimator.account), "rms_m": float(np.sqrt(np.mean(errors.errors)))}))
 """

@@ -30,7 +30,7 @@ from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from sim.plant import Plant
-from sim.scheduler import Delivery, LockStep, Step
+from sim.scheduler import Delivery, LockStep, Observation, Step
 from sim.sensors.node import Sensors
 from tests.sim.table import MS, Fake, plan
 from tests.stepping import OneByOne
@@ -79,8 +79,7 @@ def ears_of(
         nodes,
         start_ns=start_ns,
         compute_delay_ns=delay_ns,
-        observer=ears,
-        on_step=ears.stepped,
+        observation=Observation(ears, on_step=ears.stepped),
         make_rejection=lockstep_run.rejected_message,
         transport=Through() if singly else None,
     )
@@ -150,8 +149,7 @@ def test_who_wants_some_types_hears_of_these_and_all_are_counted(delay_s: float)
             make_nodes(run_config),
             start_ns=run_config.scenario.start_ns,
             compute_delay_ns=round(delay_s * 1e9),
-            observer=ears,
-            observed_types=heard,
+            observation=Observation(ears, types=heard),
             make_rejection=lockstep_run.rejected_message,
         )
         lockstep.advance(run_config.scenario.end_ns)

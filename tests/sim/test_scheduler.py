@@ -18,7 +18,7 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage, ReceivedMessage
-from sim.scheduler import LockStep, Step
+from sim.scheduler import LockStep, Observation, Step
 from tests.sim.table import MS, Fake, plan
 
 
@@ -78,8 +78,7 @@ def run(
         nodes,
         start_ns=start_ns,
         compute_delay_ns=compute_delay_ns,
-        observer=observe,
-        on_step=None if observe is None else observe.stepped,
+        observation=Observation(observe, on_step=None if observe is None else observe.stepped),
     ).advance(end_ns)
 
 
@@ -262,7 +261,12 @@ def test_advancing_in_pieces_is_the_same_as_at_once() -> None:
     def lines(pieces_ms: list[int]) -> list[tuple[Any, ...]]:
         log = Log()
         nodes = [plant(), controller(30)]
-        run = LockStep(nodes, start_ns=0, compute_delay_ns=45 * MS, observer=log, on_step=log.stepped)
+        run = LockStep(
+            nodes,
+            start_ns=0,
+            compute_delay_ns=45 * MS,
+            observation=Observation(log, on_step=log.stepped),
+        )
         for piece_ms in pieces_ms:
             run.advance(piece_ms * MS)
         return log.lines

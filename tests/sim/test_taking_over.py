@@ -16,7 +16,7 @@ from ltv_mpc.node import Grid, Inbox, ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import Plant
 from sim.scenario import Scenario
-from sim.scheduler import LockStep
+from sim.scheduler import LockStep, Observation
 from sim.sensors.node import Sensors
 from sim.water import make
 from tests.stepping import OneByOne
@@ -77,7 +77,12 @@ def fly(
         operator,
         ControllerNode(VEHICLE, references.load("descent"), scenario.controller),
     ]
-    lockstep = LockStep(nodes, start_ns=scenario.start_ns, compute_delay_ns=DELAY_NS, observer=seen)
+    lockstep = LockStep(
+        nodes,
+        start_ns=scenario.start_ns,
+        compute_delay_ns=DELAY_NS,
+        observation=Observation(seen),
+    )
     lockstep.advance(round(until_s * S))
     return seen, operator.answers
 

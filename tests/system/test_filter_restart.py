@@ -10,7 +10,7 @@ from ltv_mpc.messages import AdcpPing, Applied, Estimate, FilterStatus, ImuSampl
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
-from sim.scheduler import LockStep
+from sim.scheduler import LockStep, Observation
 from tests.stepping import OneByOne, step
 
 FROM_S = 15
@@ -73,9 +73,12 @@ def led(request):
     run_config = resolve("descent", [Override("test", [f"run.duration_s={end_s}", "run.seed=3"])])
     nodes = [Led(n, alter, to_s) if n.name == "sensors" else n for n in make_nodes(run_config)]
     ears = Ears()
-    LockStep(nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observer=ears).advance(
-        end_s * SECOND
-    )
+    LockStep(
+        nodes,
+        start_ns=run_config.scenario.start_ns,
+        latest=lockstep_run.LATEST,
+        observation=Observation(ears),
+    ).advance(end_s * SECOND)
     return run_config, ears
 
 

@@ -11,7 +11,7 @@ from ltv_mpc.messages import Applied, Estimate, Truth, UsblFix
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
-from sim.scheduler import LockStep
+from sim.scheduler import LockStep, Observation
 from tests.stepping import OneByOne, step
 
 SECOND = 1_000_000_000
@@ -46,9 +46,12 @@ def run():
     run_config = resolve("descent", [Override("test", settings)])
     nodes = [WithoutFixes(n) if n.name == "sensors" else n for n in make_nodes(run_config)]
     ears = Ears()
-    LockStep(nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observer=ears).advance(
-        END_S * SECOND
-    )
+    LockStep(
+        nodes,
+        start_ns=run_config.scenario.start_ns,
+        latest=lockstep_run.LATEST,
+        observation=Observation(ears),
+    ).advance(END_S * SECOND)
     return run_config, ears.heard
 
 

@@ -43,7 +43,7 @@ from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval, MessageFaults
 from sim.faults.sensor_faults import Failure, FaultySensors, SensorFault
 from sim.faults.solver_faults import SolverClock, SolverFault, SolverFaultInterval, TimedNode, inject_solver_faults
-from sim.scheduler import Delivery, LockStep, Step
+from sim.scheduler import Delivery, LockStep, Observation, Step
 
 SCENARIO = "hover"
 
@@ -247,8 +247,7 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
             _nodes(of, run.faults, now),
             start_ns=of.scenario.start_ns,
             compute_delay_ns=_overrun(run.faults),
-            observer=log,
-            on_step=log.stepped,
+            observation=Observation(log, on_step=log.stepped),
             latest=lockstep_run.LATEST,
             make_rejection=lockstep_run.rejected_message,
             transport=bus,

@@ -28,7 +28,7 @@ from services.tools.batch.job import Job
 from sim.evaluation.cells import GridProjection
 from sim.evaluation.consistency import TrueState, drawn, nees, nodes_around, squared
 from sim.evaluation.cramer_rao_bound import Trajectory, bound
-from sim.scheduler import LockStep
+from sim.scheduler import LockStep, Observation
 from sim.sensors.adcp import Profiler, beams
 from sim.sensors.compass import MagneticCompass
 from sim.sensors.imu import InertialUnit
@@ -268,8 +268,7 @@ class Probe:
             self._nodes,
             start_ns=scenario.start_ns,
             compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
-            observer=self,
-            observed_types=self.message_types,
+            observation=Observation(self, types=self.message_types),
             latest=lockstep_run.LATEST,
         ).advance(scenario.end_ns)
 

@@ -17,7 +17,7 @@ from services.bus import wire
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
-from sim.scheduler import LockStep
+from sim.scheduler import LockStep, Observation
 from tests.stepping import step
 
 S = 1_000_000_000
@@ -42,7 +42,12 @@ def descent(sensors: str) -> RunConfig:
 def heard(run_config: RunConfig) -> list[ReceivedMessage]:
     ears, scenario = MessageLog(), run_config.scenario
     nodes = make_nodes(run_config)
-    LockStep(nodes, start_ns=scenario.start_ns, latest=lockstep_run.LATEST, observer=ears).advance(scenario.end_ns)
+    LockStep(
+        nodes,
+        start_ns=scenario.start_ns,
+        latest=lockstep_run.LATEST,
+        observation=Observation(ears),
+    ).advance(scenario.end_ns)
     return ears.said
 
 
