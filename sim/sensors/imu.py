@@ -72,7 +72,7 @@ class InertialUnit:
 
     @property
     def has_begun(self) -> bool:
-        """True if the first interval has begun."""
+        """True if an interval has started."""
         return self._last is not None
 
     @property
