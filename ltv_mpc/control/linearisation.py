@@ -8,7 +8,7 @@ between them; current C (N+1, 2) at the knots. Along a trajectory Xbar (N+1, 8),
 with Phi[k] the exact flow from Xbar[k]. Xbar need not be a solution of the equations of motion: the gap
 Phi[k] - Xbar[k+1] goes into the QP (multiple shooting).
 
-Kernels take a ``Linearisation`` as it is: docs/notes/kernel-arguments.md has what that costs.
+Kernels take a ``Linearisation`` as a named tuple; docs/notes/kernel-arguments.md gives the cost of that.
 """
 
 from __future__ import annotations
@@ -39,7 +39,16 @@ class Linearisation(NamedTuple):
 
     @classmethod
     def empty(cls, stages: int) -> Linearisation:
-        """Allocate a linearisation of N = ``stages`` stages; its numbers are undefined."""
+        """Allocate a linearisation; its numbers are undefined.
+
+        Parameters
+        ----------
+        stages : N.
+
+        Returns
+        -------
+        The linearisation.
+        """
         return cls.view(np.empty(storage_size(stages)), stages)
 
     @classmethod
