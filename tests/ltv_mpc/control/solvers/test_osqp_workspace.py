@@ -118,9 +118,9 @@ def test_any_layout_is_read_right_and_a_wrong_length_is_refused(kind):
 
 
 @KINDS
-def test_bounds_that_contradict_each_other_are_refused(kind):
+def test_bounds_that_contradict_each_other_are_rejected(kind):
     solver = kind(*problem(0), SETTINGS)
-    with pytest.raises(ValueError, match="refused"):
+    with pytest.raises(ValueError, match="rejected"):
         solver.update_vectors(np.ones(N), np.ones(M), -np.ones(M))
 
 

@@ -105,7 +105,7 @@ def test_a_cost_that_does_not_say_what_the_commands_should_be_is_refused():
         RiccatiSolver(msgspec.structs.replace(CONFIG, weights=flat, horizon_s=1.5), LIMITS), lin, target
     ).solve
     assert solve.status is SolveStatus.FAILED
-    assert "does not say" in solve.why
+    assert "does not determine" in solve.why
 
 
 def test_duals_between_stages_are_read_linearly_and_the_last_ones_kept():
