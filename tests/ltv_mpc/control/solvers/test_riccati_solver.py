@@ -78,7 +78,7 @@ def test_the_iteration_limit_ends_it_and_its_commands_are_still_of_use():
     ours = answer(solver, lin, target)
     assert ours.solve.status is SolveStatus.ITERATION_LIMIT
     assert 9 <= ours.solve.iterations <= 9 + riccati_solver.LATER_SWEEPS
-    assert f"{ours.solve.iterations} sweeps" in ours.solve.why
+    assert f"{ours.solve.iterations} Riccati sweeps" in ours.solve.why
     assert 0.0 < ours.solve.primal_residual < 1.0
 
 
