@@ -104,7 +104,7 @@ class Optimum:
         """Return commands (N+1, 2) from a guess X (N+1, 8), U (N+1, 2), and whether IPOPT converged."""
         N, limits = self._N, self._limits
         low, high = limits.box(U[0], self._knots)
-        free, change = np.full(N * STATES, np.inf), np.outer(self._g, limits.change).ravel()
+        free, change = np.full(N * STATES, np.inf), np.outer(self._g, limits.max_change).ravel()
         answer = self._solve(
             x0=np.concatenate([X[1:].ravel(), U[1:].ravel()]),
             p=np.concatenate([X[0], U[0], C.ravel(), target.ravel()]),

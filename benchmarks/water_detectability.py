@@ -147,7 +147,7 @@ class Descent:
             case AdcpPing(t_ns=t_ns) if self._truth is not None:
                 R = rotation(*self._truth.attitude_rad)
                 down = self._truth.position_m[2] + float(R[2] @ np.array(self.suite.adcp.lever_arm_m))
-                wild = self._profiler.injected.at(t_ns)
+                wild = self._profiler.outlier_masks.at(t_ns)
                 assert wild is not None
                 self.pings[t_ns] = _Ping(self._beams @ R.T, down, wild)
 

@@ -218,7 +218,7 @@ def no_making_up() -> AbstractContextManager[None]:
 
     def lately(self: AdaptiveProcessNoise, *args: Any) -> Any:
         found = began(self, *args)
-        return None if found is None else found._replace(old=False)
+        return None if found is None else found._replace(is_old=False)
 
     return replaced((AdaptiveProcessNoise, "detect_onset", lately))
 
@@ -310,8 +310,8 @@ def uncoupled(*args: Any) -> Any:
         zero = np.zeros(len(P))
         correction._subtract(P, white.W, zero, zero)
         if E.shape[1]:
-            correction.update_signatures(E, score, information, *white)
-    return result
+            correction.update_signatures(E, score, information, white.W, white.Y, white.y)
+    return result.accepted, result.nis, result.S, result.definite, result.error, result.deweighted
 
 
 def of(
