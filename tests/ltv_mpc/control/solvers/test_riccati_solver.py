@@ -71,7 +71,7 @@ def test_a_problem_that_comes_again_takes_one_sweep():
     np.testing.assert_allclose(again.commands, first.commands, atol=1e-6)
 
 
-def test_the_iteration_limit_ends_it_and_its_commands_are_still_of_use():
+def test_the_iteration_limit_ends_it_and_its_commands_are_still_usable():
     config = msgspec.structs.replace(CONFIG, max_iterations=9)
     solver = RiccatiSolver(config, LIMITS)
     lin, target = motion(1, CONFIG.stages)
@@ -97,7 +97,7 @@ def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(fiel
     np.testing.assert_allclose(ours.commands, theirs.commands, atol=EXACT_N)
 
 
-def test_a_cost_that_does_not_say_what_the_commands_should_be_is_refused():
+def test_a_cost_that_does_not_determine_the_commands_is_rejected():
     flat = Weights(thrust=0.0, thrust_change=0.0, terminal_position_per_m2=0.0, terminal_velocity_s2_per_m2=0.0)
     lin, target = motion(2, 5)
     lin.B1[...] = 0.0
