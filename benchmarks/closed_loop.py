@@ -27,12 +27,14 @@ from rich.progress import Progress
 
 from benchmarks.loop import STEP_NS, Loop, Outcome, run_config
 from benchmarks.optimum import Optimum
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.scaling import resolve_weights
-from ltv_mpc.control.solvers.interface import Solver, SolverResult
+from ltv_mpc.control.solvers import Solver, SolverResult, make
 from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.provenance import provenance_table
 from services.run.run_config import RunConfig
 from services.tools.batch.executor import run_each
@@ -100,15 +102,15 @@ class Flight(NamedTuple):
 
 def fly(of: RunConfig, optimum: Optimum | None) -> Flight:
     """Fly one descent, with IPOPT after the QP if there is one."""
-    controller = Controller(of.vehicle, of.reference, of.scenario.controller)
     made: list[Converged] = []
-    if optimum is not None:
 
-        def converged(inner: Solver) -> Solver:
-            made.append(Converged(inner, optimum))
-            return made[-1]
+    def make_converged(vehicle: Vehicle, config: ControllerConfig) -> Solver:
+        assert optimum is not None
+        made.append(Converged(make(vehicle, config), optimum))
+        return made[-1]
 
-        controller.solve_with(converged)
+    make_solver = make if optimum is None else make_converged
+    controller = Controller(of.vehicle, of.reference, of.scenario.controller, make_solver=make_solver)
     outcome = Loop(run_config=of, controller=controller).fly()
     cycles = sum(one.cycles for one in made)
     share = sum(one.converged for one in made) / cycles if cycles else 0.0

@@ -98,7 +98,7 @@ class Loop:
             until_ns = min(next_ns, scenario.end_ns)
             times = np.append(np.arange(t_ns, until_ns, STEP_NS), until_ns)
             # Plans arrive when they were expected to: what was sent is what is in force.
-            u = np.where(times[:, None] >= 0, controller._commands.at(times - late_ns), 0.0)
+            u = np.where(times[:, None] >= 0, controller.sent_commands.at(times - late_ns), 0.0)
             track = plant.go(times, u)
             if t_ns >= 0:
                 states.append(track)

@@ -12,10 +12,11 @@ import msgspec
 from benchmarks.ablation import controller_events as events
 from benchmarks.ablation import variants
 from benchmarks.ablation.mechanism import Event, Mechanism, replaced
-from ltv_mpc.control import controller, horizon_selection, line_search, nominal_trajectory, scaling
+from ltv_mpc.control import horizon_selection, lateral, line_search, nominal_trajectory, scaling
 from ltv_mpc.control.config import ControllerConfig, Weights
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.delay import Delay
+from ltv_mpc.control.fallback import Fallback
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import osqp, osqp_workspace
@@ -126,7 +127,7 @@ def public(*arguments: Any) -> osqp_workspace.PublicWorkspace:
     return osqp_workspace.PublicWorkspace(*arguments)
 
 
-# --- ladder ---
+# --- fallback levels ---
 
 
 def nothing(*_: Any, **__: Any) -> None:
@@ -351,9 +352,9 @@ MECHANISMS: tuple[Mechanism, ...] = (
         without((scaling, "default_weights", paper_weights)),
         (*HELD, "sway, rms (m)", "change of thrust, rms", "iterations, largest", "cycles not solved"),
     ),
-    row("shifted plan", FAILS_SQUARE, without((Controller, "_shifted", nothing)), EXCURSION),
-    row("shifted plan", FAILS, without((Controller, "_shifted", nothing)), EVENT),
-    row("use of solves that ended early", TIGHT, without((controller, "_of_use", lambda *_: False)), EVENT),
+    row("shifted plan", FAILS_SQUARE, without((Fallback, "shift", nothing)), EXCURSION),
+    row("shifted plan", FAILS, without((Fallback, "shift", nothing)), EVENT),
+    row("use of solves that ended early", TIGHT, without((lateral, "is_usable", lambda *_: False)), EVENT),
     row(
         "depth integral",
         BALLAST,
@@ -361,9 +362,9 @@ MECHANISMS: tuple[Mechanism, ...] = (
         ("depth error, rms (m)", "depth error, last 30 s, mean size (m)"),
     ),
     row("delay prediction", DELAY, without((Delay, "expected_ns", no_delay)), LOCKED),
-    row("delay quantile, against the median", SCATTER, without((Delay, "_learn", median)), LOCKED),
-    row("delay quantile, against the largest", SCATTER, without((Delay, "_learn", largest)), LOCKED),
-    row("delay quantile, against the largest", OVERRUN, without((Delay, "_learn", largest)), LOCKED),
+    row("delay quantile, against the median", SCATTER, without((Delay, "_update", median)), LOCKED),
+    row("delay quantile, against the largest", SCATTER, without((Delay, "_update", largest)), LOCKED),
+    row("delay quantile, against the largest", OVERRUN, without((Delay, "_update", largest)), LOCKED),
     row("commands reported", OVERRUN, without((SentCommands, "correct", nothing)), LOCKED),
     row("commands reported", INTRUDED, without((SentCommands, "correct", nothing)), LOCKED),
     row("commands reported", LOST_PLANS, without((SentCommands, "correct", nothing)), LOCKED),
@@ -378,7 +379,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row(
         "ages in periods",
         SLOW,
-        without((health, "timeout_ns", seconds_alone), (controller, "timeout_ns", seconds_alone)),
+        without((health, "timeout_ns", seconds_alone)),
         EVENT,
     ),
     row("plan gate", CORRUPT_PLAN, without((PlanGate, "_check", accept)), LOCKED),

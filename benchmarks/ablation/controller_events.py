@@ -21,6 +21,7 @@ from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_selection import proposed_horizon_s
+from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.messages import Applied, ControllerState, Estimate, Message, MessageFault, Plan
 from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
 from ltv_mpc.references import Reference
@@ -32,7 +33,7 @@ from services.tools.faults.lockstep_runs import Bus, Log
 from sim.faults import world
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval
-from sim.faults.solver_faults import FaultySolver, SolverClock, SolverFault, SolverFaultInterval
+from sim.faults.solver_faults import SolverClock, SolverFault, SolverFaultInterval, faulty_solvers
 from sim.scheduler import LockStep, Observation
 
 S = 1_000_000_000
@@ -67,9 +68,9 @@ def of(outcome: Outcome, ended_s: float = 0.0) -> dict[str, float]:
     }
 
 
-def controller_of(s: RunConfig) -> Controller:
+def controller_of(s: RunConfig, make_solver: SolverFactory = make) -> Controller:
     """Make the controller of a situation."""
-    return Controller(s.vehicle, s.reference, s.scenario.controller)
+    return Controller(s.vehicle, s.reference, s.scenario.controller, make_solver=make_solver)
 
 
 def fly(s: RunConfig, ended_s: float = 0.0, **loop: Any) -> Measures:
@@ -271,8 +272,7 @@ def solver_fails(begins_s: float, lasts_s: float, *settings: str) -> Callable[[i
         now = SolverClock()
         ends_s = begins_s + lasts_s
         fault = SolverFaultInterval(SolverFault.FAILS, Interval(round(begins_s * S), round(ends_s * S)))
-        controller = controller_of(s)
-        controller.solve_with(lambda own: FaultySolver(own, [fault], now))
+        controller = controller_of(s, faulty_solvers([fault], now))
 
         def told(estimate: Estimate) -> Estimate:
             now.t_ns = estimate.t_ns
@@ -401,11 +401,9 @@ def square(
                 cross.append(plan.cross_track_m)
             done.append(plan.progress or 0.0)
 
-        controller = controller_of(s)
         now, stale = SolverClock(), Stale(30.0, 30.0 + silent_s)
-        if fails_s > 0.0:
-            fault = SolverFaultInterval(SolverFault.FAILS, Interval(30 * S, round((30.0 + fails_s) * S)))
-            controller.solve_with(lambda own: FaultySolver(own, [fault], now))
+        fault = SolverFaultInterval(SolverFault.FAILS, Interval(30 * S, round((30.0 + fails_s) * S)))
+        controller = controller_of(s, faulty_solvers([fault], now) if fails_s > 0.0 else make)
 
         def told(estimate: Estimate) -> Estimate:
             now.t_ns = estimate.t_ns

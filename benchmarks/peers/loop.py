@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.peers.peer import Peer
-from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.solvers import SolverFactory
 from ltv_mpc.messages import Applied, Estimate, Pair, Plan, PlanOrigin, SolveStatus
-from ltv_mpc.node import ReceivedMessage, Stopwatch, no_stopwatch
+from ltv_mpc.node import ReceivedMessage
 from services.tools.profile.measure import Contestant, limits_of
 from services.tools.profile.problems import Episode
 
@@ -21,19 +22,21 @@ class Entry:
 
     peer: type[Peer]
 
-    def controller(self, episode: Episode, stopwatch: Stopwatch = no_stopwatch) -> Controller:
-        """Return the episode's controller, with the peer as its solver."""
-        controller = Controller(episode.vehicle, episode.reference, episode.config, stopwatch=stopwatch)
-        controller.solve_with(lambda _own: self.peer(episode.config, limits_of(episode), episode.vehicle))
-        return controller
+    def config(self, episode: Episode) -> ControllerConfig:
+        """Return the episode's settings."""
+        return episode.config
+
+    def solver_factory(self, episode: Episode) -> SolverFactory:
+        """Return a factory of this peer."""
+        return lambda vehicle, _config: self.peer(episode.config, limits_of(episode), vehicle)
 
 
 class Loop(ControllerNode):
     """A node that controls, and notes how far off the line the vehicle is and what its lateral thrusters deliver."""
 
     def __init__(self, contestant: Contestant, episode: Episode) -> None:
-        super().__init__(episode.vehicle, episode.reference, episode.config)
-        self.controller = contestant.controller(episode, no_stopwatch)
+        make_solver = contestant.solver_factory(episode)
+        super().__init__(episode.vehicle, episode.reference, contestant.config(episode), make_solver=make_solver)
         self.off_m: list[float] = []
         self.thrust_N: list[float] = []
         self.cycles = 0

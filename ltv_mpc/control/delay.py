@@ -1,9 +1,13 @@
-"""How long until a plan takes effect: from the start of its cycle to its arrival at the actuators.
+"""Delay from the start of a cycle to the arrival of its plan at the actuators.
 
-Measured, where the actuators report back, from the receipt of each plan (computing, publishing and transport at once);
-else from the cycle's own computing time. Expected is a high quantile of what was measured lately, and as much again as
-that lies above the median, and never less than a setting says: a plan is then rarely late, and a delay that never
-varies is expected as it is. Being too careful costs little, since the vehicle's motion until then is predicted.
+It is measured from the actuators' receipts of plans, if they report any: computing, publishing and transport together.
+Without receipts it is the cycle's computing time alone. With m the median and h a high quantile of the last
+``WINDOW_CYCLES`` measurements, the expected delay is
+
+    max(h + (h - m), min_ns)
+
+so that a plan is rarely late, and a delay that never varies is expected as it is. An expectation that is too long costs
+little, because the vehicle's motion until then is predicted.
 """
 
 from __future__ import annotations
@@ -14,51 +18,78 @@ from collections.abc import Iterable
 
 from ltv_mpc.messages import Applied, CycleTiming
 
-REMEMBERED = 100
-"""Cycles: 30 s at the default period."""
+WINDOW_CYCLES = 100
+"""Number of measurements in use: 30 s at the default period."""
 
 
 class Delay:
-    """Expected delay in vehicle nanoseconds."""
+    """Expected delay of a plan, in vehicle time."""
 
     def __init__(self, first_ns: int, quantile: float, min_ns: int = 0) -> None:
+        """Begin without measurements.
+
+        Parameters
+        ----------
+        first_ns : expected before anything was measured (ns).
+        quantile : h is this quantile of the measurements, 0.5 to 1.
+        min_ns : lower bound of what is expected (ns).
+        """
         self._expected_ns = max(first_ns, min_ns)
         self._quantile = quantile
         self._min_ns = min_ns
-        self._receipts: deque[int] = deque(maxlen=REMEMBERED)
-        self._computing: deque[int] = deque(maxlen=REMEMBERED)
-        self._receipt_of: int | None = None  # the cycle whose receipt came last
+        self._receipts: deque[int] = deque(maxlen=WINDOW_CYCLES)
+        self._computing: deque[int] = deque(maxlen=WINDOW_CYCLES)
+        self._last_receipt: int | None = None  # start of the cycle whose receipt came last
 
     def save(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return what was measured (ns): until the plan's arrival, and computing alone."""
+        """Return the measured delays until the plans' arrival, and the computing times (ns)."""
         return tuple(self._receipts), tuple(self._computing)
 
-    def restore(self, receipts: Iterable[int], computing: Iterable[int]) -> None:
-        """Continue from what another one has measured."""
-        self._receipts.extend(receipts)
-        self._computing.extend(computing)
+    def restore(self, first_ns: int, receipts: Iterable[int], computing: Iterable[int]) -> None:
+        """Begin again, from the measurements of another controller.
+
+        Parameters
+        ----------
+        first_ns : expected if there are no measurements (ns).
+        receipts : delays until the plans' arrival (ns).
+        computing : computing times (ns).
+        """
+        self._expected_ns = max(first_ns, self._min_ns)
+        self._receipts = deque(receipts, WINDOW_CYCLES)
+        self._computing = deque(computing, WINDOW_CYCLES)
+        self._last_receipt = None
         if self._receipts or self._computing:
-            self._learn()
+            self._update()
 
     def add_receipt(self, applied: Applied) -> None:
-        """The actuators say which plan they got, and when."""
-        if applied.plan_sequence < 0 or applied.plan_cycle_t_ns == self._receipt_of:
+        """Take in the arrival of a plan.
+
+        Parameters
+        ----------
+        applied : report of the actuators; one without a plan, or of the same plan again, changes nothing.
+        """
+        if applied.plan_sequence < 0 or applied.plan_cycle_t_ns == self._last_receipt:
             return
-        self._receipt_of = applied.plan_cycle_t_ns
+        self._last_receipt = applied.plan_cycle_t_ns
         self._receipts.append(max(applied.plan_received_t_ns - applied.plan_cycle_t_ns, 0))
-        self._learn()
+        self._update()
 
     def add_timing(self, timing: CycleTiming) -> None:
-        """What the last cycle took, without transport."""
+        """Take in the computing time of the last cycle.
+
+        Parameters
+        ----------
+        timing : ``compute_ns`` is used.
+        """
         self._computing.append(timing.compute_ns)
-        self._learn()
+        self._update()
 
     def expected_ns(self) -> int:
-        """From the start of a cycle to its plan's arrival."""
+        """Return the expected time from the start of a cycle to its plan's arrival (ns)."""
         return self._expected_ns
 
-    def _learn(self) -> None:
-        """Between cycles: what is expected from now on."""
+    def _update(self) -> None:
+        """Update the expected delay, between two cycles."""
         in_order = sorted(self._receipts or self._computing)
-        middle, high = (in_order[math.ceil(share * (len(in_order) - 1))] for share in (0.5, self._quantile))
-        self._expected_ns = max(high + (high - middle), self._min_ns)
+        median, high = (in_order[math.ceil(share * (len(in_order) - 1))] for share in (0.5, self._quantile))
+        self._expected_ns = max(high + (high - median), self._min_ns)

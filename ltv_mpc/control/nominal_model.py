@@ -1,4 +1,4 @@
-"""A vehicle that moves exactly as the controller's model says: for a first loop, and for tests."""
+"""Nominal vehicle: it moves exactly as the controller's model says. For a first loop, and for tests."""
 
 from __future__ import annotations
 
@@ -12,10 +12,17 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 
 def advance(vehicle: Vehicle, estimate: Estimate, plan: Plan, *, duration_s: float) -> Estimate:
-    """The estimate ``duration_s`` later, under ``plan``: exact flow of the nominal model.
+    """Return the estimate some time later under a plan, by the exact flow of the nominal model.
 
-    Before the plan's start its first thrusts act, after its end they go to zero at the slew limit. An ``Estimate`` does
-    not hold the thrust being delivered: thrusters are taken to be where they are commanded at the beginning.
+    Before the plan's start its first thrusts act; after its end they ramp to zero at the slew limit. An ``Estimate``
+    does not hold the delivered thrust: at the beginning every thruster is taken to deliver its command.
+
+    Parameters
+    ----------
+    vehicle : nominal model.
+    estimate : state at the beginning.
+    plan : commands that act.
+    duration_s : time to advance (s).
     """
     commands = SentCommands(vehicle)
     commands.add(plan)
@@ -24,7 +31,13 @@ def advance(vehicle: Vehicle, estimate: Estimate, plan: Plan, *, duration_s: flo
 
 
 def as_estimate(end: Start, before: Estimate) -> Estimate:
-    """The state that a roll of ``before`` ended in, as an estimate: [n', e'] = R(psi) [u, v] + c."""
+    """Return a predicted state as an estimate: [n', e'] = R(psi) [u, v] + c.
+
+    Parameters
+    ----------
+    end : predicted state.
+    before : estimate from which it was predicted; current, covariance and the missing depth are taken over.
+    """
     n, e, u, v, psi, r = (float(x) for x in end.X[:6])
     has_depth = before.depth_m is not None
     c = currents_at_depths(before.current, np.array([end.depth_m]))[0]

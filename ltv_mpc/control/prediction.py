@@ -1,8 +1,8 @@
-"""From the newest estimate to the instant at which the plan will take effect: dead time compensated.
+"""Prediction of the vehicle's state at the instant at which a plan takes effect: dead-time compensation.
 
-The estimate is valid at its own time; the plan that is being computed takes effect later. Until then the commands that
-were already sent act, through the thrusters' lag. The delivered thrust is followed by the lag model, corrected by what
-the actuators report.
+An estimate is valid at its own time; the plan that is computed from it takes effect later. Until then the commands that
+were sent before act, through the thrusters' lag. The delivered thrust follows the lag model from the last report of the
+actuators that is not newer than the estimate.
 """
 
 from __future__ import annotations
@@ -13,49 +13,83 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control.sent_commands import SentCommands, command_at
+from ltv_mpc.control.sent_commands import Commands, SentCommands, command_at
 from ltv_mpc.jit import copy_to, jit
-from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Times
+from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_weights
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STEP_NS = 100_000_000
-"""Longest piece of the roll; pieces end where the commands have a knot."""
+"""Longest integration step; steps also end where the commands have a knot."""
 
-REPORTS = 32
-"""Reports of the actuators that are kept: 3 s at 10 Hz, more than any estimate is late."""
-
+MAX_REPORTS = 32
+"""Reports of the actuators that are kept: 3 s at 10 Hz, longer than the delay of any estimate."""
 
 NEVER = -(2**62)
-"""The time of a report that there is not."""
+"""Time of the report if there is none."""
 
 NO_PROFILE = CurrentProfile(depth_m=np.empty(0), north_mps=np.empty(0), east_mps=np.empty(0))
 
 
 class Start(NamedTuple):
-    """The vehicle at the instant at which the plan takes effect."""
+    """State of the vehicle at the instant at which the plan takes effect."""
 
     t_ns: int
     lateral: Array  # (10,) n, e, u, v, psi, r, F1, F2, and the commands of port and starboard in force
-    vertical_command_N: float
+    vertical_command_N: float  # in force
     depth_m: float
     sinking_mps: float
     vertical_N: float  # delivered
 
     @property
     def X(self) -> Array:
-        """(8,) n, e, u, v, psi, r, F1, F2."""
+        """State (8,): n, e, u, v, psi, r, F1, F2."""
         return self.lateral[:STATES]
 
     @property
     def command(self) -> Array:
-        """(3,) in force."""
+        """Commands (3,) of port, starboard and vertical in force (N)."""
         return np.array([*self.lateral[STATES:], self.vertical_command_N])
 
 
+class Report(NamedTuple):
+    """Delivered thrust at one time, as the actuators reported it."""
+
+    t_ns: int  # NEVER: there is no report
+    thrust_N: Array  # (3,) port, starboard, vertical
+
+
+class Profile(NamedTuple):
+    """Current over depth: linear between the depths, constant beyond; no current if there are no depths."""
+
+    depth_m: Array  # (K,) increasing
+    north_mps: Array  # (K,)
+    east_mps: Array  # (K,)
+
+
+class Measured(NamedTuple):
+    """Inputs of ``predict_state`` that belong to one estimate."""
+
+    t_ns: int
+    estimate: (
+        Array  # (8,) n, e (m), psi (rad), r (rad/s), n', e' over ground (m/s), depth (m, NaN: none), sinking (m/s)
+    )
+    report: Report
+
+
 def currents_at_depths(profile: CurrentProfile | None, depth_m: Array) -> Array:
-    """North and east current (M, 2) at depths (M,): linear between the profile's depths, constant beyond; else zero."""
+    """Return the current at several depths.
+
+    Parameters
+    ----------
+    profile : linear between its depths, constant beyond; None: no current.
+    depth_m : (M,) depths (m).
+
+    Returns
+    -------
+    (M, 2) current, north and east (m/s).
+    """
     if profile is None:
         return np.zeros((len(depth_m), 2))
     return np.stack(
@@ -65,43 +99,56 @@ def currents_at_depths(profile: CurrentProfile | None, depth_m: Array) -> Array:
 
 
 class Prediction:
-    """Rolls estimates forward through the commands sent."""
+    """Prediction of the vehicle's state, from an estimate through the commands that were sent."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle = np.array(vehicle.coefficients())
-        self._reports: deque[tuple[int, Array]] = deque(maxlen=REPORTS)
-        self._nothing = np.zeros(3)
+        """Begin without a report of the actuators."""
+        self.coefficients = np.array(vehicle.coefficients())
+        """(19,) coefficients of the vehicle."""
+        self._reports: deque[Report] = deque(maxlen=MAX_REPORTS)
+        self._no_report = Report(NEVER, np.zeros(3))
 
     def add_report(self, applied: Applied) -> None:
-        """The actuators say what they deliver."""
-        if not self._reports or applied.t_ns > self._reports[-1][0]:
-            self._reports.append((applied.t_ns, np.array(applied.thrust_N)))
+        """Take in the thrusts that the actuators deliver.
+
+        Parameters
+        ----------
+        applied : report; one that is not newer than the last is ignored.
+        """
+        if not self._reports or applied.t_ns > self._reports[-1].t_ns:
+            self._reports.append(Report(applied.t_ns, np.array(applied.thrust_N)))
 
     def state_at(self, estimate: Estimate, t_ns: int, commands: SentCommands) -> Start:
-        """The vehicle at ``t_ns``, not before the estimate's own time."""
-        t_ns = max(t_ns, estimate.t_ns)
-        vehicle, flat, report_ns, report = self.before(estimate)
-        profile = profile_of(estimate)
-        start = predict_state(
-            vehicle,
-            flat,
-            estimate.t_ns,
-            t_ns,
-            *commands.knots,
-            report_ns,
-            report,
-            profile.depth_m,
-            profile.north_mps,
-            profile.east_mps,
-        )
-        return Start(t_ns, start[:10], *start[10:].tolist())
+        """Return the predicted state of the vehicle.
 
-    def before(self, estimate: Estimate) -> tuple[Array, Array, int, Array]:
-        """Inputs of ``predict_state``: vehicle (19,), estimate (8,), time of the last report, its thrust (3,)."""
-        report_ns, report = NEVER, self._nothing
-        for at, thrust in reversed(self._reports):
-            if at <= estimate.t_ns:
-                report_ns, report = at, thrust
+        Parameters
+        ----------
+        estimate : where the prediction begins; its current profile is used.
+        t_ns : time of the state, vehicle time (ns); at least the estimate's own time is taken.
+        commands : commands in force from the estimate's time on.
+        """
+        t_ns = max(t_ns, estimate.t_ns)
+        profile = profile_of(estimate)
+        end = predict_state(
+            self.coefficients,
+            self.measured(estimate),
+            t_ns,
+            commands.knots,
+            Profile(profile.depth_m, profile.north_mps, profile.east_mps),
+        )
+        return Start(t_ns, end[:10], *end[10:].tolist())
+
+    def measured(self, estimate: Estimate) -> Measured:
+        """Return the inputs of ``predict_state`` that belong to one estimate.
+
+        Parameters
+        ----------
+        estimate : is combined with the newest report of the actuators that is not newer than it.
+        """
+        report = self._no_report
+        for one in reversed(self._reports):
+            if one.t_ns <= estimate.t_ns:
+                report = one
                 break
         flat = np.array(
             (
@@ -115,17 +162,27 @@ class Prediction:
                 estimate.velocity_down_mps or 0.0,
             )
         )
-        return self._vehicle, flat, report_ns, report
+        return Measured(estimate.t_ns, flat, report)
 
 
 def profile_of(estimate: Estimate) -> CurrentProfile:
-    """The estimate's current; one without depths, which is none, where it has none."""
+    """Return the estimate's current profile; one without depths, which means no current, if it has none."""
     return NO_PROFILE if estimate.current is None else estimate.current
 
 
 @jit
 def current_at_depth(depth: Array, north: Array, east: Array, z: float) -> tuple[float, float]:
-    """North and east current at depth z: linear between the profile's depths, constant beyond; zero without one."""
+    """Return the current at one depth: linear between the profile's depths, constant beyond, zero without a profile.
+
+    Parameters
+    ----------
+    depth, north, east : (K,) profile (m, m/s), by increasing depth.
+    z : depth (m).
+
+    Returns
+    -------
+    North and east current (m/s).
+    """
     if len(depth) == 0:
         return 0.0, 0.0
     k = np.searchsorted(depth, z, side="right")
@@ -138,9 +195,10 @@ def current_at_depth(depth: Array, north: Array, east: Array, z: float) -> tuple
 
 
 @jit
-def _delivered(since: int, F: Array, until: int, t: Times, thrust: Array, lags: tuple[float, float, float]) -> Array:
-    """Thrust delivered (3,) at ``until``, from F (3,) at ``since``, through the commands sent and the lag."""
-    out = F.copy()
+def _delivered(report: Report, until: int, commands: Commands, lags: tuple[float, float, float]) -> Array:
+    """Return the delivered thrusts (3,) at ``until``, from the report, through the commands and the lags (s)."""
+    t, thrust = commands.t_ns, commands.thrust_N
+    since, out = report.t_ns, report.thrust_N.copy()
     k = np.searchsorted(t, since, side="right")
     while since < until:
         end = min(t[k], until) if k < len(t) else until
@@ -154,36 +212,34 @@ def _delivered(since: int, F: Array, until: int, t: Times, thrust: Array, lags: 
 
 
 @jit
-def predict_state(
-    vehicle: Array,
-    estimate: Array,
-    since: int,
-    until: int,
-    t: Times,
-    thrust: Array,
-    report_ns: int,
-    report: Array,
-    depth: Array,
-    north: Array,
-    east: Array,
-) -> Array:
-    """State X (8,), commands of port and starboard, then vertical command, depth, sinking speed, vertical thrust (14,).
+def predict_state(vehicle: Array, measured: Measured, until: int, commands: Commands, profile: Profile) -> Array:
+    """Return the predicted state of the vehicle at a time, by the exact flow of the nominal model.
 
-    ``vehicle`` (19,) its coefficients; ``estimate`` (8,): north, east, heading, yaw rate, velocity north and east over
-    ground, depth (NaN: none), sinking speed, valid at ``since``; commands by t (M,), thrust (M, 3); ``report`` (3,)
-    what was delivered at ``report_ns``.
+    Parameters
+    ----------
+    vehicle : (19,) coefficients of the vehicle.
+    measured : estimate and report at which the prediction begins.
+    until : time of the state (ns), not before the estimate's.
+    commands : commands in force.
+    profile : current over depth.
+
+    Returns
+    -------
+    (14,) n, e, u, v, psi, r, F1, F2; commands of port and starboard, command of the vertical thruster (N), depth (m),
+    sinking speed (m/s), delivered vertical thrust (N).
     """
     p = coefficients(vehicle)
     lags = (p.lag_port, p.lag_starboard, p.lag_vertical)
+    t, thrust, estimate, since = commands.t_ns, commands.thrust_N, measured.estimate, measured.t_ns
     out = np.empty(14)
-    if report_ns == NEVER:
+    if measured.report.t_ns == NEVER:
         F = np.array([command_at(t, thrust, since, i) for i in range(3)])
     else:
-        F = _delivered(report_ns, report, since, t, thrust, lags)
+        F = _delivered(measured.report, since, commands, lags)
     has_depth = not np.isnan(estimate[6])
     z, w, F3 = (estimate[6] if has_depth else 0.0), estimate[7], F[2]
     c0, c1, u0, u1 = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
-    c0[0], c0[1] = current_at_depth(depth, north, east, z)
+    c0[0], c0[1] = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, z)
     # [u, v] = R(psi)' (velocity over ground - current)
     cos, sin = np.cos(estimate[2]), np.sin(estimate[2])
     vn, ve = estimate[4] - c0[0], estimate[5] - c0[1]
@@ -198,12 +254,12 @@ def predict_state(
         for i in range(pieces):
             at = begin + way * (i + 1) // pieces
             h = float(at - since) * 1e-9
-            if has_depth:  # it does not depend on the rest, and gives the current on the way
+            if has_depth:  # heave does not depend on the other states, and gives the current along the way
                 w0, w1 = command_at(t, thrust, since, 2), command_at(t, thrust, at, 2)
                 z, w, F3 = advance_heave(z, w, F3, w0, w1, h, p)
                 if z <= 0.0:  # the surface
                     z, w = 0.0, max(w, 0.0)
-            c1[0], c1[1] = current_at_depth(depth, north, east, z)
+            c1[0], c1[1] = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, z)
             for j in range(2):
                 u0[j], u1[j] = command_at(t, thrust, since, j), command_at(t, thrust, at, j)
             advance_stage(X.copy(), u0, u1, c0, c1, h, p, X)
@@ -218,6 +274,13 @@ def predict_state(
 
 @jit
 def fill_currents(depth: Array, north: Array, east: Array, at: Array, C: Array) -> None:
-    """Evaluate the current at depths ``at`` (N+1,) into C (N+1, 2)."""
+    """Evaluate the current along the horizon.
+
+    Parameters
+    ----------
+    depth, north, east : (K,) profile as in ``current_at_depth``.
+    at : (N+1,) depths at the knots (m).
+    C : (N+1, 2) is overwritten with the current, north and east (m/s).
+    """
     for k in range(len(at)):
         C[k, 0], C[k, 1] = current_at_depth(depth, north, east, at[k])

@@ -1,13 +1,14 @@
-"""Which commands are in force when: everything that was sent, as one piecewise linear function of time.
+"""Commands in force by time: everything that was sent, as one piecewise linear function.
 
-A plan takes over from the one before at its own start; after the last knot the commands go to zero at the slew limit,
-which is what the actuators do when nobody speaks to them. Dead time is compensated by rolling the vehicle through the
-commands that were really sent, in their order; Autoware and Nav2 both first got this wrong. Where the actuators report
-another command than that (a plan came late, or this controller is new), theirs is the truth: from there they go towards
-the plan at the slew limit.
+A plan takes over from the one before at its own start. After its last knot the commands ramp to rest at the slew limit,
+as the actuators do without a plan. Dead time is compensated with these commands, in the order in which they were sent.
+The actuators may report another command (a plan came late, or this controller is new): then the report is taken as
+true, and from there the commands approach the plan at the slew limit.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,61 +16,94 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Plan, Times, Triple
 from ltv_mpc.vehicle.parameters import Vehicle
 
-KEPT_NS = 10_000_000_000
-"""How far back the commands are remembered: longer than any estimate is late."""
+HISTORY_NS = 10_000_000_000
+"""Length of the history: longer than the delay of any estimate."""
 
-AGREES_N = 0.01
-"""Two commands that differ by less are the same: what is left of rounding."""
+TOLERANCE_N = 0.01
+"""Largest difference between two commands that counts as rounding."""
 
-CATCH_UP_NS = 10_000_000
-"""Steps in which the actuators' way to the plan is followed."""
+CATCH_UP_STEP_NS = 10_000_000
+"""Time step in which the reported command approaches the plan."""
+
+
+class Commands(NamedTuple):
+    """Commands by time: linear between the knots, constant beyond them; zero if there are no knots."""
+
+    t_ns: Times  # (M,) knots, vehicle time
+    thrust_N: Array  # (M, 3) port, starboard, vertical
 
 
 class SentCommands:
-    """The commands that the actuators follow, by time: port, starboard, vertical."""
+    """Commands that the actuators follow, by time."""
 
     def __init__(self, vehicle: Vehicle) -> None:
+        """Begin before the first plan; the vehicle's slew limits and its failsafe thrust are used."""
         self._slew = np.array([t.slew_N_per_s for t in vehicle.thrusters])
         self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
-        self._t: Times = np.empty(0, dtype=np.int64)
-        self._thrust: Array = np.empty((0, 3))
+        self.knots = Commands(np.empty(0, dtype=np.int64), np.empty((0, 3)))
+        """Commands from ``HISTORY_NS`` ago on."""
 
     def add(self, plan: Plan) -> None:
-        """``plan`` was sent: it is in force from its first knot on."""
-        self._t, self._thrust = supersede(self._t, self._thrust, plan.t_ns, plan.thrust_N, self._slew, self._rest)
+        """Add a plan that was sent.
 
-    @property
-    def knots(self) -> tuple[Times, Array]:
-        """Times (M,) and commands (M, 3): linear between, constant beyond."""
-        return self._t, self._thrust
+        Parameters
+        ----------
+        plan : is in force from its first knot on.
+        """
+        t, thrust = self.knots
+        self.knots = Commands(*supersede(t, thrust, plan.t_ns, plan.thrust_N, self._slew, self._rest))
 
     def correct(self, t_ns: int, command_N: Triple) -> None:
-        """The actuators say what was in force at ``t_ns``."""
-        port, starboard, vertical = command_N
-        if _apart(self._t, self._thrust, t_ns, port, starboard, vertical) <= AGREES_N:
+        """Correct the commands by a report of the actuators.
+
+        Parameters
+        ----------
+        t_ns : time of the report, vehicle time (ns).
+        command_N : commands of port, starboard and vertical in force at ``t_ns`` (N).
+        """
+        t, thrust = self.knots
+        if _max_difference(t, thrust, t_ns, *command_N) <= TOLERANCE_N:
             return
         times, commands = [t_ns], [np.array(command_N)]
         target = self.at(np.array(times, dtype=np.int64))[0]
-        while np.abs(target - commands[-1]).max() > AGREES_N and times[-1] < t_ns + KEPT_NS:
-            times.append(times[-1] + CATCH_UP_NS)
+        while np.abs(target - commands[-1]).max() > TOLERANCE_N and times[-1] < t_ns + HISTORY_NS:
+            times.append(times[-1] + CATCH_UP_STEP_NS)
             target = self.at(np.array(times[-1:], dtype=np.int64))[0]
-            reach = self._slew * CATCH_UP_NS * 1e-9
+            reach = self._slew * CATCH_UP_STEP_NS * 1e-9
             commands.append(commands[-1] + np.clip(target - commands[-1], -reach, reach))
-        before, after = self._t < t_ns, self._t > times[-1]
-        self._t = np.concatenate([self._t[before], np.array(times, dtype=np.int64), self._t[after]])
-        self._thrust = np.concatenate([self._thrust[before], np.array(commands), self._thrust[after]])
+        before, after = t < t_ns, t > times[-1]
+        self.knots = Commands(
+            np.concatenate([t[before], np.array(times, dtype=np.int64), t[after]]),
+            np.concatenate([thrust[before], np.array(commands), thrust[after]]),
+        )
 
     def at(self, t_ns: Times) -> Array:
-        """Commands (M, 3) at times t_ns (M,): zero where nothing was sent, before the first knot what that says."""
-        if not len(self._t):
+        """Return the commands in force.
+
+        Parameters
+        ----------
+        t_ns : (M,) vehicle times (ns).
+
+        Returns
+        -------
+        (M, 3) commands of port, starboard and vertical (N); zero if nothing was sent.
+        """
+        t, thrust = self.knots
+        if not len(t):
             return np.zeros((len(t_ns), 3))
         # Times relative to the first knot are exact in float64 and keep their nanoseconds.
-        x, xp = (t_ns - self._t[0]).astype(np.float64), (self._t - self._t[0]).astype(np.float64)
-        return np.stack([np.interp(x, xp, self._thrust[:, i]) for i in range(3)], axis=1)
+        x, xp = (t_ns - t[0]).astype(np.float64), (t - t[0]).astype(np.float64)
+        return np.stack([np.interp(x, xp, thrust[:, i]) for i in range(3)], axis=1)
 
     def between(self, from_ns: int, until_ns: int) -> Times:
-        """The knots with from_ns < t < until_ns, and both ends: commands are linear between neighbours."""
-        inner = self._t[(self._t > from_ns) & (self._t < until_ns)]
+        """Return both times and the knots between them: the commands are linear between neighbours.
+
+        Parameters
+        ----------
+        from_ns, until_ns : vehicle times (ns).
+        """
+        t = self.knots.t_ns
+        inner = t[(t > from_ns) & (t < until_ns)]
         return np.concatenate([[from_ns], inner, [until_ns]]).astype(np.int64)
 
 
@@ -77,11 +111,23 @@ class SentCommands:
 def supersede(
     t: Times, thrust: Array, plan_t: Times, plan_thrust: Array, slew: Array, rest: Array
 ) -> tuple[Times, Array]:
-    """Knots t (M,), thrust (M, 3) until the plan begins, then the plan, then its way to rest at the slew limit."""
-    first = np.searchsorted(t, plan_t[0] - KEPT_NS, side="right")
+    """Return the commands until the plan begins, then the plan, then its ramp to rest at the slew limit.
+
+    Parameters
+    ----------
+    t, thrust : (M,), (M, 3) commands before the plan (ns, N).
+    plan_t, plan_thrust : (N+1,), (N+1, 3) the plan (ns, N).
+    slew : (3,) slew limits (N/s).
+    rest : (3,) commands at rest (N).
+
+    Returns
+    -------
+    Knots (K,) in ns and commands (K, 3) in N.
+    """
+    first = np.searchsorted(t, plan_t[0] - HISTORY_NS, side="right")
     until = np.searchsorted(t, plan_t[0], side="left")
     end = len(plan_t) - 1
-    # One knot where each thruster comes to rest, in their order.
+    # One knot where each thruster comes to rest, in the order of time.
     seconds = np.abs(plan_thrust[end] - rest) / slew
     corners, count, latest = np.empty(3), 0, 0.0
     while True:
@@ -93,19 +139,19 @@ def supersede(
             break
         corners[count] = latest = soonest
         count += 1
-    kept, ahead = max(until - first, 0), len(plan_t)
-    out_t = np.empty(kept + ahead + count, dtype=np.int64)
+    past, ahead = max(until - first, 0), len(plan_t)
+    out_t = np.empty(past + ahead + count, dtype=np.int64)
     out = np.empty((len(out_t), 3))
-    for i in range(kept):
+    for i in range(past):
         out_t[i] = t[first + i]
         for j in range(3):
             out[i, j] = thrust[first + i, j]
     for i in range(ahead):
-        out_t[kept + i] = plan_t[i]
+        out_t[past + i] = plan_t[i]
         for j in range(3):
-            out[kept + i, j] = plan_thrust[i, j]
+            out[past + i, j] = plan_thrust[i, j]
     for i in range(count):
-        at = kept + ahead + i
+        at = past + ahead + i
         out_t[at] = plan_t[end] + np.int64(np.ceil(corners[i] * 1e9))
         for j in range(3):
             left = 1.0 - min(corners[i] / seconds[j], 1.0) if seconds[j] > 0.0 else 1.0
@@ -115,7 +161,14 @@ def supersede(
 
 @jit
 def command_at(t: Times, thrust: Array, at: int, i: int) -> float:
-    """Thruster i's command at one time, by knots t (M,), thrust (M, 3): zero where nothing was sent."""
+    """Return one thruster's command at one time; zero if there are no knots.
+
+    Parameters
+    ----------
+    t, thrust : (M,), (M, 3) commands by time (ns, N).
+    at : time (ns).
+    i : 0 port, 1 starboard, 2 vertical.
+    """
     if len(t) == 0:
         return 0.0
     k = np.searchsorted(t, at, side="right")
@@ -129,8 +182,8 @@ def command_at(t: Times, thrust: Array, at: int, i: int) -> float:
 
 
 @jit
-def _apart(t: Times, thrust: Array, at: int, port: float, starboard: float, vertical: float) -> float:
-    """By how much these differ from the commands at one time, by knots as in ``command_at``: the largest of three."""
+def _max_difference(t: Times, thrust: Array, at: int, port: float, starboard: float, vertical: float) -> float:
+    """Return the largest difference of three commands from those at one time; t and thrust as in ``command_at``."""
     return max(
         abs(command_at(t, thrust, at, 0) - port),
         abs(command_at(t, thrust, at, 1) - starboard),

@@ -1,11 +1,11 @@
-"""The vertical thruster's own law: it holds a depth, or follows a ramp down to it, and does nothing else.
+"""Depth law of the vertical thruster: it holds a depth, or follows a ramp to one.
 
 With depth error e = z_ref - z, rate error e' = w_ref - w, and the model's M_z, d_z, D_z and B - W:
 
     F3 = (B - W) + (d_z + D_z |w_ref|) w_ref  +  M_z (w0^2 e + 2 zeta w0 e') + integral of M_z w0^2 / T_i e
 
-inside box and slew. The feed-forward is the whole thrust on a steady ramp; in the paper's descent it is the thruster's
-maximum. The integral stands still while the command is limited, else it would wind up over a ramp that is too fast.
+inside box and slew. On a steady ramp the feed-forward is the whole thrust; in the paper's descent it is the thruster's
+maximum. The integral stops while the command is limited (anti-windup).
 """
 
 from __future__ import annotations
@@ -23,22 +23,34 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 NATURAL_RADPS = 0.3
 """w0: slow against the thruster's lag, fast against a descent."""
+
 DAMPING = 1.0
 """zeta: no overshoot."""
+
 INTEGRAL_S = 20.0
-"""T_i: several times 1 / w0, so that it only takes up what the feed-forward misses."""
-LONGEST_INTEGRATION_S = 2.0
-"""Longest time between two plans that is integrated: after a longer silence the depth error was not constant."""
+"""T_i: several times 1 / w0, so that the integral only compensates what the feed-forward lacks."""
+
+MAX_INTEGRATION_S = 2.0
+"""Longest time between two plans that is integrated: over a longer interruption the depth error is not constant."""
 
 
 @jit
-def follow(
+def follow_depth(
     numbers: Array, z: float, w: float, F: float, command: float, integral: float, z_ref: Array, w_ref: Array
 ) -> tuple[Array, Array, float]:
-    """Depths (N+1,), commands (N+1,) at the knots, and the integral's rate (N/s) over the first stage.
+    """Simulate the depth law over the horizon.
 
-    From depth z, sinking speed w, delivered thrust F and the command in force at the first knot; ``numbers`` are packed
-    constants, z_ref and w_ref (N+1,).
+    Parameters
+    ----------
+    numbers : packed constants (``problem_data.pack_constants``).
+    z, w, F : depth (m), sinking speed (m/s) and delivered thrust (N) at the first knot.
+    command : command in force at the first knot (N).
+    integral : integral term at the first knot (N).
+    z_ref, w_ref : (N+1,) reference depths (m) and sinking speeds (m/s) at the knots.
+
+    Returns
+    -------
+    Depths (N+1,) in m, commands (N+1,) in N, and the integral's rate at the first knot (N/s).
     """
     c = unpack_constants(numbers)
     p, t = c.p, c.objective.t
@@ -48,7 +60,7 @@ def follow(
     depth[0], commands[0] = z, command
     rate_now = 0.0
     for k in range(N):
-        # The law acts every stage_s, however far the knots are apart; the plan has what it comes to at a knot.
+        # The law acts at least every stage_s, also where the knots are farther apart; the plan samples it at the knots.
         acts = int(np.ceil(t[k + 1] - t[k] - 1e-9))
         h = (t[k + 1] - t[k]) * c.stage_s / acts
         for j in range(1, acts + 1):
@@ -73,26 +85,26 @@ def follow(
 
 
 class VerticalPlan(NamedTuple):
-    """What the vertical thruster will do and where that leads, at the knots."""
+    """Vertical part of a plan, at the knots."""
 
-    depth_m: Array  # (N+1,)
+    depth_m: Array  # (N+1,) predicted
     thrust_N: Array  # (N+1,) commands
-    integral_rate_N_per_s: float  # at the first knot: cycles may be any time apart
+    integral_rate_N_per_s: float  # at the first knot; the time to the next plan is not known yet
 
 
 class VerticalLaw:
     """Depth law of the vertical thruster, with its integral.
 
-    The integral is carried from the start of one plan to the start of the next.
+    The integral advances from the start of one plan to the start of the next.
     """
 
     def __init__(self, vehicle: Vehicle, numbers: Array) -> None:
-        """Begin with an integral of zero.
+        """Begin with a zero integral.
 
         Parameters
         ----------
         vehicle : its vertical thruster's slew limit is used.
-        numbers : packed constants (``problem_data.pack``).
+        numbers : packed constants (``problem_data.pack_constants``).
         """
         self._slew_N_per_s = vehicle.thrusters[2].slew_N_per_s
         self._numbers = numbers
@@ -111,9 +123,9 @@ class VerticalLaw:
 
         Returns
         -------
-        The commands and the depths that they lead to.
+        The commands and the predicted depths.
         """
-        plan = follow(
+        plan = follow_depth(
             self._numbers,
             start.depth_m,
             start.sinking_mps,
@@ -141,6 +153,20 @@ class VerticalLaw:
         thrust = ramp(start.vertical_command_N, goal, knots, self._slew_N_per_s)
         return VerticalPlan(np.full(len(knots), start.depth_m), thrust, 0.0)
 
+    def keep(self, start: Start, thrust_N: Array) -> VerticalPlan:
+        """Keep commands that are in force already.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        thrust_N : (N+1,) commands at the knots (N).
+
+        Returns
+        -------
+        The commands; the depth is taken to stay that of the start.
+        """
+        return VerticalPlan(np.full(len(thrust_N), start.depth_m), thrust_N, 0.0)
+
     def advance_integral(self, plan: VerticalPlan, start_ns: int) -> None:
         """Integrate the depth error from the start of the last plan to the start of this one.
 
@@ -150,7 +176,7 @@ class VerticalLaw:
         start_ns : its start, vehicle time (ns).
         """
         if self._integrated_ns is not None:
-            seconds = min(max(start_ns - self._integrated_ns, 0) * 1e-9, LONGEST_INTEGRATION_S)
+            seconds = min(max(start_ns - self._integrated_ns, 0) * 1e-9, MAX_INTEGRATION_S)
             self.integral_N += plan.integral_rate_N_per_s * seconds
         self._integrated_ns = start_ns
 

@@ -1,4 +1,4 @@
-"""The controller process: plans from estimates, whoever makes them."""
+"""Controller process: it publishes plans for the estimates of any publisher."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -17,7 +18,9 @@ from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.control.solvers import make
+from ltv_mpc.control.solvers import Solver, make
+from ltv_mpc.control.solvers.interface import SolverResult
+from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
 from ltv_mpc.messages import (
     Action,
     Command,
@@ -49,20 +52,20 @@ from services.runtime.stopping import FAILED, Say, StopRequest, stderr_printer
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """What the controller process needs to start."""
+    """Settings of the controller process."""
 
     bus: BusOptions
     vehicle: str = "paper"  # NAME or FILE
     reference: str = "descent"  # NAME or FILE
     settings: ControllerConfig = ControllerConfig()
     compute_delay_s: float = 0.0  # added between a plan and its publication
-    input_delay_s: float = 0.0  # the smallest delay of an estimate, which an exchange would measure
-    metrics_port: int | None = None  # where on loopback the state is served
-    failed_qps: Path | None = None  # where QPs that were not solved are kept
+    input_delay_s: float = 0.0  # smallest delay of an estimate, if no clock exchange measures it
+    metrics_port: int | None = None  # port on loopback of the Prometheus metrics
+    failed_qps: Path | None = None  # folder for QPs that were not solved
 
 
 def main(config: Config) -> int:
-    """Publish a plan each cycle."""
+    """Run the controller node until it is stopped. Returns the exit code."""
     vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
     settings, bus = config.settings, config.bus
     metrics = prometheus.Metrics()
@@ -75,17 +78,19 @@ def main(config: Config) -> int:
                 return FAILED
         warm_up(vehicle, reference, settings)
         node_stages = StageTimer()
-        node = ControllerNode(vehicle, reference, settings, stopwatch=node_stages)
+        recorder = FailureRecorder()
+        make_solver = make if config.failed_qps is None else recorder
+        node = ControllerNode(vehicle, reference, settings, make_solver=make_solver, stopwatch=node_stages)
         line = StatusLine(node.name, key_in(bus, BY_TYPE[Estimate]), sys.stderr)
         stack.callback(line.close)
 
-        def make(request: StopRequest, say: Say) -> Runner:
+        def make_runner(request: StopRequest, say: Say) -> Runner:
             say = line.saying(say)
             for text in (*announcement(bus, settings), *reference.notes(vehicle)):
                 say(text)
             shown: list[StatusSink] = [line.show, metrics.show]
             if config.failed_qps is not None:
-                shown.append(FailedQps(node.controller, config.failed_qps, say).show)
+                shown.append(FailedQps(recorder, config.failed_qps, say).show)
             return Runner(
                 node,
                 stop=request,
@@ -96,26 +101,26 @@ def main(config: Config) -> int:
                 report=ControllerStatusReporter(node, shown),
             )
 
-        return serve(node.name, bus, make)
+        return serve(node.name, bus, make_runner)
 
 
-BEHIND_THE_SCENES = (ControllerState,)
-"""Between a supervisor and the controller that it starts anew: nothing that a publisher needs to know of."""
+INTERNAL_TYPES = (ControllerState,)
+"""Messages between a supervisor and the controller that it restarts; other publishers do not need them."""
 
 
 def key_in(bus: BusOptions, topic: Topic) -> str:
-    """The key as others see it."""
+    """Return the key of a topic with the bus's namespace."""
     return f"{bus.namespace}/{topic.key}" if bus.namespace else topic.key
 
 
 def announcement(bus: BusOptions, config: ControllerConfig) -> Iterator[str]:
-    """The keys that it reads and writes, with rates; each number's unit is in its field's name."""
-    look = f"{config.horizon_s:g} s in {config.stages} stages"
-    yield f"looks {look} ahead, {1e9 / config.period_ns:.3g} times a second"
+    """Generate the lines printed at the start: horizon and rate, then each key read or written with rate and fields."""
+    horizon = f"{config.horizon_s:g} s in {config.stages} stages"
+    yield f"horizon {horizon}, {1e9 / config.period_ns:.3g} cycles per second"
     yield "SI units and radians, north-east-down; each field name ends with its unit; `ltv-mpc topics KEY` lists them"
     inputs = [kind for kind in ControllerNode.reads if BY_TYPE[kind].written_by != ControllerNode.name]
     outputs: list[type[Message]] = [*ControllerNode.writes, ControllerStatus]
-    inputs, outputs = ([kind for kind in kinds if kind not in BEHIND_THE_SCENES] for kinds in (inputs, outputs))
+    inputs, outputs = ([kind for kind in kinds if kind not in INTERNAL_TYPES] for kinds in (inputs, outputs))
     for verb, kinds in (("reads ", inputs), ("writes", outputs)):
         for kind in kinds:
             topic = BY_TYPE[kind]
@@ -125,7 +130,7 @@ def announcement(bus: BusOptions, config: ControllerConfig) -> Iterator[str]:
 
 
 def _fields(kind: type[Message]) -> str:
-    """Those that a message needs, then in brackets those that it may have."""
+    """Return the names of the required fields, then those of the optional fields in brackets."""
     fields = msgspec.structs.fields(kind)
     needed = ", ".join(field.name for field in fields if field.required)
     optional = ", ".join(field.name for field in fields if not field.required)
@@ -133,33 +138,45 @@ def _fields(kind: type[Message]) -> str:
 
 
 def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -> None:
-    """Have all compiled code and the solver loaded: some cycles of a controller that is thrown away.
+    """Compile and load all code that a cycle can need, with the cycles of a controller that is thrown away.
 
-    At the line; far off it, where the solver takes more than one turn and the step more than one try; with an estimate
-    that is no number; with a pilot at the thrusters; on every rung below the solved plan; and with an estimate that is
-    too old, where the vehicle is stopped and then left alone.
+    They are: two at the start of the reference; two far off it, where the line search takes a part of the step and the
+    solver more than one turn; one whose solver fails; one with an estimate that is no number; one under manual command;
+    and two with estimates so old that the vehicle is held and then left to the failsafe.
     """
-    node = ControllerNode(vehicle, reference, config)
-    begun = 0 if reference.start_s is None else max(0, round(reference.start_s * 1e9))
-    here = Estimate.at_rest(depth_m=0.0, heading_rad=1.0)
-    off = Estimate.at_rest(depth_m=0.0, heading_rad=3.0, north_m=3.0, east_m=1.0)
+    fails = False
+
+    class FailingSolver(RecordingSolver):
+        """Solver that fails on demand."""
+
+        def solve(self) -> SolverResult:
+            result = super().solve()
+            return result._replace(solve=Solve(status=SolveStatus.FAILED)) if fails else result
+
+    def make_failing(*settings: Any) -> Solver:
+        return FailingSolver(make(*settings))
+
+    node = ControllerNode(vehicle, reference, config, make_solver=FailureRecorder(make_failing))
+    start_ns = 0 if reference.start_s is None else max(0, round(reference.start_s * 1e9))
+    near = Estimate.at_rest(depth_m=0.0, heading_rad=1.0)
+    far = Estimate.at_rest(depth_m=0.0, heading_rad=3.0, north_m=3.0, east_m=1.0)
     broken = Estimate.at_rest(depth_m=0.0, heading_rad=math.nan)
-    words: dict[int, tuple[Message, ...]] = {
+    others: dict[int, tuple[Message, ...]] = {
         0: (Command(command_id=0, action=Action.ARM),),
-        5: (Command(command_id=1, action=Action.MANUAL), Manual(thrust_N=(1.0, 1.0, 0.0))),
+        6: (Command(command_id=1, action=Action.MANUAL), Manual(thrust_N=(1.0, 1.0, 0.0))),
     }
-    for k, estimate in enumerate((here, here, off, off, broken, here)):
-        t_ns = begun + k * config.period_ns
-        signals = (msgspec.structs.replace(estimate, t_ns=t_ns), *words.get(k, ()))
-        node.steps([(t_ns, [ReceivedMessage(signal, 1, k, t_ns) for signal in signals])])
-    node.controller.warm_up()
-    thrust_loss_detector.warm_up()  # which these cycles, without a report of the actuators, have not asked for
-    for missed_s in (2.0, 20.0):  # hold, and then failsafe
+    for k, estimate in enumerate((near, near, far, far, far, broken, near)):
+        t_ns, fails = start_ns + k * config.period_ns, k == 4
+        messages = (msgspec.structs.replace(estimate, t_ns=t_ns), *others.get(k, ()))
+        node.steps([(t_ns, [ReceivedMessage(message, 1, k, t_ns) for message in messages])])
+    for missed_s in (2.0, 20.0):  # hold, then failsafe
         node.steps([(t_ns + round(missed_s * 1e9), [])])
+    SentCommands(vehicle).correct(0, (0.0, 0.0, 0.0))  # these cycles have no report of the actuators
+    thrust_loss_detector.warm_up()
 
 
 def warm_up_solver(vehicle: Vehicle, config: ControllerConfig) -> None:
-    """Have compiled what ``warm_up`` comes to last: for a process that runs beside the one that does."""
+    """Compile what ``warm_up`` compiles last, so that two processes share the work."""
     settings = resolve_weights(config, vehicle)
     solver, lin = make(vehicle, settings), Linearisation.empty(settings.stages)
     lin.flat[:] = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.node import Node
 from services.run.run_config import RunConfig
@@ -10,14 +11,17 @@ from sim.plant import Plant
 from sim.sensors.node import Sensors
 
 
-def make_nodes(run_config: RunConfig, *, unread: bool = True) -> list[Node]:
+def make_nodes(run_config: RunConfig, *, unread: bool = True, make_solver: SolverFactory = make) -> list[Node]:
     """Build every node of a run, in the order of the process table.
 
-    With ``unread`` the sensors also publish what no other node reads, as a recording needs it.
+    With ``unread`` the sensors also publish what no other node reads, as a recording needs it. ``make_solver`` makes
+    the controller's solver.
     """
     scenario = run_config.scenario
     plant = Plant(scenario, run_config.vehicle, run_config.water)
-    aboard: list[Node] = [ControllerNode(run_config.vehicle, run_config.reference, scenario.controller)]
+    aboard: list[Node] = [
+        ControllerNode(run_config.vehicle, run_config.reference, scenario.controller, make_solver=make_solver)
+    ]
     if not scenario.run.perfect_state:  # else the sensors themselves write the estimate
         aboard.insert(0, Estimator(run_config.suite, scenario.estimator, run_config.prior))
     read = None if unread else frozenset(kind for node in aboard for kind in node.reads)

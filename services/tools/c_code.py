@@ -9,7 +9,7 @@ prints the first free thrusts.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import osqp
@@ -18,7 +18,9 @@ from scipy.sparse import csc_matrix, triu
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.qp.sparse import STAGE_VARIABLES
+from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.solvers.osqp import ACTIVE, EQUALITY_ROW, LIMIT_ROW, OsqpSolver
+from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate
 from ltv_mpc.references import Point
@@ -86,8 +88,14 @@ def loaded_solver(vehicle: Vehicle, config: ControllerConfig) -> tuple[OsqpSolve
     """
     # One QP a cycle: a second one would be linearised close to its own solution.
     first = msgspec.structs.replace(config, sqp_iterations=1)
-    controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), first)
-    solver = controller._solver
+    recorded: list[RecordingSolver] = []
+
+    def make_recorded(*settings: Any) -> Solver:
+        recorded.append(RecordingSolver(make(*settings)))
+        return recorded[-1]
+
+    controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), first, make_solver=make_recorded)
+    solver = recorded[0].solver
     if not isinstance(solver, OsqpSolver):
         problem = "must be osqp: OSQP generates the code"
         raise ConfigError("controller settings", "solver", problem, value=config.solver)
@@ -98,7 +106,7 @@ def loaded_solver(vehicle: Vehicle, config: ControllerConfig) -> tuple[OsqpSolve
     controller.plan(Estimate.at_rest(north_m=0.1))
     # One cycle later and away from the first plan, so that the solution differs from the nominal trajectory.
     controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=-0.2, east_m=0.1, heading_rad=0.3), t_ns=STAGE_NS))
-    return solver, controller._lin.U[1]
+    return solver, recorded[0].lin.U[1]
 
 
 def export(folder: Path, solver: OsqpSolver, nominal: Array, config: ControllerConfig) -> Exported:

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control import controller
+from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.messages import Message, Solve, SolveStatus
 from ltv_mpc.node import Due, Node, Schedule
@@ -108,16 +107,6 @@ class TimedNode:
         return outputs
 
 
-@contextmanager
-def inject_solver_faults(faults: Sequence[SolverFaultInterval], now: SolverClock) -> Iterator[None]:
-    """Give every controller built in this context faulty solvers, also those that it builds later in this context."""
-    before: Any = controller.make  # type: ignore[attr-defined]  # its name for ``solvers.make``
-
-    def make(*arguments: Any) -> Any:
-        return FaultySolver(before(*arguments), faults, now)
-
-    controller.make = make  # type: ignore[attr-defined, assignment]
-    try:
-        yield
-    finally:
-        controller.make = before  # type: ignore[attr-defined]
+def faulty_solvers(faults: Sequence[SolverFaultInterval], now: SolverClock) -> SolverFactory:
+    """Return a solver factory for a controller whose solvers have these faults."""
+    return lambda vehicle, config: FaultySolver(make(vehicle, config), faults, now)

@@ -21,6 +21,10 @@ SOLVERS: dict[str, Callable[[ResolvedConfig, HorizonLimits], Solver]] = {
 """Solvers of this project by name, which keep their workspace between cycles. Other names are backends of qpsolvers."""
 
 
+SolverFactory = Callable[[Vehicle, ControllerConfig], Solver]
+"""Makes a solver for one vehicle and its settings; ``make`` is the default one."""
+
+
 def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     """Return the solver that the settings name.
 
@@ -50,4 +54,4 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     return QpsolversBackend(config, limits)
 
 
-__all__ = ["Solver", "SolverResult", "make", "solve_qp"]
+__all__ = ["Solver", "SolverFactory", "SolverResult", "make", "solve_qp"]

@@ -42,7 +42,7 @@ from sim.faults import world
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval, MessageFaults
 from sim.faults.sensor_faults import Failure, FaultySensors, SensorFault
-from sim.faults.solver_faults import SolverClock, SolverFault, SolverFaultInterval, TimedNode, inject_solver_faults
+from sim.faults.solver_faults import SolverClock, SolverFault, SolverFaultInterval, TimedNode, faulty_solvers
 from sim.scheduler import Delivery, LockStep, Observation, Step
 
 SCENARIO = "hover"
@@ -242,25 +242,24 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
     now = SolverClock()
     harmed = [(i, harm) for i, fault in enumerate(run.faults) if (harm := _harm(fault)) is not None]
     bus = Bus([harm for _, harm in harmed])
-    with inject_solver_faults([t for t in map(_solver_fault, run.faults) if t is not None], now):
-        lockstep = LockStep(
-            _nodes(of, run.faults, now),
-            start_ns=of.scenario.start_ns,
-            compute_delay_ns=_overrun(run.faults),
-            observation=Observation(log, on_step=log.stepped),
-            latest=lockstep_run.LATEST,
-            make_rejection=lockstep_run.rejected_message,
-            transport=bus,
-        )
-        uncontrolled, until_ns = "", of.scenario.end_ns
-        dropped: list[tuple[int, int]] = []
-        try:
-            for t_ns in (*range(of.scenario.start_ns, of.scenario.end_ns, POLL_NS), of.scenario.end_ns):
-                lockstep.advance(t_ns)
-                dropped.append((t_ns, bus.validators.dropped))
-        except Exception as error:  # whatever it is: that is what is looked for
-            uncontrolled = f"{type(error).__name__}: {error}"
-            until_ns = log.truth[-1][0] if log.truth else of.scenario.start_ns
+    lockstep = LockStep(
+        _nodes(of, run.faults, now),
+        start_ns=of.scenario.start_ns,
+        compute_delay_ns=_overrun(run.faults),
+        observation=Observation(log, on_step=log.stepped),
+        latest=lockstep_run.LATEST,
+        make_rejection=lockstep_run.rejected_message,
+        transport=bus,
+    )
+    uncontrolled, until_ns = "", of.scenario.end_ns
+    dropped: list[tuple[int, int]] = []
+    try:
+        for t_ns in (*range(of.scenario.start_ns, of.scenario.end_ns, POLL_NS), of.scenario.end_ns):
+            lockstep.advance(t_ns)
+            dropped.append((t_ns, bus.validators.dropped))
+    except Exception as error:  # whatever it is: that is what is looked for
+        uncontrolled = f"{type(error).__name__}: {error}"
+        until_ns = log.truth[-1][0] if log.truth else of.scenario.start_ns
     return Observed(
         log=log,
         harmed=dict(zip((i for i, _ in harmed), bus.harmed, strict=True)),
@@ -273,7 +272,8 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
 
 def _nodes(of: RunConfig, faults: Sequence[Fault], now: SolverClock) -> list[Node]:
     """Return the nodes of the run, with the faulty components around them and the disturbances first."""
-    plant, sensors, *aboard = make_nodes(of)
+    solver_faults = [fault for fault in map(_solver_fault, faults) if fault is not None]
+    plant, sensors, *aboard = make_nodes(of, make_solver=faulty_solvers(solver_faults, now))
     *others, controller = aboard
     broken = [b for b in map(_broken, faults) if b is not None]
     disturbances = [d for fault in faults if (d := _disturbance(fault)) is not None]

@@ -20,15 +20,18 @@ import numpy as np
 import piqp
 from scipy.sparse import csc_matrix
 
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.scaling import resolve_weights
-from ltv_mpc.control.solvers.interface import Solver, SolverResult
+from ltv_mpc.control.solvers import Solver, SolverFactory, make
+from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
 from ltv_mpc.node import Stopwatch, no_stopwatch
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.runtime.stage_timer import StageTimer
 from services.tools.profile.piqp_yardstick import PiqpYardstick
 from services.tools.profile.problems import Episode, seconds
@@ -42,8 +45,12 @@ EXACT = 1e-10
 class Contestant(Protocol):
     """Solver to be measured."""
 
-    def controller(self, episode: Episode, stopwatch: Stopwatch) -> Controller:
-        """Return a new controller for an episode. Raises ``ConfigError``."""
+    def config(self, episode: Episode) -> ControllerConfig:
+        """Return the controller's settings in an episode."""
+        ...
+
+    def solver_factory(self, episode: Episode) -> SolverFactory:
+        """Return what makes the solver of an episode's controller."""
         ...
 
 
@@ -52,10 +59,13 @@ class SolverByName(NamedTuple):
 
     name: str
 
-    def controller(self, episode: Episode, stopwatch: Stopwatch = no_stopwatch) -> Controller:
-        """Return the episode's controller with this solver. Raises ``ConfigError`` if there is no such solver."""
-        config = msgspec.structs.replace(episode.config, solver=self.name)
-        return Controller(episode.vehicle, episode.reference, config, stopwatch=stopwatch)
+    def config(self, episode: Episode) -> ControllerConfig:
+        """Return the episode's settings with this solver."""
+        return msgspec.structs.replace(episode.config, solver=self.name)
+
+    def solver_factory(self, _episode: Episode) -> SolverFactory:
+        """Return the factory that follows the settings."""
+        return make
 
 
 class Piqp(NamedTuple):
@@ -68,11 +78,26 @@ class Piqp(NamedTuple):
         """Return its name in tables; ``piqp`` alone is the one of qpsolvers."""
         return "PIQP native" if self.tolerance is None else f"PIQP native {self.tolerance:g}"
 
-    def controller(self, episode: Episode, stopwatch: Stopwatch = no_stopwatch) -> Controller:
-        """Return the episode's controller with PIQP as its solver."""
-        controller = Controller(episode.vehicle, episode.reference, episode.config, stopwatch=stopwatch)
-        controller.solve_with(lambda _own: PiqpYardstick(controller.config, limits_of(episode), self.tolerance))
-        return controller
+    def config(self, episode: Episode) -> ControllerConfig:
+        """Return the episode's settings."""
+        return episode.config
+
+    def solver_factory(self, episode: Episode) -> SolverFactory:
+        """Return a factory of PIQP workspaces."""
+
+        def make_piqp(vehicle: Vehicle, config: ControllerConfig) -> Solver:
+            return PiqpYardstick(resolve_weights(config, vehicle), limits_of(episode), self.tolerance)
+
+        return make_piqp
+
+
+def controller_of(
+    contestant: Contestant, episode: Episode, *, make_solver: SolverFactory, stopwatch: Stopwatch = no_stopwatch
+) -> Controller:
+    """Return a new controller for an episode. Raises ``ConfigError`` if the settings name an unknown solver."""
+    return Controller(
+        episode.vehicle, episode.reference, contestant.config(episode), make_solver=make_solver, stopwatch=stopwatch
+    )
 
 
 def limits_of(episode: Episode) -> HorizonLimits:
@@ -173,15 +198,15 @@ class _Candidate:
 
     def __init__(self, contestant: Contestant, episode: Episode, into: Samples) -> None:
         self.timer = StageTimer()
-        self.controller = contestant.controller(episode, self.timer)
-        self._witness: _Witness
-        self.controller.solve_with(self._watched)
+        self._make_solver = contestant.solver_factory(episode)
+        self._recorded: RecordingSolver
+        self.controller = controller_of(contestant, episode, make_solver=self._make_recorded, stopwatch=self.timer)
         self._into = into
         self._cycle_us = 0.0
 
-    def _watched(self, solver: Solver) -> Solver:
-        self._witness = _Witness(solver)
-        return self._witness
+    def _make_recorded(self, vehicle: Vehicle, config: ControllerConfig) -> Solver:
+        self._recorded = RecordingSolver(self._make_solver(vehicle, config))
+        return self._recorded
 
     def plan(self, driver: Controller, estimate: Estimate, t_ns: int) -> Plan:
         """Measure one cycle."""
@@ -201,32 +226,8 @@ class _Candidate:
             sample.append(self.timer.stage_us.get(stage, 0.0))
         into.iterations.append(plan.solve.iterations)
         into.status[plan.solve.status] += 1
-        error = np.abs(self._witness.answer.commands[1] - exact.commands(self._witness)[1]).max()
+        error = np.abs(self._recorded.result.commands[1] - exact.commands(self._recorded)[1]).max()
         into.thrust_error_N.append(float(error) if np.isfinite(error) else np.nan)
-
-
-class _Witness:
-    """Solver wrapper that keeps the last problem and its solution."""
-
-    lin: Linearisation
-    target: Array
-    answer: SolverResult
-
-    def __init__(self, solver: Solver) -> None:
-        self._solver = solver
-        self.shift_warm_start, self.reset_warm_start, self.update = (
-            solver.shift_warm_start,
-            solver.reset_warm_start,
-            solver.update,
-        )
-
-    def build(self, lin: Linearisation, target: Array) -> None:
-        self.lin, self.target = lin, target
-        self._solver.build(lin, target)
-
-    def solve(self) -> SolverResult:
-        self.answer = self._solver.solve()
-        return self.answer
 
 
 class _Exact:
@@ -238,7 +239,7 @@ class _Exact:
         self._along: tuple[bytes, bytes, bytes] | None = None
         self._commands: Array = np.empty(0)
 
-    def commands(self, asked: _Witness) -> Array:
+    def commands(self, asked: RecordingSolver) -> Array:
         """Return the commands (N+1, 2) of the problem; the last problem's solution is kept."""
         lin = asked.lin
         along = (lin.X.tobytes(), lin.U.tobytes(), np.ascontiguousarray(asked.target).tobytes())

@@ -15,7 +15,7 @@ import numpy as np
 from ltv_mpc.errors import ConfigError
 from services.tools.profile import problems
 from services.tools.profile.machine_description import Machine, load, machine
-from services.tools.profile.measure import Piqp, Samples, SolverByName, measure
+from services.tools.profile.measure import Piqp, Samples, SolverByName, controller_of, measure
 from services.tools.profile.problems import Episode, seconds
 
 YARDSTICK = Piqp()
@@ -104,7 +104,7 @@ def parse_solvers(text: str, episode: Episode) -> list[SolverByName]:
     solvers = [SolverByName(name) for name in dict.fromkeys(part.strip() for part in text.split(","))]
     for solver in solvers:
         try:
-            solver.controller(episode)
+            controller_of(solver, episode, make_solver=solver.solver_factory(episode))
         except ConfigError as error:
             raise ConfigError("option --solvers", "", error.problem, value=solver.name) from None
     return solvers

@@ -1,4 +1,4 @@
-"""A closed loop made of the nominal model alone, and the problems that it meets."""
+"""Closed loop with the nominal model, and the QPs of its cycles."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PAPER = Vehicle.load("paper")
 
 
 def rough_current(seed: int) -> CurrentProfile:
-    """A rough current of 4 cm/s: cosines of random phase."""
+    """Return a rough current of 4 cm/s: cosines of random phase."""
     rng = np.random.default_rng(seed)
     z = np.arange(71.0)
     north, east = (
@@ -35,7 +35,7 @@ def rough_current(seed: int) -> CurrentProfile:
 def descend(
     seed: int, cycles: int, config: ControllerConfig | None = None, start: dict[str, float] | None = None
 ) -> tuple[list[Estimate], list[Plan]]:
-    """A descent on the nominal model, one cycle every 0.3 s, from rest or from ``start``."""
+    """Simulate a descent of the nominal model, one cycle every 0.3 s, from rest or from ``start``."""
     controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0, depth_m=60.0), config)
     estimate = Estimate.at_rest(depth_m=0.0, **(start or {}))
     estimate = msgspec.structs.replace(estimate, current=rough_current(seed))
@@ -54,35 +54,35 @@ def descend(
 
 
 def applied(end: Start) -> Applied:
-    """The actuators' report of what they deliver."""
+    """Return the actuators' report of what they deliver."""
     return report(end.t_ns, [*end.X[6:], end.vertical_N], end.command)
 
 
 @pytest.fixture(scope="session")
 def profile() -> Callable[[int], CurrentProfile]:
-    """A current by its seed."""
+    """Return a function that makes a current from a seed."""
     return rough_current
 
 
 @pytest.fixture(scope="session")
 def closed_loop() -> Callable[..., tuple[list[Estimate], list[Plan]]]:
-    """A descent by its seed and number of cycles."""
+    """Return a function that simulates a descent from a seed and a number of cycles."""
     return descend
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """What one cycle's QP was made of."""
+    """Inputs of one cycle's QP."""
 
     form: SparseQp
     lin: Linearisation
     target: Array
-    stages: float  # since the last problem, NaN where this one has nothing to do with it
+    stages: float  # since the last problem; NaN: unrelated to it
 
 
 @pytest.fixture(scope="session")
 def cycles() -> list[Cycle]:
-    """Over 200 problems of closed loops: descents, one from 2 m off with the heading wrong."""
+    """Return over 200 problems of closed loops: descents, one from 2 m off with a wrong heading."""
     seen: list[Cycle] = []
     build = OsqpSolver.build
 

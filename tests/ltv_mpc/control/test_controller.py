@@ -1,4 +1,4 @@
-"""A cycle as a user sees it: the plan it gives, in closed loop, in hard starts, and when the solver fails."""
+"""Controller: its plans in closed loop, from hard starts, and when the solver fails; the depth law."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, advance, references
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.problem_data import pack_constants
-from ltv_mpc.control.vertical import VerticalPlan, follow
+from ltv_mpc.control.solvers import make
+from ltv_mpc.control.solvers.recorder import RecordingSolver
+from ltv_mpc.control.vertical import VerticalPlan, follow_depth
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Solve
 
@@ -63,7 +65,7 @@ def test_the_descent_holds_the_line_where_an_uncontrolled_vehicle_drifts(closed_
 
 
 @pytest.mark.parametrize(("north", "heading"), [(2.0, 1.0), (2.0, 3.0), (-2.0, 1.57), (5.0, -1.57)])
-def test_from_metres_off_with_the_heading_wrong_it_comes_back_and_stays(north, heading):
+def test_from_metres_off_with_a_wrong_heading_it_returns_and_stays(north, heading):
     controller = Controller(PAPER, POINT)
     estimate = Estimate.at_rest(north_m=north, heading_rad=heading)
     for _ in range(240):
@@ -73,8 +75,8 @@ def test_from_metres_off_with_the_heading_wrong_it_comes_back_and_stays(north, h
     assert distance(estimate) < 0.1
 
 
-def test_looking_ahead_at_the_current_is_worth_metres(profile):
-    """The preview is what makes a horizon worth having: the same loop, told the water at its own depth alone."""
+def test_preview_of_the_current_reduces_the_error(profile):
+    """The same loop with the current at the vehicle's own depth alone has nearly twice the error."""
 
     def mean_error(*, preview: bool) -> float:
         controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0, depth_m=60.0))
@@ -82,16 +84,16 @@ def test_looking_ahead_at_the_current_is_worth_metres(profile):
         estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=water)
         off = []
         for _ in range(300):
-            told = estimate
+            known = estimate
             if not preview:
                 here = np.interp([estimate.depth_m], water.depth_m, water.north_mps)
                 there = np.interp([estimate.depth_m], water.depth_m, water.east_mps)
                 flat = msgspec.structs.replace(
                     water, depth_m=np.array([estimate.depth_m]), north_mps=here, east_mps=there
                 )
-                told = msgspec.structs.replace(estimate, current=flat)
+                known = msgspec.structs.replace(estimate, current=flat)
             estimate = msgspec.structs.replace(
-                advance(PAPER, estimate, controller.plan(told), duration_s=0.3), current=water
+                advance(PAPER, estimate, controller.plan(known), duration_s=0.3), current=water
             )
             off.append(distance(estimate))
         return float(np.mean(off[30:]))
@@ -100,7 +102,7 @@ def test_looking_ahead_at_the_current_is_worth_metres(profile):
 
 
 def test_a_second_qp_a_cycle_holds_the_line_better(closed_loop):
-    """Linearised along what the first came to: what one QP a cycle loses to the nonlinear optimum is mostly back."""
+    """A second QP, linearised at the solution of the first, recovers most of the loss to the nonlinear optimum."""
 
     def mean_error(sqp_iterations: int) -> float:
         config = ControllerConfig(sqp_iterations=sqp_iterations)
@@ -111,7 +113,7 @@ def test_a_second_qp_a_cycle_holds_the_line_better(closed_loop):
 
 
 def test_dead_time_is_compensated(closed_loop):
-    """With plans that take effect 0.7 s later, the error stays near that without delay."""
+    """With plans that take effect 0.7 s later the error stays near that without delay."""
 
     def mean_error(delay_s: float) -> float:
         config = ControllerConfig(first_delay_s=delay_s)
@@ -129,7 +131,7 @@ def test_a_plan_starts_one_expected_delay_after_now():
     assert plan.expected_delay_ns == 400_000_000
 
 
-def test_a_reference_anchors_where_the_vehicle_is_at_its_start():
+def test_a_hold_drives_no_thruster_before_its_start_and_then_holds_the_position_there():
     controller = Controller(PAPER, references.Hold(start_s=0.0, depth_m=10.0))
     before = controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=4.0, depth_m=0.0), t_ns=-500_000_000))
     assert before.origin is PlanOrigin.ZERO
@@ -140,57 +142,60 @@ def test_a_reference_anchors_where_the_vehicle_is_at_its_start():
     assert after.thrust_N[-1, 2] > 30.0
 
 
-class FailsFrom:
-    """A solver that answers like the real one until told to fail."""
+class Failing:
+    """Solver factory whose solvers fail on demand."""
 
-    def __init__(self, real) -> None:
-        self.real, self.failing = real, False
+    def __init__(self) -> None:
+        self.fails = False
 
-    def __getattr__(self, name):
-        return getattr(self.real, name)
+    def __call__(self, vehicle, config):
+        factory = self
 
-    def solve(self):
-        answer = self.real.solve()
-        if not self.failing:
-            return answer
-        failed = Solve(status=SolveStatus.ITERATION_LIMIT, primal_residual=0.5, why="as asked")
-        return type(answer)(answer.commands + np.nan, failed)
+        class FailingSolver(RecordingSolver):
+            def solve(self):
+                result = super().solve()
+                if not factory.fails:
+                    return result
+                failed = Solve(status=SolveStatus.ITERATION_LIMIT, primal_residual=0.5, why="as asked")
+                return type(result)(result.commands + np.nan, failed)
+
+        return FailingSolver(make(vehicle, config))
 
 
-def test_after_a_failed_solve_the_same_cycle_sends_the_shifted_plan_and_recovers():
-    controller = Controller(PAPER, POINT)
-    controller._solver = fails = FailsFrom(controller._solver)
+def test_a_failed_solve_sends_the_previous_plan_shifted_in_the_same_cycle():
+    solver = Failing()
+    controller = Controller(PAPER, POINT, make_solver=solver)
     estimate = Estimate.at_rest(north_m=1.0)
     for _ in range(5):
         good = controller.plan(estimate)
         estimate = advance(PAPER, estimate, good, duration_s=0.3)
-    fails.failing = True
+    solver.fails = True
     shifted = controller.plan(estimate)
     assert shifted.origin is PlanOrigin.SHIFTED
     assert shifted.why == "as asked"
     np.testing.assert_allclose(shifted.thrust_N[:-1, :2], good.thrust_N[1:, :2], atol=1e-9)
-    fails.failing = False
+    solver.fails = False
     assert controller.plan(advance(PAPER, estimate, shifted, duration_s=0.3)).origin is PlanOrigin.SOLVED
 
 
-def test_if_the_first_solve_fails_a_vehicle_at_rest_stays_at_rest():
-    controller = Controller(PAPER, POINT)
-    controller._solver = fails = FailsFrom(controller._solver)
-    fails.failing = True
+def test_without_a_previous_plan_a_failed_solve_keeps_a_resting_vehicle_at_rest():
+    solver = Failing()
+    controller = Controller(PAPER, POINT, make_solver=solver)
+    solver.fails = True
     plan = controller.plan(Estimate.at_rest(north_m=1.0))
     assert plan.origin is PlanOrigin.ZERO
     assert plan.why == "as asked"
     assert not plan.thrust_N.any()
 
 
-def test_two_controllers_given_the_same_inputs_give_the_same_bits(closed_loop):
+def test_two_controllers_with_equal_inputs_return_bitwise_equal_plans(closed_loop):
     first, second = closed_loop(9, 30)[1], closed_loop(9, 30)[1]
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.thrust_N, b.thrust_N)
         np.testing.assert_array_equal(a.states, b.states)
 
 
-def test_an_unknown_solver_is_refused_by_name():
+def test_an_unknown_solver_is_rejected_by_name():
     with pytest.raises(ConfigError, match='solver = "gurobbi"'):
         Controller(PAPER, POINT, ControllerConfig(solver="gurobbi"))
 
@@ -214,27 +219,27 @@ def sink(depth_m: float, rate: float, seconds: float, vehicle: Vehicle = PAPER) 
     return out
 
 
-def test_it_ramps_down_to_a_depth_and_holds_it():
+def test_it_ramps_to_a_depth_and_holds_it():
     way = sink(8.0, 0.15, 120)
     assert way[100].depth_m == pytest.approx(0.15 * 30.3, abs=0.35)
     assert max(e.depth_m for e in way) < 8.3
     assert way[-1].depth_m == pytest.approx(8.0, abs=0.02)
 
 
-def test_the_integral_takes_up_a_buoyancy_that_the_model_does_not_know():
+def test_the_integral_compensates_a_buoyancy_error_of_the_model():
     heavier = msgspec.structs.replace(PAPER, net_buoyancy_N=24.0)
     assert sink(8.0, 0.15, 300, heavier)[-1].depth_m == pytest.approx(8.0, abs=0.02)
 
 
-def test_on_a_ramp_too_fast_for_the_thruster_the_integral_does_not_wind_up():
+def test_on_a_ramp_that_is_too_fast_the_thruster_saturates_without_windup():
     numbers = pack_constants(PAPER, Weights(), np.arange(18.0), 0.3)
-    plan = VerticalPlan(*follow(numbers, 1.0, 0.2, 62.5, 62.5, 0.0, np.full(18, 9.0), np.full(18, 0.3)))
+    plan = VerticalPlan(*follow_depth(numbers, 1.0, 0.2, 62.5, 62.5, 0.0, np.full(18, 9.0), np.full(18, 0.3)))
     np.testing.assert_array_equal(plan.thrust_N, 62.5)
     assert plan.integral_rate_N_per_s == 0.0
 
 
-def test_who_says_no_depth_gets_no_vertical_thrust():
-    """The depth that is wanted cannot be held blindly: the thruster would push to its limit and stay there."""
+def test_without_an_estimated_depth_there_is_no_vertical_thrust():
+    """Without feedback the thruster would go to its limit and stay there."""
     controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0, depth_m=30.0))
     for k in range(20):
         plan = controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=0.5), t_ns=k * 300_000_000))
@@ -251,7 +256,7 @@ def test_the_integral_grows_with_time_not_with_the_number_of_cycles(period_s):
     assert controller.save(7_000_000_000).depth_integral_N == pytest.approx(0.0506 * 7.0, rel=0.1)
 
 
-def test_an_estimate_that_is_too_old_is_named_and_the_thrusters_go_to_rest():
+def test_on_an_estimate_that_is_too_old_the_thrusters_ramp_to_rest():
     controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0, depth_m=10.0))
     old = Estimate.at_rest(north_m=1.0, depth_m=5.0)
     assert controller.plan(old, t_ns=1_000_000_000).origin is PlanOrigin.SOLVED
@@ -261,14 +266,14 @@ def test_an_estimate_that_is_too_old_is_named_and_the_thrusters_go_to_rest():
     assert not plan.thrust_N[-1].any()
 
 
-def test_a_line_does_not_begin_at_an_estimate_that_is_too_old():
+def test_a_hold_does_not_start_at_an_estimate_that_is_too_old():
     controller = Controller(PAPER, references.Hold(depth_m=10.0))
     controller.plan(Estimate.at_rest(north_m=100.0, depth_m=5.0), t_ns=3_600_000_000_000)
     fresh = msgspec.structs.replace(Estimate.at_rest(north_m=4.0, depth_m=5.0), t_ns=3_600_300_000_000)
     assert controller.plan(fresh).reference_m == (4.0, 0.0)
 
 
-def test_the_line_passes_through_the_start_though_the_first_estimate_is_later():
+def test_a_hold_starts_at_the_position_extrapolated_back_to_its_start():
     controller = Controller(PAPER, references.Hold(start_s=0.0, depth_m=10.0))
     later = msgspec.structs.replace(
         Estimate.at_rest(north_m=4.02, east_m=1.0, depth_m=0.01),

@@ -1,4 +1,4 @@
-"""What a cycle does when something fails: the next rung, in the same cycle, inside box and slew."""
+"""Fallback levels: a cycle in which something fails takes the next level, inside box and slew."""
 
 from __future__ import annotations
 
@@ -9,9 +9,16 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle, advance, references
-from ltv_mpc.control import controller as module
 from ltv_mpc.control import line_search, nominal_trajectory
+from ltv_mpc.control.prediction import Prediction
+from ltv_mpc.control.qp.sparse import SparseQp
+from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.control.solvers import make
+from ltv_mpc.control.solvers.osqp import OsqpSolver
+from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
 from ltv_mpc.messages import Health, Solve
+from ltv_mpc.references.follower import Follower
+from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import Ages
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 
@@ -37,7 +44,7 @@ def fly(controller: Controller, estimate: Estimate, cycles: int) -> tuple[Estima
 
 
 def check(plan: Plan, before: Plan | None = None) -> None:
-    """Finite, and accepted by the gate; it begins where the one before is."""
+    """Check that a plan is finite, that the gate accepts it, and that it begins at the command in force."""
     assert np.isfinite(plan.thrust_N).all()
     assert np.isfinite(plan.states).all()
     assert PlanGate(SURFACES).offer(plan, 1, 0, int(plan.t_ns[0])) is PlanVerdict.ACCEPTED
@@ -45,41 +52,44 @@ def check(plan: Plan, before: Plan | None = None) -> None:
         np.testing.assert_allclose(plan.thrust_N[0], before.thrust_at(int(plan.t_ns[0])), atol=1e-6)
 
 
-class Solver:
-    """One that answers as the real one does, or in another way."""
+class Faulty:
+    """Solver factory whose solvers do as the real ones, until ``fault`` names another way."""
 
-    def __init__(self, real) -> None:
-        self.real, self.way = real, ""
+    def __init__(self) -> None:
+        self.fault = ""
+        self.solvers: list[FaultySolver] = []
 
-    def __getattr__(self, name):
-        return getattr(self.real, name)
+    def __call__(self, vehicle, config):
+        self.solvers.append(FaultySolver(make(vehicle, config), self))
+        return self.solvers[-1]
+
+
+class FaultySolver(RecordingSolver):
+    """Solver with the fault of its factory."""
+
+    def __init__(self, solver, factory: Faulty) -> None:
+        super().__init__(solver)
+        self.factory = factory
 
     def solve(self):
-        answer = self.real.solve()
-        match self.way:
+        result = super().solve()
+        match self.factory.fault:
             case "nan":
-                return answer._replace(commands=answer.commands + np.nan)
+                return result._replace(commands=result.commands + np.nan)
             case "raises":
                 raise np.linalg.LinAlgError("as asked")
             case "residual":
                 status = SolveStatus.ITERATION_LIMIT
-                return answer._replace(solve=Solve(status=status, primal_residual=2.0, why="as asked"))
+                return result._replace(solve=Solve(status=status, primal_residual=2.0, why="as asked"))
             case "infeasible":
-                return answer._replace(solve=Solve(status=SolveStatus.INFEASIBLE, why="as asked"))
-        return answer
+                return result._replace(solve=Solve(status=SolveStatus.INFEASIBLE, why="as asked"))
+        return result
 
 
-def broken(monkeypatch, controller: Controller, way: str) -> None:
-    """From now on each solver that the controller has or makes answers so."""
-    make = module.make
-
-    def made(vehicle, config):
-        solver = Solver(make(vehicle, config))
-        solver.way = way
-        return solver
-
-    monkeypatch.setattr(module, "make", made)
-    controller._solver = made(controller.vehicle, controller.config)
+def faulty(vehicle=SURFACES, reference=POINT, config: ControllerConfig | None = None) -> tuple[Controller, Faulty]:
+    """Return a controller, and the factory that breaks its solver."""
+    factory = Faulty()
+    return Controller(vehicle, reference, config, make_solver=factory), factory
 
 
 @pytest.mark.parametrize(
@@ -91,12 +101,11 @@ def broken(monkeypatch, controller: Controller, way: str) -> None:
         ("infeasible", "as asked"),
     ],
 )
-def test_fallback_goes_from_solved_to_shifted_to_zero_and_back_to_solved(monkeypatch, way, why):
-    controller = Controller(SURFACES, POINT)
+def test_levels_follow_in_order_solved_shifted_zero_and_solved_again(way, why):
+    controller, solver = faulty()
     estimate, good = fly(controller, moving(), 5)
     assert good.origin is SOLVED
-    real = module.make
-    broken(monkeypatch, controller, way)
+    solver.fault = way
     origins, before = [], good
     for _ in range(24):
         plan = controller.plan(estimate)
@@ -111,16 +120,16 @@ def test_fallback_goes_from_solved_to_shifted_to_zero_and_back_to_solved(monkeyp
     # 17 stages, of which the plan solved last has 16 before it when the next one begins
     assert origins == [SHIFTED] * 16 + [ZERO] * 8
     np.testing.assert_array_equal(plan.thrust_N[-1, :2], [0.0, 0.0])
-    monkeypatch.setattr(module, "make", real)
+    solver.fault = ""
     recovered = controller.plan(estimate)
     assert recovered.origin is SOLVED
     check(recovered, before)
 
 
-def test_beyond_the_end_of_the_solved_plan_a_shifted_one_takes_the_thrusts_to_zero(monkeypatch):
-    controller = Controller(SURFACES, POINT)
+def test_a_shifted_plan_ramps_to_zero_beyond_the_end_of_the_solved_one():
+    controller, solver = faulty()
     estimate, _ = fly(controller, moving(), 5)
-    broken(monkeypatch, controller, "infeasible")
+    solver.fault = "infeasible"
     for _ in range(15):
         plan = controller.plan(estimate)
         estimate = advance(SURFACES, estimate, plan, duration_s=0.3)
@@ -128,10 +137,10 @@ def test_beyond_the_end_of_the_solved_plan_a_shifted_one_takes_the_thrusts_to_ze
     np.testing.assert_array_equal(plan.thrust_N[-1, :2], [0.0, 0.0])
 
 
-def test_a_long_plan_is_not_followed_blindly_for_longer_than_ten_seconds(monkeypatch):
-    controller = Controller(SURFACES, POINT, ControllerConfig(horizon_s=30.0))
+def test_a_long_plan_is_shifted_for_at_most_ten_seconds():
+    controller, solver = faulty(config=ControllerConfig(horizon_s=30.0))
     estimate, _ = fly(controller, moving(), 3)
-    broken(monkeypatch, controller, "infeasible")
+    solver.fault = "infeasible"
     origins = []
     for _ in range(36):
         plan = controller.plan(estimate)
@@ -141,11 +150,11 @@ def test_a_long_plan_is_not_followed_blindly_for_longer_than_ten_seconds(monkeyp
     assert origins[-1] is ZERO
 
 
-def test_a_motion_that_nobody_can_foresee_ends_in_thrusts_of_zero(monkeypatch):
-    """A shifted plan that is not finite is left for the next rung; the vertical thruster's law goes on."""
-    controller = Controller(SURFACES, POINT)
+def test_a_shifted_plan_with_a_motion_that_is_not_finite_gives_way_to_zero_thrust(monkeypatch):
+    """The next level is taken; the depth law continues."""
+    controller, solver = faulty()
     estimate, before = fly(controller, moving(), 20)
-    broken(monkeypatch, controller, "infeasible")
+    solver.fault = "infeasible"
     monkeypatch.setattr(
         nominal_trajectory, "shifted_trajectory", lambda _numbers, _start, _old, _stages, _C, _X, U: U.fill(math.nan)
     )
@@ -155,38 +164,43 @@ def test_a_motion_that_nobody_can_foresee_ends_in_thrusts_of_zero(monkeypatch):
     np.testing.assert_array_equal(plan.thrust_N[-1, :2], [0.0, 0.0])
 
 
-# --- whatever raises -------------------------------------------------------------------------------------------------
+# --- a part that raises ----------------------------------------------------------------------------------------------
 
 STAGES = (
-    ("_prediction", "state_at"),
-    ("_follower", "begin"),
-    ("_follower", "advance"),
-    ("_follower", "fill"),
-    ("_commands", "add"),
-    ("_commands", "at"),
-    ("estimate_gate", "check"),
-    ("_solver", "build"),
-    ("_solver", "update"),
-    ("_solver", "problem"),
+    (Prediction, "state_at"),
+    (Follower, "begin"),
+    (Follower, "advance"),
+    (Follower, "fill"),
+    (SentCommands, "add"),
+    (SentCommands, "at"),
+    (EstimateGate, "check"),
+    (OsqpSolver, "build"),
+    (OsqpSolver, "update"),
+    (SparseQp, "build"),
 )
 
 
 @pytest.mark.parametrize(("part", "method"), STAGES)
-def test_whatever_raises_the_same_cycle_has_a_plan_and_the_next_good_one_is_solved(part, method):
-    controller = Controller(SURFACES, POINT)
+def test_a_cycle_in_which_a_part_raises_has_a_plan_and_the_next_one_is_solved(part, method):
+    controller, solver = Controller(SURFACES, POINT), None
+    if part is SparseQp:  # built by the recorder of a failed QP
+        solver = Faulty()
+        controller = Controller(SURFACES, POINT, make_solver=FailureRecorder(solver))
     estimate, before = fly(controller, moving(), 5)
 
     def raises(*_, **__):
         raise MemoryError("as asked")
 
     with pytest.MonkeyPatch.context() as patch:
-        if (part, method) == ("_solver", "problem"):  # asked for after a failure only
-            broken(patch, controller, "infeasible")
-        patch.setattr(getattr(controller, part), method, raises)
+        if solver is not None:
+            solver.fault = "infeasible"
+        patch.setattr(part, method, raises)
         plan = controller.plan(estimate)
         check(plan, None if method == "at" else before)
-        if plan.origin is not SOLVED and method != "problem":
+        if plan.origin is not SOLVED:  # a cycle that is solved does not need SentCommands.at
             assert "as asked" in plan.why
+    if solver is not None:
+        solver.fault = ""
     estimate = advance(SURFACES, estimate, plan, duration_s=0.3)
     after = controller.plan(estimate)
     assert after.origin is SOLVED
@@ -195,7 +209,7 @@ def test_whatever_raises_the_same_cycle_has_a_plan_and_the_next_good_one_is_solv
 
 @pytest.mark.parametrize("method", ["choose_nominal", "line_search", "shifted_trajectory"])
 def test_compiled_code_that_raises_costs_one_fallback_level(method):
-    controller = Controller(SURFACES, POINT)
+    controller, solver = faulty()
     estimate, before = fly(controller, moving(), 5)
 
     def raises(*_):
@@ -203,59 +217,60 @@ def test_compiled_code_that_raises_costs_one_fallback_level(method):
 
     with pytest.MonkeyPatch.context() as patch:
         if method == "shifted_trajectory":
-            broken(patch, controller, "infeasible")
+            solver.fault = "infeasible"
         patch.setattr(line_search if method == "line_search" else nominal_trajectory, method, raises)
         plan = controller.plan(estimate)
         check(plan, before)
         assert plan.origin in (SHIFTED, ZERO)
+    solver.fault = ""
     assert controller.plan(advance(SURFACES, estimate, plan, duration_s=0.3)).origin is SOLVED
 
 
-# --- a solver that saw rubbish ---------------------------------------------------------------------------------------
+# --- a solver that was given NaN -------------------------------------------------------------------------------------
 
 SOLVERS = ["osqp", "riccati", "piqp", "daqp"]
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_after_rubbish_in_its_problem_a_solver_is_good_again_one_cycle_later(solver):
-    """NaN past every guard of ours, into the numbers of the QP itself, three cycles long."""
+def test_a_solver_recovers_one_cycle_after_a_problem_with_nan(solver):
+    """NaN is put into the QP's numbers, past every check, for three cycles."""
     config = ControllerConfig(solver=solver)
-    controller, spared = (Controller(SURFACES, POINT, config) for _ in range(2))
+    controller, unaffected = (Controller(SURFACES, POINT, config) for _ in range(2))
     estimate, _ = fly(controller, moving(), 4)
     begin = nominal_trajectory.choose_nominal
 
-    def rubbish(numbers, start, target, commands, stages, flat):
+    def with_nan(numbers, start, target, commands, stages, flat):
         kind = begin(numbers, start, target, commands, stages, flat)
         flat[-5:] = np.nan
         return kind
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nominal_trajectory, "choose_nominal", rubbish)
+        patch.setattr(nominal_trajectory, "choose_nominal", with_nan)
         for k in range(3):
             plan = controller.plan(estimate, t_ns=estimate.t_ns + k)
             check(plan)
             assert plan.origin is SHIFTED
             assert plan.solve.status in (SolveStatus.NON_FINITE, SolveStatus.FAILED)
-    spared.restore(controller.save(estimate.t_ns), estimate.t_ns)  # but for its solver, which has seen nothing
-    spared.estimate_gate.check(estimate)
-    after, theirs = (each.plan(estimate, t_ns=estimate.t_ns + 3) for each in (controller, spared))
+    unaffected.restore(controller.save(estimate.t_ns), estimate.t_ns)  # its solver was given no NaN
+    unaffected.estimate_gate.check(estimate)
+    after, theirs = (each.plan(estimate, t_ns=estimate.t_ns + 3) for each in (controller, unaffected))
     assert after.origin is theirs.origin is SOLVED
     np.testing.assert_allclose(after.thrust_N, theirs.thrust_N, atol=0.05)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_a_solver_that_failed_is_made_anew(solver):
-    controller = Controller(SURFACES, POINT, ControllerConfig(solver=solver))
+def test_a_solver_that_failed_is_replaced(solver):
+    controller, factory = faulty(config=ControllerConfig(solver=solver))
     estimate, _ = fly(controller, moving(), 2)
-    with pytest.MonkeyPatch.context() as patch:
-        broken(patch, controller, "raises")
-        failing = controller._solver
-        controller.plan(estimate)
+    assert len(factory.solvers) == 1
+    factory.fault = "raises"
+    controller.plan(estimate)
+    factory.fault = ""
     assert controller.plan(estimate, t_ns=estimate.t_ns + PERIOD_NS).origin is SOLVED
-    assert controller._solver is not failing
+    assert len(factory.solvers) == 2
 
 
-# --- estimates that are no estimates, or old -------------------------------------------------------------------------
+# --- implausible and old estimates -----------------------------------------------------------------------------------
 
 BAD = [
     {"north_m": math.nan},
@@ -271,7 +286,7 @@ BAD = [
 
 
 @pytest.mark.parametrize("bad", BAD)
-def test_an_invalid_estimate_is_replaced_by_the_last_one_for_one_cycle(bad):
+def test_an_implausible_estimate_is_replaced_by_the_last_plausible_one(bad):
     controller = Controller(SURFACES, POINT)
     estimate, before = fly(controller, moving(), 5)
     for _ in range(3):
@@ -289,7 +304,7 @@ def test_an_invalid_estimate_is_replaced_by_the_last_one_for_one_cycle(bad):
     check(plan, before)
 
 
-def test_who_has_never_said_anything_sound_is_not_driven_on():
+def test_without_any_plausible_estimate_the_vehicle_goes_to_failsafe():
     plan = Controller(SURFACES, POINT).plan(msgspec.structs.replace(moving(), north_m=math.nan))
     check(plan)
     assert (plan.origin, plan.health) == (ZERO, Health.FAILSAFE)
@@ -310,7 +325,7 @@ def test_who_has_never_said_anything_sound_is_not_driven_on():
         (3_600_000, "failsafe", ZERO),
     ],
 )
-def test_what_is_done_on_an_estimate_by_its_age(age_ms, health, origin):
+def test_health_and_level_follow_from_the_age_of_the_estimate(age_ms, health, origin):
     controller = Controller(SURFACES, POINT)
     for k in range(6):
         estimate = moving(k * 100_000_000)
@@ -325,7 +340,7 @@ def test_what_is_done_on_an_estimate_by_its_age(age_ms, health, origin):
     assert before.origin is SOLVED
 
 
-def test_in_hold_the_depth_is_kept_as_far_as_it_is_known():
+def test_in_hold_the_last_known_depth_is_kept():
     controller = Controller(SURFACES, references.Point(north_m=0.0, east_m=0.0, depth_m=50.0))
     estimate, before = fly(controller, msgspec.structs.replace(Estimate.at_rest(depth_m=0.0)), 60)
     assert estimate.velocity_down_mps > 0.1
@@ -334,13 +349,13 @@ def test_in_hold_the_depth_is_kept_as_far_as_it_is_known():
         plan = controller.plan(estimate, t_ns=there.t_ns)
         assert plan.origin is ZERO
         there = advance(SURFACES, there, plan, duration_s=0.3)
-    # 0.2 m/s for 1.6 s takes it 0.3 m down; from there the law takes it back.
+    # It sinks by 0.3 m in 1.6 s at 0.2 m/s; the law then brings it back.
     end = advance(SURFACES, there, plan, duration_s=4.5)
     assert end.depth_m < there.depth_m
     assert end.depth_m == pytest.approx(estimate.depth_m, abs=0.25)
 
 
-def test_a_slow_publisher_is_given_multiples_of_its_own_period():
+def test_the_age_limits_of_a_slow_publisher_are_multiples_of_its_period():
     controller = Controller(SURFACES, POINT)
     for k in range(5):
         estimate = moving(k * S)
@@ -359,7 +374,7 @@ def test_the_thresholds_are_settings():
     assert healths == ["nominal", "degraded", "hold", "failsafe"]
 
 
-def test_the_caller_s_own_inputs_can_make_it_worse_but_not_better():
+def test_the_health_of_the_caller_s_inputs_can_only_worsen_the_plan_s():
     controller = Controller(SURFACES, POINT)
     estimate = moving()
     assert controller.plan(estimate, health=Health.DEGRADED).health == "degraded"
@@ -367,7 +382,7 @@ def test_the_caller_s_own_inputs_can_make_it_worse_but_not_better():
     assert controller.plan(estimate, t_ns=2 * S, health=Health.NOMINAL).health == "hold"
 
 
-def test_a_reference_does_not_begin_on_an_old_estimate_or_move_while_held():
+def test_a_reference_neither_starts_nor_advances_in_hold():
     waiting = Controller(SURFACES, references.Hold(depth_m=10.0))
     assert waiting.plan(moving(), t_ns=2 * S).why == "the reference has not started yet"
     controller = Controller(SURFACES, references.load("line"))

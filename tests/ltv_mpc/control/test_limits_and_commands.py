@@ -1,4 +1,4 @@
-"""Box and slew on everything that is sent, also where two plans meet; which command is in force when."""
+"""Box and slew of everything that is sent, also where two plans meet; the commands in force by time."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_commands_inside_the_limits_are_left_alone(commands):
     np.testing.assert_array_equal(LIMITS.clip(commands, np.arange(float(len(commands)))), commands)
 
 
-def test_every_thruster_has_limits_of_its_own_and_is_scaled_by_its_larger_side():
+def test_every_thruster_has_its_own_limits_and_is_scaled_by_its_larger_side():
     own = {"port": {"min_N": -20.0, "max_N": 50.0, "slew_N_per_s": 40.0}, "starboard": {"min_N": -60.0, "max_N": 30.0}}
     thruster = msgspec.to_builtins(PAPER.thruster)
     changed = {name: values | own.get(name, {}) for name, values in thruster.items()}
@@ -62,8 +62,8 @@ def test_every_thruster_has_limits_of_its_own_and_is_scaled_by_its_larger_side()
     np.testing.assert_array_equal(limits.scale, [50.0, 60.0])
 
 
-def test_a_start_outside_the_box_returns_at_the_slew_limit():
-    """150 N ahead and 100 N astern, 30 N a stage; the other side stays, and so it does for a start inside."""
+def test_a_start_outside_the_box_is_brought_in_at_the_slew_limit():
+    """From 150 N and -100 N at 30 N per stage. The opposite bound stays, and so do both for a start inside."""
     low, high = LIMITS.box(np.array([150.0, -100.0]), np.arange(5.0))
     np.testing.assert_array_equal(high.T, [[120.0, 90.0, 62.5, 62.5], [62.5] * 4])
     np.testing.assert_array_equal(low.T, [[-62.5] * 4, [-70.0, -62.5, -62.5, -62.5]])
@@ -72,14 +72,14 @@ def test_a_start_outside_the_box_returns_at_the_slew_limit():
     np.testing.assert_array_equal(high, np.full((4, 2), 62.5))
 
 
-def test_commands_too_steep_or_too_strong_end_at_the_nearest_that_are_allowed():
-    """By hand: at most 30 N a knot from the knot before, then the box."""
+def test_commands_beyond_box_or_slew_become_the_nearest_allowed_ones():
+    """The expected values are worked out by hand: at most 30 N from the knot before, then the box."""
     wanted = np.array([[0.0, 0.0], [100.0, -10.0], [100.0, -50.0], [100.0, -200.0], [-100.0, 0.0]])
     allowed = [[0.0, 0.0], [30.0, -10.0], [60.0, -40.0], [62.5, -62.5], [32.5, -32.5]]
     np.testing.assert_allclose(LIMITS.clip(wanted, np.arange(float(len(wanted)))), allowed)
 
 
-def test_nothing_was_sent_so_nothing_is_in_force():
+def test_before_the_first_plan_the_commands_are_zero():
     np.testing.assert_array_equal(SentCommands(PAPER).at(np.array([0, SECOND])), np.zeros((2, 3)))
 
 
@@ -92,7 +92,7 @@ def test_a_plan_is_in_force_from_its_first_knot_and_the_next_takes_over_at_its_o
     np.testing.assert_allclose(at[:, 1], [-7.5, -15.0, -7.5, 0.0], atol=1e-6)
 
 
-def test_after_the_last_knot_every_thruster_goes_to_rest_at_its_own_slew_limit():
+def test_after_the_last_knot_every_thruster_ramps_to_rest_at_its_own_slew_limit():
     vehicle = msgspec.structs.replace(PAPER, failsafe_vertical_N=-10.0)
     sent = SentCommands(vehicle)
     sent.add(plan(0, [[0, 0, 0], [20, -10, 30]]))
@@ -111,8 +111,8 @@ def test_between_gives_both_ends_and_the_knots_inside():
     )
 
 
-def test_from_another_reported_command_the_plan_is_reached_at_the_slew_limit():
-    """A plan that came late, or a controller that has just started: the next plan begins at what is in force."""
+def test_from_a_reported_command_the_plan_is_approached_at_the_slew_limit():
+    """A plan came late, or the controller has just started: the next plan begins at the command in force."""
     sent = SentCommands(PAPER)
     sent.add(plan(0, np.full((10, 3), 40.0)))
     sent.correct(1_000_000_000, (10.0, 40.0, 62.5))
@@ -123,8 +123,8 @@ def test_from_another_reported_command_the_plan_is_reached_at_the_slew_limit():
 
 
 @pytest.mark.parametrize("thruster", range(3))
-def test_one_thruster_that_does_something_else_is_enough(thruster):
-    """Between knots, each by itself; what rounding makes is none."""
+def test_one_thruster_with_another_command_is_a_difference(thruster):
+    """Each thruster by itself, between knots; a rounding error is no difference."""
     sent = SentCommands(PAPER)
     sent.add(plan(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20], [10, 40, -20]]))
     before = [part.copy() for part in sent.knots]
@@ -136,7 +136,7 @@ def test_one_thruster_that_does_something_else_is_enough(thruster):
     np.testing.assert_allclose(sent.at(np.array([750_000_000]))[0], now)
 
 
-def test_a_new_controller_takes_the_reported_command_and_lets_it_go_to_rest():
+def test_without_a_plan_a_reported_command_ramps_to_rest():
     sent = SentCommands(PAPER)
     sent.correct(0, (50.0, -50.0, 20.0))
     at = sent.at(np.array([0, 250_000_000, 500_000_000, SECOND]))

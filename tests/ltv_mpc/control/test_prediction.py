@@ -1,4 +1,4 @@
-"""Dead time: the estimate is rolled through what was sent, lag included, to where the plan will start."""
+"""Dead time: prediction to the plan's start through the sent commands and the lag, and the expected delay."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def applied(t_ns: int, thrust=(0.0, 0.0, 0.0), **changes) -> Applied:
     return Applied(**fields | changes)
 
 
-def test_the_roll_agrees_with_an_independent_integration_through_the_same_commands():
+def test_the_prediction_agrees_with_an_independent_integration():
     commands, prediction = sent(), Prediction(PAPER)
     prediction.add_report(applied(100_000_000, (8.0, -3.0, 10.0)))
     start = prediction.state_at(estimate(200_000_000), 1_000_000_000, commands)
@@ -99,12 +99,12 @@ def test_the_roll_agrees_with_an_independent_integration_through_the_same_comman
     np.testing.assert_allclose(start.command, commands.at(np.array([1_000_000_000]))[0])
 
 
-def test_without_reports_the_thrusters_are_taken_to_do_as_they_were_told():
+def test_without_reports_the_thrusters_are_taken_to_deliver_their_commands():
     start = Prediction(PAPER).state_at(estimate(300_000_000), 300_000_000, sent())
     np.testing.assert_allclose(start.X[6:], [25.0, -10.0])
 
 
-def test_a_report_that_is_newer_than_the_estimate_does_not_hide_the_one_before_it():
+def test_a_report_newer_than_the_estimate_does_not_hide_the_one_before_it():
     prediction, commands = Prediction(PAPER), sent()
     prediction.add_report(applied(200_000_000, (1.0, 2.0, 3.0)))
     prediction.add_report(applied(300_000_000, (40.0, 40.0, 40.0)))
@@ -119,18 +119,18 @@ def test_the_current_is_constant_beyond_the_profile_and_zero_without_one():
     np.testing.assert_array_equal(currents_at_depths(None, np.array([5.0])), [[0.0, 0.0]])
 
 
-# --- how long it takes -----------------------------------------------------------------------------------------------
+# --- expected delay --------------------------------------------------------------------------------------------------
 
 
 def timing(compute_ns: int) -> CycleTiming:
     return CycleTiming(t_ns=0, compute_ns=compute_ns, compute_wall_ns=0, estimate_age_ns=0, stage_us={})
 
 
-def test_before_anything_was_measured_the_setting_counts():
+def test_before_any_measurement_the_setting_is_expected():
     assert Delay(50_000_000, 1.0).expected_ns() == 50_000_000
 
 
-def test_the_cycles_own_time_counts_until_the_actuators_report():
+def test_the_computing_time_is_used_until_the_actuators_report():
     delay = Delay(0, 1.0)
     delay.add_timing(timing(400))
     assert delay.expected_ns() == 400
@@ -151,7 +151,7 @@ def test_a_delay_that_never_varies_is_expected_as_it_is():
     assert delay.expected_ns() == 700
 
 
-def test_no_less_is_expected_than_a_setting_says():
+def test_the_expected_delay_is_at_least_min_ns():
     delay = Delay(0, 1.0, 30)
     assert delay.expected_ns() == 30
     delay.add_timing(timing(10))
@@ -160,13 +160,13 @@ def test_no_less_is_expected_than_a_setting_says():
     assert delay.expected_ns() == 40  # the median of two is the later one
 
 
-def test_the_expected_delay_is_a_quantile_plus_its_distance_from_the_median():
+def test_expected_is_a_quantile_plus_its_distance_from_the_median():
     delay = Delay(0, 1.0)
-    received(delay, 100, 100, 100, 160)
+    received(delay, 100, 100, 100, 160)  # each receipt is counted once, although it is reported three times
     assert delay.expected_ns() == 160 + (160 - 100)
 
 
-def test_what_was_long_ago_is_forgotten():
+def test_measurements_outside_the_window_are_dropped():
     delay = Delay(0, 1.0)
     received(delay, 9000)
     received(delay, *[7] * 100)
@@ -174,7 +174,7 @@ def test_what_was_long_ago_is_forgotten():
 
 
 @pytest.mark.parametrize("sequence", [-1])
-def test_no_plan_accepted_yet_is_no_receipt(sequence):
+def test_a_report_without_an_accepted_plan_is_no_receipt(sequence):
     delay = Delay(5, 1.0)
     delay.add_receipt(applied(10, plan_sequence=sequence))
     assert delay.expected_ns() == 5

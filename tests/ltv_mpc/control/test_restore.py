@@ -1,4 +1,4 @@
-"""A controller that takes another's place: armed as it was, along the same path, from the plan in force."""
+"""Restart of the controller: same authority, same progress along the path, from the plan in force."""
 
 from __future__ import annotations
 
@@ -35,27 +35,28 @@ START = Estimate.at_rest(north_m=0.3, heading_rad=0.4, depth_m=2.0)
 
 
 class Flight:
-    """A node in a closed loop of the nominal model, without delay in between."""
+    """Controller node in a closed loop with the nominal model, without delay."""
 
     def __init__(self, reference, *, node: ControllerNode | None = None, estimate: Estimate = START) -> None:
         self.node = node or ControllerNode(PAPER, reference, ControllerConfig())
+        self.reference = reference
         self.estimate = estimate
         self.plans: list[Plan] = []
         self.states: list[ControllerState] = []
         self.answers: list[Acknowledgement] = []
-        self.words: list[Message] = []  # all
+        self.messages: list[Message] = []  # all
         self._sequence = 0
 
     def arrival(self, signal: Message) -> ReceivedMessage:
         self._sequence += 1
         return ReceivedMessage(signal, 1, self._sequence, self.estimate.t_ns)
 
-    def step(self, *words: Message) -> Plan:
-        """One cycle, and what it leads to."""
-        inbox = [self.arrival(word) for word in (*words, self.estimate)]
+    def step(self, *messages: Message) -> Plan:
+        """Run one cycle, and move the vehicle by it."""
+        inbox = [self.arrival(message) for message in (*messages, self.estimate)]
         for signal in step(self.node, self.estimate.t_ns, inbox):
             assert refusal(signal) is None
-            self.words.append(signal)
+            self.messages.append(signal)
             match signal:
                 case Plan():
                     self.plans.append(signal)
@@ -72,13 +73,13 @@ class Flight:
         return plan
 
     def handed_over(self, silent_s: float, reference=None) -> tuple[Flight, ControllerState]:
-        """It dies; ``silent_s`` later another one has its place, the vehicle having followed the last plan."""
+        """Replace the node ``silent_s`` after its last plan, which the vehicle has followed since."""
         last = self.plans[-1]
         estimate = self.estimate
         if silent_s > 0:
             estimate = advance(PAPER, estimate, last, duration_s=silent_s)
         state = msgspec.structs.replace(self.states[-1], plan=last, estimate=self.estimate)
-        node = ControllerNode(PAPER, reference or self.node._reference, ControllerConfig())
+        node = ControllerNode(PAPER, reference or self.reference, ControllerConfig())
         return Flight(None, node=node, estimate=estimate), state
 
 
@@ -93,7 +94,7 @@ def armed(reference, cycles: int) -> Flight:
 
 
 @pytest.mark.parametrize("silent_s", [0.0, 1.0, 4.0])
-def test_it_comes_up_armed_solved_and_from_the_command_in_force(silent_s):
+def test_it_restarts_armed_and_solves_from_the_command_in_force(silent_s):
     before = armed(references.load("line"), 40)
     after, state = before.handed_over(silent_s)
     plan = after.step(state)
@@ -105,23 +106,23 @@ def test_it_comes_up_armed_solved_and_from_the_command_in_force(silent_s):
     assert gate.offer(plan, 2, 0, int(state.plan.t_ns[0]) + S) in FOLLOWED
 
 
-def test_a_path_goes_on_where_it_was_and_not_from_its_beginning():
+def test_a_path_continues_from_the_saved_progress():
     reference = references.load("lawnmower")
     before = armed(reference, 120)
-    spared = before.plans[-1]
+    last = before.plans[-1]
     after, state = before.handed_over(1.2)
     plan = after.step(state)
     before.fly(5)
     undisturbed = before.plans[-1]
     assert plan.progress == pytest.approx(undisturbed.progress, abs=0.01)
-    assert plan.progress >= spared.progress > 0.01
+    assert plan.progress >= last.progress > 0.01
     np.testing.assert_allclose(plan.reference_m, undisturbed.reference_m, atol=0.5)
     there = after.fly(60)
     assert there.progress > plan.progress
     assert abs(there.cross_track_m) < 0.3
 
 
-def test_here_stays_where_it_was():
+def test_a_hold_keeps_its_position():
     before = armed(references.Hold(depth_m=5.0), 30)
     after, state = before.handed_over(1.0)
     plan = after.step(state)
@@ -130,7 +131,7 @@ def test_here_stays_where_it_was():
 
 
 @pytest.mark.parametrize("action", [Action.DISARM, Action.STOP, Action.MANUAL])
-def test_who_was_in_charge_stays_in_charge(action):
+def test_the_authority_is_restored(action):
     before = armed(references.load("line"), 5)
     before.step(Command(command_id=2, action=action))
     after, state = before.handed_over(1.0)
@@ -139,7 +140,7 @@ def test_who_was_in_charge_stays_in_charge(action):
     assert not plan.thrust_N[-1].any()
 
 
-def test_after_a_restart_the_operators_reference_is_followed_not_the_first_one():
+def test_an_operator_s_reference_is_restored():
     before = armed(references.load("line"), 3)
     text = 'kind = "point"\nnorth_m = 3.0\neast_m = -2.0\ndepth_m = 4.0\n'
     before.step(Command(command_id=2, action=Action.FOLLOW, reference_toml=text))
@@ -149,8 +150,8 @@ def test_after_a_restart_the_operators_reference_is_followed_not_the_first_one()
     assert after.step(state).reference_m == (3.0, -2.0)
 
 
-def test_what_was_learned_of_depth_and_delays_is_not_learned_again():
-    """3 m above the depth that is wanted, on a machine whose cycles take 0.12 s at least."""
+def test_depth_integral_and_delays_are_restored():
+    """The vehicle is 3 m above the reference depth, and a cycle takes at least 0.12 s."""
     before = armed(references.Hold(depth_m=5.0), 3)
     for k in range(40):
         ms = 120 + k % 5
@@ -165,17 +166,17 @@ def test_what_was_learned_of_depth_and_delays_is_not_learned_again():
     plan = after.step(state)
     assert plan.expected_delay_ns == before.plans[-1].expected_delay_ns >= 124 * 10**6
     assert after.states[-1].depth_integral_N == before.states[-1].depth_integral_N
-    forgetful, _ = before.handed_over(0.0)
-    without = forgetful.step(msgspec.structs.replace(state, depth_integral_N=0.0, cycle_times_ns=()))
+    reset, _ = before.handed_over(0.0)
+    without = reset.step(msgspec.structs.replace(state, depth_integral_N=0.0, cycle_times_ns=()))
     assert (without.thrust_N[:, 2] != plan.thrust_N[:, 2]).any()
     quick = CycleTiming(
         t_ns=after.estimate.t_ns, compute_ns=10**6, compute_wall_ns=0, estimate_age_ns=0, stage_us={}
-    )  # one that says nothing beside forty
+    )  # changes nothing beside forty others
     assert after.step(quick).expected_delay_ns >= 124 * 10**6
-    assert forgetful.step(quick).expected_delay_ns < 10 * 10**6
+    assert reset.step(quick).expected_delay_ns < 10 * 10**6
 
 
-def test_what_the_vehicle_has_been_so_far_is_handed_over_and_checked_at_the_door():
+def test_the_model_monitor_s_products_are_restored_and_validated():
     before = armed(references.Hold(depth_m=5.0), 3)
     products = np.outer([0.5, 1.0, -1.0, 0.1], [0.5, 1.0, -1.0, 0.1])
     written = msgspec.structs.replace(before.states[-1], model_products=products)
@@ -187,13 +188,13 @@ def test_what_the_vehicle_has_been_so_far_is_handed_over_and_checked_at_the_door
     assert before.states[-1].model_products is None
 
 
-def test_without_anything_to_go_on_it_begins_disarmed_as_ever():
+def test_from_an_empty_state_it_begins_disarmed():
     empty = Flight(references.load("line"))
     plan = empty.step(ControllerState(t_ns=0))
     assert (plan.authority, plan.origin) == (Authority.DISARMED, PlanOrigin.ZERO)
 
 
-def test_it_writes_down_each_change_and_else_each_five_seconds():
+def test_the_state_is_published_at_each_change_and_every_five_seconds():
     flight = Flight(references.load("line"))
     flight.fly(2)
     assert [c.authority for c in flight.states] == ["disarmed"]
@@ -210,7 +211,7 @@ def test_it_writes_down_each_change_and_else_each_five_seconds():
     assert 'kind = "hold"' in flight.states[-1].reference_toml
 
 
-def test_a_plan_of_another_horizon_is_in_force_but_no_cycle_begins_from_it():
+def test_a_plan_of_another_horizon_is_in_force_but_not_shifted():
     before = armed(references.load("line"), 40)
     _, state = before.handed_over(0.0)
     after = Controller(PAPER, references.load("line"), ControllerConfig(horizon_s=2.4))
@@ -221,7 +222,7 @@ def test_a_plan_of_another_horizon_is_in_force_but_no_cycle_begins_from_it():
     np.testing.assert_allclose(plan.thrust_N[0], state.plan.thrust_at(int(plan.t_ns[0])), atol=1e-6)
 
 
-def test_two_that_were_restored_alike_give_the_same_bits():
+def test_two_nodes_restored_from_one_state_return_bitwise_equal_plans():
     before = armed(references.load("square"), 30)
     one, state = before.handed_over(1.0)
     two, _ = before.handed_over(1.0)
@@ -232,10 +233,10 @@ def test_two_that_were_restored_alike_give_the_same_bits():
     assert encode(one.plans) == encode(two.plans)
 
 
-# --- the node's own ages ---------------------------------------------------------------------------------------------
+# --- order and age of the inputs -------------------------------------------------------------------------------------
 
 
-def test_estimates_out_of_order_are_not_planned_on_and_are_counted():
+def test_estimates_out_of_order_are_ignored_and_counted():
     flight = armed(references.load("line"), 5)
     newest = flight.estimate
     node, t = flight.node, newest.t_ns
@@ -247,31 +248,31 @@ def test_estimates_out_of_order_are_not_planned_on_and_are_counted():
     ):
         plan = step(node, t + PERIOD_NS, [arrival])[0]
         assert plan.estimate_t_ns == t
-    word = node.inputs()[0]
-    assert (word.input, word.rejected, word.alive, word.valid) == ("estimate", 2, True, True)
+    state = node.inputs()[0]
+    assert (state.input, state.rejected, state.alive, state.valid) == ("estimate", 2, True, True)
 
 
-def test_reports_of_a_clock_that_jumped_ahead_do_not_make_all_that_follow_look_old():
-    """By 200 s, once: the model is checked again from the next report on."""
+def test_a_report_with_a_stamp_from_the_future_does_not_block_later_ones():
+    """One stamp is 200 s ahead; the model is checked again from the next report on."""
     still_water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
     flight = armed(references.load("line"), 5)
 
-    def said(ahead_ns: int) -> Message:
+    def applied(ahead_ns: int) -> Message:
         return report(flight.estimate.t_ns + ahead_ns, (0.0, 0.0, 0.0))
 
     for ahead_ns in (0, 0, 200 * S, *[0] * 8):
         flight.estimate = msgspec.structs.replace(flight.estimate, current=still_water)
-        flight.step(said(ahead_ns))
-    words = [signal.t_ns for signal in flight.words if isinstance(signal, ModelCheck)]
-    assert words[-1] > flight.estimate.t_ns - 2 * S
-    word = flight.node.inputs()[1]
-    assert (word.input, word.rejected, word.alive, word.valid) == ("applied", 1, True, True)
+        flight.step(applied(ahead_ns))
+    checks = [signal.t_ns for signal in flight.messages if isinstance(signal, ModelCheck)]
+    assert checks[-1] > flight.estimate.t_ns - 2 * S
+    state = flight.node.inputs()[1]
+    assert (state.input, state.rejected, state.alive, state.valid) == ("applied", 1, True, True)
 
 
-def test_health_follows_the_age_of_the_estimate_and_reports_that_fall_silent():
+def test_health_follows_the_ages_of_estimate_and_reports():
     flight = armed(references.load("line"), 12)
     node, t = flight.node, flight.estimate.t_ns - PERIOD_NS
-    said = [step(node, t + k * PERIOD_NS, [])[0] for k in range(1, 12)]
-    # 10 estimates at 0.3 s: 0.9, 1.5, 3 s
-    assert [p.health for p in said] == ["nominal"] * 3 + ["degraded"] * 2 + ["hold"] * 5 + ["failsafe"]
-    assert [p.origin for p in said] == [PlanOrigin.SOLVED] * 5 + [PlanOrigin.ZERO] * 6
+    plans = [step(node, t + k * PERIOD_NS, [])[0] for k in range(1, 12)]
+    # the period is 0.3 s, so the limits are 0.9, 1.5 and 3 s
+    assert [p.health for p in plans] == ["nominal"] * 3 + ["degraded"] * 2 + ["hold"] * 5 + ["failsafe"]
+    assert [p.origin for p in plans] == [PlanOrigin.SOLVED] * 5 + [PlanOrigin.ZERO] * 6

@@ -17,6 +17,7 @@ from ltv_mpc.control.scaling import (
     time_ratio,
     weaker_couple,
 )
+from ltv_mpc.control.solvers import make
 from ltv_mpc.errors import ConfigError
 
 PAPER = Vehicle.load("paper")
@@ -97,11 +98,16 @@ def test_a_weight_that_is_named_replaces_that_one_alone() -> None:
 
 def test_the_controller_uses_them_and_says_so() -> None:
     surface = Vehicle.load("surface")
-    controller = Controller(surface, references.Point(north_m=0.0, east_m=0.0))
+    given: list[Weights] = []
+
+    def noted(vehicle, config):
+        given.append(config.weights)
+        return make(vehicle, config)
+
+    controller = Controller(surface, references.Point(north_m=0.0, east_m=0.0), make_solver=noted)
     assert isinstance(controller.config, ResolvedConfig)
     assert controller.config.weights == default_weights(surface) != Weights()
-    assert controller._numbers[0] == default_weights(surface).position_per_m2
-    assert controller._solver.form.weights == default_weights(surface)
+    assert given == [default_weights(surface)]
 
 
 def test_a_named_weight_outside_its_bounds_is_refused(tmp_path) -> None:

@@ -1,4 +1,4 @@
-"""What the controller could not solve ends up in files, once each, and not without end."""
+"""Failed QPs: each is written to a file once, up to a maximum number of files."""
 
 from __future__ import annotations
 
@@ -26,60 +26,60 @@ def failure():
     return lambda: FailedQp(qp, form.row_names, solve)
 
 
-def shown(keeper, t_ns):
-    keeper.show(SimpleNamespace(t_ns=t_ns), 0)
+def shown(writer, t_ns):
+    writer.show(SimpleNamespace(t_ns=t_ns), 0)
 
 
-def test_each_failure_is_kept_once_and_a_person_is_told_how_to_see_it(failure, tmp_path):
-    controller, said = SimpleNamespace(failed=None), []
-    keeper = FailedQps(controller, tmp_path / "failed", said.append)
-    shown(keeper, 1)
+def test_each_failure_is_written_once_and_announced(failure, tmp_path):
+    recorder, lines = SimpleNamespace(failed=None), []
+    writer = FailedQps(recorder, tmp_path / "failed", lines.append)
+    shown(writer, 1)
     assert not (tmp_path / "failed").exists()
-    controller.failed = failure()
-    shown(keeper, 2)
-    shown(keeper, 3)
+    recorder.failed = failure()
+    shown(writer, 2)
+    shown(writer, 3)
     (path,) = (tmp_path / "failed").iterdir()
     assert path.name == "qp-2.npz"
-    assert said == [
+    assert lines == [
         f"a QP was not solved (slew of port in stage 2 violated by 3 N); saved: ltv-mpc qp show {path}",
     ]
-    np.testing.assert_array_equal(FailedQp.load(path).qp.q, controller.failed.qp.q)
+    np.testing.assert_array_equal(FailedQp.load(path).qp.q, recorder.failed.qp.q)
 
 
-def test_it_keeps_no_more_than_it_says(failure, tmp_path, monkeypatch):
-    monkeypatch.setattr(failed_qps, "MOST", 2)
-    controller = SimpleNamespace(failed=None)
-    keeper = FailedQps(controller, tmp_path, lambda _text: None)
+def test_at_most_max_files_are_written(failure, tmp_path, monkeypatch):
+    monkeypatch.setattr(failed_qps, "MAX_FILES", 2)
+    recorder = SimpleNamespace(failed=None)
+    writer = FailedQps(recorder, tmp_path, lambda _text: None)
     for t_ns in range(4):
-        controller.failed = failure()
-        shown(keeper, t_ns)
+        recorder.failed = failure()
+        shown(writer, t_ns)
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_a_folder_that_cannot_be_written_is_said_and_ends_nothing(failure, tmp_path):
+def test_a_folder_that_cannot_be_written_is_reported(failure, tmp_path):
     (tmp_path / "file").write_text("in the way")
-    said = []
-    shown(FailedQps(SimpleNamespace(failed=failure()), tmp_path / "file", said.append), 1)
-    assert "cannot be saved" in said[0]
+    lines = []
+    shown(FailedQps(SimpleNamespace(failed=failure()), tmp_path / "file", lines.append), 1)
+    assert "cannot be saved" in lines[0]
 
 
-def test_qp_show_solves_it_again_and_says_what_holds_it_back(failure, tmp_path, capsys):
-    kept = failure()
-    kept.save(tmp_path / "one.npz")
+def test_qp_show_solves_it_again_and_lists_the_active_rows(failure, tmp_path, capsys):
+    failed = failure()
+    failed.save(tmp_path / "one.npz")
     assert run(["qp", "show", str(tmp_path / "one.npz"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["rows"] == len(kept.rows)
-    assert told["failed"]["iterations"] == 400
-    assert told["solved_again"]["status"] == "solved"
-    assert told["solved_again"]["stationarity"] < 1e-4
-    x = [name for name in told["solved_again"]["active"] if name.startswith("slew of")]
-    assert x  # 30 N a stage is less than the motion drawn at random asks for
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["rows"] == len(failed.rows)
+    assert printed["failed"]["iterations"] == 400
+    assert printed["solved_again"]["status"] == "solved"
+    assert printed["solved_again"]["stationarity"] < 1e-4
+    slew = [name for name in printed["solved_again"]["active"] if name.startswith("slew of")]
+    assert slew  # the random motion needs more than 30 N per stage
     assert run(["qp", "show", str(tmp_path / "one.npz")]) == 0
     text = capsys.readouterr().out
     assert "slew of port in stage 2 violated by 3 N" in text
     assert "active    slew of" in text
 
 
-def test_a_file_that_is_none_is_refused(tmp_path, capsys):
+def test_a_missing_file_is_rejected(tmp_path, capsys):
     assert run(["qp", "show", str(tmp_path / "none.npz")]) == 2
     assert "no such file" in capsys.readouterr().err

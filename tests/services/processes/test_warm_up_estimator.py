@@ -1,4 +1,4 @@
-"""After its rehearsal the estimator meets no code that is still to be compiled."""
+"""Warm-up of the estimator: no function is left to be compiled after it."""
 
 import subprocess
 import sys
@@ -77,7 +77,7 @@ assert before == after, {key: (before.get(key), count) for key, count in after.i
 """
 
 
-def test_no_function_is_compiled_after_the_rehearsal():
+def test_no_function_is_compiled_after_the_warm_up():
     """In processes of their own: whatever else the tests have compiled would hide it."""
     for suite in ("base", "full"):
         done = subprocess.run(

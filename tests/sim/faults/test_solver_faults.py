@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltv_mpc.control import controller
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.messages import Solve, SolveStatus
+from ltv_mpc.vehicle.parameters import Vehicle
 from sim.faults.interval import Interval
 from sim.faults.solver_faults import (
     FaultySolver,
@@ -15,7 +17,7 @@ from sim.faults.solver_faults import (
     SolverClock,
     SolverFault,
     SolverFaultInterval,
-    inject_solver_faults,
+    faulty_solvers,
 )
 
 INTERVAL = Interval(100, 200)
@@ -51,10 +53,8 @@ def test_in_its_spell_there_is_no_finite_command():
         answer(SolverFault.RAISES, 150)
 
 
-def test_solvers_made_while_it_lasts_are_in_trouble_and_those_made_after_are_not(monkeypatch):
-    monkeypatch.setattr(controller, "make", lambda *_: Good())
-    with inject_solver_faults([SolverFaultInterval(SolverFault.FAILS, INTERVAL)], SolverClock()):
-        made = controller.make("vehicle", "config")
-        assert isinstance(made, FaultySolver)
-        assert made.reset_warm_start() == "forgotten"
-    assert isinstance(controller.make("vehicle", "config"), Good)
+def test_the_factory_wraps_the_solver_that_the_settings_name():
+    factory = faulty_solvers([SolverFaultInterval(SolverFault.FAILS, INTERVAL)], SolverClock())
+    solver = factory(Vehicle.load("paper"), ControllerConfig())
+    assert isinstance(solver, FaultySolver)
+    assert isinstance(solver.form, SparseQp)  # everything else is the solver's own

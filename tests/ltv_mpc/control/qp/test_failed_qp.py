@@ -13,6 +13,7 @@ from ltv_mpc.control.config import Weights
 from ltv_mpc.control.qp.failed_qp import FailedQp, worst_violation
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import SparseQp
+from ltv_mpc.control.solvers.recorder import FailureRecorder
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Solve
 from tests.ltv_mpc.control.problems import LIMITS, equidistant, motion
@@ -179,13 +180,12 @@ def test_a_head_that_lies_is_refused_before_anything_is_made(tmp_path, parts, sh
 
 def test_a_cycle_that_is_not_solved_says_which_row_is_violated_and_keeps_its_problem():
     """Twelve iterations are not enough 2 m off with the heading wrong; what they came to is inside box and slew."""
-    controller = Controller(
-        PAPER, references.Point(north_m=0.0, east_m=0.0), ControllerConfig(max_iterations=12, tolerance=1e-9)
-    )
-    assert controller.failed is None
+    recorder, config = FailureRecorder(), ControllerConfig(max_iterations=12, tolerance=1e-9)
+    controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0), config, make_solver=recorder)
+    assert recorder.failed is None
     plan = controller.plan(Estimate.at_rest(north_m=2.0, heading_rad=2.0))
     assert plan.origin is PlanOrigin.SOLVED
-    failed = controller.failed
+    failed = recorder.failed
     assert failed is not None
     assert failed.solve is plan.solve
     assert plan.solve.status is SolveStatus.ITERATION_LIMIT

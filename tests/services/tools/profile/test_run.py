@@ -16,6 +16,7 @@ import pytest
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, SolveStatus
 from ltv_mpc.node import Cycle, Inbox, Node
@@ -25,7 +26,6 @@ from services.run import folder
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from services.tools.profile import machine, problems, table
-from services.tools.profile import measure as measuring
 from services.tools.profile import run as profile
 from services.tools.profile.measure import STAGES, Contestant, Piqp, Samples, SolverByName, measure
 from tests.stepping import OneByOne, step
@@ -186,13 +186,13 @@ def test_a_bad_option_is_refused_by_name(options: list[str], says: str, capsys: 
 def test_every_candidate_has_the_drivers_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also the one that cannot converge, whose own plans would lead it elsewhere."""
     asked: list[tuple[object, bytes, bytes]] = []
-    build = measuring._Witness.build
+    build = RecordingSolver.build
 
     def noted(self: Any, lin: Any, reference: Any) -> None:
         asked.append((self, lin.X.tobytes(), lin.U.tobytes()))
         build(self, lin, reference)
 
-    monkeypatch.setattr(measuring._Witness, "build", noted)
+    monkeypatch.setattr(RecordingSolver, "build", noted)
     episode = problems.simulated(6, 20, seed=3)[0]
     assert episode.cycles == 10
     measured([loose(episode, 1e-1)], OSQP, PIQP)

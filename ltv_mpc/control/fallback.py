@@ -1,0 +1,198 @@
+"""Fallback levels: lateral plans for a cycle in which the QP gives none.
+
+    shifted   the rest of the plan that was solved last, on the new knots; zero thrust beyond its end. At most
+              ``MAX_SHIFT_NS`` after that plan began
+    zero      both lateral thrusters ramp to zero at their slew limits
+
+The level is named in the plan (``Plan.origin``), with the reason (``Plan.why``). Every level keeps box and slew, and
+begins at the commands in force.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ltv_mpc.control import nominal_trajectory
+from ltv_mpc.control.config import STAGE_NS
+from ltv_mpc.control.prediction import Start
+from ltv_mpc.control.vertical import ramp
+from ltv_mpc.messages import Array, Plan, PlanOrigin, Solve, SolveStatus, Times
+from ltv_mpc.vehicle.flow import STATES
+from ltv_mpc.vehicle.parameters import Vehicle
+
+MAX_SHIFT_NS = 10_000_000_000
+"""Longest time for which a plan is followed after it was solved: its preview of the current grows old."""
+
+NOT_RUN = Solve(status=SolveStatus.NOT_RUN)
+"""Account of a solver that was not called."""
+
+
+class LateralPlan(NamedTuple):
+    """Lateral part of a plan."""
+
+    X: Array  # (N+1, 8) states at the knots
+    U: Array  # (N+1, 2) commands of port and starboard at the knots (N)
+    origin: PlanOrigin
+    solve: Solve
+    why: str  # reason why it is not the QP's plan; empty if it is
+
+
+class PreviousPlan:
+    """Plan that was sent last: the next cycle linearises along it, or sends the rest of it.
+
+    Only a plan that came from a solve, or is what was left of one, is used so.
+    """
+
+    def __init__(self, knots_ns: Times) -> None:
+        """Start without a plan; ``knots_ns`` (N+1,) are the knots after the plan's start (ns)."""
+        self.knots_ns = knots_ns
+        self.plan: Plan | None = None
+        """The plan, whatever it came from."""
+        self.solved_until_ns = 0
+        """End of what was solved, vehicle time (ns): a shifted plan ramps to zero from here on."""
+        self._no_commands = np.zeros((len(knots_ns), 2))
+        self._max_shift_ns = min(int(knots_ns[-1]), MAX_SHIFT_NS)
+
+    def record(self, plan: Plan) -> None:
+        """Record the plan of a cycle.
+
+        Parameters
+        ----------
+        plan : is sent by this cycle.
+        """
+        self.plan = plan
+        if plan.origin is PlanOrigin.SOLVED:
+            self._set_end(plan)
+
+    def restore(self, plan: Plan) -> None:
+        """Continue from the last plan of another controller.
+
+        Parameters
+        ----------
+        plan : is in force at the actuators. If its horizon is another one, no cycle can begin from it.
+        """
+        self._set_end(plan)
+        same_knots = np.array_equal(plan.t_ns - plan.t_ns[0], self.knots_ns)
+        self.plan = plan if same_knots else None
+
+    def clear(self) -> None:
+        """Begin the next cycle from no plan."""
+        self.plan = None
+
+    def lateral_commands(self, start_ns: int) -> tuple[float, Array]:
+        """Return the lateral commands of a plan that came from a solve.
+
+        Parameters
+        ----------
+        start_ns : start of the new plan, vehicle time (ns).
+
+        Returns
+        -------
+        How many stages of 0.3 s the plan began before ``start_ns``, and its commands (N+1, 2) in N. NaN and zeros if
+        there is no such plan.
+        """
+        plan = self.plan
+        if plan is None or (plan.origin is not PlanOrigin.SOLVED and plan.origin is not PlanOrigin.SHIFTED):
+            return math.nan, self._no_commands
+        return (start_ns - int(plan.t_ns[0])) / STAGE_NS, np.ascontiguousarray(plan.thrust_N[:, :2])
+
+    def _set_end(self, plan: Plan) -> None:
+        self.solved_until_ns = int(plan.t_ns[0]) + self._max_shift_ns
+
+
+class Fallback:
+    """Lateral plans below the solved one."""
+
+    def __init__(self, numbers: Array, previous: PreviousPlan) -> None:
+        """Prepare the levels.
+
+        Parameters
+        ----------
+        numbers : packed constants (``problem_data.pack_constants``).
+        previous : plan that was sent last; its owner keeps it up to date.
+        """
+        self._numbers = numbers
+        self._previous = previous
+        self._zero = np.zeros((len(previous.knots_ns), 2))
+
+    def plan(self, start: Start, C: Array, solve: Solve) -> LateralPlan:
+        """Return the plan of the first level that gives one.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        C : (N+1, 2) current at the knots (m/s), finite.
+        solve : account of the solve that gave no plan.
+        """
+        shifted = self.shift(start, C, solve) if start.t_ns < self._previous.solved_until_ns else None
+        return shifted or self.ramp(start, C, solve.why)._replace(solve=solve)
+
+    def shift(self, start: Start, C: Array, solve: Solve) -> LateralPlan | None:
+        """Return the rest of the previous plan on the new knots, with zero thrust beyond the end of what was solved.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        C : (N+1, 2) current at the knots (m/s), finite.
+        solve : account of the solve that gave no plan.
+
+        Returns
+        -------
+        The plan; None if there is no plan to shift, or if the predicted motion is not finite.
+        """
+        stages, commands = self._previous.lateral_commands(start.t_ns)
+        if math.isnan(stages):
+            return None
+        X, U = self.empty()
+        nominal_trajectory.shifted_trajectory(self._numbers, start.lateral, commands, stages, C, X, U)
+        goal = U.copy()
+        goal[start.t_ns + self._previous.knots_ns > self._previous.solved_until_ns] = 0.0
+        nominal_trajectory.ramp_to(self._numbers, start.lateral, goal, C, X, U)
+        if not (np.isfinite(X).all() and np.isfinite(U).all()):
+            return None
+        return LateralPlan(X, U, PlanOrigin.SHIFTED, solve, solve.why)
+
+    def ramp(self, start: Start, C: Array, why: str, goal: Array | None = None) -> LateralPlan:
+        """Ramp the lateral thrusters to a goal at their slew limits.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        C : (N+1, 2) current at the knots (m/s).
+        why : reason that the plan gives.
+        goal : (N+1, 3) thrusts of all thrusters at the knots (N); zero if None.
+        """
+        X, U = self.empty()
+        lateral = self._zero if goal is None else np.ascontiguousarray(goal[:, :2])
+        nominal_trajectory.ramp_to(self._numbers, start.lateral, lateral, C, X, U)
+        origin = PlanOrigin.MANUAL if goal is not None and goal.any() else PlanOrigin.ZERO
+        return LateralPlan(np.nan_to_num(X, posinf=0.0, neginf=0.0), U, origin, NOT_RUN, why)
+
+    def empty(self) -> tuple[Array, Array]:
+        """Return uninitialised states (N+1, 8) and commands (N+1, 2) of a plan."""
+        knots = len(self._zero)
+        return np.empty((knots, STATES)), np.empty((knots, 2))
+
+
+def ramp_to_rest(vehicle: Vehicle, command_N: Array, knots_ns: Times, vertical_N: float) -> Array:
+    """Ramp all thrusters to rest at their slew limits, without any model of the vehicle's motion.
+
+    Parameters
+    ----------
+    vehicle : slew limits of its thrusters are used.
+    command_N : (3,) commands of port, starboard and vertical in force at the first knot (N).
+    knots_ns : (N+1,) knots, vehicle time (ns).
+    vertical_N : command of the vertical thruster at rest (N); the lateral ones rest at zero.
+
+    Returns
+    -------
+    (N+1, 3) commands (N).
+    """
+    thrust = np.empty((len(knots_ns), 3))
+    for i, (thruster, rest) in enumerate(zip(vehicle.thrusters, (0.0, 0.0, vertical_N), strict=True)):
+        goal = np.full(len(knots_ns), rest)
+        thrust[:, i] = ramp(float(command_N[i]), goal, knots_ns, thruster.slew_N_per_s)
+    return thrust

@@ -1,0 +1,167 @@
+"""Lateral plan: port and starboard thrust over the horizon, by sequential quadratic programming.
+
+    previous plan --choose_nominal--> LTV model along it --build--> QP --solve--> commands --line_search--> trajectory
+                         ^                                                                                     |
+                         +---------------------- relinearise, ``sqp_iterations`` times ------------------------+
+
+A cycle whose QP gives no usable commands takes the next fallback level (``fallback.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from ltv_mpc.control import line_search, nominal_trajectory
+from ltv_mpc.control.config import ResolvedConfig
+from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
+from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.prediction import Start, fill_currents, profile_of
+from ltv_mpc.control.solvers import Solver, SolverFactory
+from ltv_mpc.messages import Array, Estimate, PlanOrigin, Solve, SolveStatus, Times
+from ltv_mpc.node import Stopwatch
+from ltv_mpc.vehicle.parameters import Vehicle
+
+MAX_PRIMAL_RESIDUAL = 1.0
+"""Largest primal residual with which an early-terminated solution is used; scaled, so that 1 is one metre or the whole
+thrust of a thruster."""
+
+MAX_WHY_CHARS = 200
+"""Longest text of an exception in a plan."""
+
+
+class LateralPlanner:
+    """Lateral plans of one vehicle: the QP's solution, or the first fallback level that gives a plan."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        config: ResolvedConfig,
+        numbers: Array,
+        *,
+        knots_ns: Times,
+        make_solver: SolverFactory,
+        stopwatch: Stopwatch,
+    ) -> None:
+        """Make the solver and the arrays of a cycle.
+
+        Parameters
+        ----------
+        vehicle, config : as ``make_solver`` takes them.
+        numbers : packed constants (``problem_data.pack_constants``).
+        knots_ns : (N+1,) knots after a plan's start (ns).
+        make_solver : called now, and again after a solve that failed.
+        stopwatch : is called with a stage's name when that stage of a cycle ends.
+        """
+        self.target = np.zeros((config.stages + 1, 2))
+        """Target positions at knots 1 .. N (m), then the target velocity at the last one (m/s): ``Solver.build``."""
+        self.previous = PreviousPlan(knots_ns)
+        self._numbers = numbers
+        self._lin = Linearisation.empty(config.stages)
+        self._sqp_iterations = config.sqp_iterations
+        self._fallback = Fallback(numbers, self.previous)
+        self._make_solver: Callable[[], Solver] = lambda: make_solver(vehicle, config)
+        self._solver = self._make_solver()
+        self._solver_is_suspect = False
+        self._lap = stopwatch
+
+    def set_current(self, estimate: Estimate, depth_m: Array) -> None:
+        """Set the current along the horizon.
+
+        Parameters
+        ----------
+        estimate : its current profile is used; no current if it has none.
+        depth_m : (N+1,) predicted depths at the knots (m).
+        """
+        profile = profile_of(estimate)
+        fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._lin.C)
+
+    def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
+        """Ramp the lateral thrusters to a goal at their slew limits.
+
+        Parameters
+        ----------
+        start, why, goal : as ``Fallback.ramp`` takes them; the current is the one that was set.
+        """
+        return self._fallback.ramp(start, self._lin.C, why, goal)
+
+    def plan(self, start: Start) -> LateralPlan:
+        """Return the QP's plan, or that of the first fallback level that gives one.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start. Target and current are set before.
+        """
+        try:
+            if self._solver_is_suspect:  # its workspace may hold numbers that are not finite
+                self._solver, self._solver_is_suspect = self._make_solver(), False
+            plan: LateralPlan | Solve = self._solve(start)
+        except Exception as error:  # every solver raises its own exceptions; here a failed solve is a value
+            plan = Solve(status=SolveStatus.FAILED, why=f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS])
+        return self._fall_back(start, plan) if isinstance(plan, Solve) else plan
+
+    def distrust_solver(self) -> None:
+        """Make a new solver before the next solve."""
+        self._solver_is_suspect = True
+
+    def _solve(self, start: Start) -> LateralPlan | Solve:
+        """Solve ``sqp_iterations`` QPs, each along the trajectory of the one before.
+
+        Returns the plan, or the account of the solve that gave no usable one.
+        """
+        lin, numbers, target = self._lin, self._numbers, self.target
+        self._linearise(start)
+        X, U = self._fallback.empty()
+        for left in range(self._sqp_iterations, 0, -1):
+            self._lap("linearise")
+            self._solver.build(lin, target)
+            self._lap("build")
+            self._solver.update()
+            self._lap("update")
+            commands, solve = self._solver.solve()
+            self._lap("solve")
+            if solve.status is not SolveStatus.SOLVED:
+                if not is_usable(commands, solve):
+                    return solve
+                # The line search brings it into box and slew, and takes it only as far as the cost does not rise.
+            elif not math.isfinite(np.vdot(commands, commands)):
+                return Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
+            step = line_search.line_search(numbers, lin, target, commands, X, U)
+            # A step above zero has a finite cost, so its states and commands are finite.
+            if step == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
+                return Solve(status=SolveStatus.NON_FINITE, why="the predicted motion is not finite")
+            if left > 1:
+                nominal_trajectory.relinearise(numbers, lin, X, U)
+        return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
+
+    def _linearise(self, start: Start) -> None:
+        """Linearise along the previous plan on the new knots, or along a steering guess if that costs less."""
+        stages, commands = self.previous.lateral_commands(start.t_ns)
+        kind = nominal_trajectory.choose_nominal(self._numbers, start.lateral, self.target, commands, stages, self._lin)
+        if kind == nominal_trajectory.PREVIOUS_PLAN:
+            self._solver.shift_warm_start(stages)
+        else:
+            self._solver.reset_warm_start()
+
+    def _fall_back(self, start: Start, solve: Solve) -> LateralPlan:
+        """Return the plan of the first fallback level that gives one."""
+        self._solver_is_suspect = True
+        np.nan_to_num(self._lin.C, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        return self._fallback.plan(start, self._lin.C, solve)
+
+
+def is_usable(commands: Array, solve: Solve) -> bool:
+    """Return True if an early-terminated solution is finite and its primal residual is at most MAX_PRIMAL_RESIDUAL.
+
+    Parameters
+    ----------
+    commands : (N+1, 2) lateral commands at the knots (N).
+    solve : the solver's account.
+    """
+    return (
+        solve.status is SolveStatus.ITERATION_LIMIT
+        and solve.primal_residual <= MAX_PRIMAL_RESIDUAL
+        and bool(np.isfinite(commands).all())
+    )
