@@ -23,7 +23,7 @@ def ctl(
     *,
     bus: BusOptions,
 ) -> int:
-    """Send a command to a running controller: arm, stop, hold, ...
+    """Send a command to a running controller.
 
     Waits for the reply, at most 3 s. Exit code 1 and the reason if the controller rejects the command.
     """

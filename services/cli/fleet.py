@@ -53,10 +53,10 @@ def fleet(
     from services.runtime.stopping import DONE, FAILED
     from services.tools.fleet import text, trial
     from services.tools.fleet.fleet import Fleet
-    from services.tools.profile import machine
+    from services.tools.profile import machine_description
 
     place = None if out is None else folders.make("fleet", {}, out=out, force=force).path
-    load = machine.load()
+    load = machine_description.load()
     common = Fleet(
         vehicles=1,
         vehicle=vehicle,
@@ -71,7 +71,7 @@ def fleet(
     except trial.TrialFailed as error:
         typer.echo(f"fleet: {error}", err=True)
         return FAILED
-    result = {"rows": msgspec.to_builtins(rows), "machine": machine.machine(load)}
+    result = {"rows": msgspec.to_builtins(rows), "machine": machine_description.machine(load)}
     if place is not None:
         (place / "fleet.json").write_bytes(msgspec.json.format(msgspec.json.encode(result)))
     typer.echo(msgspec.json.encode(result).decode() if as_json else text.text(rows))

@@ -52,7 +52,7 @@ def profile(
         Path | None, typer.Option("--out", metavar="DIR", help="Also write profile.json and .png into this folder.")
     ] = None,
 ) -> int:
-    """Measure the time of a control cycle and of its stages, by solver and horizon.
+    """Measure the time of a control cycle by solver and horizon.
 
     The cycles come from closed loops in lock step with the true state: half of them from the paper's descent, a quarter
     with a current of 4 cm/s that the controller does not know, a quarter that start 2 m off with a heading error of up

@@ -14,7 +14,7 @@ qp = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["
 
 @qp.callback()
 def _about() -> None:
-    """Show a QP that was not solved, or export the QP as C code: show FILE | export-c DIR."""
+    """Show a QP that was not solved, or export the QP as C."""
 
 
 @qp.command()

@@ -78,7 +78,7 @@ def recover(parts: Sequence[Path], out: Path) -> Recovery:
     try:
         file = out.open("xb")
     except FileExistsError:
-        raise ConfigError(f"recovery {out}", "", "exists already: name another with --out") from None
+        raise ConfigError(f"recovery {out}", "", "exists: name another with --out") from None
     try:
         with file:
             recovery = _Copy(file).run(parts, out)

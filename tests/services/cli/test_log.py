@@ -49,7 +49,7 @@ def test_recover_writes_beside_and_a_whole_run_needs_none(folder: Path, capsys: 
     assert run(["log", "info", made["file"], "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["recovered"]
     assert run(["log", "recover"]) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "exists: name another with --out" in capsys.readouterr().err
 
 
 def test_export_writes_one_folder_and_rejects_one_that_is_not_empty(
