@@ -13,7 +13,7 @@ from rich.progress import Progress
 
 from benchmarks.peers import known, table
 from benchmarks.peers.loop import Entry, Held, closed
-from services.tools.profile import machine, problems
+from services.tools.profile import machine_description, problems
 from services.tools.profile.measure import Contestant, SolverByName, measure
 from services.tools.profile.problems import Episode, seconds
 from services.tools.profile.run import WARM_UP, YARDSTICK, Spread
@@ -59,7 +59,7 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
     for file in missing:
         console.print(f"not installed: what benchmarks/peers/{file}.py needs (extra bench)")
     who = OURS | {Entry(peer): peer.name for peer in peers}
-    load = machine.load()
+    load = machine_description.load()
     with Progress(console=console) as progress:
         task = progress.add_task("time, on the same problems", total=cycles)
         samples = measure(
@@ -92,7 +92,7 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
         lines,
         title=f"A control step of {stages} stages ({seconds(stages):.1f} s) beside other tools",
         notes=[*NOTES, f"{cycles} cycles for the times, {seeds} x {cycles} for the errors; `make bench`."],
-        machine=machine.machine(load, PACKAGES),
+        machine=machine_description.machine(load, PACKAGES),
         packages=PACKAGES,
     )
 

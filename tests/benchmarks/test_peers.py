@@ -20,7 +20,7 @@ from ltv_mpc.messages import Array, SolveStatus
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.flow import substeps
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.tools.profile import machine, problems
+from services.tools.profile import machine_description, problems
 from services.tools.profile.measure import SolverByName
 from services.tools.profile.run import Spread
 
@@ -188,7 +188,7 @@ def test_the_table_has_time_beside_error() -> None:
             held={"descent": Held(off_m, 11.0, 1), "hard": Held(2 * off_m, 22.0, 2)},
         )
 
-    here = machine.machine(machine.load(), ("numpy", "casadi"))
+    here = machine_description.machine(machine_description.load(), ("numpy", "casadi"))
     text = table.markdown(
         [line("ours", "QP", 80.0, 0.05), line("theirs", "NLP", 4000.0, 0.06)],
         title="T",

@@ -24,7 +24,7 @@ from services.run import folder
 from services.tools import page_tables
 from services.tools.paper import descents, tables, timing, water
 from services.tools.paper.settings import RECORDED
-from services.tools.profile import machine
+from services.tools.profile import machine_description
 
 TABLES = ("descents", "seeds", "timing", "water")
 FIGURES = "figures.json"
@@ -129,7 +129,7 @@ def make(options: Options) -> tables.Figures:
     figures = tables.Figures(
         made_with=f"seed {descents.SEED} recorded, seeds 0 to {options.seeds - 1} averaged,"
         f" {options.duration_s:g} s after {options.surface_s:g} s afloat",
-        machine=machine.line(timed.machine),
+        machine=machine_description.line(timed.machine),
         tables=(
             tables.descents({key: summary for key, (_, summary) in recorded.items()}),
             tables.seeds(averaged),

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
-from services.tools.profile import machine
+from services.tools.profile import machine_description
 from services.tools.profile.measure import Samples
 from services.tools.profile.run import Measured, Row
 
@@ -56,7 +56,7 @@ def draw(measured: Measured, out: Path) -> None:
         unused.set_axis_off()
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
-    figure.suptitle(machine.line(measured.profile.machine), fontsize=7)
+    figure.suptitle(machine_description.line(measured.profile.machine), fontsize=7)
     figure.savefig(out, dpi=160)
     plt.close(figure)
 

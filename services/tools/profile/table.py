@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from services.tools.profile import machine
+from services.tools.profile import machine_description
 from services.tools.profile.measure import STAGES
 from services.tools.profile.run import Profile, Row
 
@@ -23,7 +23,7 @@ def text(profile: Profile) -> str:
             f"cycles at each horizon: {kinds}; solvers interleaved, in a new random order each cycle",
             "off: of the first free thrust from the exact solution of the same QP; of PIQP: whole cycle over that of"
             " PIQP native, by its own interface",
-            machine.line(profile.machine),
+            machine_description.line(profile.machine),
         ]
     )
 

@@ -53,7 +53,7 @@ def test_a_restarted_recorder_writes_the_next_segment_and_the_join_is_complete(p
                 put(writer, sequence)
     assert [p.name for p in sorted(path.parent.iterdir())] == ["run.2.mcap", "run.3.mcap", "run.mcap"]
     (said,) = join.segments_of(path)
-    assert said == "3 segments of the recording joined, 6 messages; 0 bytes lost"
+    assert said == "3 segments of the recording joined, 6 messages; 0 bytes were damaged"
     assert sequences(path) == [0, 1, 3, 4, 6, 7]
     assert [p.name for p in path.parent.iterdir()] == ["run.mcap"]
     assert list(join.segments_of(path)) == []
@@ -70,7 +70,7 @@ def test_a_segment_that_was_cut_by_a_kill_is_joined_up_to_its_last_whole_message
     with opened(path) as writer:
         put(writer, 2)
     (said,) = join.segments_of(path)
-    assert said.endswith("3 bytes lost")
+    assert said.endswith("3 bytes were damaged")
     assert sequences(path) == [0, 2]
 
 

@@ -25,7 +25,7 @@ from services.recording.reader import Recording
 from services.run import folder
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
-from services.tools.profile import machine, problems, table
+from services.tools.profile import machine_description, problems, table
 from services.tools.profile import run as profile
 from services.tools.profile.measure import STAGES, Contestant, Piqp, Samples, SolverByName, measure
 from tests.stepping import OneByOne, step
@@ -140,7 +140,7 @@ def test_the_table_has_stages_and_seconds_and_every_figure() -> None:
         status={"solved": 11, "iteration_limit": 1},
         ratio=profile.Ratio(median=0.25, p99=0.5),
     )
-    here = machine.machine(machine.load())
+    here = machine_description.machine(machine_description.load())
     text = table.text(profile.Profile(rows=[row], problems={"descent": 6, "hard": 6}, machine=here))
     _, heads, cycle, _, _, stage_heads, stages, *_ = text.splitlines()
     assert heads.split()[-1] == "status"
