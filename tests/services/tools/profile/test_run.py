@@ -151,7 +151,7 @@ def test_the_table_has_stages_and_seconds_and_every_figure() -> None:
     )
     assert " ".join(stages.split()) == f"{names} 0.0 10.0 20.0 30.0 40.0 50.0"
     assert "6 descent, 6 hard" in text
-    assert machine.line(here) in text
+    assert machine_description.line(here) in text
 
 
 def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
