@@ -51,9 +51,9 @@ def sources(settings: str) -> dict[str, str]:
     return given
 
 
-def main() -> int:
-    """The extras are the arguments."""
-    project = f".[{','.join(sys.argv[1:])}]"
+def main(extras: list[str]) -> int:
+    """Install the project with these extras by uv, or by pip; return the exit code."""
+    project = f".[{','.join(extras)}]"
     if subprocess.run([*PIP, "--quiet", "uv>=0.9"], check=False).returncode == 0:
         listing = [sys.executable, "-m", "pip", "config", "list"]
         settings = subprocess.run(listing, capture_output=True, text=True, check=False).stdout
@@ -69,4 +69,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -142,7 +142,7 @@ class Restarted:
 
 
 def run_config(name: str, *settings: str) -> RunConfig:
-    """Resolve the scenario ``name`` with these settings, for ``DURATION_S``."""
+    """Resolve the scenario ``name`` with these settings, for ``DURATION_S`` if they name no other duration."""
     return resolve(name, [Override("fingerprint", [f"run.duration_s={DURATION_S}", "run.seed=5", *settings])])
 
 

@@ -16,16 +16,16 @@ MAX_FILES = 20
 class FailedQps:
     """Writer of failed QPs: between the cycles, at most one file each time the status is published."""
 
-    def __init__(self, recorder: FailureRecorder, folder: Path, say: Say) -> None:
+    def __init__(self, recorder: FailureRecorder, folder: Path, say: Say, *, max_files: int = MAX_FILES) -> None:
         """Write into ``folder`` what ``recorder`` keeps; ``say`` prints a line for a person."""
-        self._recorder, self._folder, self._say = recorder, folder, say
+        self._recorder, self._folder, self._say, self._max_files = recorder, folder, say, max_files
         self._seen: FailedQp | None = None
         self.written = 0
 
     def show(self, status: ControllerStatus, _now_us: int) -> None:
         """Write the last failed QP, if it was not written before."""
         failed = self._recorder.failed
-        if failed is None or failed is self._seen or self.written >= MAX_FILES:
+        if failed is None or failed is self._seen or self.written >= self._max_files:
             return
         self._seen = failed
         path = self._folder / f"qp-{status.t_ns}.npz"

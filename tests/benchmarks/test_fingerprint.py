@@ -1,19 +1,13 @@
 """Fingerprint of a run's numbers: equal for equal runs, different if one number differs."""
 
 import numpy as np
-import pytest
 
 from benchmarks import fingerprint
 from services.run.nodes import make_nodes
 
 
-@pytest.fixture(autouse=True)
-def short(monkeypatch):
-    monkeypatch.setattr(fingerprint, "DURATION_S", 2.0)
-
-
 def hashes(*settings):
-    of = fingerprint.run_config("hover", *settings)
+    of = fingerprint.run_config("hover", "run.duration_s=2.0", *settings)
     return {role: fingerprint.digest(rows) for role, rows in fingerprint.lockstep(of, make_nodes(of)).items()}
 
 

@@ -65,8 +65,7 @@ def test_bytecode_is_made_where_python_will_not_keep_it(
 
     monkeypatch.setattr(install.subprocess, "run", run)
     monkeypatch.setattr(sys, "dont_write_bytecode", told_not_to)
-    monkeypatch.setattr(sys, "argv", ["install.py", "dev"])
-    assert install.main() == 1
+    assert install.main(["dev"]) == 1
     by_uv, by_pip = (command for command in commands if "-e" in command)
     assert ("--compile-bytecode" in by_uv) is uv
     assert pip in by_pip

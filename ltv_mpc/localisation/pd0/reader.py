@@ -51,7 +51,7 @@ class Recording(NamedTuple):
     source: str  # name of the file in errors
     size: int  # bytes
     ensembles: tuple[Ensemble, ...]
-    losses: tuple[Loss, ...]  # the first MAX_LISTED_LOSSES
+    losses: tuple[Loss, ...]  # the first ones, MAX_LISTED_LOSSES if nothing else is given
     lost_places: int  # number of all losses
     lost_bytes: int
 
@@ -79,13 +79,14 @@ def read(path: str | Path) -> Recording:
     return parse(data, source=source)
 
 
-def parse(data: bytes, *, source: str) -> Recording:
+def parse(data: bytes, *, source: str, max_losses: int = MAX_LISTED_LOSSES) -> Recording:
     """Split bytes into ensembles and losses.
 
     Parameters
     ----------
     data : content of a file.
     source : name of the file in errors.
+    max_losses : number of losses to list; all are counted.
 
     Raises
     ------
@@ -97,28 +98,28 @@ def parse(data: bytes, *, source: str) -> Recording:
     losses: list[Loss] = []
     places = lost = end = 0
 
-    def lose(start: int, stop: int, why: str | None = None) -> None:
+    def add_loss(start: int, stop: int, why: str | None = None) -> None:
         nonlocal places, lost
         places, lost = places + 1, lost + stop - start
-        if len(losses) < MAX_LISTED_LOSSES:
+        if len(losses) < max_losses:
             losses.append(Loss(start, stop - start, why or _diagnosis(data, total, start, stop)))
 
     for start, length in _frames(np.frombuffer(data, dtype=np.uint8), total):
         if start < end:
             continue
         if start > end:
-            lose(end, start)
+            add_loss(end, start)
         end = start + length + 2
         try:
             ensemble = records.decode(memoryview(data)[start : start + length], start)
             if ensembles and ensemble.t_ns <= ensembles[-1].t_ns:
                 raise DamagedEnsemble("its clock does not increase")
         except DamagedEnsemble as problem:
-            lose(start, end, str(problem))
+            add_loss(start, end, str(problem))
         else:
             ensembles.append(ensemble)
     if end < len(data):
-        lose(end, len(data))
+        add_loss(end, len(data))
     if not ensembles:
         first = losses[0] if losses else Loss(0, 0, "the file is empty")
         raise ConfigError(source, f"byte {first.offset}", f"no valid ensemble: {first.why}")

@@ -94,7 +94,10 @@ def run(fleet: Fleet, processes: int, *, on_progress: Callable[[float], None] = 
         return row_of(fleet, [child.receive(wait_s) for child in children], world.receive(wait_s), routed_s)
 
 
-def row_of(fleet: Fleet, reports: list[Controllers], world: Plants, routed_s: float) -> Row:
+def row_of(
+    fleet: Fleet, reports: list[Controllers], world: Plants, routed_s: float, *, cores: int | None = None
+) -> Row:
+    """Return the result of a trial. ``cores``: of the machine; None: of this one."""
     busy = {
         "router": routed_s / fleet.seconds,
         "plants": world.cpu_s / fleet.seconds,
@@ -121,18 +124,18 @@ def row_of(fleet: Fleet, reports: list[Controllers], world: Plants, routed_s: fl
         plant_busy_per_vehicle=busy["plants"] / fleet.vehicles,
         rejected=sum(one.rejected for one in reports) + world.refused,
         dropped=sum(one.dropped for one in reports) + world.dropped,
-        limit=_limit(busy, share),
+        limit=_limit(busy, share, cores or os.cpu_count() or 1),
     )
 
 
-def _limit(busy: dict[str, float], missed_share: float) -> str:
+def _limit(busy: dict[str, float], missed_share: float, cores: int) -> str:
     """Return the resource that limits the fleet, a saturated process or the machine; "none" if deadlines are met."""
     if missed_share <= FEW:
         return "none"
     full = [name for name in ("controllers", "plants", "router") if busy[name] >= BUSY]
     if full:
         return max(full, key=lambda name: busy[name])
-    return "all cores" if busy["all"] >= BUSY * (os.cpu_count() or 1) else "not the processors"
+    return "all cores" if busy["all"] >= BUSY * cores else "not the processors"
 
 
 # --- processes -------------------------------------------------------------------------------------------------------

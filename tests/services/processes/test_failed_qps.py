@@ -13,7 +13,6 @@ from ltv_mpc.control.qp.failed_qp import FailedQp
 from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.messages import Solve, SolveStatus
 from services.cli.app import run
-from services.processes import failed_qps
 from services.processes.failed_qps import FailedQps
 from tests.ltv_mpc.control.problems import LIMITS, equidistant, motion
 
@@ -46,10 +45,9 @@ def test_each_failure_is_written_once_and_announced(failure, tmp_path):
     np.testing.assert_array_equal(FailedQp.load(path).qp.q, recorder.failed.qp.q)
 
 
-def test_at_most_max_files_are_written(failure, tmp_path, monkeypatch):
-    monkeypatch.setattr(failed_qps, "MAX_FILES", 2)
+def test_at_most_max_files_are_written(failure, tmp_path):
     recorder = SimpleNamespace(failed=None)
-    writer = FailedQps(recorder, tmp_path, lambda _text: None)
+    writer = FailedQps(recorder, tmp_path, lambda _text: None, max_files=2)
     for t_ns in range(4):
         recorder.failed = failure()
         shown(writer, t_ns)

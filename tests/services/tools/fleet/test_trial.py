@@ -42,7 +42,7 @@ def row(*, late: int = 0, plans: int = 150, mind_cpu_s: float = 1.0, world_cpu_s
         mean_error_m=0.1,
         cpu_s=world_cpu_s,
     )
-    return trial.row_of(FLEET, [one], world, routed_s)
+    return trial.row_of(FLEET, [one], world, routed_s, cores=2)
 
 
 def test_a_fleet_that_keeps_up_has_no_limit_and_says_what_each_vehicle_costs():
@@ -64,8 +64,7 @@ def test_a_fleet_that_keeps_up_has_no_limit_and_says_what_each_vehicle_costs():
         ({"late": 1, "mind_cpu_s": 9.9}, "none"),
     ],
 )
-def test_what_gives_way_is_the_process_that_has_no_more_to_give(monkeypatch, figures, limit):
-    monkeypatch.setattr(trial.os, "cpu_count", lambda: 2)
+def test_what_gives_way_is_the_process_that_has_no_more_to_give(figures, limit):
     assert row(**figures).limit == limit
 
 
