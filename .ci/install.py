@@ -35,7 +35,7 @@ PIP = (sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version
 
 
 def sources(settings: str) -> dict[str, str]:
-    """What ``pip config list`` says, one ``section.name='value'`` a line, as variables for uv."""
+    """Return the output of ``pip config list`` (one ``section.name='value'`` a line) as variables for uv."""
     found: dict[tuple[str, str], str] = {}
     for line in settings.splitlines():
         key, _, value = line.partition("=")

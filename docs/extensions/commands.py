@@ -30,7 +30,7 @@ def _fill(_app: Sphinx, _page: str, source: list[str]) -> None:
 
 
 def page() -> Iterator[str]:
-    """A section for each command, under a heading for each panel."""
+    """Yield a section for each command, under a heading for each panel."""
     from services.cli.app import app
 
     panels: dict[str, list[str]] = {}
@@ -69,7 +69,7 @@ def section(name: str, command: Any) -> Iterator[str]:
 
 
 def called(argument: Any) -> str:
-    """An argument in the line of usage."""
+    """Return an argument as it stands in the line of usage."""
     return str(argument.metavar or argument.name.upper())
 
 
@@ -82,7 +82,7 @@ def spelled(parameter: Any) -> str:
 
 
 def default(parameter: Any) -> str:
-    """What is taken where nothing is said."""
+    """Return the text of a parameter's default."""
     shown, value = parameter.show_default, parameter.default
     if isinstance(shown, str):
         return shown

@@ -56,7 +56,7 @@ def _signature(
 
 
 def text(lines: Iterable[str]) -> list[str]:
-    """A docstring's lines as reStructuredText: paragraphs as they are read, what is indented word for word."""
+    """Convert a docstring's lines to reStructuredText: paragraphs as text, indented blocks literally."""
     made: list[str] = []
     for paragraph in re.split(r"\n\s*\n", textwrap.dedent("\n".join(lines)).strip("\n")):
         if re.match(r"\w+\n-{3,}\n", paragraph):
@@ -97,7 +97,7 @@ def literal(words: object) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """A table, cell by cell."""
+    """Yield a table, cell by cell."""
     made = [".. list-table::", "   :header-rows: 1", ""]
     for row in (head, *rows):
         for i, cell in enumerate(row):
@@ -129,7 +129,7 @@ def _fields(kind: type[msgspec.Struct]) -> tuple[Sequence[str], list[Sequence[st
 
 
 def default(field: struct.Field) -> str:
-    """What a field is that is left out; empty where it must be there, and of a table, whose own fields have theirs."""
+    """Return the text of a field's default; empty for required fields, and for tables, whose own fields have theirs."""
     value = field.default
     if field.required or value is msgspec.NODEFAULT or isinstance(value, msgspec.Struct):
         return ""
@@ -137,7 +137,7 @@ def default(field: struct.Field) -> str:
 
 
 def comments(kind: type) -> dict[str, str]:
-    """The comment beside each field of a class and of those that it is made of."""
+    """Return the comment beside each field of a class and of its bases."""
     found: dict[str, str] = {}
     for part in reversed(kind.__mro__):
         if part.__module__.partition(".")[0] in ("ltv_mpc", "sim"):

@@ -32,7 +32,7 @@ def _fill(_app: Sphinx, _page: str, source: list[str]) -> None:
 
 
 def tables(kind: type[msgspec.Struct], place: tuple[str, ...]) -> Iterator[str]:
-    """A section for each table of the file, those inside it after it."""
+    """Yield a section for each table of the file, each followed by the tables inside it."""
     info, said = struct.type_info(kind), comments(kind)
     assert isinstance(info, struct.StructType)
     inner = {field.name: part for field in info.fields if (part := table(field.type)) is not None}
@@ -51,7 +51,7 @@ def tables(kind: type[msgspec.Struct], place: tuple[str, ...]) -> Iterator[str]:
 
 
 def table(kind: struct.Type) -> type[msgspec.Struct] | None:
-    """The struct that a field is, if it is one, or may be left out and is one."""
+    """Return the struct type of a field, optional or not; None if it is no struct."""
     if isinstance(kind, struct.UnionType):
         return next((found for part in kind.types if (found := table(part)) is not None), None)
     return kind.cls if isinstance(kind, struct.StructType) else None

@@ -32,7 +32,7 @@ def target(plans, now):
 
 
 def move(x, thrust):
-    """A vehicle in still water that cannot drift sideways: north, east, heading, speed, yaw rate, one period on."""
+    """Advance a vehicle without sideways drift by one period in still water: north, east, heading, speed, yaw rate."""
     port, starboard = thrust
     x["speed"] += PERIOD_S * (port + starboard - 500.0 * x["speed"] * abs(x["speed"])) / 500.0
     x["turn"] += PERIOD_S * (0.2 * (port - starboard) - (15.0 + 200.0 * abs(x["turn"])) * x["turn"]) / 180.0
@@ -42,7 +42,7 @@ def move(x, thrust):
 
 
 def estimate(x, now):
-    """What the controller needs to know."""
+    """Return the estimate that the controller needs."""
     return {
         "t_ns": now, "north_m": x["north"], "east_m": x["east"], "heading_rad": x["heading"],
         "yaw_rate_radps": x["turn"], "velocity_north_mps": x["speed"] * math.cos(x["heading"]),

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def folder_in(tree: Path) -> str:
-    """The cache's folder that a copy of the sources names."""
+    """Return the cache folder that a copy of the sources names."""
     code = "from ltv_mpc import jit; print(jit.fingerprint())"
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     done = subprocess.run(

@@ -147,7 +147,7 @@ def _bottom(head: Head, ensemble: Written) -> bytes:
 
 
 def written(head: Head, ensemble: Written) -> bytes:
-    """The bytes of one ensemble, with its checksum."""
+    """Return the bytes of one ensemble, with its checksum."""
     shape = (head.cells, 4)
     velocity = transformed(head, ensemble, ensemble.beams_mps)
     four = np.isfinite(ensemble.beams_mps).all(axis=1)

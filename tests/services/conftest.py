@@ -9,5 +9,5 @@ from services.supervisor import loopback
 
 @pytest.fixture(scope="module")
 def free_port() -> int:
-    """A TCP port of loopback that nobody listens on."""
+    """Return a free TCP port of loopback."""
     return loopback.free_port()

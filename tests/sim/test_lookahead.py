@@ -223,7 +223,7 @@ def depth(t_ns: int, inbox: Inbox) -> list[Message]:
 
 
 def first(t_ns: int, inbox: Inbox) -> list[Message]:
-    """An event, and at times a wrong measurement."""
+    """Return a motion with an event, and at times a wrong measurement."""
     wrong: list[Message] = [PressureDepth(t_ns=t_ns, depth_m=np.nan)] if t_ns % (20 * MS) == 0 else []
     return event("first")(t_ns, inbox) + wrong
 

@@ -62,7 +62,7 @@ def unlike_any_motion(seed: int, stages: int) -> tuple[Linearisation, Array]:
 
 
 def precise(qp: QP) -> Array:
-    """The optimum x (n,) by an interior-point method, to about 1e-12."""
+    """Return the optimum x (n,) by an interior-point method, to about 1e-12."""
     rows, equal = csc_matrix(qp.A), qp.l == qp.u
     solver = piqp.SparseSolver()
     solver.settings.eps_abs = solver.settings.eps_rel = 1e-13
@@ -73,14 +73,14 @@ def precise(qp: QP) -> Array:
 
 
 def solved(solver: Solver, lin: Linearisation, target: Array) -> SolverResult:
-    """A cycle's answer, from wherever the solver is."""
+    """Return the result of a cycle, from the solver's present warm start."""
     solver.build(lin, target)
     solver.update()
     return solver.solve()
 
 
 def answer(solver: Solver, lin: Linearisation, target: Array, stages: float = math.nan) -> SolverResult:
-    """The same so many first stages after the last cycle; NaN: after none."""
+    """Return the result of a cycle ``stages`` first stages after the last one; NaN: there was none."""
     if math.isnan(stages):
         solver.reset_warm_start()
     else:

@@ -44,7 +44,7 @@ def excesses(form: SparseQp, x: Array) -> Array:
 
 
 def hard(form: SparseQp, qp: QP) -> Array | None:
-    """The solution with every excess at zero; None where there is none."""
+    """Return the solution with every excess at zero; None if there is none."""
     u = qp.u.copy()
     u[form.equalities + 4 * N + 2 :: 3] = 0.0
     solution = solve_qp(QP(qp.P, qp.q, qp.A, qp.l, u), "daqp")

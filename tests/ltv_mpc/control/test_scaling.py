@@ -25,7 +25,7 @@ SHIPPED = ("paper", "surface", "low-yaw", "weak-reverse")
 
 
 def scaled(vehicle: Vehicle, length: float, time: float, mass: float) -> Vehicle:
-    """The same vehicle in a world where metre, second and kilogram are so many times as large."""
+    """Return the vehicle in other units of length, time and mass."""
     force = mass * length / time**2
     factor = {
         "dry_mass_kg": mass,

@@ -172,7 +172,7 @@ def test_a_timed_track_may_rest():
 
 
 def follow(reference: Reference, cycles: int, current=STILL, **start: float) -> tuple[list[Estimate], list[Plan]]:
-    """Closed loop of the nominal vehicle in a current, from rest."""
+    """Run the closed loop of the nominal vehicle in a current, from rest."""
     controller = Controller(PAPER, reference)
     water = CurrentProfile(
         depth_m=np.array([0.0, 50.0]), north_mps=np.full(2, current[0]), east_mps=np.full(2, current[1])

@@ -156,7 +156,7 @@ def flow(X, u0, uh, c0=ZERO, ch=ZERO, h=0.3, p=P):
 
 
 def integrated(X, u0, uh, c0, ch, h, p):
-    """The same motion by an eighth-order method at tight tolerance, the lag as a differential equation."""
+    """Integrate the same motion by an eighth-order method at tight tolerance, the lag as a differential equation."""
 
     def rhs(t, y):
         u = u0 + (uh - u0) * t / h

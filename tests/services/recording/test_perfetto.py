@@ -85,7 +85,7 @@ def drawn(path: Path, out: Path) -> tuple[perfetto.TraceSummary, list[Event]]:
 
 
 def cycle(k: int) -> list[tuple[str, Message, int, int, int]]:
-    """An estimate of 100 ms ago, published 20 ms ago; a cycle of 40 ms whose stages took 1 + 3 + 2 ms of 8 on the wall
+    """Record an estimate 100 ms old, published 20 ms ago; a cycle of 40 ms (8 ms of wall time; stages 1 + 3 + 2)
     at speed 5; its plan comes 3 ms later and takes effect 10 ms after that.
     """
     t = k * 300 * MS

@@ -18,7 +18,7 @@ ASKED = Fraction(10)
 
 
 def found(asked: Fraction) -> ClockRate:
-    """A rate that has reached its requested speed."""
+    """Return a clock rate that has reached its requested speed."""
     pace, now_us = ClockRate(asked), 0
     while pace.speed < asked:
         now_us += FIRST_WINDOW_US

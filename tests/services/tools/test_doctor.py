@@ -26,7 +26,7 @@ CORE = [("numpy", ">=2.0", ""), ("rosbags", ">=0.10", "ros2"), ("ruff", ">=0.14"
 
 @pytest.fixture
 def broken(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Gives what the checks look at another value."""
+    """Replace a value that the checks read."""
 
     def with_(name: str, value: object, of: Any = doctor) -> None:
         monkeypatch.setattr(of, name, value)

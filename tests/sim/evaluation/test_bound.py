@@ -36,7 +36,7 @@ def descent(surface_s, duration_s=200.0, nodes=74):
 
 
 def swaying(duration_s, seed=0, nodes=8, surface_s=1.0):
-    """Rolls, pitches, turns and accelerates in sheared water."""
+    """Return a motion that rolls, pitches, turns and accelerates in sheared water."""
     rng = np.random.default_rng(seed)
     t = np.round(np.arange(-surface_s, duration_s + 0.025, 0.05), 6)
     w = 2 * math.pi / np.array([4.0, 4.4, 30.0])
@@ -98,7 +98,7 @@ def test_every_reading_of_the_gauge_is_used_once_at_the_instant_nearest_to_it():
 
 
 def kalman(suite, config, trajectory, at_s, surface_s):
-    """The same by a covariance filter in Joseph's form: clones copied, the error at t = 0 carried along unchanged."""
+    """Compute it by a covariance filter in Joseph's form: clones copied, the error at t = 0 carried along unchanged."""
     model = ErrorModel(suite, config)
     free = np.flatnonzero(model.free)
     n = model.size

@@ -54,7 +54,7 @@ def test_errors_grow_as_two_integrations_of_the_same_samples_part(turning, toler
     force = R0.T @ np.array([0.2, -0.1, -GRAVITY_MPS2 + 0.05])
 
     def end(e):
-        """True, if the estimate is the one below and its error e."""
+        """Return the truth if the estimate is the one below and its error is e."""
         R = rotation_exp(e[ATTITUDE]) @ R0
         p, v, R = strapdown(p0 + e[:3], v0 + e[3:6], R, e[GYRO_BIAS], e[ACCELEROMETER_BIAS], rate, force, W, dt, steps)
         return p, v, R

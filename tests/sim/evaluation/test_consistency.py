@@ -89,7 +89,7 @@ CONFIG = EstimatorConfig(deepest_m=20.0)
 
 
 def belief_and_truth(suite, seed=8):
-    """A belief anywhere, an error, and the truth that has it: made by the filter's own rule, ``Belief.add``."""
+    """Return a belief, an error, and the truth that has it, made by the filter's own rule, ``Belief.add``."""
     rng = np.random.default_rng(seed)
     layout = Layout.of(suite, CONFIG)
     belief = Belief.blank(layout, 0)

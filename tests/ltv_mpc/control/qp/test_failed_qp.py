@@ -121,7 +121,7 @@ def test_a_file_that_holds_none_is_refused_by_name(tmp_path, name):
 
 @pytest.fixture(scope="module")
 def parts(tmp_path_factory):
-    """What a file holds, by name."""
+    """Return the arrays of a file by name."""
     path = tmp_path_factory.mktemp("parts") / "one.npz"
     FailedQp(*built(), Solve(status=SolveStatus.FAILED)).save(path)
     with np.load(path, allow_pickle=False) as held:

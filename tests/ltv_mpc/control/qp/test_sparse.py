@@ -28,7 +28,7 @@ FORM = SparseQp(KNOTS, LIMITS, WEIGHTS)
 
 @pytest.fixture
 def lin():
-    """A trajectory with gaps between its stages; sensitivities without structure but for the documented one."""
+    """Return a trajectory with gaps between its stages; sensitivities without structure but for the documented one."""
     rng = np.random.default_rng(5)
     X = rng.normal(size=(N + 1, 8)) * SCALE
     A, B0, B1 = (rng.normal(size=(N, 8, k)) for k in (8, 2, 2))
@@ -67,7 +67,7 @@ def terms(lin, target, z):
 
 
 def model_errors(lin, target, z):
-    """What is left of each equality: model minus state at the end of a stage, then the terminal velocity's error."""
+    """Return the residual of each equality: model minus state at a stage's end, then the terminal velocity's error."""
     X, U, end = unpacked(lin, z)
     for k in range(N):
         predicted = lin.Phi[k] + lin.A[k] @ (X[k] - lin.X[k])

@@ -113,7 +113,7 @@ def test_a_filter_that_hears_a_drift_is_off_by_what_its_signature_says(make_dive
         return estimator.filter.propagated_belief()
 
     def instant(t_s):
-        """The first ping's of the grid's step that begins then."""
+        """Return the value at the first ping of the grid's step that begins then."""
         return next(m.t_ns for m in dive.messages if isinstance(m, AdcpPing) and m.t_ns >= t_s * SECOND)
 
     began_ns, ended_ns, nu = instant(18.0), instant(30.0), 5e-3

@@ -40,7 +40,7 @@ def waves(t_s, depth_m):
 
 
 def with_water(dive, extra):
-    """The dive's messages, had the water moved by ``extra`` more, north and east alike (paper: mounted as meant)."""
+    """Return the dive's messages as if the water moved by ``extra`` more, north and east alike (nominal mounting)."""
     beams = beam_directions(PAPER.adcp.beam_angle_rad)
     out = []
     for message in dive.messages:

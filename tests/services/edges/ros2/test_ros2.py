@@ -67,7 +67,7 @@ def odometry(
     stamp: tuple[int, int] = STAMP,
     order: str = "<",
 ) -> bytes:
-    """An Odometry, by hand: stamp, frame, child frame, pose, its covariance, twist, its covariance."""
+    """Encode an Odometry by hand: stamp, frame, child frame, pose, its covariance, twist, its covariance."""
     message = Cdr(order).number("i", stamp[0]).number("I", stamp[1]).text(frame).text(child)
     attitude = quaternion or (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
     zeros = np.zeros((6, 6))

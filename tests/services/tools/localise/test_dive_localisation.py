@@ -37,7 +37,7 @@ def whole(made: Path) -> Outcome:
 
 
 def small(count: int = 12, *, gap_s: float = 0.0, bottom: bool = True) -> bytes:
-    """A few ensembles of noise, with ``gap_s`` in the middle."""
+    """Return a few ensembles of noise, with ``gap_s`` in the middle."""
     rng = np.random.default_rng(1)
     head = Head(cells=4, coordinates=BEAM)
     frames = [

@@ -302,7 +302,7 @@ def test_of_one_current_the_controller_is_told_nothing() -> None:
 
 @pytest.fixture(scope="module")
 def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recorded run of 8 s with estimator."""
+    """Record a run of 8 s with estimator."""
     settings = ["run.duration_s=8", "controller.horizon_s=2.4", "controller.sqp_iterations=1"]  # as what is measured
     run_config = resolve("descent", [Override("test", settings)])
     held = folder.make("dive", run_config.files, out=tmp_path_factory.mktemp("runs") / "dive")
