@@ -525,7 +525,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         lambda: replaced((correction, "_COMPRESSION_RATIO", 0.0)),
         (Event("foretold, timed", FORETOLD.description, Descent()),),
         ("estimator ms per s", "drift end m"),
-        ("filter/measurement_compression.py:sufficient", "filter/measurement_compression.py:_root"),
+        ("filter/measurement_compression.py:compress", "filter/measurement_compression.py:_root"),
         ("filter/test_measurement_compression.py",),
         timed=True,
     ),

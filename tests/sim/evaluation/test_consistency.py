@@ -99,7 +99,7 @@ def belief_and_truth(suite, seed=8):
     belief.P[:] = A @ A.T
     error = 0.3 * rng.standard_normal(layout.size)
     true = belief.copy()
-    true.add(error)
+    true.apply_error(error)
     x, water = true.x, rng.standard_normal((len(grid(CONFIG)), 2))
     window = slice(belief.column.first, belief.column.first + layout.north.stop - layout.north.start)
     water[window] = np.column_stack([x[layout.north], x[layout.east]])

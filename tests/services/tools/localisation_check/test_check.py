@@ -77,7 +77,7 @@ def test_what_is_not_held_is_named() -> None:
         ["drift", "over", "bound"],
         ["NEES", "of", "heading"],
         ["NEES", "of", "cells"],
-        ["a", "covariance", "lost"],
+        ["a", "covariance", "is"],
     ]
 
 
