@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -29,14 +29,20 @@ class SegmentWriter:
     """
 
     def __init__(
-        self, recording: Path, *, start_ns: int, metadata: Mapping[str, str], retry_s: float = RETRY_S
+        self,
+        recording: Path,
+        *,
+        start_ns: int,
+        metadata: Mapping[str, str],
+        retry_s: float = RETRY_S,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._recording = recording
         self._start_ns, self._metadata = start_ns, metadata
         self._unsafe: list[Source] = []  # sources of the messages since the last flush
         self._refused: list[Source] = []
         self._news: list[str] = []
-        self._retry_period_s = retry_s
+        self._retry_period_s, self._clock = retry_s, clock
         self._retry_s = 0.0  # monotonic time of the next attempt
         self.resumes = recording.exists()
         """True if an earlier recorder has left a segment."""
@@ -116,7 +122,7 @@ class SegmentWriter:
         return writer
 
     def _reopen(self) -> RunWriter | None:
-        now_s = time.monotonic()
+        now_s = self._clock()
         if now_s < self._retry_s:
             return None
         self._retry_s = now_s + self._retry_period_s
@@ -135,7 +141,7 @@ class SegmentWriter:
         """Truncate the segment to its last successful flush, and retry later with the next one."""
         writer.abandon()
         self.segment = None
-        self._retry_s = time.monotonic() + self._retry_period_s
+        self._retry_s = self._clock() + self._retry_period_s
         self._refused += self._unsafe
         self._news.append(f"not recording: {error.strerror}; {len(self._unsafe)} messages not recorded so far")
         self._unsafe.clear()

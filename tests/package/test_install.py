@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import subprocess
-import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -53,9 +52,9 @@ def test_the_environment_overrides_the_file_and_install_overrides_global(install
     )
 
 
-@pytest.mark.parametrize(("told_not_to", "uv", "pip"), [(True, True, "--compile"), (False, False, "--no-compile")])
+@pytest.mark.parametrize(("keeps_bytecode", "uv", "pip"), [(False, True, "--compile"), (True, False, "--no-compile")])
 def test_bytecode_is_made_where_python_will_not_keep_it(
-    install: ModuleType, monkeypatch: pytest.MonkeyPatch, told_not_to: bool, uv: bool, pip: str
+    install: ModuleType, monkeypatch: pytest.MonkeyPatch, keeps_bytecode: bool, uv: bool, pip: str
 ) -> None:
     commands: list[list[str]] = []
 
@@ -64,8 +63,7 @@ def test_bytecode_is_made_where_python_will_not_keep_it(
         return subprocess.CompletedProcess(command, int("-e" in command), stdout="")  # nothing gets installed
 
     monkeypatch.setattr(install.subprocess, "run", run)
-    monkeypatch.setattr(sys, "dont_write_bytecode", told_not_to)
-    assert install.main(["dev"]) == 1
+    assert install.main(["dev"], keeps_bytecode=keeps_bytecode) == 1
     by_uv, by_pip = (command for command in commands if "-e" in command)
     assert ("--compile-bytecode" in by_uv) is uv
     assert pip in by_pip

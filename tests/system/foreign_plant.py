@@ -55,6 +55,7 @@ class Hull:
     def __init__(self, *, heading_rad: float = 0.0, current_mps: tuple[float, float] = (0.0, 0.0)) -> None:
         """Start at the origin, drifting with the water."""
         self.current = current_mps
+        self.linear, self.quadratic, self.fin, self.righting_Nm = LINEAR, QUADRATIC, FIN, RIGHTING_NM
         self.x = [0.0] * 15
         self.x[3], self.x[6] = cos(heading_rad / 2), sin(heading_rad / 2)
 
@@ -79,13 +80,14 @@ class Hull:
         _, _, _, qw, qx, qy, qz, u, v, w, p, q, r, n1, n2 = x
         R = _rotation(qw, qx, qy, qz)
         port, starboard = _thrust(n1, u), _thrust(n2, u)
-        f = [port + starboard, -FIN * abs(u) * (v - FIN_AFT_M * r), -FIN * abs(u) * (w + FIN_AFT_M * q)]
+        f = [port + starboard, -self.fin * abs(u) * (v - FIN_AFT_M * r), -self.fin * abs(u) * (w + FIN_AFT_M * q)]
         m = [
-            -RIGHTING_NM * R[2][1],
-            RIGHTING_NM * R[2][0] + BELOW_M * (port + starboard) + FIN_AFT_M * f[2],
+            -self.righting_Nm * R[2][1],
+            self.righting_Nm * R[2][0] + BELOW_M * (port + starboard) + FIN_AFT_M * f[2],
             ARM_M * (port - starboard) - FIN_AFT_M * f[1],
         ]
-        drag = [-(one + two * abs(s)) * s for one, two, s in zip(LINEAR, QUADRATIC, (u, v, w, p, q, r), strict=True)]
+        terms = zip(self.linear, self.quadratic, (u, v, w, p, q, r), strict=True)
+        drag = [-(one + two * abs(s)) * s for one, two, s in terms]
         l0, l1, l2 = SURGE * u, SWAY * v + COUPLED * r, HEAVE * w
         h0, h1, h2 = ROLL * p, PITCH * q, YAW * r + COUPLED * v
         f0 = f[0] + drag[0] - (q * l2 - r * l1)

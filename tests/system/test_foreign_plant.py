@@ -61,14 +61,12 @@ def test_its_hull_is_as_slow_and_as_slow_to_turn_as_the_issue_says() -> None:
     assert steady(0.0, 0.0) == [0.0] * 6
 
 
-def test_without_thrust_and_drag_its_hull_keeps_its_energy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_thrust_and_drag_its_hull_keeps_its_energy() -> None:
     """Coriolis forces and the coupled added mass do no work; the integrator loses none."""
     plant = sys.modules[Hull.__module__]
-    for name in ("LINEAR", "QUADRATIC"):
-        monkeypatch.setattr(plant, name, (0.0,) * 6)
-    for name in ("FIN", "RIGHTING_NM"):
-        monkeypatch.setattr(plant, name, 0.0)
     hull = Hull()
+    hull.linear = hull.quadratic = (0.0,) * 6
+    hull.fin = hull.righting_Nm = 0.0
     hull.x[7:13] = [0.8, -0.2, 0.1, 0.1, -0.2, 0.3]
 
     def energy() -> float:

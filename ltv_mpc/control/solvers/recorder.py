@@ -74,6 +74,7 @@ class _FailureRecordingSolver(RecordingSolver):
         self._recorder = recorder
 
     def solve(self) -> SolverResult:
+        """Solve, and keep the QP if it was not solved."""
         result = super().solve()
         if result.solve.status is not SolveStatus.SOLVED:
             with contextlib.suppress(Exception):  # a problem that cannot be laid out must not cost the cycle

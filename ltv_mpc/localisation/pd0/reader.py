@@ -99,6 +99,7 @@ def parse(data: bytes, *, source: str, max_losses: int = MAX_LISTED_LOSSES) -> R
     places = lost = end = 0
 
     def add_loss(start: int, stop: int, why: str | None = None) -> None:
+        """Count the bytes from start to stop as lost."""
         nonlocal places, lost
         places, lost = places + 1, lost + stop - start
         if len(losses) < max_losses:

@@ -52,6 +52,7 @@ def run_each(
     *,
     workers: int | None = None,
     cluster: str | None = None,
+    cluster_timeout_s: float = CLUSTER_TIMEOUT_S,
     threads: bool = False,
     stop: Callable[[], bool] = lambda: False,
     lost: Callable[[T], R] | None = None,
@@ -68,6 +69,8 @@ def run_each(
         Processes or threads; None: one a core. One process is this one, unless ``lost`` is given.
     cluster
         Address of a Dask scheduler, whose workers do the jobs. Raises ``ConfigError`` where it cannot be reached.
+    cluster_timeout_s
+        Time for the scheduler's answer, and for its first worker.
     threads
         For jobs that only wait for processes that they start. A running job is waited for.
     lost
@@ -82,7 +85,11 @@ def run_each(
                 return
             yield place, work(job)
         return
-    pool: _Pool = _Cluster(cluster) if cluster is not None else _Threads(count) if threads else _Processes(count)
+    pool: _Pool
+    if cluster is not None:
+        pool = _Cluster(cluster, cluster_timeout_s)
+    else:
+        pool = _Threads(count) if threads else _Processes(count)
     waiting, suspects = deque(range(len(jobs))), deque[int]()
     losses: Counter[int] = Counter()  # of jobs that were suspected, each alone
     running: dict[Future[R], int] = {}
@@ -190,7 +197,7 @@ class _Threads:
 class _Cluster:
     """Workers of a Dask scheduler."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, timeout_s: float) -> None:
         """Connect, and wait for a first worker. Raises ``ConfigError``."""
         try:
             from distributed import Client
@@ -198,8 +205,8 @@ class _Cluster:
             problem = "needs the package distributed: pip install distributed (extra campaign)"
             raise ConfigError("option --cluster", "", problem, value=address) from None
         try:
-            self._client = Client(address, timeout=f"{CLUSTER_TIMEOUT_S:g}s", set_as_default=False)
-            self._client.wait_for_workers(1, timeout=CLUSTER_TIMEOUT_S)
+            self._client = Client(address, timeout=f"{timeout_s:g}s", set_as_default=False)
+            self._client.wait_for_workers(1, timeout=timeout_s)
         except (OSError, ValueError) as error:
             raise ConfigError("option --cluster", "", one_line(str(error)), value=address) from None
         self.workers = sum(info["nthreads"] for info in self._client.scheduler_info(n_workers=-1)["workers"].values())

@@ -131,7 +131,7 @@ def test_a_plan_starts_one_expected_delay_after_now():
     assert plan.expected_delay_ns == 400_000_000
 
 
-def test_a_hold_drives_no_thruster_before_its_start_and_then_holds_the_position_there():
+def test_a_hold_drives_no_thruster_before_its_start_and_then_holds_its_position():
     controller = Controller(PAPER, references.Hold(start_s=0.0, depth_m=10.0))
     before = controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=4.0, depth_m=0.0), t_ns=-500_000_000))
     assert before.origin is PlanOrigin.ZERO

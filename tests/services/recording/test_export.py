@@ -161,9 +161,9 @@ def test_a_key_cannot_lead_out_of_the_folder_nor_two_keys_into_one_file(tmp_path
     assert len({file.file.lower() for file in export.export(parts, out, "csv").files}) == 3
 
 
-def test_rows_beyond_a_batch_follow_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(export, "BATCH_ROWS", 3)
-    exported(tmp_path, "parquet", *[("plant", example(Applied, t_ns=k)) for k in range(8)])
+def test_rows_beyond_a_batch_follow_in_order(tmp_path: Path) -> None:
+    rows = 2 * export.BATCH_ROWS + 2
+    exported(tmp_path, "parquet", *[("plant", example(Applied, t_ns=k)) for k in range(rows)])
     table = pq.read_table(tmp_path / "applied.parquet")
-    assert table["t_ns"].to_pylist() == list(range(8))
+    assert table["t_ns"].to_pylist() == list(range(rows))
     assert table.schema.metadata[b"ltv_mpc.message"] == b"Applied"

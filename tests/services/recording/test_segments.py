@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import resource
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -41,8 +43,8 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "run.mcap"
 
 
-def opened(path: Path, retry_s: float = segments.RETRY_S) -> SegmentWriter:
-    return SegmentWriter(path, start_ns=0, metadata={"seed": "7"}, retry_s=retry_s)
+def opened(path: Path, retry_s: float = segments.RETRY_S, clock: Callable[[], float] = time.monotonic) -> SegmentWriter:
+    return SegmentWriter(path, start_ns=0, metadata={"seed": "7"}, retry_s=retry_s, clock=clock)
 
 
 def test_a_restarted_recorder_writes_the_next_segment_and_the_join_is_complete(path: Path) -> None:
@@ -111,12 +113,9 @@ def test_a_full_disk_returns_what_it_cannot_store_and_the_segment_ends_whole(pat
     assert sequences(path) == [0, 1, 2]
 
 
-def test_recording_continues_in_the_next_segment_as_soon_as_there_is_room(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recording_continues_in_the_next_segment_as_soon_as_there_is_room(path: Path) -> None:
     now_s = 0.0
-    monkeypatch.setattr(segments.time, "monotonic", lambda: now_s)
-    with opened(path) as writer:
+    with opened(path, clock=lambda: now_s) as writer:
         put(writer, 0)
         fill_up(writer)
         writer.flush_if_due(now=True)

@@ -92,8 +92,7 @@ def test_an_interrupt_that_reaches_a_worker_too_is_its_parent_s() -> None:
     assert sorted(run_each(interrupted, [1, 2], workers=2)) == [(0, 1), (1, 2)]
 
 
-def test_a_scheduler_that_is_not_there_is_bad_input(free_port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_is_not_there_is_bad_input(free_port: int) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("services.tools.batch.executor.CLUSTER_TIMEOUT_S", 1.0)
     with pytest.raises(ConfigError, match="option --cluster"):
-        list(run_each(math.sqrt, [4.0], cluster=f"tcp://127.0.0.1:{free_port}"))
+        list(run_each(math.sqrt, [4.0], cluster=f"tcp://127.0.0.1:{free_port}", cluster_timeout_s=1.0))
