@@ -13,6 +13,7 @@ import ast
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 
 HANDED_ON = {
     "index-url": "UV_DEFAULT_INDEX",
@@ -51,21 +52,26 @@ def sources(settings: str) -> dict[str, str]:
     return given
 
 
-def main(extras: list[str], *, keeps_bytecode: bool = not sys.dont_write_bytecode) -> int:
+def main(
+    extras: list[str],
+    *,
+    keeps_bytecode: bool = not sys.dont_write_bytecode,
+    run: Callable[..., subprocess.CompletedProcess[str]] = subprocess.run,
+) -> int:
     """Install the project with these extras by uv, or by pip; return the exit code."""
     project = f".[{','.join(extras)}]"
-    if subprocess.run([*PIP, "--quiet", "uv>=0.9"], check=False).returncode == 0:
+    if run([*PIP, "--quiet", "uv>=0.9"], check=False).returncode == 0:
         listing = [sys.executable, "-m", "pip", "config", "list"]
-        settings = subprocess.run(listing, capture_output=True, text=True, check=False).stdout
+        settings = run(listing, capture_output=True, text=True, check=False).stdout
         quiet = () if sys.stderr.isatty() else ("--quiet",)  # its bars, or nothing but what goes wrong
         bytecode = () if keeps_bytecode else ("--compile-bytecode",)
         options = (*quiet, *bytecode, "--python", sys.executable)
         command = [sys.executable, "-m", "uv", "pip", "install", *options, "-e", project]
-        if subprocess.run(command, env={**sources(settings), **os.environ}, check=False).returncode == 0:
+        if run(command, env={**sources(settings), **os.environ}, check=False).returncode == 0:
             return 0
     print("without uv: pip installs, which takes a minute or two", flush=True)
     bytecode = "--no-compile" if keeps_bytecode else "--compile"
-    return subprocess.run([*PIP, bytecode, "-e", project], check=False).returncode
+    return run([*PIP, bytecode, "-e", project], check=False).returncode
 
 
 if __name__ == "__main__":

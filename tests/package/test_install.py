@@ -54,7 +54,7 @@ def test_the_environment_overrides_the_file_and_install_overrides_global(install
 
 @pytest.mark.parametrize(("keeps_bytecode", "uv", "pip"), [(False, True, "--compile"), (True, False, "--no-compile")])
 def test_bytecode_is_made_where_python_will_not_keep_it(
-    install: ModuleType, monkeypatch: pytest.MonkeyPatch, keeps_bytecode: bool, uv: bool, pip: str
+    install: ModuleType, keeps_bytecode: bool, uv: bool, pip: str
 ) -> None:
     commands: list[list[str]] = []
 
@@ -62,8 +62,7 @@ def test_bytecode_is_made_where_python_will_not_keep_it(
         commands.append(command)
         return subprocess.CompletedProcess(command, int("-e" in command), stdout="")  # nothing gets installed
 
-    monkeypatch.setattr(install.subprocess, "run", run)
-    assert install.main(["dev"], keeps_bytecode=keeps_bytecode) == 1
+    assert install.main(["dev"], keeps_bytecode=keeps_bytecode, run=run) == 1
     by_uv, by_pip = (command for command in commands if "-e" in command)
     assert ("--compile-bytecode" in by_uv) is uv
     assert pip in by_pip
