@@ -28,7 +28,7 @@ from sim.attitude import Attitude, TiltWaves, roll_and_pitch
 from sim.motion import MotionState
 from sim.scenario import Mismatch, Scenario
 from sim.water import WaterColumn
-from sim.water.column import KNOT_NS, WaterSample, WaterWindow, velocity_at
+from sim.water.column import SAMPLE_PERIOD_NS, WaterSample, WaterWindow, velocity_at
 
 PERIOD_NS = 10_000_000
 REPORT_NS = 100_000_000
@@ -193,7 +193,7 @@ class Plant:
 
 def _can_batch(from_ns: int, t_ns: int) -> bool:
     """Return True if the step to ``t_ns`` follows no report and stays within one second of the water's samples."""
-    return from_ns % REPORT_NS != 0 and t_ns % KNOT_NS != 0
+    return from_ns % REPORT_NS != 0 and t_ns % SAMPLE_PERIOD_NS != 0
 
 
 def apply_mismatch(p: Coefficients, mismatch: Mismatch) -> Coefficients:
@@ -236,11 +236,11 @@ def simulate_steps(
         h = (t_ns[k + 1] - t_ns[k]) * 1e-9
         for i in range(3):
             last[1, i] = max(last[1, i], abs(commands[k, i] - last[0, i]) / h)
-        at_middle = WaterSample(water.depth_m, water.earlier, water.later, water.weights[k])
+        at_middle = WaterSample(water.depth_m, water.earlier, water.later, water.time_weights[k])
         motion.step(flat, vehicle, last[0], commands[k], t_ns[k + 1] <= 0, h, at_middle)
         copy_to(last[0], commands[k])
         w = observed_water
-        at_end = WaterSample(w.depth_m, w.earlier, w.later, w.weights[k])
+        at_end = WaterSample(w.depth_m, w.earlier, w.later, w.time_weights[k])
         observe(observed[k], vehicle, factor, t_ns[k + 1] * 1e-9, tilt, at_end)
     return observed
 

@@ -21,9 +21,10 @@ has passed, the reference starts at that estimate.
 class BaseReference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
     """Base class of all references.
 
-    Before ``start_s`` (vehicle time) the thrusters are at rest. Without a depth the vertical thruster is not used. The
-    wanted depth changes from the depth at the start by at most ``descent_rate_mps``. ``origin`` is the position of
-    north = east = 0, for places given in degrees.
+    Before ``start_s`` (vehicle time) the lateral thrusters are at rest, and the command of the vertical one is kept.
+    A reference without a depth (``depth_m``, or depths of its places) leaves the vertical thruster as it is. With a
+    depth, the wanted depth begins at that of the vehicle and changes by at most ``descent_rate_mps``. ``origin`` is the
+    position of north = east = 0, for places given in degrees.
     """
 
     start_s: Annotated[float, Meta(ge=-1e6, le=1e6)] | None = None  # None: at once
@@ -41,11 +42,11 @@ class BaseReference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         return self.start_s is None or t_ns >= round(self.start_s * 1e9)
 
     def anchor(self, estimate: Estimate) -> ReferenceStart:
-        """Return the start of the reference: position and motion at its start time, by the first estimate after it.
+        """Return position and motion at the start time, extrapolated back from the first estimate after it.
 
         Parameters
         ----------
-        estimate : first estimate after the start time.
+        estimate : first estimate after the start time. An unknown depth or sinking speed counts as 0.
         """
         start_ns = estimate.t_ns if self.start_s is None else min(round(self.start_s * 1e9), estimate.t_ns)
         back_s = (estimate.t_ns - start_ns) * 1e-9

@@ -43,7 +43,7 @@ def path_notes(path: Path, speed_mps: float, limits: Limits, descent_rate_mps: f
             f"{limit[corner].min():.2f} m/s, because the vehicle turns at {limits.yaw_radps:.2f} rad/s at most and "
             f"needs {float(limits.turning_s(sharpest)):.1f} s for the turn"
         )
-    stops = path.stop[path.stop > 0.0]
+    stops = path.turn_on_spot[path.turn_on_spot > 0.0]
     if len(stops):
         notes.append(
             f"{_count(len(stops), 'corner')} of up to {math.degrees(stops.max()):.0f} degrees not rounded: the vehicle "

@@ -1,12 +1,13 @@
-"""Path geometry: straight legs, rounded corners and smooth curves, as a chain of straight pieces between points.
+"""Path geometry: a chain of straight pieces that approximates legs, rounded corners and smooth curves.
 
 A smooth curve is a chain of short pieces, each with its curvature. A corner between two straight legs is rounded by an
-arc tangent to both, so that the vehicle need not stop there:
+arc tangent to both, so that the vehicle need not stop there. With the change of direction phi (rad) at the corner and
+the largest distance d of the arc from the corner:
 
     R = d cos(phi / 2) / (1 - cos(phi / 2)),   tangent length R tan(phi / 2)
 
-for a corner of angle phi (rad, 0 is straight on) whose arc deviates from it by at most d; short legs get a smaller R.
-At a corner that cannot be rounded the vehicle stops and turns.
+The tangent length is at most half of the shorter leg, so that short legs get a smaller R. At a corner that cannot be
+rounded the vehicle stops and turns on the spot.
 """
 
 from __future__ import annotations
@@ -19,24 +20,31 @@ import numpy as np
 from ltv_mpc.messages import Array
 
 CHORD_RAD = math.radians(4.0)
-"""Largest change of direction between two pieces of an arc."""
+"""Largest change of direction between two pieces of an arc (rad)."""
 SAGITTA_M = 0.01
-"""Largest distance of a piece from its arc."""
+"""Largest distance of a piece from its arc (m)."""
 MIN_RADIUS_M = 0.02
-"""Smallest radius of a rounded corner; at a sharper one the vehicle stops."""
+"""Smallest radius of a rounded corner (m). If it would be smaller, the vehicle stops and turns."""
 STRAIGHT_RAD = math.radians(1.0)
-"""Smallest change of direction that counts as a corner."""
+"""Smallest change of direction that counts as a corner (rad)."""
+MIN_PIECE_M = 1e-9
+"""Points closer than this count as one: two arcs may meet in the middle of a leg."""
+MIN_HALF_TURN_RAD, MIN_HALF_TURN_COSINE = 1e-6, 1e-9
+"""Bounds of half the change of direction and of its cosine, between which a radius is defined: a straight path needs no
+arc, and a reversal has none.
+"""
 MAX_POINTS = 100_000
+"""Largest number of points of a path."""
 
 
 class Path(NamedTuple):
-    """K points and the K - 1 pieces between them."""
+    """K points and the K - 1 straight pieces between them."""
 
     points: Array  # (K, 2) north, east (m)
-    depth: Array  # (K,) m, NaN without a depth
-    curvature: Array  # (K-1,) 1/m, 0 on a straight piece
-    turn: Array  # (K-1,) rad, total angle of the rounded corner that the piece belongs to, else 0
-    stop: Array  # (K,) rad, angle of the turn on the spot at that point, 0 if the path continues without a stop
+    depth: Array  # (K,) (m), NaN without a depth
+    curvature: Array  # (K-1,) (1/m), 0 on a straight leg
+    turn: Array  # (K-1,) (rad) total change of direction of the rounded corner that the piece belongs to, else 0
+    turn_on_spot: Array  # (K,) (rad) change of direction at a point where the vehicle stops and turns, else 0
 
     @property
     def lengths(self) -> Array:
@@ -69,35 +77,35 @@ def round_corners(points: Array, depth: Array, corner_m: float) -> Path:
     ----------
     points : (K, 2) corners, north and east (m); successive ones differ.
     depth : (K,) depth at the corners (m), NaN without a depth.
-    corner_m : largest deviation of an arc from its corner (m).
+    corner_m : largest distance of an arc from its corner (m).
     """
     legs = np.diff(points, axis=0)
     lengths = np.hypot(*legs.T)
     course = np.arctan2(legs[:, 1], legs[:, 0])
     turns = np.diff(course)
     turns -= 2.0 * np.pi * np.round(turns / (2.0 * np.pi))
-    out = [(points[0], depth[0], 0.0, 0.0, 0.0)]  # point, depth, curvature and turn of the piece before it, stop
-    for k, signed in enumerate(turns, start=1):
-        turn = abs(float(signed))
-        room = 0.5 * min(lengths[k - 1], lengths[k])
-        R = _radius(turn, corner_m, room)
+    # Of each point: position, depth, curvature and turn of the piece that leads to it, turn on the spot.
+    out = [(points[0], depth[0], 0.0, 0.0, 0.0)]
+    for k, signed_turn in enumerate(turns, start=1):
+        turn = abs(float(signed_turn))
+        R = _radius(turn, corner_m, 0.5 * min(lengths[k - 1], lengths[k]))
         if turn < STRAIGHT_RAD or R < MIN_RADIUS_M:
             out.append((points[k], depth[k], 0.0, 0.0, turn if turn >= STRAIGHT_RAD else 0.0))
             continue
-        for j, point in enumerate(_arc(points[k], course[k - 1], float(signed), R)):
+        for j, point in enumerate(_arc(points[k], course[k - 1], float(signed_turn), R)):
             out.append((point, depth[k], 1.0 / R if j else 0.0, turn if j else 0.0, 0.0))
     out.append((points[-1], depth[-1], 0.0, 0.0, 0.0))
-    p, z, curvature, turn_, stop = (np.array(column) for column in zip(*out, strict=True))
-    keep = np.concatenate([[True], np.hypot(*np.diff(p, axis=0).T) > 1e-9])  # two arcs may meet in the middle of a leg
-    return Path(p[keep], z[keep], curvature[keep][1:], turn_[keep][1:], stop[keep])
+    p, z, curvature, corner_turn, turn_on_spot = (np.array(column) for column in zip(*out, strict=True))
+    keep = np.concatenate([[True], np.hypot(*np.diff(p, axis=0).T) > MIN_PIECE_M])
+    return Path(p[keep], z[keep], curvature[keep][1:], corner_turn[keep][1:], turn_on_spot[keep])
 
 
-def _radius(turn: float, corner_m: float, room: float) -> float:
-    """Return the radius R (m) of the arc that rounds a corner."""
+def _radius(turn: float, corner_m: float, max_tangent_m: float) -> float:
+    """Return the radius R (m) of the arc that rounds a corner; 0 if there is no such arc."""
     half = 0.5 * turn
-    if half < 1e-6 or math.cos(half) < 1e-9:
+    if half < MIN_HALF_TURN_RAD or math.cos(half) < MIN_HALF_TURN_COSINE:
         return 0.0
-    return min(corner_m * math.cos(half) / (1.0 - math.cos(half)), room / math.tan(half))
+    return min(corner_m * math.cos(half) / (1.0 - math.cos(half)), max_tangent_m / math.tan(half))
 
 
 def _arc(corner: Array, course: float, turn: float, R: float) -> Array:
@@ -124,29 +132,29 @@ def chord_count(turn: float, R: float) -> int:
 def with_lead_in(path: Path, start: Array, shortest_m: float) -> tuple[Path, float]:
     """Return the path preceded by a straight leg from ``start`` to its first point, and the length of that leg (m).
 
-    The vehicle stops at the corner between leg and path.
+    The vehicle stops and turns between leg and path, unless the path goes straight on (``STRAIGHT_RAD``).
 
     Parameters
     ----------
-    path : the path.
+    path : path that follows the leg.
     start : (2,) position north and east (m).
-    shortest_m : a leg shorter than this is omitted (m).
+    shortest_m : smallest length of a leg (m). If the start is nearer, the path is returned as it is, with length 0.
     """
-    way = path.points[0] - start
-    length = float(np.hypot(*way))
+    leg = path.points[0] - start
+    length = float(np.hypot(*leg))
     if length < shortest_m:
         return path, 0.0
     first = path.points[1] - path.points[0]
-    turn = abs(math.remainder(math.atan2(first[1], first[0]) - math.atan2(way[1], way[0]), 2.0 * math.pi))
-    stop = path.stop.copy()
-    stop[0] = turn if turn >= STRAIGHT_RAD else 0.0
+    turn = abs(math.remainder(math.atan2(first[1], first[0]) - math.atan2(leg[1], leg[0]), 2.0 * math.pi))
+    turn_on_spot = path.turn_on_spot.copy()
+    turn_on_spot[0] = turn if turn >= STRAIGHT_RAD else 0.0
     return (
         Path(
             np.concatenate([start[None], path.points]),
             np.concatenate([path.depth[:1], path.depth]),
             np.concatenate([[0.0], path.curvature]),
             np.concatenate([[0.0], path.turn]),
-            np.concatenate([[0.0], stop]),
+            np.concatenate([[0.0], turn_on_spot]),
         ),
         length,
     )

@@ -87,7 +87,7 @@ def fastest_schedule(
     limit = np.minimum(np.concatenate([step_limit, [0.0]]), np.concatenate([[start_mps], step_limit]))
     waiting = np.zeros(len(s))
     corner = np.concatenate([[0], last])  # columns of the points of the path
-    waiting[corner] = limits.turning_s(path.stop)
+    waiting[corner] = limits.turning_s(path.turn_on_spot)
     waiting[0] += float(limits.turning_s(np.array(first_turn_rad)))
     limit[waiting > 0.0] = 0.0
     _, t = speed_profile(s, limit, waiting, limits.surge)

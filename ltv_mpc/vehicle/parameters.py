@@ -9,28 +9,32 @@ from msgspec import Meta
 
 from ltv_mpc import config
 
-PositiveMass: TypeAlias = Annotated[float, Meta(gt=0, le=1e7)]
-NotNegative: TypeAlias = Annotated[float, Meta(ge=0, le=1e7)]
+Positive: TypeAlias = Annotated[float, Meta(gt=0, le=1e7)]
+NonNegative: TypeAlias = Annotated[float, Meta(ge=0, le=1e7)]
 
 
 class Translation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Surge, sway or heave: total mass (added mass included) and damping, X = -(linear + quadratic |v|) v."""
 
-    mass_kg: PositiveMass
-    linear_damping_kgps: NotNegative
-    quadratic_damping_kgpm: NotNegative
+    mass_kg: Positive
+    linear_damping_kgps: NonNegative
+    quadratic_damping_kgpm: NonNegative
 
 
 class Rotation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Yaw: total inertia (added inertia included) and damping, N = -(linear + quadratic |r|) r."""
 
-    inertia_kgm2: PositiveMass
-    linear_damping_Nms: NotNegative
-    quadratic_damping_kgm2: NotNegative
+    inertia_kgm2: Positive
+    linear_damping_Nms: NonNegative
+    quadratic_damping_kgm2: NonNegative
 
 
 class Thruster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Limits and dynamics of one thruster. ``arm_m`` is its distance from the centre line, 0 for the vertical one."""
+    """Limits and dynamics of one thruster. A positive thrust pushes the vehicle ahead, that of the vertical one down.
+
+    ``arm_m`` is the distance from the centre line, never negative: the model adds the sign of the side. It has no
+    effect for the vertical thruster.
+    """
 
     arm_m: Annotated[float, Meta(ge=0, le=100)]
     min_N: Annotated[float, Meta(ge=-1e6, le=0)]
@@ -42,7 +46,7 @@ class Thruster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Thrusters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Thrusters: port and starboard push ahead, left and right of the centre line; the optional vertical one down."""
+    """Tables [thruster.port], [thruster.starboard] and, for a vehicle that dives, [thruster.vertical]."""
 
     port: Thruster
     starboard: Thruster
@@ -52,11 +56,17 @@ class Thrusters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 NO_THRUSTER = Thruster(
     arm_m=0.0, min_N=0.0, max_N=0.0, slew_N_per_s=1.0, lag_s=0.0, propeller_diameter_m=1.0, max_rps=1.0
 )
-"""Vertical thruster of a vehicle without one: its limits are zero, so that every thrust array has three entries."""
+"""Placeholder for the vertical thruster of a surface craft, with limits of zero. With it every thrust array has three
+entries.
+"""
 
 
 class Coefficients(NamedTuple):
-    """Coefficients of the equations of motion for compiled code: plain floats, SI units."""
+    """Coefficients of the equations of motion for compiled code, as plain floats.
+
+    Masses in kg, inertia in kg m2, linear damping in kg/s (yaw: N m s), quadratic damping in kg/m (yaw: kg m2), arms in
+    m, lags in s.
+    """
 
     mass_surge: float
     mass_sway: float
@@ -87,10 +97,10 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     name: str
     description: str
-    dry_mass_kg: PositiveMass
+    dry_mass_kg: Positive
     net_buoyancy_N: Annotated[float, Meta(ge=-1e6, le=1e6)] = 0.0  # buoyancy minus weight; positive: the vehicle rises
     water_density_kgpm3: Annotated[float, Meta(ge=900, le=1100)]
-    failsafe_vertical_N: Annotated[float, Meta(ge=-1e6, le=1e6)] = 0.0
+    failsafe_vertical_N: Annotated[float, Meta(ge=-1e6, le=1e6)] = 0.0  # thrust in failsafe; positive pushes down
     surge: Translation
     sway: Translation
     heave: Translation | None = None
@@ -100,9 +110,13 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def __post_init__(self) -> None:
         """Reject parameters that contradict each other."""
         if (self.thruster.vertical is None) != (self.heave is None):
-            there, missing = ("[heave]", "[thruster.vertical]")[:: 1 if self.heave else -1]
+            if self.heave is None:
+                missing, present = "[heave]", "[thruster.vertical]"
+            else:
+                missing, present = "[thruster.vertical]", "[heave]"
             raise ValueError(
-                f"{missing} is missing but {there} is present: a vehicle that dives has both, a surface craft none"
+                f"{missing} is missing but {present} is present: "
+                "give both for a vehicle that dives, neither for a surface craft"
             )
         if self.heave is None and self.net_buoyancy_N != 0.0:
             raise ValueError(
@@ -131,16 +145,16 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     @property
     def thrusters(self) -> tuple[Thruster, Thruster, Thruster]:
-        """Port, starboard, vertical: the order of every thrust array; ``NO_THRUSTER`` if there is no vertical one."""
+        """Entries of ``thruster`` in the order of every thrust array: port, starboard, vertical or ``NO_THRUSTER``."""
         return self.thruster.port, self.thruster.starboard, self.thruster.vertical or NO_THRUSTER
 
     @property
-    def dives(self) -> bool:
-        """True with a vertical thruster; False for a surface craft."""
+    def can_dive(self) -> bool:
+        """True if the vehicle can dive, with a vertical thruster; False for a surface craft."""
         return self.heave is not None
 
     def coefficients(self) -> Coefficients:
-        """Return the coefficients for compiled code; heave of a surface craft has no damping and no net buoyancy."""
+        """Return the coefficients for compiled code. A surface craft has its dry mass and no damping in heave."""
         heave = self.heave or Translation(mass_kg=self.dry_mass_kg, linear_damping_kgps=0.0, quadratic_damping_kgpm=0.0)
         return Coefficients(
             mass_surge=self.surge.mass_kg,

@@ -143,7 +143,7 @@ def _propeller_warnings(vehicle: Vehicle, top: float) -> Iterator[str]:
 
 
 def _heave_warnings(vehicle: Vehicle) -> Iterator[str]:
-    if not vehicle.dives:
+    if not vehicle.can_dive:
         return
     vertical, up = vehicle.thrusters[2], vehicle.net_buoyancy_N
     yield from _thruster_time_warnings("[thruster.vertical]", vertical)

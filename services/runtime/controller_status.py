@@ -1,4 +1,4 @@
-"""Controller status, published once a second: input ages, cycle times, rejections, authority, health, error."""
+"""Controller status, published once a second: input ages, cycle times, rejections, authority, health, error (m)."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from services.bus.message_validation import MessageValidator
 from services.runtime.clock_sync import ClockOffset
 
 PERIOD_US = 1_000_000
+"""Time between two statuses (us)."""
 CYCLE_WINDOW_US = 10_000_000
-"""Window over which cycle times are evaluated."""
+"""Window over which cycle times are evaluated (us)."""
 
 StatusSink = Callable[[ControllerStatus, int], None]
 """Consumer of each status besides the bus; the second argument is the monotonic time in microseconds."""
 
 
 class ControllerStatusReporter:
-    """Reporter of the controller's status. ``sinks`` also receive it: the status line, the metrics."""
+    """Reporter of the controller's status on the bus, and to each sink: the status line, the metrics."""
 
     writes: tuple[type[Message], ...] = (ControllerStatus,)
 
@@ -33,19 +34,19 @@ class ControllerStatusReporter:
         self._cycles: deque[tuple[int, int]] = deque()  # end and duration of each (us)
         self.due_us = 0
 
-    def on_input(self, signal: Message) -> None:
-        """Note an accepted input."""
-        match signal:
+    def on_input(self, message: Message) -> None:
+        """Record an accepted input."""
+        match message:
             case Estimate():
-                self._estimate = signal
+                self._estimate = message
             case Applied():
-                self._applied_ns = signal.t_ns
+                self._applied_ns = message.t_ns
             case _:
                 pass
 
     def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> None:
-        """Note a step whose outputs are published."""
-        plan = next((signal for signal in outputs if isinstance(signal, Plan)), None)
+        """Record a step whose outputs were published."""
+        plan = next((message for message in outputs if isinstance(message, Plan)), None)
         if plan is not None:
             self._plan = plan
             self._cycles.append((now_us, took_us))
@@ -90,5 +91,6 @@ class ControllerStatusReporter:
         return math.hypot(self._estimate.north_m - north, self._estimate.east_m - east)
 
 
-def _quantile(in_order: Sequence[int], share: float) -> float | None:
-    return float(in_order[math.ceil(share * (len(in_order) - 1))]) if in_order else None
+def _quantile(ascending: Sequence[int], share: float) -> float | None:
+    """Return a quantile of sorted values, rounded up to one of them; None if there are no values."""
+    return float(ascending[math.ceil(share * (len(ascending) - 1))]) if ascending else None

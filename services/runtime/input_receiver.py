@@ -71,7 +71,7 @@ class InputReceiver:
         if kind not in self._node.reads:
             return None
         received_ns = time.received_ns(message, received_us)
-        io.deliver(message, header, key=frame.key, payload=frame.payload, received_t_ns=received_ns)
+        io.add_to_inbox(message, header, key=frame.key, payload=frame.payload, received_t_ns=received_ns)
         if kind in self._triggers:
             stamped: Any = message  # a type that causes steps has its validity time
             return StepTrigger(frame.key, stamped.t_ns)
@@ -93,6 +93,6 @@ class InputReceiver:
         now_ns = self._time.now_ns(frame.received_monotonic_us)
         rejected = rejection(frame, reason, node=self._node.name, t_ns=now_ns)
         if RejectedFrame in self._node.reads:
-            self._io.publish_and_deliver(rejected, now_ns)
+            self._io.publish_to_self(rejected, now_ns)
         else:
             self._io.publish(rejected)

@@ -1,4 +1,4 @@
-"""Inputs and outputs of a node's steps: pending inbox, step records and outbox, under one epoch."""
+"""Inputs and outputs of a node in its process: inbox of the next step, step records, and outbox."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from services.runtime.inbox import PendingInbox
 
 
 class NodeIO:
-    """Inbox, records and outputs of one node, in the order that a replay needs.
+    """Inbox, step records and outbox of one node; all of its messages have one epoch.
 
-    The record of a step is published before the outputs of the step. Records of steps without outputs wait for the next
-    step that has outputs, or for the next node status, which follows within half a second.
+    A replay needs the record of a step before the outputs of the step. The caller ensures this order: it calls
+    ``flush_records`` before it publishes the outputs. Until then the records wait, so that steps without outputs do not
+    publish one by one; the step loop also flushes them with each node status, within half a second.
     """
 
     def __init__(self, node: str, outbox: Outbox) -> None:
@@ -23,11 +24,19 @@ class NodeIO:
         self._records: list[StepRecord] = []
 
     def publish(self, message: Message) -> SentFrame:
-        """Publish a message of the process."""
+        """Publish a message of the node or of its process."""
         return self._outbox.publish(message)
 
-    def deliver(self, message: Message, header: Header, *, key: str, payload: bytes, received_t_ns: int) -> None:
-        """Put a received message into the inbox of the next step."""
+    def add_to_inbox(self, message: Message, header: Header, *, key: str, payload: bytes, received_t_ns: int) -> None:
+        """Put a received message into the inbox of the next step.
+
+        Parameters
+        ----------
+        message, header : decoded from ``payload``.
+        key : key on which the message was received.
+        payload : bytes of the frame; the step's record holds their crc.
+        received_t_ns : vehicle time at reception (ns).
+        """
         self._inbox.add(
             message,
             key=key,
@@ -37,8 +46,8 @@ class NodeIO:
             received_t_ns=received_t_ns,
         )
 
-    def publish_and_deliver(self, message: Message, now_ns: int) -> None:
-        """Publish a message and put it into the node's own inbox, without the way through the bus."""
+    def publish_to_self(self, message: Message, now_ns: int) -> None:
+        """Publish a message and put it directly into the node's own inbox, received at ``now_ns`` (vehicle time)."""
         sent = self._outbox.publish(message)
         self._inbox.add(
             message,
@@ -49,16 +58,23 @@ class NodeIO:
             received_t_ns=now_ns,
         )
 
-    def begin_step(self, step: int, t_ns: int, cause: str) -> list[ReceivedMessage]:
-        """Return the inbox of a step and record the step. ``step`` counts from 0."""
-        arrivals, entries = self._inbox.take()
+    def take_inbox(self, step: int, t_ns: int, cause: str) -> list[ReceivedMessage]:
+        """Empty the inbox for a step, append the step's record, and return the messages.
+
+        Parameters
+        ----------
+        step : number of the step, from 0.
+        t_ns : vehicle time that the step is for (ns).
+        cause : "grid", "cycle", or the key of the message that caused the step.
+        """
+        inbox, entries = self._inbox.take()
         self._records.append(
             StepRecord(node=self._node, epoch=self._outbox.epoch, step=step, t_ns=t_ns, cause=cause, inbox=entries)
         )
-        return arrivals
+        return inbox
 
     def flush_records(self) -> None:
-        """Publish the step records that wait."""
+        """Publish the waiting step records, in the order of the steps."""
         for record in self._records:
             self._outbox.publish(record)
         self._records.clear()

@@ -103,7 +103,7 @@ class Runner:
             )
             if state:
                 restored = decode(STATES[self._node.name], state)[0]
-                connected.io.publish_and_deliver(restored, restored.t_ns)
+                connected.io.publish_to_self(restored, restored.t_ns)
             try:
                 loop.run()
             finally:

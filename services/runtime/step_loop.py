@@ -154,9 +154,9 @@ class StepLoop:
     def _step(self, t_ns: int, cause: str, started_us: int) -> None:
         """Step the node and publish its outputs. ``started_us`` is the monotonic time at which the step was due."""
         status, report = self._reporters
-        arrivals = self._io.begin_step(status.steps, t_ns, cause)
+        inbox = self._io.take_inbox(status.steps, t_ns, cause)
         self._stages("read")
-        (outputs,) = self._node.steps([(t_ns, arrivals)])
+        (outputs,) = self._node.steps([(t_ns, inbox)])
         status.on_step(monotonic_us() - started_us)
         if not outputs:
             return
@@ -186,7 +186,7 @@ class StepLoop:
         self._stages.resume()
 
     def _publish_timing(self, plan: Plan, t_ns: int, started_us: int) -> None:
-        """Publish the computing time of a cycle and deliver it to the next one, as any other message."""
+        """Publish the computing time of a cycle, and put it into the inbox of the next one."""
         self._stages("publish")
         now_us = monotonic_us()
         now_ns = self._time.now_ns(now_us)
@@ -197,7 +197,7 @@ class StepLoop:
             estimate_age_ns=t_ns - plan.estimate_t_ns,
             stage_us=self._stages.stage_us,
         )
-        self._io.publish_and_deliver(timing, now_ns)
+        self._io.publish_to_self(timing, now_ns)
 
     # --- reporting ---------------------------------------------------------------------------------------------------
 

@@ -34,10 +34,10 @@ def run(
     progress: Callable[[int], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Summary:
-    """Make the run, to its end or until ``stop`` returns True.
+    """Run all nodes in lock step, to the end of the run or until ``stop`` returns True.
 
-    With a ``folder`` the run, its summary and the estimated current are written there. ``progress`` receives
-    the vehicle time (ns).
+    With a ``folder`` the recording, the summary and the estimated current are written there. ``progress`` receives the
+    vehicle time (ns).
     """
     if folder is None:
         return simulate(run_config, None, progress, stop)
@@ -56,8 +56,8 @@ def simulate(
     stop: Callable[[], bool],
     learned: EstimatedCurrent | None = None,
 ) -> Summary:
-    """Make the run without a folder; ``writer`` records it, and ``learned`` collects the estimated current."""
-    _leave_alone()
+    """Run all nodes in lock step without a folder; ``writer`` records, ``learned`` collects the estimated current."""
+    _freeze_existing_objects()
     scenario = run_config.scenario
     log = _Log(RunMetrics(run_config.vehicle), writer, learned)
     recorded = writer is not None
@@ -83,10 +83,8 @@ def simulate(
 
 
 @cache
-def _leave_alone() -> None:
-    """Exclude all objects that exist at a process's first run from later garbage collections, which they would slow
-    down.
-    """
+def _freeze_existing_objects() -> None:
+    """Exclude the objects that exist at the first run of a process from garbage collection, which becomes faster."""
     gc.collect()
     gc.freeze()
 
@@ -102,10 +100,11 @@ class _Log:
 
     @property
     def observed_types(self) -> frozenset[type[Message]]:
-        """Return the message types whose content is needed when nothing is recorded."""
+        """Message types that are observed when nothing is recorded."""
         return self.metrics.message_types | {Estimate, RejectedFrame}
 
     def stepped(self, step: Step) -> None:
+        """Record a step; only for a run with a writer."""
         assert self._writer is not None
         node, cause = step.node, step.cause
         record = StepRecord(
@@ -119,14 +118,14 @@ class _Log:
         self._writer.write(node, record, _header(step.number), step.at_ns)
 
     def published(self, node: str, message: ReceivedMessage) -> None:
-        signal = message.message
-        self.metrics.observe(signal, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
-        if type(signal) is RejectedFrame:
+        content = message.message
+        self.metrics.observe(content, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
+        if type(content) is RejectedFrame:
             self.rejected_count += 1
         if self._writer is not None:
-            self._writer.write(node, signal, _header(message.sequence), message.received_t_ns)
-        if self._learned is not None and isinstance(signal, Estimate):
-            self._learned.update(signal)
+            self._writer.write(node, content, _header(message.sequence), message.received_t_ns)
+        if self._learned is not None and isinstance(content, Estimate):
+            self._learned.update(content)
 
 
 def _header(sequence: int) -> wire.Header:
@@ -144,14 +143,14 @@ def _entry(message: ReceivedMessage, reader: str) -> InboxEntry:
     )
 
 
-def _key(signal: Message, reader: str) -> str:
+def _key(message: Message, reader: str) -> str:
     """Return the key of a message. A node reads only its own ``RejectedFrame``, a type that all nodes write."""
-    return topics.key_of(type(signal), reader)
+    return topics.key_of(type(message), reader)
 
 
 def rejected_message(node: str, message: ReceivedMessage, reason: str) -> RejectedFrame:
     """Return the rejection message that a process would publish."""
-    signal = message.message
-    payload = wire.encode(signal, _header(message.sequence))
-    frame = Frame(topics.BY_TYPE[type(signal)], _key(signal, node), payload, received_monotonic_us=0)
+    content = message.message
+    payload = wire.encode(content, _header(message.sequence))
+    frame = Frame(topics.BY_TYPE[type(content)], _key(content, node), payload, received_monotonic_us=0)
     return rejection(frame, reason, node=node, t_ns=message.received_t_ns)

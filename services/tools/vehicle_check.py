@@ -34,7 +34,7 @@ def check(vehicle: Vehicle) -> Check:
     return Check(
         name=vehicle.name,
         description=vehicle.description,
-        dives=vehicle.dives,
+        dives=vehicle.can_dive,
         performance=can,
         speed_scale_mps=scales.speed_mps,
         time_scale_s=scales.time_s,

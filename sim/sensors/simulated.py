@@ -12,7 +12,7 @@ from sim.water import WaterColumn
 
 
 class Environment(NamedTuple):
-    """Quantities that a sensor is made from, in addition to its settings."""
+    """Water, sea bed and seed of the run, from which the simulated sensors are made."""
 
     sensors: SensorConfig  # settings of all sensors of the vehicle
     seed: int  # of the run; each sensor draws from a stream of its own
@@ -21,7 +21,7 @@ class Environment(NamedTuple):
 
 
 class SimulatedSensor(Protocol):
-    """A sensor that measures at an instant."""
+    """Sensor that measures at an instant."""
 
     def sample(self, now: VehicleState) -> Sequence[Message]:
         """Return the messages whose validity time is now, if any."""
@@ -30,16 +30,19 @@ class SimulatedSensor(Protocol):
 
 @runtime_checkable
 class InterrogatingSensor(Protocol):
-    """A sensor that sends a signal when it samples, and receives answers at other times."""
+    """Sensor that sends an interrogation when it samples, and receives the replies later."""
 
     def sample(self, now: VehicleState) -> Sequence[Message]:
-        """Send the signal; nothing is measured yet."""
+        """Send the interrogation and return an empty sequence: nothing is measured yet."""
         ...
 
     def answers(self, motion: Motion, until_ns: int) -> Sequence[Any]:
-        """Return the messages that arrive by ``until_ns``, the end of ``motion``. Call it for every motion in turn."""
+        """Return the messages that arrive during ``motion``, which ends at ``until_ns``.
+
+        It must be called for every interval of the motion, in order: replies that are under way wait for the next one.
+        """
         ...
 
     def arrival_ns(self, message: Any) -> int:
-        """Return the time (ns) at which one of the answers arrives."""
+        """Return the time (ns) at which a message of ``answers`` arrives."""
         ...

@@ -1,10 +1,14 @@
 """Water column: horizontal water velocity over depth and time.
 
-c(z, t) = [north, east] (m/s), linear in z between cells, constant above the first and below the last cell.
-Slow change: each cell and axis follows a random walk in time, c_k(t) = c_k(0) + q W_k(t), with q in m/s per sqrt(s) and
-W_k a Wiener process, sampled every second and linear in between. W is a pure function of seed and whole second, so all
-processes that build this column from one seed have the same water. W(0) = 0, and before t = 0 the walk runs backwards.
-A feature (``features.py``) is added on top. It may bring depths of its own and is likewise sampled every second.
+c(z, t) = [north, east] (m/s). Over depth it is linear between the cells, and constant above the first and below the
+last cell. In time it is sampled every second, and linear in between.
+
+Slow change  Each cell and axis follows a random walk, c_k(t) = c_k(0) + q W_k(t), with q in m/s per sqrt(s) and W_k a
+             Wiener process with W_k(0) = 0. A second, independent walk gives the times before t = 0.
+Seed         W is a pure function of seed and whole second. All processes that build the column from one seed have the
+             same water.
+Feature      A feature of the water (``features.py``) is added, also sampled every second. It may add depths to those of
+             the cells.
 """
 
 from __future__ import annotations
@@ -19,20 +23,22 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, CurrentProfile, Pair
 from sim.random_streams import Stream, generator
 
-KNOT_NS = 1_000_000_000
-"""Time between two samples of the walk."""
+SAMPLE_PERIOD_NS = 1_000_000_000
+"""Time between two samples of the column."""
 
 _MAX_CACHED = 256
-"""Number of samples of the walk that are cached; an older one is generated again from the start, to the same bits."""
+"""Number of samples of a walk that are cached. An older sample is generated again: the walk is repeated from t = 0,
+with bitwise the same result.
+"""
 
 
 class WaterSample(NamedTuple):
-    """Water column at one instant, for compiled code: linear in time between two samples."""
+    """Water column at one instant, for compiled code: two samples, between which it is linear in time."""
 
     depth_m: Array  # (K,) strictly increasing
     earlier: Array  # (K, 2) velocity north and east (m/s) at the whole second before
     later: Array  # (K, 2) the same one second later
-    weight: float  # of the later sample, 0 to 1
+    time_weight: float  # of the later sample, 0 to 1
 
 
 class WaterWindow(NamedTuple):
@@ -41,11 +47,11 @@ class WaterWindow(NamedTuple):
     depth_m: Array  # (K,) strictly increasing
     earlier: Array  # (K, 2) velocity north and east (m/s) at the whole second before
     later: Array  # (K, 2) the same one second later
-    weights: Array  # (M,) of the later sample, 0 to 1
+    time_weights: Array  # (M,) of the later sample, 0 to 1
 
 
 class _Walk:
-    """Samples of q W at whole seconds on one side of t = 0, each of shape (K, 2)."""
+    """Random walk q W on one side of t = 0, sampled at whole seconds; each sample has shape (K, 2)."""
 
     def __init__(self, seed: int, stream: Stream, cells: int, change: float) -> None:
         self._seed, self._stream, self._shape, self._change = seed, stream, (cells, 2), change
@@ -57,6 +63,7 @@ class _Walk:
         self._cache: OrderedDict[int, Array] = OrderedDict({0: self._value})
 
     def at(self, second: int) -> Array:
+        """Return the sample at a distance of ``second`` >= 0 whole seconds from t = 0."""
         if second <= self._last and second not in self._cache:
             self._restart()
         while self._last < second:
@@ -68,13 +75,13 @@ class _Walk:
         return self._cache[second]
 
 
-class Overlay(Protocol):
-    """Velocity that is added to a water column."""
+class WaterFeature(Protocol):
+    """Feature of the water: a velocity that is added to a column."""
 
     steady: bool  # constant in time
 
     def depths(self, own_m: Array) -> Array:
-        """Return the depths (m) between which column and overlay together are linear, strictly increasing, (K,)."""
+        """Return the depths (m) between which column and feature together are linear, strictly increasing, (K,)."""
         ...
 
     def velocity(self, depth_m: Array, t_s: float) -> Array:
@@ -92,7 +99,7 @@ class WaterColumn:
         *,
         change_mps_per_rts: float = 0.0,
         seed: int = 0,
-        feature: Overlay | None = None,
+        feature: WaterFeature | None = None,
     ) -> None:
         """Build the column from its profile at t = 0.
 
@@ -102,75 +109,80 @@ class WaterColumn:
         velocity_mps : (K, 2) velocity north and east at t = 0.
         change_mps_per_rts : q of the random walk (m/s per sqrt(s)); with 0 the column draws no random number.
         seed : seed of the run.
-        feature : overlay. Without a walk, and without a feature that changes in time, the column is constant in time.
+        feature : is added to the column. If it is steady or None, and q is 0, the column is constant in time.
         """
-        self._own_depth = np.ascontiguousarray(depth_m, dtype=np.float64)
-        self._own = np.ascontiguousarray(velocity_mps, dtype=np.float64)
-        if self._own.shape != (len(self._own_depth), 2) or len(self._own_depth) == 0:
-            raise ValueError(f"depths {self._own_depth.shape} and velocities {self._own.shape} do not match")
+        self._cell_depth = np.ascontiguousarray(depth_m, dtype=np.float64)
+        self._cell_velocity = np.ascontiguousarray(velocity_mps, dtype=np.float64)
+        if self._cell_velocity.shape != (len(self._cell_depth), 2) or len(self._cell_depth) == 0:
+            raise ValueError(
+                f"depths {self._cell_depth.shape} and velocities {self._cell_velocity.shape} do not match: "
+                "give shapes (K,) and (K, 2), K at least 1"
+            )
         self._feature = feature
-        self._depth = self._own_depth if feature is None else feature.depths(self._own_depth)
-        self._walks = change_mps_per_rts != 0.0
-        self._still = not self._walks and (feature is None or feature.steady)
-        cells = len(self._own_depth)
-        self._after = _Walk(seed, Stream.WATER_CHANGE_AFTER, cells, change_mps_per_rts)
-        self._before = _Walk(seed, Stream.WATER_CHANGE_BEFORE, cells, change_mps_per_rts)
+        self._depth = self._cell_depth if feature is None else feature.depths(self._cell_depth)
+        self._has_walk = change_mps_per_rts != 0.0
+        self._steady = not self._has_walk and (feature is None or feature.steady)
+        cells = len(self._cell_depth)
+        self._walk_after = _Walk(seed, Stream.WATER_CHANGE_AFTER, cells, change_mps_per_rts)
+        self._walk_before = _Walk(seed, Stream.WATER_CHANGE_BEFORE, cells, change_mps_per_rts)
         self._second = 0
         first = self._at_second(0)
-        self._ends = (first, first) if self._still else (first, self._at_second(1))
+        self._ends = (first, first) if self._steady else (first, self._at_second(1))
 
     @property
     def depth_m(self) -> Array:
-        """Depths (m) between which the current is linear: the cells' centres and those of the feature, shape (K,)."""
+        """Depths (m) between which the current is linear: centres of the cells and depths of the feature, (K,)."""
         return self._depth
 
     def _at_second(self, second: int) -> Array:
-        c = self._own
-        if self._walks:
-            c = c + (self._after.at(second) if second >= 0 else self._before.at(-second))
+        """Return the velocities (K, 2) at a whole second, at the depths of ``depth_m``."""
+        c = self._cell_velocity
+        if self._has_walk:
+            c = c + (self._walk_after.at(second) if second >= 0 else self._walk_before.at(-second))
         if self._feature is None:
             return c
-        north, east = (np.interp(self._depth, self._own_depth, axis) for axis in c.T)
+        north, east = (np.interp(self._depth, self._cell_depth, axis) for axis in c.T)
         return np.column_stack([north, east]) + self._feature.velocity(self._depth, float(second))
 
     def sample(self, t_ns: int) -> WaterSample:
         """Return the column at ``t_ns``, for compiled code."""
-        if self._still:
+        if self._steady:
             return WaterSample(self._depth, self._ends[0], self._ends[0], 0.0)
-        second = t_ns // KNOT_NS
+        second = t_ns // SAMPLE_PERIOD_NS
         if second != self._second:
             self._second, self._ends = second, (self._at_second(second), self._at_second(second + 1))
-        return WaterSample(self._depth, self._ends[0], self._ends[1], (t_ns - second * KNOT_NS) / KNOT_NS)
+        time_weight = (t_ns - second * SAMPLE_PERIOD_NS) / SAMPLE_PERIOD_NS
+        return WaterSample(self._depth, self._ends[0], self._ends[1], time_weight)
 
     def window(self, times_ns: Sequence[int]) -> WaterWindow:
-        """Return the column at times of one whole second, of which its end is no part, for compiled code."""
+        """Return the column at several times, for compiled code; they all lie in [s, s + 1) for one whole second s."""
         depth, earlier, later, _ = self.sample(times_ns[0])
-        if self._still:
+        if self._steady:
             return WaterWindow(depth, earlier, later, np.zeros(len(times_ns)))
-        return WaterWindow(depth, earlier, later, np.array([self.sample(t_ns).weight for t_ns in times_ns]))
+        return WaterWindow(depth, earlier, later, np.array([self.sample(t_ns).time_weight for t_ns in times_ns]))
 
     def at(self, depth_m: float, t_ns: int) -> Pair:
         """Return the velocity north and east (m/s) at one depth."""
         return velocity_at(depth_m, self.sample(t_ns))
 
     def gradient(self, depth_m: float, t_ns: int) -> Pair:
-        """Return dc/dz (1/s), north and east: 0 beyond both ends, at a cell's centre the value of the side below."""
+        """Return dc/dz (1/s), north and east: 0 beyond both ends; at a grid point the gradient just below it."""
         return gradient_at(depth_m, self.sample(t_ns))
 
     def over(self, depths_m: Array, t_ns: int) -> Array:
-        """Return the velocities (m/s) at many depths (J,), shape (J, 2)."""
-        return velocities_over(np.ascontiguousarray(depths_m, dtype=np.float64), self.sample(t_ns))
+        """Return the velocities (m/s) at depths (J,), shape (J, 2)."""
+        return velocities_at_depths(np.ascontiguousarray(depths_m, dtype=np.float64), self.sample(t_ns))
 
     def profile(self, t_ns: int) -> CurrentProfile:
         """Return the column at ``t_ns`` as a current profile."""
-        _, earlier, later, weight = self.sample(t_ns)
-        now = earlier + weight * (later - earlier)
+        _, earlier, later, time_weight = self.sample(t_ns)
+        now = earlier + time_weight * (later - earlier)
         return CurrentProfile(depth_m=self._depth.copy(), north_mps=now[:, 0].copy(), east_mps=now[:, 1].copy())
 
 
 @jit
 def _cell(depth: float, depths: Array) -> int:
-    """Return the last k with depths[k] <= depth, or -1 above the first."""
+    """Return the largest k with depths[k] <= depth, or -1 above the first depth."""
     low, high = -1, len(depths)
     while high - low > 1:
         middle = (low + high) // 2
@@ -183,40 +195,41 @@ def _cell(depth: float, depths: Array) -> int:
 
 @jit
 def velocity_at(depth: float, water: WaterSample) -> Pair:
-    """Return the velocity c = (1 - w) c_k + w c_k+1 (m/s) at a depth, interpolated likewise in time."""
-    depths, earlier, later, weight = water.depth_m, water.earlier, water.later, water.weight
+    """Return the velocity (m/s), north and east, at a depth: linear interpolation in depth and in time."""
+    depths, earlier, later, time_weight = water.depth_m, water.earlier, water.later, water.time_weight
     k = _cell(depth, depths)
     last = len(depths) - 1
     a, b = max(k, 0), min(k + 1, last)
-    w = 0.0 if k < 0 or k >= last else (depth - depths[k]) / (depths[k + 1] - depths[k])
-    north = earlier[a, 0] + w * (earlier[b, 0] - earlier[a, 0])
-    east = earlier[a, 1] + w * (earlier[b, 1] - earlier[a, 1])
-    # No branch for a weight of 0: it would cost more, because numba then counts references to ``later`` on both paths.
-    north += weight * (later[a, 0] + w * (later[b, 0] - later[a, 0]) - north)
-    east += weight * (later[a, 1] + w * (later[b, 1] - later[a, 1]) - east)
+    depth_weight = 0.0 if k < 0 or k >= last else (depth - depths[k]) / (depths[k + 1] - depths[k])
+    north = earlier[a, 0] + depth_weight * (earlier[b, 0] - earlier[a, 0])
+    east = earlier[a, 1] + depth_weight * (earlier[b, 1] - earlier[a, 1])
+    # A branch that skips these lines for a time weight of 0 would cost more time than it saves: numba would then count
+    # the references to ``later`` on both paths.
+    north += time_weight * (later[a, 0] + depth_weight * (later[b, 0] - later[a, 0]) - north)
+    east += time_weight * (later[a, 1] + depth_weight * (later[b, 1] - later[a, 1]) - east)
     return north, east
 
 
 @jit
 def gradient_at(depth: float, water: WaterSample) -> Pair:
-    """Return the gradient dc/dz = (c_k+1 - c_k) / (z_k+1 - z_k) (1/s) at a depth, 0 beyond the cells."""
-    depths, earlier, later, weight = water.depth_m, water.earlier, water.later, water.weight
+    """Return the gradient dc/dz = (c_k+1 - c_k) / (z_k+1 - z_k) (1/s) at a depth, 0 beyond both ends."""
+    depths, earlier, later, time_weight = water.depth_m, water.earlier, water.later, water.time_weight
     k = _cell(depth, depths)
     last = len(depths) - 1
     a, b = max(k, 0), min(k + 1, last)
     step = depths[b] - depths[a]
     north = earlier[b, 0] - earlier[a, 0]
     east = earlier[b, 1] - earlier[a, 1]
-    north += weight * (later[b, 0] - later[a, 0] - north)
-    east += weight * (later[b, 1] - later[a, 1] - east)
-    within = step > 0.0  # else beyond
-    return (north / step if within else 0.0), (east / step if within else 0.0)
+    north += time_weight * (later[b, 0] - later[a, 0] - north)
+    east += time_weight * (later[b, 1] - later[a, 1] - east)
+    is_inside = step > 0.0  # else the depth is above the first or below the last grid point
+    return (north / step if is_inside else 0.0), (east / step if is_inside else 0.0)
 
 
 @jit
-def velocities_over(at: Array, water: WaterSample) -> Array:
-    """Return ``velocity_at`` of each depth in ``at`` (J,), shape (J, 2)."""
-    c = np.empty((len(at), 2))
-    for j in range(len(at)):
-        c[j, 0], c[j, 1] = velocity_at(at[j], water)
+def velocities_at_depths(depths: Array, water: WaterSample) -> Array:
+    """Return ``velocity_at`` each of the ``depths`` (J,), shape (J, 2)."""
+    c = np.empty((len(depths), 2))
+    for j in range(len(depths)):
+        c[j, 0], c[j, 1] = velocity_at(depths[j], water)
     return c

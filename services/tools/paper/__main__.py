@@ -99,8 +99,8 @@ def checked(options: Options) -> str:
         raise ConfigError("option --page", "", f"cannot be read: {error}", value=str(options.page)) from None
     for name in TABLES:
         page_tables.table_text(page, name)
-    for setting in RECORDED:
-        descents.Flight(setting, options.runs, options.duration_s, options.surface_s).run_config()
+    for variant in RECORDED:
+        descents.Flight(variant, options.runs, options.duration_s, options.surface_s).run_config()
     for path in (options.out, options.runs, options.readme.parent):
         folder.open_folder(path, force=True)
     return page

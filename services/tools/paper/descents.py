@@ -13,7 +13,7 @@ from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from services.tools.batch.executor import run_each
 from services.tools.batch.job import Job
-from services.tools.paper.settings import AVERAGED, KNOWN, RECORDED, SCENARIO, Setting
+from services.tools.paper.settings import AVERAGED, PERFECT_STATE, RECORDED, SCENARIO, Variant
 from sim.evaluation.summary import Summary
 
 SEED = 1
@@ -25,9 +25,9 @@ AHEAD = ("horizon", "ahead")
 
 
 class Flight(NamedTuple):
-    """Recorded descent: its setting and duration."""
+    """Recorded descent: its variant, folder and duration."""
 
-    setting: Setting
+    variant: Variant
     out: Path
     duration_s: float
     surface_s: float = SURFACE_S
@@ -39,7 +39,7 @@ class Flight(NamedTuple):
             [
                 Override("option --surface-s", [f"run.surface_time_s={self.surface_s!r}"]),
                 Override("option --duration-s", [f"run.duration_s={self.duration_s!r}"]),
-                Override("figures", [f"run.seed={SEED}", *self.setting.keys]),
+                Override("figures", [f"run.seed={SEED}", *self.variant.overrides]),
             ],
         )
 
@@ -53,14 +53,14 @@ def fly(flight: Flight) -> Summary:
 def recorded(
     runs: Path, duration_s: float, surface_s: float, *, workers: int | None, progress: Callable[[], None]
 ) -> dict[str, tuple[Run, Summary]]:
-    """Return the plotted run and the summary of each recorded setting, by its key."""
-    flights = [Flight(setting, runs / setting.key, duration_s, surface_s) for setting in RECORDED]
+    """Return the plotted run and the summary of each recorded variant, by its key."""
+    flights = [Flight(variant, runs / variant.key, duration_s, surface_s) for variant in RECORDED]
     summaries: dict[str, Summary] = {}
     for place, summary in run_each(fly, flights, workers=workers):
-        summaries[flights[place].setting.key] = summary
+        summaries[flights[place].variant.key] = summary
         progress()
     return {
-        flight.setting.key: (shown(flight, summaries[flight.setting.key]), summaries[flight.setting.key])
+        flight.variant.key: (shown(flight, summaries[flight.variant.key]), summaries[flight.variant.key])
         for flight in flights
     }
 
@@ -68,7 +68,7 @@ def recorded(
 def shown(flight: Flight, summary: Summary) -> Run:
     """Return the run in the form that figures draw."""
     picture = read(flight.out / folder.RECORDING)
-    name = f"horizon {summary.horizon_s:.1f} s" if flight.setting.lateral else flight.setting.name
+    name = f"horizon {summary.horizon_s:.1f} s" if flight.variant.lateral else flight.variant.name
     past = {table: columns for table, columns in picture.tables.items() if table not in AHEAD}
     return Run(name, past, picture.values, picture.marks)
 
@@ -76,18 +76,18 @@ def shown(flight: Flight, summary: Summary) -> Run:
 def averaged(
     seeds: int, duration_s: float, *, workers: int | None, progress: Callable[[], None]
 ) -> dict[str, list[Summary]]:
-    """Return the summaries of seeds 0 to ``seeds`` - 1 of each averaged setting, by its key."""
+    """Return the summaries of seeds 0 to ``seeds`` - 1 of each averaged variant, by its key."""
     length = f"run.duration_s={duration_s!r}"
     jobs = [
-        (setting.key, Job(SCENARIO, (f"run.seed={seed}", length, *KNOWN, *setting.keys)))
-        for setting in AVERAGED
+        (variant.key, Job(SCENARIO, (f"run.seed={seed}", length, *PERFECT_STATE, *variant.overrides)))
+        for variant in AVERAGED
         for seed in range(seeds)
     ]
     found: list[Summary | None] = [None] * len(jobs)
     for place, summary in run_each(Job.summary, [job for _, job in jobs], workers=workers):
         found[place] = summary
         progress()
-    of: dict[str, list[Summary]] = {setting.key: [] for setting in AVERAGED}
+    of: dict[str, list[Summary]] = {variant.key: [] for variant in AVERAGED}
     for (key, _), done in zip(jobs, found, strict=True):
         assert done is not None  # a job that raised has ended the batch
         of[key].append(done)

@@ -1,6 +1,6 @@
-"""Settings of the paper's descents, as differences from the shipped scenario.
+"""Variants of the paper's descent, each as settings that override the shipped scenario.
 
-The paper's setting is its cost (positions alone), its two horizons and the computing time that it gives for each.
+The paper's variants have its cost (positions only), its two horizons, and the computing time that it states for each.
 """
 
 from __future__ import annotations
@@ -12,51 +12,54 @@ from services.reporting.figures.paper import NONE, OURS_LONG, OURS_SHORT, PAPER_
 SCENARIO = "descent"
 
 SHORT_S, LONG_S = 2.5, 5.0
-"""Horizons of the paper; in whole stages of 0.3 s they are 2.4 s and 5.1 s."""
+"""Horizons of the paper (s). The controller rounds them to whole stages of 0.3 s: 2.4 s and 5.1 s."""
 
 COMPUTING_S = {SHORT_S: 0.40, LONG_S: 0.71}
-"""Time of one optimisation on the paper's machine, by horizon."""
+"""Computing time (s) of one optimisation on the paper's machine, by horizon (s)."""
 
 PAPER_COST = (
     "controller.weights.terminal_position_per_m2=0.0",
     "controller.weights.terminal_velocity_s2_per_m2=0.0",
 )
-"""Cost of positions only, and this project's small weights on thrust, without which the QP has no unique solution."""
+"""Cost of the paper: no terminal terms. The small weights on thrust stay, because without them the QP has no unique
+solution.
+"""
 
-KNOWN = ("run.perfect_state=true",)
-"""Setting without localisation, which shows the controller alone."""
+PERFECT_STATE = ("run.perfect_state=true",)
+"""Override that replaces the localisation by the true state, to show the performance of the controller alone."""
 
 
-class Setting(NamedTuple):
-    """Row of the tables: its settings on top of the scenario, and its name."""
+class Variant(NamedTuple):
+    """Variant of the descent; a row of the tables."""
 
-    key: str
-    name: str
-    keys: tuple[str, ...]
+    key: str  # of the group of its runs
+    name: str  # in the first column of the table
+    overrides: tuple[str, ...]  # settings, TABLE.KEY=VALUE, that replace those of the scenario
 
     @property
     def lateral(self) -> bool:
-        """Return True if the thrusters are used."""
+        """True if the lateral thrusters are used."""
         return self.key != NONE
 
 
-def _setting(key: str, name: str, horizon_s: float, *, computing: bool, cost: tuple[str, ...] = ()) -> Setting:
-    delay = (f"run.compute_delay_s={COMPUTING_S[horizon_s]}",) if computing else ()
-    return Setting(key, name, (f"controller.horizon_s={horizon_s}", *delay, *cost))
+def _variant(key: str, name: str, horizon_s: float, *, with_delay: bool, cost: tuple[str, ...] = ()) -> Variant:
+    """Return a variant with control; ``with_delay`` simulates the computing time of the paper's machine."""
+    delay = (f"run.compute_delay_s={COMPUTING_S[horizon_s]}",) if with_delay else ()
+    return Variant(key, name, (f"controller.horizon_s={horizon_s}", *delay, *cost))
 
 
 RECORDED = (
-    Setting(NONE, "no control", ("controller.lateral=false",)),
-    _setting(PAPER_SHORT, "the paper's cost and delay", SHORT_S, computing=True, cost=PAPER_COST),
-    _setting(PAPER_LONG, "the paper's cost and delay", LONG_S, computing=True, cost=PAPER_COST),
-    _setting(OURS_SHORT, "ours", SHORT_S, computing=False),
-    _setting(OURS_LONG, "ours", LONG_S, computing=False),
+    Variant(NONE, "no control", ("controller.lateral=false",)),
+    _variant(PAPER_SHORT, "the paper's cost and delay", SHORT_S, with_delay=True, cost=PAPER_COST),
+    _variant(PAPER_LONG, "the paper's cost and delay", LONG_S, with_delay=True, cost=PAPER_COST),
+    _variant(OURS_SHORT, "this project's cost", SHORT_S, with_delay=False),
+    _variant(OURS_LONG, "this project's cost", LONG_S, with_delay=False),
 )
-"""Runs of the figures."""
+"""Variants that are recorded for the figures, with localisation; each is one run."""
 
 AVERAGED = (
     *RECORDED,
-    _setting("ours-2.5s-late", "ours, the paper's delay", SHORT_S, computing=True),
-    _setting("ours-5s-late", "ours, the paper's delay", LONG_S, computing=True),
+    _variant("ours-2.5s-late", "this project's cost, the paper's delay", SHORT_S, with_delay=True),
+    _variant("ours-5s-late", "this project's cost, the paper's delay", LONG_S, with_delay=True),
 )
-"""Rows of the table over many seeds."""
+"""Variants of the table over many seeds, with the true state."""

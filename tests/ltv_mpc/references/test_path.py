@@ -40,7 +40,7 @@ def test_a_corner_is_cut_by_at_most_corner_m(angle, corner_m, port):
     nearest = float(np.hypot(*np.concatenate([path.points, middles]).T).min())  # to the corner itself
     assert nearest <= corner_m + SAGITTA_M
     assert off_the_legs(path, angle) <= corner_m + 1e-9
-    assert not path.stop.any()
+    assert not path.turn_on_spot.any()
 
 
 @given(st.floats(0.2, 2.5), st.floats(0.1, 2.0))
@@ -63,9 +63,9 @@ def test_a_short_leg_gets_smaller_arcs():
 
 
 def test_the_vehicle_stops_at_a_sharp_corner_and_at_a_reversal():
-    assert corner(math.pi / 2, corner_m=0.0).stop == pytest.approx([0.0, math.pi / 2, 0.0])
+    assert corner(math.pi / 2, corner_m=0.0).turn_on_spot == pytest.approx([0.0, math.pi / 2, 0.0])
     back = round_corners(np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 0.0]]), np.full(3, math.nan), 0.4)
-    assert back.stop == pytest.approx([0.0, math.pi, 0.0])
+    assert back.turn_on_spot == pytest.approx([0.0, math.pi, 0.0])
 
 
 def test_a_distant_start_adds_a_straight_leg_to_the_path():
@@ -76,7 +76,7 @@ def test_a_distant_start_adds_a_straight_leg_to_the_path():
     led, lead_m = with_lead_in(path, np.array([-20.0, -3.0]), 0.5)
     assert lead_m == pytest.approx(3.0)
     assert led.length_m == pytest.approx(path.length_m + 3.0)
-    assert led.stop[1] == pytest.approx(math.pi / 2)  # from east to north
+    assert led.turn_on_spot[1] == pytest.approx(math.pi / 2)  # from east to north
 
 
 def test_a_closed_square_is_repeated_laps_times():
@@ -84,8 +84,8 @@ def test_a_closed_square_is_repeated_laps_times():
     once = Waypoints(speed_mps=1.0, waypoints=places, closed=True, corner_m=0.0).path()
     twice = Waypoints(speed_mps=1.0, waypoints=places, closed=True, corner_m=0.0, laps=2).path()
     assert (once.length_m, twice.length_m) == pytest.approx((80.0, 160.0))
-    assert np.count_nonzero(once.stop) == 3
-    assert np.count_nonzero(twice.stop) == 7
+    assert np.count_nonzero(once.turn_on_spot) == 3
+    assert np.count_nonzero(twice.turn_on_spot) == 7
     np.testing.assert_allclose(once.points[0], once.points[-1])
 
 

@@ -67,8 +67,8 @@ def test_a_surface_craft_with_net_buoyancy_is_rejected(tmp_path):
 def test_a_surface_craft_plans_no_vertical_thrust_and_needs_no_depth():
     """Even a reference with a depth does not change that."""
     craft = Vehicle.load("surface")
-    assert not craft.dives
-    assert Vehicle.load("paper").dives
+    assert not craft.can_dive
+    assert Vehicle.load("paper").can_dive
     controller = Controller(craft, references.Point(north_m=0.0, east_m=0.0, depth_m=40.0))
     estimate = Estimate.at_rest(north_m=1.0)
     for _ in range(10):

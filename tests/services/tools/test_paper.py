@@ -89,8 +89,8 @@ def test_the_page_s_tables_are_those_of_figures_json_and_the_rest_stays(made: Pa
 def test_each_run_is_made_as_its_row_says(made: Path) -> None:
     figures = tables.Figures.load(made / "figures" / command.FIGURES)
     by_name = {table.name: table for table in figures.tables}
-    for table, settings in ((by_name["descents"], RECORDED), (by_name["seeds"], AVERAGED)):
-        assert [row[0] for row in table.rows] == [setting.name for setting in settings]
+    for table, variants in ((by_name["descents"], RECORDED), (by_name["seeds"], AVERAGED)):
+        assert [row[0] for row in table.rows] == [variant.name for variant in variants]
     none, paper_short, paper_long, ours_short, ours_long = by_name["descents"].rows
     assert none[1:3] == (None, None)
     assert none[-2:] == (0.0, 0.0)

@@ -88,7 +88,7 @@ def test_asking_in_any_order_says_the_same():
 
 
 def test_water_without_a_feature_is_untouched_by_its_other_keys():
-    assert make(Water(), 3).sample(7 * S).weight == 0.0
+    assert make(Water(), 3).sample(7 * S).time_weight == 0.0
     np.testing.assert_array_equal(
         make(Water(feature=STEP), 3).over(DEPTHS[:400], 0), make(Water(), 3).over(DEPTHS[:400], 0)
     )
