@@ -14,7 +14,7 @@ from ltv_mpc.control.nominal_trajectory import shift_controls
 from ltv_mpc.control.problem_data import pack_constants, pack_objective, unpack_objective
 from ltv_mpc.control.shooting_grid import knots, locate
 from ltv_mpc.control.solvers import osqp
-from ltv_mpc.control.vertical import follow
+from ltv_mpc.control.vertical import follow_depth
 
 PAPER = Vehicle.load("paper")
 P = PAPER.coefficients()
@@ -88,7 +88,7 @@ def test_the_vertical_law_acts_as_often_as_before():
 
     def depths(t):
         numbers = pack_constants(PAPER, Weights(), t, 0.3)
-        return follow(numbers, 1.0, 0.0, 20.0, 20.0, 0.0, 1.5 + 0.06 * t, np.full(len(t), 0.2))
+        return follow_depth(numbers, 1.0, 0.0, 20.0, 20.0, 0.0, 1.5 + 0.06 * t, np.full(len(t), 0.2))
 
     (one, thrust, rate), (other, often, as_often) = depths(coarse), depths(fine)
     at = coarse.astype(int)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.frames import rotation, rotation_log
+from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, Belief, Layout, grid, reach_m
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -66,6 +67,24 @@ def test_a_cloned_position_has_the_positions_errors():
     np.testing.assert_allclose(belief.P, T @ P @ T.T, rtol=1e-13)
     np.testing.assert_array_equal(belief.x[e], [3.0, 4.0])
     assert belief.epoch_t_ns == 7
+
+
+def test_a_cloned_antenna_has_the_mean_errors_of_the_antenna():
+    """Reference: the antenna p + R l of the state that the error is applied to."""
+    layout = Layout.of(SensorConfig.load("paper"), EstimatorConfig())
+    rng = np.random.default_rng(1)
+    belief, lever_m, h = Belief.blank(layout, 7), (0.7, -0.4, -1.1), 1e-6
+    belief.R = rotation(0.2, -0.3, 2.0)
+    E = rng.standard_normal((layout.size, 2))
+    belief.signatures = FailureSignatures(E.copy(), np.zeros(2), np.zeros((2, 2)))
+    belief.clone_position(lever_m)
+    for k in range(2):
+        up, down = belief.copy(), belief.copy()
+        up.apply_error(h * E[:, k])
+        down.apply_error(-h * E[:, k])
+        antenna = [b.x[:2] + (b.R @ np.array(lever_m))[:2] for b in (up, down)]
+        expected = (antenna[0] - antenna[1]) / (2 * h)
+        np.testing.assert_allclose(belief.signatures.error[layout.epoch, k], expected, atol=1e-8)
 
 
 def test_a_copy_is_the_same_and_shares_nothing_that_changes():

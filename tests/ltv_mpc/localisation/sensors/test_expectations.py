@@ -300,3 +300,28 @@ def test_a_beam_that_has_not_found_the_bottom_is_counted(belief):
     assert seen.rows.state.shape[0] == 2
     nothing = BottomTrack(t_ns=0, range_m=np.full(4, np.nan), beam_velocity_mps=np.full(4, np.nan))
     assert len(bottom_track.linearise(belief, nothing, TRACKING, context()).rows.residual) == 0
+
+
+def ping_of_zeros():
+    return AdcpPing(t_ns=0, range_m=1.4 + np.arange(6.0), beam_velocity_mps=np.zeros((4, 6)))
+
+
+def test_the_beams_of_a_linearised_ping_point_along_the_beams_in_ned(belief):
+    directions = adcp.linearise(belief, ping_of_zeros(), SUITE.adcp, context()).beams
+    expected = beam_directions(SUITE.adcp.beam_angle_rad) @ (belief.R @ belief.mounting).T
+    np.testing.assert_allclose(directions, np.repeat(expected, 6, axis=0), atol=1e-12)
+
+
+def test_a_window_that_starts_deeper_measures_the_same_water_by_states_of_lower_index(belief):
+    """Residuals and derivatives are those of the window at the surface, and so are the grid points."""
+    moved, by = belief.copy(), 4
+    for water in (LAYOUT.north, LAYOUT.east):
+        moved.x[water][:-by] = belief.x[water][by:]
+    moved.column.first += by
+    first, second = (adcp.linearise(b, ping_of_zeros(), SUITE.adcp, context()) for b in (belief, moved))
+    np.testing.assert_array_equal(second.grid_points, first.grid_points)
+    np.testing.assert_allclose(second.rows.residual, first.rows.residual, atol=1e-12)
+    np.testing.assert_allclose(second.rows.partial, first.rows.partial, atol=1e-12)
+    is_water = first.rows.state >= LAYOUT.north.start
+    np.testing.assert_array_equal(second.rows.state, np.where(is_water, first.rows.state - by, first.rows.state))
+    assert is_water.any()
