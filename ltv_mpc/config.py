@@ -154,14 +154,14 @@ def is_path(name: str) -> bool:
     return "/" in name or "\\" in name or PurePath(name).suffix != ""
 
 
-def find(name: str, *, what: str, package: str, suffix: str = ".toml") -> Path:
+def find(name: str, *, what: str, package: str | None, suffix: str = ".toml") -> Path:
     """Return the path of NAME|FILE.
 
     Parameters
     ----------
     name : bare name of a shipped file, or a path with a suffix or a slash.
     what : kind of file for errors.
-    package : package whose folder holds the shipped files.
+    package : package whose folder holds the shipped files; None if no file of this kind is shipped.
     suffix : suffix of the shipped files.
 
     Raises
@@ -171,7 +171,8 @@ def find(name: str, *, what: str, package: str, suffix: str = ".toml") -> Path:
     """
     if is_path(name):
         return Path(name)
-    files = {path.name.removesuffix(suffix): path for path in _shipped(package, suffix)}
+    shipped = iter(()) if package is None else _shipped(package, suffix)
+    files = {path.name.removesuffix(suffix): path for path in shipped}
     if name in files:
         return files[name]
     hints = ["no shipped name"]
@@ -184,7 +185,7 @@ def find(name: str, *, what: str, package: str, suffix: str = ".toml") -> Path:
     raise ConfigError(f"{what} {format_value(name)}", "", "; ".join(hints))
 
 
-def load(name: str, kind: type[T], *, what: str, package: str) -> T:
+def load(name: str, kind: type[T], *, what: str, package: str | None) -> T:
     """Find, read and parse a settings file.
 
     Parameters
@@ -192,7 +193,7 @@ def load(name: str, kind: type[T], *, what: str, package: str) -> T:
     name : bare name of a shipped file, or a path.
     kind : frozen msgspec Struct.
     what : kind of file for errors.
-    package : package whose folder holds the shipped files.
+    package : package whose folder holds the shipped files; None if no file of this kind is shipped.
 
     Raises
     ------

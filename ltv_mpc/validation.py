@@ -1,8 +1,8 @@
 """Message validation: the bounds of each field, compiled from ``messages.py``, and the relations between fields.
 
-``refusal(message)`` checks each message before it enters a node, in lock step and in processes. The check of one type
-is a generated function of plain comparisons, compiled at its first use. (msgspec checks messages that it decodes, but
-not those that are constructed.) ``low <= x <= high`` is false for NaN and for both infinities.
+``rejection_reason(message)`` checks each message before it enters a node, in lock step and in processes. The check of
+one type is a generated function of plain comparisons, compiled at its first use. (msgspec checks messages that it
+decodes, but not those that are constructed.) ``low <= x <= high`` is false for NaN and for both infinities.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Bounds(NamedTuple):
         return f"must be from {self.low:g} to {self.high:g} ({self.unit}){', or null' if self.has_gaps else ''}"
 
 
-def refusal(message: msgspec.Struct) -> Reason:
+def rejection_reason(message: msgspec.Struct) -> Reason:
     """Return the reason why a message is not valid, or None if it is valid."""
     return validator(type(message))(message)
 
@@ -191,7 +191,7 @@ def _entry_outside(field: str, values: Array, limits: Bounds) -> str:
 
 
 def _increases(values: Array | Times) -> bool:
-    """Return True if each entry is above the one before it, and none is NaN. Counting is five times faster than all."""
+    """Return True if each entry is greater than the previous one, and none is NaN; counting is faster than ``all``."""
     return bool(np.count_nonzero(values[1:] > values[:-1]) == len(values) - 1)
 
 

@@ -61,7 +61,7 @@ OWN, FIXED, NONE = range(3)
 
 @jit
 def begin(
-    numbers: Array,
+    packed: Array,
     start: Array,
     target: Array,
     old: Array,
@@ -71,7 +71,7 @@ def begin(
     looks: bool,
 ) -> int:
     """Choose the nominal trajectory (``choose_nominal``); ``steers``: steered guesses, ``looks``: terminal check."""
-    c = unpack_constants(numbers)
+    c = unpack_constants(packed)
     o = c.objective
     X, U = lin.X, lin.U
     _set_initial_knot(start, X, U)
@@ -111,10 +111,10 @@ def begin(
 
 @jit
 def step(
-    numbers: Array, lin: Linearisation, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
+    packed: Array, lin: Linearisation, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
 ) -> float:
     """Take a step: with the line search (``searches``) or the whole step; ``looks``: with the terminal check."""
-    c = unpack_constants(numbers)
+    c = unpack_constants(packed)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)
     copy_to(X[0], lin.X[0])

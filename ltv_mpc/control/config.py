@@ -59,14 +59,17 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Soft limits of the motion, [controller.limits], for both signs; not set: no limit. See ``horizon_limits.py``."""
+    """Soft limits of the motion, [controller.limits], for both signs; not set: no limit. See ``horizon_limits.py``.
+
+    The limits of thrust and slew rate are in the vehicle file.
+    """
 
     surge_mps: Annotated[float, Meta(gt=0, le=20)] | None = None  # surge speed through the water
     yaw_rate_radps: Annotated[float, Meta(gt=0, le=20)] | None = None
 
     @property
     def max_abs(self) -> Array:
-        """Limits (2,) of the states ``horizon_limits.LIMITED``; infinite where none is set."""
+        """Limits (2,) of the states ``horizon_limits.LIMITED_STATES``; infinite where none is set."""
         limits = self.surge_mps, self.yaw_rate_radps
         return np.array([math.inf if limit is None else limit for limit in limits])
 
@@ -81,7 +84,9 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     disturbance: Disturbance = Disturbance()
     limits: MotionLimits = MotionLimits()  # soft limits of the motion
     lateral: bool = True  # false: no lateral control, both lateral thrusters stay at zero
-    sqp_iterations: Annotated[int, Meta(ge=1, le=6)] = 2  # QPs per cycle, each linearised along the one before
+    sqp_iterations: Annotated[int, Meta(ge=1, le=6)] = (
+        2  # QPs per cycle, each linearised along the solution of the one before
+    )
     max_iterations: Annotated[int, Meta(ge=1, le=100_000)] = 400
     tolerance: Annotated[float, Meta(gt=0, le=1e-1)] = 5e-6
     solver: str = "osqp"
@@ -96,9 +101,9 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
         Parameters
         ----------
-        path : name of a shipped file, or path of a file.
+        path : of the file, with a suffix or a slash.
         """
-        settings = config.load(path, cls, what="controller settings", package="ltv_mpc.control.files")
+        settings = config.load(path, cls, what="controller settings", package=None)
         return validate(settings, source=f"controller settings {path}")
 
     @property

@@ -83,16 +83,16 @@ class Controller:
         self.vehicle = vehicle
         self.sent_commands = SentCommands(vehicle)
         """Commands in force, by time."""
-        numbers = pack_constants(vehicle, config.weights, config.knots, STAGE_S, config.limits.max_abs)
+        packed = pack_constants(vehicle, config.weights, config.knots, STAGE_S, config.limits.max_abs)
         self._estimates = EstimateSelector(vehicle, config)
         self._bias = None if config.disturbance.sd_mps == 0 else CurrentBias(config.disturbance)
         self._delay = Delay(_first_delay_ns(config), config.delay_quantile, round(config.min_delay_s * 1e9))
         self._prediction = Prediction(vehicle)
-        self._vertical = VerticalLaw(vehicle, numbers)
+        self._vertical = VerticalLaw(vehicle, packed)
         self._lateral = LateralPlanner(
             vehicle,
             config,
-            numbers,
+            packed,
             knots_ns=np.round(config.knots * STAGE_NS).astype(np.int64),
             make_solver=make_solver,
             stopwatch=stopwatch,
@@ -164,7 +164,7 @@ class Controller:
         estimate : the newest estimate.
         t_ns : start of the cycle, vehicle time (ns); the estimate's own time if None.
         applied : the actuators' report. Without reports the controller assumes that its plans are followed.
-        override : thrusts commanded by someone else than the controller.
+        override : thrusts commanded by a source other than the controller.
         health : of inputs that the caller watches; the plan reports the worst.
 
         Returns

@@ -24,10 +24,10 @@ from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 
 MAX_SHIFT_NS = 10_000_000_000
-"""Longest time for which a plan is followed after it was solved: its preview of the current grows old."""
+"""Longest time for which a plan is followed after it was solved: its preview of the current becomes outdated."""
 
 NOT_RUN = Solve(status=SolveStatus.NOT_RUN)
-"""Account of a solver that was not called."""
+"""Report of a solver that was not called."""
 
 
 class LateralPlan(NamedTuple):
@@ -43,7 +43,7 @@ class LateralPlan(NamedTuple):
 class PreviousPlan:
     """Plan that was sent last: the next cycle linearises along it, or sends the rest of it.
 
-    Only a plan that came from a solve, or is what was left of one, is used so.
+    The next cycle uses it only if its origin is "solved" or "shifted".
     """
 
     def __init__(self, knots_ns: Times) -> None:
@@ -52,7 +52,7 @@ class PreviousPlan:
         self.plan: Plan | None = None
         """The plan, whatever it came from."""
         self.solved_until_ns = 0
-        """End of what was solved, vehicle time (ns): a shifted plan ramps to zero from here on."""
+        """Vehicle time (ns) until which the last solved plan may be followed; a shifted plan then ramps to zero."""
         self._no_commands = np.zeros((len(knots_ns), 2))
         self._max_shift_ns = min(int(knots_ns[-1]), MAX_SHIFT_NS)
 
@@ -106,15 +106,15 @@ class PreviousPlan:
 class Fallback:
     """Lateral plans below the solved one."""
 
-    def __init__(self, numbers: Array, previous: PreviousPlan) -> None:
+    def __init__(self, packed: Array, previous: PreviousPlan) -> None:
         """Prepare the levels.
 
         Parameters
         ----------
-        numbers : packed constants (``problem_data.pack_constants``).
+        packed : packed constants (``problem_data.pack_constants``).
         previous : plan that was sent last; its owner keeps it up to date.
         """
-        self._numbers = numbers
+        self._packed = packed
         self._previous = previous
         self._zero = np.zeros((len(previous.knots_ns), 2))
 
@@ -125,7 +125,7 @@ class Fallback:
         ----------
         start : the vehicle at the plan's start.
         C : (N+1, 2) current at the knots (m/s), finite.
-        solve : account of the solve that gave no plan.
+        solve : report of the solve that gave no plan.
         """
         shifted = self.shift(start, C, solve) if start.t_ns < self._previous.solved_until_ns else None
         return shifted or self.ramp(start, C, solve.why)._replace(solve=solve)
@@ -137,7 +137,7 @@ class Fallback:
         ----------
         start : the vehicle at the plan's start.
         C : (N+1, 2) current at the knots (m/s), finite.
-        solve : account of the solve that gave no plan.
+        solve : report of the solve that gave no plan.
 
         Returns
         -------
@@ -147,10 +147,10 @@ class Fallback:
         if math.isnan(stages):
             return None
         X, U = self.empty()
-        nominal_trajectory.shifted_trajectory(self._numbers, start.lateral, commands, stages, C, X, U)
+        nominal_trajectory.shifted_trajectory(self._packed, start.lateral, commands, stages, C, X, U)
         goal = U.copy()
         goal[start.t_ns + self._previous.knots_ns > self._previous.solved_until_ns] = 0.0
-        nominal_trajectory.ramp_to(self._numbers, start.lateral, goal, C, X, U)
+        nominal_trajectory.ramp_to(self._packed, start.lateral, goal, C, X, U)
         if not (np.isfinite(X).all() and np.isfinite(U).all()):
             return None
         return LateralPlan(X, U, PlanOrigin.SHIFTED, solve, solve.why)
@@ -167,7 +167,7 @@ class Fallback:
         """
         X, U = self.empty()
         lateral = self._zero if goal is None else np.ascontiguousarray(goal[:, :2])
-        nominal_trajectory.ramp_to(self._numbers, start.lateral, lateral, C, X, U)
+        nominal_trajectory.ramp_to(self._packed, start.lateral, lateral, C, X, U)
         origin = PlanOrigin.MANUAL if goal is not None and goal.any() else PlanOrigin.ZERO
         return LateralPlan(np.nan_to_num(X, posinf=0.0, neginf=0.0), U, origin, NOT_RUN, why)
 

@@ -39,7 +39,7 @@ class LateralPlanner:
         self,
         vehicle: Vehicle,
         config: ResolvedConfig,
-        numbers: Array,
+        packed: Array,
         *,
         knots_ns: Times,
         make_solver: SolverFactory,
@@ -50,7 +50,7 @@ class LateralPlanner:
         Parameters
         ----------
         vehicle, config : as ``make_solver`` takes them.
-        numbers : packed constants (``problem_data.pack_constants``).
+        packed : packed constants (``problem_data.pack_constants``).
         knots_ns : (N+1,) knots after a plan's start (ns).
         make_solver : called now, and again after a solve that failed.
         stopwatch : is called with a stage's name when that stage of a cycle ends.
@@ -58,10 +58,10 @@ class LateralPlanner:
         self.target = np.zeros((config.stages + 1, 2))
         """Target positions at knots 1 .. N (m), then the target velocity at the last one (m/s): ``Solver.build``."""
         self.previous = PreviousPlan(knots_ns)
-        self._numbers = numbers
+        self._packed = packed
         self._lin = Linearisation.empty(config.stages)
         self._sqp_iterations = config.sqp_iterations
-        self._fallback = Fallback(numbers, self.previous)
+        self._fallback = Fallback(packed, self.previous)
         self._make_solver: Callable[[], Solver] = lambda: make_solver(vehicle, config)
         self._solver = self._make_solver()
         self._solver_is_suspect = False
@@ -98,7 +98,7 @@ class LateralPlanner:
             if self._solver_is_suspect:  # its workspace may hold numbers that are not finite
                 self._solver, self._solver_is_suspect = self._make_solver(), False
             plan: LateralPlan | Solve = self._solve(start)
-        except Exception as error:  # every solver raises its own exceptions; here a failed solve is a value
+        except Exception as error:  # a solver should report a status, but those of others may raise
             plan = Solve(status=SolveStatus.FAILED, why=f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS])
         return self._fall_back(start, plan) if isinstance(plan, Solve) else plan
 
@@ -109,9 +109,9 @@ class LateralPlanner:
     def _solve(self, start: Start) -> LateralPlan | Solve:
         """Solve ``sqp_iterations`` QPs, each along the trajectory of the one before.
 
-        Returns the plan, or the account of the solve that gave no usable one.
+        Returns the plan, or the report of the solve that gave no usable one.
         """
-        lin, numbers, target = self._lin, self._numbers, self.target
+        lin, packed, target = self._lin, self._packed, self.target
         self._linearise(start)
         X, U = self._fallback.empty()
         for left in range(self._sqp_iterations, 0, -1):
@@ -128,18 +128,18 @@ class LateralPlanner:
                 # The line search brings it into box and slew, and takes it only as far as the cost does not rise.
             elif not math.isfinite(np.vdot(commands, commands)):
                 return Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
-            step = line_search.line_search(numbers, lin, target, commands, X, U)
+            step = line_search.line_search(packed, lin, target, commands, X, U)
             # A step above zero has a finite cost, so its states and commands are finite.
             if step == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return Solve(status=SolveStatus.NON_FINITE, why="the predicted motion is not finite")
             if left > 1:
-                nominal_trajectory.relinearise(numbers, lin, X, U)
+                nominal_trajectory.relinearise(packed, lin, X, U)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _linearise(self, start: Start) -> None:
         """Linearise along the previous plan on the new knots, or along a steering guess if that costs less."""
         stages, commands = self.previous.lateral_commands(start.t_ns)
-        kind = nominal_trajectory.choose_nominal(self._numbers, start.lateral, self.target, commands, stages, self._lin)
+        kind = nominal_trajectory.choose_nominal(self._packed, start.lateral, self.target, commands, stages, self._lin)
         if kind == nominal_trajectory.PREVIOUS_PLAN:
             self._solver.shift_warm_start(stages)
         else:
@@ -158,7 +158,7 @@ def is_usable(commands: Array, solve: Solve) -> bool:
     Parameters
     ----------
     commands : (N+1, 2) lateral commands at the knots (N).
-    solve : the solver's account.
+    solve : the solver's report.
     """
     return (
         solve.status is SolveStatus.ITERATION_LIMIT

@@ -3,13 +3,15 @@
     mode         condition                                             lateral thrusters     vertical thruster
     OVERRIDE     disarmed, stopped or steered by hand                  ramp to the override  ramp to the override
     FAILSAFE     no plausible estimate, or its age is over the limit   ramp to zero          ramp to the failsafe thrust
-    HOLD         health is "hold": the estimate or an input is old     ramp to zero          hold the estimated depth
+    HOLD         health is "hold": the estimate or an input is old     ramp to zero          hold the depth (*)
     WAIT         the reference has not started                         ramp to zero          keep the command in force
     DEPTH_ONLY   [controller] lateral = false                          ramp to zero          depth law
     FOLLOW       none of these                                         QP or fallback level  depth law
 
-The first condition that is met decides. Ages and health are in ``safety/health.py``; the
-failsafe thrust is the vehicle's ``failsafe_vertical_N``.
+(*) the estimated depth, if estimate and reference have a depth; else the command in force is kept.
+
+The first condition that is met decides. Ages and health are in ``safety/health.py``; the failsafe thrust is the
+vehicle's ``failsafe_vertical_N``.
 """
 
 from __future__ import annotations
@@ -134,7 +136,7 @@ def decide(
     ----------
     selection : estimate that the cycle plans on.
     now_ns : start of the cycle, vehicle time (ns).
-    override : thrusts commanded by someone else than the controller, if any.
+    override : thrusts commanded by a source other than the controller, if any.
     health : of the inputs that the caller watches.
     follower : begins its reference here if the mode allows it.
     lateral : False if the lateral thrusters stay at zero.

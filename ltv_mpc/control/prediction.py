@@ -24,7 +24,9 @@ STEP_NS = 100_000_000
 """Longest integration step; steps also end where the commands have a knot."""
 
 MAX_REPORTS = 32
-"""Reports of the actuators that are kept: 3 s at 10 Hz, longer than the delay of any estimate."""
+"""Number of reports of the actuators that are kept: 3 s at 10 Hz, the default age limit of an estimate. For an older
+estimate, the delivered thrust is taken to be the command in force.
+"""
 
 NEVER = -(2**62)
 """Time of the report if there is none."""

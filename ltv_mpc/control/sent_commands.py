@@ -17,7 +17,9 @@ from ltv_mpc.messages import Array, Plan, Times, Triple
 from ltv_mpc.vehicle.parameters import Vehicle
 
 HISTORY_NS = 10_000_000_000
-"""Length of the history: longer than the delay of any estimate."""
+"""Length of the history, longer than the default age limit of an estimate (``failsafe_s``, 3 s). The prediction from an
+older estimate begins with the oldest command that is kept.
+"""
 
 TOLERANCE_N = 0.01
 """Largest difference between two commands that counts as rounding."""

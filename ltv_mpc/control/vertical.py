@@ -36,13 +36,13 @@ MAX_INTEGRATION_S = 2.0
 
 @jit
 def follow_depth(
-    numbers: Array, z: float, w: float, F: float, command: float, integral: float, z_ref: Array, w_ref: Array
+    packed: Array, z: float, w: float, F: float, command: float, integral: float, z_ref: Array, w_ref: Array
 ) -> tuple[Array, Array, float]:
     """Simulate the depth law over the horizon.
 
     Parameters
     ----------
-    numbers : packed constants (``problem_data.pack_constants``).
+    packed : packed constants (``problem_data.pack_constants``).
     z, w, F : depth (m), sinking speed (m/s) and delivered thrust (N) at the first knot.
     command : command in force at the first knot (N).
     integral : integral term at the first knot (N).
@@ -52,7 +52,7 @@ def follow_depth(
     -------
     Depths (N+1,) in m, commands (N+1,) in N, and the integral's rate at the first knot (N/s).
     """
-    c = unpack_constants(numbers)
+    c = unpack_constants(packed)
     p, t = c.p, c.objective.t
     low, high, slew = c.vertical[0], c.vertical[1], c.vertical[2]
     N = len(z_ref) - 1
@@ -98,16 +98,16 @@ class VerticalLaw:
     The integral advances from the start of one plan to the start of the next.
     """
 
-    def __init__(self, vehicle: Vehicle, numbers: Array) -> None:
+    def __init__(self, vehicle: Vehicle, packed: Array) -> None:
         """Begin with a zero integral.
 
         Parameters
         ----------
         vehicle : its vertical thruster's slew limit is used.
-        numbers : packed constants (``problem_data.pack_constants``).
+        packed : packed constants (``problem_data.pack_constants``).
         """
         self._slew_N_per_s = vehicle.thrusters[2].slew_N_per_s
-        self._numbers = numbers
+        self._packed = packed
         self.integral_N = 0.0
         """Integral term of the law (N)."""
         self._integrated_ns: int | None = None
@@ -126,7 +126,7 @@ class VerticalLaw:
         The commands and the predicted depths.
         """
         plan = follow_depth(
-            self._numbers,
+            self._packed,
             start.depth_m,
             start.sinking_mps,
             start.vertical_N,

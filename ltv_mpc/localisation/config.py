@@ -28,7 +28,7 @@ class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     water_prior_change_sd_mps: Annotated[float, Meta(ge=0, le=5)] = 0.01
     adapts_to_water: bool = True  # inflates the process noise of water that changes unexpectedly (``process_noise.py``)
     afloat_acceleration_sd_mps2: Annotated[float, Meta(ge=0, le=10)] = 0.005  # horizontal, during levelling
-    gate_probability: Annotated[float, Meta(gt=0.5, lt=1)] = 0.999
+    gate_probability: Annotated[float, Meta(gt=0.5, lt=1)] = 0.999  # probability that a correct row passes the gate
 
     @classmethod
     def load(cls, path: str) -> EstimatorConfig:
@@ -36,6 +36,6 @@ class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
         Parameters
         ----------
-        path : of the file.
+        path : of the file, with a suffix or a slash.
         """
-        return config.load(path, cls, what="estimator settings", package="ltv_mpc.localisation.settings")
+        return config.load(path, cls, what="estimator settings", package=None)

@@ -2,10 +2,13 @@
 
 Controller, by the age of the newest accepted estimate and the period T of the estimates:
 
-    degraded   age > max(3 T, 0.5 s), or no estimate yet       control continues, and the plan reports it
+    degraded   age > max(3 T, 0.5 s)                           control continues, and the plan reports it
     hold       age > max(4 T, 1.5 s)                           lateral thrusts to zero, depth held: origin "zero"
     failsafe   age > max(6 T, 3.0 s)                           lateral thrusts to zero, vertical thrust to the
                                                                vehicle's ``failsafe_vertical_N``: origin "zero"
+
+Before the first plausible estimate the reported health is "degraded". A cycle without a plausible estimate is
+"failsafe" (``control/mode.py``).
 
 The controller is also degraded while the actuators, having reported before, are silent for max(3 T, 0.5 s) with T
 their own period. The multiples of T make a slow publisher nominal: one that sends once a second is degraded after two
@@ -13,7 +16,7 @@ missing messages, held after three, failsafe after five. They exceed the fixed t
 
 Actuators, by the time since the last accepted plan and the period T of the plans:
 
-    degraded   two planned replacements are missing (2.5 T), or no plan yet     the last plan is followed to its end
+    degraded   no plan for max(2.5 T, 0.5 s), or none yet                       the last plan is followed to its end
     failsafe   the last plan is at its end                                      thrusts ramp to rest
 
 A pause of the clock freezes every age. A negative age comes from a stamp in the future. It is as wrong as a stamp of

@@ -19,7 +19,7 @@ from msgspec import Meta
 
 from ltv_mpc.array_encoding import from_wire, to_wire
 from ltv_mpc.messages import Count, Message, MonotonicTime
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 
 S = TypeVar("S", bound=Message)
 T = TypeVar("T")
@@ -83,7 +83,7 @@ def from_map(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
     """
     header = header_of(message)
     signal = _checked(_signal, kind, message)
-    reason = _checked(refusal, signal)
+    reason = _checked(rejection_reason, signal)
     if reason is not None:
         raise WireError(reason)
     return signal, header

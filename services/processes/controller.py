@@ -138,11 +138,11 @@ def _fields(kind: type[Message]) -> str:
 
 
 def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -> None:
-    """Compile and load all code that a cycle can need, with the cycles of a controller that is thrown away.
+    """Compile and load all code that a cycle can need, with the cycles of a temporary controller.
 
-    They are: two at the start of the reference; two far off it, where the line search takes a part of the step and the
-    solver more than one turn; one whose solver fails; one with an estimate that is no number; one under manual command;
-    and two with estimates so old that the vehicle is held and then left to the failsafe.
+    Two cycles at the start of the reference; two far from it, where the line search shortens the step and the solver
+    iterates; one whose solver fails; one with an estimate that is not finite; one under manual command; and two without
+    a new estimate, in hold and in failsafe.
     """
     fails = False
 

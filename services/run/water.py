@@ -10,7 +10,7 @@ import numpy as np
 from ltv_mpc.currents import WaterPrior, read_prior
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.messages import Estimate
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 
 
 def resolve_prior_path(folder: Path, settings: EstimatorConfig) -> EstimatorConfig:
@@ -56,7 +56,7 @@ class EstimatedCurrent:
         None if there is no estimate, a perfect one, or one without covariances.
         """
         last = self._last
-        if last is None or last.current is None or refusal(last) is not None:
+        if last is None or last.current is None or rejection_reason(last) is not None:
             return None
         current, covariance = last.current, last.covariance
         if current.sd_mps is None or covariance is None:

@@ -49,7 +49,7 @@ from ltv_mpc.messages import (
     SolveStatus,
 )
 from ltv_mpc.node import ReceivedMessage
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics
 from services.bus.mailbox import Frame
@@ -281,7 +281,7 @@ def command() -> Target:
             told = msgspec.structs.replace(example, reference_toml=toml.decode())
         except UnicodeDecodeError:  # no text, so no message
             return None
-        if refusal(told) is not None:
+        if rejection_reason(told) is not None:
             return None
         count = next(times)
         t_ns = count * 300_000_000
@@ -294,7 +294,7 @@ def command() -> Target:
     def check(said: Sequence[Message]) -> None:
         for signal in said:
             signal_is_sound(signal)
-            assert refusal(signal) is None
+            assert rejection_reason(signal) is None
 
     return Target("command", 0.5, of_text(seeds), take, check)
 

@@ -22,7 +22,7 @@ from ltv_mpc.messages import (
     Message,
     Plan,
 )
-from ltv_mpc.validation import RELATIONS, Bounds, bounds, refusal, validator
+from ltv_mpc.validation import RELATIONS, Bounds, bounds, rejection_reason, validator
 from services.bus.topics import TOPICS
 from services.bus.wire import WireError, from_map
 from tests.services.bus.messages import EXAMPLES, HEADER
@@ -115,10 +115,10 @@ def beyond(limits: Bounds) -> tuple[Any, Any]:
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda message: type(message).__name__)
 def test_each_number_may_equal_its_bounds_but_not_exceed_them(message: Message) -> None:
-    assert refusal(message) is None
+    assert rejection_reason(message) is None
     for way, limits in places(message):
         # The header has narrower bounds for a step record's epoch, which is its own.
-        judges = (refusal,) if way == ("epoch",) else (refusal, on_the_wire)
+        judges = (rejection_reason,) if way == ("epoch",) else (rejection_reason, on_the_wire)
         for judge in judges:
             for number in (limits.low, limits.high):
                 reason = judge(changed(message, way, number))
@@ -128,7 +128,7 @@ def test_each_number_may_equal_its_bounds_but_not_exceed_them(message: Message) 
                 assert is_of_bounds(reason), (way, number, reason)
                 assert str(way[0]) in str(reason)
         if isinstance(limits.low, float):
-            not_a_number = refusal(changed(message, way, math.nan))
+            not_a_number = rejection_reason(changed(message, way, math.nan))
             assert is_of_bounds(not_a_number) != limits.has_gaps, way
 
 
@@ -150,9 +150,9 @@ def test_a_reason_names_field_entry_value_and_bound_also_of_inner_structs() -> N
     depth_m[3] = 12_001.0
     deep = msgspec.structs.replace(estimate, current=msgspec.structs.replace(estimate.current, depth_m=depth_m))
     reason = "current.depth_m[3] = 12001.0: must be from -100 to 12000 (m)"
-    assert refusal(deep) == on_the_wire(deep) == reason
+    assert rejection_reason(deep) == on_the_wire(deep) == reason
     far = msgspec.structs.replace(estimate, north_m=1e7)
-    assert refusal(far) == "north_m = 10000000.0: must be from -1e+06 to 1e+06 (m)"
+    assert rejection_reason(far) == "north_m = 10000000.0: must be from -1e+06 to 1e+06 (m)"
     assert on_the_wire(far) == "north_m = 10000000.0: Expected `float` <= 1000000.0"
 
 
@@ -179,9 +179,9 @@ def test_texts_and_lists_have_a_largest_length() -> None:
     ):
         (name,) = longer
         fits, exceeds = (msgspec.structs.replace(whole, **change) for change in (longest, longer))
-        assert refusal(fits) is None
+        assert rejection_reason(fits) is None
         assert on_the_wire(fits) is None
-        assert f"{name}: {len(longer[name])} " in str(refusal(exceeds))
+        assert f"{name}: {len(longer[name])} " in str(rejection_reason(exceeds))
         assert name in str(on_the_wire(exceeds))
 
 
@@ -203,5 +203,5 @@ def test_a_number_without_bounds_or_unit_is_rejected_with_its_type() -> None:
 
 def test_a_clock_may_be_slower_than_real_time():
     clock = next(m for m in EXAMPLES if isinstance(m, Clock))
-    assert refusal(msgspec.structs.replace(clock, requested_speed=0.5, speed_num=1, speed_den=2)) is None
-    assert refusal(msgspec.structs.replace(clock, requested_speed=0.0)) is not None
+    assert rejection_reason(msgspec.structs.replace(clock, requested_speed=0.5, speed_num=1, speed_den=2)) is None
+    assert rejection_reason(msgspec.structs.replace(clock, requested_speed=0.0)) is not None

@@ -23,7 +23,7 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.node import Cycle, Due, Grid, Inbox, Node, OnMessage, ReceivedMessage
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 from services.bus import wire
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
@@ -68,7 +68,7 @@ class Through:
         return [Delivery(message.received_t_ns, message)]
 
     def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:  # noqa: ARG002
-        return refusal(delivery.message.message) or delivery.message
+        return rejection_reason(delivery.message.message) or delivery.message
 
 
 def ears_of(

@@ -9,7 +9,7 @@ from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.control.solvers.osqp import OsqpSolver
-from ltv_mpc.control.solvers.qpsolvers_backend import QpsolversBackend, known_solvers, solve_qp
+from ltv_mpc.control.solvers.qpsolvers_backend import QpsolversBackend, installed_backends, solve_qp
 from ltv_mpc.control.solvers.riccati_solver import RiccatiSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -46,7 +46,7 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     limits = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9, config.limits.max_abs)
     if config.solver in SOLVERS:
         return SOLVERS[config.solver](config, limits)
-    installed = known_solvers()
+    installed = installed_backends()
     if config.solver not in installed:
         known = dict.fromkeys((*SOLVERS, *installed))
         problem = f"is not installed or not known; installed: {', '.join(known)}"

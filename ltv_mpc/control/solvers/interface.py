@@ -18,9 +18,10 @@ class SolverResult(NamedTuple):
 class Solver(Protocol):
     """Solver of the controller's QP (qp/sparse.py), which keeps its workspace and warm start from cycle to cycle.
 
-    A cycle calls ``shift_warm_start`` or ``reset_warm_start``, then ``build``, ``update`` and ``solve``. None of them
-    raises for a problem that cannot be solved: the status of the result says so. docs/add-solver.md shows how to add
-    one.
+    A solver of the table ``SOLVERS`` has the constructor ``Solver(config, limits)``, with resolved settings and limits.
+    A cycle calls ``shift_warm_start`` or ``reset_warm_start``, then ``build``, ``update`` and ``solve``. A problem that
+    cannot be solved is reported by the status of the result, not by an exception. The controller still treats an
+    exception as a failed solve, because solvers of other authors may raise. docs/add-solver.md shows how to add one.
     """
 
     def shift_warm_start(self, stages: float) -> None:

@@ -20,7 +20,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Solve, SolveStatus
 
 
-def known_solvers() -> list[str]:
+def installed_backends() -> list[str]:
     """Return the names of the installed backends of qpsolvers."""
     import qpsolvers
 
@@ -83,11 +83,11 @@ def solve_qp(qp: QP, solver: str = "osqp") -> Solution:
     """
     import qpsolvers
 
-    if solver not in known_solvers():
+    if solver not in installed_backends():
         raise ConfigError(
-            "option solver",
+            "option --solver",
             "",
-            f"is not installed or not known; installed: {', '.join(sorted(known_solvers()))}",
+            f"is not installed or not known; installed: {', '.join(sorted(installed_backends()))}",
             value=solver,
         )
     equal = qp.l == qp.u

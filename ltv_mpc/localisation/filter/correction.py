@@ -3,10 +3,10 @@
 With rows z = H e + n, n ~ N(0, R), R diagonal, S = H P H^T + R; a row passes the gate if z_i^2 / S_ii <= gate.
 Of the rows that pass, S = L L^T and the whitened rows are W = L^-1 H P, y = L^-1 z:
     e = W^T y,   P := P - W^T W
-De-weighted rows lie beyond the gate and within a limit, for sensors that measure seldom. Most of their S is the error
-of the state, and so is most of a residual that is too large. Their noise is inflated until they just pass,
-S_ii := z_i^2 / gate. So no row, right or wrong, moves a state by more than a row that passes could (Huber 1981, Robust
-statistics; Yang, He & Xu 2001, J. Geodesy 75, adaptively robust filtering).
+De-weighted rows are those with gate < z_i^2 / S_ii <= deweight_limit, for sensors that measure seldom. Most of their S
+is the error of the state, and so is most of a residual that is too large. Their noise is inflated until they just pass,
+S_ii := z_i^2 / gate. This bounds their influence: a de-weighted row, correct or not, moves no state further than a row
+at the gate does (Huber 1981, Robust statistics; Yang, He & Xu 2001, J. Geodesy 75, adaptively robust filtering).
 Steps   ``whiten`` gates and whitens the rows, ``reduce_covariance`` subtracts their information from P,
         ``update_covariance`` does both for any P. ``correct`` updates a whole ``Belief`` and applies the invariant
         correction (``invariant_correction.py``).
@@ -147,11 +147,11 @@ def _gate(S: Array, z: Array, gate: float) -> tuple[npt.NDArray[np.bool_], Array
 
 
 @jit
-def _inflation(S: Array, z: Array, nis: Array, gate: float, limit: float) -> tuple[Array, int]:
+def _inflation(S: Array, z: Array, nis: Array, gate: float, deweight_limit: float) -> tuple[Array, int]:
     """Return the variance to add to each row (m,) so that it just passes, and the number of de-weighted rows."""
     more, count = np.zeros(len(z)), 0
     for i in range(len(z)):
-        if gate < nis[i] <= limit:
+        if gate < nis[i] <= deweight_limit:
             more[i] = z[i] * z[i] / gate - S[i, i]
             count += 1
     return more, count
@@ -207,14 +207,14 @@ def _mirror(P: Array, a: Array, b: Array) -> None:
 
 
 @jit
-def _whiten_few(P: Array, E: Array, rows: Rows, gate: float, limit: float) -> tuple[Correction, WhitenedRows]:
-    """Gate and whiten at most ``_FEW`` rows without library calls; rows between gate and limit are de-weighted."""
+def _whiten_few(P: Array, E: Array, rows: Rows, gate: float, deweight_limit: float) -> tuple[Correction, WhitenedRows]:
+    """Gate and whiten at most ``_FEW`` rows without library calls; rows beyond the gate are de-weighted."""
     z, m, n = rows.residual, len(rows.residual), P.shape[0]
     H = sparse_rows(rows.state, rows.partial)
     HP, HE = project(H, P), project(H, E)
     S = innovation_covariance(H, np.ascontiguousarray(HP.T), rows.variance)
     accepted, nis, passed = _gate(S, z, gate)
-    more, deweighted = _inflation(S, z, nis, gate, limit)
+    more, deweighted = _inflation(S, z, nis, gate, deweight_limit)
     passed += deweighted
     W, of_passed, y = np.empty((passed, n)), np.empty((passed, passed)), np.empty(passed)
     Y = np.empty((passed, E.shape[1]))
@@ -307,11 +307,16 @@ def _couple_signatures(E: Array, a: Array) -> None:
 
 @jit
 def _correct_few(
-    estimate: _Estimate, signatures: _Signatures, rows: Rows, gate: float, limit: float, current: _CurrentIndices
+    estimate: _Estimate,
+    signatures: _Signatures,
+    rows: Rows,
+    gate: float,
+    deweight_limit: float,
+    current: _CurrentIndices,
 ) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, int]:
     """Update the estimate, except the mounting, by at most ``_FEW`` rows, as ``correct`` does."""
     P, E = estimate.P, signatures.error
-    correction, white = _whiten_few(P, E, rows, gate, limit)
+    correction, white = _whiten_few(P, E, rows, gate, deweight_limit)
     if white.W.shape[0]:
         apply_error(estimate.x, estimate.R, correction.error)
         a = coupling_vector(correction.error, current.mean, current.north, current.east)
@@ -373,7 +378,7 @@ def update_covariance(P: Array, rows: Rows, gate: float) -> Correction:
     return correction
 
 
-def correct(belief: Belief, rows: Rows, gate: float, limit: float = 0.0) -> Correction:
+def correct(belief: Belief, rows: Rows, gate: float, deweight_limit: float = 0.0) -> Correction:
     """Update a belief by the rows within the gate, in place: estimate, covariance and fault hypotheses.
 
     Parameters
@@ -381,7 +386,7 @@ def correct(belief: Belief, rows: Rows, gate: float, limit: float = 0.0) -> Corr
     belief : state estimate; changes.
     rows : m scalar measurements at the time of the belief.
     gate : quantile of the chi-square distribution with one degree of freedom.
-    limit : rows with gate < z_i^2 / S_ii <= limit are de-weighted. It has no effect on messages of more than 4 rows.
+    deweight_limit : rows with gate < z_i^2 / S_ii <= deweight_limit are de-weighted; no effect on more than 4 rows.
 
     Returns
     -------
@@ -396,7 +401,7 @@ def correct(belief: Belief, rows: Rows, gate: float, limit: float = 0.0) -> Corr
                 _Signatures(E, signatures.score, signatures.information),
                 rows,
                 gate,
-                limit,
+                deweight_limit,
                 _CurrentIndices(layout.mean.start, layout.north.start, layout.east.start),
             )
         )

@@ -48,7 +48,7 @@ class DiveParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     # water pings alternate.
     bottom_sd_mps: Positive = 0.01
 
-    # Screening: the usual half of the pings must be good; the gate is that of the estimator.
+    # Screening: the usual half of the pings must be good; the gate has the probability of the estimator's.
     min_good_share: Annotated[float, Meta(gt=0, le=1)] = 0.5
     gate_probability: Annotated[float, Meta(gt=0.5, lt=1)] = 0.999
     # A dive ends at a longer gap: the vehicle is at the surface, or its clock was set.

@@ -12,6 +12,8 @@ Partials, with d = c - v, q = R (l + r_j b_i), error conventions of ``state.py``
     d z / d mu   = b_i x (s + g r_j R^T [0,0,1]) (b + mu x b)
     d z / d b_g  = l x b_i                       (w = w_m - b_g)
     d z / d c_k  = (1 - t) u_i,  d z / d c_k+1 = t u_i
+Each row, one cell of one beam, is gated by itself in ``filter/correction.py``; the gate follows from
+``gate_probability`` of ``localisation/config.py``.
 Source  Medagoda & Williams 2012, section II.
 """
 

@@ -10,7 +10,7 @@ from collections import deque
 import numpy as np
 
 from ltv_mpc.messages import Array, Estimate, Plan
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 from services.edges.ros2 import cdr
 from services.edges.ros2.odometry import OdometryError, estimate_of
 
@@ -59,7 +59,7 @@ class Edge:
         except (cdr.CdrError, OdometryError) as error:
             self._reject(str(error))
             return None
-        if (reason := refusal(estimate)) is not None:
+        if (reason := rejection_reason(estimate)) is not None:
             self._reject(reason)
             return None
         self.accepted += 1

@@ -27,7 +27,7 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.node import Node, ReceivedMessage
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics, wire
 from services.bus.mailbox import Frame
@@ -180,7 +180,7 @@ class ReaderValidators:
                 signal, header = validator.validate(Frame(topics.BY_TYPE[kind], key, delivery.payload, 0))
                 self.accepted.append(delivery.at_ns)
                 return ReceivedMessage(signal, header.epoch, header.sequence, delivery.at_ns)
-            if (reason := refusal(message.message)) is not None:
+            if (reason := rejection_reason(message.message)) is not None:
                 return reason
             shared = topics.BY_TYPE[kind].written_by == topics.OPERATOR or kind is Plan  # as in MessageValidator
             validator.check_order(f"{key}@{message.epoch}" if shared else key, _header(message))

@@ -23,7 +23,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 from tests.ltv_mpc.reports import report
 from tests.stepping import step
 
@@ -55,7 +55,7 @@ class Flight:
         """Run one cycle, and move the vehicle by it."""
         inbox = [self.arrival(message) for message in (*messages, self.estimate)]
         for signal in step(self.node, self.estimate.t_ns, inbox):
-            assert refusal(signal) is None
+            assert rejection_reason(signal) is None
             self.messages.append(signal)
             match signal:
                 case Plan():
@@ -180,8 +180,8 @@ def test_the_model_monitor_s_products_are_restored_and_validated():
     before = armed(references.Hold(depth_m=5.0), 3)
     products = np.outer([0.5, 1.0, -1.0, 0.1], [0.5, 1.0, -1.0, 0.1])
     written = msgspec.structs.replace(before.states[-1], model_products=products)
-    assert refusal(written) is None
-    assert "(4, 4)" in refusal(msgspec.structs.replace(written, model_products=products[:3]))
+    assert rejection_reason(written) is None
+    assert "(4, 4)" in rejection_reason(msgspec.structs.replace(written, model_products=products[:3]))
     after, state = before.handed_over(1.0)
     after.step(msgspec.structs.replace(state, model_products=products))
     np.testing.assert_array_equal(after.states[-1].model_products, products)

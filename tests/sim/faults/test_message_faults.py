@@ -9,7 +9,7 @@ import pytest
 
 from ltv_mpc.messages import Estimate, ImuSample, Message, MessageFault, PressureDepth, RejectedFrame
 from ltv_mpc.node import Grid, Inbox, OnMessage, ReceivedMessage
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval, MessageFaults
 from sim.scheduler import Delivery, LockStep
@@ -27,7 +27,7 @@ def depth(t_ns: int) -> PressureDepth:
 def by_validation(_: str, delivery: Delivery) -> ReceivedMessage | str:
     if delivery.payload is not None:
         return "damaged"
-    return refusal(delivery.message.message) or delivery.message
+    return rejection_reason(delivery.message.message) or delivery.message
 
 
 def message_faults(harm: MessageFault, size: float = 1.0, kind: type[Message] = PressureDepth) -> MessageFaults:
@@ -105,8 +105,8 @@ def test_what_is_no_number_is_refused_for_it_in_whatever_field(signal):
     way = message_faults(MessageFault.NOT_A_NUMBER, kind=type(signal))
     for sequence in range(20):
         (came,) = way.carry("a", "b", ReceivedMessage(signal, 1, sequence, S))
-        assert "must be from" in refusal(came.message.message)
-        assert refusal(signal) is None
+        assert "must be from" in rejection_reason(came.message.message)
+        assert rejection_reason(signal) is None
 
 
 def test_a_stale_publisher_repeats_itself_with_new_numbers():

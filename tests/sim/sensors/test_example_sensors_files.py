@@ -12,7 +12,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, BottomTrack, LblRange, Truth, UsblFix
 from ltv_mpc.node import ReceivedMessage
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 from sim.scenario import Scenario, with_overrides
 from sim.sensors.node import Sensors
 from sim.water import make
@@ -77,7 +77,7 @@ def test_each_example_measures_in_a_hover_at_20_m(name, kind, late_ns):
             thrust_N=(0.0, 0.0, 0.0),
         )
         for message in step(node, t, [ReceivedMessage(truth, 1, k, t)]):
-            assert refusal(message) is None
+            assert rejection_reason(message) is None
             if isinstance(message, kind):
                 seen += 1
                 # LBL: half of 0.21 s after the middle, but for outliers

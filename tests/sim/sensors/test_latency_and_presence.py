@@ -27,7 +27,7 @@ from ltv_mpc.messages import (
     UsblFix,
 )
 from ltv_mpc.node import ReceivedMessage
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 from sim.scenario import Scenario, with_overrides
 from sim.sensors.lbl import AcousticTransceiver
 from sim.sensors.node import Sensors
@@ -96,7 +96,7 @@ def said(suite: SensorConfig, world: list[Truth], settings: Scenario | None = No
     for k, truth in enumerate(world):
         for message in step(node, truth.t_ns, [ReceivedMessage(truth, 1, k, truth.t_ns)]):
             assert type(message) in node.writes
-            assert refusal(message) is None
+            assert rejection_reason(message) is None
             out.append((truth.t_ns, message))
     return out
 

@@ -22,7 +22,7 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.node import ReceivedMessage
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import Plant
 from sim.scenario import Scenario
@@ -83,7 +83,7 @@ def test_sample_times_are_whole_multiples_of_each_period():
         assert times[0] - period <= -S
     assert Counter(type(x) for x in said)[AdcpPing] == 34  # -3 to 30
     assert [x.t_ns for x in said] == sorted(x.t_ns for x in said)
-    assert [refusal(x) for x in said] == [None] * len(said)
+    assert [rejection_reason(x) for x in said] == [None] * len(said)
 
 
 @pytest.mark.parametrize("name", ["paper", "realistic"])

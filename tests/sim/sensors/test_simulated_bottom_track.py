@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from ltv_mpc import frames
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
-from ltv_mpc.validation import refusal
+from ltv_mpc.validation import rejection_reason
 from sim.sensors.adcp import Instrument, Profiler
 from sim.sensors.bottom_track import BottomTracker
 from sim.sensors.vehicle_state import VehicleState
@@ -42,7 +42,7 @@ def instant(
 
 def ping(now, *, adcp=STRAIGHT, settings=EXACT, bottom_m=15.0, seed=0):
     (message,) = BottomTracker(settings, Instrument(adcp, seed), bottom_m, seed).sample(now)
-    assert refusal(message) is None
+    assert rejection_reason(message) is None
     return message
 
 
