@@ -99,7 +99,17 @@ def test_a_copy_is_the_same_and_shares_nothing_that_changes():
 
 @pytest.mark.parametrize(
     ("roll_pitch_deg", "above", "below"),
-    [((0, 0), 0.0, 15.0), ((20, -20), 0.0, 15.0), ((180, 0), 15.0, 0.0), ((0, -170), 15.0, 0.0), ((0, 90), 15.0, 15.0)],
+    [
+        ((0, 0), 0.0, 15.0),
+        ((20, -20), 0.0, 15.0),
+        ((39, 0), 0.0, 15.0),  # a beam at 20 deg and 28.6 deg of roll reach the horizontal from 41.4 deg on
+        ((43, 0), 15.0, 15.0),
+        ((0, 90), 15.0, 15.0),
+        ((137, 0), 15.0, 15.0),
+        ((141, 0), 15.0, 0.0),
+        ((180, 0), 15.0, 0.0),
+        ((0, -170), 15.0, 0.0),
+    ],
 )
 def test_nodes_are_wanted_where_a_beam_of_a_rolling_vehicle_can_reach(roll_pitch_deg, above, below):
     """In addition to 3 m of a plan and 0.5 m of the lever arm. At 90 deg pitch, downward beams look ahead."""
