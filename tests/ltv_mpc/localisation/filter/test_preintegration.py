@@ -5,8 +5,9 @@ import pytest
 from scipy.integrate import quad_vec, solve_ivp
 
 from ltv_mpc.frames import earth_rate, rotation, rotation_exp, rotation_log
-from ltv_mpc.localisation.filter.preintegration import imu_noise, integrate, propagate
+from ltv_mpc.localisation.filter.preintegration import imu_noise, integrate, propagate, sample_matrix
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.messages import ImuSample
 
 IMU = SensorConfig.load("realistic").imu
 NOISE = imu_noise(IMU)
@@ -195,3 +196,8 @@ def test_the_full_covariance_follows_the_core_states():
     np.testing.assert_allclose(E, moved, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(P, expected, rtol=1e-12, atol=1e-10)
     np.testing.assert_array_equal(P, P.T)
+
+
+def test_a_row_of_samples_is_angular_rate_then_specific_force():
+    sample = ImuSample(t_ns=0, angular_rate_radps=(0.1, 0.2, 0.3), specific_force_mps2=(1.0, 2.0, -9.8))
+    np.testing.assert_array_equal(sample_matrix([sample, sample]), [[0.1, 0.2, 0.3, 1.0, 2.0, -9.8]] * 2)
