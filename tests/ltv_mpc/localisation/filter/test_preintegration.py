@@ -199,5 +199,7 @@ def test_the_full_covariance_follows_the_core_states():
 
 
 def test_a_row_of_samples_is_angular_rate_then_specific_force():
-    sample = ImuSample(t_ns=0, angular_rate_radps=(0.1, 0.2, 0.3), specific_force_mps2=(1.0, 2.0, -9.8))
+    sample = ImuSample(
+        t_ns=0, interval_ns=10_000_000, angular_rate_radps=(0.1, 0.2, 0.3), specific_force_mps2=(1.0, 2.0, -9.8)
+    )
     np.testing.assert_array_equal(sample_matrix([sample, sample]), [[0.1, 0.2, 0.3, 1.0, 2.0, -9.8]] * 2)

@@ -312,7 +312,7 @@ def test_the_beams_of_a_linearised_ping_point_along_the_beams_in_ned(belief):
     np.testing.assert_allclose(directions, np.repeat(expected, 6, axis=0), atol=1e-12)
 
 
-def test_a_window_that_starts_deeper_measures_the_same_water_by_states_of_lower_index(belief):
+def test_a_deeper_window_measures_the_same_water_by_states_of_lower_index(belief):
     """Residuals and derivatives are those of the window at the surface, and so are the grid points."""
     moved, by = belief.copy(), 4
     for water in (LAYOUT.north, LAYOUT.east):
