@@ -160,15 +160,15 @@ def test_the_buttons_do_what_they_say(browser: Any, live: Served) -> None:
         until(lambda: page.inner_text("#reply") == "stop accepted; command authority: controller")
         page.click("[data-button=kick]")
         page.click("[data-kill=controller]")
-        until(lambda: vehicle.heard_of(Disturbance) and vehicle.heard_of(Kill))
+        until(lambda: vehicle.received_of(Disturbance) and vehicle.received_of(Kill))
         page.select_option("#speed", "5")
-        until(lambda: vehicle.heard_of(ClockCommand))
+        until(lambda: vehicle.received_of(ClockCommand))
         page.click("text=Pause")
         page.click("text=Resume")
-        until(lambda: len(vehicle.heard_of(ClockCommand)) == 3)
-    assert [one.action for one in vehicle.heard_of(Command)] == ["stop"]
-    assert [one.node for one in vehicle.heard_of(Kill)] == ["controller"]
-    first, *others = vehicle.heard_of(ClockCommand)
+        until(lambda: len(vehicle.received_of(ClockCommand)) == 3)
+    assert [one.action for one in vehicle.received_of(Command)] == ["stop"]
+    assert [one.node for one in vehicle.received_of(Kill)] == ["controller"]
+    first, *others = vehicle.received_of(ClockCommand)
     assert (first.paused, first.speed) == (False, 5)
     assert [one.paused for one in others] == [True, False]  # at the speed that the clock says, which here never changes
 
