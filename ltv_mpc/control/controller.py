@@ -1,16 +1,18 @@
 """Model predictive controller: one cycle, from the newest estimate to a plan.
 
-    estimate --predict--> state at the plan's start --linearise--> LTV model along the previous plan --build--> QP
-             --solve--> commands at the knots --line search--> plan
+A cycle selects the mode (``mode.py``), predicts the state at the plan's start (``prediction.py``), plans the vertical
+thruster (``vertical.py``) and then the lateral ones along the predicted depths (``lateral.py``).
 
-A cycle whose QP gives no commands takes the next fallback level in the same cycle; the plan names it with its reason:
+If the QP gives no usable commands, the same cycle takes the next fallback level (``fallback.py``). The plan's
+``origin`` says where its lateral thrusts come from, and ``why`` gives the reason if it is not the QP:
 
-    solved     the QP's plan
-    shifted    the rest of the plan solved last, then zero lateral thrust
-    zero       lateral thrusts ramp to zero: there is no plan left to shift, or the mode drives no lateral thruster
+    solved     the QP
+    shifted    the rest of the plan that was solved last, then zero lateral thrust
+    zero       a ramp to zero: no plan is left to shift, the mode commands no lateral thrust, or the cycle raised
+    manual     a ramp to the lateral thrusts of an override
 
-Modes: ``mode.py``. Fallback levels: ``fallback.py``. Source: Medagoda & Williams 2012, Fig 5 (dead time) and section V
-(horizon). Beyond it: analytic sensitivities, thruster lag and slew in the model, one convex QP at a time.
+Source: Medagoda & Williams 2012, Fig 5 (dead time) and section V (horizon). This controller adds analytic
+sensitivities, thruster lag and slew in the model, and it solves one convex QP at a time.
 """
 
 from __future__ import annotations
@@ -65,19 +67,19 @@ class Controller:
         make_solver: SolverFactory = make,
         stopwatch: Stopwatch = no_stopwatch,
     ) -> None:
-        """Begin before the first estimate.
+        """Set up a controller that has no estimate yet.
 
         Parameters
         ----------
         vehicle : nominal model.
         reference : what to follow, from the first estimate after its start.
-        config : settings; the defaults if None.
-        make_solver : makes the QP's solver; the one that the settings name by default.
+        config : settings of the controller; ``ControllerConfig()`` if None.
+        make_solver : factory of the QP solver; by default it makes the solver that the settings name.
         stopwatch : is called with a stage's name when that stage of a cycle ends.
 
         Raises
         ------
-        ConfigError : the settings name an unknown solver, or one that cannot keep their limits.
+        ConfigError : the settings name an unknown solver, or one that does not support their motion limits.
         """
         self.config = config = resolve_weights(config or ControllerConfig(), vehicle)
         self.vehicle = vehicle
@@ -89,20 +91,21 @@ class Controller:
         self._delay = Delay(_first_delay_ns(config), config.delay_quantile, round(config.min_delay_s * 1e9))
         self._prediction = Prediction(vehicle)
         self._vertical = VerticalLaw(vehicle, packed)
+        self._knots_ns = np.round(config.knots * STAGE_NS).astype(np.int64)  # (N+1,), after the plan's start
         self._lateral = LateralPlanner(
             vehicle,
             config,
             packed,
-            knots_ns=np.round(config.knots * STAGE_NS).astype(np.int64),
+            knots_ns=self._knots_ns,
             make_solver=make_solver,
             stopwatch=stopwatch,
         )
-        self._lap = stopwatch
+        self._stopwatch = stopwatch
         self.follow(reference)
 
     @property
     def follower(self) -> Follower:
-        """Progress along the reference."""
+        """Follower of the reference: its target and the progress along it."""
         return self._follower
 
     @property
@@ -135,7 +138,7 @@ class Controller:
 
         Parameters
         ----------
-        timing : without the transport of the plan.
+        timing : ``compute_ns`` is used; it does not include the transport of the plan.
         """
         self._delay.add_timing(timing)
 
@@ -157,7 +160,9 @@ class Controller:
         override: ThrustOverride | None = None,
         health: Health = Health.NOMINAL,
     ) -> Plan:
-        """Return the plan of one control cycle. Never raises: a fallback plan names its level and its reason.
+        """Return the plan of one control cycle. It does not raise.
+
+        If a part of the cycle raises, the lateral thrusts ramp to zero and the plan gives the exception as its reason.
 
         Parameters
         ----------
@@ -165,36 +170,38 @@ class Controller:
         t_ns : start of the cycle, vehicle time (ns); the estimate's own time if None.
         applied : the actuators' report. Without reports the controller assumes that its plans are followed.
         override : thrusts commanded by a source other than the controller.
-        health : of inputs that the caller watches; the plan reports the worst.
+        health : of the inputs that the caller monitors; the plan reports the worse of it and the estimate's.
 
         Returns
         -------
-        The plan: ``origin`` names the fallback level, ``why`` its reason.
+        The plan. ``origin`` and ``why`` are as at the head of this file.
         """
-        now = estimate.t_ns if t_ns is None else t_ns
+        now_ns = estimate.t_ns if t_ns is None else t_ns
         try:
             if applied is not None:
                 self.report(applied)
-            return self._cycle(estimate, now, override, health)
+            return self._cycle(estimate, now_ns, override, health)
         except Exception as error:  # of any kind: the thrusters must have a command in every cycle
-            return self._emergency_plan(now, override, f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS])
+            return self._emergency_plan(now_ns, override, f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS])
 
-    def _cycle(self, newest: Estimate, now: int, override: ThrustOverride | None, health: Health) -> Plan:
-        """Return the plan of a cycle in which nothing raises."""
-        decision = self._decide(newest, now, override, health)
+    def _cycle(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: Health) -> Plan:
+        """Return the plan of one cycle. May raise; ``plan`` catches it."""
+        decision = self._decide(newest, now_ns, override, health)
         delay_ns = self._delay.expected_ns()
-        start = self._prediction.state_at(decision.estimate, now + delay_ns, self.sent_commands)
-        knots = start.t_ns + self._lateral.previous.knots_ns
+        start = self._prediction.state_at(decision.estimate, now_ns + delay_ns, self.sent_commands)
+        knots = start.t_ns + self._knots_ns
         if decision.follows:
             self._advance_reference(decision.estimate, start, knots)
         vertical = self._plan_vertical(decision, start, knots)
         self._lateral.set_current(decision.estimate, vertical.depth_m)
-        self._lap("predict")
+        self._stopwatch("predict")
         lateral = self._plan_lateral(decision, start, knots)
-        plan = self._assemble(decision, now, delay_ns, knots, vertical, lateral)
+        plan = self._assemble(decision, now_ns, delay_ns, knots, vertical, lateral)
         self._record(plan)
         self._vertical.advance_integral(vertical, start.t_ns)
-        self._lap("read")
+        # Stage "read": reading the QP's solution out into a plan. The step loop uses the same recorded name for reading
+        # its inbox, and the stage timer adds both.
+        self._stopwatch("read")
         return plan
 
     def save(self, t_ns: int) -> ControllerState:
@@ -243,15 +250,18 @@ class Controller:
 
     # --- parts of a cycle ---
 
-    def _decide(self, newest: Estimate, now: int, override: ThrustOverride | None, health: Health) -> Decision:
-        """Decide the mode, on the newest plausible estimate with the estimated bias of its current."""
-        selection = self._estimates.select(newest, now)
+    def _decide(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: Health) -> Decision:
+        """Decide the mode, and begin the reference if the mode allows it.
+
+        The decision uses the newest plausible estimate, with the estimated bias added to its current.
+        """
+        selection = self._estimates.select(newest, now_ns)
         if self._bias is not None and not selection.why:
             estimate = self._bias.correct(selection.estimate, self._prediction, self.sent_commands)
             selection = selection._replace(estimate=estimate)
         return decide(
             selection,
-            now,
+            now_ns,
             override=override,
             health=health,
             follower=self._follower,
@@ -259,29 +269,32 @@ class Controller:
         )
 
     def _advance_reference(self, estimate: Estimate, start: Start, knots: Times) -> None:
-        """Advance the reference's target to the plan's first knot."""
+        """Advance the target along the reference to the plan's first knot, in the current at the predicted depth."""
         profile = profile_of(estimate)
         current = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, start.depth_m)
         self._follower.advance(knots, start.lateral, current)
 
     def _plan_vertical(self, decision: Decision, start: Start, knots: Times) -> VerticalPlan:
-        """Return the vertical thruster's plan in this mode."""
-        law, mode, estimate = self._vertical, decision.mode, decision.estimate
+        """Return the vertical thruster's plan in this mode: the depth law's, a ramp, or the commands in force."""
+        law, depth_m = self._vertical, decision.estimate.depth_m
         if decision.override is not None:
             return law.ramp_to(start, knots, decision.override.targets(knots)[:, 2])
-        if mode is Mode.FAILSAFE:
+        if decision.mode is Mode.FAILSAFE:
             return law.ramp_to(start, knots, np.full(len(knots), self.vehicle.failsafe_vertical_N))
-        if estimate.depth_m is not None:
-            if mode is Mode.HOLD and self._follower.depth_m is not None:
-                still = np.zeros(len(knots))
-                return law.track(start, still + estimate.depth_m, still)
-            wanted = self._follower.depths(knots) if decision.follows else None
-            if wanted is not None:
-                return law.track(start, *wanted)
+        if depth_m is not None:
+            if decision.mode is Mode.HOLD and self._follower.depth_m is not None:
+                no_motion = np.zeros(len(knots))
+                return law.track(start, no_motion + depth_m, no_motion)
+            depth_reference = self._follower.depths(knots) if decision.follows else None
+            if depth_reference is not None:
+                return law.track(start, *depth_reference)
         return law.keep(start, self.sent_commands.at(knots)[:, 2])
 
     def _plan_lateral(self, decision: Decision, start: Start, knots: Times) -> LateralPlan:
-        """Return the lateral thrusters' plan in this mode: the QP's, or a ramp to the override or to zero."""
+        """Return the lateral thrusters' plan in this mode.
+
+        In FOLLOW it is the QP's plan or that of a fallback level; in the other modes a ramp to the override or to zero.
+        """
         if decision.mode is Mode.FOLLOW:
             self._follower.fill(knots, self._lateral.target)
             return self._lateral.plan(start)
@@ -291,21 +304,23 @@ class Controller:
     def _assemble(
         self,
         decision: Decision,
-        now: int,
+        now_ns: int,
         delay_ns: int,
         knots: Times,
         vertical: VerticalPlan,
         lateral: LateralPlan,
     ) -> Plan:
-        """Return the plan made of its vertical and lateral parts. Raises ArithmeticError if a thrust is not finite."""
+        """Join the vertical and the lateral plan. Raises ArithmeticError if a vertical thrust is not finite."""
         thrust = np.empty((len(knots), 3))
         thrust[:, :2], thrust[:, 2] = lateral.U, vertical.thrust_N
-        if not math.isfinite(np.vdot(vertical.thrust_N, vertical.thrust_N)):  # the lateral ones are checked before
+        # The sum of squares is finite only if every thrust is. The lateral thrusts of the QP and of a shifted plan are
+        # checked in lateral.py and fallback.py.
+        if not math.isfinite(np.vdot(vertical.thrust_N, vertical.thrust_N)):
             raise ArithmeticError("a thrust is not finite")
         follower, follows = self._follower, decision.follows
         progress = follower.progress if follows else NO_PROGRESS
         return Plan(
-            cycle_t_ns=now,
+            cycle_t_ns=now_ns,
             t_ns=knots,
             thrust_N=thrust,
             states=lateral.X[:, :6].copy(),
@@ -324,16 +339,20 @@ class Controller:
         )
 
     def _record(self, plan: Plan) -> None:
-        """Record the plan that is sent: its commands are in force from its first knot on."""
+        """Record the plan as sent: its commands are in force from its first knot on."""
         self.sent_commands.add(plan)
         self._lateral.previous.record(plan)
 
-    def _emergency_plan(self, now: int, override: ThrustOverride | None, why: str) -> Plan:
-        """Return a plan for a cycle that raised: every thruster ramps to rest from its command in force."""
+    def _emergency_plan(self, now_ns: int, override: ThrustOverride | None, why: str) -> Plan:
+        """Return the plan of a cycle that raised, computed without the parts that may have raised.
+
+        The lateral thrusts ramp to zero and the vertical one to the failsafe thrust (to zero under an override). The
+        ramps begin at the commands in force, or at zero if these are not available.
+        """
         self._lateral.distrust_solver()
         self._lateral.previous.clear()
         delay_ns = self._delay.expected_ns()
-        knots = now + delay_ns + self._lateral.previous.knots_ns
+        knots = now_ns + delay_ns + self._knots_ns
         command = np.zeros(3)
         with contextlib.suppress(Exception):
             command = self.sent_commands.at(knots[:1])[0]
@@ -343,7 +362,7 @@ class Controller:
             states[:, :2], states[:, 4] = (estimate.north_m, estimate.east_m), estimate.heading_rad
         vertical_N = 0.0 if override is not None else self.vehicle.failsafe_vertical_N
         plan = Plan(
-            cycle_t_ns=now,
+            cycle_t_ns=now_ns,
             t_ns=knots,
             thrust_N=ramp_to_rest(self.vehicle, command, knots, vertical_N),
             states=states,
@@ -351,8 +370,8 @@ class Controller:
             solve=NOT_RUN,
             why=why,
             authority=_authority(override),
-            health=self.health(now),
-            estimate_t_ns=now if estimate is None else estimate.t_ns,
+            health=self.health(now_ns),
+            estimate_t_ns=now_ns if estimate is None else estimate.t_ns,
             expected_delay_ns=delay_ns,
         )
         with contextlib.suppress(Exception):

@@ -65,7 +65,7 @@ class LateralPlanner:
         self._make_solver: Callable[[], Solver] = lambda: make_solver(vehicle, config)
         self._solver = self._make_solver()
         self._solver_is_suspect = False
-        self._lap = stopwatch
+        self._stopwatch = stopwatch
 
     def set_current(self, estimate: Estimate, depth_m: Array) -> None:
         """Set the current along the horizon.
@@ -115,13 +115,13 @@ class LateralPlanner:
         self._linearise(start)
         X, U = self._fallback.empty()
         for left in range(self._sqp_iterations, 0, -1):
-            self._lap("linearise")
+            self._stopwatch("linearise")
             self._solver.build(lin, target)
-            self._lap("build")
+            self._stopwatch("build")
             self._solver.update()
-            self._lap("update")
+            self._stopwatch("update")
             commands, solve = self._solver.solve()
-            self._lap("solve")
+            self._stopwatch("solve")
             if solve.status is not SolveStatus.SOLVED:
                 if not is_usable(commands, solve):
                     return solve

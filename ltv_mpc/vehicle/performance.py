@@ -1,7 +1,8 @@
 """Performance of a vehicle from its equations of motion: steady states by root finding, the rest by integration.
 
-All figures are for still water and thrusts at their limits, with slew and lag, from rest unless stated. Straight means
-F1 a1 = F2 a2 with the largest thrusts that satisfy it. Turning means one thruster full ahead and the other full astern.
+All figures are for motion through still water. The integrated ones include thruster slew and lag, and begin at rest
+unless stated. "Straight" means the largest thrusts without a yaw moment, F1 a1 = F2 a2 with the arms a1 and a2.
+"Turning" means one lateral thruster full ahead and the other full astern.
 """
 
 from __future__ import annotations
@@ -19,7 +20,11 @@ from ltv_mpc.vehicle.flow import STATES, advance_stage
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STEP_S = 0.05
+"""Integration step, and so the resolution of the times (s)."""
+
 MAX_TIME_S = 900.0
+"""Longest motion that is integrated: a figure that is not reached by then is None (s)."""
+
 MAX_SPEED_MPS = 50.0
 """Largest top speed; a vehicle that still accelerates at this speed counts as without damping."""
 
@@ -30,55 +35,61 @@ TIME_CONSTANT_SHARE = 1.0 - math.exp(-1.0)
 """Share of a steady value that is reached after one time constant."""
 
 SWAY_SHARE = 0.1
-"""Share of the top speed as initial sway, whose decay is timed."""
+"""Initial sway, as a share of the top speed: under quadratic drag the time of the decay depends on it."""
 
 SWAY_OVER_SURGE = 0.3
-"""Ratio of sway to surge speed in a tight turn."""
+"""Sway speed in a tight turn as a share of the top speed: an assumption for the largest sway drag."""
 
 STILL = np.zeros(2)
 
 
 class Performance(msgspec.Struct, frozen=True, kw_only=True):
-    """Performance figures; None if a figure does not exist, because there is no damping or no thrust."""
+    """Performance figures; None if a figure does not exist.
+
+    A figure does not exist if its motion has no damping or no thrust, or takes longer than ``MAX_TIME_S``. The top
+    speed without thrust is 0. A time constant is the time to 63 % (1 - 1/e) of the steady value.
+    """
 
     top_speed_ahead_mps: float | None
     top_speed_astern_mps: float | None
-    turning_rate_starboard_radps: float | None
-    turning_rate_port_radps: float | None
-    turn_90deg_s: float | None  # from rest to rest, to the slower side
-    stopping_distance_m: float | None  # from top speed ahead, both thrusters full astern, to 2 % of it
-    stopping_time_s: float | None
-    strongest_current_bow_mps: float | None  # held with the bow into the current, from any direction after turning
-    strongest_current_stern_mps: float | None
-    surge_s: float | None  # to 63 % of top speed
-    sway_s: float | None  # a tenth of top speed falls to 37 % of itself
-    yaw_s: float | None  # to 63 % of the turning rate
-    thruster_s: float  # the slower lateral thruster from zero to 63 % of its maximum: slew and lag
+    turning_rate_starboard_radps: float | None  # steady yaw rate, positive
+    turning_rate_port_radps: float | None  # steady yaw rate, negative
+    turn_90deg_s: float | None  # to the side of the smaller turning rate, until the yaw rate is zero again
+    stopping_distance_m: float | None  # from top speed ahead to 2 % of it, with the straight thrusts astern
+    stopping_time_s: float | None  # of the same motion
+    strongest_current_bow_mps: float | None  # in which the vehicle holds its position, bow into the current
+    strongest_current_stern_mps: float | None  # the same, stern into the current
+    surge_s: float | None  # time constant of surge: from rest, straight ahead
+    sway_s: float | None  # time constant of sway: a tenth of top speed falls to 37 % (1/e) without thrust
+    yaw_s: float | None  # time constant of yaw: from rest, to the side of the smaller turning rate
+    thruster_s: float  # time constant of the slower lateral thruster, from zero to its maximum
 
 
 def performance(vehicle: Vehicle) -> Performance:
     """Return the performance of a vehicle."""
     ahead, astern = straight_thrusts(vehicle, ahead=True), straight_thrusts(vehicle, ahead=False)
-    top, back = top_speed(vehicle, ahead), top_speed(vehicle, astern)
-    right, left = (_steady_yaw_rate(vehicle, turning_thrusts(vehicle, starboard=side)) for side in (True, False))
+    top, top_astern = top_speed(vehicle, ahead), top_speed(vehicle, astern)
+    rate_starboard, rate_port = (
+        _steady_yaw_rate(vehicle, turning_thrusts(vehicle, starboard=side)) for side in (True, False)
+    )
     stop = _stop(vehicle, top, ahead, astern)
-    slower_right = right is None or left is None or abs(right) <= abs(left)
-    turn = turning_thrusts(vehicle, starboard=slower_right)
-    rate = right if slower_right else left
+    to_starboard = rate_starboard is None or rate_port is None or abs(rate_starboard) <= abs(rate_port)
+    turn = turning_thrusts(vehicle, starboard=to_starboard)
+    rate = rate_starboard if to_starboard else rate_port
     return Performance(
         top_speed_ahead_mps=top,
-        top_speed_astern_mps=back,
-        turning_rate_starboard_radps=right,
-        turning_rate_port_radps=left,
-        turn_90deg_s=None if rate is None else _quarter_turn(vehicle, slower_right),
+        top_speed_astern_mps=top_astern,
+        turning_rate_starboard_radps=rate_starboard,
+        turning_rate_port_radps=rate_port,
+        turn_90deg_s=None if rate is None else _quarter_turn(vehicle, to_starboard),
         stopping_distance_m=None if stop is None else stop[0],
         stopping_time_s=None if stop is None else stop[1],
         strongest_current_bow_mps=top,
-        strongest_current_stern_mps=back,
+        strongest_current_stern_mps=top_astern,
         surge_s=None if not top else _time_until(vehicle, ahead, _reaches_speed(TIME_CONSTANT_SHARE * top)),
-        sway_s=None if not top else _sway(vehicle, SWAY_SHARE * top),
+        sway_s=None if not top else _sway_decay_s(vehicle, SWAY_SHARE * top),
         yaw_s=None if not rate else _time_until(vehicle, turn, _reaches_yaw_rate(TIME_CONSTANT_SHARE * abs(rate))),
-        thruster_s=_thruster(vehicle),
+        thruster_s=_thruster_rise_s(vehicle),
     )
 
 
@@ -109,25 +120,27 @@ def turning_thrusts(vehicle: Vehicle, *, starboard: bool) -> Array:
     vehicle : parameters of the vehicle.
     starboard : True for starboard, False for port.
     """
-    left, right = vehicle.thrusters[:2]
-    return np.array([left.max_N, right.min_N] if starboard else [left.min_N, right.max_N])
+    port_thruster, starboard_thruster = vehicle.thrusters[:2]
+    if starboard:
+        return np.array([port_thruster.max_N, starboard_thruster.min_N])
+    return np.array([port_thruster.min_N, starboard_thruster.max_N])
 
 
 def top_speed(vehicle: Vehicle, F: Array) -> float | None:
-    """Return |u| (m/s) at which u' = 0; None without damping, 0 without thrust.
+    """Return |u| (m/s) at which u' = 0: 0 without thrust, None if it is above ``MAX_SPEED_MPS`` (no damping).
 
     Parameters
     ----------
     vehicle : parameters of the vehicle.
     F : (2,) thrusts without a yaw moment (N).
     """
-    p, push = vehicle.coefficients(), float(F.sum())
-    if push == 0.0:
+    p, total_thrust = vehicle.coefficients(), float(F.sum())
+    if total_thrust == 0.0:
         return 0.0
-    sign = math.copysign(1.0, push)
+    sign = math.copysign(1.0, total_thrust)
 
     def acceleration(speed: float) -> float:
-        """Return the acceleration (m/s2) along the direction of the thrust at a speed (m/s)."""
+        """Return u' (m/s2) at a speed (m/s), both positive in the direction of the thrust."""
         return sign * rates(sign * speed, 0.0, 0.0, 0.0, F[0], F[1], 0.0, 0.0, 0.0, 0.0, p)[2]
 
     return float(brentq(acceleration, 0.0, MAX_SPEED_MPS)) if acceleration(MAX_SPEED_MPS) < 0.0 else None
@@ -150,35 +163,39 @@ def fastest_drag_rate_per_s(vehicle: Vehicle) -> float:
 
 
 def _steady_yaw_rate(vehicle: Vehicle, F: Array) -> float | None:
-    """Return r (rad/s) with u' = v' = r' = 0 under ``F``, starting from the settled motion; None without damping."""
+    """Return r (rad/s) with u' = v' = r' = 0 under the thrusts ``F`` (2,) in N.
+
+    The root finding starts from the settled motion. Return None without damping in yaw or sway, or if it does not
+    converge.
+    """
     p = vehicle.coefficients()
     if p.linear_yaw + p.quadratic_yaw <= 0.0 or p.linear_sway + p.quadratic_sway <= 0.0:
         return None
 
-    def left(w: Array) -> list[float]:
+    def residual(w: Array) -> list[float]:
         """Return u', v', r' at w = [u, v, r]."""
         _, _, du, dv, _, dr = rates(w[0], w[1], 0.0, w[2], F[0], F[1], 0.0, 0.0, 0.0, 0.0, p)
         return [du, dv, dr]
 
-    found = root(left, _settled_motion(vehicle, F))
-    return float(found.x[2]) if found.success else None
+    solution = root(residual, _settled_motion(vehicle, F))
+    return float(solution.x[2]) if solution.success else None
 
 
 def _settled_motion(vehicle: Vehicle, F: Array) -> Array:
-    """Return u, v, r (3,) after a long time under ``F``."""
-    run = _StillWaterRun(vehicle)
+    """Return u, v, r (3,) under ``F`` from rest, once they change by less than 1e-4 in 5 s; else at ``MAX_TIME_S``."""
+    motion = _StillWaterMotion(vehicle)
     before = np.zeros(3)
-    while run.t_s < MAX_TIME_S:
+    while motion.t_s < MAX_TIME_S:
         for _ in range(round(5.0 / STEP_S)):
-            run.step(F)
-        now = run.X[[2, 3, 5]]
+            motion.step(F)
+        now = motion.X[[2, 3, 5]]
         if np.abs(now - before).max() < 1e-4:
             break
         before = now
     return before
 
 
-class _StillWaterRun:
+class _StillWaterMotion:
     """Motion in still water from rest, with commands that change at the slew limit."""
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -202,13 +219,13 @@ class _StillWaterRun:
         self.t_s += STEP_S
 
 
-def _time_until(vehicle: Vehicle, F: Array, there: Callable[[Array], bool]) -> float | None:
-    """Return the time (s) under ``F`` until the state satisfies ``there``; None if it never does."""
-    run = _StillWaterRun(vehicle)
-    while run.t_s < MAX_TIME_S:
-        run.step(F)
-        if there(run.X):
-            return run.t_s
+def _time_until(vehicle: Vehicle, F: Array, reached: Callable[[Array], bool]) -> float | None:
+    """Return the time (s) from rest under ``F`` until ``reached(X)``; None if it is longer than ``MAX_TIME_S``."""
+    motion = _StillWaterMotion(vehicle)
+    while motion.t_s < MAX_TIME_S:
+        motion.step(F)
+        if reached(motion.X):
+            return motion.t_s
     return None
 
 
@@ -221,31 +238,35 @@ def _reaches_yaw_rate(rate: float) -> Callable[[Array], bool]:
 
 
 def _stop(vehicle: Vehicle, top: float | None, ahead: Array, astern: Array) -> tuple[float, float] | None:
-    """Return distance (m) and time (s) from top speed to ``STOPPED_SHARE`` of it, with thrusters full astern."""
+    """Return distance (m) and time (s) from top speed to ``STOPPED_SHARE`` of it, commanding ``astern``."""
     if not top:
         return None
-    run = _StillWaterRun(vehicle)
-    run.X[2], run.X[6:], run.U = top, ahead, ahead
-    while run.X[2] > STOPPED_SHARE * top:
-        if run.t_s > MAX_TIME_S:
+    motion = _StillWaterMotion(vehicle)
+    motion.X[2], motion.X[6:], motion.U = top, ahead, ahead
+    while motion.X[2] > STOPPED_SHARE * top:
+        if motion.t_s > MAX_TIME_S:
             return None
-        run.step(astern)
-    return float(run.X[0]), run.t_s
+        motion.step(astern)
+    return float(motion.X[0]), motion.t_s
 
 
 def _quarter_turn(vehicle: Vehicle, starboard: bool) -> float | None:
-    """Return the time (s) of a turn by 90 deg from rest to rest: full thrusts, reversed at the best instant."""
-    there, back = turning_thrusts(vehicle, starboard=starboard), turning_thrusts(vehicle, starboard=not starboard)
+    """Return the time (s) of a turn by 90 deg from rest until the yaw rate is zero again; None if it takes too long.
+
+    The turning thrusts are reversed once, at the earliest time that still reaches 90 deg: bisection to ``STEP_S``.
+    """
+    turning = turning_thrusts(vehicle, starboard=starboard)
+    reversed_turning = turning_thrusts(vehicle, starboard=not starboard)
     sign = 1.0 if starboard else -1.0
 
     def turned(switch_s: float) -> tuple[float, float]:
-        """Return the heading (rad) at which the vehicle is at rest again, and the time (s)."""
-        run = _StillWaterRun(vehicle)
-        while run.t_s < MAX_TIME_S and (run.t_s < switch_s or sign * run.X[5] > 0.0):
-            run.step(there if run.t_s < switch_s else back)
-        return sign * float(run.X[4]), run.t_s
+        """Return the angle (rad) and the time (s) until the yaw rate is zero again, if reversed at ``switch_s``."""
+        motion = _StillWaterMotion(vehicle)
+        while motion.t_s < MAX_TIME_S and (motion.t_s < switch_s or sign * motion.X[5] > 0.0):
+            motion.step(turning if motion.t_s < switch_s else reversed_turning)
+        return sign * float(motion.X[4]), motion.t_s
 
-    late = _time_until(vehicle, there, lambda X: sign * X[4] >= 0.5 * math.pi)
+    late = _time_until(vehicle, turning, lambda X: sign * X[4] >= 0.5 * math.pi)
     if late is None:
         return None
     early = STEP_S
@@ -258,19 +279,21 @@ def _quarter_turn(vehicle: Vehicle, starboard: bool) -> float | None:
     return turned(late)[1]
 
 
-def _sway(vehicle: Vehicle, speed: float) -> float | None:
-    run = _StillWaterRun(vehicle)
-    run.X[3] = speed
-    while run.X[3] > (1.0 - TIME_CONSTANT_SHARE) * speed:
-        if run.t_s > MAX_TIME_S:
+def _sway_decay_s(vehicle: Vehicle, speed: float) -> float | None:
+    """Return the time (s) in which sway at ``speed`` (m/s) decays to 1/e of it without thrust."""
+    motion = _StillWaterMotion(vehicle)
+    motion.X[3] = speed
+    while motion.X[3] > (1.0 - TIME_CONSTANT_SHARE) * speed:
+        if motion.t_s > MAX_TIME_S:
             return None
-        run.step(STILL)
-    return run.t_s
+        motion.step(STILL)
+    return motion.t_s
 
 
-def _thruster(vehicle: Vehicle) -> float:
+def _thruster_rise_s(vehicle: Vehicle) -> float:
+    """Return the time (s) until both lateral thrusters deliver 63 % of their maximum, commanded from zero."""
     full = np.array([t.max_N for t in vehicle.thrusters[:2]])
-    run = _StillWaterRun(vehicle)
-    while run.t_s < MAX_TIME_S and (run.X[6:] < TIME_CONSTANT_SHARE * full).any():
-        run.step(full)
-    return run.t_s
+    motion = _StillWaterMotion(vehicle)
+    while motion.t_s < MAX_TIME_S and (motion.X[6:] < TIME_CONSTANT_SHARE * full).any():
+        motion.step(full)
+    return motion.t_s

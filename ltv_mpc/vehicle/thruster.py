@@ -3,6 +3,7 @@
     F = a |n| n - b v_T |n|,   a = 0.4 rho d^4,   b = (1/3) rho d^3
 
 n revolutions per second, v_T inflow (m/s, surge for the stern thrusters, heave for the vertical one), d diameter (m).
+The limits, slew and lag of a thruster are in ``parameters.py`` (``Thruster``).
 Source: Medagoda & Williams 2012, eq 8: the standard bilinear form, zero thrust at an advance ratio of 1.2.
 """
 

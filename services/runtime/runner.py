@@ -99,7 +99,7 @@ class Runner:
         with open_session(bus, stop=self.stop, say=self._say) as session:
             connected = self._connect(session)
             loop = StepLoop(
-                self._node, connected, stop=self.stop, stages=self._stages, compute_delay_ns=self._compute_delay_ns
+                self._node, connected, stop=self.stop, stopwatch=self._stages, compute_delay_ns=self._compute_delay_ns
             )
             if state:
                 restored = decode(STATES[self._node.name], state)[0]

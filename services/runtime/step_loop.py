@@ -52,11 +52,11 @@ class StepLoop:
     """Loop of one connected process, from its first step to its last."""
 
     def __init__(
-        self, node: Node, connected: StepLoopPorts, *, stop: StopRequest, stages: StageTimer, compute_delay_ns: int
+        self, node: Node, connected: StepLoopPorts, *, stop: StopRequest, stopwatch: StageTimer, compute_delay_ns: int
     ) -> None:
         self._node = node
         self._stop = stop
-        self._stages = stages
+        self._stopwatch = stopwatch
         self._compute_delay_ns = compute_delay_ns
         self._measures_cycles = ports.times_cycles(node)
         self._mailbox, self._io, self._time, self._reporters, validator = connected
@@ -135,7 +135,7 @@ class StepLoop:
     def _scheduled_step(self) -> None:
         """Do the step that is due by the schedule, or the one that a command requests."""
         now_us, time = monotonic_us(), self._time
-        self._stages.start()
+        self._stopwatch.start()
         if self._command:  # between two scheduled steps, which keep their times
             cause, self._command = self._command, ""
             self._step(time.now_ns(now_us), cause, now_us)
@@ -155,7 +155,9 @@ class StepLoop:
         """Step the node and publish its outputs. ``started_us`` is the monotonic time at which the step was due."""
         status, report = self._reporters
         inbox = self._io.take_inbox(status.steps, t_ns, cause)
-        self._stages("read")
+        # Stage "read": reading the inbox. The controller uses the same recorded name for reading the QP's solution out,
+        # and the stage timer adds both.
+        self._stopwatch("read")
         (outputs,) = self._node.steps([(t_ns, inbox)])
         status.on_step(monotonic_us() - started_us)
         if not outputs:
@@ -183,11 +185,11 @@ class StepLoop:
         """Wait on the vehicle's clock before the plan is published: the computing time of a slower machine."""
         until_ns = self._time.now_ns(monotonic_us()) + delay_ns
         self._wait(lambda: self._time.clock.due_us(until_ns))
-        self._stages.resume()
+        self._stopwatch.resume()
 
     def _publish_timing(self, plan: Plan, t_ns: int, started_us: int) -> None:
         """Publish the computing time of a cycle, and put it into the inbox of the next one."""
-        self._stages("publish")
+        self._stopwatch("publish")
         now_us = monotonic_us()
         now_ns = self._time.now_ns(now_us)
         timing = CycleTiming(
@@ -195,7 +197,7 @@ class StepLoop:
             compute_ns=max(0, now_ns - t_ns),
             compute_wall_ns=(now_us - started_us) * 1000,
             estimate_age_ns=t_ns - plan.estimate_t_ns,
-            stage_us=self._stages.stage_us,
+            stage_us=self._stopwatch.stage_us,
         )
         self._io.publish_to_self(timing, now_ns)
 

@@ -1,10 +1,13 @@
 """Study of one dive from many starts: error of the filter against bottom track, compared with constant velocity.
 
-The window of a start runs to the first ensemble 300 s or more after it. In the window the filter receives the bottom
-track of the first ``fixes`` ensembles; its error is the distance between its displacement and that of bottom track.
-Constant velocity is the mean velocity of those fixes, held from the start.
-Inside 3 sigma: e^T P^-1 e <= 9, with the horizontal error e and its covariance P (98.9 % of a perfect filter's).
-The windows overlap: a dive of ten minutes remains one dive, however many starts are counted.
+A window begins at a start and ends at the first ensemble at least ``WINDOW_S`` later. The filter is offered the bottom
+track of the first ``offered_fixes`` ensembles of the window; those of them that have bottom track are its fixes.
+
+The error e (2,) is the filter's displacement over the window minus that of bottom track, north and east. Inside 3 sigma
+means e^T P^-1 e <= 9 with the covariance P of the filter's position (98.9 % of the errors of a consistent filter).
+Constant velocity, for comparison, is the mean bottom-track velocity of the fixes times the length of the window.
+
+The windows overlap, so the results of one dive are not independent, however many starts there are.
 """
 
 from __future__ import annotations
@@ -27,99 +30,107 @@ MIN_START_DEPTH_M, MAX_START_DEPTH_M = 2.0, 14.0
 """Depths between which windows start."""
 
 START_STRIDE = 2
-"""Ensembles from one start to the next."""
+"""Step from one start to the next, among the ensembles between the two depths."""
 
 
-class Trial(msgspec.Struct, frozen=True, kw_only=True):
-    """Result of one start."""
+class StartResult(msgspec.Struct, frozen=True, kw_only=True):
+    """Result of the window of one start."""
 
     start: int  # number of the ensemble in the dive, from 0
     depth_m: float
-    after_s: float
-    fixes: int
+    after_s: float  # length of the window
+    fixes: int  # ensembles whose bottom track the filter used
     error_m: float
     sigma_m: float  # standard deviation of the position along its worst axis
     inside_3_sigma: bool
-    constant_velocity_error_m: float | None  # None without a fix
+    constant_velocity_error_m: float | None  # None without bottom track in the offered ensembles
 
 
-def run_trial(
+def run_start(
     ensembles: Sequence[BeamEnsemble],
-    ground: BottomTrackPath,
+    bottom_track: BottomTrackPath,
     instrument: Instrument,
     parameters: DiveParameters,
     *,
     start: int,
-    fixes: int,
-) -> Trial | None:
-    """Run the filter over one window; return None if the dive or its bottom track ends before the window.
+    offered_fixes: int,
+) -> StartResult | None:
+    """Run the filter over one window; return None if the dive ends earlier or the true displacement is unknown.
 
     Parameters
     ----------
     ensembles : the dive.
-    ground : its bottom-track path.
+    bottom_track : its bottom-track path.
     instrument : settings and beam noise.
     parameters : assumptions of the filter.
     start : first ensemble of the window.
-    fixes : number of first ensembles whose bottom track the filter receives.
+    offered_fixes : number of first ensembles whose bottom track the filter receives.
     """
-    end = window_end(ground, start)
-    if end is None or ground.displacement(start, end) is None:
+    end = window_end(bottom_track, start)
+    if end is None or bottom_track.displacement(start, end) is None:
         return None
-    track = run(ensembles[start : end + 1], instrument, parameters, fixes=fixes)
-    return evaluate_track(ensembles, ground, track, start=start, end=end, fixes=fixes)
+    track = run(ensembles[start : end + 1], instrument, parameters, fixes=offered_fixes)
+    return evaluate_track(ensembles, bottom_track, track, start=start, end=end, offered_fixes=offered_fixes)
 
 
 def evaluate_track(
-    ensembles: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, *, start: int, end: int, fixes: int
-) -> Trial | None:
+    ensembles: Sequence[BeamEnsemble],
+    bottom_track: BottomTrackPath,
+    track: Track,
+    *,
+    start: int,
+    end: int,
+    offered_fixes: int,
+) -> StartResult | None:
     """Compare a track with bottom track; return None if the true displacement is unknown.
 
     Parameters
     ----------
     ensembles : the dive.
-    ground : its bottom-track path.
+    bottom_track : its bottom-track path.
     track : estimated track that begins at ensemble ``start``.
     start, end : ensembles between which displacements are compared.
-    fixes : number of first ensembles whose bottom track the filter received.
+    offered_fixes : number of first ensembles whose bottom track the filter received.
     """
-    true = ground.displacement(start, end)
-    constant = constant_velocity(ensembles[start : start + fixes])
-    if true is None:
+    true_displacement = bottom_track.displacement(start, end)
+    velocity = constant_velocity(ensembles[start : start + offered_fixes])
+    if true_displacement is None:
         return None
-    duration = float(ground.t_s[end] - ground.t_s[start])
-    error = track.position_m[end - start] - true
+    duration_s = float(bottom_track.t_s[end] - bottom_track.t_s[start])
+    error = track.position_m[end - start] - true_displacement
     P = track.position_covariance[end - start]
-    return Trial(
+    return StartResult(
         start=start,
         depth_m=ensembles[start].depth_m,
-        after_s=duration,
+        after_s=duration_s,
         fixes=track.fixes,
         error_m=float(np.hypot(*error)),
         sigma_m=float(np.sqrt(np.linalg.eigvalsh(P)[-1])),
         inside_3_sigma=bool(error @ np.linalg.solve(P, error) <= 9.0),
-        constant_velocity_error_m=None if constant is None else float(np.hypot(*(constant * duration - true))),
+        constant_velocity_error_m=(
+            None if velocity is None else float(np.hypot(*(velocity * duration_s - true_displacement)))
+        ),
     )
 
 
-def constant_velocity(fixed: Sequence[BeamEnsemble]) -> Array | None:
-    """Return the mean velocity of the available bottom track (m/s), (2,), or None."""
-    there = [e.bottom_mps[:2] for e in fixed if np.isfinite(e.bottom_mps[:2]).all()]
-    return np.mean(there, axis=0) if there else None
+def constant_velocity(ensembles: Sequence[BeamEnsemble]) -> Array | None:
+    """Return the mean bottom-track velocity (m/s, north and east), (2,); None if no ensemble has bottom track."""
+    available = [e.bottom_mps[:2] for e in ensembles if np.isfinite(e.bottom_mps[:2]).all()]
+    return np.mean(available, axis=0) if available else None
 
 
-def window_end(ground: BottomTrackPath, start: int) -> int | None:
+def window_end(bottom_track: BottomTrackPath, start: int) -> int | None:
     """Return the first ensemble at least ``WINDOW_S`` after ``start``, or None.
 
     Parameters
     ----------
-    ground : bottom-track path of the dive.
+    bottom_track : bottom-track path of the dive.
     start : first ensemble of the window.
     """
-    end = int(np.searchsorted(ground.t_s, ground.t_s[start] + WINDOW_S))
-    return end if end < len(ground.t_s) else None
+    end = int(np.searchsorted(bottom_track.t_s, bottom_track.t_s[start] + WINDOW_S))
+    return end if end < len(bottom_track.t_s) else None
 
 
 def starts(ensembles: Sequence[BeamEnsemble]) -> list[int]:
-    """Return the starts: every second ensemble between 2 and 14 m of depth."""
+    """Return the starts: every ``START_STRIDE``-th of the ensembles between the two start depths."""
     return [k for k, e in enumerate(ensembles) if MIN_START_DEPTH_M <= e.depth_m <= MAX_START_DEPTH_M][::START_STRIDE]

@@ -156,9 +156,9 @@ def _track(track: Track, dive: Sequence[BeamEnsemble], number: int) -> TrackRow:
     )
 
 
-def _error(dive: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, fixes: int) -> study.Trial | None:
+def _error(dive: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, fixes: int) -> study.StartResult | None:
     end = study.window_end(ground, 0)
-    return None if end is None else study.evaluate_track(dive, ground, track, start=0, end=end, fixes=fixes)
+    return None if end is None else study.evaluate_track(dive, ground, track, start=0, end=end, offered_fixes=fixes)
 
 
 def _study(
@@ -176,9 +176,9 @@ def _study(
     starts = study.starts(dive)[:MAX_STARTS]
     for done, start in enumerate(starts):
         progress(done / len(starts))
-        trial = study.run_trial(dive, ground, instrument, parameters, start=start, fixes=fixes)
-        if trial is not None:
-            rows.append(trial)
+        result = study.run_start(dive, ground, instrument, parameters, start=start, offered_fixes=fixes)
+        if result is not None:
+            rows.append(result)
     if not rows:
         return None
     median = float(np.median([row.error_m for row in rows]))

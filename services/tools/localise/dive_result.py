@@ -56,7 +56,7 @@ class StudyRow(msgspec.Struct, frozen=True, kw_only=True):
     median_constant_velocity_error_m: float | None  # None without a fix
     ratio: float | None
     inside_3_sigma: float  # share
-    each: tuple[study.Trial, ...]
+    each: tuple[study.StartResult, ...]
 
 
 class LocalisationResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -71,7 +71,7 @@ class LocalisationResult(msgspec.Struct, frozen=True, kw_only=True):
     surface_fixes: int
     instrument: InstrumentRow
     track: TrackRow
-    error: study.Trial | None
+    error: study.StartResult | None
     study: StudyRow | None
     notes: tuple[str, ...]
     parameters: DiveParameters

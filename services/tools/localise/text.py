@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ltv_mpc.localisation.recorded_dive.study import Trial
+from ltv_mpc.localisation.recorded_dive.study import StartResult
 from services.tools.localise.dive_result import LocalisationResult, StudyRow
 
 
@@ -31,7 +31,7 @@ def text(result: LocalisationResult) -> str:
     return "\n".join(f"{name:<11} {words}" for name, words in rows)
 
 
-def _error_text(e: Trial | None) -> str:
+def _error_text(e: StartResult | None) -> str:
     if e is None:
         return "no bottom track to compare with 300 s after the start"
     where = "inside" if e.inside_3_sigma else "OUTSIDE"

@@ -100,7 +100,7 @@ def checked(options: Options) -> str:
     for name in TABLES:
         page_tables.table_text(page, name)
     for variant in RECORDED:
-        descents.Flight(variant, options.runs, options.duration_s, options.surface_s).run_config()
+        descents.RecordedDescent(variant, options.runs, options.duration_s, options.surface_s).run_config()
     for path in (options.out, options.runs, options.readme.parent):
         folder.open_folder(path, force=True)
     return page

@@ -1,4 +1,8 @@
-"""Descents of the paper: one seed with the full loop, recorded for the figures, and many seeds with the state known."""
+"""Simulated descents of the paper's comparison.
+
+One seed is recorded for the figures and runs with localisation. Many seeds are averaged for a table and run with the
+state known (``PERFECT_STATE``), which shows the controller alone.
+"""
 
 from __future__ import annotations
 
@@ -17,23 +21,25 @@ from services.tools.paper.settings import AVERAGED, PERFECT_STATE, RECORDED, SCE
 from sim.evaluation.summary import Summary
 
 SEED = 1
+"""Seed of the recorded descents."""
+
 SURFACE_S = 30.0
-"""Time afloat of the recorded descents: thirty TDCP fixes."""
+"""Time at the surface before a recorded descent (s): thirty TDCP fixes, one a second."""
 
-AHEAD = ("horizon", "ahead")
-"""Tables of the newest plan, which have no meaning for a run that has ended."""
+FUTURE_TABLES = ("horizon", "ahead")
+"""Plotted tables of the newest plan's prediction, which the figures of a finished run do not show."""
 
 
-class Flight(NamedTuple):
-    """Recorded descent: its variant, folder and duration."""
+class RecordedDescent(NamedTuple):
+    """Descent that is recorded for the figures."""
 
     variant: Variant
-    out: Path
+    out: Path  # folder of the run
     duration_s: float
     surface_s: float = SURFACE_S
 
     def run_config(self) -> RunConfig:
-        """Resolve the settings of the run. Raises ``ConfigError``."""
+        """Return the settings of the run. Raises ``ConfigError``."""
         return resolve(
             SCENARIO,
             [
@@ -44,56 +50,72 @@ class Flight(NamedTuple):
         )
 
 
-def fly(flight: Flight) -> Summary:
-    """Make the run and its folder; an existing folder is overwritten."""
-    run_config = flight.run_config()
-    return lockstep_run.run(run_config, folder.make(run_config.name, run_config.files, out=flight.out, force=True))
+def run_descent(descent: RecordedDescent) -> Summary:
+    """Simulate a descent in lock step and record it; the files of an earlier run in its folder are replaced."""
+    run_config = descent.run_config()
+    return lockstep_run.run(run_config, folder.make(run_config.name, run_config.files, out=descent.out, force=True))
 
 
 def recorded(
     runs: Path, duration_s: float, surface_s: float, *, workers: int | None, progress: Callable[[], None]
 ) -> dict[str, tuple[Run, Summary]]:
-    """Return the plotted run and the summary of each recorded variant, by its key."""
-    flights = [Flight(variant, runs / variant.key, duration_s, surface_s) for variant in RECORDED]
+    """Run the descent of each recorded variant; return its plotted run and its summary, by the variant's key.
+
+    Parameters
+    ----------
+    runs : folder with one run folder for each variant.
+    duration_s, surface_s : duration of a descent, and time at the surface before it (s).
+    workers : number of processes; one a core if None.
+    progress : called after each descent.
+    """
+    descents = [RecordedDescent(variant, runs / variant.key, duration_s, surface_s) for variant in RECORDED]
     summaries: dict[str, Summary] = {}
-    for place, summary in run_each(fly, flights, workers=workers):
-        summaries[flights[place].variant.key] = summary
+    for index, summary in run_each(run_descent, descents, workers=workers):
+        summaries[descents[index].variant.key] = summary
         progress()
     return {
-        flight.variant.key: (shown(flight, summaries[flight.variant.key]), summaries[flight.variant.key])
-        for flight in flights
+        descent.variant.key: (plotted_run(descent, summaries[descent.variant.key]), summaries[descent.variant.key])
+        for descent in descents
     }
 
 
-def shown(flight: Flight, summary: Summary) -> Run:
-    """Return the run in the form that figures draw."""
-    picture = read(flight.out / folder.RECORDING)
-    name = f"horizon {summary.horizon_s:.1f} s" if flight.variant.lateral else flight.variant.name
-    past = {table: columns for table, columns in picture.tables.items() if table not in AHEAD}
-    return Run(name, past, picture.values, picture.marks)
+def plotted_run(descent: RecordedDescent, summary: Summary) -> Run:
+    """Return the recorded run in the form that figures draw, without the tables of the newest plan."""
+    plotted = read(descent.out / folder.RECORDING)
+    name = f"horizon {summary.horizon_s:.1f} s" if descent.variant.lateral else descent.variant.name
+    past = {table: columns for table, columns in plotted.tables.items() if table not in FUTURE_TABLES}
+    return Run(name, past, plotted.values, plotted.marks)
 
 
 def averaged(
     seeds: int, duration_s: float, *, workers: int | None, progress: Callable[[], None]
 ) -> dict[str, list[Summary]]:
-    """Return the summaries of seeds 0 to ``seeds`` - 1 of each averaged variant, by its key."""
-    length = f"run.duration_s={duration_s!r}"
+    """Run seeds 0 to ``seeds`` - 1 of each averaged variant; return their summaries, by the variant's key.
+
+    Parameters
+    ----------
+    seeds : number of seeds of each variant.
+    duration_s : duration of a descent (s).
+    workers : number of processes; one a core if None.
+    progress : called after each descent.
+    """
+    duration = f"run.duration_s={duration_s!r}"
     jobs = [
-        (variant.key, Job(SCENARIO, (f"run.seed={seed}", length, *PERFECT_STATE, *variant.overrides)))
+        (variant.key, Job(SCENARIO, (f"run.seed={seed}", duration, *PERFECT_STATE, *variant.overrides)))
         for variant in AVERAGED
         for seed in range(seeds)
     ]
-    found: list[Summary | None] = [None] * len(jobs)
-    for place, summary in run_each(Job.summary, [job for _, job in jobs], workers=workers):
-        found[place] = summary
+    summaries: list[Summary | None] = [None] * len(jobs)
+    for index, job_summary in run_each(Job.summary, [job for _, job in jobs], workers=workers):
+        summaries[index] = job_summary
         progress()
-    of: dict[str, list[Summary]] = {variant.key: [] for variant in AVERAGED}
-    for (key, _), done in zip(jobs, found, strict=True):
-        assert done is not None  # a job that raised has ended the batch
-        of[key].append(done)
-    return of
+    by_key: dict[str, list[Summary]] = {variant.key: [] for variant in AVERAGED}
+    for (key, _), summary in zip(jobs, summaries, strict=True):
+        assert summary is not None  # an exception of a job would have ended the batch
+        by_key[key].append(summary)
+    return by_key
 
 
 def count(seeds: int) -> int:
-    """Return the number of recorded and averaged descents."""
+    """Return the number of descents, recorded and averaged, with this number of seeds for each averaged variant."""
     return len(RECORDED) + seeds * len(AVERAGED)

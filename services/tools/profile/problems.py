@@ -1,8 +1,12 @@
 """Problems of a latency profile: closed loops in lock step with the state known, or the cycles of a recorded run.
 
-Each episode has a node in the controller's place step as the controller would, on the same inboxes. Three kinds are
-simulated: the paper's descent; the same in a current of 4 cm/s that the controller does not know; and hard ones, a
-descent onto a line 2 m off with the heading up to 3 rad from it. All with one QP a cycle.
+In each episode a node stands in the controller's place: it has the controller's schedule and receives its inboxes. Each
+control cycle solves one QP. Three kinds of episodes are simulated, all in a current drawn with a standard deviation of
+4 cm/s:
+
+    descent            the paper's descent
+    unknown current    the same, with estimates that do not contain the current
+    hard               a descent to a point 2 m north of the vehicle, with an initial heading within 3 rad of north
 """
 
 from __future__ import annotations
@@ -32,78 +36,91 @@ from services.tools import lockstep_run
 from sim.scheduler import LockStep
 from sim.sensors.node import Sensors
 
-LONGEST_DESCENT = 650
-"""Cycles of one descent: as long as the paper's, 195 s."""
+MAX_DESCENT_CYCLES = 650
+"""Largest number of cycles of one descent: 195 s, the duration of the paper's."""
 
 HARD_CYCLES = 40
-"""Cycles of one hard episode: 12 s, in which the vehicle turns, reaches its line and stops there."""
+"""Largest number of cycles of one hard episode: 12 s, in which the vehicle turns, reaches its point and stops there."""
 
-OFF_M, OFF_RAD = 2.0, 3.0
-"""How far a hard episode begins from its line, and the most that its heading is off the way there."""
+TARGET_NORTH_M, MAX_HEADING_RAD = 2.0, 3.0
+"""Distance north to the point of a hard episode (m), and the largest initial heading to either side of north (rad)."""
 
 Feed = Callable[[Node, Callable[[], bool]], None]
-"""Steps the node that stands in the controller's place until the second says that it is enough, or nothing is left."""
+"""Callback that steps the given node in the controller's place until the given test is True or no input is left."""
 
 
 class Episode(NamedTuple):
-    """Closed loop to measure. ``config`` does not name a candidate's solver yet."""
+    """Closed loop to measure. ``config`` is common to all contestants; each brings its own solver."""
 
     kind: str  # "descent", "unknown current", "hard", or the name of a recorded run
     vehicle: Vehicle
     reference: Reference
     config: ControllerConfig
-    cycles: int  # to be measured
+    cycles: int  # number of measured cycles
     feed: Feed
 
 
 def simulated(stages: int, cycles: int, seed: int) -> list[Episode]:
-    """Return episodes of ``cycles`` cycles in all at a horizon of ``stages``: half descents, a quarter each of the
-    others.
+    """Return simulated episodes with ``cycles`` cycles in total: half of them descents, a quarter each other kind.
+
+    Parameters
+    ----------
+    stages : horizon of the controller.
+    cycles : total number of cycles.
+    seed : seed of the first episode of each kind; the next episodes count up from it.
     """
     known = -(-cycles // 2)
     unknown = (cycles - known) // 2
     lengths = {
-        _descent: (known, LONGEST_DESCENT),
-        _unknown_current: (unknown, LONGEST_DESCENT),
+        _descent: (known, MAX_DESCENT_CYCLES),
+        _unknown_current: (unknown, MAX_DESCENT_CYCLES),
         _hard: (cycles - known - unknown, HARD_CYCLES),
     }
     return [
-        make(stages, part, seed + i)
+        make(stages, length, seed + i)
         for make, (total, longest) in lengths.items()
-        for i, part in enumerate(_parts(total, longest))
+        for i, length in enumerate(_episode_lengths(total, longest))
     ]
 
 
 def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
-    """Return the cycles of RUN (its folder, its run.mcap or ``latest``), from its first, at a horizon of ``stages``.
+    """Return the first ``cycles`` cycles of a recorded run as one episode, at a horizon of ``stages``.
 
-    The controller is that of the run's ``config/`` but for its horizon, with one QP a cycle. Raises ``ConfigError``.
+    The vehicle, the reference and the controller are those of the run's ``config/``, but the controller has this
+    horizon and solves one QP a cycle. Raises ``ConfigError``.
+
+    Parameters
+    ----------
+    run : the run's folder, its run.mcap, or ``latest``.
+    stages : horizon of the controller.
+    cycles : number of cycles to measure.
     """
-    held = _held(run)
-    config = ControllerConfig.load(str(held.config("controller")))
+    run_folder = _run_folder(run)
+    config = ControllerConfig.load(str(run_folder.config("controller")))
     return [
         Episode(
-            kind=held.path.resolve().name,
-            vehicle=Vehicle.load(str(held.config("vehicle"))),
-            reference=references.load(str(held.config("reference"))),
+            kind=run_folder.path.resolve().name,
+            vehicle=Vehicle.load(str(run_folder.config("vehicle"))),
+            reference=references.load(str(run_folder.config("reference"))),
             config=msgspec.structs.replace(
                 config, horizon_s=seconds(stages), max_stages=max(stages, 2), sqp_iterations=1
             ),
             cycles=cycles,
-            feed=lambda node, enough: _replay(held.recording, node, enough),
+            feed=lambda node, is_done: _replay(run_folder.recording, node, is_done),
         )
     ]
 
 
 def seconds(stages: int) -> float:
-    """Return the length of a horizon (s)."""
+    """Return the length (s) of a horizon of this number of stages."""
     return stages * STAGE_NS / 1e9
 
 
 # --- simulated -------------------------------------------------------------------------------------------------------
 
 
-def _parts(total: int, longest: int) -> Iterator[int]:
+def _episode_lengths(total: int, longest: int) -> Iterator[int]:
+    """Generate numbers of cycles, each at most ``longest``, that add up to ``total``."""
     while total > 0:
         yield min(total, longest)
         total -= longest
@@ -115,14 +132,14 @@ def _descent(stages: int, cycles: int, seed: int) -> Episode:
 
 def _unknown_current(stages: int, cycles: int, seed: int) -> Episode:
     run_config = _run_config(stages, seed, "water.sd_mps=0.04")
-    return _episode("unknown current", run_config, cycles, told_of_current=False)
+    return _episode("unknown current", run_config, cycles, current_known=False)
 
 
 def _hard(stages: int, cycles: int, seed: int) -> Episode:
-    # The point lies to the north: a heading of psi is off the way there by psi.
-    heading = np.random.default_rng(seed).uniform(-OFF_RAD, OFF_RAD)
+    # The point lies to the north, so the heading is the angle to the direction of the point.
+    heading = np.random.default_rng(seed).uniform(-MAX_HEADING_RAD, MAX_HEADING_RAD)
     run_config = _run_config(stages, seed, f"plant.heading_rad={heading:.6f}")
-    reference = Point(north_m=OFF_M, east_m=0.0, depth_m=40.0, start_s=0.0)
+    reference = Point(north_m=TARGET_NORTH_M, east_m=0.0, depth_m=40.0, start_s=0.0)
     return _episode("hard", dataclasses.replace(run_config, reference=reference), cycles)
 
 
@@ -134,22 +151,22 @@ def _run_config(stages: int, seed: int, *settings: str) -> RunConfig:
     )
 
 
-def _episode(kind: str, run_config: RunConfig, cycles: int, *, told_of_current: bool = True) -> Episode:
-    def feed(node: Node, enough: Callable[[], bool]) -> None:
+def _episode(kind: str, run_config: RunConfig, cycles: int, *, current_known: bool = True) -> Episode:
+    def feed(node: Node, is_done: Callable[[], bool]) -> None:
         others = [other for other in make_nodes(run_config) if not isinstance(other, ControllerNode)]
-        if not told_of_current:
-            others = [_Untold(other) if isinstance(other, Sensors) else other for other in others]
+        if not current_known:
+            others = [_WithoutCurrent(other) if isinstance(other, Sensors) else other for other in others]
         t_ns = run_config.scenario.start_ns
         lockstep = LockStep([*others, node], start_ns=t_ns, latest=lockstep_run.LATEST)
-        while not enough():
+        while not is_done():
             lockstep.advance(t_ns)
             t_ns += run_config.scenario.controller.period_ns
 
     return Episode(kind, run_config.vehicle, run_config.reference, run_config.scenario.controller, cycles, feed)
 
 
-class _Untold:
-    """Sensors whose estimate does not contain the current."""
+class _WithoutCurrent:
+    """Sensors node whose estimates do not contain the current."""
 
     def __init__(self, sensors: Node) -> None:
         self.name, self.schedule, self.reads, self.writes = (
@@ -163,47 +180,47 @@ class _Untold:
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         return [
             [
-                msgspec.structs.replace(signal, current=None) if isinstance(signal, Estimate) else signal
-                for signal in signals
+                msgspec.structs.replace(message, current=None) if isinstance(message, Estimate) else message
+                for message in messages
             ]
-            for signals in self._steps(due)
+            for messages in self._steps(due)
         ]
 
 
 # --- recorded --------------------------------------------------------------------------------------------------------
 
 
-def _held(run: str) -> RunFolder:
+def _run_folder(run: str) -> RunFolder:
     path = folder.ROOT / folder.LATEST if run == folder.LATEST else Path(run)
-    held = RunFolder(path.parent if path.suffix == ".mcap" else path)
-    if not held.recording.is_file():
-        problem = f"must be a run's folder, its run.mcap, or {folder.LATEST}: there is no {held.recording}"
+    run_folder = RunFolder(path.parent if path.suffix == ".mcap" else path)
+    if not run_folder.recording.is_file():
+        problem = f"must be a run's folder, its run.mcap, or {folder.LATEST}: there is no {run_folder.recording}"
         raise ConfigError("option --run", "", problem, value=run)
-    return held
+    return run_folder
 
 
-def _replay(recording: Path, node: Node, enough: Callable[[], bool]) -> None:
+def _replay(recording: Path, node: Node, is_done: Callable[[], bool]) -> None:
     """Replay every step of the recorded node with the node's name, on the recorded inbox."""
     for t_ns, inbox in _steps(recording, node):
-        if enough():
+        if is_done():
             return
         node.steps([(t_ns, inbox)])
 
 
 def _steps(recording: Path, node: Node) -> Iterable[Due]:
-    """Generate time and inbox of each step; messages that the recorder lost are missing."""
+    """Generate the time and the inbox of each recorded step of the node, without messages that the recorder lost."""
     reads = frozenset(node.reads)
-    heard: dict[tuple[str, int, int], Message] = {}
-    for message in Recording(recording):
-        if message.kind is StepRecord and message.plain["node"] == node.name:
-            record, _ = message.typed()
+    received: dict[tuple[str, int, int], Message] = {}
+    for recorded_message in Recording(recording):
+        if recorded_message.kind is StepRecord and recorded_message.plain["node"] == node.name:
+            record, _ = recorded_message.typed()
             assert isinstance(record, StepRecord)
             inbox = [
-                ReceivedMessage(heard.pop(name), entry.epoch, entry.sequence, entry.received_t_ns)
+                ReceivedMessage(received.pop(name), entry.epoch, entry.sequence, entry.received_t_ns)
                 for entry in record.inbox
-                if (name := (entry.key, entry.epoch, entry.sequence)) in heard
+                if (name := (entry.key, entry.epoch, entry.sequence)) in received
             ]
             yield record.t_ns, inbox
-        elif message.kind in reads:
-            signal, header = message.typed()
-            heard[message.key, header.epoch, header.sequence] = signal
+        elif recorded_message.kind in reads:
+            message, header = recorded_message.typed()
+            received[recorded_message.key, header.epoch, header.sequence] = message

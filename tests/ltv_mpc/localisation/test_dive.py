@@ -365,13 +365,13 @@ def test_a_trial_is_graded_at_its_end_by_three_sigma_about_the_mean_of_its_fixes
         nis=1.0,
         water=WaterPrior(depth_m=t, north_mps=t, east_mps=t, sd_mps=t, sd_common_mps=0.0),
     )
-    trial = study.evaluate_track(made, ground, track, start=5, end=35, fixes=2)
+    trial = study.evaluate_track(made, ground, track, start=5, end=35, offered_fixes=2)
     assert trial.error_m == pytest.approx(metres)
     assert trial.sigma_m == pytest.approx(2.0)
     assert trial.inside_3_sigma == inside
     assert trial.after_s == pytest.approx(300.0)
     assert trial.constant_velocity_error_m == pytest.approx(0.2 * 300 - 32)
-    assert study.evaluate_track(made, ground, track, start=5, end=35, fixes=0).constant_velocity_error_m is None
+    assert study.evaluate_track(made, ground, track, start=5, end=35, offered_fixes=0).constant_velocity_error_m is None
 
 
 def assert_same(one: Track, other: Track) -> None:
