@@ -464,7 +464,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
     ),
     *of(
         "de-weighted satellite rows",
-        lambda: replaced((error_state_filter, "_MAX_DEWEIGHTED", 0.0)),
+        lambda: replaced((error_state_filter, "_DEWEIGHT_LIMIT", 0.0)),
         (WRONG_FIX, ONE_FIX),
         ERRORS,
         ("filter/correction.py:_inflation",),
