@@ -13,10 +13,10 @@ from ltv_mpc.control.horizon_limits import LIMITED_STATES, clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
 from ltv_mpc.control.line_search import STEPS
 from ltv_mpc.control.linearisation import (
-    Linearisation,
     linearise_rollout,
     multiply_A_transposed,
     propagate,
+    unpack_linearisation,
     velocity_over_ground,
 )
 from ltv_mpc.control.nominal_trajectory import (
@@ -66,12 +66,12 @@ def begin(
     target: Array,
     old: Array,
     stages: float,
-    lin: Linearisation,
+    flat: Array,
     steers: bool,
     looks: bool,
 ) -> int:
     """Choose the nominal trajectory (``choose_nominal``); ``steers``: steered guesses, ``looks``: terminal check."""
-    c = unpack_constants(packed)
+    c, lin = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1)
     o = c.objective
     X, U = lin.X, lin.U
     _set_initial_knot(start, X, U)
@@ -111,10 +111,10 @@ def begin(
 
 @jit
 def step(
-    packed: Array, lin: Linearisation, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
+    packed: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
 ) -> float:
     """Take a step: with the line search (``searches``) or the whole step; ``looks``: with the terminal check."""
-    c = unpack_constants(packed)
+    c, lin = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)
     copy_to(X[0], lin.X[0])
@@ -142,7 +142,7 @@ def step(
 @jit
 def prepare(
     packed: Array,
-    lin: Linearisation,
+    flat: Array,
     target: Array,
     entries: EntryMap,
     shift: float,
@@ -152,6 +152,7 @@ def prepare(
 ) -> float:
     """Prepare the QP (``osqp.prepare``); ``guesses``: Riccati sweeps, ``scales``: how rows are scaled."""
     N = len(target) - 1
+    lin = unpack_linearisation(flat, N)
     fill(packed, lin, target, entries, at.problem)
     c = unpack_objective(packed)
     E = N * STATES + 2

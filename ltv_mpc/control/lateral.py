@@ -128,18 +128,20 @@ class LateralPlanner:
                 # The line search brings it into box and slew, and takes it only as far as the cost does not rise.
             elif not math.isfinite(np.vdot(commands, commands)):
                 return Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
-            step = line_search.line_search(packed, lin, target, commands, X, U)
+            step = line_search.line_search(packed, lin.flat, target, commands, X, U)
             # A step above zero has a finite cost, so its states and commands are finite.
             if step == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return Solve(status=SolveStatus.NON_FINITE, why="the predicted motion is not finite")
             if left > 1:
-                nominal_trajectory.relinearise(packed, lin, X, U)
+                nominal_trajectory.relinearise(packed, lin.flat, X, U)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _linearise(self, start: Start) -> None:
         """Linearise along the previous plan on the new knots, or along a steering guess if that costs less."""
         stages, commands = self.previous.lateral_commands(start.t_ns)
-        kind = nominal_trajectory.choose_nominal(self._packed, start.lateral, self.target, commands, stages, self._lin)
+        kind = nominal_trajectory.choose_nominal(
+            self._packed, start.lateral, self.target, commands, stages, self._lin.flat
+        )
         if kind == nominal_trajectory.PREVIOUS_PLAN:
             self._solver.shift_warm_start(stages)
         else:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import clip_to_limits
-from ltv_mpc.control.linearisation import Linearisation, propagate
+from ltv_mpc.control.linearisation import propagate, unpack_linearisation
 from ltv_mpc.control.problem_data import unpack_constants
 from ltv_mpc.control.terminal_check import check_terminal
 from ltv_mpc.jit import copy_to, jit
@@ -18,7 +18,7 @@ STEPS = (1.0, 0.5, 0.25, 0.1)
 
 
 @jit
-def line_search(packed: Array, lin: Linearisation, target: Array, commands: Array, X: Array, U: Array) -> float:
+def line_search(packed: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array) -> float:
     """Find the largest step from the nominal trajectory towards the QP's commands that does not raise the cost.
 
     The solver meets box and slew to its tolerance; the trajectory found here meets them exactly.
@@ -26,7 +26,7 @@ def line_search(packed: Array, lin: Linearisation, target: Array, commands: Arra
     Parameters
     ----------
     packed : packed constants (problem_data.py).
-    lin : its X, U and C are the nominal trajectory and the current.
+    flat : ``Linearisation.flat``; X, U and C are the nominal trajectory and the current.
     target : (N+1, 2) as in ``Solver.build``.
     commands : (N+1, 2) port and starboard thrust that the QP asks for (N).
     X : (N+1, 8) is overwritten with the states of the trajectory found.
@@ -36,7 +36,7 @@ def line_search(packed: Array, lin: Linearisation, target: Array, commands: Arra
     -------
     The fraction of the step taken; 0 if no step qualifies, and X and U are then the nominal trajectory.
     """
-    c = unpack_constants(packed)
+    c, lin = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)
     copy_to(X[0], lin.X[0])

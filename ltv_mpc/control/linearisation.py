@@ -8,12 +8,12 @@ between them; current C (N+1, 2) at the knots. Along a trajectory Xbar (N+1, 8),
 with Phi[k] the exact flow from Xbar[k]. Xbar need not be a solution of the equations of motion: the gap
 Phi[k] - Xbar[k+1] goes into the QP (multiple shooting).
 
-Kernels take a ``Linearisation`` as a named tuple; docs/notes/kernel-arguments.md gives the cost of that.
+Kernels that Python calls in every cycle take ``Linearisation.flat`` and unpack it: to pass the eight arrays takes 1 us
+more a call (docs/notes/kernel-arguments.md). Kernels that are called from kernels take the ``Linearisation``.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -49,27 +49,8 @@ class Linearisation(NamedTuple):
         -------
         The linearisation.
         """
-        return cls.view(np.empty(storage_size(stages)), stages)
-
-    @classmethod
-    def view(cls, flat: Array, stages: int) -> Linearisation:
-        """Return the parts of a flat array, which share its memory.
-
-        Parameters
-        ----------
-        flat : all numbers, in the order of the fields.
-        stages : N.
-
-        Returns
-        -------
-        The linearisation whose storage is ``flat``.
-        """
-        N, parts, begin = stages, [], 0
-        for shape in _shapes(N):
-            end = begin + math.prod(shape)
-            parts.append(flat[begin:end].reshape(shape))
-            begin = end
-        return cls._make((*parts, flat))
+        lin: Linearisation = unpack_linearisation(np.empty(storage_size(stages)), stages)
+        return lin
 
     @classmethod
     def from_arrays(cls, X: Array, U: Array, C: Array, Phi: Array, A: Array, B0: Array, B1: Array) -> Linearisation:
@@ -89,17 +70,41 @@ class Linearisation(NamedTuple):
         return lin
 
 
-def _shapes(N: int) -> tuple[tuple[int, ...], ...]:
-    """Shapes of X, U, C, Phi, A, B0, B1 for N stages."""
-    return (
-        *((N + 1, STATES), (N + 1, 2), (N + 1, 2), (N, STATES)),
-        *((N, STATES, STATES), (N, STATES, 2), (N, STATES, 2)),
-    )
-
-
 def storage_size(N: int) -> int:
     """Return the length of ``Linearisation.flat`` for N stages."""
-    return sum(math.prod(shape) for shape in _shapes(N))
+    return (N + 1) * (STATES + 4) + N * STATES * (STATES + 5)
+
+
+@jit
+def unpack_linearisation(flat: Array, stages: int) -> Linearisation:
+    """Return the parts of a flat array, which share its memory.
+
+    Parameters
+    ----------
+    flat : all numbers, in the order of the fields.
+    stages : N.
+
+    Returns
+    -------
+    The linearisation whose storage is ``flat``.
+    """
+    N = stages
+    u = (N + 1) * STATES
+    c = u + (N + 1) * 2
+    phi = c + (N + 1) * 2
+    a = phi + N * STATES
+    b0 = a + N * STATES * STATES
+    b1 = b0 + N * STATES * 2
+    return Linearisation(
+        flat[:u].reshape(N + 1, STATES),
+        flat[u:c].reshape(N + 1, 2),
+        flat[c:phi].reshape(N + 1, 2),
+        flat[phi:a].reshape(N, STATES),
+        flat[a:b0].reshape(N, STATES, STATES),
+        flat[b0:b1].reshape(N, STATES, 2),
+        flat[b1:].reshape(N, STATES, 2),
+        flat,
+    )
 
 
 @jit

@@ -10,6 +10,7 @@ Arguments of the kernels in this file:
     target   (N+1, 2) as in ``Solver.build``
     old      (N+1, 2) commands of the previous plan (N)
     stages   by how many first stages the previous plan began earlier
+    flat     ``Linearisation.flat``
     C        (N+1, 2) current at the knots, north and east (m/s)
     X, U     (N+1, 8) states and (N+1, 2) commands (N) at the knots; overwritten
 """
@@ -21,7 +22,7 @@ import numpy as np
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
-from ltv_mpc.control.linearisation import Linearisation, linearise_rollout, propagate
+from ltv_mpc.control.linearisation import linearise_rollout, propagate, unpack_linearisation
 from ltv_mpc.control.problem_data import Objective, unpack_constants
 from ltv_mpc.control.shooting_grid import locate
 from ltv_mpc.control.terminal_check import TerminalCheck, check_terminal
@@ -80,7 +81,7 @@ def _shift_into_limits(old: Array, stages: float, o: Objective, U: Array) -> Non
 
 
 @jit
-def choose_nominal(packed: Array, start: Array, target: Array, old: Array, stages: float, lin: Linearisation) -> int:
+def choose_nominal(packed: Array, start: Array, target: Array, old: Array, stages: float, flat: Array) -> int:
     """Choose the nominal trajectory, and linearise along it.
 
     The candidates are the previous plan and two steering guesses, ahead and astern; the one of least cost is chosen.
@@ -90,13 +91,13 @@ def choose_nominal(packed: Array, start: Array, target: Array, old: Array, stage
     ----------
     packed, start, target, old : as at the head of this file.
     stages : as there; NaN if there is no previous plan.
-    lin : has the current C; all the rest is overwritten.
+    flat : has the current C; all the rest is overwritten.
 
     Returns
     -------
     PREVIOUS_PLAN, STEERED_AHEAD or STEERED_ASTERN.
     """
-    c = unpack_constants(packed)
+    c, lin = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1)
     o = c.objective
     X, U = lin.X, lin.U
     _set_initial_knot(start, X, U)
@@ -125,17 +126,17 @@ def choose_nominal(packed: Array, start: Array, target: Array, old: Array, stage
 
 
 @jit
-def relinearise(packed: Array, lin: Linearisation, X: Array, U: Array) -> None:
+def relinearise(packed: Array, flat: Array, X: Array, U: Array) -> None:
     """Linearise along another trajectory, in the same current.
 
     Parameters
     ----------
     packed : as at the head of this file.
-    lin : all but C is overwritten.
+    flat : as there; all but C is overwritten.
     X : (N+1, 8) its states; only the first is used.
     U : (N+1, 2) its commands (N).
     """
-    c = unpack_constants(packed)
+    c, lin = unpack_constants(packed), unpack_linearisation(flat, U.shape[0] - 1)
     copy_to(lin.X, X)
     copy_to(lin.U, U)
     linearise_rollout(lin, c.objective.t, c.stage_s, c.p)

@@ -46,7 +46,13 @@ from scipy.sparse import coo_array, csc_array
 
 from ltv_mpc.control.config import STAGE_NS, Weights
 from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, HorizonLimits, command_bounds
-from ltv_mpc.control.linearisation import Linearisation, linearise, storage_size, velocity_over_ground
+from ltv_mpc.control.linearisation import (
+    Linearisation,
+    linearise,
+    storage_size,
+    unpack_linearisation,
+    velocity_over_ground,
+)
 from ltv_mpc.control.problem_data import pack_objective, stage_length, state_scale, unpack_objective
 from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
@@ -259,7 +265,7 @@ def _constant_entries(N: int, limited: tuple[int, ...]) -> list[tuple[int, int, 
 def _jacobian_entries(N: int, state_scale: Array, thrust_scale: Array) -> list[tuple[int, int, float, float]]:
     """Return row, column, index in the linearisation's storage and factor of the entries that it gives."""
     # A linearisation that holds, instead of its numbers, the index of each.
-    index = Linearisation.view(np.arange(float(storage_size(N))), N)
+    index = unpack_linearisation(np.arange(float(storage_size(N))), N)
     per_state = state_scale[None, :] / state_scale[:, None]
     per_thrust = thrust_scale[None, :] / state_scale[:, None]
     entries = []

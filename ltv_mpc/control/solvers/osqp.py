@@ -31,6 +31,7 @@ from ltv_mpc.control.linearisation import (
     describe_non_finite,
     multiply_A,
     multiply_A_transposed,
+    unpack_linearisation,
     velocity_over_ground,
 )
 from ltv_mpc.control.problem_data import Objective, limited_state_count, stage_length, state_scale, unpack_objective
@@ -133,7 +134,7 @@ class OsqpSolver:
     def build(self, lin: Linearisation, target: Array) -> None:
         """Compute the problem, its first guess and the scales of its rows (see ``Solver``)."""
         self._lin, form = lin, self.form
-        size = prepare(form.packed, lin, target, form.entries, self._shift, self._arrays)
+        size = prepare(form.packed, lin.flat, target, form.entries, self._shift, self._arrays)
         self._finite = size >= 0.0
         self._why = "" if self._finite else describe_non_finite(lin, target)
         self._eps = self._tolerance * min(size, MAX_LOOSENING)
@@ -224,15 +225,13 @@ class OsqpSolver:
 
 
 @jit
-def prepare(
-    packed: Array, lin: Linearisation, target: Array, entries: EntryMap, shift: float, at: SolveArrays
-) -> float:
+def prepare(packed: Array, flat: Array, target: Array, entries: EntryMap, shift: float, at: SolveArrays) -> float:
     """Compute a cycle's problem, its first guess, and both with scaled rows, into ``at``.
 
     Parameters
     ----------
     packed : a packed objective (problem_data.py).
-    lin : the motion along the nominal trajectory.
+    flat : ``Linearisation.flat``.
     target : (N+1, 2) as in ``Solver.build``.
     entries : ``SparseQp.entries``.
     shift : by how many first stages the last solve's knots were earlier; NaN if there is none to begin with.
@@ -242,9 +241,10 @@ def prepare(
     -------
     ``dual_scale`` of the problem; -1 if a number is not finite.
     """
+    N = len(target) - 1
+    lin = unpack_linearisation(flat, N)
     fill(packed, lin, target, entries, at.problem)
     first_guess(packed, lin, target, shift, at)
-    N = len(target) - 1
     if rescale(entries.row, N, at) < 0:
         return -1.0
     return dual_scale(at.problem.q, N)

@@ -36,7 +36,7 @@ import numpy as np
 from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation, describe_non_finite
+from ltv_mpc.control.linearisation import Linearisation, describe_non_finite, unpack_linearisation
 from ltv_mpc.control.problem_data import Objective, pack_objective, unpack_objective
 from ltv_mpc.control.qp.riccati import LIMIT_ROWS, SweepWorkspace, sweep, sweep_workspace
 from ltv_mpc.control.solvers.interface import SolverResult
@@ -128,7 +128,7 @@ class RiccatiSolver:
         assert lin is not None, "build() must be called before solve()"
         commands = np.empty_like(lin.U)
         outcome, sweeps, violation = solve_packed(
-            self._packed, lin, self._target, self._shift, self._max_sweeps, self._duals, commands
+            self._packed, lin.flat, self._target, self._shift, self._max_sweeps, self._duals, commands
         )
         if outcome == FAILED:
             self.reset_warm_start()
@@ -146,14 +146,15 @@ class RiccatiSolver:
 
 @jit
 def solve_packed(
-    packed: Array, lin: Linearisation, target: Array, stages: float, max_sweeps: int, y: Array, commands: Array
+    packed: Array, flat: Array, target: Array, stages: float, max_sweeps: int, y: Array, commands: Array
 ) -> tuple[int, int, float]:
     """Solve a problem whose weights and limits are packed, from the duals of an earlier one.
 
     Parameters
     ----------
     packed : a packed objective (problem_data.py).
-    lin, target, max_sweeps : as in ``solve``.
+    flat : ``Linearisation.flat``.
+    target, max_sweeps : as in ``solve``.
     stages : by how many first stages the knots of the earlier problem lie earlier; NaN if there is none.
     y : (N, 4) duals of the earlier problem; overwritten with those of this one.
     commands : (N+1, 2) is overwritten with the commands (N).
@@ -162,7 +163,7 @@ def solve_packed(
     -------
     Outcome, number of sweeps and largest violation, as ``solve``.
     """
-    o = unpack_objective(packed)
+    o, lin = unpack_objective(packed), unpack_linearisation(flat, len(target) - 1)
     shift_duals(y, o.t, stages)
     outcome, sweeps, violation = solve(lin, target, o, max_sweeps, y, commands)
     for k in range(len(target)):
