@@ -17,7 +17,7 @@ By default it works for estimates without a current profile, and does nothing fo
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TypeAlias
 
 import msgspec
 import numpy as np
@@ -41,19 +41,13 @@ MAX_INTERVAL_NS = 2_000_000_000
 """Longest time between two estimates that are compared: beyond it the model predicts the velocity too badly."""
 
 
-class Belief(NamedTuple):
-    """Estimated bias of the current."""
+Belief: TypeAlias = tuple[Array, Array]
+"""Estimated bias b (2,), north and east (m/s), and its covariance P (2, 2) (m^2/s^2)."""
 
-    bias_mps: Array  # b (2,) north, east
-    covariance: Array  # P (2, 2)
-
-
-class Noise(NamedTuple):
-    """Noise of the filter."""
-
-    walk: float  # q, m/s per sqrt(s)
-    velocity: float  # r, m/s
-    prior_variance: float  # m^2/s^2; upper bound of the variance in every direction
+Noise: TypeAlias = tuple[float, float, float]
+"""Walk q (m/s per sqrt(s)), noise of the velocity r (m/s), and the prior variance (m^2/s^2): the largest variance in
+any direction.
+"""
 
 
 class CurrentBias:
@@ -64,19 +58,19 @@ class CurrentBias:
         self._always = settings.sd_mps is not None
         self._max_mps = settings.max_mps
         prior_variance = (DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps) ** 2
-        self._noise = Noise(settings.walk_mps_per_rts, settings.noise_mps, prior_variance)
-        self._belief = Belief(np.zeros(2), prior_variance * np.eye(2))
+        self._noise: Noise = (settings.walk_mps_per_rts, settings.noise_mps, prior_variance)
+        self._belief: Belief = (np.zeros(2), prior_variance * np.eye(2))
         self._last: Estimate | None = None
 
     @property
     def bias_mps(self) -> Array:
         """Estimated bias (2,), north and east (m/s)."""
-        return self._belief.bias_mps
+        return self._belief[0]
 
     @property
     def covariance(self) -> Array:
         """Covariance (2, 2) of the bias (m^2/s^2)."""
-        return self._belief.covariance
+        return self._belief[1]
 
     def correct(self, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> Estimate:
         """Update the bias with an estimate, and add it to the estimate's current.
@@ -102,18 +96,18 @@ class CurrentBias:
     def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> None:
         """Update the bias with the change of velocity between two estimates; nothing if it would not be finite."""
         profile = last.current or STILL_WATER
-        belief = update_bias(
+        bias_mps, covariance = update_bias(
             self._belief,
             np.array([estimate.velocity_north_mps, estimate.velocity_east_mps]),
             estimate.t_ns,
             prediction.coefficients,
             prediction.measured(last),
             commands.knots,
-            Profile(profile.depth_m, profile.north_mps, profile.east_mps),
+            (profile.depth_m, profile.north_mps, profile.east_mps),
             self._noise,
         )
-        if np.isfinite(belief.bias_mps).all():
-            self._belief = belief._replace(bias_mps=np.clip(belief.bias_mps, -self._max_mps, self._max_mps))
+        if np.isfinite(bias_mps).all():
+            self._belief = np.clip(bias_mps, -self._max_mps, self._max_mps), covariance
 
 
 @jit
@@ -131,13 +125,14 @@ def update_bias(
 
     Parameters
     ----------
-    belief : bias and covariance before the step.
+    belief : before the step.
     velocity : (2,) measured velocity over ground at ``until``, north and east (m/s).
     until : time of the measurement (ns).
     vehicle, measured, commands, profile : as ``predict_state`` takes them, from the last estimate; without the bias.
     noise : of the walk, of the velocity, and the prior.
     """
     b, P = belief
+    walk, velocity_sd, prior_variance = noise
     predicted, H = np.empty(2), np.empty((2, 2))
     for j in range(-1, 2):  # the prediction itself, then one difference for each component of b
         shifted = b.copy()
@@ -149,8 +144,8 @@ def update_bias(
                 predicted[i] = v[i]
             else:
                 H[i, j] = (v[i] - predicted[i]) / STEP_MPS
-    out_b, out_P = b.copy(), _propagate(P, until - measured.t_ns, noise)
-    r2 = noise.velocity * noise.velocity
+    out_b, out_P = b.copy(), _propagate(P, until - measured[0], walk, prior_variance)
+    r2 = velocity_sd * velocity_sd
     # The noise of the two components is independent, so they are used one after the other.
     for i in range(2):
         h0, h1 = H[i, 0], H[i, 1]
@@ -168,7 +163,7 @@ def update_bias(
         out_P[0, 1] = q00 * j10 + q01 * j11 + r2 * k0 * k1
         out_P[1, 0] = out_P[0, 1]
         out_P[1, 1] = q10 * j10 + q11 * j11 + r2 * k1 * k1
-    return Belief(out_b, out_P)
+    return out_b, out_P
 
 
 @jit
@@ -176,21 +171,21 @@ def _predicted_velocity(
     b: Array, until: int, vehicle: Array, measured: Measured, commands: Commands, profile: Profile
 ) -> tuple[float, float]:
     """Return h(b): the velocity over ground, north and east (m/s), with bias b (2,); other arguments as above."""
-    north, east = profile.north_mps + b[0], profile.east_mps + b[1]
-    end = predict_state(vehicle, measured, until, commands, Profile(profile.depth_m, north, east))
-    c = current_at_depth(profile.depth_m, north, east, end[11])
+    depth, north, east = profile[0], profile[1] + b[0], profile[2] + b[1]
+    end = predict_state(vehicle, measured, until, commands, (depth, north, east))
+    c = current_at_depth(depth, north, east, end[11])
     cos, sin = np.cos(end[4]), np.sin(end[4])
     # v = R(psi) [u, v] + c
     return cos * end[2] - sin * end[3] + c[0], sin * end[2] + cos * end[3] + c[1]
 
 
 @jit
-def _propagate(P: Array, interval_ns: int, noise: Noise) -> Array:
+def _propagate(P: Array, interval_ns: int, walk: float, prior_variance: float) -> Array:
     """Return the covariance (2, 2) after a random walk; its largest eigenvalue is bounded by the prior variance."""
-    growth = noise.walk * noise.walk * float(interval_ns) * 1e-9
+    growth = walk * walk * float(interval_ns) * 1e-9
     p00, p01, p11 = P[0, 0] + growth, P[0, 1], P[1, 1] + growth
     largest = 0.5 * (p00 + p11) + np.sqrt(0.25 * (p00 - p11) ** 2 + p01 * p01)
-    bounded = min(1.0, noise.prior_variance / largest)  # unobservable directions must not grow beyond the prior
+    bounded = min(1.0, prior_variance / largest)  # unobservable directions must not grow beyond the prior
     p00, p01, p11 = bounded * p00, bounded * p01, bounded * p11
     return np.array([[p00, p01], [p01, p11]])
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -58,26 +58,19 @@ class Start(NamedTuple):
 class Report(NamedTuple):
     """Delivered thrust at one time, as the actuators reported it."""
 
-    t_ns: int  # NEVER: there is no report
+    t_ns: int
     thrust_N: Array  # (3,) port, starboard, vertical
 
 
-class Profile(NamedTuple):
-    """Current over depth: linear between the depths, constant beyond; no current if there are no depths."""
+Measured: TypeAlias = tuple[int, Array, int, Array]
+"""Where a prediction begins: time of the estimate (ns); estimate (8,) n, e (m), psi (rad), r (rad/s), n', e' over
+ground (m/s), depth (m, NaN: none), sinking speed (m/s); time of the report (ns, ``NEVER``: none), its thrusts (3,) (N).
+"""
 
-    depth_m: Array  # (K,) increasing
-    north_mps: Array  # (K,)
-    east_mps: Array  # (K,)
-
-
-class Measured(NamedTuple):
-    """Inputs of ``predict_state`` that belong to one estimate."""
-
-    t_ns: int
-    estimate: (
-        Array  # (8,) n, e (m), psi (rad), r (rad/s), n', e' over ground (m/s), depth (m, NaN: none), sinking (m/s)
-    )
-    report: Report
+Profile: TypeAlias = tuple[Array, Array, Array]
+"""Current over depth: depths (K,) in increasing order (m), north and east (K,) (m/s). Linear between the depths,
+constant beyond; no current if K is 0.
+"""
 
 
 def currents_at_depths(profile: CurrentProfile | None, depth_m: Array) -> Array:
@@ -136,7 +129,7 @@ class Prediction:
             self.measured(estimate),
             t_ns,
             commands.knots,
-            Profile(profile.depth_m, profile.north_mps, profile.east_mps),
+            (profile.depth_m, profile.north_mps, profile.east_mps),
         )
         return Start(t_ns, end[:10], *end[10:].tolist())
 
@@ -164,7 +157,7 @@ class Prediction:
                 estimate.velocity_down_mps or 0.0,
             )
         )
-        return Measured(estimate.t_ns, flat, report)
+        return estimate.t_ns, flat, report.t_ns, report.thrust_N
 
 
 def profile_of(estimate: Estimate) -> CurrentProfile:
@@ -197,10 +190,10 @@ def current_at_depth(depth: Array, north: Array, east: Array, z: float) -> tuple
 
 
 @jit
-def _delivered(report: Report, until: int, commands: Commands, lags: tuple[float, float, float]) -> Array:
-    """Return the delivered thrusts (3,) at ``until``, from the report, through the commands and the lags (s)."""
-    t, thrust = commands.t_ns, commands.thrust_N
-    since, out = report.t_ns, report.thrust_N.copy()
+def _delivered(since: int, F: Array, until: int, commands: Commands, lags: tuple[float, float, float]) -> Array:
+    """Return the delivered thrusts (3,) at ``until``, from F (3,) at ``since``, by the commands and the lags (s)."""
+    t, thrust = commands
+    out = F.copy()
     k = np.searchsorted(t, since, side="right")
     while since < until:
         end = min(t[k], until) if k < len(t) else until
@@ -220,10 +213,9 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
     Parameters
     ----------
     vehicle : (19,) coefficients of the vehicle.
-    measured : estimate and report at which the prediction begins.
+    measured, commands, profile : as their types say. They are plain tuples: a call from Python with named ones takes
+        2 us longer (docs/notes/kernel-arguments.md).
     until : time of the state (ns), not before the estimate's.
-    commands : commands in force.
-    profile : current over depth.
 
     Returns
     -------
@@ -232,16 +224,18 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
     """
     p = coefficients(vehicle)
     lags = (p.lag_port, p.lag_starboard, p.lag_vertical)
-    t, thrust, estimate, since = commands.t_ns, commands.thrust_N, measured.estimate, measured.t_ns
+    since, estimate, report_t_ns, reported_N = measured
+    t, thrust = commands
+    depth, north, east = profile
     out = np.empty(14)
-    if measured.report.t_ns == NEVER:
+    if report_t_ns == NEVER:
         F = np.array([command_at(t, thrust, since, i) for i in range(3)])
     else:
-        F = _delivered(measured.report, since, commands, lags)
+        F = _delivered(report_t_ns, reported_N, since, commands, lags)
     has_depth = not np.isnan(estimate[6])
     z, w, F3 = (estimate[6] if has_depth else 0.0), estimate[7], F[2]
     c0, c1, u0, u1 = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
-    c0[0], c0[1] = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, z)
+    c0[0], c0[1] = current_at_depth(depth, north, east, z)
     # [u, v] = R(psi)' (velocity over ground - current)
     cos, sin = np.cos(estimate[2]), np.sin(estimate[2])
     vn, ve = estimate[4] - c0[0], estimate[5] - c0[1]
@@ -261,7 +255,7 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
                 z, w, F3 = advance_heave(z, w, F3, w0, w1, h, p)
                 if z <= 0.0:  # the surface
                     z, w = 0.0, max(w, 0.0)
-            c1[0], c1[1] = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, z)
+            c1[0], c1[1] = current_at_depth(depth, north, east, z)
             for j in range(2):
                 u0[j], u1[j] = command_at(t, thrust, since, j), command_at(t, thrust, at, j)
             advance_stage(X.copy(), u0, u1, c0, c1, h, p, X)

@@ -8,7 +8,7 @@ true, and from there the commands approach the plan at the slew limit.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 
@@ -28,11 +28,10 @@ CATCH_UP_STEP_NS = 10_000_000
 """Time step in which the reported command approaches the plan."""
 
 
-class Commands(NamedTuple):
-    """Commands by time: linear between the knots, constant beyond them; zero if there are no knots."""
-
-    t_ns: Times  # (M,) knots, vehicle time
-    thrust_N: Array  # (M, 3) port, starboard, vertical
+Commands: TypeAlias = tuple[Times, Array]
+"""Commands by time: knots (M,), vehicle time (ns); thrusts (M, 3) of port, starboard and vertical (N). They are linear
+between the knots, constant beyond them, and zero if there are no knots.
+"""
 
 
 class SentCommands:
@@ -42,7 +41,7 @@ class SentCommands:
         """Begin before the first plan; the vehicle's slew limits and its failsafe thrust are used."""
         self._slew = np.array([t.slew_N_per_s for t in vehicle.thrusters])
         self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
-        self.knots = Commands(np.empty(0, dtype=np.int64), np.empty((0, 3)))
+        self.knots: Commands = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
         """Commands from ``HISTORY_NS`` ago on."""
 
     def add(self, plan: Plan) -> None:
@@ -53,7 +52,7 @@ class SentCommands:
         plan : is in force from its first knot on.
         """
         t, thrust = self.knots
-        self.knots = Commands(*supersede(t, thrust, plan.t_ns, plan.thrust_N, self._slew, self._rest))
+        self.knots = supersede(t, thrust, plan.t_ns, plan.thrust_N, self._slew, self._rest)
 
     def correct(self, t_ns: int, command_N: Triple) -> None:
         """Correct the commands by a report of the actuators.
@@ -74,7 +73,7 @@ class SentCommands:
             reach = self._slew * CATCH_UP_STEP_NS * 1e-9
             commands.append(commands[-1] + np.clip(target - commands[-1], -reach, reach))
         before, after = t < t_ns, t > times[-1]
-        self.knots = Commands(
+        self.knots = (
             np.concatenate([t[before], np.array(times, dtype=np.int64), t[after]]),
             np.concatenate([thrust[before], np.array(commands), thrust[after]]),
         )
@@ -104,7 +103,7 @@ class SentCommands:
         ----------
         from_ns, until_ns : vehicle times (ns).
         """
-        t = self.knots.t_ns
+        t, _ = self.knots
         inner = t[(t > from_ns) & (t < until_ns)]
         return np.concatenate([[from_ns], inner, [until_ns]]).astype(np.int64)
 
