@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ltv_mpc import Plan, PlanOrigin, SolveStatus, Vehicle
-from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.horizon_limits import HorizonLimits, command_bounds
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Solve
 
@@ -70,6 +70,14 @@ def test_a_start_outside_the_box_is_brought_in_at_the_slew_limit():
     low, high = LIMITS.box(np.array([-62.5, 50.0]), np.arange(5.0))
     np.testing.assert_array_equal(low, np.full((4, 2), -62.5))
     np.testing.assert_array_equal(high, np.full((4, 2), 62.5))
+
+
+@pytest.mark.parametrize(
+    ("start", "bounds"), [(80.0, (-40.0, 70.0)), (-80.0, (-70.0, 60.0)), (55.0, (-40.0, 60.0)), (-5.0, (-40.0, 60.0))]
+)
+def test_bounds_of_one_command_widen_only_for_a_start_outside_the_box(start, bounds):
+    """10 N are within reach; the box is -40 N to 60 N."""
+    assert command_bounds(start, 10.0, -40.0, 60.0) == bounds
 
 
 def test_commands_beyond_box_or_slew_become_the_nearest_allowed_ones():

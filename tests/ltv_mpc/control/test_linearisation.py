@@ -3,9 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from ltv_mpc import Vehicle
-from ltv_mpc.control.linearisation import linearise, roll_out, velocity_over_ground
+from ltv_mpc.control.linearisation import (
+    Linearisation,
+    describe_non_finite,
+    linearise,
+    linearise_along,
+    linearise_rollout,
+    multiply_A,
+    multiply_A_transposed,
+    roll_out,
+    velocity_over_ground,
+)
+from ltv_mpc.control.qp.sparse import STATE_PATTERN
 from ltv_mpc.vehicle.dynamics import derivative
 from ltv_mpc.vehicle.flow import advance_stage
 
@@ -46,6 +58,42 @@ def test_the_linearisation_foresees_each_stage_from_a_point_nearby():
         exact = roll_out(X[k] + size * dX, commands, C[k : k + 2], np.array([0.3]), P)[1]
         foreseen = lin.Phi[k] + size * (lin.A[k] @ dX + lin.B0[k] @ dU0 + lin.B1[k] @ dU1)
         np.testing.assert_allclose(foreseen, exact, atol=1e-7)
+
+
+def test_a_linearised_roll_out_lies_on_the_exact_flow():
+    X, U, C = trajectory(5)
+    knots = np.array([0.0, 1.0, 1.7, 3.2])
+    lin = Linearisation.empty(N)
+    lin.flat[:] = np.nan
+    lin.X[0], lin.U[...], lin.C[...] = X[0], U, C
+    linearise_rollout(lin, knots, 0.3, P)
+    np.testing.assert_allclose(lin.X, roll_out(X[0], U, C, 0.3 * np.diff(knots), P), rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(lin.X[1:], lin.Phi)
+    along = Linearisation.from_arrays(*lin[:-1])
+    linearise_along(along, knots, 0.3, P)
+    np.testing.assert_array_equal(along.flat, lin.flat)
+
+
+def test_products_with_A_are_those_of_the_dense_matrix():
+    rng = np.random.default_rng(6)
+    A = rng.normal(size=(N, 8, 8)) * STATE_PATTERN
+    A[:, [0, 1], [0, 1]] = 1.0
+    for k in range(N):
+        x, product, transposed = rng.normal(size=8), np.empty(8), np.empty(8)
+        multiply_A(A, k, x, product)
+        multiply_A_transposed(A, k, x, transposed)
+        np.testing.assert_allclose(product, A[k] @ x, atol=1e-12)
+        np.testing.assert_allclose(transposed, A[k].T @ x, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [*Linearisation._fields[:-1], "target"])
+def test_an_input_that_is_not_finite_is_named_with_its_first_index(name):
+    lin, target = linearise(*trajectory(7), 0.3, P), np.zeros((N + 1, 2))
+    assert describe_non_finite(lin, target) == "the QP's numbers are not finite"
+    values = target if name == "target" else getattr(lin, name)
+    values[1].flat[-1] = np.inf
+    values[2] = np.nan
+    assert describe_non_finite(lin, target) == f"{name} is not finite from 1 on"
 
 
 def test_velocity_over_ground_and_its_derivative_are_those_of_the_motion():

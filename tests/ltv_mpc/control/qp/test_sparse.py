@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from ltv_mpc import Vehicle, build_qp
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.horizon_limits import PENALTY, HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.qp.sparse import SparseQp
+from ltv_mpc.control.qp.sparse import NO_BOUND, SparseQp
 
 N = 3
 KNOTS = np.array([0.0, 1.0, 2.0, 3.7])
@@ -115,6 +118,46 @@ def test_inequalities_are_the_distances_of_commands_from_slew_and_box(lin, targe
     np.testing.assert_allclose((rows - qp.l)[slew].reshape(N, 2) * FULL_N, change + np.outer(LENGTH, [30.0, 20.0]))
     np.testing.assert_allclose((qp.u - rows)[box].reshape(N, 2) * FULL_N, [62.5, 30.0] - U[1:])
     np.testing.assert_allclose((rows - qp.l)[box].reshape(N, 2) * FULL_N, U[1:] - [-40.0, -50.0])
+
+
+def test_box_rows_lead_a_start_outside_the_box_into_it_at_the_slew_limit(lin, target):
+    """From 150 N and -100 N, by 30 N and 20 N per first stage."""
+    lin.U[0] = 150.0, -100.0
+    qp, box = FORM.build(lin, target), slice(10 * N + 2, 12 * N + 2)
+    low, high = (bound[box].reshape(N, 2) * FULL_N + lin.U[1:] for bound in (qp.l, qp.u))
+    np.testing.assert_allclose(high.T, [[120.0, 90.0, 62.5], [30.0, 30.0, 30.0]])
+    np.testing.assert_allclose(low.T, [[-40.0, -40.0, -40.0], [-80.0, -60.0, -50.0]])
+
+
+def test_rows_of_motion_limits_are_distances_beyond_which_an_excess_costs(lin, target):
+    max_state, limited = np.array([0.3, 0.15]), [2, 5]
+    form = SparseQp(KNOTS, replace(LIMITS, max_state=max_state), WEIGHTS)
+    qp, z = form.build(lin, target), np.random.default_rng(9).normal(size=form.variables)
+    X, _, _ = unpacked(lin, z)
+    state, limit, excess = X[1:, limited] / SCALE[limited], max_state / SCALE[limited], z[10 * N + 2 :].reshape(N, 2)
+    rows, low, high = (x[12 * N + 2 :].reshape(N, 2, 3) for x in (qp.A @ z, qp.l, qp.u))
+    np.testing.assert_allclose((high - rows)[:, :, 0], limit - state + excess)
+    np.testing.assert_allclose((rows - low)[:, :, 1:], np.stack([limit + state + excess, excess], axis=2), atol=1e-12)
+    np.testing.assert_array_equal(low[:, :, 0], -NO_BOUND)
+    np.testing.assert_array_equal(high[:, :, 1:], NO_BOUND)
+    np.testing.assert_allclose(qp.q[10 * N + 2 :].reshape(N, 2), np.outer(PENALTY * LENGTH, [1.0, 1.0]))
+
+
+@pytest.mark.parametrize("limits", [LIMITS, replace(LIMITS, max_state=np.array([0.3, 0.15]))], ids=["box", "motion"])
+def test_every_row_of_every_stage_has_a_name(limits):
+    form = SparseQp(KNOTS, limits, WEIGHTS)
+    names = [row.name for row in form.row_names]
+    assert len(names) == len(set(names)) == form.rows
+    for stage in range(1, N + 1):
+        assert f"slew of port in stage {stage}" in names
+
+
+def test_a_trajectory_on_its_reference_has_no_slope_of_the_position_cost(lin):
+    vehicle, wanted = Vehicle.load("paper"), (0.3, -0.2)
+    qp = build_qp(vehicle, lin.X, lin.U, lin.C, lin.X[1:, :2])
+    np.testing.assert_array_equal(qp.q[: 10 * N].reshape(N, 10)[:, :2], 0.0)
+    moving = build_qp(vehicle, lin.X, lin.U, lin.C, lin.X[1:, :2], end_velocity_mps=wanted)
+    np.testing.assert_allclose((moving.l - qp.l)[8 * N : 8 * N + 2], wanted)
 
 
 def test_the_pattern_does_not_depend_on_the_numbers(lin, target):
