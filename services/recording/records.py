@@ -76,7 +76,7 @@ class Records:
 
     After iteration, ``losses`` lists the unreadable bytes, and ``orphans`` counts the messages that were skipped
     because the record of their channel is lost. ``position`` is the place of the newest record, of ``size`` bytes.
-    Iteration raises ``ConfigError`` if the file is not an MCAP file.
+    Iteration raises ``ConfigError`` if the file is not an MCAP file. An empty file has no records and is not whole.
     """
 
     def __init__(self, path: Path) -> None:
@@ -114,7 +114,7 @@ class Records:
         while True:
             start = self.position = file.tell()
             if callback is not None:
-                callback(start / self.size)
+                callback(start / max(self.size, 1))
             head = file.read(_HEAD.size)
             if len(head) < _HEAD.size:
                 if head:

@@ -91,7 +91,7 @@ def find(text: str) -> Path:
     """Return the recording of RUN: a run's folder, its run.mcap, or ``latest`` for the newest folder below runs/.
 
     ``find(text).parent`` is the run's folder, unless run.mcap was moved out of it.
-    Raises ``ConfigError``.
+    Raises ``ConfigError``, also for an empty file: the recorder has not begun to write.
     """
     source = f"RUN {text}"
     path = _newest() if text == LATEST else Path(text)
@@ -101,6 +101,8 @@ def find(text: str) -> Path:
         if path.is_dir():
             path = path / RECORDING
         if path.is_file():
+            if path.stat().st_size == 0:
+                raise ConfigError(f"recording {path}", "", "no recording: 0 bytes")
             return path
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise ConfigError(source, "", f"cannot be read: {getattr(error, 'strerror', None) or error}") from None

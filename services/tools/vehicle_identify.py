@@ -59,12 +59,7 @@ class _Recorded(NamedTuple):
 
 def open_run(run: str) -> RunFolder:
     """Open a run (its folder, its run.mcap or ``latest``). Raises ``ConfigError``."""
-    path = folder.ROOT / folder.LATEST if run == folder.LATEST else Path(run)
-    held = RunFolder(path.parent if path.name == "run.mcap" else path)
-    if not held.recording.is_file():
-        problem = f"must be a run's folder, its run.mcap, or {folder.LATEST}: there is no {held.recording}"
-        raise ConfigError("argument RUN", "", problem, value=run)
-    return held
+    return RunFolder(folder.find(run).parent)
 
 
 def load_vehicle(run: RunFolder, name: str | None) -> Vehicle:

@@ -22,7 +22,6 @@ import numpy as np
 from ltv_mpc import references
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Estimate, Message, StepRecord
 from ltv_mpc.node import Due, Node, ReceivedMessage
 from ltv_mpc.references import Point, Reference
@@ -191,12 +190,7 @@ class _WithoutCurrent:
 
 
 def _run_folder(run: str) -> RunFolder:
-    path = folder.ROOT / folder.LATEST if run == folder.LATEST else Path(run)
-    run_folder = RunFolder(path.parent if path.suffix == ".mcap" else path)
-    if not run_folder.recording.is_file():
-        problem = f"must be a run's folder, its run.mcap, or {folder.LATEST}: there is no {run_folder.recording}"
-        raise ConfigError("option --run", "", problem, value=run)
-    return run_folder
+    return RunFolder(folder.find(run).parent)
 
 
 def _replay(recording: Path, node: Node, is_done: Callable[[], bool]) -> None:

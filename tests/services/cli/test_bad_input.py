@@ -51,6 +51,7 @@ FILES: dict[str, str | bytes] = {
     "boss.json5": "{mode: 'boss'}",
     "cut.json5": "{mode:\n",
     "empty-table.toml": "[settings]\n",
+    "run.mcap": "",
 }
 
 CASES = [
@@ -140,6 +141,15 @@ CASES = [
     ("profile --horizons 5,x", 'option --horizons: "x": must be numbers of stages of 0.3 s'),
     ("profile --horizons 5,,", "option --horizons"),
     ("profile --cycles 0", "--cycles"),
+    # --- a recording that was never begun -------------------------------------------------------------------------
+    *(
+        (f"{command} run.mcap", "recording run.mcap: no recording: 0 bytes")
+        for command in (
+            *("report", "replay", "log info", "log recover", "log export", "log export --format perfetto"),
+            *("vehicle identify", "profile --run"),
+        )
+    ),
+    ("report .", "recording run.mcap: no recording: 0 bytes"),
     # --- one process each -----------------------------------------------------------------------------------------
     ("plant none.toml", "scenario none.toml: no such file"),
     ("sensors decsent", 'scenario "decsent": no shipped name'),
