@@ -17,6 +17,8 @@ The station is held with the bow into a current; with the stern into it the pole
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
@@ -62,10 +64,14 @@ def spectral_radius(vehicle: Vehicle, horizon_s: float, share: float) -> float:
 
     Returns
     -------
-    Spectral radius of A_1 - B_1 K.
+    Spectral radius of A_1 - B_1 K; infinite if the stages are too long for the vehicle's motion to be integrated.
     """
-    A, B, K = closed_loop(vehicle, horizon_s, share)
-    return float(np.abs(np.linalg.eigvals(A - B @ K)).max())
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            A, B, K = closed_loop(vehicle, horizon_s, share)
+            return float(np.abs(np.linalg.eigvals(A - B @ K)).max())
+    except np.linalg.LinAlgError:  # drag that is faster than a step makes A_k overflow
+        return math.inf
 
 
 def closed_loop(vehicle: Vehicle, horizon_s: float, share: float) -> tuple[Array, Array, Array]:

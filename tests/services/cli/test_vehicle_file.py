@@ -53,6 +53,15 @@ def test_check_prints_the_performance(capsys: pytest.CaptureFixture[str]) -> Non
     assert said["warnings"] == []
 
 
+def test_check_warns_of_a_vehicle_whose_drag_is_faster_than_a_stage(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """1.5 kg with the drag of 500 kg: its linearised stages overflow."""
+    (here / "light.toml").write_text(PAPER.replace("\nmass_kg = 500.0", "\nmass_kg = 1.5"))
+    assert run(["vehicle", "check", "light.toml"]) == 0
+    assert "stages of 0.3 s resolve at least 0.1 s" in capsys.readouterr().out
+
+
 def test_the_proposed_horizon_covers_a_turn_and_a_stop(capsys: pytest.CaptureFixture[str]) -> None:
     """Half a turn of a vehicle that is much slower astern: the horizon is more than 1.9 times its duration."""
     assert run(["vehicle", "check", "weak-reverse", "--json"]) == 0
@@ -117,4 +126,4 @@ def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.Captu
 
 def test_an_argument_that_is_no_run_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["vehicle", "identify", "nowhere"]) == 2
-    assert "must be a run's folder, its run.mcap, or latest" in capsys.readouterr().err
+    assert "no such folder or file: a run's folder, its run.mcap, or latest" in capsys.readouterr().err
