@@ -9,7 +9,8 @@ Effects of the true vehicle alone:
 - propellers with a first-order lag in n. A governor drives them to n_c, the inverse of eq 8 for y at the inflow at the
   start of the step, limited to +-n_max. The lag is solved in closed form for n_c linear over the step, so every lag
   is stable, also a lag of zero;
-- true thrust: eq 8 times a factor;
+- true thrust: eq 8 within the thruster's limits min_N and max_N, times a factor. Without the limits, a change of the
+  inflow during the lag would make a thruster at its limit deliver more;
 - the surface, above which the vehicle cannot rise.
 Integrator: the classical Runge-Kutta method of order 4.
 """
@@ -35,6 +36,8 @@ class Propeller(NamedTuple):
     diameter: float  # m
     max_rps: float  # rev/s
     lag: float  # time constant, s
+    min_N: float
+    max_N: float
 
 
 class Body(NamedTuple):
@@ -53,7 +56,7 @@ class MotionState(NamedTuple):
 
     s: Array  # (8,) state
     n: Array  # (3,) revolutions (rev/s)
-    F: Array  # (3,) thrust (N) by eq 8 for n, without the body's factor
+    F: Array  # (3,) thrust (N) by eq 8 for n within the limits, without the body's factor
 
 
 State: TypeAlias = tuple[float, float, float, float, float, float, float, float]
@@ -65,7 +68,7 @@ def pack(vehicle: Vehicle, p: Coefficients, factor: float = 1.0) -> Array:
 
     One array costs less than a tuple: a call from Python takes 0.3 us for each field of a tuple.
     """
-    propellers = [[t.propeller_diameter_m, t.max_rps, t.lag_s] for t in vehicle.thrusters]
+    propellers = [[t.propeller_diameter_m, t.max_rps, t.lag_s, t.min_N, t.max_N] for t in vehicle.thrusters]
     return np.concatenate([p, np.ravel(propellers), [vehicle.water_density_kgpm3, factor]])
 
 
@@ -74,11 +77,11 @@ def unpack(flat: Array) -> Body:
     """Return the vehicle that ``pack`` has flattened."""
     return Body(
         coefficients(flat),
-        Propeller(flat[19], flat[20], flat[21]),
-        Propeller(flat[22], flat[23], flat[24]),
-        Propeller(flat[25], flat[26], flat[27]),
-        flat[28],
-        flat[29],
+        Propeller(flat[19], flat[20], flat[21], flat[22], flat[23]),
+        Propeller(flat[24], flat[25], flat[26], flat[27], flat[28]),
+        Propeller(flat[29], flat[30], flat[31], flat[32], flat[33]),
+        flat[34],
+        flat[35],
     )
 
 
@@ -148,12 +151,18 @@ def _along(s: State, k: State, h: float) -> State:
 
 @jit
 def _thrusts(true: Body, n: Triple, surge: float, heave: float) -> Triple:
-    """Return the thrust (N) of each thruster by eq 8."""
+    """Return the thrust (N) of each thruster by eq 8, within its limits."""
     return (
-        thrust(n[0], surge, true.rho, true.port.diameter),
-        thrust(n[1], surge, true.rho, true.starboard.diameter),
-        thrust(n[2], heave, true.rho, true.vertical.diameter),
+        _limited_thrust(true.port, n[0], surge, true.rho),
+        _limited_thrust(true.starboard, n[1], surge, true.rho),
+        _limited_thrust(true.vertical, n[2], heave, true.rho),
     )
+
+
+@jit
+def _limited_thrust(propeller: Propeller, n: float, inflow: float, rho: float) -> float:
+    """Return the thrust (N) at n revolutions, within the thruster's limits."""
+    return min(max(thrust(n, inflow, rho, propeller.diameter), propeller.min_N), propeller.max_N)
 
 
 @jit

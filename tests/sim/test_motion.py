@@ -36,12 +36,13 @@ def travel(
     factor: float = 1.0,
     held: bool = False,
     h: float = H,
+    limit_N: float = 90.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return states (T, 8), revolutions (T, 3) and thrusts (T, 3) for commands (T, 3), one for each step."""
     state, n, F = np.array(s, dtype=float), np.zeros(3), np.zeros(3)
     vehicle = motion.MotionState(state, n, F)
     water = WaterSample(DEPTHS, current, current, 0.0)
-    body = np.array([*p, *3 * [DIAMETER, N_MAX, lag], RHO, factor])
+    body = np.array([*p, *3 * [DIAMETER, N_MAX, lag, -limit_N, limit_N], RHO, factor])
     states, revs, thrusts = [state.copy()], [n.copy()], [F.copy()]
     for y0, y1 in itertools.pairwise(commands):
         motion.step(body, vehicle, y0, y1, held, h, water)
@@ -187,6 +188,14 @@ def test_no_propeller_ever_turns_faster_than_it_can():
     _, revs, _ = travel([0] * 8, constant(5, 90, -90, 90), PAPER)
     assert np.abs(revs).max() <= N_MAX
     np.testing.assert_allclose(np.abs(revs[-1]), N_MAX, rtol=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_delivered_thrust_stays_within_the_limits_while_the_vehicle_slows_down(sign):
+    """The propellers still turn as fast as the earlier inflow required, so eq 8 alone gives more than the limit."""
+    start = [0, 0, 1.5 * sign, 0, 0, 0, 9, 1.5 * sign]
+    _, _, thrusts = travel(start, constant(5, *3 * [62.5 * sign]), PAPER, limit_N=62.5)
+    assert np.abs(thrusts).max() == 62.5
 
 
 def test_a_weaker_thruster_pushes_less_than_eq_8_says_of_its_revolutions():
