@@ -22,10 +22,11 @@ from starlette.responses import FileResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from ltv_mpc.errors import format_value
 from services.bus.options import BusOptions
 from services.dashboard.access_guard import AccessGuard, Token
 from services.dashboard.bus_feed import BusFeed
-from services.dashboard.commands import SIMULATED, ButtonReply, ButtonRequest, do
+from services.dashboard.commands import SIMULATED, Button, ButtonReply, ButtonRequest, do
 from services.dashboard.stream import MAX_READERS, Reader, Stream
 from services.reporting import static_files
 from services.reporting.plots.catalogue import PLOTS
@@ -119,6 +120,10 @@ async def _reply(text: str, feed: BusFeed, token: Token, command: Do) -> ButtonR
     moment = feed.status()
     if asked.button in SIMULATED and not moment.simulated:
         return ButtonReply(number=asked.number, done=False, text=f"{asked.button.value} works in a simulation only")
+    known = [process.name for process in moment.processes]
+    if asked.button is Button.KILL and asked.node not in known:
+        problem = f"kill refused: {format_value(asked.node)}: must be one of {', '.join(known)}"
+        return ButtonReply(number=asked.number, done=False, text=problem)
     return await asyncio.to_thread(command, asked, feed.t_ns(), moment.requested_speed)
 
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
+from ltv_mpc.errors import format_value, one_line
 from ltv_mpc.messages import NodeStatus, RunEvent
 from services.bus.options import SECURE, BusOptions
 from services.bus.outbox import Outbox, new_epoch
@@ -272,6 +273,8 @@ class Supervisor:
         for name in monitor.kill_requests():
             if name in self.children.by_name:  # handled as any other failure
                 self.children.by_name[name].kill()
+            else:
+                self._screen.say(one_line(f"kill refused: no process {format_value(name)} in this run"))
         self.failures.check_recoveries(now_s)
         if not self.failures.recovering:  # a restarted process needs the processor more
             self.children.replace_dead_fork_server()

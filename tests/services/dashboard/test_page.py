@@ -168,6 +168,16 @@ def test_what_is_no_command_is_answered_and_does_nothing(page: Served, text: str
     assert len(page.vehicle.received) == before
 
 
+def test_a_kill_that_names_no_process_of_the_run_is_refused(page: Served) -> None:
+    before = len(page.vehicle.received)
+    with stream(page) as socket:
+        until(lambda: page.feed.status().simulated)
+        answers = [pressed(page, socket, button="kill", **node) for node in ({}, {"node": "nobody"})]
+    assert [answer["done"] for answer in answers] == [False, False]
+    assert answers[1]["text"].startswith('kill refused: "nobody": must be one of ')
+    assert len(page.vehicle.received) == before
+
+
 def test_who_sends_a_flood_is_cut_off(page: Served) -> None:
     with stream(page) as socket:
         socket.send(100_000 * "x")
