@@ -37,6 +37,7 @@ FIGURES = (
     Figure("plans refused", "", ("plans_refused",), 0),
     Figure("messages dropped", "", ("messages", "dropped"), 0),
     Figure("messages rejected", "", ("messages", "rejected"), 0),
+    Figure("messages denied", "", ("messages", "denied"), 0),
     Figure("restarts", "", ("restarts",), 0),
 )
 

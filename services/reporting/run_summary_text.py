@@ -76,6 +76,8 @@ def _cycles(summary: Mapping[str, Any]) -> str:
 
 def _messages(messages: Mapping[str, int], restarts: int) -> str:
     text = f"{messages['published']} published, {messages['dropped']} dropped, {messages['rejected']} rejected"
+    if denied := messages.get("denied"):
+        text += f", {denied} denied"
     return f"{text}; {restarts} restarts" if restarts else text
 
 

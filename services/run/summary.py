@@ -7,7 +7,7 @@ from pathlib import Path
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.messages import Estimate, NodeStatus, RejectedFrame, RunEvent
 from services.bus import topics
-from services.bus.roles import LAUNCHER
+from services.bus.roles import LAUNCHER, ROUTER
 from services.bus.wire import WireError
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
@@ -22,6 +22,8 @@ LOCKSTEP = "lockstep"
 
 STATUS = topics.BY_TYPE[NodeStatus].key + "/"
 """Prefix of the keys of all processes' status: each further epoch is a further start."""
+
+ROUTER_STATUS = STATUS + ROUTER
 
 RESTARTS = topics.key_of(RunEvent, LAUNCHER)
 """Key on which the supervisor reports restarts, also of processes without a status."""
@@ -81,11 +83,14 @@ def summarise_recording(
     metrics = RunMetrics(run_config.vehicle, speed=run_config.scenario.run.speed)
     losses = LossAccounting()
     rejected = restarted = 0
+    denied: dict[int, int] = {}  # by epoch of the router, which counts its own denials as rejected
     for message in Recording(path):
         epoch, sequence = message.plain["epoch"], message.plain["sequence"]
         losses.add(message.key, epoch, sequence)
         rejected += message.kind is RejectedFrame
         restarted += message.key == RESTARTS and message.plain["kind"] == "fault"
+        if message.key == ROUTER_STATUS:
+            denied[epoch] = message.plain["rejected"]
         if message.kind in metrics.message_types:
             try:
                 signal, _ = message.typed()
@@ -98,7 +103,12 @@ def summarise_recording(
         run_config,
         metrics,
         mode=SERVICES,
-        messages=Messages(published=losses.published, dropped=max(losses.missing, unrecorded), rejected=rejected),
+        messages=Messages(
+            published=losses.published,
+            dropped=max(losses.missing, unrecorded),
+            rejected=rejected,
+            denied=sum(denied.values()),
+        ),
         restarts=max(
             restarts,
             restarted,

@@ -41,6 +41,7 @@ class Messages(msgspec.Struct, frozen=True, kw_only=True):
     published: int
     dropped: int  # published, but missing in the recording: gaps in the sequence numbers
     rejected: int  # rejected by the validation of a process
+    denied: int = 0  # attempts that the router denied: no role allows them, or the certificate is not valid
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):

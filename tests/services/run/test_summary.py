@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
-from ltv_mpc.messages import CycleTiming, Estimate, PressureDepth, RejectedFrame
+from ltv_mpc.messages import CycleTiming, Estimate, NodeStatus, PressureDepth, RejectedFrame
 from services.bus import wire
 from services.recording.writer import RunWriter
 from services.run.run_config import Override, resolve
@@ -29,6 +30,10 @@ def timing(ms: int) -> CycleTiming:
     )
 
 
+def denied(count: int) -> NodeStatus:
+    return replace(status("router"), rejected=count)
+
+
 @pytest.fixture
 def summary(tmp_path: Path) -> Summary:
     path = tmp_path / "run.mcap"
@@ -43,6 +48,9 @@ def summary(tmp_path: Path) -> Summary:
             ("estimator", REJECTED, 13, 0),
             ("estimator", ESTIMATE, 13, 0),
             ("sensors", DEPTH, 14, 0),
+            ("router", denied(30_000), 15, 0),
+            ("router", denied(39_000), 15, 1),
+            ("router", denied(786), 16, 0),  # restarted
         ):
             writer.write(node, signal, wire.Header(epoch=epoch, sequence=sequence, sent_monotonic_us=5), 0)
         # An estimate that no node would let in: it counts as published and is not graded.
@@ -52,11 +60,11 @@ def summary(tmp_path: Path) -> Summary:
 
 
 def test_gaps_of_the_sequences_are_dropped_messages(summary: Summary) -> None:
-    assert summary.messages == Messages(published=3 + 4 + 1 + 1 + 2 + 1, dropped=2, rejected=1)
+    assert summary.messages == Messages(published=3 + 4 + 1 + 1 + 2 + 1 + 3, dropped=2, rejected=1, denied=39_786)
 
 
 def test_each_further_epoch_of_a_process_is_a_restart(summary: Summary) -> None:
-    assert summary.restarts == 1
+    assert summary.restarts == 2
 
 
 def test_times_are_in_vehicle_and_in_wall_seconds_and_stages_in_wall_microseconds(summary: Summary) -> None:
