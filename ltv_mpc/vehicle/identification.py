@@ -4,8 +4,12 @@
 masses not negative; the standard deviations of the errors of u, v and r are scaled to the residuals.
 
 The interval of theta_i is that of Student's t with the larger of two variances: that of white errors, H^-1, and that of
-errors correlated within a segment but not between segments, H^-1 (sum_s g_s g_s') H^-1 (Liang & Zeger 1986). Errors
-that last for the whole run, such as a wrong current profile, are in neither.
+errors correlated within a segment but not between segments, H^-1 (sum_s g_s g_s') H^-1 (Liang & Zeger 1986). A constant
+current that the estimates do not contain is fitted beside the coefficients; other errors that last for the whole run
+are in neither.
+
+A coefficient that the run does not excite keeps the value of the file. The others are fitted again with it, so that the
+identified vehicle is consistent in itself; their intervals remain those of the fit of all coefficients.
 
 Identifiability: one factor on all masses, dampings and thrusts leaves the motion unchanged; so does one factor on
 inertia, yaw damping and both arms. Therefore one of mass and thrust is taken from the file (``known``: by default
@@ -25,6 +29,7 @@ from scipy.stats import t as student
 from ltv_mpc.messages import Array, Times
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.shooting_fit import (
+    CURRENT_SD_MPS,
     LAGS,
     PRIOR,
     SEGMENT_S,
@@ -34,6 +39,7 @@ from ltv_mpc.vehicle.shooting_fit import (
     index_of,
     lagged_thrust,
     theta_scale,
+    through_the_water,
 )
 
 Known: TypeAlias = Literal["thrust", "mass"]
@@ -70,13 +76,15 @@ class IdentifiedCoefficient(msgspec.Struct, frozen=True, kw_only=True):
     value: float
     low: float
     high: float
-    excited: bool  # False: the run is not informative, and ``value`` combines file and run
+    excited: bool  # False: the run is not informative, and ``value`` is that of the file
 
 
 class Identified(NamedTuple):
     """Result of an identification."""
 
     found: list[IdentifiedCoefficient]
+    current_mps: Array  # (2,) current that the estimates do not contain, north and east
+    current_half_mps: Array  # (2,) half width of its 95 % interval
     sd: Array  # (3,) standard deviations of the residuals of u, v (m/s) and r (rad/s)
     segments: int
     seconds: float
@@ -106,18 +114,23 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
     fixed |= set() if motion.thrust is None else set(LAGS)
     free = [name for name in NAMES if name not in fixed]
     fit, theta = _solve(vehicle, motion, free)
-    unexcited = [name for name in free if _degree_of_freedom(name) in _below_noise(motion, fit.sd)]
-    if unexcited:
-        fit, theta = _solve(vehicle, motion, [name for name in free if name not in unexcited])
+    still = _below_noise(through_the_water(motion, CURRENT_SD_MPS * theta[-2:]), fit.sd)
+    if any(_degree_of_freedom(name) in still for name in free):
+        fit, theta = _solve(vehicle, motion, [name for name in free if _degree_of_freedom(name) not in still])
     half = _half_widths(*fit.by_segment(theta), prior=1.0 / PRIOR**2)
-    found = [_coefficient(name, vehicle, float(theta[i]), float(half[i])) for i, name in enumerate(fit.free)]
-    for name in unexcited:
-        origin = float(fit.nominal[index_of(name)] / fit.scale[index_of(name)])
-        found.append(_coefficient(name, vehicle, origin, float(student.ppf(0.5 + 0.5 * CONFIDENCE, 1e6)) * PRIOR))
+    by_name = dict(zip(fit.free, half[:-2].tolist(), strict=True))
+    excited = [name for name in fit.free if by_name[name] <= MAX_RELATIVE_HALF_WIDTH]
+    if len(excited) < len(fit.free):
+        fit, theta = _solve(vehicle, motion, excited)
+    values = dict(zip(fit.free, theta[:-2].tolist(), strict=True))
+    prior_half = float(student.ppf(0.5 + 0.5 * CONFIDENCE, 1e6)) * PRIOR
+    found = [_coefficient(name, vehicle, values.get(name), by_name.get(name, prior_half)) for name in free]
     if motion.thrust is not None:
         found += _lags(vehicle, motion, motion.thrust, fit.edges)
     return Identified(
         found,
+        CURRENT_SD_MPS * theta[-2:],
+        CURRENT_SD_MPS * half[-2:],
         fit.sd,
         len(fit.edges),
         float(motion.t_s[-1] - motion.t_s[0]),
@@ -140,12 +153,12 @@ def _solve(vehicle: Vehicle, motion: Motion, free: Sequence[str]) -> tuple[Shoot
     return fit, theta
 
 
-def _below_noise(motion: Motion, sd: Array) -> set[str]:
-    """Return the degrees of freedom among surge, sway and yaw whose velocity is not above its errors ``sd`` (3,).
+def _below_noise(velocity: Array, sd: Array) -> set[str]:
+    """Return the degrees of freedom among surge, sway and yaw whose ``velocity`` (M, 3) is not above its errors (3,).
 
     There the fitted initial states would follow the errors, and coefficients would be fitted to them.
     """
-    size = np.sqrt(np.mean(motion.velocity**2, axis=0))
+    size = np.sqrt(np.mean(velocity**2, axis=0))
     names = ("surge", "sway", "yaw")
     return {name for name, rms, error in zip(names, size, sd, strict=True) if rms < MIN_SIGNAL_TO_NOISE * error}
 
@@ -184,21 +197,29 @@ def _lags(vehicle: Vehicle, motion: Motion, delivered: Array, edges: Times) -> l
         parts = [slice(first, end) for first, end in edges]
         half = _half_widths([best.fun[p] / sd for p in parts], [slope[p, None] for p in parts], prior=1.0 / PRIOR**2)
         interpolation = LAG_INTERPOLATION_ERROR * float(np.median(np.diff(motion.t_s))) / scale
-        found.append(_coefficient(name, vehicle, float(best.x[0]), float(half[0]) + interpolation))
+        width = float(half[0]) + interpolation
+        found.append(
+            _coefficient(name, vehicle, float(best.x[0]) if width <= MAX_RELATIVE_HALF_WIDTH else None, width)
+        )
     return found
 
 
-def _coefficient(name: str, vehicle: Vehicle, theta: float, half: float) -> IdentifiedCoefficient:
-    """Return one coefficient in the units of the file, from theta and the half width of its interval."""
+def _coefficient(name: str, vehicle: Vehicle, theta: float | None, half: float) -> IdentifiedCoefficient:
+    """Return one coefficient in the units of the file, from theta and the half width of its interval.
+
+    Without ``theta`` the coefficient is not excited and keeps the value of the file.
+    """
     scale = float(theta_scale(vehicle)[index_of(name)])
+    file = float([*vehicle.coefficients(), 1.0][index_of(name)])
+    value = file if theta is None else theta * scale
     return IdentifiedCoefficient(
         name=name,
         unit=_unit(name),
-        file=float([*vehicle.coefficients(), 1.0][index_of(name)]),
-        value=theta * scale,
-        low=(theta - half) * scale,
-        high=(theta + half) * scale,
-        excited=half <= MAX_RELATIVE_HALF_WIDTH,
+        file=file,
+        value=value,
+        low=value - half * scale,
+        high=value + half * scale,
+        excited=theta is not None,
     )
 
 

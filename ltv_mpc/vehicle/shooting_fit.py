@@ -4,11 +4,15 @@ The run is cut into segments of some seconds. From an unknown initial state y_s 
 exact flow of the model under the recorded commands, and is compared with the estimates y_k of u, v (through the water)
 and r:
 
-    min over theta, y_s of   sum_k | (y_k - flow_k(y_s, theta)) / sd |^2 + sum_i ((theta_i - 1) / PRIOR)^2
+    min over theta, c, y_s of   sum_k | (y_k - R_k' c - flow_k(y_s, theta)) / sd |^2
+                                + sum_i ((theta_i - 1) / PRIOR)^2 + | c / CURRENT_SD_MPS |^2
 
 theta_i is a coefficient divided by its value in the file (or by a suitable size if the file has 0). So the second term
 is a prior of 100 % of the file's value, which dominates where the run is not informative. The y_s are eliminated
 segment by segment (variable projection: Golub & Pereyra 1973).
+
+c = [c_n, c_e] is a nuisance parameter: the current that the estimates do not contain. It is constant over the run and
+enters y as R_k' c, with the heading of instant k in R_k. Without it a current would be taken for damping and inertia.
 """
 
 from __future__ import annotations
@@ -32,6 +36,9 @@ MAX_GAP_S = 1.0
 PRIOR = 1.0
 """Standard deviation of the prior of theta."""
 
+CURRENT_SD_MPS = 0.5
+"""Standard deviation of the prior of each component of the current that the estimates do not contain (m/s)."""
+
 STEP = 1e-4
 """Step of the finite differences: relative for a coefficient, in m/s and rad/s for an initial state."""
 
@@ -46,7 +53,7 @@ class Motion(NamedTuple):
     """Recorded motion and commands of a vehicle at M instants."""
 
     t_s: Array  # (M,) increasing
-    velocity: Array  # (M, 3) u, v through the water (m/s, FRD), yaw rate r (rad/s)
+    velocity: Array  # (M, 3) u, v less the known current (m/s, FRD), yaw rate r (rad/s)
     heading: Array  # (M,) rad
     shear: Array  # (M, 2) rate of the current along the path, dc/dz w, north and east (m/s2)
     command: Array  # (M, 2) commanded thrust of port and starboard (N), linear in between
@@ -65,13 +72,14 @@ class _Series(NamedTuple):
 
 
 class ShootingFit:
-    """Least-squares problem of one motion for some of the coefficients.
+    """Least-squares problem of one motion for some of the coefficients and the unknown current.
 
     Parameters
     ----------
     vehicle : vehicle with the values of the file.
     motion : recorded motion.
-    free : names of the P coefficients to fit; ``thrust`` is the factor on the commands.
+    free : names of the coefficients to fit; ``thrust`` is the factor on the commands. The vector ``theta`` (P,) has
+        them in this order, then the current north and east in units of ``CURRENT_SD_MPS``.
     """
 
     def __init__(self, vehicle: Vehicle, motion: Motion, free: Sequence[str]) -> None:
@@ -92,23 +100,25 @@ class ShootingFit:
         """Standard deviations (3,) of the errors of u, v and r."""
         self._indices = [index_of(name) for name in self.free]
         self._start = motion.velocity[self.edges[:, 0]].copy()
+        compared = np.concatenate([np.arange(first, end) for first, end in [(0, 0), *self.edges.tolist()]])
+        self._to_body = _rotations(motion.heading[compared])
 
     @property
     def origin(self) -> Array:
-        """Theta of the file (P,): 1, or 0 for a coefficient that is 0 there."""
-        return self.nominal[self._indices] / self.scale[self._indices]
+        """Theta of the file (P,): 1, or 0 for a coefficient that is 0 there, and for the current."""
+        return np.append(self.nominal[self._indices] / self.scale[self._indices], [0.0, 0.0])
 
     @property
     def lower(self) -> Array:
         """Lower bound of theta (P,)."""
-        return np.array([MIN_THETA if name in BOUNDED else 0.0 for name in self.free])
+        return np.array([*(MIN_THETA if name in BOUNDED else 0.0 for name in self.free), -np.inf, -np.inf])
 
     def residuals(self, theta: Array) -> Array:
         """Return the residuals (3 M' + P,) of the motion from the best initial states, and of the prior.
 
         Parameters
         ----------
-        theta : (P,) coefficients relative to ``scale``.
+        theta : (P,) coefficients and current.
         """
         r, _ = self._reduced(theta, slopes=False)
         return np.concatenate([r.ravel(), (theta - self.origin) / PRIOR])
@@ -118,7 +128,7 @@ class ShootingFit:
 
         Parameters
         ----------
-        theta : (P,) coefficients relative to ``scale``.
+        theta : (P,) coefficients and current.
         """
         _, J = self._reduced(theta, slopes=True)
         return np.concatenate([J.reshape(-1, len(theta)), np.eye(len(theta)) / PRIOR])
@@ -128,7 +138,7 @@ class ShootingFit:
 
         Parameters
         ----------
-        theta : (P,) coefficients relative to ``scale``.
+        theta : (P,) coefficients and current.
         """
         r, J = self._reduced(theta, slopes=True)
         ends = np.cumsum(self._counts)[:-1]
@@ -168,12 +178,32 @@ class ShootingFit:
     def _shoot(self, theta: Array, start: Array) -> Array:
         """Return whitened residuals (M', 3) of all segments from their initial states (S, 3)."""
         values = self.nominal.copy()
-        values[self._indices] = theta * self.scale[self._indices]
+        values[self._indices] = theta[:-2] * self.scale[self._indices]
         # the acceleration of the water acts on the dry mass, which is assumed proportional to the total surge mass
         values[_DRY_MASS] = self.nominal[_DRY_MASS] * values[0] / self.nominal[0]
         off = np.empty((int(self._counts.sum()), 3))
         _shoot(Coefficients(*values[:-1]), values[-1], self._series, self.edges, start, off)
+        off[:, :2] += self._to_body @ (CURRENT_SD_MPS * theta[-2:])
         return off / self.sd
+
+
+def _rotations(heading: Array) -> Array:
+    """Return R(psi)' (M, 2, 2) from north and east to ahead and starboard."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.stack([np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)], axis=-2)
+
+
+def through_the_water(motion: Motion, current_mps: Array) -> Array:
+    """Return u, v (m/s) and r (rad/s) of a motion (M, 3), less a current that its estimates do not contain.
+
+    Parameters
+    ----------
+    motion : recorded motion.
+    current_mps : (2,) current, north and east (m/s).
+    """
+    velocity = motion.velocity.copy()
+    velocity[:, :2] -= _rotations(motion.heading) @ current_mps
+    return velocity
 
 
 _DRY_MASS = Coefficients._fields.index("dry_mass")

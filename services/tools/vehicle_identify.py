@@ -44,6 +44,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     segments: int
     input: str  # "applied" or "plan": where the thrusts come from
     known: tuple[Known, KnownYaw]  # coefficients taken from the file
+    current_mps: tuple[float, float]  # current that the estimates do not contain, north and east
+    current_half_mps: tuple[float, float]  # half width of its 95 % interval
     residual_sd: tuple[float, float, float]  # of u, v (m/s), r (rad/s)
     found: list[IdentifiedCoefficient]
     not_excited: list[str]  # coefficients that the run does not excite
@@ -84,6 +86,8 @@ def identify_run(run: RunFolder, vehicle: Vehicle, known: Known, known_yaw: Know
         segments=found.segments,
         input="plan" if motion.thrust is None else "applied",
         known=(known, known_yaw),
+        current_mps=(float(found.current_mps[0]), float(found.current_mps[1])),
+        current_half_mps=(float(found.current_half_mps[0]), float(found.current_half_mps[1])),
         residual_sd=(u, v, r),
         found=found.found,
         not_excited=[one.name for one in found.found if not one.excited],
@@ -191,9 +195,12 @@ def _sd(estimates: list[Estimate]) -> Array:
 def table(of: Result) -> str:
     """Format the result as text."""
     u, v, r = of.residual_sd
+    (north, east), (half_north, half_east) = of.current_mps, of.current_half_mps
     lines = [
         f"{of.vehicle}, {of.run}: {of.seconds:.0f} s, {of.estimates} estimates, thrust from {of.input}",
         f"residuals: {1e3 * u:.2f} mm/s ahead, {1e3 * v:.2f} mm/s to starboard, {1e3 * r:.2f} mrad/s",
+        f"current that the estimates do not contain: {north:.3f} +- {half_north:.3f} m/s north, "
+        f"{east:.3f} +- {half_east:.3f} m/s east",
         f"taken from the file: {of.known[0]} and {of.known[1]}",
         f"{'':<18}{'file':>12}{'found':>12}   95 % interval",
     ]
@@ -209,6 +216,6 @@ def toml(of: Result, vehicle: Vehicle) -> str:
     head = [
         f"# {vehicle.name}, {of.known[0]} and {of.known[1]} from the old file; the rest from",
         f"# {of.seconds:.0f} s of {Path(of.run).name}."
-        + (f" Not excited: {', '.join(of.not_excited)}." if of.not_excited else ""),
+        + (f" Not excited, value of the old file: {', '.join(of.not_excited)}." if of.not_excited else ""),
     ]
     return "\n".join(head) + "\n" + config.to_toml(vehicle)

@@ -31,8 +31,11 @@ TRUE = {
 H = 0.1
 
 
-def moved(seconds: float, seed: int, *, commands=None, sd=(0.0, 0.0, 0.0), true=TRUE) -> Motion:
-    """Random steps of both thrusts, ramped within 0.5 s, each held for 4 s, unless ``commands`` (M, 2) are given."""
+def moved(seconds: float, seed: int, *, commands=None, sd=(0.0, 0.0, 0.0), true=TRUE, current=(0.0, 0.0)) -> Motion:
+    """Random steps of both thrusts, ramped within 0.5 s, each held for 4 s, unless ``commands`` (M, 2) are given.
+
+    The velocities contain ``current`` (2,), north and east.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, H)
     if commands is None:
@@ -42,7 +45,7 @@ def moved(seconds: float, seed: int, *, commands=None, sd=(0.0, 0.0, 0.0), true=
         commands = np.column_stack([np.interp(t, at, np.repeat(level[:, i], 2)) for i in range(2)])
 
     def rates(now: float, y: np.ndarray) -> list[float]:
-        u, v, r, F1, F2 = y
+        u, v, r, F1, F2, _ = y
         k = true["thrust"]
         u1, u2 = (np.interp(now, t, commands[:, i]) for i in range(2))
         Mx, My, Iz = true["mass_surge"], true["mass_sway"], true["inertia_yaw"]
@@ -57,18 +60,22 @@ def moved(seconds: float, seed: int, *, commands=None, sd=(0.0, 0.0, 0.0), true=
             / Iz,
             (u1 - F1) / true["lag_port"],
             (u2 - F2) / true["lag_starboard"],
+            r,
         ]
 
-    start = [0.0, 0.0, 0.0, *commands[0]]
+    start = [0.0, 0.0, 0.0, *commands[0], 0.0]
     y = solve_ivp(rates, (0.0, t[-1]), start, t_eval=t, rtol=1e-8, atol=1e-9, max_step=0.05).y.T
+    cos, sin = np.cos(y[:, 5]), np.sin(y[:, 5])
+    north, east = current
+    over_ground = y[:, :3] + np.column_stack([cos * north + sin * east, cos * east - sin * north, 0.0 * t])
     return Motion(
         t_s=t,
-        velocity=y[:, :3] + rng.standard_normal((len(t), 3)) * sd,
-        heading=np.zeros(len(t)),
+        velocity=over_ground + rng.standard_normal((len(t), 3)) * sd,
+        heading=y[:, 5],
         shear=np.zeros((len(t), 2)),
         command=commands,
         sd=np.maximum(sd, 1e-4),
-        thrust=y[:, 3:],
+        thrust=y[:, 3:5],
     )
 
 
@@ -106,6 +113,25 @@ def test_without_reports_the_lags_are_identified_from_the_motion(clean: Motion) 
         assert value == pytest.approx(TRUE[name], rel=0.03), name
 
 
+def test_a_current_that_the_estimates_do_not_contain_is_identified_beside_the_coefficients() -> None:
+    found = identify(ARMS, moved(90.0, 1, current=(0.25, -0.15)))
+    np.testing.assert_allclose(found.current_mps, [0.25, -0.15], atol=0.003)
+    for name, value in values(found).items():
+        assert value == pytest.approx(TRUE[name], rel=0.03), name
+
+
+def test_in_an_unknown_current_the_intervals_contain_truth_and_current() -> None:
+    inside = []
+    for seed in range(6):
+        current = 0.3 * np.array([np.cos(seed), np.sin(seed)])
+        found = identify(ARMS, moved(90.0, seed, sd=(0.005, 0.005, 0.002), current=current))
+        inside += (np.abs(found.current_mps - current) <= found.current_half_mps).tolist()
+        inside += [
+            one.low <= TRUE[one.name] <= one.high for one in found.found if not one.name.startswith("lag")
+        ]  # the reports have no errors here
+    assert np.mean(inside) >= 0.9
+
+
 def test_with_known_masses_thrust_scale_and_arms_are_identified() -> None:
     true = {**TRUE, "mass_surge": 500.0, "inertia_yaw": 179.049, "thrust": 0.8}
     found = values(identify(BELIEVED, moved(90.0, 2, true=true), "mass", "inertia"))
@@ -122,7 +148,7 @@ def test_shear_acts_on_the_dry_mass() -> None:
     gone = motion.velocity.copy()
     # north is ahead here: dry mass 200 kg of 500 in the file, 168 of 420 in truth
     gone[:, 0] -= 0.4 * 0.001 * motion.t_s
-    still = motion._replace(command=0.0 * motion.command, thrust=0.0 * motion.command)
+    still = motion._replace(heading=0.0 * motion.heading, command=0.0 * motion.command, thrust=0.0 * motion.command)
     drifting = still._replace(velocity=np.column_stack([gone[:, 0] - motion.velocity[:, 0], *np.zeros((2, len(gone)))]))
     sheared = drifting._replace(shear=np.column_stack([np.full(len(gone), 0.001), np.zeros(len(gone))]))
     assert identify(ARMS, sheared).sd[0] < 0.5 * identify(ARMS, drifting).sd[0]
@@ -157,12 +183,19 @@ def test_unexcited_coefficients_are_reported_and_keep_their_value() -> None:
     t = np.arange(0.0, 60.0, H)
     both = np.repeat((20.0 + 20.0 * np.sign(np.sin(0.4 * t)))[:, None], 2, axis=1)
     even = {**TRUE, "arm_port": 0.2, "arm_starboard": 0.2, "lag_starboard": 0.2}
-    found = identify(BELIEVED, moved(60.0, 5, commands=both, sd=(0.005, 0.005, 0.002), true=even)).found
+    wrong = msgspec.structs.replace(
+        BELIEVED, surge=msgspec.structs.replace(BELIEVED.surge, linear_damping_kgps=12.0, quadratic_damping_kgpm=90.0)
+    )
+    found = identify(wrong, moved(60.0, 5, commands=both, sd=(0.005, 0.005, 0.002), true=even)).found
     excited = {one.name for one in found if one.excited}
     assert "mass_surge" in excited
     assert excited.isdisjoint(
-        {"mass_sway", "inertia_yaw", "linear_sway", "quadratic_sway", "linear_yaw", "quadratic_yaw"}
+        {"mass_sway", "inertia_yaw", "linear_sway", "quadratic_sway", "linear_yaw", "quadratic_yaw", "linear_surge"}
     )
+    assert all(one.value == one.file for one in found if not one.excited)
+    kept = with_coefficients(wrong, found)
+    assert (kept.sway, kept.yaw) == (wrong.sway, wrong.yaw)
+    assert kept.surge.linear_damping_kgps == wrong.surge.linear_damping_kgps
 
 
 def test_a_run_that_is_too_short_raises_an_error(clean: Motion) -> None:
