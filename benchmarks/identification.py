@@ -88,9 +88,7 @@ class _Boat:
             yaw_rate_radps=r + SD_RADPS * draws[2],
             velocity_north_mps=north + SD_MPS * draws[0],
             velocity_east_mps=east + SD_MPS * draws[1],
-            current=CurrentProfile(
-                depth_m=0.0 * one, north_mps=self._current[0] * one, east_mps=self._current[1] * one
-            )
+            current=CurrentProfile(depth_m=0.0 * one, north_mps=self._current[0] * one, east_mps=self._current[1] * one)
             if with_current
             else None,
         )

@@ -198,9 +198,7 @@ def _lags(vehicle: Vehicle, motion: Motion, delivered: Array, edges: Times) -> l
         half = _half_widths([best.fun[p] / sd for p in parts], [slope[p, None] for p in parts], prior=1.0 / PRIOR**2)
         interpolation = LAG_INTERPOLATION_ERROR * float(np.median(np.diff(motion.t_s))) / scale
         width = float(half[0]) + interpolation
-        found.append(
-            _coefficient(name, vehicle, float(best.x[0]) if width <= MAX_RELATIVE_HALF_WIDTH else None, width)
-        )
+        found.append(_coefficient(name, vehicle, float(best.x[0]) if width <= MAX_RELATIVE_HALF_WIDTH else None, width))
     return found
 
 

@@ -113,7 +113,7 @@ def test_without_reports_the_lags_are_identified_from_the_motion(clean: Motion) 
         assert value == pytest.approx(TRUE[name], rel=0.03), name
 
 
-def test_a_current_that_the_estimates_do_not_contain_is_identified_beside_the_coefficients() -> None:
+def test_a_current_that_the_estimates_lack_is_identified_too() -> None:
     found = identify(ARMS, moved(90.0, 1, current=(0.25, -0.15)))
     np.testing.assert_allclose(found.current_mps, [0.25, -0.15], atol=0.003)
     for name, value in values(found).items():
