@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from ltv_mpc.messages import Clock, ClockCommand, Command, Message, NodeStatus, RejectedFrame
+from ltv_mpc.messages import Action, Clock, ClockCommand, Command, Message, NodeStatus, RejectedFrame
 from ltv_mpc.node import Node, OnMessage
 from services.bus.mailbox import Frame
 from services.bus.message_validation import MessageValidator, rejection
@@ -20,7 +20,10 @@ from services.runtime.process_time import ProcessTime
 from services.runtime.reporters import Reporters
 
 NO_TIME = "no estimate received yet, so there is no vehicle time: retry when the status shows estimates"
-"""Rejection reason of a command before there is a time: its age is unknown when it is carried out."""
+"""Rejection reason of a command before there is a time: its age is unknown when it is carried out.
+
+``stop`` is carried out at any time, at vehicle time 0 while there is none.
+"""
 
 
 class StepTrigger(NamedTuple):
@@ -54,7 +57,9 @@ class InputReceiver:
         except WireError as error:
             self._reject(frame, str(error))
             return None
-        if frame.topic is not None and frame.topic.written_by == OPERATOR and time.clock.newest is None:
+        stops = isinstance(message, Command) and message.action is Action.STOP
+        by_operator = frame.topic is not None and frame.topic.written_by == OPERATOR
+        if by_operator and time.clock.newest is None and not stops:
             reason = NO_TIME
         else:
             reason = time.rejection_reason(message, received_us)
@@ -75,7 +80,7 @@ class InputReceiver:
         if kind in self._triggers:
             stamped: Any = message  # a type that causes steps has its validity time
             return StepTrigger(frame.key, stamped.t_ns)
-        if kind is Command and time.schedule.next_ns is not None:
+        if kind is Command and (stops or time.schedule.next_ns is not None):
             return StepTrigger(frame.key, None)
         return None
 

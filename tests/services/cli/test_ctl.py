@@ -70,10 +70,10 @@ def controller(endpoint: str, log: Path) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Alone]:
+def without_estimates(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Alone]:
     endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
     log = tmp_path_factory.mktemp("controller") / "stderr"
-    newest, ended = LatestCache(), threading.Event()
+    newest = LatestCache()
     options = BusOptions(connect=(endpoint,), namespace="boat")
     with (
         open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
@@ -81,6 +81,14 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Alone]:
         open_session(options, stop=StopRequest(), say=print) as session,
     ):
         session.subscribe(BY_TYPE[Plan].key, BY_TYPE[Plan], newest)
+        yield Alone(endpoint, newest)
+
+
+@pytest.fixture(scope="module")
+def alone(without_estimates: Alone) -> Iterator[Alone]:
+    here, ended = without_estimates, threading.Event()
+    options = BusOptions(connect=(here.endpoint,), namespace="boat")
+    with open_session(options, stop=StopRequest(), say=print) as session:
         out = Outbox(session, node="navigation", epoch=1, kinds=(Estimate,))
 
         def speak() -> None:
@@ -90,7 +98,6 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Alone]:
         speaker = threading.Thread(target=speak)
         speaker.start()
         try:
-            here = Alone(endpoint, newest)
             until(lambda: here.plan() is not None)
             yield here
         finally:
@@ -98,10 +105,25 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Alone]:
             speaker.join()
 
 
+def test_stop_is_accepted_before_the_first_estimate_and_arm_is_not(
+    without_estimates: Alone, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert without_estimates.plan() is None
+    assert without_estimates.ctl("stop") == 0
+    assert "command authority: stopped" in capsys.readouterr().out
+    assert without_estimates.ctl("arm") == 1
+    assert "no estimate received yet" in capsys.readouterr().err
+    assert without_estimates.ctl("stop") == 0
+
+
 def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(
     alone: Alone, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert alone.plan().authority is Authority.DISARMED
+    assert alone.ctl("stop") == 0
+    until(lambda: alone.plan().authority is Authority.STOPPED)
+    assert alone.ctl("arm") == alone.ctl("disarm") == 0
+    until(lambda: alone.plan().authority is Authority.DISARMED)
+    capsys.readouterr()
     point = tmp_path / "there.toml"
     point.write_text('kind = "point"\nnorth_m = 2.5\neast_m = -1.0\n')
     watch = [
