@@ -50,10 +50,15 @@ def estimate(x, now):
     }  # fmt: skip
 
 
+routers = sys.argv[1:] or ["tcp/127.0.0.1:7447"]
 config = zenoh.Config()
 config.insert_json5("mode", '"client"')
-config.insert_json5("connect/endpoints", json.dumps(sys.argv[1:] or ["tcp/127.0.0.1:7447"]))
-with zenoh.open(config) as session:
+config.insert_json5("connect/endpoints", json.dumps(routers))
+try:
+    session = zenoh.open(config)
+except zenoh.ZError:
+    sys.exit(f"publisher.py: no router answers at {', '.join(routers)}: start one with `ltv-mpc router`")
+with session:
     publisher = session.declare_publisher("estimate", congestion_control=zenoh.CongestionControl.DROP)
     subscriber = session.declare_subscriber("plan", zenoh.handlers.FifoChannel(256))
     epoch, sequence, plans, thrust = secrets.randbits(48), 0, [], (0.0, 0.0)

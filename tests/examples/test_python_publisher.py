@@ -26,6 +26,15 @@ def test_it_needs_zenoh_and_msgpack_alone() -> None:
     assert imported - set(sys.stdlib_module_names) == {"msgpack", "zenoh"}
 
 
+def test_without_a_router_it_ends_with_one_line() -> None:
+    endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
+    ended = subprocess.run(
+        [sys.executable, "-P", str(EXAMPLE), endpoint], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert ended.returncode == 1
+    assert ended.stderr == f"publisher.py: no router answers at {endpoint}: start one with `ltv-mpc router`\n"
+
+
 @pytest.mark.timeout(400)
 def test_it_comes_to_its_point_once_armed(tmp_path: Path) -> None:
     (tmp_path / "point.toml").write_text('kind = "point"\nnorth_m = 0.0\neast_m = 0.0\n')
