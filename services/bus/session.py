@@ -36,6 +36,19 @@ MAX_MESSAGE_BYTES = 2 * MAX_PAYLOAD_BYTES
 """Largest message that a session accepts."""
 
 
+EXPLANATIONS = (
+    ("Address already in use", "the address is in use: stop the process that listens there, or choose another port"),
+    ("Cannot assign requested address", "this machine has no such address: listen at one that `ip address` shows"),
+    ("No such device", "this machine has no such network interface: use one that `ip address` shows"),
+    ("lookup address", "the host name is unknown: check its spelling, or use the IP address"),
+    ("Permission denied", "not permitted: use a port from 1024 on, or a path that you may write"),
+    ("No such file or directory", "the folder does not exist: create it, or use another path"),
+    ("Too many open files", "the limit on open files is reached: raise it with `ulimit -n`"),
+    ("TLS", "certificates are needed: --certs DIR; `ltv-mpc certs new DIR` makes them"),
+)
+"""Explanation of an error when a session is opened, by a part of Zenoh's text; the first one that fits is used."""
+
+
 class BusError(RuntimeError):
     """Failure to open a session, for example because an address is in use."""
 
@@ -192,8 +205,17 @@ def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable
         thread.join(0.1)
     (opened,) = result
     if isinstance(opened, zenoh.ZError):
-        raise BusError(f"Zenoh cannot open a session: {_text(opened)}")
+        raise BusError(_explained(options, _text(opened)))
     return Session(opened)
+
+
+def _explained(options: BusOptions, text: str) -> str:
+    """Say what Zenoh could not do, where, and what to do; Zenoh's own text if there is no explanation."""
+    why = next((explanation for part, explanation in EXPLANATIONS if part in text), f"Zenoh reports: {text}")
+    endpoints = options.listen or options.connects_to
+    where = next((endpoint for endpoint in endpoints if endpoint in text), ", ".join(endpoints))
+    does = "listen" if options.listen else "connect"
+    return f"cannot {does} at {where or 'the configured endpoints'}: {why}"
 
 
 def waiting_for_router(options: BusOptions) -> str:

@@ -1,0 +1,45 @@
+"""Errors of Zenoh in words: what could not be done, where, and what to do."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from services.bus.options import BusOptions
+from services.bus.session import BusError, open_session
+from services.runtime.stopping import StopRequest
+
+
+def error_of(*listen: str) -> str:
+    with pytest.raises(BusError) as failed:
+        open_session(BusOptions(listen=listen), stop=StopRequest(), say=print)
+    return str(failed.value)
+
+
+def test_an_address_in_use_is_named(free_port: int) -> None:
+    free = f"tcp/127.0.0.1:{free_port}"
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        used = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        assert error_of(free, used) == (
+            f"cannot listen at {used}: the address is in use: "
+            "stop the process that listens there, or choose another port"
+        )
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "explanation"),
+    [
+        ("tcp/192.0.2.1:7000", "this machine has no such address: listen at one that `ip address` shows"),
+        ("tcp/127.0.0.1:7000#iface=none0", "this machine has no such network interface"),
+        ("tls/127.0.0.1:7000", "certificates are needed: --certs DIR; `ltv-mpc certs new DIR` makes them"),
+        ("quic/127.0.0.1:7000", "certificates are needed"),
+        ("unixsock-stream/{folder}/none/socket", "the folder does not exist: create it, or use another path"),
+    ],
+)
+def test_what_zenoh_cannot_do_is_explained(endpoint: str, explanation: str, tmp_path: Path) -> None:
+    endpoint = endpoint.format(folder=tmp_path)
+    text = error_of(endpoint)
+    assert text.startswith(f"cannot listen at {endpoint}: {explanation}")
+    assert "Zenoh" not in text
