@@ -122,13 +122,13 @@ class Plant:
             self._push(disturbance, half_s, afloat)
         observed = simulate_steps(
             self._body,
-            self._vehicle,
+            (*self._vehicle,),
             self._commands,
             commands,
             np.array(times_ns),
             self._water.window([(a + b) // 2 for a, b in pairwise(times_ns)]),
             self._water.window(times_ns[1:]),
-            self._attitude.tilt,
+            (*self._attitude.tilt,),
         )
         if disturbance is None:
             return observed
@@ -209,39 +209,42 @@ def apply_mismatch(p: Coefficients, mismatch: Mismatch) -> Coefficients:
 @jit
 def simulate_steps(
     flat: Array,
-    vehicle: MotionState,
+    vehicle: tuple[Array, Array, Array],
     last: Array,
     commands: Array,
     t_ns: Times,
     water: WaterWindow,
     observed_water: WaterWindow,
-    tilt: TiltWaves,
+    tilt: tuple[float, Array],
 ) -> Array:
     """Take K steps with ``motion.step`` and return the observation after each, (K, 18), as ``observe`` gives it.
 
     Parameters
     ----------
     flat : the true vehicle, from ``motion.pack``.
-    vehicle : state at t_ns[0]; that at t_ns[K] afterwards.
+    vehicle : fields of ``MotionState`` at t_ns[0]; those at t_ns[K] afterwards. Tuples here are plain, because named
+        ones make a call slower (docs/notes/kernel-arguments.md).
     last : (2, 3) the last command (N) and its largest rate of change so far (N/s); both are updated.
     commands : (K, 3) commanded thrust (N) at the end of each step.
     t_ns : (K+1,) vehicle time (ns) of the start and of the end of each step.
     water : the water column in the middle of each step.
     observed_water : the water column at the end of each step.
-    tilt : roll and pitch.
+    tilt : fields of ``TiltWaves``.
     """
     factor = motion.unpack(flat).factor
+    state, waves = MotionState(*vehicle), TiltWaves(*tilt)
+    depth_m, earlier, later, time_weights = water
+    end_depth_m, end_earlier, end_later, end_time_weights = observed_water
     observed = np.empty((len(commands), 18))
     for k in range(len(commands)):
         h = (t_ns[k + 1] - t_ns[k]) * 1e-9
         for i in range(3):
             last[1, i] = max(last[1, i], abs(commands[k, i] - last[0, i]) / h)
-        at_middle = WaterSample(water.depth_m, water.earlier, water.later, water.time_weights[k])
-        motion.step(flat, vehicle, last[0], commands[k], t_ns[k + 1] <= 0, h, at_middle)
+        at_middle = WaterSample(depth_m, earlier, later, time_weights[k])
+        motion.step(flat, state, last[0], commands[k], t_ns[k + 1] <= 0, h, at_middle)
         copy_to(last[0], commands[k])
-        w = observed_water
-        at_end = WaterSample(w.depth_m, w.earlier, w.later, w.time_weights[k])
-        observe(observed[k], vehicle, factor, t_ns[k + 1] * 1e-9, tilt, at_end)
+        at_end = WaterSample(end_depth_m, end_earlier, end_later, end_time_weights[k])
+        observe(observed[k], state, factor, t_ns[k + 1] * 1e-9, waves, at_end)
     return observed
 
 

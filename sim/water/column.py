@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
@@ -41,13 +41,10 @@ class WaterSample(NamedTuple):
     time_weight: float  # of the later sample, 0 to 1
 
 
-class WaterWindow(NamedTuple):
-    """Water column at several instants between the same two samples, for compiled code."""
-
-    depth_m: Array  # (K,) strictly increasing
-    earlier: Array  # (K, 2) velocity north and east (m/s) at the whole second before
-    later: Array  # (K, 2) the same one second later
-    time_weights: Array  # (M,) of the later sample, 0 to 1
+WaterWindow: TypeAlias = tuple[Array, Array, Array, Array]
+"""Water column at M instants between the same two samples, for compiled code: the first three fields of
+``WaterSample``, and the time weights (M,).
+"""
 
 
 class _Walk:
@@ -158,8 +155,8 @@ class WaterColumn:
         """Return the column at several times, for compiled code; they all lie in [s, s + 1) for one whole second s."""
         depth, earlier, later, _ = self.sample(times_ns[0])
         if self._steady:
-            return WaterWindow(depth, earlier, later, np.zeros(len(times_ns)))
-        return WaterWindow(depth, earlier, later, np.array([self.sample(t_ns).time_weight for t_ns in times_ns]))
+            return depth, earlier, later, np.zeros(len(times_ns))
+        return depth, earlier, later, np.array([self.sample(t_ns).time_weight for t_ns in times_ns])
 
     def at(self, depth_m: float, t_ns: int) -> Pair:
         """Return the velocity north and east (m/s) at one depth."""

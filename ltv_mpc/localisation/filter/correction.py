@@ -41,7 +41,7 @@ from ltv_mpc.localisation.filter.measurement_compression import (
     touched_states,
 )
 from ltv_mpc.localisation.filter.state import Belief, apply_error
-from ltv_mpc.localisation.sensors.rows import Rows
+from ltv_mpc.localisation.sensors.rows import Indices, Rows
 from ltv_mpc.messages import Array
 
 _FEW = 4
@@ -74,30 +74,6 @@ class WhitenedRows(NamedTuple):
     W: Array  # (m', n), L^-1 H P
     Y: Array  # (m', K), L^-1 H E
     y: Array  # (m',), L^-1 z
-
-
-class _Estimate(NamedTuple):
-    """Arrays of a belief, for the compiled update."""
-
-    x: Array  # (n,)
-    R: Array  # (3, 3)
-    P: Array  # (n, n)
-
-
-class _Signatures(NamedTuple):
-    """Arrays of the fault hypotheses, for the compiled update."""
-
-    error: Array  # (n, K)
-    score: Array  # (K,)
-    information: Array  # (K, K)
-
-
-class _CurrentIndices(NamedTuple):
-    """First indices of the current in the state, for the compiled update."""
-
-    mean: int
-    north: int
-    east: int
 
 
 @jit
@@ -307,22 +283,39 @@ def _couple_signatures(E: Array, a: Array) -> None:
 
 @jit
 def _correct_few(
-    estimate: _Estimate,
-    signatures: _Signatures,
-    rows: Rows,
+    estimate: tuple[Array, Array, Array],
+    signatures: tuple[Array, Array, Array],
+    rows: tuple[Indices, Array, Array, Array],
     gate: float,
     deweight_limit: float,
-    current: _CurrentIndices,
+    current: tuple[int, int, int],
 ) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, int]:
-    """Update the estimate, except the mounting, by at most ``_FEW`` rows, as ``correct`` does."""
-    P, E = estimate.P, signatures.error
-    correction, white = _whiten_few(P, E, rows, gate, deweight_limit)
+    """Update the estimate, except the mounting, by at most ``_FEW`` rows, as ``correct`` does.
+
+    Named tuples would make a call take a third longer (docs/notes/kernel-arguments.md).
+
+    Parameters
+    ----------
+    estimate : x (n,), R (3, 3), P (n, n) of the belief; change.
+    signatures : errors (n, K), score (K,), information (K, K) of the fault hypotheses; change.
+    rows : fields of ``Rows``.
+    gate, deweight_limit : as in ``correct``.
+    current : first indices of the current in the state: mean, north, east.
+
+    Returns
+    -------
+    Fields of ``Correction``.
+    """
+    x, R, P = estimate
+    E, score, information = signatures
+    mean, north, east = current
+    correction, white = _whiten_few(P, E, Rows(*rows), gate, deweight_limit)
     if white.W.shape[0]:
-        apply_error(estimate.x, estimate.R, correction.error)
-        a = coupling_vector(correction.error, current.mean, current.north, current.east)
+        apply_error(x, R, correction.error)
+        a = coupling_vector(correction.error, mean, north, east)
         _subtract(P, white.W, a, _heading_column(P, white.W, a))
         if E.shape[1]:
-            update_signatures(E, signatures.score, signatures.information, white.W, white.Y, white.y)
+            update_signatures(E, score, information, white.W, white.Y, white.y)
             _couple_signatures(E, a)
     return (
         correction.accepted,
@@ -397,12 +390,12 @@ def correct(belief: Belief, rows: Rows, gate: float, deweight_limit: float = 0.0
     if len(rows.residual) <= _FEW:
         correction = Correction(
             *_correct_few(
-                _Estimate(belief.x, belief.R, belief.P),
-                _Signatures(E, signatures.score, signatures.information),
-                rows,
+                (belief.x, belief.R, belief.P),
+                (E, signatures.score, signatures.information),
+                (*rows,),
                 gate,
                 deweight_limit,
-                _CurrentIndices(layout.mean.start, layout.north.start, layout.east.start),
+                (layout.mean.start, layout.north.start, layout.east.start),
             )
         )
         belief.apply_mounting_error(correction.error)
