@@ -83,7 +83,7 @@ class Converged:
 def cost(of: RunConfig, flown: Outcome) -> float:
     """Return the cost J of a flight."""
     weights = resolve_weights(of.scenario.controller, of.vehicle).weights
-    scale = HorizonLimits.from_vehicle(of.vehicle, of.scenario.controller.period_s).scale
+    scale = HorizonLimits.from_vehicle(of.vehicle, of.scenario.controller.period_s).thrust_scale
     every = of.scenario.controller.period_ns // STEP_NS
     distance, f = flown.distance_m[every - 1 :: every], flown.commands_N[every - 1 :: every] / scale
     change = np.diff(f, axis=0, prepend=0.0)

@@ -95,7 +95,7 @@ class Descent(NamedTuple):
         LockStep(
             nodes, start_ns=scenario.start_ns, observation=Observation(on_step=stepped), latest=lockstep_run.LATEST
         ).advance(scenario.end_ns)
-        return cls(run_config.suite, steps)
+        return cls(run_config.sensor_config, steps)
 
     def aligned(self, config: EstimatorConfig) -> tuple[Estimator, list[Due]]:
         """Return an estimator whose filter has been initialised, and the messages that remain."""

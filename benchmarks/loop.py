@@ -106,7 +106,7 @@ class Loop:
             t_ns = until_ns
             if t_ns >= scenario.end_ns:
                 break
-            controller.report(_applied(t_ns, plant.thrust / self.share, u[-1], plans, told_ns))
+            controller.add_report(_applied(t_ns, plant.thrust / self.share, u[-1], plans, told_ns))
             estimate = self.told(known(t_ns, plant.state, water, depths))
             plans.append(controller.plan(estimate, t_ns=t_ns))
             next_ns = t_ns + max(period_ns, delay_ns)

@@ -72,7 +72,7 @@ class Optimum:
         xs, us = [X0, *ca.horzsplit(X)], [U0, *ca.horzsplit(U)]
         gaps = [stage[self._h[k]](xs[k], us[k], us[k + 1], C[:, k], C[:, k + 1]) - xs[k + 1] for k in range(N)]
         steps = [us[k + 1] - us[k] for k in range(N)]
-        w, scale = self._weights, ca.DM(self._limits.scale)
+        w, scale = self._weights, ca.DM(self._limits.thrust_scale)
         objective = 0
         for k in range(N):
             g = self._g[k]

@@ -117,7 +117,7 @@ class Descent:
         """Run the descent in lock step. Raises ``ConfigError``."""
         run_config = Job("descent", (f'sensors="{sensors}"', f"run.seed={seed}", *settings)).run_config()
         nodes = make_nodes(run_config)
-        self.suite: SensorConfig = run_config.suite
+        self.suite: SensorConfig = run_config.sensor_config
         self.water: Water = run_config.scenario.water
         self.steps: list[Due] = []  # of the estimator
         self.pings: dict[int, _Ping] = {}

@@ -2,8 +2,8 @@
 
 numba's own cache notices an edit of a function's file, but not of another file that the function calls into. So the
 cache is in a folder whose name is a hash of every source file with compiled functions, of the compiler's version and of
-the processor: an edit anywhere starts a new folder. If no folder can be written, a temporary one is used. Child
-processes inherit the folder through the environment.
+the processor: an edit of any of them starts a new folder. If the folder cannot be written, a temporary one is used.
+Child processes inherit it through the environment.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 MARK = b"@jit"
+"""Text that a source file with compiled functions contains."""
 
 
 def _sources() -> list[Path]:
@@ -64,10 +65,10 @@ def _writable(folder: Path) -> bool:
 def cache_folder() -> tuple[Path, bool]:
     """Return the folder for compiled code, and True if it persists for the next process."""
     name = fingerprint()
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    if given and Path(given).name == name:  # a parent process chose it
-        return Path(given), True
-    base = given or os.environ.get("XDG_CACHE_HOME")
+    inherited = os.environ.get("NUMBA_CACHE_DIR")
+    if inherited and Path(inherited).name == name:  # a parent process chose it
+        return Path(inherited), True
+    base = inherited or os.environ.get("XDG_CACHE_HOME")
     try:
         root = Path(base) if base else Path.home() / ".cache"
     except RuntimeError:  # no HOME
@@ -103,8 +104,8 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
 def copy_to(to: npt.NDArray[np.float64], source: npt.NDArray[np.float64]) -> None:
     """Copy an array into another one of the same shape, like ``to[:] = source``.
 
-    numba's own assignment checks the shapes. For the text of its error it compiles strings, lists of strings and their
-    joining, which takes seconds in each process that fills the cache.
+    numba's own assignment checks the shapes. To compile the text of its error takes seconds in each process that fills
+    the cache.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ class Descent:
         plant, sensors, _, controller = make_nodes(run_config, unread=False)
 
         def estimator() -> Estimator:
-            return Estimator(as_given(run_config.suite), scenario.estimator, run_config.prior)
+            return Estimator(as_given(run_config.sensor_config), scenario.estimator, run_config.prior)
 
         timed = TimedNode(estimator, BEGINS_S * S if self.restarted else math.inf)
         watch = Watch(sensors, self.gyro_radps, run_config.water)

@@ -44,7 +44,7 @@ class CasadiIpopt(Peer):
         super().__init__(config, limits, vehicle)
         N, w, h = self.stages, self.weights, STAGE_NS * 1e-9
         flow = symbolic.stage(h, 1, vehicle.coefficients())
-        scale = ca.DM(limits.scale)
+        scale = ca.DM(limits.thrust_scale)
         z = ca.SX.sym("z", STATES + 2, N)
         X0, U0 = ca.SX.sym("X0", STATES), ca.SX.sym("U0", 2)
         C, reference = ca.SX.sym("C", 2, N + 1), ca.SX.sym("reference", 2, N)
@@ -65,7 +65,7 @@ class CasadiIpopt(Peer):
             "p": ca.vertcat(X0, U0, ca.vec(C), ca.vec(reference)),
         }
         self._solver = ca.nlpsol("solver", "ipopt", problem, OPTIONS)
-        self._slew = np.tile(limits.max_change / limits.scale, N)
+        self._slew = np.tile(limits.max_change / limits.thrust_scale, N)
         self._duals: dict[str, Array] = {}
 
     def reset_warm_start(self) -> None:
@@ -82,7 +82,7 @@ class CasadiIpopt(Peer):
 
     def solve(self) -> SolverResult:
         """Solve from the guess and the duals of the last solution."""
-        lin, F, N = self.lin, self.limits.scale, self.stages
+        lin, F, N = self.lin, self.limits.thrust_scale, self.stages
         low, high = (bound / F for bound in self.limits.box(lin.U[0], self.knots))
         free = np.full((N, STATES), np.inf)
         found = self._solver(

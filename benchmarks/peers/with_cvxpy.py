@@ -34,7 +34,7 @@ class CvxpyOsqp(Peer):
     def __init__(self, config: ControllerConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         N, w = self.stages, self.weights
-        self._scale = np.concatenate([limits.state_scale, limits.scale])
+        self._scale = np.concatenate([limits.state_scale, limits.thrust_scale])
         self._rows, self._columns = _dynamics_pattern(N)
         z, du, velocity = cp.Variable(STATES * N), cp.Variable(2 * N), cp.Variable(2)
         self._du = du
@@ -54,7 +54,7 @@ class CvxpyOsqp(Peer):
             + w.thrust * cp.sum_squares(u)
             + w.thrust_change * cp.sum_squares(change)
         )
-        slew = limits.max_change / limits.scale
+        slew = limits.max_change / limits.thrust_scale
         self._problem = cp.Problem(
             cp.Minimize(cost),
             [
@@ -69,7 +69,7 @@ class CvxpyOsqp(Peer):
 
     def solve(self) -> SolverResult:
         """Set the parameters and solve."""
-        lin, F, N = self.lin, self.limits.scale, self.stages
+        lin, F, N = self.lin, self.limits.thrust_scale, self.stages
         low, high = self.limits.box(lin.U[0], self.knots)
         velocity, slope = velocity_over_ground(lin.X[-1], lin.C[-1])
         values = (self._dynamics_values(), (self._rows, self._columns))
@@ -90,7 +90,7 @@ class CvxpyOsqp(Peer):
 
     def _dynamics_values(self) -> Array:
         """Return I, -A, -B0, -B1 in the order of the pattern."""
-        lin, scale, F = self.lin, self._scale, self.limits.scale
+        lin, scale, F = self.lin, self._scale, self.limits.thrust_scale
         A = lin.A[1:] * (scale[None, :] / scale[:, None])
         B0, B1 = lin.B0[1:] * (F / scale[:, None]), lin.B1 * (F / scale[:, None])
         return np.concatenate([np.ones(len(scale) * self.stages), -A.ravel(), -B0.ravel(), -B1.ravel()])

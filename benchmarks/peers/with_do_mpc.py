@@ -48,11 +48,11 @@ class DoMpcIpopt(Peer):
         mpc.settings.store_solver_stats = []
         mpc.settings.supress_ipopt_output()
         self._set_objective(model)
-        slew = limits.max_change / limits.scale / STAGE_S
+        slew = limits.max_change / limits.thrust_scale / STAGE_S
         mpc.bounds["lower", "_u", "rate"], mpc.bounds["upper", "_u", "rate"] = -slew, slew
         for side, bound in (("lower", limits.low), ("upper", limits.high)):
-            mpc.bounds[side, "_x", "U"] = bound / limits.scale
-            mpc.terminal_bounds[side, "U"] = bound / limits.scale  # else the last knot has none
+            mpc.bounds[side, "_x", "U"] = bound / limits.thrust_scale
+            mpc.terminal_bounds[side, "U"] = bound / limits.thrust_scale  # else the last knot has none
         self._parameters = mpc.get_tvp_template()
         mpc.set_tvp_fun(lambda _t: self._parameters)
         mpc.setup()
@@ -64,7 +64,7 @@ class DoMpcIpopt(Peer):
 
     def solve(self) -> SolverResult:
         """One ``make_step``."""
-        lin, F, N, mpc = self.lin, self.limits.scale, self.stages, self._mpc
+        lin, F, N, mpc = self.lin, self.limits.thrust_scale, self.stages, self._mpc
         middle, slope = (lin.C[:-1] + lin.C[1:]) / 2, np.diff(lin.C, axis=0) / STAGE_S
         for k in range(N + 1):
             self._parameters["_tvp", k, "c"] = middle[k] if k < N else lin.C[N]
@@ -84,7 +84,7 @@ class DoMpcIpopt(Peer):
         return self.answer(np.array(at_end) * F, iterations=iterations)
 
     def _model(self) -> Any:
-        p, F = self.vehicle.coefficients(), ca.DM(self.limits.scale)
+        p, F = self.vehicle.coefficients(), ca.DM(self.limits.thrust_scale)
         model = do_mpc.model.Model("continuous", "SX")
         x = model.set_variable("_x", "x", (6, 1))
         thrust = model.set_variable("_x", "F", (2, 1))

@@ -39,7 +39,7 @@ class QpmpcDaqp(Peer):
 
     def __init__(self, config: ControllerConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
-        w, F = self.weights, limits.scale
+        w, F = self.weights, limits.thrust_scale
         position, thrust = np.sqrt(w.position_per_m2), max(np.sqrt(w.thrust), SMALL) / F
         self._stage = np.diag([position, position, *[SMALL] * 6, *thrust, SMALL])
         last = np.sqrt(w.position_per_m2 + w.terminal_position_per_m2)

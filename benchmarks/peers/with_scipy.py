@@ -26,14 +26,14 @@ class ScipyLeastSquares(Peer):
 
     def solve(self) -> SolverResult:
         """Solve from the guess."""
-        F = self.limits.scale
+        F = self.limits.thrust_scale
         low, high = (bound / F for bound in self.limits.box(self.lin.U[0], self.knots))
         start = np.clip(self.lin.U[1:] / F, low, high)
         found = least_squares(self._residuals, start.ravel(), bounds=(low.ravel(), high.ravel()))
         return self.answer(found.x.reshape(-1, 2) * F, iterations=int(found.nfev))
 
     def _residuals(self, x: Array) -> Array:
-        w, lin, F = self.weights, self.lin, self.limits.scale
+        w, lin, F = self.weights, self.lin, self.limits.thrust_scale
         U = np.vstack([lin.U[:1], x.reshape(-1, 2) * F])
         X = roll_out(lin.X[0], U, lin.C, np.full(self.stages, STAGE_NS * 1e-9), self.vehicle.coefficients())
         off = X[1:, :2] - self.reference

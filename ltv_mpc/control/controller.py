@@ -11,7 +11,7 @@ If the QP gives no usable commands, the same cycle takes the next fallback level
     zero       a ramp to zero: no plan is left to shift, the mode commands no lateral thrust, or the cycle raised
     manual     a ramp to the lateral thrusts of an override
 
-Source: Medagoda & Williams 2012, Fig 5 (dead time) and section V (horizon). This controller adds analytic
+Source: Medagoda & Williams 2012, Fig 5 (compensation of the delay), section V (horizon). This controller adds analytic
 sensitivities, thruster lag and slew in the model, and it solves one convex QP at a time.
 """
 
@@ -122,8 +122,8 @@ class Controller:
         """
         self._follower = Follower(reference, self.vehicle)
 
-    def report(self, applied: Applied) -> None:
-        """Take in a report of the actuators: it corrects the expected delay, the commands in force and the thrusts.
+    def add_report(self, applied: Applied) -> None:
+        """Add a report of the actuators: it corrects the expected delay, the commands in force and the thrusts.
 
         Parameters
         ----------
@@ -133,8 +133,8 @@ class Controller:
         self._prediction.add_report(applied)
         self.sent_commands.correct(applied.t_ns, applied.command_N)
 
-    def timing(self, timing: CycleTiming) -> None:
-        """Take in the computing time of the last cycle: without receipts of plans the expected delay follows from it.
+    def add_timing(self, timing: CycleTiming) -> None:
+        """Add the computing time of the last cycle: without receipts of plans the expected delay follows from it.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class Controller:
         now_ns = estimate.t_ns if t_ns is None else t_ns
         try:
             if applied is not None:
-                self.report(applied)
+                self.add_report(applied)
             return self._cycle(estimate, now_ns, override, health)
         except Exception as error:  # of any kind: the thrusters must have a command in every cycle
             return self._emergency_plan(now_ns, override, f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS])

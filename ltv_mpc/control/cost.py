@@ -1,7 +1,10 @@
-"""Cost of a trajectory: the QP's objective (qp/sparse.py), evaluated along the exact flow.
+"""Cost of a trajectory along the exact flow, in the terms of the QP's cost (qp/sparse.py).
 
-    J = sum over k = 1..N of  g_k (w |p_k - ref_k|^2 + r |U_k / F|^2) + s / g_k |(U_k - U_(k-1)) / F|^2  + soft limits
+    J = sum over k = 1..N of  g_k (w |p_k - ref_k|^2 + r |U_k / F|^2) + s / g_k |(U_k - U_(k-1)) / F|^2 + c g_k e_k / S
         + w_N |p_N - ref_N|^2 + m |p'_N - ref'_N|^2
+
+The quadratic terms lack the factor 1/2 of the QP. The cost of an excess e is that of the QP, so it weighs half as much
+here in comparison.
 
 Every term is at least zero, so an incomplete sum is a lower bound: a search for the cheapest of several trajectories
 can abandon one as soon as it costs more than another.
@@ -55,7 +58,7 @@ def stage_cost(X: Array, U: Array, target: Array, k: int, o: Objective) -> float
     dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
     total = o.position * g * (dn * dn + de * de)
     for i in range(2):
-        here, before = U[k, i] / o.scale[i], U[k - 1, i] / o.scale[i]
+        here, before = U[k, i] / o.thrust_scale[i], U[k - 1, i] / o.thrust_scale[i]
         total += o.thrust * g * here * here + o.thrust_change / g * (here - before) * (here - before)
         excess = abs(X[k, LIMITED_STATES[i]]) - o.max_state[i]
         if excess > 0.0:

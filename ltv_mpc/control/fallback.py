@@ -1,7 +1,7 @@
 """Fallback levels: lateral plans for a cycle in which the QP gives none.
 
-    shifted   the rest of the plan that was solved last, on the new knots; zero thrust beyond its end. At most
-              ``MAX_SHIFT_NS`` after that plan began
+    shifted   the rest of the last solved plan, on the new knots. At the end of that plan, and at the latest
+              ``MAX_SHIFT_NS`` after its start, the thrusters ramp to zero
     zero      both lateral thrusters ramp to zero at their slew limits
 
 The level is named in the plan (``Plan.origin``), with the reason (``Plan.why``). Every level keeps box and slew, and

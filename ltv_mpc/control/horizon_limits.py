@@ -72,12 +72,12 @@ class HorizonLimits:
         )
 
     @property
-    def limited(self) -> tuple[int, ...]:
+    def limited_states(self) -> tuple[int, ...]:
         """Indices of the states that have a limit."""
         return tuple(i for i, limit in zip(LIMITED_STATES, self.max_state, strict=True) if np.isfinite(limit))
 
     @property
-    def scale(self) -> Array:
+    def thrust_scale(self) -> Array:
         """Thrust that is 1 in the cost (2,): the larger side of the box (N)."""
         return np.maximum(self.high, -self.low)
 
@@ -97,7 +97,7 @@ class HorizonLimits:
         return np.minimum(self.low, start + reach), np.maximum(self.high, start - reach)
 
     def clip(self, commands: Array, knots: Array) -> Array:
-        """Return the nearest commands that obey box and slew exactly, knot by knot from the first.
+        """Return commands that obey box and slew exactly: ``clip_to_limits`` clips one knot after another.
 
         Parameters
         ----------

@@ -8,8 +8,8 @@ between them; current C (N+1, 2) at the knots. Along a trajectory Xbar (N+1, 8),
 with Phi[k] the exact flow from Xbar[k]. Xbar need not be a solution of the equations of motion: the gap
 Phi[k] - Xbar[k+1] goes into the QP (multiple shooting).
 
-Kernels that Python calls in every cycle take ``Linearisation.flat`` and unpack it: to pass the eight arrays takes 1 us
-more a call (docs/notes/kernel-arguments.md). Kernels that are called from kernels take the ``Linearisation``.
+Kernels that Python calls in every cycle take ``Linearisation.flat`` and unpack it: a call with the eight arrays takes
+1 us more (docs/notes/kernel-arguments.md). Kernels that are called from kernels take the ``Linearisation``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Linearisation(NamedTuple):
     A: Array  # (N, 8, 8) derivative of the flow with respect to X[k]
     B0: Array  # (N, 8, 2) with respect to U[k]
     B1: Array  # (N, 8, 2) with respect to U[k+1]
-    flat: Array  # the storage of all of these, one after another: the QP's entry map counts in it
+    flat: Array  # storage of all of these, in this order; ``EntryMap.source`` is an index into it
 
     @classmethod
     def empty(cls, stages: int) -> Linearisation:
@@ -65,8 +65,8 @@ class Linearisation(NamedTuple):
         The linearisation.
         """
         lin = cls.empty(len(Phi))
-        for part, given in zip(lin[:-1], (X, U, C, Phi, A, B0, B1), strict=True):
-            part[...] = given
+        for part, values in zip(lin[:-1], (X, U, C, Phi, A, B0, B1), strict=True):
+            part[...] = values
         return lin
 
 
@@ -166,7 +166,7 @@ def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficient
 
 @jit
 def linearise_rollout(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
-    """Propagate the state by the exact flow from X[0], and linearise along it: one pass instead of two.
+    """Propagate the state by the exact flow from X[0], and linearise along it, in one pass.
 
     Parameters
     ----------
@@ -300,5 +300,5 @@ def describe_non_finite(lin: Linearisation, target: Array) -> str:
     for name, values in zip(names, (*lin[:-1], target), strict=True):
         finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
         if not finite.all():
-            return f"{name} is not finite from {int(np.argmin(finite))} on"
+            return f"{name} is not finite from index {int(np.argmin(finite))} on"
     return "the QP's numbers are not finite"

@@ -123,10 +123,10 @@ class ControllerNode:
                     self._estimate = estimate
             case Applied() as applied:
                 if self._is_newer(self.reports, received, applied.t_ns):
-                    self.controller.report(applied)
-                    self._model_monitor.report(applied)
+                    self.controller.add_report(applied)
+                    self._model_monitor.add_report(applied)
             case CycleTiming() as timing:
-                self.controller.timing(timing)
+                self.controller.add_timing(timing)
             case _:
                 pass
 

@@ -60,10 +60,10 @@ def shifted_trajectory(packed: Array, start: Array, old: Array, stages: float, C
     ----------
     packed, start, old, stages, C, X, U : as at the head of this file.
     """
-    c = unpack_constants(packed)
+    constants = unpack_constants(packed)
     _set_initial_knot(start, X, U)
-    _shift_into_limits(old, stages, c.objective, U)
-    propagate(X, U, C, c.objective.t, c.stage_s, c.p)
+    _shift_into_limits(old, stages, constants.objective, U)
+    propagate(X, U, C, constants.objective.t, constants.stage_s, constants.p)
 
 
 @jit
@@ -74,10 +74,10 @@ def _set_initial_knot(start: Array, X: Array, U: Array) -> None:
 
 
 @jit
-def _shift_into_limits(old: Array, stages: float, o: Objective, U: Array) -> None:
+def _shift_into_limits(old: Array, stages: float, objective: Objective, U: Array) -> None:
     """Shift the previous plan's commands to the new knots, then clip them to box and slew."""
-    shift_controls(old, o.t, stages, U)
-    clip_to_limits(U, o.t, o.low, o.high, o.max_change)
+    shift_controls(old, objective.t, stages, U)
+    clip_to_limits(U, objective.t, objective.low, objective.high, objective.max_change)
 
 
 @jit
@@ -97,31 +97,31 @@ def choose_nominal(packed: Array, start: Array, target: Array, old: Array, stage
     -------
     PREVIOUS_PLAN, STEERED_AHEAD or STEERED_ASTERN.
     """
-    c, lin = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1)
-    o = c.objective
+    constants, lin = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1)
+    objective = constants.objective
     X, U = lin.X, lin.U
     _set_initial_knot(start, X, U)
     kind, lowest = STEERED_AHEAD, np.inf
     end = TerminalCheck(False, 0.0)
     if not np.isnan(stages):
-        _shift_into_limits(old, stages, o, U)
-        linearise_rollout(lin, o.t, c.stage_s, c.p)
-        kind, lowest = PREVIOUS_PLAN, cost(X, U, lin.C, target, o)
-        end = check_terminal(X, lin.C, target, c)
+        _shift_into_limits(old, stages, objective, U)
+        linearise_rollout(lin, objective.t, constants.stage_s, constants.p)
+        kind, lowest = PREVIOUS_PLAN, cost(X, U, lin.C, target, objective)
+        end = check_terminal(X, lin.C, target, constants)
     other_X, other_U = np.empty_like(X), np.empty_like(U)
     _set_initial_knot(start, other_X, other_U)
     for astern in (False, True):
-        other = steering_guess(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else lowest, c)
+        other = steering_guess(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else lowest, constants)
         if np.isinf(other) and not np.isinf(lowest):
             continue
-        other_end = check_terminal(other_X, lin.C, target, c)
+        other_end = check_terminal(other_X, lin.C, target, constants)
         tail_weight = 1.0 if end.stuck or other_end.stuck else 0.0
         if other + tail_weight * other_end.tail_cost < lowest + tail_weight * end.tail_cost or np.isinf(lowest):
             copy_to(X, other_X)
             copy_to(U, other_U)
             kind, lowest, end = STEERED_ASTERN if astern else STEERED_AHEAD, other, other_end
     if kind != PREVIOUS_PLAN:
-        linearise_rollout(lin, o.t, c.stage_s, c.p)
+        linearise_rollout(lin, objective.t, constants.stage_s, constants.p)
     return kind
 
 
@@ -136,10 +136,10 @@ def relinearise(packed: Array, flat: Array, X: Array, U: Array) -> None:
     X : (N+1, 8) its states; only the first is used.
     U : (N+1, 2) its commands (N).
     """
-    c, lin = unpack_constants(packed), unpack_linearisation(flat, U.shape[0] - 1)
+    constants, lin = unpack_constants(packed), unpack_linearisation(flat, U.shape[0] - 1)
     copy_to(lin.X, X)
     copy_to(lin.U, U)
-    linearise_rollout(lin, c.objective.t, c.stage_s, c.p)
+    linearise_rollout(lin, constants.objective.t, constants.stage_s, constants.p)
 
 
 @jit
@@ -151,9 +151,9 @@ def ramp_to(packed: Array, start: Array, goal: Array, C: Array, X: Array, U: Arr
     packed, start, C, X, U : as at the head of this file.
     goal : (N+1, 2) wanted commands of port and starboard (N).
     """
-    c = unpack_constants(packed)
-    o = c.objective
+    constants = unpack_constants(packed)
+    objective = constants.objective
     copy_to(U, goal)
     _set_initial_knot(start, X, U)
-    clip_to_limits(U, o.t, o.low, o.high, o.max_change)
-    propagate(X, U, C, o.t, c.stage_s, c.p)
+    clip_to_limits(U, objective.t, objective.low, objective.high, objective.max_change)
+    propagate(X, U, C, objective.t, constants.stage_s, constants.p)

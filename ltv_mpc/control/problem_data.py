@@ -27,12 +27,12 @@ class Objective(NamedTuple):
     position: float  # per m2
     terminal_position: float  # per m2, at the last knot, in addition
     terminal_velocity: float  # s2/m2
-    thrust: float  # of (F / scale)^2
-    thrust_change: float  # of (change of F / scale)^2
+    thrust: float  # of (F / thrust_scale)^2
+    thrust_change: float  # of (change of F / thrust_scale)^2
     low: Array  # (2,) smallest thrust of port and starboard (N)
     high: Array  # (2,) largest thrust (N)
     max_change: Array  # (2,) largest change of thrust over the first stage (N)
-    scale: Array  # (2,) thrust that is 1 in the cost (N)
+    thrust_scale: Array  # (2,) thrust that is 1 in the cost (N)
     state_scale: Array  # (6,) state that is 1 in the QP
     max_state: Array  # (2,) limits of ``horizon_limits.LIMITED_STATES``, infinite where there is none
     t: Array  # (N+1,) knots in first stages: shooting_grid.py
@@ -68,7 +68,7 @@ def pack_objective(knots: Array, limits: HorizonLimits, weights: Weights) -> Arr
         weights.thrust,
         weights.thrust_change,
     )
-    bounds = (limits.low, limits.high, limits.max_change, limits.scale)
+    bounds = (limits.low, limits.high, limits.max_change, limits.thrust_scale)
     return np.concatenate([cost, *bounds, limits.state_scale, limits.max_state, [len(knots)], knots])
 
 
@@ -147,4 +147,4 @@ def state_scale(i: int, o: Objective) -> float:
     -------
     S_i in the state's unit.
     """
-    return float(o.state_scale[i] if i < 6 else o.scale[i - 6])
+    return float(o.state_scale[i] if i < 6 else o.thrust_scale[i - 6])

@@ -1,7 +1,8 @@
 """Commands in force by time: everything that was sent, as one piecewise linear function.
 
 A plan takes over from the one before at its own start. After its last knot the commands ramp to rest at the slew limit,
-as the actuators do without a plan. Dead time is compensated with these commands, in the order in which they were sent.
+as the actuators do without a plan. The prediction of the state at the start of a new plan
+uses these commands.
 The actuators may report another command (a plan came late, or this controller is new): then the report is taken as
 true, and from there the commands approach the plan at the slew limit.
 """

@@ -89,7 +89,7 @@ def closed_loop(vehicle: Vehicle, horizon_s: float, share: float) -> tuple[Array
     p, weights = vehicle.coefficients(), default_weights(vehicle)
     X, C = steady_state(vehicle, share)
     stage_s = STAGE_NS * 1e-9
-    scale = HorizonLimits.from_vehicle(vehicle, stage_s).scale
+    scale = HorizonLimits.from_vehicle(vehicle, stage_s).thrust_scale
     thrust, change = np.diag(weights.thrust / scale**2), np.diag(weights.thrust_change / scale**2)
     position = np.diag([1.0, 1.0, *np.zeros(AUGMENTED_STATES - 2)])
     commands = np.hstack([np.zeros((2, STATES)), np.eye(2)])  # of z

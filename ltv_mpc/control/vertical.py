@@ -52,9 +52,9 @@ def follow_depth(
     -------
     Depths (N+1,) in m, commands (N+1,) in N, and the integral's rate at the first knot (N/s).
     """
-    c = unpack_constants(packed)
-    p, t = c.p, c.objective.t
-    low, high, slew = c.vertical[0], c.vertical[1], c.vertical[2]
+    constants = unpack_constants(packed)
+    p, t = constants.p, constants.objective.t
+    low, high, slew = constants.vertical[0], constants.vertical[1], constants.vertical[2]
     N = len(z_ref) - 1
     depth, commands = np.empty(N + 1), np.empty(N + 1)
     depth[0], commands[0] = z, command
@@ -62,7 +62,7 @@ def follow_depth(
     for k in range(N):
         # The law acts at least every stage_s, also where the knots are farther apart; the plan samples it at the knots.
         acts = int(np.ceil(t[k + 1] - t[k] - 1e-9))
-        h = (t[k + 1] - t[k]) * c.stage_s / acts
+        h = (t[k + 1] - t[k]) * constants.stage_s / acts
         for j in range(1, acts + 1):
             part = j / acts
             depth_ref = z_ref[k] + part * (z_ref[k + 1] - z_ref[k])

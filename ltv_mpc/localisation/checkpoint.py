@@ -26,18 +26,18 @@ from ltv_mpc.localisation.water.grid_window import conditioning_states
 from ltv_mpc.messages import DroppedGridPoint, EstimatorState
 
 
-def settings_of(suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None) -> int:
+def settings_of(sensor_config: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None) -> int:
     """Return the CRC-32 of all settings that decide which states exist and what they mean.
 
     Parameters
     ----------
-    suite : settings of the sensors.
+    sensor_config : settings of the sensors.
     config : settings of the filter.
     prior : water known from an earlier dive; None: that of ``config``.
     """
     own = msgspec.structs.replace(config, water_prior="")  # the profile itself counts, not its path
     known = None if prior is None else asdict(prior)
-    return zlib.crc32(msgspec.json.encode((suite, own, known), enc_hook=to_wire))
+    return zlib.crc32(msgspec.json.encode((sensor_config, own, known), enc_hook=to_wire))
 
 
 def checkpoint_of(filter_: ErrorStateFilter, settings: int, restarts: int) -> EstimatorState:
@@ -68,16 +68,16 @@ def checkpoint_of(filter_: ErrorStateFilter, settings: int, restarts: int) -> Es
 
 
 def belief_of(
-    checkpoint: EstimatorState, suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None
+    checkpoint: EstimatorState, sensor_config: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None
 ) -> Belief | None:
     """Return the belief of a checkpoint; None if its settings differ or its sizes do not fit.
 
     Parameters
     ----------
     checkpoint : message of an earlier process.
-    suite, config, prior : settings as in ``settings_of``.
+    sensor_config, config, prior : settings as in ``settings_of``.
     """
-    layout = Layout.of(suite, config)
+    layout = Layout.of(sensor_config, config)
     n, cells = layout.size, layout.north.stop - layout.north.start
     seen, dropped, links = (
         checkpoint.measured_grid_points,
@@ -85,7 +85,7 @@ def belief_of(
         len(conditioning_states(layout, 0)),
     )
     whole = (
-        checkpoint.settings_crc == settings_of(suite, config, prior)
+        checkpoint.settings_crc == settings_of(sensor_config, config, prior)
         and len(checkpoint.x) == n
         and checkpoint.first_grid_point + cells <= layout.nodes
         and (len(seen) == 0 or int(seen.max()) < layout.nodes)

@@ -47,7 +47,7 @@ class Estimator:
 
     def __init__(
         self,
-        suite: SensorConfig,
+        sensor_config: SensorConfig,
         config: EstimatorConfig,
         prior: WaterPrior | None = None,
         *,
@@ -57,22 +57,22 @@ class Estimator:
 
         Parameters
         ----------
-        suite : settings of the sensors.
+        sensor_config : settings of the sensors.
         config : settings of the filter.
         prior : water known from an earlier dive; None: that of ``config``.
         progress : called during long computations, as a sign of life.
         """
-        self._suite, self._config, self._prior = suite, config, prior
+        self._sensor_config, self._config, self._prior = sensor_config, config, prior
         self._depth_m = grid(config)
-        self._settings = settings_of(suite, config, prior)
+        self._settings = settings_of(sensor_config, config, prior)
         self._account: Counter[str] = Counter()  # of the node, and of filters that have been replaced
         self._out: list[Message] = []  # of this step
-        self._alignment: Alignment | WarmRestart = Alignment(suite, config, prior)
-        self._schedule = EstimateSchedule(suite, config.estimate_period_ns)
+        self._alignment: Alignment | WarmRestart = Alignment(sensor_config, config, prior)
+        self._schedule = EstimateSchedule(sensor_config, config.estimate_period_ns)
         self._checkpoints = CheckpointSchedule()
         self._screening = SensorScreening()
-        self._sequencing = Sequencing(suite, self._schedule, self._account, self._publish, progress)
-        self._supervision = Supervision(suite, config, prior, self._sequencing, self._account)
+        self._sequencing = Sequencing(sensor_config, self._schedule, self._account, self._publish, progress)
+        self._supervision = Supervision(sensor_config, config, prior, self._sequencing, self._account)
 
     @property
     def filter(self) -> ErrorStateFilter | None:
@@ -167,11 +167,11 @@ class Estimator:
         """Continue from the state of another process of this node, unless this one has a filter already."""
         if self.filter is not None:
             return
-        belief = belief_of(state, self._suite, self._config, self._prior)
+        belief = belief_of(state, self._sensor_config, self._config, self._prior)
         if belief is None:
             self._account["checkpoint.other_settings"] += 1
             return
-        self._alignment = WarmRestart(self._suite, self._config, belief, state.estimate)
+        self._alignment = WarmRestart(self._sensor_config, self._config, belief, state.estimate)
         self._supervision.restore(state.restarts)
 
     def _take(self, message: ImuSample | Measurement) -> None:

@@ -3,17 +3,18 @@
 Window        the last 10 s of each sensor: its rows, how many of them passed, and of those  x = r_i^2 / S_ii
 NIS           the mean x of the rows that passed, over its expectation for chi-square truncated at the gate g,
                   E[x | x <= g] = F_3(g) / F_1(g),   F_k the distribution of chi-square of k degrees of freedom
-              Outliers count as rejected, so that they do not make a good sensor look bad.
+              Outliers count as rejected and not in the NIS, so that a few of them do not make a good sensor suspect.
 Limits        of a sensor's NIS: chi-square of N degrees of freedom over N, at 1e-6 on either side. The rows of one
               message share the vehicle's error. The sum of their x has the variance 2 sum rho_ij^2, rho their
-              correlation in S, so that m rows count as  N = m^2 / sum_ij rho_ij^2  independent ones (of a profiler some
-              50 of 56, 1500 in the window). Messages of a consistent filter are independent. One false alarm a week.
+              correlation in S, so that m rows count as  N = m^2 / sum_ij rho_ij^2  independent ones. The 56 rows of a
+              profiler's message count as about 50, its window as about 1500. Messages of a consistent filter are
+              independent. These limits give one false alarm a week.
               Sensors that are not continuous have the upper limit alone (``sensors/sensor.py``).
 Rejected      A sensor is rejected if more than half of the rows in the window, of two messages or more, fail the gate.
 Inconsistent  The filter is inconsistent if an essential sensor (profiler, bottom track, pressure) is rejected, or its
-              NIS is above ``GROSS_NIS``, or if this is so of two sensors at once. Then the filter is wrong, or it
-              cannot do without the sensor. The compass alone is not sufficient, because gyros are better. A profiler
-              that is a quarter noisier than its file states is not sufficient either: its own status shows it.
+              NIS is above ``GROSS_NIS``, or if one of both holds for two sensors of any kind. Then either the filter is
+              wrong or a sensor that it needs. The compass alone is not sufficient, because the gyros are better. A
+              profiler that is a quarter noisier than its file states has an inconsistent status, the filter has not.
 """
 
 from __future__ import annotations
@@ -36,16 +37,19 @@ from ltv_mpc.localisation.sensors.settings import latency_ns
 from ltv_mpc.messages import Array, FilterStatus, SensorReport, SensorStatus
 
 WINDOW_NS = 10_000_000_000
+"""Length of the window."""
 SILENT_PERIODS = 3
+"""Periods without a message, beside the latency, after which a sensor is silent."""
 MIN_MESSAGES = 3
 """Minimum number of messages for which a mean is tested."""
 FALSE_ALARM = 1e-6
+"""Probability on either side of the limits of the NIS."""
 GROSS_NIS = 2.3
 """Upper limit of the NIS of thirty messages, a window of pings, if the rows of each counted as one."""
 ONLY_TOO_LARGE = frozenset(s.name for s in SENSORS if s.availability is not Availability.CONTINUOUS)
 ESSENTIAL = frozenset(s.name for s in SENSORS if s.is_essential)
 NOT_REJECTED = ("used", "deweighted", "late_applied")
-"""Outcomes of measurements that are used; the first counts the others too."""
+"""Outcomes of measurements that corrected the filter; the count of "used" includes the two others."""
 AT_SURFACE = frozenset(s.name for s in SENSORS if s.availability is Availability.SURFACE)
 """Sensors whose silence is normal during the descent."""
 
@@ -63,17 +67,17 @@ class _Record(NamedTuple):
 class HealthMonitor:
     """Monitor of the innovations, evaluated once a second."""
 
-    def __init__(self, suite: SensorConfig, gate_probability: float) -> None:
+    def __init__(self, sensor_config: SensorConfig, gate_probability: float) -> None:
         """Create a monitor of the sensors that the vehicle has.
 
         Parameters
         ----------
-        suite : settings of the sensors.
+        sensor_config : settings of the sensors.
         gate_probability : probability with which a correct row passes the filter's gate.
         """
         gate = float(chdtri(1, 1.0 - gate_probability))
         self._expected = float(chdtr(3, gate) / chdtr(1, gate))
-        self._silent_ns = _silent_after(suite)
+        self._silent_ns = _silent_after(sensor_config)
         self._window: dict[str, deque[_Record]] = {name: deque() for name in self._silent_ns}
         self._last_ns: dict[str, int] = {}
         self._reported: Mapping[str, int] = {}
@@ -103,7 +107,7 @@ class HealthMonitor:
             window.clear()
 
     def sensors(self, t_ns: int, account: Mapping[str, int]) -> tuple[SensorReport, ...]:
-        """Return one report a sensor.
+        """Return one report for each sensor.
 
         Parameters
         ----------
@@ -122,14 +126,14 @@ class HealthMonitor:
             while window and window[0].t_ns <= t_ns - WINDOW_NS:
                 window.popleft()
             counts = new[name]
-            refused = {what: counts[what] for what in sorted(counts) if what not in NOT_REJECTED}
+            rejected = {what: counts[what] for what in sorted(counts) if what not in NOT_REJECTED}
             nis, status = self._judge(name, t_ns)
             reports.append(
                 SensorReport(
                     sensor=name,
                     status=status,
                     used=counts.get("used", 0),
-                    rejected=refused,
+                    rejected=rejected,
                     nis=nis,
                     last_t_ns=self._last_ns.get(name),
                 )
@@ -195,7 +199,7 @@ def filter_status(reports: tuple[SensorReport, ...]) -> tuple[FilterStatus, str]
     """Return the status of the filter and the reason, from the reports of its sensors."""
     wrong = [r for r in reports if _is_gross(r)]
     if any(r.sensor in ESSENTIAL for r in wrong) or len(wrong) > 1:
-        return FilterStatus.INCONSISTENT, "; ".join(_words(r) for r in wrong)
+        return FilterStatus.INCONSISTENT, "; ".join(_reason(r) for r in wrong)
     return FilterStatus.NOMINAL, ""
 
 
@@ -205,16 +209,16 @@ def _is_gross(report: SensorReport) -> bool:
     return report.status is SensorStatus.REJECTED
 
 
-def _words(report: SensorReport) -> str:
+def _reason(report: SensorReport) -> str:
     if report.status is SensorStatus.REJECTED:
         return f"{report.sensor}: more than half of its measurements fail the gate"
     return f"{report.sensor}: mean squared innovation {report.nis:.2g} times the expected value"
 
 
-def _silent_after(suite: SensorConfig) -> dict[str, int]:
+def _silent_after(sensor_config: SensorConfig) -> dict[str, int]:
     """Return the maximum age (ns) of the newest message of each sensor that corrects the filter, by name."""
     after = {}
-    for sensor, settings in fitted(suite):
+    for sensor, settings in fitted(sensor_config):
         latency = latency_ns(settings)
         after[sensor.name] = SILENT_PERIODS * settings.period_ns + (REACH_NS if latency is None else latency)
     return after

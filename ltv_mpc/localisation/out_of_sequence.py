@@ -68,11 +68,11 @@ def is_duplicate(one: ImuSample | Measurement, other: ImuSample | Measurement) -
     return source is None or bool(source(one) == source(other))
 
 
-def snapshot_spacing_ns(suite: SensorConfig) -> int:
+def snapshot_spacing_ns(sensor_config: SensorConfig) -> int:
     """Return the time between two snapshots (ns): longer if only a bus makes messages late."""
     late = any(
         sensor.availability is Availability.INTERMITTENT or latency_ns(settings) != 0
-        for sensor, settings in fitted(suite)
+        for sensor, settings in fitted(sensor_config)
     )
     return _SHORT_SPACING_NS if late else _LONG_SPACING_NS
 

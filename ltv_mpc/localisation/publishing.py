@@ -43,17 +43,17 @@ class EstimateSchedule:
     every sensor without latency that is due at the instant has been received.
     """
 
-    def __init__(self, suite: SensorConfig, period_ns: int) -> None:
+    def __init__(self, sensor_config: SensorConfig, period_ns: int) -> None:
         """Create a schedule without a start time.
 
         Parameters
         ----------
-        suite : settings of the sensors: period and latency of each.
+        sensor_config : settings of the sensors: period and latency of each.
         period_ns : between two estimates (ns).
         """
         self.next_ns = 0
         self.is_open = False
-        self._expected = tuple(_expected(suite))
+        self._expected = tuple(_expected(sensor_config))
         self._period_ns = period_ns
         self._awaited: list[type[Any]] = []
 
@@ -113,9 +113,9 @@ class EstimateSchedule:
         return [message for message, period_ns, until_ns in self._expected if t_ns <= until_ns and not t_ns % period_ns]
 
 
-def _expected(suite: SensorConfig) -> Iterator[tuple[type[Any], int, float]]:
+def _expected(sensor_config: SensorConfig) -> Iterator[tuple[type[Any], int, float]]:
     """Iterate over the messages that an estimate waits for: type, period (ns) and time of the last one (ns)."""
-    for sensor, settings in fitted(suite):
+    for sensor, settings in fitted(sensor_config):
         if sensor.availability is not Availability.INTERMITTENT and latency_ns(settings) == 0:
             until_ns = 0.0 if sensor.availability is Availability.SURFACE else math.inf
             yield sensor.message, settings.period_ns, until_ns

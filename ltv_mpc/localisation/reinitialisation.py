@@ -86,17 +86,17 @@ def is_usable(belief: Belief) -> bool:
 class Reinitialisation:
     """Past of the active filter, and the start of the filter that replaces it."""
 
-    def __init__(self, suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None) -> None:
+    def __init__(self, sensor_config: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None) -> None:
         """Create a reinitialisation without a past.
 
         Parameters
         ----------
-        suite : settings of the sensors.
+        sensor_config : settings of the sensors.
         config : settings of the filter.
         prior : water known from an earlier dive; None: that of ``config``.
         """
         self.count = 0
-        self._suite, self._config, self._prior = suite, config, prior
+        self._sensor_config, self._config, self._prior = sensor_config, config, prior
         self._positions: deque[GoodPosition] = deque(maxlen=_MAX_POSITIONS)
         self._inconsistent_since_ns: int | None = None
         self._last_ns: int | None = None
@@ -192,11 +192,13 @@ class Reinitialisation:
         self._last_ns = now_ns
         self._inconsistent_since_ns = None
         elapsed_s = (t_ns - good.t_ns) * 1e-9
-        replace, suite = msgspec.structs.replace, self._suite
+        replace, sensor_config = msgspec.structs.replace, self._sensor_config
         sd_m = math.hypot(math.sqrt(good.variance_m2), VELOCITY_SD_MPS * elapsed_s)
-        gnss = replace(suite.gnss, position_sd_m=sd_m, velocity_sd_mps=VELOCITY_SD_MPS, lever_arm_m=(0.0, 0.0, 0.0))
+        gnss = replace(
+            sensor_config.gnss, position_sd_m=sd_m, velocity_sd_mps=VELOCITY_SD_MPS, lever_arm_m=(0.0, 0.0, 0.0)
+        )
         config = replace(self._config, afloat_acceleration_sd_mps2=ACCELERATION_SD_MPS2)
-        alignment = Alignment(replace(suite, gnss=gnss), config, self._prior)
+        alignment = Alignment(replace(sensor_config, gnss=gnss), config, self._prior)
         north, east = (good.position_m + good.velocity_mps * elapsed_s).tolist()
         v_north, v_east = good.velocity_mps.tolist()
         alignment.take(

@@ -62,7 +62,7 @@ class Sequencing:
 
     def __init__(
         self,
-        suite: SensorConfig,
+        sensor_config: SensorConfig,
         schedule: EstimateSchedule,
         account: Counter[str],
         publish: Callable[[ErrorStateFilter], None],
@@ -72,14 +72,14 @@ class Sequencing:
 
         Parameters
         ----------
-        suite : settings of the sensors.
+        sensor_config : settings of the sensors.
         schedule : instants of the estimates; the filter stops at each of them.
         account : counts by "<sensor>.<outcome>", updated in place.
         publish : called with the filter when it stands at an estimate's instant and the estimate is complete.
         progress : called with every propagation step, as a sign of life.
         """
         self.shadow: FollowsFilter | None = None
-        self._spacing_ns = snapshot_spacing_ns(suite)
+        self._spacing_ns = snapshot_spacing_ns(sensor_config)
         self._schedule = schedule
         self._account = account
         self._publish = publish

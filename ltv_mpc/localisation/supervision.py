@@ -44,7 +44,7 @@ class Supervision:
 
     def __init__(
         self,
-        suite: SensorConfig,
+        sensor_config: SensorConfig,
         config: EstimatorConfig,
         prior: WaterPrior | None,
         sequencing: Sequencing,
@@ -54,17 +54,17 @@ class Supervision:
 
         Parameters
         ----------
-        suite : settings of the sensors.
+        sensor_config : settings of the sensors.
         config : settings of the filter.
         prior : water known from an earlier dive; None: that of ``config``.
         sequencing : applies messages to the active filter; a new filter is set there.
         account : counts by "<sensor>.<outcome>"; those of a replaced filter are added to it.
         """
-        self._suite, self._config = suite, config
+        self._sensor_config, self._config = sensor_config, config
         self._sequencing = sequencing
         self._account = account
-        self._monitor = HealthMonitor(suite, config.gate_probability)
-        self._reinitialisation = Reinitialisation(suite, config, prior)
+        self._monitor = HealthMonitor(sensor_config, config.gate_probability)
+        self._reinitialisation = Reinitialisation(sensor_config, config, prior)
         self._recent: deque[ImuSample | Measurement] = deque(maxlen=_MAX_RECENT)
         self._replacement: Alignment | None = None  # of the filter that will replace the diverged one
         self._shadow: ShadowFilter | None = None
@@ -107,7 +107,7 @@ class Supervision:
         self._report_ns = (belief.t_ns // REPORT_NS + 1) * REPORT_NS
         if warm:
             self._warm_started_ns = belief.t_ns
-        self._set_filter(ErrorStateFilter(self._suite, self._config, belief))
+        self._set_filter(ErrorStateFilter(self._sensor_config, self._config, belief))
 
     def receive(self, message: ImuSample | Measurement) -> None:
         """Store a message for a reinitialisation, and give it to one that is under way.
@@ -184,7 +184,7 @@ class Supervision:
             self._replacement = self._reinitialisation.begin(t_ns, self._recent)
         elif self._reinitialisation.became_inconsistent(t_ns) and self._shadow is None:
             self._set_shadow(
-                ShadowFilter(filter_, snapshot_spacing_ns(self._suite), self._reinitialisation.past_beliefs())
+                ShadowFilter(filter_, snapshot_spacing_ns(self._sensor_config), self._reinitialisation.past_beliefs())
             )
         elif self._reinitialisation.is_belief_due(t_ns) and is_usable(filter_.belief):
             self._reinitialisation.store(filter_.propagated_belief())
@@ -239,7 +239,7 @@ class Supervision:
         belief, since = alignment.belief()
         # The prior of unknown water is wide: its first motion must not be detected as a front.
         adapts_from_ns = None if self._reinitialisation.restore_water(belief) else belief.t_ns + RESTARTED_NS
-        new = ErrorStateFilter(self._suite, self._config, belief, adapts_from_ns=adapts_from_ns)
+        new = ErrorStateFilter(self._sensor_config, self._config, belief, adapts_from_ns=adapts_from_ns)
         self._set_filter(new)
         self._sequencing.reapply([message for message in since if message.t_ns <= old.belief.t_ns])
         new.account.clear()  # these messages were counted when the old filter used them

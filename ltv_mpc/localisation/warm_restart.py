@@ -47,17 +47,19 @@ Message: TypeAlias = ImuSample | Measurement
 class WarmRestart:
     """Collector of messages until the belief can be levelled, with the interface of ``Alignment``."""
 
-    def __init__(self, suite: SensorConfig, config: EstimatorConfig, belief: Belief, estimate: Estimate | None) -> None:
+    def __init__(
+        self, sensor_config: SensorConfig, config: EstimatorConfig, belief: Belief, estimate: Estimate | None
+    ) -> None:
         """Create a warm restart that has received no messages yet.
 
         Parameters
         ----------
-        suite : settings of the sensors.
+        sensor_config : settings of the sensors.
         config : settings of the filter.
         belief : that of the checkpoint.
         estimate : the last estimate that is known; None: only the checkpoint is.
         """
-        self._suite, self._config = suite, config
+        self._sensor_config, self._config = sensor_config, config
         self._belief = belief
         newer_ns = -1 if estimate is None else estimate.t_ns - belief.t_ns
         self._estimate = estimate if 0 <= newer_ns <= MAX_ESTIMATE_LEAD_NS else None
@@ -122,7 +124,7 @@ class WarmRestart:
 
     def _level(self, belief: Belief, samples: Sequence[ImuSample], heading: float) -> None:
         """Set roll and pitch from the samples, and the given heading, at the end of the first sample."""
-        imu, P = self._suite.imu, belief.P
+        imu, P = self._sensor_config.imu, belief.P
         force, seconds = _specific_force(samples)
         f = force - belief.x[ACCELEROMETER_BIAS]
         pitch = math.atan2(f[0], math.hypot(f[1], f[2]))
@@ -139,7 +141,7 @@ class WarmRestart:
 
     def _propagate_slow_states(self, belief: Belief, seconds: float) -> None:
         """Propagate biases and water over the time since the checkpoint."""
-        imu, compass = self._suite.imu, self._suite.compass
+        imu, compass = self._sensor_config.imu, self._sensor_config.compass
         for states, sd, tau_s in (
             (GYRO_BIAS, imu.gyro_bias_sd_radps, imu.gyro_bias_tau_s),
             (ACCELEROMETER_BIAS, imu.accelerometer_bias_sd_mps2, imu.accelerometer_bias_tau_s),

@@ -207,7 +207,7 @@ class ModelMonitor:
         self._detector.restore(products)
         self._settling_s = 0.0
 
-    def report(self, applied: Applied) -> None:
+    def add_report(self, applied: Applied) -> None:
         """Add a report of the actuators.
 
         Parameters

@@ -1,4 +1,8 @@
-"""Vehicle parameters, as in the TOML file and as in the compiled code."""
+"""Vehicle parameters, as in the TOML file and as in the compiled code.
+
+The thrust of a propeller by revolutions and inflow is in ``thruster.py``, the equations of motion are in
+``dynamics.py``.
+"""
 
 from __future__ import annotations
 

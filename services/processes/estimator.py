@@ -35,25 +35,25 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 
 def main(config: Config) -> int:
     """Run the estimator until it is stopped; return the exit code."""
-    suite, settings = SensorConfig.load(config.sensors), config.settings
+    sensor_config, settings = SensorConfig.load(config.sensors), config.settings
     prior = load_prior(settings)
-    warm_up(suite, settings)
+    warm_up(sensor_config, settings)
 
     def make(request: StopRequest, say: Say) -> Runner:
-        node = Estimator(suite, settings, prior, progress=lambda: SUPERVISOR_LINK.beat(monotonic_us()))
+        node = Estimator(sensor_config, settings, prior, progress=lambda: SUPERVISOR_LINK.beat(monotonic_us()))
         return Runner(node, stop=request, say=say)
 
     return serve(Estimator.name, config.bus, make)
 
 
-def warm_up(suite: SensorConfig, config: EstimatorConfig) -> None:
+def warm_up(sensor_config: SensorConfig, config: EstimatorConfig) -> None:
     """Load all compiled code: run one second of a vehicle at rest through an estimator that is then discarded."""
-    estimator = Estimator(suite, config)
-    second, imu_ns = 1_000_000_000, suite.imu.period_ns
-    samples = [IMU.at_rest(t_ns, suite.imu) for t_ns in range(imu_ns, second + imu_ns + 1, imu_ns)]
-    start = [sensor.at_rest(0, settings) for sensor, settings in fitted(suite)]
-    end = [sensor.at_rest(second, settings) for sensor, settings in fitted(suite)]
-    late = [s.at_rest(second // 2, x) for s, x in fitted(suite) if s.availability is not Availability.SURFACE]
+    estimator = Estimator(sensor_config, config)
+    second, imu_ns = 1_000_000_000, sensor_config.imu.period_ns
+    samples = [IMU.at_rest(t_ns, sensor_config.imu) for t_ns in range(imu_ns, second + imu_ns + 1, imu_ns)]
+    start = [sensor.at_rest(0, settings) for sensor, settings in fitted(sensor_config)]
+    end = [sensor.at_rest(second, settings) for sensor, settings in fitted(sensor_config)]
+    late = [s.at_rest(second // 2, x) for s, x in fitted(sensor_config) if s.availability is not Availability.SURFACE]
     for message in (*start, *samples[:-1], *end, samples[-1], *late):
         estimator.steps([(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])])
     for states in (2, 8):  # the covariance update has two branches: more rows than states, or fewer

@@ -54,4 +54,4 @@ def warm_up(run_config: RunConfig) -> None:
 
 
 def _make(run_config: RunConfig) -> Sensors:
-    return Sensors(run_config.scenario, run_config.suite, run_config.water)
+    return Sensors(run_config.scenario, run_config.sensor_config, run_config.water)

@@ -6,7 +6,7 @@ runs/20261121T054500Z-descent/
     config/*.csv      currents, if the water is measured; water-prior, if the estimator has one
     run.mcap          every message
     summary.json      the results
-    currents.csv      the current as estimated at the end, with standard deviations; not with --perfect-state
+    currents.csv      the current estimated at the end, with standard deviations; not with --perfect-state
     report.html       the plots, if plotly is installed
 """
 
@@ -29,7 +29,7 @@ ROOT = Path("runs")
 LATEST = "latest"
 RECORDING = "run.mcap"
 RESULTS = ("summary.json", "currents.csv", "report.html")
-"""Files that stand beside the recording once a run has ended."""
+"""Files that are beside the recording once a run has ended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def make(name: str, files: Mapping[str, str], *, out: Path | None = None, force:
     ``files`` maps a path in the folder to a text. A folder that is not empty raises ``ConfigError`` unless ``force``
     is set, which replaces the files of a run and leaves the others.
     """
-    folder = RunFolder(_default(name) if out is None else _given(out, force=force))
+    folder = RunFolder(_make_with_link(name) if out is None else _prepare_given(out, force=force))
     for path, text in files.items():
         target = folder.path / path
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -90,8 +90,8 @@ def make(name: str, files: Mapping[str, str], *, out: Path | None = None, force:
 def find(text: str) -> Path:
     """Return the recording of RUN: a run's folder, its run.mcap, or ``latest`` for the newest folder below runs/.
 
-    ``find(text).parent`` is the run's folder, unless run.mcap was moved out of it.
-    Raises ``ConfigError``, also for an empty file: the recorder has not begun to write.
+    ``find(text).parent`` is the run's folder, unless run.mcap was moved out of it. Raises ``ConfigError`` if there is
+    no such recording, and for an empty file: the recorder has not begun to write.
     """
     source = f"RUN {text}"
     path = _newest() if text == LATEST else Path(text)
@@ -107,7 +107,7 @@ def find(text: str) -> Path:
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise ConfigError(source, "", f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if path.name == RECORDING and path.parent.is_dir():
-        raise ConfigError(source, "", f"the folder holds no {RECORDING}")
+        raise ConfigError(source, "", f"there is no {RECORDING} in this folder: name the folder of a recorded run")
     raise ConfigError(source, "", f"no such folder or file: a run's folder, its {RECORDING}, or {LATEST}")
 
 
@@ -134,7 +134,7 @@ def make_default(name: str) -> Path:
     return next(path for path in tries if _try_make(path))
 
 
-def _default(name: str) -> Path:
+def _make_with_link(name: str) -> Path:
     path = make_default(name)
     with contextlib.suppress(OSError):  # the link is a convenience: not every file system has links
         draft = ROOT / f".{LATEST}-{os.getpid()}"
@@ -169,7 +169,8 @@ def open_folder(path: Path, *, force: bool) -> Path:
     return path
 
 
-def _given(path: Path, *, force: bool) -> Path:
+def _prepare_given(path: Path, *, force: bool) -> Path:
+    """Make or open the folder, and remove the recording and the results of an earlier run from it."""
     open_folder(path, force=force)
     try:
         # Old results would make a run that fails look complete.

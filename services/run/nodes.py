@@ -23,6 +23,6 @@ def make_nodes(run_config: RunConfig, *, unread: bool = True, make_solver: Solve
         ControllerNode(run_config.vehicle, run_config.reference, scenario.controller, make_solver=make_solver)
     ]
     if not scenario.run.perfect_state:  # else the sensors themselves write the estimate
-        aboard.insert(0, Estimator(run_config.suite, scenario.estimator, run_config.prior))
+        aboard.insert(0, Estimator(run_config.sensor_config, scenario.estimator, run_config.prior))
     read = None if unread else frozenset(kind for node in aboard for kind in node.reads)
-    return [plant, Sensors(scenario, run_config.suite, run_config.water, needed=read), *aboard]
+    return [plant, Sensors(scenario, run_config.sensor_config, run_config.water, needed=read), *aboard]

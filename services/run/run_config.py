@@ -43,7 +43,7 @@ class RunConfig:
     name: str  # of the scenario: "descent"
     scenario: Scenario
     vehicle: Vehicle
-    suite: SensorConfig
+    sensor_config: SensorConfig
     reference: Reference
     water: water.WaterColumn
     prior: WaterPrior | None  # water prior of the estimator; None: only the prior of the settings
@@ -60,7 +60,7 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
         scenario = with_overrides(scenario, override.assignments, source=override.source)
     scenario = checked(scenario, source=f"scenario {name}")
     vehicle = Vehicle.load(scenario.vehicle)
-    suite = SensorConfig.load(scenario.sensors)
+    sensor_config = SensorConfig.load(scenario.sensors)
     solvers.make(vehicle, scenario.controller)  # raises ConfigError if the solver is not installed
     reference = references.load(scenario.reference)
     prior = load_prior(scenario.estimator)
@@ -69,11 +69,11 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
         name=called,
         scenario=scenario,
         vehicle=vehicle,
-        suite=suite,
+        sensor_config=sensor_config,
         reference=reference,
         water=water.make(scenario.water, scenario.run.seed),
         prior=prior,
-        files=_files(scenario, suite, called),
+        files=_files(scenario, sensor_config, called),
         notes=(*_notes(scenario, prior), *reference.notes(vehicle)),
     )
 
@@ -85,7 +85,7 @@ def _called(name: str, scenario: Scenario) -> str:
     return origin if origin and plain else Path(name).stem
 
 
-def _files(scenario: Scenario, suite: SensorConfig, called: str) -> dict[str, str]:
+def _files(scenario: Scenario, sensor_config: SensorConfig, called: str) -> dict[str, str]:
     """Return the settings files as read, with comments; files for use aboard hold nothing of the true values.
 
     Sensors that extend a shipped file are resolved, because the shipped file may differ when the run is repeated.
@@ -102,7 +102,7 @@ def _files(scenario: Scenario, suite: SensorConfig, called: str) -> dict[str, st
     if isinstance(reference, references.Timed):
         files["config/reference.toml"] = config.to_toml(reference)  # with the rows of the file that it names
     if "base" in tomllib.loads(files["config/sensors.toml"]):
-        files["config/sensors.toml"] = config.to_toml(suite)
+        files["config/sensors.toml"] = config.to_toml(sensor_config)
     measured, prior = scenario.water.file, scenario.estimator.water_prior
     if measured:
         files["config/currents.csv"] = config.read_text(Path(measured), what="currents")

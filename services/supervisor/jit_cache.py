@@ -90,7 +90,7 @@ def warm_up_others(scenario: str) -> None:
     run_config = resolve(scenario)
     plant.warm_up(run_config)
     sensors.warm_up(run_config)
-    estimator.warm_up(run_config.suite, run_config.scenario.estimator)
+    estimator.warm_up(run_config.sensor_config, run_config.scenario.estimator)
 
 
 PARTS: dict[str, Callable[[str], None]] = {

@@ -99,7 +99,7 @@ def loaded_solver(vehicle: Vehicle, config: ControllerConfig) -> tuple[OsqpSolve
     if not isinstance(solver, OsqpSolver):
         problem = "must be osqp: OSQP generates the code"
         raise ConfigError("controller settings", "solver", problem, value=config.solver)
-    if solver.form.limits.limited:
+    if solver.form.limits.limited_states:
         raise ConfigError(
             "controller settings", "limits", "must be empty: the generated code supports thruster limits only"
         )
@@ -120,7 +120,7 @@ def export(folder: Path, solver: OsqpSolver, nominal: Array, config: ControllerC
     )
     generator.codegen(str(folder), parameters="matrices", prefix=PREFIX, extension_name=None, force_rewrite=True)
     form = solver.form
-    scale = form.limits.scale
+    scale = form.limits.thrust_scale
     (folder / "mpc_layout.h").write_text(
         LAYOUT.format(
             width=STAGE_VARIABLES,

@@ -153,19 +153,19 @@ def nees(belief: Belief, truth: TrueState, seen: Mask) -> dict[str, tuple[float,
     return result
 
 
-def drawn(truth: TrueState, suite: SensorConfig) -> dict[str, tuple[float, int]]:
+def drawn(truth: TrueState, sensor_config: SensorConfig) -> dict[str, tuple[float, int]]:
     """Return normalised squares of the true biases by the sensor configuration, with their degrees of freedom.
 
     Over few runs they show how far from 1 a NEES may be because of the seeds alone: a bias that is hardly observed
     keeps its draw.
     """
-    imu, adcp = suite.imu, suite.adcp
+    imu, adcp = sensor_config.imu, sensor_config.adcp
     mounting_error = rotation_log(np.ascontiguousarray(truth.mounting @ rotation(*adcp.mounting_rad).T))
     biases = {
         "gyro_bias": [(truth.gyro_bias_radps, imu.gyro_bias_sd_radps)],
         "accelerometer_bias": [(truth.accelerometer_bias_mps2, imu.accelerometer_bias_sd_mps2)],
         "adcp_bias": [(truth.beam_bias_mps, adcp.beam_bias_sd_mps), (truth.near_bias_mps, adcp.near_bias_sd_mps)],
-        "compass_bias": [(np.array([truth.compass_bias_rad]), suite.compass.bias_sd_rad)],
+        "compass_bias": [(np.array([truth.compass_bias_rad]), sensor_config.compass.bias_sd_rad)],
         "mounting": [(mounting_error, adcp.mounting_known_to_rad)],
     }
     result = {}

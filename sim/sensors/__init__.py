@@ -20,11 +20,11 @@ from sim.sensors.tdcp import CarrierPhaseReceiver
 from sim.sensors.usbl import ShipTransceiver
 
 SIMULATED: Mapping[str, Callable[[Any, Environment], SimulatedSensor]] = {
-    "imu": lambda imu, e: InertialUnit(imu, e.sensors.latitude_rad, e.seed),
+    "imu": lambda imu, e: InertialUnit(imu, e.sensor_config.latitude_rad, e.seed),
     "gnss": lambda gnss, e: GnssReceiver(gnss, e.seed),
-    "tdcp": lambda tdcp, e: CarrierPhaseReceiver(tdcp, e.seed, e.sensors.gnss.lever_arm_m),
+    "tdcp": lambda tdcp, e: CarrierPhaseReceiver(tdcp, e.seed, e.sensor_config.gnss.lever_arm_m),
     "adcp": lambda adcp, e: Profiler(Instrument(adcp, e.seed), e.water, e.seed, e.bottom_m),
-    "bottom_track": lambda bed, e: BottomTracker(bed, Instrument(e.sensors.adcp, e.seed), e.bottom_m, e.seed),
+    "bottom_track": lambda bed, e: BottomTracker(bed, Instrument(e.sensor_config.adcp, e.seed), e.bottom_m, e.seed),
     "pressure": lambda pressure, e: PressureGauge(pressure, e.seed),
     "compass": lambda compass, e: MagneticCompass(compass, e.seed),
     "usbl": lambda usbl, e: ShipTransceiver(usbl, e.seed),

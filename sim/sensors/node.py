@@ -55,7 +55,7 @@ class Sensors:
     def __init__(
         self,
         scenario: Scenario,
-        suite: SensorConfig,
+        sensor_config: SensorConfig,
         water: WaterColumn,
         *,
         needed: frozenset[type[Message]] | None = None,
@@ -64,12 +64,12 @@ class Sensors:
 
         Each sensor draws from its own stream of the scenario's seed, so a missing sensor does not change the others.
         """
-        environment = Environment(suite, scenario.run.seed, water, scenario.water.bottom_m)
+        environment = Environment(sensor_config, scenario.run.seed, water, scenario.water.bottom_m)
         writes: list[type[Message]] = []
         self._mounted: list[_Mounted] = []
         self._by_name: dict[str, SimulatedSensor] = {}
         for name, make in SIMULATED.items():
-            settings, message = getattr(suite, name), BY_NAME[name].message
+            settings, message = getattr(sensor_config, name), BY_NAME[name].message
             if settings is not None and (needed is None or message in needed):
                 sensor = self._by_name[name] = make(settings, environment)
                 self._mounted.append(_Mounted(sensor, settings.period_ns, latency_ns(settings) or 0))

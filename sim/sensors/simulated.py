@@ -14,7 +14,7 @@ from sim.water import WaterColumn
 class Environment(NamedTuple):
     """Water, sea bed and seed of the run, from which the simulated sensors are made."""
 
-    sensors: SensorConfig  # settings of all sensors of the vehicle
+    sensor_config: SensorConfig  # settings of all sensors of the vehicle
     seed: int  # of the run; each sensor draws from a stream of its own
     water: WaterColumn
     bottom_m: float | None  # depth of the sea bed; None: out of reach

@@ -151,7 +151,7 @@ def test_a_solution_that_is_not_finite_is_none() -> None:
 
 
 def test_a_peer_that_never_answers_holds_no_line() -> None:
-    """The closed loop is the contestant's own."""
+    """The closed loop is the candidate's own."""
 
     class Silent(Peer):
         name, solves, packages, settings = "silent", "QP", (), ""

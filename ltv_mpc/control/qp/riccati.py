@@ -80,7 +80,7 @@ def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
     for k in range(N):
         reach = stage_length(o, k + 1)
         for i in range(2):
-            F, change = o.scale[i], reach * o.max_change[i]
+            F, change = o.thrust_scale[i], reach * o.max_change[i]
             here, step = lin.U[k + 1, i], lin.U[k + 1, i] - lin.U[k, i]
             lower, upper = command_bounds(lin.U[0, i], o.t[k + 1] * o.max_change[i], o.low[i], o.high[i])
             low[k, i], high[k, i] = (lower - here) / F, (upper - here) / F
@@ -130,8 +130,8 @@ def sweep(lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace,
     N = dU.shape[0] - 1
     for k in range(N):
         for i in range(2):
-            work.g[k, i] = dU[k + 1, i] / o.scale[i]
-            work.g[k, 2 + i] = (dU[k + 1, i] - dU[k, i]) / o.scale[i]
+            work.g[k, i] = dU[k + 1, i] / o.thrust_scale[i]
+            work.g[k, 2 + i] = (dU[k + 1, i] - dU[k, i]) / o.thrust_scale[i]
     return bool(np.isfinite(dU[N, 0] + dU[N, 1]))
 
 
@@ -152,7 +152,7 @@ def _backward(lin: Linearisation, target: Array, o: Objective, work: SweepWorksp
         _quadratic_form(Z)
         for i in range(2):
             # s / g |(U_(k+1) - U_k) / F|^2, and the rows of box and slew
-            F = o.scale[i]
+            F = o.thrust_scale[i]
             change = o.thrust_change / (stage_length(o, k + 1) * F * F)
             both = change + weight[k, 2 + i] / (F * F)
             slope = change * (lin.U[k + 1, i] - lin.U[k, i]) + linear[k, 2 + i] / F
@@ -186,7 +186,7 @@ def _add_stage_cost(lin: Linearisation, target: Array, o: Objective, k: int, Z: 
     g = stage_length(o, k)
     position = o.position * g + (o.terminal_position if k == lin.U.shape[0] - 1 else 0.0)
     for i in range(2):
-        thrust = o.thrust * g / (o.scale[i] * o.scale[i])
+        thrust = o.thrust * g / (o.thrust_scale[i] * o.thrust_scale[i])
         Z[P + STRIDE * (6 + i) + 6 + i] += thrust
         p[6 + i] += thrust * lin.U[k, i]
         Z[P + STRIDE * (8 + i) + 8 + i] += position

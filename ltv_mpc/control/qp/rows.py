@@ -52,8 +52,21 @@ def slew(stages: Sequence[int], scale: Array) -> Iterator[ConstraintRow]:
             yield ConstraintRow(f"slew of {side} in stage {k}", factor, "N")
 
 
-def motion(stages: Sequence[int], limited: Sequence[int], scale: Array) -> Iterator[ConstraintRow]:
-    """Yield the rows of the limits of the motion.
+def box(stages: Sequence[int], scale: Array) -> Iterator[ConstraintRow]:
+    """Yield the rows of the box: the smallest and largest thrust.
+
+    Parameters
+    ----------
+    stages : numbers of the stages.
+    scale : (2,) scales of the thrusts (N).
+    """
+    for k in stages:
+        for side, factor in zip(SIDES, scale.tolist(), strict=True):
+            yield ConstraintRow(f"limit of {side} at the end of stage {k}", factor, "N")
+
+
+def motion_limits(stages: Sequence[int], limited: Sequence[int], scale: Array) -> Iterator[ConstraintRow]:
+    """Yield the rows of the soft limits of the motion.
 
     Parameters
     ----------
@@ -65,16 +78,3 @@ def motion(stages: Sequence[int], limited: Sequence[int], scale: Array) -> Itera
         for i in limited:
             for kind in ("upper limit of", "lower limit of", "excess of"):
                 yield ConstraintRow(f"{kind} {STATE_NAMES[i]} at the end of stage {k}", float(scale[i]), STATE_UNITS[i])
-
-
-def box(stages: Sequence[int], scale: Array) -> Iterator[ConstraintRow]:
-    """Yield the rows of the box.
-
-    Parameters
-    ----------
-    stages : numbers of the stages.
-    scale : (2,) scales of the thrusts (N).
-    """
-    for k in stages:
-        for side, factor in zip(SIDES, scale.tolist(), strict=True):
-            yield ConstraintRow(f"limit of {side} at the end of stage {k}", factor, "N")

@@ -1,12 +1,13 @@
 """Sparse quadratic programme (QP) of one LTV-MPC cycle, in deviations from the nominal trajectory.
 
-    minimise   sum over k = 1..N of   g_k (w |p_k - ref_k|^2 + r |U_k / F|^2) + s / g_k |(U_k - U_(k-1)) / F|^2
-               + w_N |p_N - ref_N|^2 + m |p'_N - ref'_N|^2
+    minimise   1/2 sum over k = 1..N of  [ g_k (w |p_k - ref_k|^2 + r |U_k / F|^2) + s / g_k |(U_k - U_(k-1)) / F|^2 ]
+               + 1/2 w_N |p_N - ref_N|^2 + 1/2 m |p'_N - ref'_N|^2
     subject to dX_(k+1) = A_k dX_k + B0_k dU_k + B1_k dU_(k+1) + Phi_k - Xbar_(k+1),   dX_0 = 0, dU_0 = 0
                p'_N = V dX_N + p'bar_N
                |U_k - U_(k-1)| <= slew h_k,   min <= Ubar_k + dU_k <= max
 
-and for each state x that has a limit (horizon_limits.py), with the cost  g_k c e_k / S  of its excess e_k,
+and for each state x that has a limit (horizon_limits.py), with the additional cost  c g_k e_k / S  of its excess e_k
+and c = ``PENALTY``,
 
                xbar_k + dx_k - e_k <= max_state,   xbar_k + dx_k + e_k >= -max_state,   e_k >= 0
 
@@ -32,7 +33,8 @@ Rows of A, with E = 8 N + 2 (``SparseQp.equalities``) and thruster i = 0 (port),
     box of thruster i                E + 2 (N + k) + i
     limit of a state                 E + 4 N + ...      upper, lower, excess: 3 a stage and limited state
 
-``_constant_entries`` and ``_jacobian_entries`` place the entries of A, ``fill`` computes a cycle's numbers.
+``_constant_entries`` and ``_jacobian_entries`` place the entries of A, ``fill`` computes a cycle's numbers. A solver
+minimises  1/2 x'Px + q'x  (problem.py): the constant part of the cost is left out.
 """
 
 from __future__ import annotations
@@ -79,8 +81,8 @@ THRUST_PATTERN = np.ones((STATES, 2), dtype=bool)
 THRUST_PATTERN[6, 1] = THRUST_PATTERN[7, 0] = False
 
 NO_BOUND = 1e3
-"""Bound of a row without one, in units of the QP: hundreds of m/s. It is finite because some solvers take an infinite
-bound badly.
+"""Bound that is never reached, in units of the QP: hundreds of m/s for a speed. It is finite because some solvers do
+not accept an infinite bound.
 """
 
 
@@ -120,9 +122,9 @@ class SparseQp:
         self.weights = weights
         self.packed = pack_objective(knots, limits, weights)
         """Argument of the kernels (problem_data.py)."""
-        self.state_scale = np.concatenate([limits.state_scale, limits.scale])
+        self.state_scale = np.concatenate([limits.state_scale, limits.thrust_scale])
         """(8,) scales S of the states."""
-        self.variables = self.stages * (STAGE_VARIABLES + len(limits.limited)) + 2
+        self.variables = self.stages * (STAGE_VARIABLES + len(limits.limited_states)) + 2
         """Number of columns n."""
         self.equalities = self.stages * STATES + 2
         """Number of equality rows; they are the first ones."""
@@ -131,15 +133,15 @@ class SparseQp:
 
     def _lay_out_rows(self) -> None:
         """Place the entries of A among the stored ones, which are ordered by column."""
-        N, limited = self.stages, self.limits.limited
+        N, limited = self.stages, self.limits.limited_states
         constant = _constant_entries(N, limited)
-        jacobian = _jacobian_entries(N, self.state_scale, self.limits.scale)
+        jacobian = _jacobian_entries(N, self.state_scale, self.limits.thrust_scale)
         end = (N - 1) * STAGE_VARIABLES + 2
         velocity = [(N * STATES + i, end + j) for i in range(2) for j in range(3)]
         at = [entry[:2] for entry in constant] + [entry[:2] for entry in jacobian] + velocity
-        rows, columns = np.array(at, dtype=np.int32).T  # OSQP's own type
+        row, column = np.array(at, dtype=np.int32).T  # OSQP's own type
         shape = (self.equalities + N * (4 + 3 * len(limited)), self.variables)
-        numbered = csc_array(coo_array((np.arange(1.0, len(at) + 1.0), (rows, columns)), shape=shape))
+        numbered = csc_array(coo_array((np.arange(1.0, len(at) + 1.0), (row, column)), shape=shape))
         place = np.argsort(numbered.data)
         self.pattern = numbered
         """(m, n) sparsity pattern of A; its numbers mean nothing."""
@@ -162,13 +164,13 @@ class SparseQp:
     @cached_property
     def row_names(self) -> tuple[ConstraintRow, ...]:
         """Name, scale and unit of each row."""
-        stages, thrusts = range(1, self.stages + 1), self.limits.scale
+        stages, thrusts = range(1, self.stages + 1), self.limits.thrust_scale
         return (
             *rows.dynamics(stages, self.state_scale),
             *rows.terminal_velocity(),
             *rows.slew(stages, thrusts),
             *rows.box(stages, thrusts),
-            *rows.motion(stages, self.limits.limited, self.state_scale),
+            *rows.motion_limits(stages, self.limits.limited_states, self.state_scale),
         )
 
     def allocate(self) -> QpNumbers:
@@ -211,7 +213,7 @@ class SparseQp:
         """
         U = lin.U.copy()
         stages = x[: self.stages * STAGE_VARIABLES].reshape(self.stages, STAGE_VARIABLES)
-        U[1:] += stages[:, STATES:] * self.limits.scale
+        U[1:] += stages[:, STATES:] * self.limits.thrust_scale
         return U
 
 
@@ -230,12 +232,12 @@ def _hessian(lengths: Array, limits: HorizonLimits, weights: Weights, variables:
     between[:, STATES:] = -s[1:]
     at = np.arange(N * STAGE_VARIABLES, dtype=np.int32)
     last = N * STAGE_VARIABLES + np.arange(2, dtype=np.int32)
-    rows = np.concatenate([at, at[:-STAGE_VARIABLES], at[STAGE_VARIABLES:], last])
-    columns = np.concatenate([at, at[STAGE_VARIABLES:], at[:-STAGE_VARIABLES], last])
+    row = np.concatenate([at, at[:-STAGE_VARIABLES], at[STAGE_VARIABLES:], last])
+    column = np.concatenate([at, at[STAGE_VARIABLES:], at[:-STAGE_VARIABLES], last])
     end = np.full(2, weights.terminal_velocity_s2_per_m2)
     values = np.concatenate([diagonal.ravel(), between.ravel(), between.ravel(), end])
     stored = values != 0.0
-    return csc_array(coo_array((values[stored], (rows[stored], columns[stored])), shape=(variables, variables)))
+    return csc_array(coo_array((values[stored], (row[stored], column[stored])), shape=(variables, variables)))
 
 
 def _constant_entries(N: int, limited: tuple[int, ...]) -> list[tuple[int, int, float]]:
@@ -298,8 +300,8 @@ def fill(packed: Array, lin: Linearisation, target: Array, entries: EntryMap, to
     to : is overwritten; made by ``SparseQp.allocate``.
     """
     N = len(target) - 1
-    c = unpack_objective(packed)
-    X, U, F = lin.X, lin.U, c.scale
+    objective = unpack_objective(packed)
+    X, U, F = lin.X, lin.U, objective.thrust_scale
     data, q, l, u = to.A, to.q, to.l, to.u  # noqa: E741
     for i in range(len(entries.place)):
         data[entries.place[i]] = lin.flat[entries.source[i]] * entries.factor[i]
@@ -307,17 +309,17 @@ def fill(packed: Array, lin: Linearisation, target: Array, entries: EntryMap, to
     E = N * STATES + 2
     for k in range(N):
         row, column = k * STATES, k * STAGE_VARIABLES
-        g = stage_length(c, k + 1)
-        r, s = c.thrust * g, c.thrust_change / g
+        g = stage_length(objective, k + 1)
+        r, s = objective.thrust * g, objective.thrust_change / g
         for i in range(STATES):
             # -dX_(k+1) + A dX_k + B0 dU_k + B1 dU_(k+1) = Xbar_(k+1) - Phi_k
-            scale = state_scale(i, c)
+            scale = state_scale(i, objective)
             l[row + i] = u[row + i] = (X[k + 1, i] - lin.Phi[k, i]) / scale
             q[column + i] = 0.0
-        weight = c.position * g + (c.terminal_position if k == N - 1 else 0.0)
+        weight = objective.position * g + (objective.terminal_position if k == N - 1 else 0.0)
         for i in range(2):
             # w_k (p_k - ref_k)
-            q[column + i] = weight * (X[k + 1, i] - target[k, i]) * c.state_scale[i]
+            q[column + i] = weight * (X[k + 1, i] - target[k, i]) * objective.state_scale[i]
             # r U_k + s (U_k - U_(k-1)) - s (U_(k+1) - U_k)
             step = (U[k + 1, i] - U[k, i]) / F[i]
             q[column + STATES + i] = r * U[k + 1, i] / F[i] + s * step
@@ -325,28 +327,30 @@ def fill(packed: Array, lin: Linearisation, target: Array, entries: EntryMap, to
                 q[column - STAGE_VARIABLES + STATES + i] -= s * step
             slew, box = E + 2 * k + i, E + 2 * (N + k) + i
             # slew:  -slew h <= (Ubar_(k+1) - Ubar_k) + (dU_(k+1) - dU_k) <= slew h
-            change = g * c.max_change[i]
+            change = g * objective.max_change[i]
             l[slew], u[slew] = -change / F[i] - step, change / F[i] - step
             # box:  low <= Ubar_(k+1) + dU_(k+1) <= high
-            low, high = command_bounds(U[0, i], c.t[k + 1] * c.max_change[i], c.low[i], c.high[i])
+            low, high = command_bounds(
+                U[0, i], objective.t[k + 1] * objective.max_change[i], objective.low[i], objective.high[i]
+            )
             l[box], u[box] = (low - U[k + 1, i]) / F[i], (high - U[k + 1, i]) / F[i]
     excess, row = N * STAGE_VARIABLES + 2, E + 4 * N
     for k in range(N):
         for j in range(2):
-            if np.isfinite(c.max_state[j]):
+            if np.isfinite(objective.max_state[j]):
                 i = LIMITED_STATES[j]
-                scale = c.state_scale[i]
-                l[row], u[row] = -NO_BOUND, (c.max_state[j] - X[k + 1, i]) / scale
-                l[row + 1], u[row + 1] = (-c.max_state[j] - X[k + 1, i]) / scale, NO_BOUND
+                scale = objective.state_scale[i]
+                l[row], u[row] = -NO_BOUND, (objective.max_state[j] - X[k + 1, i]) / scale
+                l[row + 1], u[row + 1] = (-objective.max_state[j] - X[k + 1, i]) / scale, NO_BOUND
                 l[row + 2], u[row + 2] = 0.0, NO_BOUND
-                q[excess] = PENALTY * stage_length(c, k + 1)
+                q[excess] = PENALTY * stage_length(objective, k + 1)
                 excess, row = excess + 1, row + 3
     for i in range(2):
         # -(p'_N - ref'_N) + V dX_N = ref'_N - p'bar_N
         l[N * STATES + i] = u[N * STATES + i] = target[N, i] - velocity[i]
         q[N * STAGE_VARIABLES + i] = 0.0
         for j in range(3):
-            data[entries.velocity[3 * i + j]] = slope[i, j] * c.state_scale[2 + j]
+            data[entries.velocity[3 * i + j]] = slope[i, j] * objective.state_scale[2 + j]
 
 
 def build_qp(

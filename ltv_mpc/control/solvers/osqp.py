@@ -1,7 +1,7 @@
 """OSQP on the sparse QP: one workspace, updated in place, with a step size for each kind of row.
 
-OSQP's method (Stellato et al. 2020) is the alternating direction method of multipliers with one step size rho. A single
-one is wrong for two of three kinds of row: the dynamics need 1e4 to 1e7 times that of box and slew, and an active limit
+OSQP's method (Stellato et al. 2020) is the alternating direction method of multipliers with one step size rho. No
+single step size suits all kinds of row: the dynamics need 1e4 to 1e7 times that of box and slew, and an active limit
 100 times that of an inactive one. A row multiplied by s acts as if its step size were rho s^2, so the rows are scaled
 and rho stays 1. The duals of the previous solve show beforehand which limits are active. They are checked again after
 each batch of iterations: if the active set has changed, the rows are scaled again. A changes in every cycle anyway, so
@@ -53,7 +53,7 @@ LIMIT_ROW = 0.015
 """Scale s of inactive box and slew rows, if the gradient is small."""
 
 GRADIENT = 0.5
-"""Largest entry of q up to which LIMIT_ROW holds. Beyond it, duals grow with q, and the step size with them."""
+"""Largest entry of q for which LIMIT_ROW holds. Duals grow with a larger q, and the step size with them."""
 
 MAX_LIMIT_ROW = 0.2
 """Largest scale s of inactive box and slew rows."""
@@ -117,7 +117,7 @@ class OsqpSolver:
             form.allocate()._replace(q=problem.q),
             np.zeros(form.rows),
         )
-        self._scale = form.limits.scale  # a property, and it costs time
+        self._scale = form.limits.thrust_scale  # a property, and it costs time
         self._shift = math.nan
         self._finite, self._why = False, "build() must be called before solve()"
         self._lin: Linearisation | None = None
@@ -144,7 +144,7 @@ class OsqpSolver:
         if not self._finite:  # a NaN would stay in the workspace for every later solve
             return
         if self._workspace is None:
-            # It changes nothing here, but it is compiled: the next call may come with the first hard problem.
+            # This call changes nothing, but compiles ``rescale``, which is called next with the first hard problem.
             rescale(self.form.entries.row, self.form.stages, self._arrays)
             of, settings = self.scaled_problem()
             self._workspace = make_workspace(of.P, of.q, of.A, of.l, of.u, settings)
@@ -226,7 +226,7 @@ class OsqpSolver:
 
 @jit
 def prepare(packed: Array, flat: Array, target: Array, entries: EntryMap, shift: float, at: SolveArrays) -> float:
-    """Compute a cycle's problem, its first guess, and both with scaled rows, into ``at``.
+    """Compute a cycle's problem and first guess, unscaled and with scaled rows, into ``at``.
 
     Parameters
     ----------
@@ -284,49 +284,51 @@ def first_guess(packed: Array, lin: Linearisation, target: Array, shift: float, 
     at : has the problem and the point of the last solve; x and y are overwritten.
     """
     N = len(target) - 1
-    c = unpack_objective(packed)
+    objective = unpack_objective(packed)
     q, x, y = at.problem.q, at.x, at.y
     E = N * STATES + 2
-    _shift_limits(y, E, c.t, shift)
+    _shift_limits(y, E, objective.t, shift)
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
     dU, previous = np.zeros((N + 1, 2)), y[E:].copy()
-    if not previous[4 * N :].any():  # no limit of the motion, which the sweeps ignore, was active
-        _guess_commands(c, lin, target, dU, y[E:])
-    if not _forward_states(c, lin, dU, x):  # but one is active now
+    if not previous[4 * N :].any():  # no limit of the motion was active; the Riccati sweeps ignore these limits
+        _guess_commands(objective, lin, target, dU, y[E:])
+    if not _forward_states(objective, lin, dU, x):  # such a limit is active now
         dU[:, :] = 0.0
         y[E:] = previous
-        _forward_states(c, lin, dU, x)
-    _guess_excesses(c, lin, q, np.isnan(shift), x, y)
+        _forward_states(objective, lin, dU, x)
+    _guess_excesses(objective, lin, q, np.isnan(shift), x, y)
     # m (p'_N - ref'_N) = y: the terminal velocity's own column
     costate = np.zeros(STATES)
     for i in range(2):
         w = velocity[i] - target[N, i]
         for j in range(3):
-            w += V[i, j] * x[(N - 1) * STAGE_VARIABLES + 2 + j] * c.state_scale[2 + j]
+            w += V[i, j] * x[(N - 1) * STAGE_VARIABLES + 2 + j] * objective.state_scale[2 + j]
         x[N * STAGE_VARIABLES + i] = w
-        y[N * STATES + i] = c.terminal_velocity * w
+        y[N * STATES + i] = objective.terminal_velocity * w
         for j in range(3):
-            costate[2 + j] += V[i, j] * c.terminal_velocity * w
+            costate[2 + j] += V[i, j] * objective.terminal_velocity * w
     # lambda_(k-1) = gradient_k + A_k' lambda_k: the columns of the states
     before = np.zeros(STATES)
     for k in range(N - 1, -1, -1):
-        weight = c.position * stage_length(c, k + 1) + (c.terminal_position if k == N - 1 else 0.0)
+        weight = objective.position * stage_length(objective, k + 1) + (
+            objective.terminal_position if k == N - 1 else 0.0
+        )
         for i in range(2):
-            scale = c.state_scale[i]
+            scale = objective.state_scale[i]
             costate[i] += q[k * STAGE_VARIABLES + i] / scale + weight * x[k * STAGE_VARIABLES + i] * scale
-        row = E + 4 * N + 3 * k * limited_state_count(c)
+        row = E + 4 * N + 3 * k * limited_state_count(objective)
         for j in range(2):
-            if np.isfinite(c.max_state[j]):
-                costate[LIMITED_STATES[j]] += (y[row] + y[row + 1]) / c.state_scale[LIMITED_STATES[j]]
+            if np.isfinite(objective.max_state[j]):
+                costate[LIMITED_STATES[j]] += (y[row] + y[row + 1]) / objective.state_scale[LIMITED_STATES[j]]
                 row += 3
         for i in range(STATES):
-            y[k * STATES + i] = costate[i] * state_scale(i, c)
+            y[k * STATES + i] = costate[i] * state_scale(i, objective)
         multiply_A_transposed(lin.A, k, costate, before)
         copy_to(costate, before)
 
 
 @jit
-def _forward_states(c: Objective, lin: Linearisation, dU: Array, x: Array) -> bool:
+def _forward_states(objective: Objective, lin: Linearisation, dU: Array, x: Array) -> bool:
     """Compute x (n,) from the commands' deviations dU (N+1, 2) by a forward sweep that closes the gaps.
 
     Returns True if the states are within the limits of the motion.
@@ -341,17 +343,17 @@ def _forward_states(c: Objective, lin: Linearisation, dU: Array, x: Array) -> bo
             for j in range(2):
                 d[i] += lin.B0[k, i, j] * dU[k, j] + lin.B1[k, i, j] * dU[k + 1, j]
             d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
-            x[k * STAGE_VARIABLES + i] = d[i] / state_scale(i, c)
+            x[k * STAGE_VARIABLES + i] = d[i] / state_scale(i, objective)
         copy_to(last, d)
         for i in range(2):
-            x[k * STAGE_VARIABLES + STATES + i] = dU[k + 1, i] / c.scale[i]
+            x[k * STAGE_VARIABLES + STATES + i] = dU[k + 1, i] / objective.thrust_scale[i]
             state = LIMITED_STATES[i]
-            within &= abs(lin.X[k + 1, state] + d[state]) <= c.max_state[i]
+            within &= abs(lin.X[k + 1, state] + d[state]) <= objective.max_state[i]
     return within
 
 
 @jit
-def _guess_commands(c: Objective, lin: Linearisation, target: Array, dU: Array, y: Array) -> None:
+def _guess_commands(objective: Objective, lin: Linearisation, target: Array, dU: Array, y: Array) -> None:
     """Compute the commands' deviations dU (N+1, 2) and the duals y of slew and box by the Riccati method.
 
     Its active set starts from the duals of the last solve.
@@ -361,7 +363,7 @@ def _guess_commands(c: Objective, lin: Linearisation, target: Array, dU: Array, 
     for k in range(N):
         for i in range(2):
             rows[k, i], rows[k, 2 + i] = _known(y[2 * (N + k) + i]), _known(y[2 * k + i])
-    outcome, _, _ = riccati_solver.solve(lin, target, c, riccati_solver.MAX_SWEEPS, rows, dU)
+    outcome, _, _ = riccati_solver.solve(lin, target, objective, riccati_solver.MAX_SWEEPS, rows, dU)
     if outcome == riccati_solver.FAILED:  # the cost does not determine the commands: y stays
         return
     for k in range(N):
@@ -376,20 +378,20 @@ def _known(dual: float) -> float:
 
 
 @jit
-def _guess_excesses(c: Objective, lin: Linearisation, q: Array, new: bool, x: Array, y: Array) -> None:
+def _guess_excesses(objective: Objective, lin: Linearisation, q: Array, new: bool, x: Array, y: Array) -> None:
     """Compute the excesses of the limited states, and their duals from those of the limits.
 
     0 = q - y_upper + y_lower + y_excess. A ``new`` problem has no duals of the limits yet: a state beyond its limit is
     expected to stay there.
     """
-    N = len(c.t) - 1
+    N = len(objective.t) - 1
     column, row = N * STAGE_VARIABLES + 2, N * (STATES + 4) + 2
     for k in range(N):
         for j in range(2):
-            if np.isfinite(c.max_state[j]):
+            if np.isfinite(objective.max_state[j]):
                 i = LIMITED_STATES[j]
-                state = lin.X[k + 1, i] / c.state_scale[i] + x[k * STAGE_VARIABLES + i]
-                x[column] = max(abs(state) - c.max_state[j] / c.state_scale[i], 0.0)
+                state = lin.X[k + 1, i] / objective.state_scale[i] + x[k * STAGE_VARIABLES + i]
+                x[column] = max(abs(state) - objective.max_state[j] / objective.state_scale[i], 0.0)
                 if new and x[column] > 0.0:
                     y[row] = q[column] if state > 0.0 else 0.0
                     y[row + 1] = y[row] - q[column]
@@ -399,7 +401,7 @@ def _guess_excesses(c: Objective, lin: Linearisation, q: Array, new: bool, x: Ar
 
 @jit
 def _shift_limits(y: Array, E: int, t: Array, stages: float) -> None:
-    """Shift the duals of all limits to knots that lie later: linear between the knots t (N+1,), the last are held."""
+    """Shift the duals of all limits to later knots: linear between the knots t (N+1,), constant after the last."""
     if np.isnan(stages):
         y[E:] = 0.0
         return
@@ -414,7 +416,7 @@ def _shift_limits(y: Array, E: int, t: Array, stages: float) -> None:
 
 @jit
 def rescale(row: Indices, N: int, at: SolveArrays) -> int:
-    """Scale the rows of the problem and of its dual by what the dual says of them.
+    """Scale the rows of the problem and of its dual, by the limits that the dual shows to be active.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ class RiccatiSolver:
         ConfigError
             The motion has limits, which this method cannot take.
         """
-        if limits.limited:
+        if limits.limited_states:
             problem = "does not support motion limits: use osqp or a solver of qpsolvers"
             raise ConfigError("controller settings", "solver", problem, value=config.solver)
         self._max_sweeps = config.max_iterations

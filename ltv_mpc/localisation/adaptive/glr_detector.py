@@ -1,8 +1,9 @@
 """Generalised likelihood ratio (GLR) detector of slow fronts: current drifts that started recently at all depths.
 
-The filter mistakes a slow front for a tilt and a velocity of the vehicle, and innovations hardly show it: 10 cm/s in
-15 s moves the velocity by ten standard deviations, and no mean of innovations by four. But innovations show it with a
-known signature at its start and, with the opposite sign, at its end (``failure_signatures.py``).
+The filter mistakes a slow front for a tilt and a velocity of the vehicle, and innovations hardly show it. A change of
+10 cm/s in 15 s moves the estimated velocity by ten standard deviations, and every mean of innovations by less than
+four. But innovations show a known signature at the start of the front and, with the opposite sign, at its end
+(``failure_signatures.py``).
 
 Hypotheses  The current at all depths accelerates by nu (m/s2, north and east) from one instant of a time grid of step
         ``STEP_NS`` until a later one or until now. Each instant has two columns of E; a drift that has ended is the
@@ -10,8 +11,8 @@ Hypotheses  The current at all depths accelerates by nu (m/s2, north and east) f
             2 ln L = d^T (J + I / s^2)^-1 d,    evidence = L |I + s^2 J|^-1/2
 Detection   if the largest 2 ln L exceeds ``THRESHOLD``, or ``JOINT_THRESHOLD`` if a mean of innovations is significant
         too (``process_noise.py``).
-Compensation    for a drift that is old: hypotheses that started before the filter's buffer reaches back hold nearly all
-        evidence. Estimate and covariance become those of the mixture of all hypotheses, weighted by their evidence;
+Compensation    of an old drift: nearly all evidence is with hypotheses that started earlier than the filter's buffer
+        reaches back. Estimate and covariance become those of the mixture of all hypotheses, weighted by their evidence;
         each moves the estimate by E nu and adds E (J + I / s^2)^-1 E^T to the covariance. For a younger drift the
         filter goes back and repeats the time since then with inflated process noise, which assumes no shape.
 Gyros   Hypotheses of a gyro fault did not change what was detected, so there are none.
@@ -65,7 +66,7 @@ class OnsetDetection(NamedTuple):
     """Detected drift: the mean error of the mixture, and a square root of the covariance that compensation adds."""
 
     statistic: float  # largest 2 ln L
-    is_old: bool  # started before the filter's buffer reaches back, with high probability
+    is_old: bool  # with high probability it started earlier than the filter's buffer reaches back
     error: Array  # (n,) mean error
     root: Array  # (n, r) the added covariance is root root^T
 

@@ -1,13 +1,17 @@
-"""Test of the mean of innovations over many messages: it detects small lasting errors long before their squares do.
+"""Test of the mean of innovations over many messages: it detects small lasting errors long before a test of squares.
 
 The innovations r ~ N(0, S) of a consistent filter are white: those of different messages are independent. Contrasts
 d = D^T r of one message (for example the mean over its rows) have the covariance V = D^T S D. With exponential
 forgetting,
+
     s := lambda s + d,  W := lambda^2 W + V,  lambda = exp(-dt / tau),
+
 s^T W^-1 s is chi-square distributed for any tau, with as many degrees of freedom as d has entries.
-Example: an error of a tenth of the noise in each of a hundred rows hardly changes their squares; in d it is one
-standard deviation, and it grows with each message.
+Example: an error of a tenth of the noise in each of a hundred rows hardly changes their squares. In d, the mean over
+these rows, it is one standard deviation, and it grows with each message.
+
 One message moves s by at most ``MAX_SD`` standard deviations: one bad ping does not exceed ``threshold(2)``, two do.
+
 Source  Mehra 1970, IEEE T-AC 15(2) (whiteness); Bar-Shalom, Li & Kirubarajan 2001, section 5.4.
 """
 
@@ -83,8 +87,8 @@ class InnovationMeanTest:
 @jit
 def _added(s: Array, W: Array, keep: Array, d: Array, V: Array) -> tuple[Array, Array]:
     """Return s and W with one more message; ``keep`` (T,) is lambda."""
-    own = _square(d, V)
-    part = MAX_SD / math.sqrt(own) if own > MAX_SD * MAX_SD else 1.0
+    squared = _square(d, V)
+    part = MAX_SD / math.sqrt(squared) if squared > MAX_SD * MAX_SD else 1.0
     new_s, new_W = np.empty_like(s), np.empty_like(W)
     for t in range(len(keep)):
         for i in range(len(d)):

@@ -287,17 +287,17 @@ class AdaptiveProcessNoise:
             duration_ns = min(2 * last_ns, _MAX_DURATION_NS)
         return now_ns + duration_ns
 
-    def add_correction(self, belief: Belief, upper: npt.NDArray[np.int64], error: Array) -> None:
+    def add_correction(self, belief: Belief, shallower: npt.NDArray[np.int64], error: Array) -> None:
         """Add the correction of one ping to the drift test.
 
         Parameters
         ----------
         belief : state estimate after the ping.
-        upper : (m,) grid point above each cell of the ping.
+        shallower : (m,) grid point above each cell of the ping.
         error : (n,) correction of the states.
         """
         if self.level(belief.t_ns) is NoiseLevel.FAST:
-            layout, slots = belief.layout, upper - belief.column.first
+            layout, slots = belief.layout, shallower - belief.column.first
             self._follow(belief, np.array([error[layout.north][slots].mean(), error[layout.east][slots].mean()]))
         else:
             self._drift = None

@@ -56,8 +56,8 @@ HEAVE_SD_MPS = 0.1
 class Alignment:
     """Initial alignment: collects messages until they determine a first belief."""
 
-    def __init__(self, suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None = None) -> None:
-        self._suite = suite
+    def __init__(self, sensor_config: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None = None) -> None:
+        self._sensor_config = sensor_config
         self._config = config
         self._prior = prior
         self._fix: GnssFix | None = None
@@ -146,7 +146,7 @@ class Alignment:
             total += dt * (C @ rotation_exp(0.5 * turn) @ np.array(sample.specific_force_mps2))
             C = C @ rotation_exp(turn)
             seconds += dt
-        return total / seconds, self._suite.imu.velocity_random_walk_mps_per_rts**2 / seconds
+        return total / seconds, self._sensor_config.imu.velocity_random_walk_mps_per_rts**2 / seconds
 
     def belief(self) -> tuple[Belief, list[ImuSample | Measurement]]:
         """Return the belief at t0 and the later messages, which the caller applies to it in order.
@@ -159,8 +159,8 @@ class Alignment:
         fix, heading, depth = self._fix, self._heading, self._depth
         if fix is None or heading is None or depth is None:
             raise RuntimeError(f"cannot align: waiting for {self.waiting_for}")
-        suite = self._suite
-        layout = Layout.of(suite, self._config)
+        sensor_config = self._sensor_config
+        layout = Layout.of(sensor_config, self._config)
         belief = Belief.blank(layout, fix.t_ns)
         P = belief.P
 
@@ -169,41 +169,45 @@ class Alignment:
         belief.R = rotation(math.atan2(-f[1], -f[2]), pitch, heading.heading_rad)
 
         T = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / GRAVITY_MPS2
-        bias = suite.imu.accelerometer_bias_sd_mps2**2
+        bias = sensor_config.imu.accelerometer_bias_sd_mps2**2
         other = white + self._config.afloat_acceleration_sd_mps2**2
         P[ATTITUDE, ATTITUDE] = (bias + other) * T @ T.T
         P[ATTITUDE, ACCELEROMETER_BIAS] = bias * T @ belief.R
         P[ACCELEROMETER_BIAS, ATTITUDE] = P[ATTITUDE, ACCELEROMETER_BIAS].T
         P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = bias * np.eye(3)
-        P[GYRO_BIAS, GYRO_BIAS] = suite.imu.gyro_bias_sd_radps**2 * np.eye(3)
+        P[GYRO_BIAS, GYRO_BIAS] = sensor_config.imu.gyro_bias_sd_radps**2 * np.eye(3)
 
         down = ATTITUDE.stop - 1
-        compass_bias = suite.compass.bias_sd_rad**2
-        P[down, down] = suite.compass.heading_sd_rad**2 + compass_bias
+        compass_bias = sensor_config.compass.bias_sd_rad**2
+        P[down, down] = sensor_config.compass.heading_sd_rad**2 + compass_bias
         P[layout.compass_bias, layout.compass_bias] = compass_bias
         P[down, layout.compass_bias] = -compass_bias
         P[layout.compass_bias, down] = -compass_bias
 
-        speed_sd = 0.0 if suite.lbl is None else suite.lbl.sound_speed_sd_mps / suite.lbl.sound_speed_mps
+        speed_sd = (
+            0.0
+            if sensor_config.lbl is None
+            else sensor_config.lbl.sound_speed_sd_mps / sensor_config.lbl.sound_speed_mps
+        )
         for states, sd in (
-            (layout.beam_bias, suite.adcp.beam_bias_sd_mps),
-            (layout.near_bias, suite.adcp.near_bias_sd_mps),
-            (layout.mounting, suite.adcp.mounting_known_to_rad),
+            (layout.beam_bias, sensor_config.adcp.beam_bias_sd_mps),
+            (layout.near_bias, sensor_config.adcp.near_bias_sd_mps),
+            (layout.mounting, sensor_config.adcp.mounting_known_to_rad),
             (layout.sound_speed, speed_sd),
         ):
             P[states, states] = sd**2 * np.eye(states.stop - states.start)
-        belief.mounting = rotation(*suite.adcp.mounting_rad)
+        belief.mounting = rotation(*sensor_config.adcp.mounting_rad)
         self._place(belief, fix, depth)
         current_model.write_prior(belief, self._config, self._prior)
-        belief.clone_position(suite.gnss.lever_arm_m)
+        belief.clone_position(sensor_config.gnss.lever_arm_m)
         return belief, self._after_fix()
 
     def _place(self, belief: Belief, fix: GnssFix, depth: PressureDepth) -> None:
         """Set position and velocity of the origin with their covariance; attitude and gyro bias are already set."""
-        suite, x, P = self._suite, belief.x, belief.P
-        antenna = lever_arm.point(belief, suite.gnss.lever_arm_m)
-        gauge = lever_arm.point(belief, suite.pressure.lever_arm_m)
-        swing = lever_arm.swing(belief, suite.gnss.lever_arm_m, self._samples()[0].angular_rate_radps)
+        sensor_config, x, P = self._sensor_config, belief.x, belief.P
+        antenna = lever_arm.point(belief, sensor_config.gnss.lever_arm_m)
+        gauge = lever_arm.point(belief, sensor_config.pressure.lever_arm_m)
+        swing = lever_arm.swing(belief, sensor_config.gnss.lever_arm_m, self._samples()[0].angular_rate_radps)
         x[POSITION] = fix.north_m, fix.east_m, depth.depth_m
         x[POSITION] -= [*antenna.offset[:2], gauge.offset[2]]
         x[VELOCITY] = fix.velocity_north_mps, fix.velocity_east_mps, 0.0
@@ -213,8 +217,8 @@ class Alignment:
         J[:2, :3], J[2, :3] = antenna.by_attitude[:2], gauge.by_attitude[2]
         J[3:5, :3], J[3:5, 3:] = swing.by_attitude[:2], swing.by_gyro_bias[:2]
         own, angular = slice(POSITION.start, VELOCITY.stop), slice(ATTITUDE.start, GYRO_BIAS.stop)
-        sd = [suite.gnss.position_sd_m] * 2 + [suite.pressure.depth_sd_m]
-        sd += [suite.gnss.velocity_sd_mps] * 2 + [HEAVE_SD_MPS]
+        sd = [sensor_config.gnss.position_sd_m] * 2 + [sensor_config.pressure.depth_sd_m]
+        sd += [sensor_config.gnss.velocity_sd_mps] * 2 + [HEAVE_SD_MPS]
         rows = -J @ P[angular, :]
         P[own, :] = rows
         P[:, own] = rows.T

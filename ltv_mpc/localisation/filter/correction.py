@@ -184,7 +184,11 @@ def _mirror(P: Array, a: Array, b: Array) -> None:
 
 @jit
 def _whiten_few(P: Array, E: Array, rows: Rows, gate: float, deweight_limit: float) -> tuple[Correction, WhitenedRows]:
-    """Gate and whiten at most ``_FEW`` rows without library calls; rows beyond the gate are de-weighted."""
+    """Gate and whiten at most ``_FEW`` rows without library calls.
+
+    Rows beyond the gate are de-weighted if their squared innovation is at most ``deweight_limit``; all others are
+    rejected.
+    """
     z, m, n = rows.residual, len(rows.residual), P.shape[0]
     H = sparse_rows(rows.state, rows.partial)
     HP, HE = project(H, P), project(H, E)

@@ -88,23 +88,23 @@ class ErrorStateFilter:
 
     Parameters
     ----------
-    sensors : settings of the sensors.
+    sensor_config : settings of the sensors.
     config : settings of the estimator.
     belief : first estimate.
     adapts_from_ns : the process noise of the water adapts from this time on; None: from the time of ``belief``.
     """
 
     def __init__(
-        self, sensors: SensorConfig, config: EstimatorConfig, belief: Belief, *, adapts_from_ns: int | None = None
+        self, sensor_config: SensorConfig, config: EstimatorConfig, belief: Belief, *, adapts_from_ns: int | None = None
     ) -> None:
         self.account: Counter[str] = Counter()  # scalar measurements by "<sensor>.<outcome>"
         self.observers: list[Callable[[Innovations], None]] = []  # called once for every message
-        self._sensors = sensors
+        self._sensor_config = sensor_config
         self._config = config
         self._gate = float(chdtri(1, 1.0 - config.gate_probability))  # quantile of chi-square, 1 degree of freedom
-        self._reach_m = reach_m(sensors.adcp)
-        self._noise = imu_noise(sensors.imu)
-        self._earth = earth_rate(sensors.latitude_rad) if sensors.imu.senses_earth_rate else np.zeros(3)
+        self._reach_m = reach_m(sensor_config.adcp)
+        self._noise = imu_noise(sensor_config.imu)
+        self._earth = earth_rate(sensor_config.latitude_rad) if sensor_config.imu.senses_earth_rate else np.zeros(3)
         from_ns = belief.t_ns if adapts_from_ns is None else adapts_from_ns
         self._state = FilterState(belief=belief, process_noise=AdaptiveProcessNoise(config.cell_m, from_ns))
         if config.adapts_to_water:
@@ -128,7 +128,7 @@ class ErrorStateFilter:
     @property
     def angular_rate_variance(self) -> float:
         """Variance of one axis of the bias-free angular rate (rad2/s2): the angle random walk over one sample."""
-        imu = self._sensors.imu
+        imu = self._sensor_config.imu
         return imu.angle_random_walk_rad_per_rts**2 / (imu.period_ns * 1e-9)
 
     @property
@@ -148,7 +148,7 @@ class ErrorStateFilter:
         if state.clones_position:
             state.clones_position = False
             self.propagate_covariance()
-            belief.clone_position(self._sensors.gnss.lever_arm_m)
+            belief.clone_position(self._sensor_config.gnss.lever_arm_m)
         gap_ns = imu_dropout.gap_before_ns(sample, belief.t_ns)
         if state.coasted_ns and gap_ns <= imu_dropout.MAX_BRIDGED_NS:
             if state.coasted_ns >= imu_dropout.MIN_LEVELLED_NS:
@@ -222,7 +222,9 @@ class ErrorStateFilter:
             float(down @ (np.array(rate) - belief.x[GYRO_BIAS]))
             for rate in (state.angular_rate_radps, sample.angular_rate_radps)
         ]
-        imu_dropout.coast(belief.x, belief.R, state.Phi, state.Q, seconds, gap_s, 0.5 * sum(turns), self._sensors.imu)
+        imu_dropout.coast(
+            belief.x, belief.R, state.Phi, state.Q, seconds, gap_s, 0.5 * sum(turns), self._sensor_config.imu
+        )
         state.pending_ns += t_ns - belief.t_ns
         state.coasted_ns += t_ns - belief.t_ns
         belief.t_ns = t_ns
@@ -250,12 +252,12 @@ class ErrorStateFilter:
         propagate(P, E, state.Phi, state.Q)
         bias = belief.layout.compass_bias
         if bias.stop > bias.start:
-            keep = math.exp(-dt / self._sensors.compass.bias_tau_s)
+            keep = math.exp(-dt / self._sensor_config.compass.bias_tau_s)
             belief.x[bias] *= keep
             E[bias] *= keep
             P[bias, :] *= keep
             P[:, bias] *= keep
-            P[bias, bias] += self._sensors.compass.bias_sd_rad**2 * (1.0 - keep * keep)
+            P[bias, bias] += self._sensor_config.compass.bias_sd_rad**2 * (1.0 - keep * keep)
         current_model.add_random_walk(belief, self._config, dt)
         state.process_noise.propagate(belief, dt)
         state.pending_ns = 0
@@ -287,13 +289,13 @@ class ErrorStateFilter:
         self.propagate_covariance()
         belief, sensor = self.belief, BY_MESSAGE[type(message)]
         move_window(belief, *self._reach_m, self._config.cell_m)
-        settings = getattr(self._sensors, sensor.name)
+        settings = getattr(self._sensor_config, sensor.name)
         if settings is None or sensor.linearise is None:
-            self.account[f"{sensor.name}.not_fitted"] += sensor.scalars
+            self.account[f"{sensor.name}.not_fitted"] += sensor.scalars_per_message
             return
         if isinstance(message, AdcpPing):
             self.process_noise.start_ping(belief)
-        context = Context(self._sensors, self._config.cell_m, self.angular_rate_radps)
+        context = Context(self._sensor_config, self._config.cell_m, self.angular_rate_radps)
         linearised = sensor.linearise(belief, message, settings, context)
         correction = self._use(sensor, linearised)
         if correction is not None and isinstance(linearised, LinearisedPing) and isinstance(message, AdcpPing):

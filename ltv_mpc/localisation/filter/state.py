@@ -67,12 +67,12 @@ class Layout:
     size: int  # number of states n
 
     @classmethod
-    def of(cls, suite: SensorConfig, config: EstimatorConfig) -> Layout:
+    def of(cls, sensor_config: SensorConfig, config: EstimatorConfig) -> Layout:
         """Return the layout for a sensor configuration. A bias of standard deviation 0 gets no state.
 
         Parameters
         ----------
-        suite : sensors of the vehicle.
+        sensor_config : sensors of the vehicle.
         config : depth grid (``deepest_m``, ``cell_m``) and depth kept in the state above the vehicle (``kept_m``).
 
         Returns
@@ -86,7 +86,7 @@ class Layout:
             start, end = end, end + count
             return slice(start, end)
 
-        adcp = suite.adcp
+        adcp = sensor_config.adcp
         nodes = len(grid(config))
         above_m, below_m = reach_m(adcp)
         cells = min(nodes, math.ceil((config.kept_m + above_m + below_m) / config.cell_m) + 3)
@@ -94,8 +94,8 @@ class Layout:
         beam_bias = take(4 if adcp.beam_bias_sd_mps > 0 else 0)
         near_bias = take(4 if adcp.near_bias_sd_mps > 0 else 0)
         mounting = take(3 if adcp.mounting_known_to_rad > 0 else 0)
-        compass_bias = take(1 if suite.compass.bias_sd_rad > 0 else 0)
-        sound_speed = take(1 if suite.lbl is not None and suite.lbl.sound_speed_sd_mps > 0 else 0)
+        compass_bias = take(1 if sensor_config.compass.bias_sd_rad > 0 else 0)
+        sound_speed = take(1 if sensor_config.lbl is not None and sensor_config.lbl.sound_speed_sd_mps > 0 else 0)
         mean = take(2)
         north, east = take(cells), take(cells)
         return cls(

@@ -55,7 +55,7 @@ def run_start(
     start: int,
     offered_fixes: int,
 ) -> StartResult | None:
-    """Run the filter over one window; return None if the dive ends earlier or the true displacement is unknown.
+    """Run the filter over one window; return None if the dive ends before the window does, or without a truth.
 
     Parameters
     ----------

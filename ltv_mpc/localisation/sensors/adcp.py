@@ -63,7 +63,7 @@ class Adcp(SensorSettings, frozen=True, kw_only=True):
 class LinearisedPing(Linearised):
     """Rows of a ping, and the grid points of the water that they lie between. The index is beam x cells + cell."""
 
-    grid_points: Indices  # (m,), in the whole grid, the upper one of each row's two
+    grid_points: Indices  # (m,), in the whole grid, the shallower of each row's two
 
     @property
     def beams(self) -> Array:
@@ -106,7 +106,7 @@ class _Buffers(NamedTuple):
     partial: Array
     residual: Array
     cell: Indices
-    upper: Indices
+    shallower: Indices  # the shallower of the two grid points that the cell lies between
 
 
 def beam_directions(beam_angle_rad: float) -> Array:
@@ -170,7 +170,7 @@ def _fill(
             _fill_mounting(R, d, g * ranges[j], relative, by_mounting, states.mounting, state, partial)
             out.residual[m] = z[i, j] - expected
             out.cell[m] = i * ranges.shape[0] + j
-            out.upper[m] = grid.first + k
+            out.shallower[m] = grid.first + k
             m += 1
     return m, without_return, outside
 
@@ -226,7 +226,7 @@ def linearise(belief: Belief, ping: AdcpPing, adcp: Adcp, context: Context) -> L
         partial=np.empty((z.size, _WIDTH)),
         residual=np.empty(z.size),
         cell=np.empty(z.size, dtype=np.int64),
-        upper=np.empty(z.size, dtype=np.int64),
+        shallower=np.empty(z.size, dtype=np.int64),
     )
     geometry = _Geometry(
         R=belief.R,
@@ -244,7 +244,7 @@ def linearise(belief: Belief, ping: AdcpPing, adcp: Adcp, context: Context) -> L
         rows=Rows(out.state[:m], out.partial[:m], out.residual[:m], variance),
         indices=out.cell[:m],
         unused={"no_return": without_return, "outside_grid": outside},
-        grid_points=out.upper[:m],
+        grid_points=out.shallower[:m],
     )
 
 
@@ -269,7 +269,7 @@ ADCP = Sensor(
     name="adcp",
     message=AdcpPing,
     settings=Adcp,
-    scalars=4,
+    scalars_per_message=4,
     at_rest=_at_rest,
     linearise=linearise,
     is_essential=True,

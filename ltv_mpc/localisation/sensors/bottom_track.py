@@ -47,7 +47,7 @@ def linearise(belief: Belief, ping: BottomTrack, tracking: BottomTracking, conte
     -------
     One row a beam that has found the bottom; the index of a row is its beam.
     """
-    adcp = context.sensors.adcp
+    adcp = context.sensor_config.adcp
     found = np.flatnonzero(~np.isnan(ping.beam_velocity_mps))
     b = beam_directions(adcp.beam_angle_rad)[found] @ belief.mounting.T
     u = b @ belief.R.T
@@ -80,7 +80,7 @@ BOTTOM_TRACK = Sensor(
     name="bottom_track",
     message=BottomTrack,
     settings=BottomTracking,
-    scalars=4,
+    scalars_per_message=4,
     at_rest=lambda t_ns, _: BottomTrack(t_ns=t_ns, range_m=np.ones(4), beam_velocity_mps=np.zeros(4)),
     linearise=linearise,
     is_essential=True,

@@ -75,7 +75,7 @@ COMPASS = Sensor(
     name="compass",
     message=CompassHeading,
     settings=Compass,
-    scalars=1,
+    scalars_per_message=1,
     at_rest=lambda t_ns, _: CompassHeading(t_ns=t_ns, heading_rad=0.0),
     linearise=_linearise,
 )

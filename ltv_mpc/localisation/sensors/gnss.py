@@ -71,7 +71,7 @@ GNSS = Sensor(
     name="gnss",
     message=GnssFix,
     settings=Gnss,
-    scalars=4,
+    scalars_per_message=4,
     at_rest=lambda t_ns, _: GnssFix(
         t_ns=t_ns, north_m=0.0, east_m=0.0, velocity_north_mps=0.0, velocity_east_mps=1e-15 * t_ns
     ),

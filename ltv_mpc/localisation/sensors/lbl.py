@@ -98,7 +98,7 @@ LBL = Sensor(
     name="lbl",
     message=LblRange,
     settings=Lbl,
-    scalars=1,
+    scalars_per_message=1,
     at_rest=lambda t_ns, _: LblRange(t_ns=t_ns, transponder=0, travel_time_s=1.0),
     linearise=_linearise,
     availability=Availability.INTERMITTENT,

@@ -61,7 +61,7 @@ PRESSURE = Sensor(
     name="pressure",
     message=PressureDepth,
     settings=Pressure,
-    scalars=1,
+    scalars_per_message=1,
     at_rest=lambda t_ns, _: PressureDepth(t_ns=t_ns, depth_m=0.0),
     linearise=_linearise,
     is_essential=True,

@@ -48,7 +48,7 @@ class Availability(enum.Enum):
 class Context(NamedTuple):
     """Quantities that a measurement model may use in addition to the belief, the message and its own settings."""
 
-    sensors: SensorConfig  # settings of all sensors
+    sensor_config: SensorConfig  # settings of all sensors
     cell_m: float  # spacing of the grid points of the water (m)
     rate: Triple  # angular rate that the inertial unit measured last, bias included (rad/s, body)
 
@@ -61,8 +61,8 @@ class Sensor(Generic[M, S]):
     """In the sensors file, in the account and in reports."""
     message: type[M]
     settings: type[S]
-    scalars: int
-    """Number of scalar measurements that the account counts for a message if the vehicle does not have the sensor."""
+    scalars_per_message: int
+    """Scalar measurements in a message. The account counts them as not fitted if the vehicle lacks the sensor."""
     at_rest: Callable[[int, S], M]
     """Message of a given time (ns) from a vehicle at rest at the origin, for the warm-up of compiled code. Messages
     of different times differ in their ``reading``."""

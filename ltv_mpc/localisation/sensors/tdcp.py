@@ -54,14 +54,14 @@ def rows(belief: Belief, fix: TdcpFix, tdcp: Tdcp, antenna_m: Triple) -> Rows:
 def _linearise(belief: Belief, fix: TdcpFix, tdcp: Tdcp, context: Context) -> Linearised:
     if fix.from_t_ns != belief.epoch_t_ns:
         return unusable("other_epoch", 2)
-    return Linearised(rows=rows(belief, fix, tdcp, context.sensors.gnss.lever_arm_m))
+    return Linearised(rows=rows(belief, fix, tdcp, context.sensor_config.gnss.lever_arm_m))
 
 
 TDCP = Sensor(
     name="tdcp",
     message=TdcpFix,
     settings=Tdcp,
-    scalars=2,
+    scalars_per_message=2,
     at_rest=lambda t_ns, tdcp: TdcpFix(t_ns=t_ns, from_t_ns=t_ns - tdcp.period_ns, north_m=0.0, east_m=1e-15 * t_ns),
     linearise=_linearise,
     availability=Availability.SURFACE,

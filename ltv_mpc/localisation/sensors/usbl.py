@@ -68,7 +68,7 @@ USBL = Sensor(
     name="usbl",
     message=UsblFix,
     settings=Usbl,
-    scalars=2,
+    scalars_per_message=2,
     at_rest=lambda t_ns, _: UsblFix(t_ns=t_ns, north_m=0.0, east_m=0.0),
     linearise=_linearise,
     availability=Availability.INTERMITTENT,

@@ -112,14 +112,14 @@ class WaterColumn:
         seen = np.zeros(nodes, dtype=bool)
         return cls(prior=NodePrior.certain(nodes), first=0, observed=seen, dropped={}, walked=0.0)
 
-    def mark_observed(self, upper: npt.NDArray[np.int64]) -> None:
+    def mark_observed(self, shallower: npt.NDArray[np.int64]) -> None:
         """Mark these grid points (m,) and the next below each as observed.
 
         Parameters
         ----------
-        upper : (m,) indices of grid points.
+        shallower : (m,) indices of grid points.
         """
-        self.observed[upper] = self.observed[upper + 1] = True
+        self.observed[shallower] = self.observed[shallower + 1] = True
 
     def copy(self) -> WaterColumn:
         """Return an independent copy."""

@@ -1,7 +1,7 @@
 """Fault injection in processes: a run of ``ltv-mpc sim`` whose processes are attacked.
 
-Runs go at twice real time. This process attacks the run when the run's clock reaches the time of a fault; the run does
-not know of it.
+Runs go at twice real time. This process attacks the run's processes when the run's clock reaches the time of a fault.
+The run receives no notice of it.
 """
 
 from __future__ import annotations
@@ -30,16 +30,19 @@ from services.tools.faults.lockstep_runs import SCENARIO
 from services.tools.faults.subprocess_tools import Process, Started
 
 SPEED = 2.0
+"""Vehicle seconds per wall second."""
+
 START_S = 90.0
 """Longest wait for the start of a run, on a machine with other load."""
 
 POLL_S = 0.02
+"""Time between two looks at the run's clock and process (s)."""
+
 END_S = 30.0
 """Longest wall time from a run's end to the exit of its processes."""
 
-
 LAST_LINES, MAX_TEXT = 4, 500
-"""Number of the last log lines that are kept, and their largest length (characters)."""
+"""Number of last log lines in a result, and the largest length of their text (characters)."""
 
 
 class Injected(NamedTuple):
@@ -55,7 +58,7 @@ class Ended(NamedTuple):
     """Result of a run of processes: folder, exit code, last log lines, and the injected faults."""
 
     folder: Path
-    code: int | None  # None: it had to be ended
+    code: int | None  # None: the run did not end in time and was ended
     output: str
     injected: list[Injected]
 
@@ -119,6 +122,7 @@ def _end_of(process: Process, run: Run) -> int | None:
 
 
 def _attack(faults: Sequence[Fault], process: Process, folder: Path) -> list[Injected]:
+    """Inject the faults one after another; return those that were due before the run ended."""
     injected: list[Injected] = []
     with ExitStack() as sessions:
         if (clock := _clock_of(process, folder, sessions)) is None:

@@ -134,7 +134,7 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
     low, high = band(drift.size)
     return Result(
         scenario=first.name,
-        sensors=first.suite.name,
+        sensors=first.sensor_config.name,
         surface_time_s=first.scenario.run.surface_time_s,
         runs=len(records),
         first_seed=first.scenario.run.seed,

@@ -157,7 +157,7 @@ class ObservedGridPoints:
     """Grid points of the current that a beam has measured so far."""
 
     def __init__(self, run_config: RunConfig, sensors: Sensors) -> None:
-        config, adcp = run_config.scenario.estimator, run_config.suite.adcp
+        config, adcp = run_config.scenario.estimator, run_config.sensor_config.adcp
         self.mask = np.zeros(len(grid(config)), dtype=bool)
         self._cell_m = config.cell_m
         self._beams = beams(adcp.beam_angle_rad) @ _the(Profiler, sensors.sensors).mounting.T
@@ -209,8 +209,8 @@ class InnovationLog:
 class ErrorLog:
     """Errors of the estimates, and checks of the covariance at whole seconds."""
 
-    def __init__(self, suite: SensorConfig) -> None:
-        self._suite = suite
+    def __init__(self, sensor_config: SensorConfig) -> None:
+        self._sensor_config = sensor_config
         self.error: dict[int, Array] = {}  # position and velocity, (4,), estimated minus true, by time
         self.nees = SquaresLog()
         self.velocity_m2ps2 = np.full(2, np.nan)  # reported variance at t = 0
@@ -229,7 +229,7 @@ class ErrorLog:
             self.nees.add(name, t_ns, square, dof)
         if t_ns == 0:
             self.velocity_m2ps2 = np.diagonal(P)[VELOCITY][:2].copy()
-            self.drawn = drawn(true, self._suite)
+            self.drawn = drawn(true, self._sensor_config)
         self.asymmetry = max(self.asymmetry, float(np.abs(P - P.T).max()))
         if t_ns % EIGENVALUE_NS == 0:
             self.min_eigenvalue = min(self.min_eigenvalue, float(np.linalg.eigvalsh(P)[0]))
@@ -249,7 +249,7 @@ class Probe:
         self.true_states = TrueStates(run_config, sensors)
         self.observed = ObservedGridPoints(run_config, sensors)
         self._innovations = InnovationLog(sensors)
-        self._errors = ErrorLog(run_config.suite)
+        self._errors = ErrorLog(run_config.sensor_config)
         self._track: list[Truth] = []
         self._filter: ErrorStateFilter | None = None  # observed now
         self._beliefs: dict[int, Belief] = {}  # not compared with the truth yet
@@ -325,7 +325,7 @@ class Probe:
             raise ConfigError(f"scenario {run_config.name}", "[run] surface_time_s", problem, value=value)
         end_ns = max(errors.error)
         limit = bound(
-            run_config.suite,
+            run_config.sensor_config,
             run_config.scenario.estimator,
             self._trajectory(),
             at_s=[0.0, end_ns * 1e-9],

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from ltv_mpc.localisation.recorded_dive.study import StartResult
+from ltv_mpc.localisation.recorded_dive.study import MAX_START_DEPTH_M, MIN_START_DEPTH_M, WINDOW_S, StartResult
 from services.tools.localise.dive_result import LocalisationResult, StudyRow
+
+_STARTS = f"between {MIN_START_DEPTH_M:g} and {MAX_START_DEPTH_M:g} m"
 
 
 def text(result: LocalisationResult) -> str:
@@ -33,7 +35,7 @@ def text(result: LocalisationResult) -> str:
 
 def _error_text(e: StartResult | None) -> str:
     if e is None:
-        return "no bottom track to compare with 300 s after the start"
+        return f"no bottom track to compare with {WINDOW_S:g} s after the start"
     where = "inside" if e.inside_3_sigma else "OUTSIDE"
     return (
         f"{e.error_m:.1f} m against bottom track after {e.after_s:.0f} s, sigma {e.sigma_m:.1f} m, {where} 3 sigma;"
@@ -43,10 +45,10 @@ def _error_text(e: StartResult | None) -> str:
 
 def _study_text(s: StudyRow | None) -> str:
     if s is None:
-        return "no start between 2 and 14 m with bottom track 300 s later"
+        return f"no start {_STARTS} with bottom track {WINDOW_S:g} s later"
     return (
-        f"{s.starts} starts between 2 and 14 m: median {s.median_error_m:.1f} m after 300 s,"
-        f" constant velocity {_metres(s.median_constant_velocity_error_m)},{_ratio(s)}"
+        f"{s.starts} starts {_STARTS}: median {s.median_error_m:.1f} m after {WINDOW_S:g} s,"
+        f" constant velocity {_metres(s.median_constant_velocity_error_m)},{_ratio_text(s)}"
         f" inside 3 sigma {100 * s.inside_3_sigma:.0f} %"
     )
 
@@ -55,5 +57,5 @@ def _metres(distance_m: float | None) -> str:
     return "unknown" if distance_m is None else f"{distance_m:.1f} m"
 
 
-def _ratio(s: StudyRow) -> str:
+def _ratio_text(s: StudyRow) -> str:
     return "" if s.ratio is None else f" ratio {s.ratio:.2f},"

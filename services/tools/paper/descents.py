@@ -1,7 +1,7 @@
 """Simulated descents of the paper's comparison.
 
-One seed is recorded for the figures and runs with localisation. Many seeds are averaged for a table and run with the
-state known (``PERFECT_STATE``), which shows the controller alone.
+For the figures, one seed runs with localisation and is recorded. For a table, many seeds run with the true state
+(``PERFECT_STATE``) and are averaged: this shows the controller alone.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SURFACE_S = 30.0
 """Time at the surface before a recorded descent (s): thirty TDCP fixes, one a second."""
 
 FUTURE_TABLES = ("horizon", "ahead")
-"""Plotted tables of the newest plan's prediction, which the figures of a finished run do not show."""
+"""Plotted tables of the newest plan's prediction. The figures of a finished run do not show them."""
 
 
 class RecordedDescent(NamedTuple):

@@ -1,8 +1,8 @@
 """Interleaved measurement of solvers: each cycle of a closed loop is solved by every candidate, in random order.
 
-One controller drives the loop. Before each cycle every candidate is handed the driver's memory, so that prediction,
-guess and linearisation are the same for all; warm starts are each solver's own. So all have the same problems under the
-same load of the machine, and their ratios mean something where single figures do not.
+One controller drives the loop. Before each cycle every candidate receives the driver's state, so that prediction,
+guess and linearisation are the same for all; warm starts are each solver's own. So all solve the same problems
+under the same load of the machine. Their ratios can be compared, where single times cannot.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ EXACT = 1e-10
 """Absolute tolerance of the solution that thrusts are compared with: four orders below what is compared."""
 
 
-class Contestant(Protocol):
+class Candidate(Protocol):
     """Solver to be measured."""
 
     def config(self, episode: Episode) -> ControllerConfig:
@@ -92,11 +92,11 @@ class Piqp(NamedTuple):
 
 
 def controller_of(
-    contestant: Contestant, episode: Episode, *, make_solver: SolverFactory, stopwatch: Stopwatch = no_stopwatch
+    candidate: Candidate, episode: Episode, *, make_solver: SolverFactory, stopwatch: Stopwatch = no_stopwatch
 ) -> Controller:
     """Return a new controller for an episode. Raises ``ConfigError`` if the settings name an unknown solver."""
     return Controller(
-        episode.vehicle, episode.reference, contestant.config(episode), make_solver=make_solver, stopwatch=stopwatch
+        episode.vehicle, episode.reference, candidate.config(episode), make_solver=make_solver, stopwatch=stopwatch
     )
 
 
@@ -119,7 +119,7 @@ class Samples:
 
 def measure(
     episodes: Sequence[Episode],
-    contestants: Sequence[Contestant],
+    candidates: Sequence[Candidate],
     *,
     warm_up: Episode,
     order: random.Random,
@@ -127,22 +127,22 @@ def measure(
 ) -> list[Samples]:
     """Measure each candidate over all episodes of one horizon; ``progress`` is called after each cycle."""
     stages = warm_up.config.stages
-    _run(warm_up, contestants, [Samples(stages) for _ in contestants], order, lambda: None)
-    samples = [Samples(stages) for _ in contestants]
+    _run(warm_up, candidates, [Samples(stages) for _ in candidates], order, lambda: None)
+    samples = [Samples(stages) for _ in candidates]
     for episode in episodes:
-        _run(episode, contestants, samples, order, progress)
+        _run(episode, candidates, samples, order, progress)
     return samples
 
 
 def _run(
     episode: Episode,
-    contestants: Sequence[Contestant],
+    candidates: Sequence[Candidate],
     samples: Sequence[Samples],
     order: random.Random,
     progress: Callable[[], None],
 ) -> None:
-    candidates = [_Candidate(who, episode, into) for who, into in zip(contestants, samples, strict=True)]
-    bench = _Bench(episode, candidates, order, progress)
+    controllers = [_MeasuredController(who, episode, into) for who, into in zip(candidates, samples, strict=True)]
+    bench = _Bench(episode, controllers, order, progress)
     with _collections_held_back():
         episode.feed(bench, lambda: bench.measured >= episode.cycles)
 
@@ -164,11 +164,15 @@ class _Bench(ControllerNode):
     """Node in the controller's place: it publishes the driver's plans and measures the candidates."""
 
     def __init__(
-        self, episode: Episode, candidates: Sequence[_Candidate], order: random.Random, progress: Callable[[], None]
+        self,
+        episode: Episode,
+        controllers: Sequence[_MeasuredController],
+        order: random.Random,
+        progress: Callable[[], None],
     ) -> None:
         super().__init__(episode.vehicle, episode.reference, episode.config)
         self.measured = 0
-        self._candidates = candidates
+        self._controllers = controllers
         self._exact = _Exact(episode)
         self._order = order
         self._progress = progress
@@ -178,14 +182,14 @@ class _Bench(ControllerNode):
         """Run one cycle of every candidate and of the driver."""
         driver = self.controller
         plans = [
-            (candidate, candidate.plan(driver, estimate, t_ns))
-            for candidate in self._order.sample(self._candidates, len(self._candidates))
+            (controller, controller.plan(driver, estimate, t_ns))
+            for controller in self._order.sample(self._controllers, len(self._controllers))
         ]
         plan = driver.plan(estimate, t_ns=t_ns)
         if plan.solve.status is not SolveStatus.NOT_RUN:
             if self._begun:  # the first cycle starts from a crude guess
-                for candidate, its in plans:
-                    candidate.keep(its, self._exact)
+                for controller, measured_plan in plans:
+                    controller.keep(measured_plan, self._exact)
                 self.measured += 1
                 self._progress()
             self._begun = True
@@ -193,14 +197,14 @@ class _Bench(ControllerNode):
         return plan
 
 
-class _Candidate:
-    """Controller whose cycles are measured."""
+class _MeasuredController:
+    """Controller of one candidate, whose cycles are measured."""
 
-    def __init__(self, contestant: Contestant, episode: Episode, into: Samples) -> None:
+    def __init__(self, candidate: Candidate, episode: Episode, into: Samples) -> None:
         self.timer = StageTimer()
-        self._make_solver = contestant.solver_factory(episode)
+        self._make_solver = candidate.solver_factory(episode)
         self._recorded: RecordingSolver
-        self.controller = controller_of(contestant, episode, make_solver=self._make_recorded, stopwatch=self.timer)
+        self.controller = controller_of(candidate, episode, make_solver=self._make_recorded, stopwatch=self.timer)
         self._into = into
         self._cycle_us = 0.0
 

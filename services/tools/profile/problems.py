@@ -49,7 +49,7 @@ Feed = Callable[[Node, Callable[[], bool]], None]
 
 
 class Episode(NamedTuple):
-    """Closed loop to measure. ``config`` is common to all contestants; each brings its own solver."""
+    """Closed loop to measure. ``config`` is common to all candidates; each brings its own solver."""
 
     kind: str  # "descent", "unknown current", "hard", or the name of a recorded run
     vehicle: Vehicle

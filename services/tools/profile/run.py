@@ -121,7 +121,7 @@ def run(
     progress: Callable[[], None],
 ) -> Measured:
     """Measure PIQP and each solver on the episodes of each horizon. Raises ``ConfigError`` if no cycle was solved."""
-    contestants: tuple[Piqp | SolverByName, ...] = (YARDSTICK, RELAXED, *solvers)
+    candidates: tuple[Piqp | SolverByName, ...] = (YARDSTICK, RELAXED, *solvers)
     order = random.Random(seed)
     rows, samples = [], []
     load_before = load()
@@ -129,10 +129,10 @@ def run(
         stages = episodes[0].config.stages
         (warm_up,) = problems.simulated(stages, 1, seed)[:1]
         warm_up = warm_up._replace(cycles=WARM_UP)
-        measured = measure(episodes, contestants, warm_up=warm_up, order=order, progress=progress)
+        measured = measure(episodes, candidates, warm_up=warm_up, order=order, progress=progress)
         if not measured[0].cycle_us:
             raise ConfigError("option --run", "", "holds no cycle of the controller that was solved")
-        rows += _rows(contestants, measured)
+        rows += _rows(candidates, measured)
         samples += measured
     kinds = dict.fromkeys((episode.kind for episode in by_horizon[0]), 0)
     for episode in by_horizon[0]:
@@ -141,9 +141,9 @@ def run(
     return Measured(profile=profile, samples=samples)
 
 
-def _rows(contestants: Sequence[Piqp | SolverByName], measured: Sequence[Samples]) -> list[Row]:
-    yardstick = Spread.of(measured[contestants.index(YARDSTICK)].cycle_us)
-    return [_row(who.name, samples, yardstick) for who, samples in zip(contestants, measured, strict=True)]
+def _rows(candidates: Sequence[Piqp | SolverByName], measured: Sequence[Samples]) -> list[Row]:
+    yardstick = Spread.of(measured[candidates.index(YARDSTICK)].cycle_us)
+    return [_row(who.name, samples, yardstick) for who, samples in zip(candidates, measured, strict=True)]
 
 
 def _row(solver: str, samples: Samples, yardstick: Spread) -> Row:

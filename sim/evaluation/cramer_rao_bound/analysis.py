@@ -59,7 +59,7 @@ class Bound(NamedTuple):
 
 
 def bound(
-    suite: SensorConfig,
+    sensor_config: SensorConfig,
     config: EstimatorConfig,
     trajectory: Trajectory,
     *,
@@ -75,7 +75,7 @@ def bound(
 
     Parameters
     ----------
-    suite : sensors of the vehicle.
+    sensor_config : sensors of the vehicle.
     config : assumptions of the estimator about the water.
     trajectory : true motion, from ``-surface_time_s`` on.
     at_s : instants of the bound (s).
@@ -90,8 +90,8 @@ def bound(
     LinAlgError
         If the remaining sensors do not determine the errors.
     """
-    model = ErrorModel(suite, config, known)
-    events = schedule(suite, [*at_s, 0.0], surface_time_s, without)
+    model = ErrorModel(sensor_config, config, known)
+    events = schedule(sensor_config, [*at_s, 0.0], surface_time_s, without)
     if min(at_s) < events[0].t_s - TOGETHER_S:
         raise ValueError(
             f"the bound is undefined before the first satellite fix at {events[0].t_s:g} s: {min(at_s):g} s"

@@ -85,18 +85,18 @@ def at(trajectory: Trajectory, t_s: float) -> Instant:
 class ErrorModel:
     """Error model of a sensor configuration. ``size`` is n; ``free`` (n,) marks the errors that exist."""
 
-    def __init__(self, suite: SensorConfig, config: EstimatorConfig, known: Collection[str] = ()) -> None:
+    def __init__(self, sensor_config: SensorConfig, config: EstimatorConfig, known: Collection[str] = ()) -> None:
         """Set up the model; ``known`` are keys of ``NAMES``, ``KeyError`` for another."""
-        self._suite, self._config = suite, config
-        self._earth = earth_rate(suite.latitude_rad) if suite.imu.senses_earth_rate else np.zeros(3)
+        self._sensor_config, self._config = sensor_config, config
+        self._earth = earth_rate(sensor_config.latitude_rad) if sensor_config.imu.senses_earth_rate else np.zeros(3)
         self.nodes = math.ceil(config.deepest_m / config.cell_m - 1e-9) + 1
         self.size = WATER + 2 * self.nodes
-        imu, adcp = suite.imu, suite.adcp
+        imu, adcp = sensor_config.imu, sensor_config.adcp
         self._sd = np.zeros(self.size)
         for states, sd in (
             (GYRO_BIAS, imu.gyro_bias_sd_radps),
             (ACCELEROMETER_BIAS, imu.accelerometer_bias_sd_mps2),
-            (COMPASS_BIAS, suite.compass.bias_sd_rad),
+            (COMPASS_BIAS, sensor_config.compass.bias_sd_rad),
             (BEAM_BIAS, adcp.beam_bias_sd_mps),
             (NEAR_BIAS, adcp.near_bias_sd_mps),
             (MOUNTING, adcp.mounting_known_to_rad),
@@ -134,7 +134,7 @@ class ErrorModel:
 
     def growth(self, a: Instant, b: Instant, dt: float) -> tuple[Array, Array]:
         """Return Phi and Q of the moving errors from ``a`` to ``b`` over ``dt`` (s), (16, 16) each."""
-        imu, W = self._suite.imu, self._earth
+        imu, W = self._sensor_config.imu, self._earth
         R = 0.5 * (a.R + b.R)
         force = (b.v - a.v) / dt - gravity() + skew(W) @ (a.v + b.v)
         F, S = np.zeros((MOVING, MOVING)), np.zeros((MOVING, MOVING))
@@ -149,7 +149,7 @@ class ErrorModel:
         for states, tau in (
             (GYRO_BIAS, imu.gyro_bias_tau_s),
             (ACCELEROMETER_BIAS, imu.accelerometer_bias_tau_s),
-            (COMPASS_BIAS, self._suite.compass.bias_tau_s),
+            (COMPASS_BIAS, self._sensor_config.compass.bias_tau_s),
         ):
             i = np.arange(states.start, states.stop)
             F[i, i] = -1.0 / tau
@@ -164,7 +164,7 @@ class ErrorModel:
 
     def levelling(self, now: Instant) -> Array:
         """Return the rows of levelling without acceleration:  g z x phi - (R b_a)_h = n."""
-        white = self._suite.imu.velocity_random_walk_mps_per_rts**2 / LEVELLING_S
+        white = self._sensor_config.imu.velocity_random_walk_mps_per_rts**2 / LEVELLING_S
         h = self._rows(2)
         h[:, ATTITUDE] = skew(gravity())[:2]  # -(a x phi) with a = -g
         h[:, ACCELEROMETER_BIAS] = -now.R[:2]
@@ -174,23 +174,23 @@ class ErrorModel:
         """Return the rows of a satellite fix: antenna position p + R l, and velocity."""
         h = self._rows(4)
         h[:2, POSITION] = h[2:, VELOCITY] = np.eye(3)[:2]
-        h[:2, ATTITUDE] = -skew(now.R @ np.array(self._suite.gnss.lever_arm_m))[:2]
-        h[:2] /= self._suite.gnss.position_sd_m
-        h[2:] /= self._suite.gnss.velocity_sd_mps
+        h[:2, ATTITUDE] = -skew(now.R @ np.array(self._sensor_config.gnss.lever_arm_m))[:2]
+        h[:2] /= self._sensor_config.gnss.position_sd_m
+        h[2:] /= self._sensor_config.gnss.velocity_sd_mps
         return h
 
     def tdcp(self) -> Array:
         """Return the rows of TDCP: displacement p - p_epoch, without the lever arm of the antenna."""
         h = self._rows(2)
         h[:, POSITION], h[:, EPOCH] = np.eye(3)[:2], -np.eye(3)[:2]
-        return h / self._suite.tdcp.displacement_sd_m
+        return h / self._sensor_config.tdcp.displacement_sd_m
 
     def pressure(self, now: Instant, readings: int) -> Array:
         """Return the row of the gauge's depth, [p + R l]_d, for ``readings`` readings since the last instant."""
         h = self._rows(1)
         h[0, 2] = 1.0
-        h[0, ATTITUDE] = -skew(now.R @ np.array(self._suite.pressure.lever_arm_m))[2]
-        return h * math.sqrt(readings) / self._suite.pressure.depth_sd_m
+        h[0, ATTITUDE] = -skew(now.R @ np.array(self._sensor_config.pressure.lever_arm_m))[2]
+        return h * math.sqrt(readings) / self._sensor_config.pressure.depth_sd_m
 
     def compass(self, now: Instant) -> Array:
         """Return the row of the compass: sideways (phi x f) over the horizontal length of forward axis f, plus bias."""
@@ -199,7 +199,7 @@ class ErrorModel:
         h = self._rows(1)
         h[0, ATTITUDE] = skew(f) @ [-f[1], f[0], 0.0] / level  # (phi x f) . s = phi . (f x s)
         h[0, COMPASS_BIAS] = 1.0
-        return h / self._suite.compass.heading_sd_rad
+        return h / self._sensor_config.compass.heading_sd_rad
 
     def adcp(self, now: Instant, water: Array) -> Array:
         """Return the rows of one ping with ``water`` (K, 2) at the grid points.
@@ -207,7 +207,7 @@ class ErrorModel:
         The cell of beam k at range r measures  u . (c(z) - v) + bias,  u = R M e_k,  z = p_d + [R (l + r M e_k)]_d.
         The effect of the angular rate at the lever arm is left out: 0.1 mm/s for a mounting error of 0.3 deg.
         """
-        adcp, cell, r = self._suite.adcp, self._config.cell_m, self._range
+        adcp, cell, r = self._sensor_config.adcp, self._config.cell_m, self._range
         lever = np.array(adcp.lever_arm_m)
         blocks = []
         for k, b in enumerate(self._beams):

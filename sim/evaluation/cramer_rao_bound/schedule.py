@@ -22,21 +22,23 @@ class Events(NamedTuple):
     depths: int  # number of pressure readings
 
 
-def schedule(suite: SensorConfig, extra: Sequence[float], surface_s: float, without: Collection[str]) -> list[Events]:
+def schedule(
+    sensor_config: SensorConfig, extra: Sequence[float], surface_s: float, without: Collection[str]
+) -> list[Events]:
     """Return all instants from the first satellite fix to the last requested one.
 
     ``extra`` are the requested times (s), ``surface_s`` is the time at the surface before t = 0, and ``without`` are
     missing sensors. Pressure readings count at the nearest instant.
     """
     last = max(extra)
-    gnss_s = suite.gnss.period_ns * 1e-9
+    gnss_s = sensor_config.gnss.period_ns * 1e-9
     first = -math.floor(surface_s / gnss_s + 1e-9) * gnss_s
     due: list[tuple[float, str]] = [(t, "") for t in extra]
     for kind, period_ns, until in (
-        ("gnss", suite.gnss.period_ns, 0.0),
-        ("tdcp", suite.tdcp.period_ns, 0.0),
-        ("adcp", suite.adcp.period_ns, last),
-        ("compass", suite.compass.period_ns, last),
+        ("gnss", sensor_config.gnss.period_ns, 0.0),
+        ("tdcp", sensor_config.tdcp.period_ns, 0.0),
+        ("adcp", sensor_config.adcp.period_ns, last),
+        ("compass", sensor_config.compass.period_ns, last),
     ):
         h = period_ns * 1e-9
         if kind not in without:
@@ -50,7 +52,7 @@ def schedule(suite: SensorConfig, extra: Sequence[float], surface_s: float, with
     times = np.array([t for t, _ in groups])
     depths = np.zeros(len(times), dtype=int)
     if "pressure" not in without:
-        h = suite.pressure.period_ns * 1e-9
+        h = sensor_config.pressure.period_ns * 1e-9
         readings = h * np.arange(math.ceil(first / h - 1e-6), math.floor(last / h + 1e-6) + 1)
         nearest = np.searchsorted(0.5 * (times[1:] + times[:-1]), readings)
         np.add.at(depths, nearest, 1)

@@ -46,7 +46,7 @@ def descend(
         commands.add(plan)
         end = vehicle.state_at(estimate, estimate.t_ns + 300_000_000, commands)
         vehicle.add_report(applied(end))
-        controller.report(applied(end))
+        controller.add_report(applied(end))
         estimate = as_estimate(end, estimate)
         plans.append(plan)
         estimates.append(estimate)

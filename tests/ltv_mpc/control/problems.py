@@ -51,7 +51,7 @@ def unlike_any_motion(seed: int, stages: int) -> tuple[Linearisation, Array]:
     A[:, range(8), range(8)] = rng.uniform(0.3, 0.8, (stages, 8))
     A[:, range(2), range(2)] = 1.0
     for B in (B0, B1):
-        B /= LIMITS.scale
+        B /= LIMITS.thrust_scale
         B[:, 6, 1] = B[:, 7, 0] = 0.0
     X = rng.normal(size=(stages + 1, 8))
     U = rng.uniform(-40, 40, (stages + 1, 2))

@@ -112,7 +112,7 @@ def test_a_second_qp_a_cycle_holds_the_line_better(closed_loop):
     assert mean_error(2) < 0.95 * mean_error(1)
 
 
-def test_dead_time_is_compensated(closed_loop):
+def test_delay_is_compensated(closed_loop):
     """With plans that take effect 0.7 s later the error stays near that without delay."""
 
     def mean_error(delay_s: float) -> float:

@@ -59,7 +59,7 @@ def test_every_thruster_has_its_own_limits_and_is_scaled_by_its_larger_side():
     np.testing.assert_array_equal(limits.low, [-20.0, -60.0])
     np.testing.assert_array_equal(limits.high, [50.0, 30.0])
     np.testing.assert_allclose(limits.max_change, [12.0, 30.0])
-    np.testing.assert_array_equal(limits.scale, [50.0, 60.0])
+    np.testing.assert_array_equal(limits.thrust_scale, [50.0, 60.0])
 
 
 def test_a_start_outside_the_box_is_brought_in_at_the_slew_limit():

@@ -40,7 +40,7 @@ def form_of(limits: MotionLimits) -> SparseQp:
 
 def excesses(form: SparseQp, x: Array) -> Array:
     """(N, limited) of a solution."""
-    return x[form.variables - N * len(form.limits.limited) :].reshape(N, -1)
+    return x[form.variables - N * len(form.limits.limited_states) :].reshape(N, -1)
 
 
 def hard(form: SparseQp, qp: QP) -> Array | None:
@@ -138,8 +138,8 @@ def test_words_of_their_rows() -> None:
         f"{of} yaw rate at the end of stage 17" for of in ("upper limit of", "lower limit of", "excess of")
     ]
     assert len(names) == form_of(YAW).rows
-    assert form_of(MotionLimits()).limits.limited == ()
-    assert [form_of(limits).limits.limited for limits in (YAW, BOTH)] == [(5,), LIMITED_STATES]
+    assert form_of(MotionLimits()).limits.limited_states == ()
+    assert [form_of(limits).limits.limited_states for limits in (YAW, BOTH)] == [(5,), LIMITED_STATES]
 
 
 def test_the_exact_flow_is_judged_by_them_too() -> None:

@@ -1,4 +1,4 @@
-"""Dead time: prediction to the plan's start through the sent commands and the lag, and the expected delay."""
+"""Compensation of the delay: prediction to the plan's start by the sent commands and the lag; the expected delay."""
 
 from __future__ import annotations
 

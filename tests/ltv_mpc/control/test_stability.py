@@ -50,7 +50,7 @@ def aside(vehicle: Vehicle, horizon_s: float, cycles: int, off_m: float = 1e-4) 
     commands, motion = SentCommands(vehicle), Prediction(vehicle)
     applied, off = report(0, [*X[6:], 0.0]), []
     for _ in range(cycles):
-        controller.report(applied)
+        controller.add_report(applied)
         motion.add_report(applied)
         commands.correct(applied.t_ns, applied.command_N)
         plan = controller.plan(estimate)

@@ -62,7 +62,7 @@ def said(run_config: RunConfig) -> list[ReceivedMessage]:
 
 
 def estimator(run_config: RunConfig) -> Estimator:
-    return Estimator(run_config.suite, run_config.scenario.estimator, run_config.prior)
+    return Estimator(run_config.sensor_config, run_config.scenario.estimator, run_config.prior)
 
 
 def payload(signal: Message) -> bytes:

@@ -48,7 +48,7 @@ class Sea:
     def sail(self, seconds: float, *, until_alarm: bool = False, altered: Callable[[Estimate], Estimate] = lambda e: e):
         for _ in range(round(seconds / 0.1)):
             t = 0.1 * self.cycle
-            self.monitor.report(applied(self.cycle, self._thrust(t)))
+            self.monitor.add_report(applied(self.cycle, self._thrust(t)))
             if self.cycle % CYCLE == 0:
                 message = self.monitor.update(altered(self._estimate()))
                 if message is not None:
@@ -181,7 +181,7 @@ def test_without_reports_or_a_current_nothing_is_published(missing):
     sea = Sea()
     sea.share[:] = 0.3
     if missing == "reports":
-        sea.monitor.report = lambda _: None
+        sea.monitor.add_report = lambda _: None
     else:
         sea.current = None
     sea.sail(5.0)
@@ -269,5 +269,5 @@ def test_after_a_gap_the_window_starts_empty():
 
 def test_an_estimate_before_the_first_report_is_not_used():
     monitor = ModelMonitor(PAPER, 1e-3)
-    monitor.report(applied(50, (1.0, 1.0)))
+    monitor.add_report(applied(50, (1.0, 1.0)))
     assert monitor.update(msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=STILL)) is None

@@ -45,11 +45,11 @@ for k in range(60):
     if k == 40:
         estimate = msgspec.structs.replace(estimate, north_m=4.0, heading_rad=2.0)
     thrust = tuple(plan.thrust_at(estimate.t_ns))
-    controller.report(Applied(
+    controller.add_report(Applied(
         t_ns=estimate.t_ns, thrust_N=thrust, command_N=thrust, command_slew_N_per_s=(0.0, 0.0, 0.0), plan_epoch=1,
         plan_sequence=k, plan_cycle_t_ns=plan.cycle_t_ns, plan_received_t_ns=plan.cycle_t_ns + 10**7, plan_late=False,
         plans_late=0, plans_rejected=0))
-    controller.timing(CycleTiming(
+    controller.add_timing(CycleTiming(
         t_ns=plan.cycle_t_ns, compute_ns=10**7, compute_wall_ns=10**7, estimate_age_ns=0, stage_us={}))
 blind = msgspec.structs.replace(estimate, depth_m=None, velocity_down_mps=None, current=None)
 controller.plan(blind)

@@ -113,7 +113,7 @@ def test_a_run_is_found_by_its_folder_its_recording_or_as_the_latest() -> None:
     ("text", "wrong"),
     [
         ("latest", "no run below .*runs: name the folder of a run"),
-        ("empty", r"RUN empty: the folder holds no run\.mcap"),
+        ("empty", r"RUN empty: there is no run\.mcap in this folder"),
         ("nowhere", "RUN nowhere: no such folder or file"),
         ("a\0b", "cannot be read|no such folder or file"),
     ],

@@ -40,9 +40,9 @@ def test_sensors_upon_a_base_are_kept_resolved_so_that_the_base_may_change(mine:
     kept = tmp_path / "kept.toml"
     kept.write_text(here.files["config/sensors.toml"])
     assert "base" not in tomllib.loads(kept.read_text())
-    assert SensorConfig.load(str(kept)) == here.suite == SensorConfig.load(str(mine))
-    assert here.suite.pressure.depth_sd_m == 0.001
-    assert here.suite.imu == SensorConfig.load("realistic").imu
+    assert SensorConfig.load(str(kept)) == here.sensor_config == SensorConfig.load(str(mine))
+    assert here.sensor_config.pressure.depth_sd_m == 0.001
+    assert here.sensor_config.imu == SensorConfig.load("realistic").imu
 
 
 def test_sensors_that_stand_alone_are_kept_as_they_were_written(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_a_scenario_names_sensors_and_prior_from_its_own_folder(
     (tmp_path / "s.toml").write_text('title = "x"\nsensors = "mine.toml"\n[estimator]\nwater_prior = "known.csv"\n')
     monkeypatch.chdir("/")
     here = resolve(str(tmp_path / "s.toml"))
-    assert here.suite.name == "mine"
+    assert here.sensor_config.name == "mine"
     assert here.prior is not None
     assert here.prior.sd_mps.tolist() == [1.0]
     assert any("water prior known.csv: 0 to 0 m, sd 1000.0 to 1000.0 mm/s" in note for note in here.notes)

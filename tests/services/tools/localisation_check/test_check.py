@@ -152,7 +152,7 @@ def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario:
     probe.descend()
     assert probe.truth is not None
     true = probe.true_states.at(probe.truth)
-    sd = run_config.suite.compass.heading_sd_rad / math.sqrt(len(headings))
+    sd = run_config.sensor_config.compass.heading_sd_rad / math.sqrt(len(headings))
     assert abs(np.mean(headings) - true.compass_bias_rad) < 3 * sd < abs(true.compass_bias_rad)
     filter_ = probe.estimator.filter
     assert filter_ is not None

@@ -27,16 +27,16 @@ from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from services.tools.profile import machine_description, problems, table
 from services.tools.profile import run as profile
-from services.tools.profile.measure import STAGES, Contestant, Piqp, Samples, SolverByName, measure
+from services.tools.profile.measure import STAGES, Candidate, Piqp, Samples, SolverByName, measure
 from tests.stepping import OneByOne, step
 
 OSQP, PIQP = SolverByName("osqp"), Piqp()
 
 
-def measured(episodes: list[problems.Episode], *contestants: Contestant) -> list[Samples]:
+def measured(episodes: list[problems.Episode], *candidates: Candidate) -> list[Samples]:
     """Without a warm-up to speak of."""
     warm_up = episodes[0]._replace(cycles=1)
-    return measure(episodes, contestants, warm_up=warm_up, order=random.Random(1), progress=lambda: None)
+    return measure(episodes, candidates, warm_up=warm_up, order=random.Random(1), progress=lambda: None)
 
 
 class Probe(OneByOne):
