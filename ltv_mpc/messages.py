@@ -835,7 +835,7 @@ class RunEvent(Message, frozen=True, kw_only=True, eq=False):
 
     t_ns: Annotated[Time, Meta(description="time of the event")]
     node: Publisher
-    kind: Annotated[str, Meta(description="one word")]
+    kind: Annotated[str, Meta(description="kind of the event, one word")]
     text: Annotated[str, Meta(description="description of the event")]
 
 

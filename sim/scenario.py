@@ -145,7 +145,7 @@ def checked(scenario: Scenario, *, source: str) -> Scenario:
         problem = 'is not read where kind = "markov": set kind = "measured", or file = ""'
         raise ConfigError(source, "[water] file", problem, value=water.file)
     if water.bottom_m is not None and water.bottom_m <= scenario.plant.depth_m:
-        problem = f"must be below where the vehicle starts, [plant] depth_m = {scenario.plant.depth_m:g}"
+        problem = f"must be deeper than the start of the vehicle, [plant] depth_m = {scenario.plant.depth_m:g}"
         raise ConfigError(source, "[water] bottom_m", problem, value=water.bottom_m)
     if water.feature.kind == "none" and water.feature != Feature():
         problem = 'must be "front", "step" or "waves" where another key of its table is set'

@@ -14,11 +14,11 @@ from rich.progress import Progress
 from benchmarks.peers import known, table
 from benchmarks.peers.loop import Entry, Held, closed
 from services.tools.profile import machine_description, problems
-from services.tools.profile.measure import Contestant, SolverByName, measure
+from services.tools.profile.measure import Candidate, SolverByName, measure
 from services.tools.profile.problems import Episode, seconds
 from services.tools.profile.run import WARM_UP, YARDSTICK, Spread
 
-OURS: dict[Contestant, str] = {
+OURS: dict[Candidate, str] = {
     SolverByName("osqp"): "this project: OSQP, sparse",
     SolverByName("riccati"): "this project: Riccati sweeps",
     YARDSTICK: "PIQP, sparse",
@@ -71,22 +71,22 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
         )
         task = progress.add_task("closed loops", total=len(who) * len(loops))
         held = {}
-        for contestant in who:
+        for candidate in who:
             outcomes = []
             for episode in loops:
-                outcomes.append((episode, closed(contestant, episode)))
+                outcomes.append((episode, closed(candidate, episode)))
                 progress.advance(task)
-            held[contestant] = _by_kind(outcomes)
+            held[candidate] = _by_kind(outcomes)
     lines = [
         table.Line(
             name=name,
-            solves=contestant.peer.solves if isinstance(contestant, Entry) else "QP",
-            settings=contestant.peer.settings if isinstance(contestant, Entry) else "defaults",
+            solves=candidate.peer.solves if isinstance(candidate, Entry) else "QP",
+            settings=candidate.peer.settings if isinstance(candidate, Entry) else "defaults",
             cycle_us=Spread.of(sample.cycle_us),
             thrust_error_N=Spread.of(sample.thrust_error_N),
-            held=held[contestant],
+            held=held[candidate],
         )
-        for (contestant, name), sample in zip(who.items(), samples, strict=True)
+        for (candidate, name), sample in zip(who.items(), samples, strict=True)
     ]
     return table.markdown(
         lines,

@@ -12,13 +12,13 @@ from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.solvers import SolverFactory
 from ltv_mpc.messages import Applied, Estimate, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.node import ReceivedMessage
-from services.tools.profile.measure import Contestant, limits_of
+from services.tools.profile.measure import Candidate, limits_of
 from services.tools.profile.problems import Episode
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A peer as a contestant."""
+    """A peer as a candidate."""
 
     peer: type[Peer]
 
@@ -34,9 +34,9 @@ class Entry:
 class Loop(ControllerNode):
     """A node that controls, and notes how far off the line the vehicle is and what its lateral thrusters deliver."""
 
-    def __init__(self, contestant: Contestant, episode: Episode) -> None:
-        make_solver = contestant.solver_factory(episode)
-        super().__init__(episode.vehicle, episode.reference, contestant.config(episode), make_solver=make_solver)
+    def __init__(self, candidate: Candidate, episode: Episode) -> None:
+        make_solver = candidate.solver_factory(episode)
+        super().__init__(episode.vehicle, episode.reference, candidate.config(episode), make_solver=make_solver)
         self.off_m: list[float] = []
         self.thrust_N: list[float] = []
         self.cycles = 0
@@ -74,8 +74,8 @@ class Held:
     unsolved: int  # cycles without a solution
 
 
-def closed(contestant: Contestant, episode: Episode) -> Held:
-    """Run the whole episode in closed loop under the contestant's own plans."""
-    loop = Loop(contestant, episode)
+def closed(candidate: Candidate, episode: Episode) -> Held:
+    """Run the whole episode in closed loop under the candidate's own plans."""
+    loop = Loop(candidate, episode)
     episode.feed(loop, lambda: loop.cycles > episode.cycles)
     return Held(float(np.mean(loop.off_m)), float(np.mean(loop.thrust_N)), loop.unsolved)

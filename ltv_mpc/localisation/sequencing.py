@@ -185,7 +185,7 @@ class Sequencing:
             self._publish(self._required().filter)
 
     def _required(self) -> MeasurementBuffer:
-        assert self._buffer is not None, "set_filter comes first"
+        assert self._buffer is not None, "set_filter() must be called first"
         return self._buffer
 
     def _propagate(self, buffer: MeasurementBuffer, sample: ImuSample) -> None:

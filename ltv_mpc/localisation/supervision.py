@@ -206,7 +206,7 @@ class Supervision:
                 f"changing water: process noise inflated to {1e3 * walk:.2g} mm/s per sqrt(s)",
             )
             if filter_.process_noise.level(t_ns) is NoiseLevel.FAST_AND_IMU:
-                why = "water changes for longer than a front, or a gyro has failed: process noise of both inflated"
+                why = "the water changes for longer than a front, or a gyro has failed: process noise of both inflated"
         return LocalisationReport(
             t_ns=t_ns,
             status=status,
@@ -218,7 +218,7 @@ class Supervision:
 
     def _active(self) -> ErrorStateFilter:
         filter_ = self._sequencing.filter
-        assert filter_ is not None, "begin comes first"
+        assert filter_ is not None, "begin() must be called first"
         return filter_
 
     def _set_filter(self, filter_: ErrorStateFilter) -> None:

@@ -40,8 +40,8 @@ NEXT: Mapping[Action, Mapping[Authority, Authority]] = {
 """Next state by action and present state. An action is rejected in a state for which it has no entry."""
 
 REJECTED: Mapping[Action, str] = {
-    Action.ARM: "a pilot has the thrusters: release returns them to the controller",
-    Action.DISARM: "stopped: the thrusters stay at zero until arm",
+    Action.ARM: "a pilot commands the thrusters: send `release` to return them to the controller",
+    Action.DISARM: "stopped: the thrusters stay at zero until `arm` is sent",
     Action.MANUAL: "the controller is disarmed: send `arm` first",
     Action.RELEASE: "no pilot commands the thrusters: nothing to release",
 }
@@ -136,6 +136,8 @@ class CommandArbiter:
         if self.authority is not MANUAL:
             return ThrustOverride(self.authority, (0.0, 0.0, 0.0), None, self.authority.value)
         if self._manual is None or t_ns - self._manual[1] > MANUAL_TIMEOUT_NS:
-            return ThrustOverride(MANUAL, (0.0, 0.0, 0.0), None, "manual, no message of the pilot for 1 s")
+            return ThrustOverride(
+                MANUAL, (0.0, 0.0, 0.0), None, "manual, but no message of the pilot for 1 s: thrusts ramp to zero"
+            )
         thrust, received_ns = self._manual
         return ThrustOverride(MANUAL, thrust, received_ns + MANUAL_TIMEOUT_NS, "manual")

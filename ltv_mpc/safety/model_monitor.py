@@ -310,5 +310,5 @@ class ModelMonitor:
     def _reason(self) -> str:
         port, starboard = (round(100.0 * share) for share in self.loss)
         if not port and not starboard:
-            return "the vehicle moved less than its reported thrusts explain, and moves as its model predicts since"
+            return "the vehicle moved less than its reported thrusts explain; since then it moves as its model predicts"
         return f"lost share of the reported thrust: port {port} %, starboard {starboard} %"

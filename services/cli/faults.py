@@ -73,6 +73,6 @@ def faults(
         typer.echo(str(out), err=as_json)
     if of.injected < asked.total:
         typer.echo(
-            f"{asked.total - of.injected} of {asked.total} faults were not injected: runs ended before", err=True
+            f"{asked.total - of.injected} of {asked.total} faults were not injected: their runs ended first", err=True
         )
     return 0 if result.kept(of) and of.injected == asked.total else 1

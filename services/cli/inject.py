@@ -45,7 +45,7 @@ def inject(
     from services.tools.faults import schedule as schedules
 
     if node not in ROLES:
-        raise ConfigError("argument NODE", "", f"must be of {', '.join(ROLES)}", value=node)
+        raise ConfigError("argument NODE", "", f"must be one of {', '.join(ROLES)}", value=node)
     injections = [*([] if schedule is None else schedules.load(schedule)), *schedules.parse(fault or ())]
     check_endpoint("--to", b, bus.certs)
     from services.tools.faults import inject as process

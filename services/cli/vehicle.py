@@ -26,7 +26,7 @@ def register(app: typer.Typer, panel: str) -> None:
 
 
 SettingsFile: TypeAlias = Annotated[
-    Path | None, typer.Option("--settings", metavar="FILE", help="TOML file with the controller table alone.")
+    Path | None, typer.Option("--settings", metavar="FILE", help="TOML file with the [controller] table only.")
 ]
 ComputeDelay: TypeAlias = Annotated[
     float, typer.Option("--compute-delay-s", metavar="D", help="Delay each plan by this much (s).", min=0, max=60)

@@ -72,7 +72,9 @@ def identify(
     known: Annotated[
         Known, typer.Option("--known", help="Mass and thrust are not separable: take this one from the file.")
     ] = (Known.THRUST),
-    known_yaw: Annotated[KnownYaw, typer.Option("--known-yaw", help="Likewise for inertia and arms.")] = KnownYaw.ARM,
+    known_yaw: Annotated[
+        KnownYaw, typer.Option("--known-yaw", help="Inertia and arms are not separable: take this one from the file.")
+    ] = KnownYaw.ARM,
     out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the identified vehicle.")] = None,
     force: Overwrite = False,
     as_json: Json = False,

@@ -102,9 +102,9 @@ def _by_controller(request: ButtonRequest, answer: Acknowledgement | RejectedFra
                 request, f"{request.button.value} accepted; command authority: {answer.authority.value}", done=True
             )
         case Acknowledgement():
-            return _reply(request, f"{request.button.value} refused: {answer.why}")
+            return _reply(request, f"{request.button.value} rejected: {answer.why}")
         case RejectedFrame():
-            return _reply(request, f"{request.button.value} refused by {answer.node}: {answer.reason}")
+            return _reply(request, f"{request.button.value} rejected by {answer.node}: {answer.reason}")
         case None:
             return _reply(request, f"no reply from a controller within {TIMEOUT_S:.0f} s")
 

@@ -23,8 +23,8 @@ from services.replay.verdict import MAX_FIELDS, Difference, FieldDifference, Gap
 MAX_PENDING = 1000
 """Different outputs that wait for an identical copy; beyond that number the oldest counts as different."""
 
-NOT_REPLAYED = "recorded, but not made by the replay"
-NOT_RECORDED = "made by the replay, but not recorded"
+NOT_REPLAYED = "recorded, but not produced by the replay"
+NOT_RECORDED = "produced by the replay, but not recorded"
 SAME_VALUES = "equal values in another encoding: the CRC-32 of the frame differs"
 
 _Name: TypeAlias = tuple[str, int]

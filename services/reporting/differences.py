@@ -34,7 +34,7 @@ FIGURES = (
     Figure("end to end, median", "s", ("end_to_end_delay_s", "median"), 3),
     Figure("cycles", "", ("cycles",), 0),
     Figure("plans too late", "", ("deadline_misses",), 0),
-    Figure("plans refused", "", ("plans_refused",), 0),
+    Figure("plans rejected", "", ("plans_refused",), 0),
     Figure("messages dropped", "", ("messages", "dropped"), 0),
     Figure("messages rejected", "", ("messages", "rejected"), 0),
     Figure("messages denied", "", ("messages", "denied"), 0),

@@ -70,7 +70,7 @@ def _cycles(summary: Mapping[str, Any]) -> str:
     origins = ", ".join(f"{count} {origin}" for origin, count in summary["plan_origin"].items())
     return (
         f"{summary['cycles']} ({origins or 'no plan'}), {summary['deadline_misses']} late,"
-        f" {summary['plans_refused']} refused"
+        f" {summary['plans_refused']} rejected"
     )
 
 

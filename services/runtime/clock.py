@@ -118,8 +118,8 @@ class VehicleClock:
             return False
         if not self._segments and self._speed not in (None, fraction_of(message.requested_speed)):
             raise ClockError(
-                f"run.speed is {float(self._speed):g} here and {message.requested_speed:g} at the plant, where "
-                "alone it counts: start both with one scenario"
+                f"run.speed is {float(self._speed):g} here and {message.requested_speed:g} at the plant, "
+                "whose value applies: start both with the same scenario"
             )
         self._epoch, self._sequence = message.clock_epoch, message.clock_sequence
         segment = ClockSegment(

@@ -46,7 +46,7 @@ int main(void) {
 }
 """
 
-LAYOUT = """/* What the numbers of the QP are: minimise 1/2 x'Px + q'x subject to l <= Ax <= u.
+LAYOUT = """/* Meaning of the numbers of the QP: minimise 1/2 x'Px + q'x subject to l <= Ax <= u.
 
    x: for each of MPC_STAGES stages {width} numbers, deviations from the trajectory linearised along, divided by
       {scales} (n, e, u, v, psi, r, delivered port and starboard thrust, commanded port and starboard thrust);

@@ -79,7 +79,7 @@ def test_an_assignment_that_fits_no_key_says_what_would(assignment: str, says: s
         ),
         (
             ["water.bottom_m=12", "plant.depth_m=12"],
-            "[water] bottom_m = 12.0: must be below where the vehicle starts, [plant] depth_m = 12",
+            "[water] bottom_m = 12.0: must be deeper than the start of the vehicle, [plant] depth_m = 12",
         ),
         (
             ["water.feature.step_mps=0.2"],

@@ -30,13 +30,13 @@ def dynamics(stages: Sequence[int], scale: Array) -> Iterator[ConstraintRow]:
     """
     for k in stages:
         for name, unit, factor in zip(STATE_NAMES, STATE_UNITS, scale.tolist(), strict=True):
-            yield ConstraintRow(f"the motion ({name}) up to the end of stage {k}", factor, unit)
+            yield ConstraintRow(f"dynamics of {name} in stage {k}", factor, unit)
 
 
 def terminal_velocity() -> Iterator[ConstraintRow]:
     """Yield the rows of the velocity over ground at the horizon's end."""
     for name in ("north", "east"):
-        yield ConstraintRow(f"the velocity over ground ({name}) at the end", 1.0, "m/s")
+        yield ConstraintRow(f"velocity over ground ({name}) at the end of the horizon", 1.0, "m/s")
 
 
 def slew(stages: Sequence[int], scale: Array) -> Iterator[ConstraintRow]:

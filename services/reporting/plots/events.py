@@ -79,7 +79,7 @@ class Marks:
     def _add_acknowledgement(self, answer: Acknowledgement) -> None:
         command = self._commands.pop(answer.command_id, None)
         asked = "a command" if command is None else command.action.value
-        text = f"{asked} accepted" if answer.accepted else f"{asked} refused{_because(answer.why)}"
+        text = f"{asked} accepted" if answer.accepted else f"{asked} rejected{_because(answer.why)}"
         self._append(answer.t_ns, "controller", text)
 
     def _append(self, t_ns: int, node: str, text: str) -> None:

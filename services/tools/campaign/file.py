@@ -169,7 +169,7 @@ def _check(campaign: Campaign, source: str) -> None:
     ):
         for key in keys.keys() & other.keys():
             where = "set" if other is campaign.settings else "vary"
-            raise ConfigError(source, f"[{table}] {key}", f"stands in [{where}] too: leave one out")
+            raise ConfigError(source, f"[{table}] {key}", f"is also in [{where}]: remove one of them")
     if not campaign.varied:
         raise ConfigError(source, "[vary]", "must name at least one key to vary")
     for key, over in campaign.vary.items():

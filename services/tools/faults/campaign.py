@@ -92,7 +92,7 @@ def plan(classes: str, where: str, n: int, *, quick: bool = False) -> FaultCount
     wanted = [name.strip() for name in classes.split(",") if name.strip()]
     for name in wanted:
         if name not in NAMES:
-            raise ConfigError("option --classes", "", f"must be of {', '.join(NAMES)}", value=name)
+            raise ConfigError("option --classes", "", f"must be one of {', '.join(NAMES)}", value=name)
     wanted = wanted or [name for name in NAMES if not (quick and name in ATTACKS)]
     places = {"both": set(Place), **{place.value: {place} for place in Place}}
     if where not in places:

@@ -135,7 +135,7 @@ def _limit(busy: dict[str, float], missed_share: float, cores: int) -> str:
     full = [name for name in ("controllers", "plants", "router") if busy[name] >= BUSY]
     if full:
         return max(full, key=lambda name: busy[name])
-    return "all cores" if busy["all"] >= BUSY * cores else "not the processors"
+    return "all cores" if busy["all"] >= BUSY * cores else "no full processor"
 
 
 # --- processes -------------------------------------------------------------------------------------------------------

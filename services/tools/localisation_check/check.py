@@ -170,16 +170,17 @@ def failed(of: Result) -> list[str]:
     """List the requirements that are not met."""
     problems = []
     if of.ratio > MAX_RATIO:
-        problems.append(f"drift over bound {of.ratio:.2f} > {MAX_RATIO}")
+        problems.append(f"drift is {of.ratio:.2f} times its bound, must be at most {MAX_RATIO}")
     for kind, shares in (("NEES", of.nees_in_band), ("NIS", of.nis_in_band)):
         problems += [
-            f"{kind} of {name} in its band at {100 * share:.0f} % of instants < {100 * MIN_SPEED_RATIO:.0f} %"
+            f"{kind} of {name} in its band at {100 * share:.0f} % of instants, "
+            f"must be at least {100 * MIN_SPEED_RATIO:.0f} %"
             for name, share in shares.items()
             if share < MIN_SPEED_RATIO
         ]
     low, high = CELLS
     if not low <= of.cells_nees_per_dof <= high:
-        problems.append(f"NEES of cells per degree of freedom {of.cells_nees_per_dof:.2f}, not {low} to {high}")
+        problems.append(f"NEES of cells per degree of freedom {of.cells_nees_per_dof:.2f}, must be {low} to {high}")
     if not of.min_eigenvalue > 0 or of.max_asymmetry > 0:
         problems.append("a covariance is not symmetric or not positive definite")
     return problems

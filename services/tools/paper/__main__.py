@@ -68,21 +68,25 @@ def parsed(arguments: Sequence[str] | None) -> Options:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     for name, words in (
-        ("out", "PNG and figures.json"),
-        ("runs", "recordings and SVG"),
-        ("page", "whose tables are renewed"),
-        ("readme", "the README's picture"),
-        ("measured", "measured currents; without them Fig 3 has the synthetic ones alone"),
+        ("out", "folder of the PNG files and of figures.json"),
+        ("runs", "folder of the recordings and SVG files"),
+        ("page", "page whose tables are renewed"),
+        ("readme", "file of the README's picture"),
+        ("measured", "folder of measured currents; without it Fig 3 shows synthetic currents alone"),
     ):
         parser.add_argument(f"--{name}", type=Path, metavar="PATH", help=f"{words}; default {getattr(default, name)}")
     for name, words in (
-        ("seeds", "of the averages"),
-        ("cycles", "timed at each horizon"),
-        ("workers", "processes; default one a core"),
+        ("seeds", "number of seeds that are averaged"),
+        ("cycles", "number of cycles timed at each horizon"),
+        ("workers", "number of processes; default one for each core"),
     ):
         parser.add_argument(f"--{name}", type=int, metavar="N", help=words)
-    parser.add_argument("--duration-s", type=float, metavar="T", help=f"of a descent; default {default.duration_s:g}")
-    parser.add_argument("--surface-s", type=float, metavar="T", help=f"before it; default {default.surface_s:g}")
+    parser.add_argument(
+        "--duration-s", type=float, metavar="T", help=f"duration of a descent; default {default.duration_s:g}"
+    )
+    parser.add_argument(
+        "--surface-s", type=float, metavar="T", help=f"time at the surface before it; default {default.surface_s:g}"
+    )
     given = {name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None}
     return default._replace(**given)
 

@@ -131,7 +131,7 @@ def run(
         warm_up = warm_up._replace(cycles=WARM_UP)
         measured = measure(episodes, candidates, warm_up=warm_up, order=order, progress=progress)
         if not measured[0].cycle_us:
-            raise ConfigError("option --run", "", "holds no cycle of the controller that was solved")
+            raise ConfigError("option --run", "", "has no solved cycle of the controller: name another run")
         rows += _rows(candidates, measured)
         samples += measured
     kinds = dict.fromkeys((episode.kind for episode in by_horizon[0]), 0)

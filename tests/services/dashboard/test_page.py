@@ -196,7 +196,7 @@ def test_buttons_send_what_they_say_and_show_the_controller_s_answer(page: Serve
             "text": "stop accepted; command authority: controller",
         }
         refused = pressed(page, socket, button="hold")
-        assert (refused["done"], refused["text"]) == (False, "hold refused: nothing to hold")
+        assert (refused["done"], refused["text"]) == (False, "hold rejected: nothing to hold")
         assert pressed(page, socket, button="kill", node="estimator")["done"]
         assert pressed(page, socket, button="kick")["done"]
         asked_s = feed.status().t_s

@@ -119,4 +119,4 @@ def test_an_output_that_the_replay_did_not_make_is_a_difference() -> None:
         epoch, outcome = killed(*heard)
         assert epoch.gap is None
         assert outcome.counts.first_difference is not None
-        assert outcome.counts.first_difference.what == "recorded, but not made by the replay"
+        assert outcome.counts.first_difference.what == "recorded, but not produced by the replay"

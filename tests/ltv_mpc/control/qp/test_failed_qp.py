@@ -37,7 +37,7 @@ def test_every_row_has_words_and_a_scale():
             moved = {
                 row.name: change * row.scale
                 for row, change in zip(rows, qp.A @ step, strict=True)
-                if change and "motion" not in row.name
+                if change and "dynamics" not in row.name
             }
             want = {f"limit of {side} at the end of stage {k + 1}": 1.0, f"slew of {side} in stage {k + 1}": 1.0}
             if k < 4:
@@ -50,7 +50,7 @@ def test_rows_of_the_motion_are_in_the_states_units():
     step = np.zeros(len(qp.q))
     step[2 * 10 + 2] = 0.1 / 0.3  # surge at the end of stage 3, 0.1 m/s
     change = dict(zip((row.name for row in rows), (qp.A @ step) * [row.scale for row in rows], strict=True))
-    assert change["the motion (surge) up to the end of stage 3"] == pytest.approx(-0.1)
+    assert change["dynamics of surge in stage 3"] == pytest.approx(-0.1)
 
 
 def test_the_worst_row_is_named_with_its_violation_in_newtons():
@@ -73,7 +73,7 @@ def test_faults_name_what_is_not_finite_and_bounds_that_exclude_each_other():
     said = FailedQp(qp, rows, Solve(status=SolveStatus.FAILED)).faults()
     assert said == [
         f"q: 1 of {len(qp.q)} numbers are not finite",
-        "u of the motion (north) up to the end of stage 1 is not a number",
+        "u of dynamics of north in stage 1 is not a number",
         "limit of port at the end of stage 2: lower bound above the upper one by 6.25 N",
     ]
 

@@ -125,7 +125,7 @@ def test_a_random_design_is_drawn_from_its_seed(tmp_path: Path) -> None:
         ('title = "t"', 'title = "t"\nminimise = "true_error"', "minimise.*must be a figure of summary.json"),
         ('title = "t"', 'title = "t"\nseeds.count = 5_000_000', r"\[seeds\] count = 5000000: must be"),
         ('title = "t"', 'title = "t"\nseeds.count = 1_000_000\ndesign.kind="random"\ndesign.points=1000', "at most"),
-        ("[vary]", "[set]\nwater.sd_mps = 0.1\n[vary]", r"\[vary\] water.sd_mps: stands in \[set\] too"),
+        ("[vary]", "[set]\nwater.sd_mps = 0.1\n[vary]", r"\[vary\] water.sd_mps: is also in \[set\]"),
     ],
 )
 def test_a_file_that_is_wrong_is_refused_by_field(tmp_path: Path, old: str, new: str, problem: str) -> None:
@@ -158,7 +158,7 @@ def test_a_range_that_is_none_is_refused(tmp_path: Path, old: str, new: str, pro
         (
             "controller.horizon_s = [2.5, 5.1]",
             "water.sd_mps = [0.1]",
-            r"\[cross\] water.sd_mps: stands in \[vary\] too",
+            r"\[cross\] water.sd_mps: is also in \[vary\]",
         ),
         ("controller.horizon_s = [2.5, 5.1]", "controller.horizon_s = []", r"\[cross\] .*must have at least one value"),
         ("low = 0.5", "low = -0.5", r"low = -0.5: must be > 0"),

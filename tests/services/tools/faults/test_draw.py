@@ -80,7 +80,7 @@ def test_a_quick_one_leaves_processes_themselves_alone_unless_they_are_asked_for
 @pytest.mark.parametrize(
     ("classes", "where", "said"),
     [
-        ("sensor_of", "both", "must be of sensor_off, sensor_stuck"),
+        ("sensor_of", "both", "must be one of sensor_off, sensor_stuck"),
         ("", "ship", "must be lockstep, processes or both"),
         ("thruster_loss", "processes", "no fault class of thruster_loss exists there"),
     ],

@@ -60,7 +60,7 @@ def test_a_fleet_that_keeps_up_has_no_limit_and_says_what_each_vehicle_costs():
         ({"plans": 140, "world_cpu_s": 9.9, "mind_cpu_s": 9.5}, "plants"),
         ({"late": 5, "routed_s": 9.1}, "router"),
         ({"late": 5, "mind_cpu_s": 8.0, "world_cpu_s": 8.0, "routed_s": 8.0}, "all cores"),
-        ({"late": 5}, "not the processors"),
+        ({"late": 5}, "no full processor"),
         ({"late": 1, "mind_cpu_s": 9.9}, "none"),
     ],
 )

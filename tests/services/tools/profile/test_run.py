@@ -347,4 +347,4 @@ def test_a_run_without_a_solved_cycle_is_refused(dive: Path, capsys: pytest.Capt
         assert run(["profile", "--run", str(dive), "--horizons", "4", "--cycles", "10"]) == 2
     finally:
         settings.write_text(kept)
-    assert "option --run: holds no cycle" in capsys.readouterr().err
+    assert "option --run: has no solved cycle" in capsys.readouterr().err
