@@ -91,7 +91,7 @@ def find(text: str) -> Path:
     """Return the recording of RUN: a run's folder, its run.mcap, or ``latest`` for the newest folder below runs/.
 
     ``find(text).parent`` is the run's folder, unless run.mcap was moved out of it. Raises ``ConfigError`` if there is
-    no such recording, and for an empty file: the recorder has not begun to write.
+    no such recording, and for an empty file: the recorder has not written anything yet.
     """
     source = f"RUN {text}"
     path = _newest() if text == LATEST else Path(text)
