@@ -583,6 +583,19 @@ class InputReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     rejected: Annotated[Count, Meta(description="messages rejected so far: out of order or implausible")]
 
 
+class ClockStep(Message, frozen=True, kw_only=True, eq=False):
+    """Step of the clock of a publisher, as the controller recognised it. Its vehicle time runs on without a step."""
+
+    t_ns: Annotated[Time, Meta(description="time of the recognition")]
+    input: Annotated[str, Meta(description="key of the message that showed it")]
+    publisher: Annotated[Identifier, Meta(description="epoch of the publisher")]
+    step_ns: Annotated[Time, Meta(description="change of its clock, positive if it was set forward")]
+    certain: Annotated[
+        bool,
+        Meta(description="false: seen by constant lateness alone, which a congested link can cause: degraded for 10 s"),
+    ]
+
+
 class ClockMode(enum.StrEnum):
     """Source of vehicle time in a process."""
 
@@ -611,6 +624,7 @@ class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
     clock_error_ns: Annotated[
         Duration | None, Meta(description="bound of the clock error; null: one-way, where it is unknown")
     ]
+    clock_steps: Annotated[Count, Meta(description="steps of the publishers' clocks so far")] = 0
     authority: Annotated[Authority, Meta(description="source of the thrust commands")]
     health: Annotated[Health, Meta(description="timeliness of the inputs of the controller")]
     error_m: Annotated[
@@ -858,6 +872,9 @@ class InboxEntry(msgspec.Struct, frozen=True, array_like=False, kw_only=True, fo
     sequence: Annotated[Count, Meta(description="sequence in the header of the message")]
     crc: Crc
     received_t_ns: Annotated[Time, Meta(description="time of arrival")]
+    shift_ns: Annotated[
+        Time, Meta(description="vehicle time minus the time of its publisher, added to the times in the message")
+    ] = 0
 
 
 class StepRecord(Message, frozen=True, kw_only=True, eq=False):
@@ -869,6 +886,9 @@ class StepRecord(Message, frozen=True, kw_only=True, eq=False):
     t_ns: Annotated[Time, Meta(description="time of the step")]
     cause: Annotated[str, Meta(description="grid, cycle, or the key of the message that caused the step")]
     inbox: Annotated[tuple[InboxEntry, ...], Meta(description="messages that the step received, in order")]
+    shift_ns: Annotated[
+        Time, Meta(description="time of the actuators minus vehicle time, added to the times in the outputs")
+    ] = 0
 
 
 # --- written by the clock master -------------------------------------------------------------------------------------

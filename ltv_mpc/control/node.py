@@ -17,6 +17,7 @@ from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.messages import (
     Acknowledgement,
     Applied,
+    ClockStep,
     Command,
     ControllerState,
     CycleTiming,
@@ -36,6 +37,9 @@ from ltv_mpc.safety.input_monitor import InputMonitor
 from ltv_mpc.safety.model_monitor import ModelMonitor
 from ltv_mpc.vehicle.parameters import Vehicle
 
+CLOCK_DOUBT_NS = 10_000_000_000
+"""Time for which the health is degraded after a clock step that may also be a congested link."""
+
 SAVE_PERIOD_NS = 5_000_000_000
 """Longest time between two published states."""
 
@@ -43,14 +47,14 @@ SAVE_PERIOD_NS = 5_000_000_000
 class ControllerNode:
     """Controller of one vehicle as a node.
 
-    It reads the newest ``Estimate`` and ``Manual``, and each ``Applied``, ``Command`` and ``CycleTiming``. It writes
-    one ``Plan`` per cycle, also while disarmed: that plan ramps all thrusts to zero. It also writes an
-    ``Acknowledgement`` for each command, a ``ControllerState`` and a ``ModelCheck`` from time to time. A node that
-    replaces another one receives the newest ``ControllerState`` as its first message.
+    It reads the newest ``Estimate`` and ``Manual``, and each ``Applied``, ``Command``, ``CycleTiming`` and
+    ``ClockStep``. It writes one ``Plan`` per cycle, also while disarmed: that plan ramps all thrusts to zero. It also
+    writes an ``Acknowledgement`` for each command, a ``ControllerState`` and a ``ModelCheck`` from time to time. A node
+    that replaces another one receives the newest ``ControllerState`` as its first message.
     """
 
     name = "controller"
-    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming, Command, Manual)
+    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming, ClockStep, Command, Manual)
     writes: tuple[type[Message], ...] = (Plan, Acknowledgement, ControllerState, ModelCheck)
 
     def __init__(
@@ -77,6 +81,7 @@ class ControllerNode:
         self._model_monitor = ModelMonitor(vehicle, config.disturbance.noise_mps)
         self._estimate: Estimate | None = None  # the newest
         self._cycle_ns = 0  # time of the last cycle
+        self._clock_doubt: ClockStep | None = None  # the last step, if it is not certain
         self._saved: ControllerState | None = None  # state that was published last
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
@@ -101,6 +106,8 @@ class ControllerNode:
                     acknowledged.append(self._commands.acknowledge(command, self._estimate, t_ns))
                 case Manual() as manual:
                     self.arbiter.receive_manual(manual.thrust_N, received.received_t_ns)
+                case ClockStep() as clock_step:
+                    self._clock_doubt = None if clock_step.certain else clock_step
                 case ControllerState() as state:
                     self._restore(state, t_ns)
                 case _:
@@ -139,7 +146,7 @@ class ControllerNode:
         t_ns : start of the cycle, vehicle time (ns).
         """
         return self.controller.plan(
-            estimate, t_ns=t_ns, override=self.arbiter.override(t_ns), health=self._health_of_reports(t_ns)
+            estimate, t_ns=t_ns, override=self.arbiter.override(t_ns), health=self._health_of_inputs(t_ns)
         )
 
     def health(self, t_ns: int) -> Health:
@@ -149,7 +156,7 @@ class ControllerNode:
         ----------
         t_ns : now, vehicle time (ns).
         """
-        return worst(self.controller.health(t_ns), self._health_of_reports(t_ns))
+        return worst(self.controller.health(t_ns), self._health_of_inputs(t_ns))
 
     def inputs(self) -> tuple[InputReport, ...]:
         """Return the state of each input whose age decides the health, at the last cycle."""
@@ -163,8 +170,10 @@ class ControllerNode:
             for name, monitor, more in (("estimate", self.estimates, implausible), ("applied", self.reports, 0))
         )
 
-    def _health_of_reports(self, t_ns: int) -> Health:
-        """Return the health by the time since the actuators' last report."""
+    def _health_of_inputs(self, t_ns: int) -> Health:
+        """Return the health by the time since the actuators' last report, and by doubts about a publisher's clock."""
+        if self._clock_doubt is not None and t_ns - self._clock_doubt.t_ns < CLOCK_DOUBT_NS:
+            return Health.DEGRADED
         reports, ages = self.reports, self.controller.config.ages
         silent_ns = reports.silent_ns(t_ns)
         if silent_ns is None or silent_ns <= ages.degraded_s * 1e9:

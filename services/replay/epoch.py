@@ -9,6 +9,7 @@ import msgspec
 
 from ltv_mpc.messages import InboxEntry, Message
 from ltv_mpc.node import Node
+from services.bus.time_shift import shifted
 from services.bus.wire import WireError
 from services.recording.reader import StoredMessage
 from services.replay.frames import Frames, Header, received_message
@@ -26,6 +27,7 @@ class Record(msgspec.Struct, frozen=True):
     step: int
     t_ns: int
     inbox: tuple[InboxEntry, ...]
+    shift_ns: int = 0
 
 
 class Outcome(Protocol):
@@ -132,7 +134,7 @@ class Epoch:
             self.outcome.step_failed(record, error)
             self._stop(f"the replayed step {record.step} raised {type(error).__name__}", record.t_ns)
             return
-        self.outcome.add_replayed(record, signals)
+        self.outcome.add_replayed(record, [shifted(signal, record.shift_ns) for signal in signals])
 
     def _stop(self, why: str, t_ns: int | None) -> None:
         steps = self.steps_run - self._next

@@ -14,6 +14,7 @@ import msgspec
 from ltv_mpc.messages import InboxEntry, InjectorFrame
 from ltv_mpc.node import ReceivedMessage
 from services.bus import wire
+from services.bus.time_shift import shifted
 from services.bus.topics import BY_TYPE, topic_at
 from services.recording.reader import StoredMessage
 
@@ -86,4 +87,4 @@ def received_message(stored: StoredMessage, entry: InboxEntry) -> ReceivedMessag
     if stored.kind is None:
         raise wire.WireError(f"{stored.key}: no topic has this key")
     signal = wire.from_validated_map(stored.kind, msgspec.json.decode(stored.data))
-    return ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns)
+    return ReceivedMessage(shifted(signal, entry.shift_ns), entry.epoch, entry.sequence, entry.received_t_ns)

@@ -101,10 +101,6 @@ class VehicleClock:
         """Follow this segment, which was estimated because no clock is announced (``clock_sync.py``)."""
         self._segments = [segment]
 
-    def reset(self) -> None:
-        """Forget all segments and readings: the next reading may be earlier than the last."""
-        self._segments, self._last_ns = [], None
-
     def follow(self, message: Clock) -> bool:
         """Apply an announcement. Return True if it is new. Raises ``ClockError`` if the clock cannot be followed."""
         if message.host_boot_id != boot_id():

@@ -1,181 +1,84 @@
-"""Synchronisation with another side's clock, whose origin and rate differ from ours.
+"""Synchronisation with the clocks of the other side: one clock for each publisher, and a vehicle time without steps.
 
-    T = m + theta,   theta drifts by at most rho = 1e-4 of the elapsed time
+    vehicle time = m + theta_r - J        r: the actuators' clock; that of the estimates while no actuators report
 
-T is the other side's time, with which it stamps its messages: Unix time, or time since its boot. m is our monotonic
-clock, and theta the offset. Transport delays are unknown, but never negative, so they bound theta from both sides:
+theta is the offset of a publisher's clock (``clock_offset.py``). J is the sum of the steps of clock r, so that vehicle
+time runs on if that clock is set. Stamps and vehicle time are converted where messages enter and leave:
 
-    a message stamped T when it was sent arrives here at m           theta >= T - m    (differs by the delay to us)
-    a plan sent from here at m arrives there at T, as reported       theta <= T - m    (differs by the delay to it)
+    stamp of publisher p in vehicle time    t + theta_r - theta_p - J
+    published time by the actuators' clock  t + J
 
-For each direction the tightest bound of each second is kept for 30 s (``WINDOW_US``) and loosened by rho times its age.
-
-    two-way mode:   theta = (upper + lower) / 2,   error at most (upper - lower) / 2
-
-The error is half the smallest round trip of that time plus drift, or less if the smallest delays of the two directions
-belong to different exchanges. This is NTP's clock filter (RFC 5905, section 10) with bounds in place of averages.
-Delays that jump, and messages that are out of order, duplicated or lost, only leave the bounds wider.
-
-    one-way mode (no reports of received plans):   theta = lower + d
-
-d is the smallest delay to us, from the settings, else 0. The reading is then behind by the true smallest delay minus d;
-one-way messages cannot tell how much that is.
-
-A stamp that contradicts the bounds, or differs from them by more than ``MAX_DELAY_NS``, is rejected. The third one in a
-row is accepted: the other side has set its clock. The old bounds are then discarded, and the clock step is counted.
+Both shifts are 0 as long as all publishers use one clock and nobody sets it. A publisher has a clock of its own if its
+stamps cannot come from clock r.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import NamedTuple
 
-from ltv_mpc.messages import Applied, ClockMode, ClockState, Estimate, Message
+from ltv_mpc.messages import Applied, ClockMode, ClockState, ClockStep, Estimate, Message
+from services.bus.topics import BY_TYPE
 from services.runtime.clock import ClockSegment, VehicleClock
-
-WINDOW_US = 30_000_000
-BUCKET_US = 1_000_000
-DRIFT_US_PER_S = 100
-"""Drift bound rho: two crystals of 50 ppm each. A clock that is slewed faster soon counts as one that was set."""
-
-MAX_DELAY_NS = 10_000_000_000
-"""Largest plausible transport delay."""
-
-STEP_DETECTED_AT = 3
-"""Number of contradicting stamps in a row after which the bounds are taken to be wrong."""
-
+from services.runtime.clock_offset import LATE_NS, STEP_DETECTED_AT, ClockOffset, ClockOffsetEstimator
 
 GRACE_US = 500_000
 """Time without a published clock after which the other side's stamps count: a clock is repeated ten times a second."""
 
+SHARED_CLOCK_LATE_NS = 1_000_000_000
+"""Largest lateness of a publisher that shares the actuators' clock, unless its own clock has been seen to step."""
+
 MAX_PENDING_PLANS = 200
 """Plans whose receipt may still be reported, a minute of them."""
+
+MAX_PUBLISHERS = 8
+"""Largest number of publishers whose clocks are remembered; beyond it the oldest is forgotten."""
 
 STAMPED_INPUTS = (Estimate, Applied)
 """Inputs that carry the other side's time."""
 
-
-class ClockOffset(NamedTuple):
-    """Offset theta to the other side's clock at one instant."""
-
-    mode: ClockMode
-    offset_ns: int
-    error_ns: int | None  # error bound; None if unknown, in one-way mode
-
-
 SHARED_CLOCK = ClockOffset(ClockMode.SHARED, 0, 0)
 """Offset if one clock is announced for all processes."""
 
-
-class OffsetBounds:
-    """Tightest bound of each second, from one side: ``sign`` 1 for lower bounds, -1 for upper bounds."""
-
-    def __init__(self, sign: int) -> None:
-        self._sign = sign
-        self._by_second: dict[int, tuple[int, int]] = {}  # sign x bound (ns), and the monotonic time (us)
-
-    def add(self, bound_ns: int, m_us: int) -> None:
-        """Add a bound that was found at ``m_us``."""
-        new, second = (self._sign * bound_ns, m_us), m_us // BUCKET_US
-        self._by_second[second] = max(self._by_second.get(second, new), new)
-
-    def drop(self, before_us: int) -> None:
-        """Discard the bounds before ``before_us``."""
-        for second in [key for key, (_, at) in self._by_second.items() if at < before_us]:
-            del self._by_second[second]
-
-    def tightest(self, now_us: int) -> int | None:
-        """Return the tightest bound at ``now_us``, each loosened by the possible drift; None if there is none."""
-        loosened = (bound - drift_ns(now_us - at) for bound, at in self._by_second.values())
-        best = max(loosened, default=None)
-        return None if best is None else self._sign * best
-
-
-class ClockOffsetEstimator:
-    """Estimator of theta by bounds. It reads no clock: our times are in us, the other side's in ns."""
-
-    def __init__(self, *, input_delay_ns: int = 0) -> None:
-        """``input_delay_ns``: smallest delay of the other side's messages, used in one-way mode."""
-        self._input_delay_ns = input_delay_ns
-        self._lower, self._upper = OffsetBounds(1), OffsetBounds(-1)
-        self._newest_us: int | None = None
-        self._contradictions = 0  # in a row
-        self.clock_steps = 0
-
-    def add_stamp(self, t_ns: int, m_us: int) -> bool:
-        """Add the stamp ``t_ns`` of a message that arrived at ``m_us``. Return False if it is rejected.
-
-        The stamp is the other side's time when it sent the message, or earlier.
-        """
-        bound = t_ns - m_us * 1000
-        low, high = self._lower.tightest(m_us), self._upper.tightest(m_us)
-        above = low is not None and bound > (low + MAX_DELAY_NS if high is None else high)
-        below = low is not None and bound < low - MAX_DELAY_NS
-        if above or below:
-            self._contradictions += 1
-            if self._contradictions < STEP_DETECTED_AT:
-                return False
-            self._lower, self._upper = OffsetBounds(1), OffsetBounds(-1)
-            self.clock_steps += 1
-        self._contradictions = 0
-        self._lower.add(bound, m_us)
-        self._age(m_us)
-        return True
-
-    def add_receipt(self, t_ns: int, m_us: int) -> None:
-        """Add the report that a message sent at ``m_us``, or later, arrived at the other side at ``t_ns``."""
-        bound = t_ns - m_us * 1000
-        low = self._lower.tightest(m_us)
-        if low is not None and low <= bound <= low + 2 * MAX_DELAY_NS:
-            self._upper.add(bound, m_us)
-            self._age(m_us)
-
-    def read(self, now_us: int) -> ClockOffset | None:
-        """Return the offset at ``now_us``; None before the first message."""
-        low, high = self._lower.tightest(now_us), self._upper.tightest(now_us)
-        if low is None:
-            return None
-        if high is None:
-            return ClockOffset(ClockMode.ONE_WAY, low + self._input_delay_ns, None)
-        return ClockOffset(ClockMode.TWO_WAY, (high + low) // 2, (high - low + 1) // 2)
-
-    def _age(self, m_us: int) -> None:
-        """Discard old bounds. This happens only when newer ones arrive, so that some are left after a silence."""
-        self._newest_us = m_us if self._newest_us is None else max(m_us, self._newest_us)
-        for bounds in (self._lower, self._upper):
-            bounds.drop(self._newest_us - WINDOW_US)
-
-
-def drift_ns(age_us: int) -> int:
-    """Return the largest drift within ``age_us``."""
-    return -(-abs(age_us) * DRIFT_US_PER_S // 1000)
+STAMP_REJECTED = "t_ns contradicts the clock of all earlier stamps"
+RECEIPT_REJECTED = "plan_received_t_ns contradicts the clock of all earlier stamps"
+RECEIPT_BEFORE_STEP = "plan_received_t_ns is of a plan that was sent before the clock stepped"
 
 
 class ClockSync:
-    """Choice of the clock that a process follows, when its inputs may come from a side with a clock of its own.
+    """Choice of the clock that a process follows, when its inputs may come from sides with clocks of their own.
 
     If a ``clock`` is published, the process follows it. If none has arrived within ``GRACE_US`` of the first input, the
-    process sets ``clock`` from the stamps of its inputs and from the other side's reports of what it received.
+    process sets ``clock`` from the stamps of its inputs and from the other side's reports of what it received. A
+    publisher is identified by its epoch.
     """
 
     def __init__(self, clock: VehicleClock, *, epoch: int, input_delay_ns: int = 0) -> None:
         """``epoch``: the epoch under which this process publishes its plans."""
         self._clock = clock
         self._epoch = epoch
-        self._estimator = ClockOffsetEstimator(input_delay_ns=input_delay_ns)
+        self._input_delay_ns = input_delay_ns
+        self._publishers: OrderedDict[int, ClockOffsetEstimator] = OrderedDict()  # by epoch, the newest last
+        self._reference: int | None = None  # publisher whose clock the vehicle time and the plans follow
+        self._actuators_report = False
         self._sent_us: OrderedDict[int, int] = OrderedDict()  # by sequence
         self._first_us: int | None = None
+        self._steps: list[ClockStep] = []
+        self._plans_from_us = -1  # plans that were sent before carry the times of another clock
         self.active = False
-
-    @property
-    def clock_steps(self) -> int:
-        """Number of times that the other side has set its clock."""
-        return self._estimator.clock_steps
+        self.published_shift_ns = 0
+        """J: published time minus vehicle time."""
 
     def offset(self, now_us: int) -> ClockOffset:
         """Return the clock that the process follows, its offset and its error bound."""
-        reading = self._estimator.read(now_us) if self.active else None
-        return reading or SHARED_CLOCK
+        if not self.active or self._reference is None:
+            return SHARED_CLOCK
+        return self._publishers[self._reference].read(now_us) or SHARED_CLOCK
+
+    def shift_ns(self, epoch: int, m_us: int) -> int:
+        """Return vehicle time minus the time of the publisher ``epoch``; 0 while either is unknown."""
+        if self._reference is None or epoch not in self._publishers:
+            return 0
+        return self._theta_ns(self._reference, m_us) - self._theta_ns(epoch, m_us) - self.published_shift_ns
 
     def on_plan_sent(self, sequence: int, m_us: int) -> None:
         """Note that the plan of this sequence number is sent at ``m_us``."""
@@ -183,25 +86,100 @@ class ClockSync:
         while len(self._sent_us) > MAX_PENDING_PLANS:
             self._sent_us.popitem(last=False)
 
-    def check_stamp(self, signal: Message, m_us: int) -> str:
-        """Add an input that arrived at ``m_us``. Return why it is rejected; empty if it is accepted."""
-        if not isinstance(signal, STAMPED_INPUTS) or (self._clock.newest is not None and not self.active):
+    def take_steps(self) -> list[ClockStep]:
+        """Return the clock steps that were recognised since the last call."""
+        steps, self._steps = self._steps, []
+        return steps
+
+    def check_stamp(self, message: Message, epoch: int, m_us: int) -> str:
+        """Add an input of the publisher ``epoch`` that arrived at ``m_us``. Return why it is rejected; empty if not."""
+        if not isinstance(message, STAMPED_INPUTS) or (self._clock.newest is not None and not self.active):
             return ""  # an announced clock stamps all messages, and may run at another speed
         if self._first_us is None:
             self._first_us = m_us
-        clock_steps = self.clock_steps
-        if not self._estimator.add_stamp(signal.t_ns, m_us):
-            return "t_ns contradicts the clock of all earlier stamps"
-        if self.active and self.clock_steps > clock_steps:
-            self._clock.reset()
-        if isinstance(signal, Applied) and signal.plan_epoch == self._epoch and signal.plan_sequence in self._sent_us:
-            self._estimator.add_receipt(signal.plan_received_t_ns, self._sent_us[signal.plan_sequence])
+        publisher = self._publisher(epoch)
+        steps, before_ns = publisher.clock_steps, self._theta_ns(epoch, m_us)
+        if not publisher.add_stamp(message.t_ns, m_us):
+            return STAMP_REJECTED
+        sent_us, reason = self._plan_sent_us(message), ""
+        if isinstance(message, Applied) and sent_us is not None and sent_us > publisher.stepped_us:
+            fits = publisher.add_receipt(message.plan_received_t_ns, sent_us)
+            reason = "" if fits else RECEIPT_REJECTED
+        if publisher.clock_steps > steps:
+            if epoch == self._reference:
+                self._keep_vehicle_time(m_us)
+            self._report(message, epoch, self._theta_ns(epoch, m_us) - before_ns, m_us)
+        self._choose_reference(message, epoch, m_us)
         self._set(m_us, self._first_us)
-        return ""
+        return RECEIPT_BEFORE_STEP if sent_us is not None and sent_us <= self._plans_from_us else reason
+
+    def _plan_sent_us(self, message: Message) -> int | None:
+        """Return when this process sent the plan that the actuators report as their newest; None if it did not."""
+        if not isinstance(message, Applied) or message.plan_epoch != self._epoch:
+            return None
+        return self._sent_us.get(message.plan_sequence)
+
+    def _choose_reference(self, message: Message, epoch: int, m_us: int) -> None:
+        """Let vehicle time follow the actuators' clock once three reports are there; before, that of the estimates."""
+        old, is_report = self._reference, isinstance(message, Applied)
+        if epoch == old or old is None:
+            self._reference, self._actuators_report = epoch, self._actuators_report or is_report
+        elif self._publishers[epoch].stamps >= STEP_DETECTED_AT and (is_report or not self._actuators_report):
+            before_ns, differs = self._theta_ns(old, m_us), self._has_own_clock(epoch, m_us)
+            self._reference, self._actuators_report = epoch, is_report
+            if differs and self.active:
+                self._keep_vehicle_time(m_us)
+                self._report(message, epoch, self._theta_ns(epoch, m_us) - before_ns, m_us)
+
+    def _keep_vehicle_time(self, m_us: int) -> None:
+        """Set J so that vehicle time runs on although theta_r has changed."""
+        vehicle_ns = self._clock.read(m_us) if self.active else None
+        self._plans_from_us = m_us
+        if vehicle_ns is not None and self._reference is not None:
+            self.published_shift_ns = m_us * 1000 + self._theta_ns(self._reference, m_us) - vehicle_ns
+
+    def _report(self, message: Message, epoch: int, step_ns: int, m_us: int) -> None:
+        """Report a step. One that lateness alone shows is certain if a two-way exchange confirms the new clock."""
+        confirmed = epoch != self._reference and not self._has_own_clock(epoch, m_us) and self._is_two_way(m_us)
+        self._steps.append(
+            ClockStep(
+                t_ns=self._clock.read(m_us) or 0,
+                input=BY_TYPE[type(message)].key,
+                publisher=epoch,
+                step_ns=step_ns,
+                certain=self._publishers[epoch].certain or confirmed,
+            )
+        )
+
+    def _publisher(self, epoch: int) -> ClockOffsetEstimator:
+        """Return the estimator of a publisher's clock; a new one for a new publisher."""
+        publisher = self._publishers.pop(epoch, None) or ClockOffsetEstimator(input_delay_ns=self._input_delay_ns)
+        self._publishers[epoch] = publisher
+        if len(self._publishers) > MAX_PUBLISHERS:
+            del self._publishers[next(old for old in self._publishers if old != self._reference)]
+        return publisher
+
+    def _theta_ns(self, epoch: int, m_us: int) -> int:
+        """Return the offset of the clock of a publisher, which is clock r unless its stamps cannot come from that."""
+        followed = epoch if self._reference is None or self._has_own_clock(epoch, m_us) else self._reference
+        reading = self._publishers[followed].read(m_us)
+        return 0 if reading is None else reading.offset_ns
+
+    def _has_own_clock(self, epoch: int, m_us: int) -> bool:
+        """Return True if the stamps of a publisher cannot come from the clock that vehicle time follows."""
+        if self._reference is None or epoch == self._reference:
+            return self._reference is None
+        publisher = self._publishers[epoch]
+        late_ns = LATE_NS if publisher.clock_steps else SHARED_CLOCK_LATE_NS
+        return not publisher.agrees(self._publishers[self._reference], m_us, late_ns)
+
+    def _is_two_way(self, m_us: int) -> bool:
+        return self.offset(m_us).mode is ClockMode.TWO_WAY
 
     def _set(self, m_us: int, first_us: int) -> None:
-        reading = self._estimator.read(m_us)
-        if m_us - first_us < GRACE_US or reading is None:
+        """Set the vehicle clock, once the stamps have had the time to show that no clock is announced."""
+        if m_us - first_us < GRACE_US or self._reference is None:
             return
         self.active = True
-        self._clock.set_segment(ClockSegment(m_us, m_us * 1000 + reading.offset_ns, 1, 1, ClockState.RUNNING))
+        offset_ns = self._theta_ns(self._reference, m_us) - self.published_shift_ns
+        self._clock.set_segment(ClockSegment(m_us, m_us * 1000 + offset_ns, 1, 1, ClockState.RUNNING))

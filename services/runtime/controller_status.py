@@ -7,9 +7,9 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.messages import Applied, ControllerStatus, Estimate, Message, Plan
+from ltv_mpc.messages import Applied, ClockStep, ControllerStatus, Estimate, Message, Plan
 from services.bus.message_validation import MessageValidator
-from services.runtime.clock_sync import ClockOffset
+from services.runtime.clock_offset import ClockOffset
 
 PERIOD_US = 1_000_000
 """Time between two statuses (us)."""
@@ -31,6 +31,7 @@ class ControllerStatusReporter:
         self._plan: Plan | None = None
         self._estimate: Estimate | None = None
         self._applied_ns: int | None = None
+        self._clock_steps = 0
         self._cycles: deque[tuple[int, int]] = deque()  # end and duration of each (us)
         self.due_us = 0
 
@@ -41,6 +42,8 @@ class ControllerStatusReporter:
                 self._estimate = message
             case Applied():
                 self._applied_ns = message.t_ns
+            case ClockStep():
+                self._clock_steps += 1
             case _:
                 pass
 
@@ -73,6 +76,7 @@ class ControllerStatusReporter:
             rejected=dict(rejected),
             clock=clock.mode,
             clock_error_ns=clock.error_ns,
+            clock_steps=self._clock_steps,
             authority=node.arbiter.authority,
             health=node.health(t_ns) if self._plan is None else self._plan.health,
             error_m=self._error_m(),

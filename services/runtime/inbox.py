@@ -13,12 +13,11 @@ class PendingInbox:
     def __init__(self) -> None:
         self._pairs: list[tuple[ReceivedMessage, InboxEntry]] = []
 
-    def add(self, signal: Message, *, key: str, epoch: int, sequence: int, crc: int, received_t_ns: int) -> None:
-        """Append a message."""
+    def add(self, signal: Message, entry: InboxEntry) -> None:
+        """Append a message, its times being vehicle time."""
         if BY_TYPE[type(signal)].delivery is LATEST:
-            self._pairs = [pair for pair in self._pairs if pair[1].key != key]
-        arrival = ReceivedMessage(signal, epoch, sequence, received_t_ns)
-        entry = InboxEntry(key=key, epoch=epoch, sequence=sequence, crc=crc, received_t_ns=received_t_ns)
+            self._pairs = [pair for pair in self._pairs if pair[1].key != entry.key]
+        arrival = ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns)
         self._pairs.append((arrival, entry))
 
     def take(self) -> tuple[list[ReceivedMessage], tuple[InboxEntry, ...]]:

@@ -8,15 +8,26 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from ltv_mpc.messages import Action, Clock, ClockCommand, Command, Message, NodeStatus, RejectedFrame
+from ltv_mpc.messages import (
+    Action,
+    Clock,
+    ClockCommand,
+    ClockStep,
+    Command,
+    Message,
+    NodeStatus,
+    RejectedFrame,
+    RunEvent,
+)
 from ltv_mpc.node import Node, OnMessage
 from services.bus.mailbox import Frame
 from services.bus.message_validation import MessageValidator, rejection
+from services.bus.time_shift import shifted
 from services.bus.topics import OPERATOR
 from services.bus.wire import WireError
 from services.runtime.clock import monotonic_us
 from services.runtime.node_io import NodeIO
-from services.runtime.process_time import ProcessTime
+from services.runtime.process_time import ProcessTime, step_text
 from services.runtime.reporters import Reporters
 
 NO_TIME = "no estimate received yet, so there is no vehicle time: retry when the status shows estimates"
@@ -62,11 +73,14 @@ class InputReceiver:
         if by_operator and time.clock.newest is None and not stops:
             reason = NO_TIME
         else:
-            reason = time.rejection_reason(message, received_us)
+            reason = time.rejection_reason(message, header.epoch, received_us)
+            self._report_clock_steps(received_us)
         if reason:
             self._validator.reject(reason)
             self._reject(frame, reason)
             return None
+        shift_ns = time.shift_ns(header.epoch, received_us)
+        message = shifted(message, shift_ns)
         status, kind = self._reporters.process, type(message)
         status.on_input(kind)
         status.on_delivery(header.sent_monotonic_us, received_us, monotonic_us())
@@ -76,13 +90,25 @@ class InputReceiver:
         if kind not in self._node.reads:
             return None
         received_ns = time.received_ns(message, received_us)
-        io.add_to_inbox(message, header, key=frame.key, payload=frame.payload, received_t_ns=received_ns)
+        io.add_to_inbox(
+            message, header, key=frame.key, payload=frame.payload, received_t_ns=received_ns, shift_ns=shift_ns
+        )
         if kind in self._triggers:
             stamped: Any = message  # a type that causes steps has its validity time
             return StepTrigger(frame.key, stamped.t_ns)
         if kind is Command and (stops or time.schedule.next_ns is not None):
             return StepTrigger(frame.key, None)
         return None
+
+    def _report_clock_steps(self, now_us: int) -> None:
+        """Pass the steps of the publishers' clocks to the node, and publish each as an event."""
+        for step in self._time.take_clock_steps():
+            now_ns = self._time.now_ns(now_us)
+            self._io.publish(RunEvent(t_ns=now_ns, node=self._node.name, kind="clock", text=step_text(step)))
+            if ClockStep in self._node.reads:
+                self._io.publish_to_self(step, now_ns)
+            if self._reporters.node is not None:
+                self._reporters.node.on_input(step)
 
     def _pass_to_clock(self, message: Message) -> None:
         time = self._time

@@ -95,6 +95,7 @@ def _metrics(s: ControllerStatus) -> Iterator[Metric]:
     yield rejected
     clock_error_s = _seconds(s.clock_error_ns)
     yield GaugeMetricFamily("ltv_mpc_clock_error_seconds", "Bound of the clock error.", clock_error_s)
+    yield CounterMetricFamily("ltv_mpc_clock_steps", "Steps of the publishers' clocks.", s.clock_steps)
     yield GaugeMetricFamily("ltv_mpc_tracking_error_metres", "Distance from the estimate to the reference.", s.error_m)
     yield GaugeMetricFamily("ltv_mpc_progress_ratio", "Completed share of the reference.", s.progress)
     yield _one_of("authority", "Source of the thruster commands.", s.authority, Authority)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from ltv_mpc.messages import Message, StepRecord
+from ltv_mpc.messages import InboxEntry, Message, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus.outbox import Outbox, SentFrame
+from services.bus.time_shift import shifted
 from services.bus.wire import Header, crc
 from services.runtime.inbox import PendingInbox
 
@@ -22,40 +23,51 @@ class NodeIO:
         self._outbox = outbox
         self._inbox = PendingInbox()
         self._records: list[StepRecord] = []
+        self.shift_ns = 0
+        """Published time minus vehicle time. The step loop sets it between two steps."""
 
     def publish(self, message: Message) -> SentFrame:
         """Publish a message of the node or of its process."""
-        return self._outbox.publish(message)
+        return self._outbox.publish(shifted(message, self.shift_ns))
 
-    def add_to_inbox(self, message: Message, header: Header, *, key: str, payload: bytes, received_t_ns: int) -> None:
+    def add_to_inbox(
+        self, message: Message, header: Header, *, key: str, payload: bytes, received_t_ns: int, shift_ns: int = 0
+    ) -> None:
         """Put a received message into the inbox of the next step.
 
         Parameters
         ----------
-        message, header : decoded from ``payload``.
+        message, header : decoded from ``payload``, then ``shift_ns`` added to the times in the message.
         key : key on which the message was received.
         payload : bytes of the frame; the step's record holds their crc.
         received_t_ns : vehicle time at reception (ns).
+        shift_ns : vehicle time minus the time of the publisher (ns).
         """
         self._inbox.add(
             message,
-            key=key,
-            epoch=header.epoch,
-            sequence=header.sequence,
-            crc=crc(payload),
-            received_t_ns=received_t_ns,
+            InboxEntry(
+                key=key,
+                epoch=header.epoch,
+                sequence=header.sequence,
+                crc=crc(payload),
+                received_t_ns=received_t_ns,
+                shift_ns=shift_ns,
+            ),
         )
 
     def publish_to_self(self, message: Message, now_ns: int) -> None:
         """Publish a message and put it directly into the node's own inbox, received at ``now_ns`` (vehicle time)."""
-        sent = self._outbox.publish(message)
+        sent = self.publish(message)
         self._inbox.add(
             message,
-            key=sent.key,
-            epoch=self._outbox.epoch,
-            sequence=sent.sequence,
-            crc=sent.crc,
-            received_t_ns=now_ns,
+            InboxEntry(
+                key=sent.key,
+                epoch=self._outbox.epoch,
+                sequence=sent.sequence,
+                crc=sent.crc,
+                received_t_ns=now_ns,
+                shift_ns=-self.shift_ns,
+            ),
         )
 
     def take_inbox(self, step: int, t_ns: int, cause: str) -> list[ReceivedMessage]:
@@ -69,7 +81,15 @@ class NodeIO:
         """
         inbox, entries = self._inbox.take()
         self._records.append(
-            StepRecord(node=self._node, epoch=self._outbox.epoch, step=step, t_ns=t_ns, cause=cause, inbox=entries)
+            StepRecord(
+                node=self._node,
+                epoch=self._outbox.epoch,
+                step=step,
+                t_ns=t_ns,
+                cause=cause,
+                inbox=entries,
+                shift_ns=self.shift_ns,
+            )
         )
         return inbox
 

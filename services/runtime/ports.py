@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ltv_mpc.messages import Clock, CycleTiming, Message, NodeStatus, RejectedFrame, RunEvent, StepRecord
+from ltv_mpc.messages import Clock, ClockStep, CycleTiming, Message, NodeStatus, RejectedFrame, RunEvent, StepRecord
 from ltv_mpc.node import Cycle, Node
 from services.bus.mailbox import Mailbox
 from services.bus.session import Session
@@ -27,6 +27,8 @@ def outputs(node: Node, *, clock_master: bool) -> list[type[Message]]:
     kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, RejectedFrame, RunEvent]
     if times_cycles(node):
         kinds.append(CycleTiming)
+    if ClockStep in node.reads:
+        kinds.append(ClockStep)
     if clock_master:
         kinds.append(Clock)
     return kinds

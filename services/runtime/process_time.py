@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ltv_mpc.messages import Clock, Message
+from ltv_mpc.messages import Clock, ClockStep, Message
 from ltv_mpc.node import Node
 from services.runtime.clock import VehicleClock, monotonic_us
 from services.runtime.clock_master import ClockMaster, ClockMasterSettings
-from services.runtime.clock_sync import SHARED_CLOCK, STAMPED_INPUTS, ClockOffset, ClockSync
+from services.runtime.clock_offset import ClockOffset
+from services.runtime.clock_sync import SHARED_CLOCK, STAMPED_INPUTS, ClockSync
 from services.runtime.schedule import StepSchedule
 from services.runtime.stopping import Say
 
@@ -84,18 +85,37 @@ class ProcessTime:
         if self.clock.follow(message):
             self.start_schedule()
 
-    def rejection_reason(self, message: Message, received_us: int) -> str:
-        """Return why a message does not fit the time that the process follows; empty if it fits."""
+    def shift_ns(self, epoch: int, m_us: int) -> int:
+        """Return vehicle time minus the time of the publisher ``epoch``."""
+        return 0 if self.sync is None else self.sync.shift_ns(epoch, m_us)
+
+    @property
+    def published_shift_ns(self) -> int:
+        """Published time minus vehicle time."""
+        return 0 if self.sync is None else self.sync.published_shift_ns
+
+    def rejection_reason(self, message: Message, epoch: int, received_us: int) -> str:
+        """Return why a message of publisher ``epoch`` does not fit the time that is followed; empty if it fits."""
         sync = self.sync
         if sync is None:
             return ""
         if isinstance(message, Clock):
             return SYNCHRONISED if sync.active else ""
-        clock_steps, was_active = sync.clock_steps, sync.active
-        reason = sync.check_stamp(message, received_us)
-        if sync.clock_steps > clock_steps:
-            self.schedule.reset()
-            self._say("the stamps of the other side jumped: its clock was set")
-        if sync.active and (not was_active or sync.clock_steps > clock_steps):
+        was_active = sync.active
+        reason = sync.check_stamp(message, epoch, received_us)
+        if sync.active and not was_active:
             self.start_schedule()
         return reason
+
+    def take_clock_steps(self) -> list[ClockStep]:
+        """Return the steps of the publishers' clocks since the last call, and say them."""
+        steps = [] if self.sync is None else self.sync.take_steps()
+        for step in steps:
+            self._say(step_text(step))
+        return steps
+
+
+def step_text(step: ClockStep) -> str:
+    """Return a clock step as an event."""
+    text = f"the clock of the publisher of `{step.input}` was set by {step.step_ns / 1e9:+.3f} s"
+    return text if step.certain else f"{text}, or its link is congested: degraded for 10 s"

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 from ltv_mpc.messages import Message
 from services.bus.message_validation import MessageValidator
-from services.runtime.clock_sync import ClockOffset
+from services.runtime.clock_offset import ClockOffset
 from services.runtime.node_status import NodeStatusReporter
 
 

@@ -29,10 +29,6 @@ class StepSchedule:
             if self._may_shift:
                 self.next_ns += min(phase_ns, self._period_ns // 2)
 
-    def reset(self) -> None:
-        """Discard the next step, because the clock was set; ``start`` schedules it again."""
-        self.next_ns = None
-
     def advance(self, ended_ns: int) -> None:
         """Schedule the next step after one that ended at ``ended_ns``."""
         if self.next_ns is None:

@@ -154,6 +154,7 @@ class StepLoop:
     def _step(self, t_ns: int, cause: str, started_us: int) -> None:
         """Step the node and publish its outputs. ``started_us`` is the monotonic time at which the step was due."""
         status, report = self._reporters
+        self._io.shift_ns = self._time.published_shift_ns
         inbox = self._io.take_inbox(status.steps, t_ns, cause)
         # Stage "read": reading the inbox. The controller uses the same recorded name for reading the QP's solution out,
         # and the stage timer adds both.

@@ -230,14 +230,18 @@ AHEAD_NS = 7_200_000_000_000
 """Its clock: two hours ahead of the host's."""
 
 
-def now_ns() -> int:
-    """Return the time by the plant's own clock (ns)."""
-    return time.time_ns() + AHEAD_NS
+SET_AT_S = 45.0
+"""Time of its run at which its clock is set, if it is."""
 
 
-def main(endpoint: str) -> None:
+def main(endpoint: str, set_by_s: float = 0.0) -> None:
     """Run in real time over Zenoh until it is ended; print one line of JSON each second."""
     import zenoh
+
+    ahead_ns = AHEAD_NS
+
+    def now_ns() -> int:
+        return time.time_ns() + ahead_ns
 
     config = zenoh.Config()
     for key, value in (("mode", "client"), ("connect/endpoints", [endpoint]), ("scouting/multicast/enabled", False)):
@@ -257,6 +261,9 @@ def main(endpoint: str) -> None:
         plan: dict[str, Any] = {"authority": "no plan"}
         due, step = now_ns(), 0
         while True:
+            if step * STEP_S == SET_AT_S:
+                ahead_ns += round(set_by_s * 1e9)
+                due += round(set_by_s * 1e9)
             while sample := plans.try_recv():
                 plan = msgpack.unpackb(sample.payload.to_bytes())
                 actuators.offer(plan, now_ns())
@@ -276,4 +283,4 @@ def main(endpoint: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(sys.argv[1], *map(float, sys.argv[2:]))

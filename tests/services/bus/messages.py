@@ -17,6 +17,7 @@ from ltv_mpc.messages import (
     ClockCommand,
     ClockMode,
     ClockState,
+    ClockStep,
     Command,
     CompassHeading,
     ControllerState,
@@ -240,6 +241,7 @@ EXAMPLES: tuple[Message, ...] = (
         state=ClockState.RUNNING,
     ),
     ClockCommand(paused=True, speed=2.5),
+    ClockStep(t_ns=5, input="applied", publisher=2**48 - 1, step_ns=-5_000_000_000, certain=False),
     Kill(node="estimator"),
     NodeStatus(
         node="plant",

@@ -15,6 +15,7 @@ from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Action, Command, Estimate, InboxEntry, Message, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus import wire
+from services.bus.time_shift import shifted
 from services.bus.topics import key_of
 from services.recording.reader import Recording
 from services.recording.writer import RunWriter
@@ -71,8 +72,12 @@ def test_a_frame_is_found_by_its_checksum_and_decoded_as_it_was_live(signal: Mes
         assert wire.encode(again.message, header) == wire.encode(live, header)
 
 
-def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording: Path, tmp_path: Path) -> None:
-    """Foreign estimates in nanoseconds since 1970, integral floats encoded as integers; no plant, no sensors."""
+@pytest.mark.parametrize("set_by_ns", [0, -5_000_000_000])
+def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording, tmp_path, set_by_ns) -> None:
+    """Foreign estimates in nanoseconds since 1970, integral floats encoded as integers; no plant, no sensors.
+
+    In mid-run the foreign clock is set. Vehicle time runs on.
+    """
     run = engine.Run(recording)
     run_config = run.run_config
     node = ControllerNode(run_config.vehicle, run_config.reference, run_config.scenario.controller)
@@ -88,9 +93,10 @@ def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording
 
     with RunWriter(path, start_ns=began, metadata=metadata) as writer:
         for step in range(12):
-            t_ns = began + step * run_config.scenario.controller.period_ns
+            t_ns, shift_ns = began + step * run_config.scenario.controller.period_ns, set_by_ns * (step >= 6)
+            stamp_ns = t_ns - 7_000_001 + shift_ns
             heard: list[Message] = [
-                msgspec.structs.replace(Estimate.at_rest(north_m=0.5 * step, heading_rad=1.0), t_ns=t_ns - 7_000_001)
+                msgspec.structs.replace(Estimate.at_rest(north_m=0.5 * step, heading_rad=1.0), t_ns=stamp_ns)
             ]
             heard += [Command(command_id=1, action=Action.ARM)] if step == 0 else []
             arrivals, entries = [], []
@@ -98,13 +104,24 @@ def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording
                 key = key_of(type(signal), "")
                 payload = SPELLINGS[1](wire.to_map(signal, wire.Header(epoch=theirs, sequence=numbered(key))))
                 understood, header = wire.decode(type(signal), payload)
+                understood, named = shifted(understood, -shift_ns), _named(header)
                 arrivals.append(ReceivedMessage(understood, header.epoch, header.sequence, t_ns))
-                entries.append(InboxEntry(key=key, crc=wire.crc(payload), received_t_ns=t_ns, **_named(header)))
+                entries.append(
+                    InboxEntry(key=key, crc=wire.crc(payload), received_t_ns=t_ns, shift_ns=-shift_ns, **named)
+                )
                 writer.write_plain(key, type(signal), wire.unpack(payload), t_ns, wire.crc(payload))
-            record = StepRecord(node=node.name, epoch=own, step=step, t_ns=t_ns, cause="cycle", inbox=tuple(entries))
+            record = StepRecord(
+                node=node.name,
+                epoch=own,
+                step=step,
+                t_ns=t_ns,
+                cause="cycle",
+                inbox=tuple(entries),
+                shift_ns=shift_ns,
+            )
             (outputs,) = node.steps([(t_ns, arrivals)])
             made += len(outputs)
-            for signal in (record, *outputs):
+            for signal in (record, *(shifted(output, shift_ns) for output in outputs)):
                 key = key_of(type(signal), node.name)
                 writer.write(node.name, signal, wire.Header(epoch=own, sequence=numbered(key)), t_ns)
     verdict = engine.replay(engine.Run(path))

@@ -122,7 +122,7 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
                 if reports:
                     here.send(_shifted(said, UNIX_NS), m_us)
         for signal, number, at_us in here.come(m_us):
-            assert foreign.check_stamp(signal, at_us) == ""
+            assert foreign.check_stamp(signal, 5, at_us) == ""
             inbox.append(ReceivedMessage(signal, 5, number, clock.read(at_us) or signal.t_ns))
         now_ns = clock.read(m_us)
         if now_ns is not None and now_ns >= (due_ns or now_ns):

@@ -1,0 +1,28 @@
+"""Conversion of the times in a message from one clock to another. The name of a time is ``t_ns`` or ends with it."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TypeVar
+
+import msgspec
+
+S = TypeVar("S", bound=msgspec.Struct)
+
+
+def shifted(message: S, by_ns: int) -> S:
+    """Return the message with ``by_ns`` added to each of its times, also to those of the structs in it."""
+    if by_ns == 0:
+        return message
+    fields = ((name, getattr(message, name)) for name in msgspec.structs.asdict(message))
+    changed = {
+        name: shifted(value, by_ns) if isinstance(value, msgspec.Struct) else value + by_ns
+        for name, value in fields
+        if isinstance(value, msgspec.Struct) or (value is not None and _is_time(name))
+    }
+    return msgspec.structs.replace(message, **changed)
+
+
+@cache
+def _is_time(name: str) -> bool:
+    return name == "t_ns" or name.endswith("_t_ns")

@@ -1,0 +1,53 @@
+"""Conversion of a message's times: every time changes, nothing else does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from ltv_mpc.messages import Applied, ControllerState, ControllerStatus, Plan
+from services.bus.time_shift import shifted
+from services.bus.wire import to_map
+from tests.services.bus.messages import EXAMPLES, HEADER
+
+SHIFT_NS = -86_400_000_000_000
+EXAMPLE = {type(message): message for message in EXAMPLES}
+
+
+def changed(before: Any, after: Any, path: str = "") -> set[str]:
+    """Return the names of the fields that differ."""
+    if isinstance(before, dict):
+        return {name for key in before for name in changed(before[key], after[key], f"{path}.{key}".lstrip("."))}
+    return set() if before == after else {path}
+
+
+@pytest.mark.parametrize(
+    ("kind", "times"),
+    [
+        (Plan, {"cycle_t_ns", "t_ns", "estimate_t_ns"}),
+        (Applied, {"t_ns", "plan_cycle_t_ns", "plan_received_t_ns"}),
+        (ControllerStatus, {"t_ns"}),
+    ],
+)
+def test_the_times_of_a_message_change_and_nothing_else(kind, times):
+    message = EXAMPLE[kind]
+    before, after = to_map(message, HEADER), to_map(shifted(message, SHIFT_NS), HEADER)
+    assert changed(before, after) == times
+    assert after["t_ns"] == (
+        [t_ns + SHIFT_NS for t_ns in before["t_ns"]] if kind is Plan else before["t_ns"] + SHIFT_NS
+    )
+
+
+def test_the_plan_in_a_state_changes_with_it():
+    state = EXAMPLE[ControllerState]
+    assert isinstance(state, ControllerState)
+    state = msgspec.structs.replace(state, plan=EXAMPLE[Plan])
+    after = shifted(state, SHIFT_NS)
+    assert after.plan.cycle_t_ns == state.plan.cycle_t_ns + SHIFT_NS
+    assert after.schedule_t_ns == state.schedule_t_ns + SHIFT_NS
+
+
+def test_without_a_shift_the_message_stays_the_same_object():
+    assert shifted(EXAMPLE[Plan], 0) is EXAMPLE[Plan]

@@ -1,0 +1,342 @@
+"""Offset of a publisher's clock: the error bound holds for any delays, and steps of the clock are recognised."""
+
+from __future__ import annotations
+
+import heapq
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import pytest
+
+from ltv_mpc.messages import ClockMode
+from services.runtime.clock_offset import LATE_US, STEP_DETECTED_AT, WINDOW_US, ClockOffsetEstimator
+
+YEARS_NS = 1_763_740_800_000_000_000  # Unix time of late 2025
+BOOT_NS = -5_000_000_000
+Delay = Callable[[random.Random], float]
+
+
+def jumping(rng: random.Random) -> float:
+    return rng.uniform(0.0, 0.5)
+
+
+def steady(_rng: random.Random) -> float:
+    return 0.04
+
+
+def mostly_quick(rng: random.Random) -> float:
+    """Return the delays of a link with stalls."""
+    return 0.002 + (rng.random() < 0.05) * rng.uniform(0.2, 0.5)
+
+
+@dataclass
+class Theirs:
+    """True clock of the other side."""
+
+    offset_ns: int
+    ppm: float = 0.0
+
+    def at(self, m_us: int) -> int:
+        return self.offset_ns + m_us * 1000 + round(m_us * self.ppm / 1000)
+
+
+def exchanged(
+    clock: ClockOffsetEstimator,
+    theirs: Theirs,
+    *,
+    out: Delay,
+    back: Delay,
+    reports: bool,
+    until_s: int = 60,
+    seed: int = 1,
+) -> Iterator[int]:
+    """Exchange a message every 0.1 s and a plan every 0.3 s, a tenth of both duplicated; yield the time of each event.
+
+    Delays are drawn one by one, so that messages overtake each other; the report of a plan is in the next message.
+    """
+    rng = random.Random(seed)
+    base_us = 3_600_000_000
+    events: list[tuple[int, int, Callable[[], None]]] = []
+    number, got = 0, [(-1, 0)]
+
+    def at(m_us: float, act: Callable[[], None]) -> None:
+        nonlocal number
+        number += 1
+        heapq.heappush(events, (round(m_us), number, act))
+
+    def plan(m_us: int) -> None:
+        for _ in range(1 + (rng.random() < 0.1)):
+            arrives = round(m_us + 1e6 * out(rng))
+            at(arrives, lambda arrives=arrives: got.append((m_us, theirs.at(arrives))))
+
+    def message(m_us: int) -> None:
+        stamp, (sent_us, received_ns) = theirs.at(m_us), got[-1]
+
+        def come(arrived_us: int) -> None:
+            clock.add_stamp(stamp, arrived_us)
+            if reports and sent_us >= 0:
+                clock.add_receipt(received_ns, sent_us)
+
+        for _ in range(1 + (rng.random() < 0.1)):
+            arrives = round(m_us + 1e6 * back(rng))
+            at(arrives, lambda arrives=arrives: come(arrives))
+
+    for k in range(until_s * 10):
+        at(base_us + k * 100_000, lambda k=k: message(base_us + k * 100_000))
+        if k % 3 == 0:
+            at(base_us + k * 100_000 + 6_000, lambda k=k: plan(base_us + k * 100_000 + 6_000))
+    while events:
+        m_us, _, act = heapq.heappop(events)
+        act()
+        yield m_us
+
+
+@pytest.mark.parametrize(("offset_ns", "ppm"), [(YEARS_NS, 50.0), (BOOT_NS, -50.0)])
+@pytest.mark.parametrize(
+    ("out", "back", "most_s"),
+    # The bound is half the smallest delays of 30 s, of 300 messages one way and 100 the other, and drift's 3 ms.
+    [
+        (jumping, jumping, 0.025),
+        (steady, steady, 0.0435),
+        (mostly_quick, mostly_quick, 0.0055),
+        (steady, jumping, 0.025),
+    ],
+)
+def test_with_reports_the_true_time_is_within_half_the_smallest_round_trip(ppm, offset_ns, out, back, most_s):
+    clock, theirs = ClockOffsetEstimator(), Theirs(offset_ns, ppm)
+    two_way = []
+    for m_us in exchanged(clock, theirs, out=out, back=back, reports=True):
+        reading = clock.read(m_us)
+        if reading is None or reading.mode is ClockMode.ONE_WAY:
+            continue
+        off_ns = m_us * 1000 + reading.offset_ns - theirs.at(m_us)
+        assert abs(off_ns) <= reading.error_ns
+        two_way.append(reading.error_ns)
+    assert clock.clock_steps == 0
+    assert len(two_way) > 500
+    assert max(two_way[len(two_way) // 4 :]) <= most_s * 1e9
+
+
+@pytest.mark.parametrize("ppm", [-50.0, 50.0])
+@pytest.mark.parametrize("told_s", [0.0, 0.04])
+@pytest.mark.parametrize("back", [jumping, steady])
+def test_a_one_way_clock_is_behind_by_the_smallest_delay_and_states_no_error(ppm, told_s, back):
+    clock, theirs = ClockOffsetEstimator(input_delay_ns=round(told_s * 1e9)), Theirs(YEARS_NS, ppm)
+    behind = []
+    for m_us in exchanged(clock, theirs, out=steady, back=back, reports=False):
+        reading = clock.read(m_us)
+        if reading is None:
+            continue
+        assert reading.mode is ClockMode.ONE_WAY
+        assert reading.error_ns is None
+        behind.append((theirs.at(m_us) - m_us * 1000 - reading.offset_ns) * 1e-9 + told_s)
+    settled = behind[len(behind) // 4 :]
+    if back is steady:
+        assert min(settled) == pytest.approx(0.04, abs=0.0031)
+        assert max(settled) == pytest.approx(0.04, abs=0.0031)
+    else:
+        assert min(settled) > -0.0001
+        assert max(settled) < 0.025
+
+
+def test_the_shortest_round_trip_counts_for_thirty_seconds_widened_by_drift():
+    clock = ClockOffsetEstimator()
+    clock.add_stamp(1_000_000, 1000)
+    clock.add_receipt(2_000_000, 0)  # m = 0 -> theta <= 2 ms; m = 1 ms -> theta >= 0
+    assert clock.read(1000) == (ClockMode.TWO_WAY, 1_000_050, 1_000_050)
+    for second in range(1, 30):
+        m_us = second * 1_000_000
+        clock.add_stamp((m_us - 400_000) * 1000, m_us)
+        clock.add_receipt((m_us - 600_000) * 1000, m_us - 1_000_000)  # of the plan of a second ago
+    reading = clock.read(29_000_000)
+    assert reading.error_ns == pytest.approx(1_000_000 + 29 * 100_000, abs=1000)
+    m_us = WINDOW_US + 1_000
+    clock.add_stamp((m_us - 400_000) * 1000, m_us)
+    assert clock.read(m_us).error_ns > 150_000_000
+
+
+def test_one_implausible_stamp_is_ignored_and_three_in_a_row_set_the_clock():
+    clock = ClockOffsetEstimator()
+    for k in range(50):
+        assert clock.add_stamp(YEARS_NS + k * 100_000_000, k * 100_000)
+    before = clock.read(5_000_000)
+    hour_ns = 3_600_000_000_000
+    assert not clock.add_stamp(YEARS_NS + hour_ns, 5_000_000)
+    assert clock.add_stamp(YEARS_NS + 5_100_000_000, 5_100_000)
+    assert not clock.add_stamp(YEARS_NS - hour_ns, 5_200_000)
+    assert clock.read(5_200_000).offset_ns == pytest.approx(before.offset_ns, abs=100_000)
+    assert clock.add_stamp(YEARS_NS + 5_300_000_000, 5_300_000)
+    believed = [
+        clock.add_stamp(YEARS_NS - hour_ns + k * 100_000_000, k * 100_000) for k in range(54, 54 + STEP_DETECTED_AT)
+    ]
+    assert believed == [False] * (STEP_DETECTED_AT - 1) + [True]
+    assert clock.clock_steps == 1
+    assert clock.read(5_700_000).offset_ns == pytest.approx(YEARS_NS - hour_ns, abs=100_000)
+
+
+@pytest.mark.parametrize("off_s", [-0.5, 3600.0])
+def test_implausible_receipt_times_are_ignored(off_s):
+    clock = ClockOffsetEstimator()
+    clock.add_stamp(YEARS_NS, 0)
+    clock.add_receipt(YEARS_NS + round(off_s * 1e9), 0)
+    assert clock.read(0).mode is ClockMode.ONE_WAY
+
+
+# --- steps of the clock ----------------------------------------------------------------------------------------------
+
+STEP_AT_US = 20_000_000
+DAY_S = 86_400.0
+STEPS_S = [0.05, 0.3, 1.0, 5.0, 60.0, DAY_S]
+
+
+@dataclass
+class Stepped:
+    """Course of the reading of a clock that steps at STEP_AT_US."""
+
+    clock: ClockOffsetEstimator
+    recognised_s: float | None = None
+    """Time from the step to its recognition."""
+    rejected: int = 0
+    wrong_s: float = 0.0
+    """Time after the step in which the reading was off by more than 50 ms."""
+
+
+def stepping(step_s: float, *, two_way: bool, delay: Delay = steady, until_s: int = 60) -> Stepped:
+    """Send a stamp each 0.1 s, with the receipt of the newest plan, one of which is sent each 0.3 s."""
+    rng = random.Random(7)
+    result = Stepped(ClockOffsetEstimator())
+    clock, received = result.clock, (0, 0)
+
+    def theirs(m_us: int) -> int:
+        return YEARS_NS + m_us * 1000 + (round(step_s * 1e9) if m_us >= STEP_AT_US else 0)
+
+    for m_us in range(0, until_s * 1_000_000, 100_000):
+        arrives = m_us + round(1e6 * delay(rng))
+        result.rejected += not clock.add_stamp(theirs(m_us), arrives)
+        sent_us, t_ns = received
+        if two_way and t_ns and sent_us > clock.stepped_us:
+            clock.add_receipt(t_ns, sent_us)
+        if m_us % 300_000 == 0:
+            received = (m_us, theirs(m_us + round(1e6 * delay(rng))))
+        if clock.clock_steps and result.recognised_s is None:
+            result.recognised_s = (arrives - STEP_AT_US) * 1e-6
+        reading = clock.read(arrives)
+        assert reading is not None
+        if m_us >= STEP_AT_US and abs(reading.offset_ns + arrives * 1000 - theirs(arrives)) > 50_000_000:
+            result.wrong_s += 0.1
+    return result
+
+
+def quick(_rng: random.Random) -> float:
+    return 0.002
+
+
+@pytest.mark.parametrize("step_s", [sign * step_s for step_s in STEPS_S for sign in (1, -1)])
+def test_two_way_a_step_is_recognised_by_three_contradictions_in_a_row(step_s):
+    stepped = stepping(step_s, two_way=True, delay=quick)
+    assert stepped.clock.clock_steps == 1
+    assert stepped.clock.certain
+    assert stepped.recognised_s <= (0.3 if step_s > 0 else 1.2)
+    assert stepped.wrong_s <= 1.2
+    assert stepped.rejected == (STEP_DETECTED_AT - 1 if step_s > 0 or step_s < -10 else 0)
+    assert stepped.clock.read(60_000_000).error_ns < 10_000_000
+
+
+@pytest.mark.parametrize("step_s", STEPS_S)
+def test_one_way_a_step_forward_is_recognised_by_three_stamps_that_agree(step_s):
+    stepped = stepping(step_s, two_way=False)
+    assert stepped.wrong_s <= 0.3
+    assert stepped.clock.clock_steps == 1
+    assert stepped.clock.certain
+
+
+@pytest.mark.parametrize("step_s", [0.02, -0.2])
+def test_one_way_a_step_that_delays_may_explain_is_not_counted(step_s):
+    stepped = stepping(step_s, two_way=False)
+    assert stepped.clock.clock_steps == 0
+    assert stepped.rejected == 0
+
+
+@pytest.mark.parametrize("step_s", [-0.3, -1.0, -5.0])
+def test_one_way_a_step_back_is_recognised_by_a_second_of_lateness_and_is_not_certain(step_s):
+    stepped = stepping(step_s, two_way=False)
+    assert stepped.clock.clock_steps == 1
+    assert not stepped.clock.certain
+    assert LATE_US * 1e-6 <= stepped.recognised_s <= 1.3
+    assert stepped.wrong_s <= 1.3
+    assert stepped.rejected == 0
+
+
+@pytest.mark.parametrize("step_s", [-60.0, -DAY_S])
+def test_one_way_stamps_later_than_any_delay_are_a_step_for_certain(step_s):
+    stepped = stepping(step_s, two_way=False)
+    assert stepped.clock.clock_steps == 1
+    assert stepped.clock.certain
+    assert stepped.recognised_s <= 0.3
+
+
+@pytest.mark.parametrize("two_way", [True, False])
+@pytest.mark.parametrize("ahead_s", [0.2, 5.0, DAY_S])
+def test_one_stamp_ahead_changes_nothing(two_way, ahead_s):
+    clock = ClockOffsetEstimator()
+    for m_us in range(0, 20_000_000, 100_000):
+        assert clock.add_stamp(YEARS_NS + m_us * 1000, m_us)
+        if two_way:
+            clock.add_receipt(YEARS_NS + (m_us + 1000) * 1000, m_us)
+    before = clock.read(20_000_000)
+    assert not clock.add_stamp(YEARS_NS + 20_000_000_000 + round(ahead_s * 1e9), 20_000_000)
+    assert clock.add_stamp(YEARS_NS + 20_100_000_000, 20_100_000)
+    assert clock.read(20_100_000).offset_ns == pytest.approx(before.offset_ns, abs=100_000)
+    assert clock.clock_steps == 0
+
+
+def test_stamps_ahead_that_do_not_agree_are_no_step():
+    clock = ClockOffsetEstimator()
+    rng = random.Random(2)
+    for m_us in range(0, 10_000_000, 100_000):
+        clock.add_stamp(m_us * 1000, m_us)
+    for m_us in range(10_000_000, 20_000_000, 100_000):
+        assert not clock.add_stamp(m_us * 1000 + rng.randrange(10**9, 10**15), m_us)
+    assert clock.clock_steps == 0
+
+
+def test_a_link_that_is_slow_one_way_is_no_step_where_receipts_show_it():
+    clock = ClockOffsetEstimator()
+    for m_us in range(0, 40_000_000, 100_000):
+        arrives = m_us + (2_000 if m_us < 20_000_000 else 1_500_000)
+        clock.add_stamp(m_us * 1000, arrives)
+        clock.add_receipt((m_us - 100_000 + 2_000) * 1000, m_us - 100_000)
+    assert clock.clock_steps == 0
+
+
+@pytest.mark.parametrize("two_way", [True, False])
+@pytest.mark.parametrize("delay", [jumping, steady, mostly_quick])
+@pytest.mark.parametrize("seed", range(5))
+def test_delays_that_vary_are_no_steps(two_way, delay, seed):
+    clock = ClockOffsetEstimator()
+    for _ in exchanged(clock, Theirs(YEARS_NS, 50.0), out=delay, back=delay, reports=two_way, until_s=60, seed=seed):
+        pass
+    assert clock.clock_steps == 0
+
+
+def test_where_a_congested_link_clears_up_the_clock_is_set_forward_again():
+    clock = ClockOffsetEstimator()
+    for m_us in range(0, 30_000_000, 100_000):
+        late = 10_000_000 <= m_us < 20_000_000
+        clock.add_stamp(m_us * 1000, m_us + (800_000 if late else 2_000))
+    assert clock.clock_steps == 2
+    assert clock.certain
+    assert clock.read(30_000_000).offset_ns == pytest.approx(-2_000_000, abs=1_100_000)
+
+
+@pytest.mark.parametrize("delay", [quick, steady])
+@pytest.mark.parametrize("share", [-0.95, -0.5, 0.5, 0.95])
+def test_a_step_below_the_error_bound_leaves_the_reading_within_it(delay, share):
+    """The two directions have the same delay, so the bound is that delay."""
+    rng = random.Random(1)
+    step_s = share * delay(rng)
+    stepped = stepping(step_s, two_way=True, delay=delay, until_s=40)
+    reading = stepped.clock.read(40_000_000)
+    true_ns = YEARS_NS + round(step_s * 1e9)
+    assert abs(reading.offset_ns - true_ns) <= reading.error_ns
