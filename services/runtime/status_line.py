@@ -69,7 +69,7 @@ def text(status: ControllerStatus, estimates_on: str) -> str:
         parts.append(f"{100 * status.progress:.0f} % of the path")
     if status.clock is not ClockMode.SHARED:
         error = "" if status.clock_error_ns is None else f", within {status.clock_error_ns / 1e6:.1f} ms"
-        steps = f", {status.clock_steps} steps" if status.clock_steps else ""
+        steps = f", steps: {status.clock_steps}" if status.clock_steps else ""
         parts.append(f"clock {status.clock.value}{error}{steps}")
     if status.dropped or status.rejected:
         parts.append(f"{status.dropped} dropped, {sum(status.rejected.values())} rejected")

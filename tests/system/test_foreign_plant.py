@@ -218,4 +218,4 @@ def test_as_processes_it_holds_the_point_by_its_own_clock_which_is_set_back(tmp_
         started(sys.executable, "-P", str(HERE / "foreign_plant.py"), endpoint, "-5") as (_, plant),
     ):
         plant.until(has_held, within_s=240.0)
-        console.until(lambda line: "was set by -5.0" in line, within_s=5.0)
+        console.until(lambda line: "was set by -" in line, within_s=5.0)
