@@ -259,7 +259,7 @@ def test_one_way_a_step_that_delays_may_explain_is_not_counted(step_s):
 
 
 @pytest.mark.parametrize("step_s", [-0.3, -1.0, -5.0])
-def test_one_way_a_step_back_is_recognised_by_a_second_of_lateness_and_is_not_certain(step_s):
+def test_one_way_a_second_of_lateness_is_a_step_back_that_is_not_certain(step_s):
     stepped = stepping(step_s, two_way=False)
     assert stepped.clock.clock_steps == 1
     assert not stepped.clock.certain
