@@ -113,7 +113,7 @@ def _refusal(options: BusOptions, error: zenoh.ZError) -> ConfigError:
     return ConfigError(source, "", f"Zenoh rejects the configuration: {_text(error)}", value=value)
 
 
-def _text(error: zenoh.ZError) -> str:
+def _text(error: BaseException) -> str:
     """Return Zenoh's error in one line, without its source location and its input."""
     text = re.sub(r" at /\S+\.rs:\d+\.?", "", str(error)).partition(", input: ")[0]
     return " ".join(text.split())
@@ -185,12 +185,12 @@ def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable
     Raises ``BusError`` if the session cannot be opened, and ``Stopped`` if ``stop`` returns True meanwhile.
     """
     config = configuration(options)
-    result: list[zenoh.Session | zenoh.ZError] = []
+    result: list[zenoh.Session | BaseException] = []
 
     def attempt() -> None:
         try:
             result.append(zenoh.open(config))
-        except zenoh.ZError as error:
+        except BaseException as error:  # a panic of Zenoh is no Exception
             result.append(error)
 
     # Zenoh's open cannot be interrupted by a signal; a daemon thread can be left behind.
@@ -204,7 +204,7 @@ def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable
             raise Stopped
         thread.join(0.1)
     (opened,) = result
-    if isinstance(opened, zenoh.ZError):
+    if isinstance(opened, BaseException):
         raise BusError(_explained(options, _text(opened)))
     return Session(opened)
 

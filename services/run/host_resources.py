@@ -1,13 +1,18 @@
-"""Resources of this machine for a run: processor cores and disk space."""
+"""Resources of this machine for a run: processor cores, disk space and open files."""
 
 from __future__ import annotations
 
 import errno
 import os
+import resource
 import shutil
 from pathlib import Path
 
 BYTES_PER_VEHICLE_S = 200_000  # of recording, with a margin: 200 s have about 12 MB
+
+
+MIN_OPEN_FILES = 64
+"""Open files that the supervisor of a run may need: it needs about 40."""
 
 
 def core_count() -> int:
@@ -28,3 +33,17 @@ def check_disk_space(folder: Path, duration_s: float) -> None:
             f"{free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB may be needed: free disk space, or choose another --out"
         )
         raise OSError(errno.ENOSPC, problem, str(folder))
+
+
+def check_open_files() -> None:
+    """Raise ``OSError`` if this process may not open enough files for a run. The soft limit is raised if possible."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= MIN_OPEN_FILES:
+        return
+    if hard != resource.RLIM_INFINITY and hard < MIN_OPEN_FILES:
+        problem = (
+            f"the limit on open files is {hard} (`ulimit -n`), a run needs {MIN_OPEN_FILES}: "
+            f"raise it with `ulimit -n {MIN_OPEN_FILES}` or in /etc/security/limits.conf"
+        )
+        raise OSError(errno.EMFILE, problem)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (MIN_OPEN_FILES, hard))
