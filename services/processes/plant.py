@@ -10,6 +10,7 @@ from services.runtime.clock_master import ClockMasterSettings
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
+from services.runtime.stopping import DONE, FAILED, Say, StopRequest, stderr_printer
 from sim.plant import Plant
 
 
@@ -22,7 +23,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def main(config: Config) -> int:
-    """Start the clock when all nodes are ready, and run to the scenario's end."""
+    """Start the clock when all nodes are ready, and run to the scenario's end. Return 1 if stopped before it."""
     run_config = resolve(config.scenario)
     scenario = run_config.scenario
     estimator = () if scenario.run.perfect_state else ("estimator",)
@@ -33,11 +34,17 @@ def main(config: Config) -> int:
         expects=("sensors", *estimator, "controller", *config.expects),
     )
     warm_up(run_config)
-    return serve(
-        Plant.name,
-        config.bus,
-        lambda request, say: Runner(_make(run_config), stop=request, say=say, clock=ClockOptions(master=clock_master)),
-    )
+    runners: list[Runner] = []
+
+    def make_runner(request: StopRequest, say: Say) -> Runner:
+        runners.append(Runner(_make(run_config), stop=request, say=say, clock=ClockOptions(master=clock_master)))
+        return runners[0]
+
+    code = serve(Plant.name, config.bus, make_runner)
+    if code == DONE and not (runners and runners[0].finished):
+        stderr_printer(Plant.name)("stopped before the end of the run")
+        return FAILED
+    return code
 
 
 def warm_up(run_config: RunConfig) -> None:
