@@ -11,6 +11,7 @@ children are spawned by the supervisor's main thread, in sessions of their own.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import signal
@@ -45,14 +46,17 @@ def stop_at_end_of_input() -> None:
 
 
 class OrphanCleanup:
-    """Handle of the process that kills orphaned children (``orphan_cleanup.py``)."""
+    """Handle of the process that kills orphaned children (``orphan_cleanup.py``).
+
+    If that process dies, the run continues without it: on Linux the kernel still ends most children with their parent.
+    """
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
             [sys.executable, "-I", "-S", str(Path(orphan_cleanup.__file__))],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
-            text=True,
+            bufsize=0,
             start_new_session=True,
         )
 
@@ -79,5 +83,5 @@ class OrphanCleanup:
 
     def _send(self, line: str) -> None:
         assert self._process.stdin is not None
-        self._process.stdin.write(line + "\n")
-        self._process.stdin.flush()
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(f"{line}\n".encode())
