@@ -30,6 +30,7 @@ HELP = ((), ("--help",), ("-h",))
 COMPLETION = "_LTV_MPC_COMPLETE"
 """Environment variable that a shell sets to request completions."""
 
+STDERR = 2
 NOT_COMPLETED = 1
 BAD_INPUT = 2
 
@@ -72,7 +73,18 @@ def _commands(
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command line and exit: 0 done, 1 not completed, 2 bad input, 130 Ctrl-C."""
+    _open_missing_streams()
     sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+def _open_missing_streams() -> None:
+    """Open the null device in place of standard streams that are closed, so that no other file gets their numbers."""
+    while (opened := os.open(os.devnull, os.O_RDWR)) <= STDERR:
+        pass
+    os.close(opened)
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "r" if number == 0 else "w", closefd=False))  # noqa: SIM115
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -18,6 +18,7 @@ from services.cli.options import Force, Json, Out, ScenarioName, short
 if TYPE_CHECKING:
     from services.run.folder import RunFolder
     from services.run.run_config import Override, RunConfig
+    from services.runtime.stopping import StopRequest
     from sim.evaluation.summary import Summary
 
 KEYS = {
@@ -129,8 +130,9 @@ def sim(
     SCENARIO is a shipped name (descent, hover) or a TOML file. Precedence: option, --set, file, default.
     """
     from services.run import folder
-    from services.run.host_resources import check_disk_space
+    from services.run.host_resources import check_disk_space, check_open_files
     from services.run.run_config import resolve
+    from services.runtime.stopping import hang_up_with_stderr
 
     texts = (
         *(speed, seed, duration_s, surface_time_s, compute_delay_s, horizon_s),
@@ -147,14 +149,16 @@ def sim(
     run_config = resolve(scenario, overrides)
     if certs is not None:
         _check_certs(certs, run_config, lockstep=lockstep)
+    check_open_files()
     check_disk_space(out or folder.ROOT, run_config.scenario.run.surface_time_s + run_config.scenario.run.duration_s)
-    run_folder = folder.make(run_config.name, run_config.files, out=out, force=force)
-    for note in run_config.notes:
-        typer.echo(note, err=True)
-    if lockstep:
-        return _run_in_lockstep(run_config, run_folder, as_json)
-    page = open_ or (sys.stderr.isatty() if dashboard is None else dashboard)
-    return _run_processes(run_config, run_folder, as_json, certs, page=page, open_browser=open_)
+    with folder.locked(out, force=force), hang_up_with_stderr():
+        run_folder = folder.make(run_config.name, run_config.files, out=out, force=force)
+        for note in run_config.notes:
+            typer.echo(note, err=True)
+        if lockstep:
+            return _run_in_lockstep(run_config, run_folder, as_json)
+        page = open_ or (sys.stderr.isatty() if dashboard is None else dashboard)
+        return _run_processes(run_config, run_folder, as_json, certs, page=page, open_browser=open_)
 
 
 def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequence[str]) -> list[Override]:
@@ -220,14 +224,52 @@ def _run_in_lockstep(run_config: RunConfig, folder: RunFolder, as_json: bool) ->
     from services.tools import lockstep_run
 
     scenario = run_config.scenario
-    with stop_on_signals() as request, run_progress_bar(scenario.start_ns, scenario.end_ns) as progress:
-        summary = lockstep_run.run(run_config, folder, progress=progress, stop=request)
+    with stop_on_signals() as request:
+        compiled = _compile(folder, request)
+        if compiled is not None:
+            return compiled
+        with run_progress_bar(scenario.start_ns, scenario.end_ns) as progress:
+            summary = lockstep_run.run(run_config, folder, progress=progress, stop=request)
     _print_summary(summary, folder, as_json)
     if summary.duration_s >= scenario.run.duration_s:
         return DONE
     if request():
         typer.echo("stopped early; the messages recorded so far are kept", err=True)
     return INTERRUPTED if request.interrupted else FAILED
+
+
+def _compile(folder: RunFolder, request: StopRequest) -> int | None:
+    """Compile all kernels in another process, which a signal can end at once. Return an exit code if that fails."""
+    from services.reporting.terminal import progress_bar
+    from services.runtime.stopping import DONE, FAILED, INTERRUPTED
+    from services.supervisor import jit_cache
+    from services.supervisor.managed_process import describe_exit
+    from services.supervisor.parent_death import OrphanCleanup
+
+    if jit_cache.is_warm():
+        return None
+    typer.echo(jit_cache.NOTE, err=True)
+    cleanup = OrphanCleanup()
+    try:
+        with progress_bar("compiling") as show:
+
+            def wait(share: float) -> None:
+                show(share)
+                if request.wait(jit_cache.POLL_S):
+                    raise InterruptedError
+
+            log = folder.path / "compiling.log"
+            code = jit_cache.fill(folder.scenario, log, cleanup, wait)
+    except InterruptedError:
+        typer.echo("stopped while compiling", err=True)
+        return INTERRUPTED if request.interrupted else FAILED
+    finally:
+        cleanup.close()
+    if code != DONE:
+        typer.echo(f"compiling {describe_exit(code)}: see {log}", err=True)
+        return FAILED
+    log.unlink()
+    return None
 
 
 def _run_processes(

@@ -20,6 +20,7 @@ from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.collector import ROWS
 from services.reporting.plots.recorded import PlotData, read
 from services.reporting.run_summary_text import how
+from services.run.folder import draft_of
 
 NAME = "report.html"
 
@@ -56,9 +57,8 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
         data=_data(runs, plot_data),
         script=static_files.text("plots.js") + static_files.text("report.js"),
     )
-    draft = out.with_name(out.name + ".part")
-    draft.write_text(text, encoding="utf-8")
-    draft.replace(out)
+    with draft_of(out) as draft:
+        draft.write_text(text, encoding="utf-8")
     return figures
 
 

@@ -13,9 +13,10 @@ runs/20261121T054500Z-descent/
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import itertools
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -62,15 +63,55 @@ class RunFolder:
         """Return the path of a settings file: vehicle, sensors, reference, controller or estimator."""
         return self.path / "config" / f"{what}.toml"
 
+    @property
+    def deleted(self) -> bool:
+        """True if the folder, which was made with a scenario, exists no more."""
+        return not self.scenario.exists()
+
     def write_result(self, summary: msgspec.Struct, water: WaterPrior | None) -> None:
-        """Write summary.json, and currents.csv of the estimated water, each of them atomically."""
-        draft = self.summary.with_suffix(".json.part")
-        draft.write_bytes(msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n")
-        draft.replace(self.summary)
+        """Write summary.json, and currents.csv of the estimated water, each of them completely or not at all."""
+        with draft_of(self.summary) as draft:
+            draft.write_bytes(msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n")
         if water is not None:
-            draft = self.currents.with_suffix(".csv.part")
-            write_profile(draft, water)
-            draft.replace(self.currents)
+            with draft_of(self.currents) as draft:
+                write_profile(draft, water)
+
+
+@contextlib.contextmanager
+def draft_of(path: Path) -> Iterator[Path]:
+    """Give the path of a draft that replaces ``path`` once it is written; if that fails, no draft is left."""
+    draft = path.with_name(path.name + ".part")
+    try:
+        yield draft
+        draft.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+        raise
+
+
+@contextlib.contextmanager
+def locked(out: Path | None, *, force: bool) -> Iterator[None]:
+    """Make the folder ``out`` and reserve it for one run; a default folder, None, belongs to one run anyway.
+
+    A folder that is not empty raises ``ConfigError`` unless ``force`` is set; one that another run has reserved raises
+    it in any case.
+    """
+    if out is None:
+        yield
+        return
+    folder = os.open(open_folder(out, force=force), os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            problem = "another run writes into this folder: wait for its end, or name another folder"
+            raise ConfigError("option --out", "", problem, value=str(out)) from None
+        except OSError:  # a file system without locks
+            pass
+        yield
+    finally:
+        os.close(folder)
 
 
 def make(name: str, files: Mapping[str, str], *, out: Path | None = None, force: bool = False) -> RunFolder:
@@ -100,12 +141,13 @@ def find(text: str) -> Path:
     try:
         if path.is_dir():
             path = path / RECORDING
-        if path.is_file():
-            if path.stat().st_size == 0:
-                raise ConfigError(f"recording {path}", "", "no recording: 0 bytes")
-            return path
+        size = path.stat().st_size if path.is_file() else None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise ConfigError(source, "", f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if size == 0:
+        raise ConfigError(f"recording {path}", "", "no recording: 0 bytes")
+    if size is not None:
+        return path
     if path.name == RECORDING and path.parent.is_dir():
         raise ConfigError(source, "", f"there is no {RECORDING} in this folder: name the folder of a recorded run")
     raise ConfigError(source, "", f"no such folder or file: a run's folder, its {RECORDING}, or {LATEST}")

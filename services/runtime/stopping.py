@@ -9,9 +9,11 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TypeAlias
+from typing import Any, TextIO, TypeAlias, TypeVar
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
+
+T = TypeVar("T")
 
 Say: TypeAlias = Callable[[str], None]
 """Function that prints one line for the user."""
@@ -63,14 +65,62 @@ class StopRequest:
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopRequest]:
-    """Make SIGTERM and SIGINT request a clean stop within the context."""
+    """Make SIGTERM, SIGINT and SIGHUP request a clean stop within the context; ``nohup`` ignores SIGHUP."""
     request = StopRequest()
-    before = {number: signal.signal(number, request.receive) for number in (signal.SIGTERM, signal.SIGINT)}
+    numbers = [signal.SIGTERM, signal.SIGINT]
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, request.receive) for number in numbers}
     try:
         yield request
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+class HangUpStream:
+    """Standard error whose reader may end, as a pipe or a terminal that is closed.
+
+    The first failure to write counts as the hang-up of a terminal: SIGHUP, if this process handles it. Later text is
+    discarded.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._closed = False
+
+    def write(self, text: str) -> int:
+        """Write a text; return its length."""
+        return self._try(lambda: self._stream.write(text), len(text))
+
+    def flush(self) -> None:
+        """Pass the text on to the reader."""
+        self._try(self._stream.flush, None)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def _try(self, act: Callable[[], T], default: T) -> T:
+        if self._closed:
+            return default
+        try:
+            return act()
+        except OSError:
+            self._closed = True
+            if callable(signal.getsignal(signal.SIGHUP)):
+                signal.raise_signal(signal.SIGHUP)
+            return default
+
+
+@contextmanager
+def hang_up_with_stderr() -> Iterator[None]:
+    """Make the end of standard error's reader a SIGHUP within the context."""
+    stderr = sys.stderr
+    sys.stderr = HangUpStream(stderr)
+    try:
+        yield
+    finally:
+        sys.stderr = stderr
 
 
 def stderr_printer(name: str) -> Say:

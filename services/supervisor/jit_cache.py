@@ -16,7 +16,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ltv_mpc.jit import CACHE, JIT_FUNCTIONS
-from services.supervisor.parent_death import die_with_parent
+from services.supervisor.parent_death import OrphanCleanup, die_with_parent
+
+NOTE = "compiling, once after a change of the sources: a minute or two"
+"""Line that announces a compilation."""
 
 MARK = "rehearsed"
 """File in the cache folder, which is named after the sources; if it exists, everything is compiled."""
@@ -37,16 +40,28 @@ def command(scenario: str) -> list[str]:
     return [sys.executable, "-P", "-m", "services.supervisor.jit_cache", scenario]
 
 
-def fill(scenario: Path, log: Path) -> subprocess.Popen[bytes]:
-    """Start ``command`` with its output in ``log``."""
+def fill(scenario: Path, log: Path, cleanup: OrphanCleanup, wait: Callable[[float], None]) -> int:
+    """Run ``command`` with its output in ``log``, and return its exit code.
+
+    ``wait`` is called again and again with the share that is compiled. An exception of it ends the compilation.
+    """
     with log.open("wb") as output:
-        return subprocess.Popen(
+        process = subprocess.Popen(
             command(str(scenario)),
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
+    cleanup.add(process.pid)
+    try:
+        while process.poll() is None:
+            wait(share())
+    finally:
+        process.kill()  # its own children end with it
+        code = process.wait()
+        cleanup.remove(process.pid)
+    return code
 
 
 def share() -> float:

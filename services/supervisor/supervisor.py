@@ -112,8 +112,10 @@ class Supervisor:
         """Run from the first process to the last and write the summary, also of a run that was interrupted."""
         with stop_on_signals() as self._request:
             outcome = self._supervise(certs, on_bus)
-        if not self._folder.recording.exists():
-            return outcome
+            return self._summarised(outcome) if self._folder.recording.exists() else outcome
+
+    def _summarised(self, outcome: Outcome) -> Outcome:
+        """Join the segments of the recording and write the summary. Return the outcome with the summary."""
         for text in join.segments_of(self._folder.recording):
             self._screen.say(text)
         recorder = None if self._monitor is None else self._monitor.newest(NodeStatus, "recorder")
@@ -125,8 +127,13 @@ class Supervisor:
         )
         if summary.cycles == 0:
             return outcome
-        self._folder.write_result(summary, water)
-        return replace(outcome, summary=summary)
+        outcome = replace(outcome, summary=summary)
+        try:
+            self._folder.write_result(summary, water)
+        except OSError as error:
+            why = f"{self._folder.path}: the results cannot be written: {error.strerror}"
+            return replace(outcome, completed=False, exit_code=outcome.exit_code or FAILED, why=outcome.why or why)
+        return outcome
 
     @property
     def recovered(self) -> bool:
@@ -181,20 +188,16 @@ class Supervisor:
         """Compile all numba kernels into the cache, unless they are there already."""
         if jit_cache.is_warm():
             return
-        self._screen.say("compiling, once after a change of the sources: a minute or two")
+        self._screen.say(jit_cache.NOTE)
         log = self._logs / "compiling.log"
-        process = jit_cache.fill(self._folder.scenario, log)
-        self._cleanup.add(process.pid)
-        try:
-            while process.poll() is None:
-                self._tick()
-                self._screen.wait("compiling", jit_cache.share())
-            if process.returncode != 0:
-                raise RunFailed(f"compiling {describe_exit(process.returncode)}; its last lines:", last_lines(log))
-        finally:
-            process.kill()
-            process.wait()
-            self._cleanup.remove(process.pid)
+
+        def wait(share: float) -> None:
+            self._tick()
+            self._screen.wait("compiling", share)
+
+        code = jit_cache.fill(self._folder.scenario, log, self._cleanup, wait)
+        if code != DONE:
+            raise RunFailed(f"compiling {describe_exit(code)}; its last lines:", last_lines(log))
 
     def _load(self) -> None:
         """Start the fork server and wait until it has loaded."""
@@ -264,6 +267,8 @@ class Supervisor:
         self.children.wait(TICK_S, self._request)
         if self._request():
             raise Stopped
+        if self._folder.deleted:
+            raise RunFailed(f"{self._folder.path}: the folder was deleted during the run")
         now_s = time.monotonic()
         late, self._ticked_s = now_s - self._ticked_s > LATE_S, now_s
         self.failures.check(now_s, excuse=late)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 from collections.abc import Callable
 from functools import cache
@@ -37,14 +38,20 @@ def run(
     """Run all nodes in lock step, to the end of the run or until ``stop`` returns True.
 
     With a ``folder`` the recording, the summary and the estimated current are written there. ``progress`` receives the
-    vehicle time (ns).
+    vehicle time (ns). Raises ``OSError`` if the folder is deleted during the run.
     """
     if folder is None:
         return simulate(run_config, None, progress, stop)
+
+    def stop_or_deleted() -> bool:
+        if folder.deleted:
+            raise FileNotFoundError(errno.ENOENT, "the folder was deleted during the run", str(folder.path))
+        return stop()
+
     metadata = {"mode": LOCKSTEP, "seed": str(run_config.scenario.run.seed), **run_config.files}
     start_ns, learned = run_config.scenario.start_ns, EstimatedCurrent()
     with RunWriter(folder.recording, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
-        summary = simulate(run_config, writer, progress, stop, learned)
+        summary = simulate(run_config, writer, progress, stop_or_deleted, learned)
     folder.write_result(summary, learned.prior())
     return summary
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from services.reporting import static_files
 from services.reporting.plots import palette
+from services.run.folder import draft_of
 from services.tools.campaign.campaign import reopen_campaign
 from services.tools.campaign.file import Campaign, Range
 from services.tools.campaign.ranking import ConfidenceInterval, Scores, Standing, interval, ranked, scores
@@ -47,9 +48,8 @@ def write(folder: Path) -> Path:
         data=msgspec.json.encode(panels(campaign, of)).decode().replace("<", "\\u003c"),
     )
     out = folder / NAME
-    draft = out.with_name(out.name + ".part")
-    draft.write_text(text, encoding="utf-8")
-    draft.replace(out)
+    with draft_of(out) as draft:
+        draft.write_text(text, encoding="utf-8")
     return out
 
 

@@ -143,13 +143,13 @@ CASES = [
     ("profile --cycles 0", "--cycles"),
     # --- a recording that was never begun -------------------------------------------------------------------------
     *(
-        (f"{command} run.mcap", "recording run.mcap: no recording: 0 bytes")
+        (f"{command} run.mcap", "ltv-mpc: recording run.mcap: no recording: 0 bytes")
         for command in (
             *("report", "replay", "log info", "log recover", "log export", "log export --format perfetto"),
             *("vehicle identify", "profile --run"),
         )
     ),
-    ("report .", "recording run.mcap: no recording: 0 bytes"),
+    ("report .", "ltv-mpc: recording run.mcap: no recording: 0 bytes"),
     # --- one process each -----------------------------------------------------------------------------------------
     ("plant none.toml", "scenario none.toml: no such file"),
     ("sensors decsent", 'scenario "decsent": no shipped name'),

@@ -11,6 +11,7 @@ import pytest
 
 from ltv_mpc.currents import WaterPrior, read_prior
 from ltv_mpc.errors import ConfigError
+from services.cli import app
 from services.run import folder
 from services.run.run_config import resolve
 from services.run.summary import LOCKSTEP, summarise
@@ -122,3 +123,25 @@ def test_what_is_no_run_is_refused_with_what_would_be(text: str, wrong: str) -> 
     Path("empty").mkdir()
     with pytest.raises(ConfigError, match=wrong):
         folder.find(text)
+
+
+def test_a_folder_that_a_run_writes_is_refused_to_a_second_one_even_by_force(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with folder.locked(tmp_path / "run", force=True):
+        assert app.run(["sim", "--lockstep", "--force", "--out", str(tmp_path / "run")]) == 2
+        assert "another run writes into this folder: wait for its end" in capsys.readouterr().err
+        assert not list((tmp_path / "run").iterdir())
+    with folder.locked(tmp_path / "run", force=False):
+        pass
+
+
+def test_a_draft_replaces_its_file_completely_or_is_removed(tmp_path: Path) -> None:
+    path = tmp_path / "page"
+    with folder.draft_of(path) as draft:
+        draft.write_text("whole")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(IsADirectoryError), folder.draft_of(tmp_path / "folder") as draft:
+        draft.write_text("in vain")
+    assert path.read_text() == "whole"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["folder", "page"]

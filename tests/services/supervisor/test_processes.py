@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -168,6 +169,33 @@ def test_a_run_of_processes_records_every_message_and_leaves_no_process(tmp_path
     assert verdict.steps_compared == verdict.steps_run == sum(steps.values())
 
 
+def test_the_death_of_the_orphan_cleanup_changes_nothing(tmp_path: Path) -> None:
+    s = run_config(3.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+
+    def kill_the_cleanup() -> None:
+        (pid,) = (pid for pid, words in children_of(os.getpid()).items() if "orphan_cleanup.py" in words)
+        os.kill(pid, signal.SIGKILL)
+
+    screen = Screen(kill_the_cleanup)
+    outcome = supervisor.run(s, run, screen)
+    assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
+    assert run.summary.exists()
+    assert not children_of(os.getpid())
+
+
+def test_results_that_cannot_be_written_leave_the_verdict_exit_1_and_no_draft(tmp_path: Path) -> None:
+    """A folder takes the place of the file, as a full disk would."""
+    s = run_config(3.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    run.summary.mkdir()
+    outcome = supervisor.run(s, run, Screen())
+    assert (outcome.completed, outcome.exit_code) == (False, 1)
+    assert outcome.why == f"{run.path}: the results cannot be written: Is a directory"
+    assert outcome.summary is not None
+    assert not list(run.path.rglob("*.part"))
+
+
 def test_the_estimator_starts_from_the_prior_and_the_run_saves_its_profile(tmp_path: Path) -> None:
     """A current deeper than the profiler's range, which only the file can have provided."""
     known = tmp_path / "known.csv"
@@ -206,7 +234,7 @@ def test_a_failed_simulation_process_ends_the_run_with_its_last_lines(tmp_path: 
 class Mischief:
     """Screen that kills or stops one process after the other, as soon as the previous one is back.
 
-    Then it stops the plant, which ends the run.
+    Then it stops the plant, which ends the run: it is not complete.
     """
 
     def __init__(self, harm: Sequence[tuple[str, signal.Signals]]) -> None:
@@ -237,7 +265,7 @@ class Mischief:
         pass
 
 
-def test_a_killed_or_hung_process_continues_where_it_was_and_the_run_completes(tmp_path: Path) -> None:
+def test_a_killed_or_hung_process_continues_where_it_was_and_a_stopped_plant_ends(tmp_path: Path) -> None:
     """One after the other; after the fork server, the next one is spawned, which takes longer."""
     s = resolve("hover", [Override("test", ["run.duration_s=600", "run.surface_time_s=2", "run.speed=1"])])
     run = folder.make("test", s.files, out=tmp_path / "run")
@@ -251,7 +279,9 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_the_run_completes(t
     )
     mischief.supervisor = crewed = supervisor.Supervisor(s, run, mischief)
     outcome = crewed.run()
-    assert (outcome.completed, outcome.exit_code) == (True, 0), (outcome, mischief.said)
+    assert outcome.why == "plant ended with exit code 1; its last lines:", (outcome, mischief.said)
+    assert outcome.last_lines[-1] == "plant: stopped before the end of the run"
+    assert (outcome.completed, outcome.exit_code) == (False, 1)
     assert outcome.summary is not None
     assert outcome.summary.restarts == 4
     assert not children_of(os.getpid())
@@ -329,6 +359,62 @@ def test_ctrl_c_ends_everything_within_two_seconds_and_leaves_a_valid_recording(
     assert not recording.cut
     assert not missing
     assert count["world/truth"] > 0
+
+
+def test_a_hang_up_ends_the_run_in_order_with_its_summary(
+    launcher: tuple[subprocess.Popen[bytes], Path],
+) -> None:
+    process, out = launcher
+    pids = children_of(process.pid)
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(PATIENCE_S) == 1
+    assert not any(alive(pid) for pid in pids)
+    assert json.loads((out / "summary.json").read_text())["duration_s"] < 200.0
+    assert not recorded(out / "run.mcap")[0].cut
+
+
+def test_a_deleted_folder_ends_the_run_with_exit_1_and_its_name(
+    launcher: tuple[subprocess.Popen[bytes], Path],
+) -> None:
+    process, out = launcher
+    pids = children_of(process.pid)
+    shutil.rmtree(out)
+    began = time.monotonic()
+    until(lambda: f"{out}: the folder was deleted during the run" in (out.parent / "launcher.log").read_text())
+    assert time.monotonic() - began < 2.0 + 2.0  # it is noticed, then all processes end
+    assert process.wait(PATIENCE_S) == 1
+    assert not any(alive(pid) for pid in pids)
+
+
+def test_a_closed_stderr_ends_the_run_in_order_with_its_summary(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    process = subprocess.Popen(
+        [*CLI, "sim", "--duration-s", "600", "--out", str(out)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    try:
+        recording = out / "run.mcap"
+        until(lambda: process.poll() is not None or (recording.exists() and dives(recording)))
+        pids = children_of(process.pid)
+        assert process.stderr is not None
+        process.stderr.close()
+        verdict, _ = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 1
+    assert b"localisation" in verdict
+    assert not any(alive(pid) for pid in pids)
+    assert json.loads((out / "summary.json").read_text())["duration_s"] < 200.0
+
+
+def test_a_run_without_stderr_completes(tmp_path: Path) -> None:
+    words = [*CLI, "sim", "--duration-s", "1", "--speed", "10", "--out", str(tmp_path / "run")]
+    ended = subprocess.run(["sh", "-c", 'exec "$@" 2>&-', "sh", *words], stdout=subprocess.PIPE, check=False)
+    assert ended.returncode == 0
+    assert b"localisation" in ended.stdout
 
 
 def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_file(

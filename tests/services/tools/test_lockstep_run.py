@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,6 +25,7 @@ from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.run.summary import summarise_recording
+from services.supervisor.jit_cache import MARK
 from services.tools import lockstep_run
 from sim.evaluation.summary import Summary
 from tests.stepping import step
@@ -32,6 +36,7 @@ CHILD = """
 import sys
 from pathlib import Path
 from services.run import folder
+from services.supervisor.jit_cache import MARK
 from services.tools import lockstep_run
 from services.run.run_config import Override, resolve
 situation = resolve("descent", [Override("test", ["run.duration_s=10", "run.compute_delay_s=0.4"])])
@@ -118,8 +123,8 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
         assert isinstance(record, StepRecord)
         steps[record.node] += 1
         outputs = step(nodes[record.node], record.t_ns, list(inbox(record, frames)))
-        for signal in outputs:
-            key = topics.key_of(type(signal), record.node)
+        for output in outputs:
+            key = topics.key_of(type(output), record.node)
             sequence = made.get(key, 0)
             made[key] = sequence + 1
             was = frames.get((key, 1, sequence))
@@ -127,7 +132,7 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
                 assert record.node == "controller"  # which alone takes time in lock step
                 continue
             header = wire.Header(epoch=1, sequence=sequence, sent_monotonic_us=0)
-            assert msgspec.json.encode(wire.to_map(signal, header)) == msgspec.json.encode(was.plain), (key, sequence)
+            assert msgspec.json.encode(wire.to_map(output, header)) == msgspec.json.encode(was.plain), (key, sequence)
     assert min(steps.values()) >= 9
     assert steps["plant"] == steps["sensors"] == 701
 
@@ -232,3 +237,42 @@ def test_the_summary_of_a_recording_is_that_of_the_run_itself(
         end_to_end_delay_wall_s=summary.end_to_end_delay_wall_s,
     )
     assert lockstep == summary
+
+
+def test_a_folder_that_is_deleted_ends_the_run_with_its_name(tmp_path: Path) -> None:
+    here = run_config("run.duration_s=600")
+    made = folder.make("descent", here.files, out=tmp_path / "run")
+    reached: list[int] = []
+
+    def progress(t_ns: int) -> None:
+        reached.append(t_ns)
+        shutil.rmtree(made.path, ignore_errors=True)
+
+    with pytest.raises(FileNotFoundError, match="the folder was deleted during the run"):
+        lockstep_run.run(here, made, progress=progress)
+    assert len(reached) == 1
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 1), (signal.SIGINT, 130)])
+def test_compiling_is_announced_and_a_signal_ends_it_within_two_seconds(
+    number: signal.Signals, code: int, tmp_path: Path
+) -> None:
+    words = [sys.executable, "-P", "-m", "services.cli", "sim", "--lockstep", "--out", str(tmp_path / "run")]
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    with subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stderr is not None
+            while "compiling" not in (line := process.stderr.readline()):
+                assert line, "it ended without an announcement"
+            while not list((tmp_path / "cache").rglob("*.nbc")):
+                assert process.poll() is None
+                time.sleep(0.05)
+            began = time.monotonic()
+            process.send_signal(number)
+            said = process.stderr.read()
+            assert process.wait(60) == code
+            assert time.monotonic() - began < 2.0
+        finally:
+            process.kill()
+    assert said == "stopped while compiling\n"
+    assert not list((tmp_path / "cache").rglob(MARK))
