@@ -182,6 +182,11 @@ class ClockOffsetEstimator:
             return ClockOffset(ClockMode.ONE_WAY, low + self._input_delay_ns, None)
         return ClockOffset(ClockMode.TWO_WAY, (high + low) // 2, (high - low + 1) // 2)
 
+    @property
+    def heard_us(self) -> int:
+        """Monotonic time at which the newest accepted stamp arrived."""
+        return self._newest.m_us
+
     def agrees(self, other: ClockOffsetEstimator, now_us: int, late_ns: int) -> bool:
         """Return True if the stamps may come from ``other``'s clock, with at most ``late_ns`` more delay."""
         low, other_low = self._lower.tightest(now_us), other._lower.tightest(now_us)

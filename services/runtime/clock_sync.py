@@ -27,6 +27,9 @@ GRACE_US = 500_000
 SHARED_CLOCK_LATE_NS = 1_000_000_000
 """Largest lateness of a publisher that shares the actuators' clock, unless its own clock has been seen to step."""
 
+SILENT_US = 1_000_000
+"""Silence after which another publisher of the same input takes over: vehicle time then follows its clock."""
+
 MAX_PENDING_PLANS = 200
 """Plans whose receipt may still be reported, a minute of them."""
 
@@ -124,12 +127,18 @@ class ClockSync:
         old, is_report = self._reference, isinstance(message, Applied)
         if epoch == old or old is None:
             self._reference, self._actuators_report = epoch, self._actuators_report or is_report
-        elif self._publishers[epoch].stamps >= STEP_DETECTED_AT and (is_report or not self._actuators_report):
+        elif self._publishers[epoch].stamps >= STEP_DETECTED_AT and self._takes_over(old, m_us, is_report=is_report):
             before_ns, differs = self._theta_ns(old, m_us), self._has_own_clock(epoch, m_us)
             self._reference, self._actuators_report = epoch, is_report
             if differs and self.active:
                 self._keep_vehicle_time(m_us)
                 self._report(message, epoch, self._theta_ns(epoch, m_us) - before_ns, m_us)
+
+    def _takes_over(self, old: int, m_us: int, *, is_report: bool) -> bool:
+        """Return True if another publisher's clock replaces that of ``old``: the actuators', or after a silence."""
+        if is_report != self._actuators_report:
+            return is_report
+        return m_us - self._publishers[old].heard_us > SILENT_US
 
     def _keep_vehicle_time(self, m_us: int) -> None:
         """Set J so that vehicle time runs on although theta_r has changed."""

@@ -301,6 +301,44 @@ def test_stamps_ahead_that_do_not_agree_are_no_step():
     assert clock.clock_steps == 0
 
 
+def test_contradictions_that_are_not_in_a_row_are_no_step():
+    clock = ClockOffsetEstimator()
+    wrong_ns = 5_000_000_000
+    for k, m_us in enumerate(range(0, 20_000_000, 100_000)):
+        ahead = k >= 50 and k % 3 != 0
+        assert clock.add_stamp(m_us * 1000 + wrong_ns * ahead, m_us) != ahead
+        if not ahead:
+            early = k >= 50 and k % 2 == 0
+            assert clock.add_receipt((m_us + 1000) * 1000 - wrong_ns * early, m_us) != early
+    assert clock.clock_steps == 0
+
+
+def test_lateness_that_varies_is_no_step():
+    clock = ClockOffsetEstimator()
+    rng = random.Random(3)
+    for m_us in range(0, 25_000_000, 100_000):
+        clock.add_stamp(m_us * 1000, m_us + (2_000 if m_us < 10_000_000 else round(1e6 * rng.uniform(0.3, 1.5))))
+    assert clock.clock_steps == 0
+
+
+def test_a_slow_first_message_costs_no_other():
+    clock = ClockOffsetEstimator()
+    assert clock.add_stamp(0, 300_000)
+    assert all(clock.add_stamp(m_us * 1000, m_us) for m_us in range(400_000, 2_000_000, 100_000))
+    assert clock.clock_steps == 0
+
+
+def test_a_step_back_is_seen_by_lateness_where_no_plan_arrives_any_more():
+    """The last receipt, from before the step, is repeated. It is later than the stamps of its messages."""
+    clock = ClockOffsetEstimator()
+    for m_us in range(0, 12_000_000, 100_000):
+        clock.add_stamp((m_us - 5_000_000 * (m_us >= 10_000_000)) * 1000, m_us)
+        sent_us = min(m_us, 9_900_000)
+        clock.add_receipt((sent_us + 1000) * 1000, sent_us)
+    assert clock.clock_steps == 1
+    assert not clock.certain
+
+
 def test_a_link_that_is_slow_one_way_is_no_step_where_receipts_show_it():
     clock = ClockOffsetEstimator()
     for m_us in range(0, 40_000_000, 100_000):

@@ -188,8 +188,22 @@ def test_two_publishers_may_have_clocks_of_their_own_and_plans_go_by_the_actuato
     assert link.plan_error_ns(ACTUATORS) == pytest.approx(0, abs=5_000_000)
 
 
+def test_two_publishers_on_one_clock_need_no_shift():
+    link = Link({NAVIGATION: YEARS_NS, ACTUATORS: YEARS_NS})
+    link.run(10.0)
+    assert link.steps == []
+    assert (link.sync.shift_ns(NAVIGATION, link.m_us), link.sync.published_shift_ns) == (0, 0)
+
+
+def test_estimates_that_are_always_half_a_second_late_share_the_actuators_clock():
+    link = Link({NAVIGATION: YEARS_NS - 500_000_000, ACTUATORS: YEARS_NS})
+    link.run(10.0)
+    assert link.steps == []
+    assert link.stamp_error_ns(NAVIGATION) == pytest.approx(500_000_000, abs=5_000_000)
+
+
 @pytest.mark.parametrize("stepping", [NAVIGATION, ACTUATORS])
-@pytest.mark.parametrize("step_s", [-60.0, -2.0, 2.0, 60.0])
+@pytest.mark.parametrize("step_s", [-60.0, -2.0, -0.5, 2.0, 60.0])
 def test_a_step_of_one_publishers_clock_leaves_the_other_in_use(stepping, step_s):
     link = Link({NAVIGATION: YEARS_NS, ACTUATORS: YEARS_NS})
     link.run(10.0)
@@ -210,6 +224,23 @@ def test_a_step_that_two_publishers_share_is_certain_where_reports_confirm_it():
     assert {step.publisher for step in link.steps} == {NAVIGATION, ACTUATORS}
     assert all(step.certain for step in link.steps)
     assert link.stamp_error_ns(NAVIGATION) == pytest.approx(0, abs=10_000_000)
+
+
+def test_two_sources_of_estimates_that_alternate_do_not_set_the_clock():
+    """Vehicle time follows the first one; the other takes over when that is silent."""
+    clock = VehicleClock()
+    sync = ClockSync(clock, epoch=EPOCH)
+    for m_us in range(0, 5_000_000, 100_000):
+        for epoch, theta_ns in ((1, YEARS_NS), (2, YEARS_NS + 5_000_000_000)):
+            assert sync.check_stamp(estimate(theta_ns + m_us * 1000), epoch, m_us) == ""
+    assert sync.take_steps() == []
+    before_ns = clock.read(m_us) - m_us * 1000
+    for m_us in range(5_000_000, 8_000_000, 100_000):
+        sync.check_stamp(estimate(YEARS_NS + 5_000_000_000 + m_us * 1000), 2, m_us)
+    (step,) = sync.take_steps()
+    assert step.publisher == 2
+    assert clock.read(m_us) - m_us * 1000 == pytest.approx(before_ns, abs=1_000_000)
+    assert sync.shift_ns(2, m_us) == pytest.approx(-5_000_000_000, abs=1_000_000)
 
 
 def test_actuators_that_restart_with_a_clock_of_their_own_are_followed():
