@@ -83,14 +83,16 @@ def summarise_recording(
     metrics = RunMetrics(run_config.vehicle, speed=run_config.scenario.run.speed)
     losses = LossAccounting()
     rejected = restarted = 0
-    denied: dict[int, int] = {}  # by epoch of the router, which counts its own denials as rejected
+    counts: dict[
+        tuple[str, int], int
+    ] = {}  # rejected messages by key and epoch of the status; the router's are denials
     for message in Recording(path):
         epoch, sequence = message.plain["epoch"], message.plain["sequence"]
         losses.add(message.key, epoch, sequence)
         rejected += message.kind is RejectedFrame
         restarted += message.key == RESTARTS and message.plain["kind"] == "fault"
-        if message.key == ROUTER_STATUS:
-            denied[epoch] = message.plain["rejected"]
+        if message.kind is NodeStatus:
+            counts[message.key, epoch] = message.plain["rejected"]
         if message.kind in metrics.message_types:
             try:
                 signal, _ = message.typed()
@@ -99,6 +101,7 @@ def summarise_recording(
             metrics.observe(signal, epoch=epoch, sequence=sequence, t_ns=message.t_ns)
             if isinstance(signal, Estimate):
                 learned.update(signal)
+    denied = sum(count for (key, _), count in counts.items() if key == ROUTER_STATUS)
     summary = summarise(
         run_config,
         metrics,
@@ -106,8 +109,8 @@ def summarise_recording(
         messages=Messages(
             published=losses.published,
             dropped=max(losses.missing, unrecorded),
-            rejected=rejected,
-            denied=sum(denied.values()),
+            rejected=max(rejected, sum(counts.values()) - denied),  # a flood of rejections is not recorded as a whole
+            denied=denied,
         ),
         restarts=max(
             restarts,

@@ -125,3 +125,7 @@ def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(t
     assert ears.rejected("plant") == 0
     assert any(re.search(r"display may not put on \S+/plan", text) for text in ears.denied)
     assert "denied" in log.read_text()
+    counts = json.loads((run / "summary.json").read_text())["messages"]
+    assert counts["denied"] >= sent["denied"]
+    assert counts["rejected"] >= sent["refused"]  # the recorder rejects some of them too
+    assert f"{counts['denied']} denied" in log.read_text()
