@@ -228,8 +228,13 @@ def _run_in_lockstep(run_config: RunConfig, folder: RunFolder, as_json: bool) ->
         compiled = _compile(folder, request)
         if compiled is not None:
             return compiled
-        with run_progress_bar(scenario.start_ns, scenario.end_ns) as progress:
-            summary = lockstep_run.run(run_config, folder, progress=progress, stop=request)
+        try:
+            with run_progress_bar(scenario.start_ns, scenario.end_ns) as progress:
+                summary = lockstep_run.run(run_config, folder, progress=progress, stop=request)
+        except lockstep_run.NotStored as failure:
+            typer.echo(f"{folder.path}: the run cannot be stored: {failure.strerror}", err=True)
+            _print_summary(failure.summary, folder, as_json)
+            return FAILED
     _print_summary(summary, folder, as_json)
     if summary.duration_s >= scenario.run.duration_s:
         return DONE

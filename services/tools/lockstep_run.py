@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import gc
 from collections.abc import Callable
@@ -28,6 +29,14 @@ PROGRESS_NS = 1_000_000_000
 """Vehicle time between two reports of progress."""
 
 
+class NotStored(OSError):
+    """Failure to store a run: a full disk or a deleted folder. ``summary`` is that of the part that was simulated."""
+
+    def __init__(self, error: OSError, summary: Summary) -> None:
+        super().__init__(error.errno, error.strerror, error.filename)
+        self.summary = summary
+
+
 def run(
     run_config: RunConfig,
     folder: RunFolder | None = None,
@@ -38,7 +47,7 @@ def run(
     """Run all nodes in lock step, to the end of the run or until ``stop`` returns True.
 
     With a ``folder`` the recording, the summary and the estimated current are written there. ``progress`` receives the
-    vehicle time (ns). Raises ``OSError`` if the folder is deleted during the run.
+    vehicle time (ns). Raises ``NotStored``.
     """
     if folder is None:
         return simulate(run_config, None, progress, stop)
@@ -51,8 +60,16 @@ def run(
     metadata = {"mode": LOCKSTEP, "seed": str(run_config.scenario.run.seed), **run_config.files}
     start_ns, learned = run_config.scenario.start_ns, EstimatedCurrent()
     with RunWriter(folder.recording, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
-        summary = simulate(run_config, writer, progress, stop_or_deleted, learned)
-    folder.write_result(summary, learned.prior())
+        try:
+            summary = simulate(run_config, writer, progress, stop_or_deleted, learned)
+            writer.close()
+            folder.write_result(summary, learned.prior())
+        except NotStored:
+            with contextlib.suppress(OSError):  # what the disk took is kept, without the end of the file
+                writer.close()
+            raise
+        except OSError as error:
+            raise NotStored(error, summary) from None
     return summary
 
 
@@ -78,15 +95,22 @@ def simulate(
         latest=LATEST,
         make_rejection=rejected_message,
     )
-    for t_ns in (*range(scenario.start_ns, scenario.end_ns, PROGRESS_NS), scenario.end_ns):
-        if stop():
-            break
-        lockstep.advance(t_ns)
-        if progress is not None:
-            progress(t_ns)
+    failure: OSError | None = None
+    try:
+        for t_ns in (*range(scenario.start_ns, scenario.end_ns, PROGRESS_NS), scenario.end_ns):
+            if stop():
+                break
+            lockstep.advance(t_ns)
+            if progress is not None:
+                progress(t_ns)
+    except OSError as error:
+        failure = error
     records = sum(lockstep.steps.values()) if recorded else 0
     messages = Messages(published=lockstep.published + records, dropped=0, rejected=log.rejected_count)
-    return summarise(run_config, log.metrics, mode=LOCKSTEP, messages=messages)
+    summary = summarise(run_config, log.metrics, mode=LOCKSTEP, messages=messages)
+    if failure is not None:
+        raise NotStored(failure, summary)
+    return summary
 
 
 @cache

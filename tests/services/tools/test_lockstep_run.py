@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -18,6 +19,7 @@ import pytest
 from ltv_mpc.messages import AdcpPing, CycleTiming, Estimate, ImuSample, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus import topics, wire
+from services.cli.app import run
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import RecordedMessage, Recording
 from services.run import folder
@@ -248,9 +250,27 @@ def test_a_folder_that_is_deleted_ends_the_run_with_its_name(tmp_path: Path) -> 
         reached.append(t_ns)
         shutil.rmtree(made.path, ignore_errors=True)
 
-    with pytest.raises(FileNotFoundError, match="the folder was deleted during the run"):
+    with pytest.raises(lockstep_run.NotStored, match="the folder was deleted during the run"):
         lockstep_run.run(here, made, progress=progress)
     assert len(reached) == 1
+
+
+def test_a_disk_that_stays_full_leaves_the_verdict_exit_1_and_no_draft(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, limits[1]))  # room for the settings, not for the recording
+    try:
+        code = run(["sim", "--lockstep", "--out", str(tmp_path / "run")])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    verdict, said = capsys.readouterr()
+    assert code == 1
+    assert f"{tmp_path / 'run'}: the run cannot be stored: File too large" in said
+    assert "localisation" in verdict
+    assert not list((tmp_path / "run").rglob("*.part"))
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 1), (signal.SIGINT, 130)])
