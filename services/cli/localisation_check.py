@@ -40,8 +40,8 @@ def localisation_check(
     """Check localisation drift and consistency over many runs.
 
     Compares the drift after a descent with the posterior Cramer-Rao bound, and the errors with the filter's covariance.
-    Closed-loop runs in lock step on all cores. Exit code 1: a figure is outside its limits; with few runs this can
-    happen by chance.
+    Closed-loop runs in lock step on all cores. Exit code 1: a figure is outside its limits, at a family-wise
+    level of 1 %: one check in a hundred of a good filter.
     """
     import tempfile
     import time

@@ -54,4 +54,4 @@ def _panel(panel: Axes, name: str, graded: Graded) -> None:
     panel.plot(t[outside], mean[outside], ".", color=OUTSIDE, markersize=3.5, label="outside")
     top = max(1.5 * float(np.max(high)) - 0.5, 1.05 * float(np.max(mean)))
     panel.set_ylim(0.0, top if len(t) else 2.0)
-    panel.set_title(f"{name.replace('_', ' ')}: inside at {100 * c.in_band:.0f} %", fontsize=9)
+    panel.set_title(f"{name.replace('_', ' ')}: mean {c.per_dof:.2f}", fontsize=9)
