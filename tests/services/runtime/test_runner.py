@@ -282,7 +282,7 @@ def test_a_cycle_sees_each_estimate_once_and_its_own_timing_in_the_next_inbox(bu
         assert [s.t_ns for s in own] == times[number - 1 : number]
     stamps = [signal.t_ns for inbox in controller.inboxes for signal in inbox if isinstance(signal, Estimate)]
     assert stamps == sorted(set(stamps))
-    assert stamps
+    assert len(stamps) >= len(times)
     assert set(timings) == set(times)
     assert all(set(s.stage_us) == {"read", "publish"} for s in timings.values())
 
