@@ -61,7 +61,7 @@ def test_a_second_source_changes_no_command_and_degrades_the_health_with_the_rea
     assert beset.node.health_why(beset.t_ms * MS) == ""
 
 
-def test_a_restarted_publisher_is_used_again_and_the_former_one_after_it() -> None:
+def test_a_restarted_publisher_is_used_again_within_a_second_and_the_former_one_after_it() -> None:
     publishing = Publishing()
     publishing.run(10, true=0.0)
     publishing.run(4, other=0.0)
@@ -71,7 +71,7 @@ def test_a_restarted_publisher_is_used_again_and_the_former_one_after_it() -> No
     assert publishing.active == TRUE
 
 
-def test_a_source_elsewhere_takes_over_only_after_ten_seconds_of_silence() -> None:
+def test_a_source_elsewhere_takes_over_only_after_ten_seconds_without_a_believed_estimate() -> None:
     publishing = Publishing()
     publishing.run(10, true=0.0)
     publishing.run(30, other=60.0)
