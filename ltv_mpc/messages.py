@@ -633,9 +633,6 @@ class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
     ]
     progress: ReferenceProgress = None
     inputs: Annotated[tuple[InputReport, ...], Meta(description="inputs whose age is monitored")] = ()
-    health_why: Annotated[
-        str, Meta(max_length=200, description="reason of a health that does not follow from the ages; else empty")
-    ] = ""
 
 
 class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -84,7 +84,6 @@ class EstimateSelector:
         self._ages = config.ages
         self._fresh_ns = round(config.ages.degraded_s * 1e9)
         self._period = Period()  # of the plausible estimates
-        self._used: Estimate | None = None  # in the last cycle
 
     def select(self, newest: Estimate, now_ns: int) -> Selection:
         """Return the newest plausible estimate.
@@ -98,20 +97,15 @@ class EstimateSelector:
         -------
         The estimate and its health. Before the first plausible one: an estimate at rest at the origin, with the reason.
         """
+        before = self.gate.accepted
         reason = self.gate.check(newest)
         estimate = self.gate.accepted
         if estimate is None:
             at_rest = msgspec.structs.replace(Estimate.at_rest(), t_ns=now_ns)
             return Selection(at_rest, Health.FAILSAFE, f"no valid estimate: {reason}")
-        if estimate is not self._used:
-            self._used = estimate
+        if estimate is not before:
             self._period.add(estimate.t_ns)
         return Selection(estimate, self.health(now_ns), "")
-
-    def restart(self) -> None:
-        """Begin with another source of estimates."""
-        self.gate.restart()
-        self._period = Period()
 
     def health(self, t_ns: int) -> Health:
         """Return the health by the age of the newest plausible estimate.

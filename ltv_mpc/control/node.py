@@ -12,7 +12,6 @@ import msgspec
 
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.estimate_sources import EstimateSources
 from ltv_mpc.control.operator_commands import OperatorCommands
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.messages import (
@@ -76,12 +75,11 @@ class ControllerNode:
         self.schedule = Cycle(config.period_ns)
         self.controller = Controller(vehicle, reference, config, make_solver=make_solver, stopwatch=stopwatch)
         self.arbiter = CommandArbiter(vehicle)
-        self.sources = EstimateSources(self.controller)
-        """Sources of the estimates: the active one and the rejected ones."""
-        self.reports = InputMonitor()
-        """Order and age of the actuators' reports."""
+        self.estimates, self.reports = InputMonitor(), InputMonitor()
+        """Order and age of the inputs whose age decides the health."""
         self._commands = OperatorCommands(self.controller, self.arbiter, reference)
         self._model_monitor = ModelMonitor(vehicle, config.disturbance.noise_mps)
+        self._estimate: Estimate | None = None  # the newest
         self._cycle_ns = 0  # time of the last cycle
         self._clock_doubt: ClockStep | None = None  # the last step, if it is not certain
         self._saved: ControllerState | None = None  # state that was published last
@@ -105,7 +103,7 @@ class ControllerNode:
         for received in inbox:
             match received.message:
                 case Command() as command:
-                    acknowledged.append(self._commands.acknowledge(command, self.sources.newest, t_ns))
+                    acknowledged.append(self._commands.acknowledge(command, self._estimate, t_ns))
                 case Manual() as manual:
                     self.arbiter.receive_manual(manual.thrust_N, received.received_t_ns)
                 case ClockStep() as clock_step:
@@ -115,7 +113,7 @@ class ControllerNode:
                 case _:
                     self.receive(received)
         # The plan comes first: a command that is acknowledged is in force.
-        plans = [] if self.sources.newest is None else [self.cycle(self.sources.newest, t_ns)]
+        plans = [] if self._estimate is None else [self.cycle(self._estimate, t_ns)]
         reports = (self._due_state(t_ns), self._check_model())
         return [*plans, *acknowledged, *(report for report in reports if report is not None)]
 
@@ -128,8 +126,8 @@ class ControllerNode:
         """
         match received.message:
             case Estimate() as estimate:
-                if self.sources.receive(received, estimate):
-                    self._model_monitor.restart()
+                if self._is_newer(self.estimates, received, estimate.t_ns):
+                    self._estimate = estimate
             case Applied() as applied:
                 if self._is_newer(self.reports, received, applied.t_ns):
                     self.controller.add_report(applied)
@@ -160,18 +158,6 @@ class ControllerNode:
         """
         return worst(self.controller.health(t_ns), self._health_of_inputs(t_ns))
 
-    def health_why(self, t_ns: int) -> str:
-        """Return why the health is not nominal although estimates arrive; empty without such a reason.
-
-        Parameters
-        ----------
-        t_ns : now, vehicle time (ns).
-        """
-        selector = self.sources.selector
-        if not selector.contested(t_ns):
-            return ""
-        return f"second source on estimate: {selector.rejected} messages rejected, the last of epoch {selector.second}"
-
     def inputs(self) -> tuple[InputReport, ...]:
         """Return the state of each input whose age decides the health, at the last cycle."""
         implausible, ages = self.controller.estimate_gate.rejected.total(), self.controller.config.ages
@@ -181,13 +167,11 @@ class ControllerNode:
                 rejected=monitor.rejected + more,
                 **monitor.state_at(self._cycle_ns, ages)._asdict(),
             )
-            for name, monitor, more in (("estimate", self.sources.monitor, implausible), ("applied", self.reports, 0))
+            for name, monitor, more in (("estimate", self.estimates, implausible), ("applied", self.reports, 0))
         )
 
     def _health_of_inputs(self, t_ns: int) -> Health:
-        """Return the health by the actuators' last report, a second source, and doubts about a publisher's clock."""
-        if self.sources.selector.contested(t_ns):
-            return Health.DEGRADED
+        """Return the health by the time since the actuators' last report, and by doubts about a publisher's clock."""
         if self._clock_doubt is not None and t_ns - self._clock_doubt.t_ns < CLOCK_DOUBT_NS:
             return Health.DEGRADED
         reports, ages = self.reports, self.controller.config.ages
@@ -217,8 +201,8 @@ class ControllerNode:
         if state.model_products is not None:
             self._model_monitor.restore(state.model_products)
         self.controller.restore(state, t_ns)
-        if self.sources.newest is None:
-            self.sources.newest = state.estimate
+        if self._estimate is None:
+            self._estimate = state.estimate
 
     def _due_state(self, t_ns: int) -> ControllerState | None:
         """Return the state if it is due: at each change of authority or reference, and every SAVE_PERIOD_NS."""
@@ -235,6 +219,6 @@ class ControllerNode:
             authority=self.arbiter.authority,
             reference_toml=toml,
             model_products=self._model_monitor.products,
-            estimate=self.sources.newest,
+            estimate=self._estimate,
         )
         return self._saved

@@ -1,7 +1,7 @@
 """Message validation: each frame is decoded, its order is checked, and it is accepted or rejected with a reason.
 
-On a key on which operators command, and on those of plans and estimates, several sources may publish: each epoch is
-checked separately.
+On a key on which operators command, and on that of plans, several sources may publish: each epoch is checked
+separately.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import base64
 import re
 from collections import Counter
 
-from ltv_mpc.messages import Estimate, Message, Plan, RejectedFrame
+from ltv_mpc.messages import Message, Plan, RejectedFrame
 from services.bus.mailbox import Frame
 from services.bus.sequence_check import SequenceCheck
 from services.bus.topics import OPERATOR
@@ -52,9 +52,8 @@ class MessageValidator:
             if frame.topic is None:
                 raise WireError("unknown key")
             message, header = decode(frame.topic.message_type, frame.payload)
-            # Of two commanders the actuators' gate chooses, of two navigation sources the controller: the newest epoch
-            # is not always the right one there.
-            shared = frame.topic.written_by == OPERATOR or frame.topic.message_type in (Plan, Estimate)
+            # Of two commanders the actuators' gate chooses: the newest epoch is not always the right one there.
+            shared = frame.topic.written_by == OPERATOR or frame.topic.message_type is Plan
             self.check_order(f"{frame.key}@{header.epoch}" if shared else frame.key, header)
         except WireError as error:
             self._count(str(error))

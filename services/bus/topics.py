@@ -92,7 +92,7 @@ TOPICS = (
     Topic(LblRange,           "sensor/lbl",          10_000_000_000, EVERY,    "sensors",    ("estimator",)),
     Topic(UsblFix,            "sensor/usbl",          2_000_000_000, EVERY,    "sensors",    ("estimator",)),
     Topic(LocalisationReport, "localisation",         1_000_000_000, EVERY,    "estimator",  ()),
-    Topic(Estimate,           "estimate",               100_000_000, EVERY,    "estimator",  ("controller",)),
+    Topic(Estimate,           "estimate",               100_000_000, LATEST,   "estimator",  ("controller",)),
     Topic(Plan,               "plan",                   300_000_000, EVERY,    "controller", ("plant",)),
     Topic(Command,            "command",                          0, EVERY,    OPERATOR,     ("controller",)),
     Topic(Manual,             "manual",                 100_000_000, LATEST,   OPERATOR,     ("controller",)),

@@ -82,7 +82,6 @@ class ControllerStatusReporter:
             error_m=self._error_m(),
             progress=None if self._plan is None else self._plan.progress,
             inputs=node.inputs(),
-            health_why=node.health_why(t_ns),
         )
         for sink in self._sinks:
             sink(status, now_us)

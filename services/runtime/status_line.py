@@ -55,8 +55,6 @@ class StatusLine:
 def text(status: ControllerStatus, estimates_on: str) -> str:
     """Return authority, health, input age, cycle time, error, clock and rejections, in one line."""
     parts = [status.authority.value, status.health.value]
-    if status.health_why:
-        parts.append(status.health_why)
     if status.estimate_age_ns is None:
         parts.append(f"no estimate yet on {estimates_on}")
     else:
