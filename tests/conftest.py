@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,9 @@ import services  # noqa: F401  (sets the number of BLAS threads before numpy is 
 # A first example pays for compilation, and these machines are shared.
 settings.register_profile("ltv-mpc", deadline=None, derandomize=True)
 settings.load_profile("ltv-mpc")
+
+# Under ``nohup`` the processes that tests start would ignore a hang-up, as they should for a user.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 HERE = Path(__file__).parent
 LONGEST = (

@@ -32,10 +32,11 @@ class WeightSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 class Weights(WeightSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All weights of the cost; the defaults are those of the paper's vehicle.
 
-    The cost is half of a sum (``qp/sparse.py``). Each stage adds position |p - ref|^2 + thrust |F / max|^2 + change
-    |dF / max|^2. The end of the horizon adds terminal position |p - ref|^2 + terminal velocity |p' - ref'|^2, where p'
-    is the velocity over ground. The paper's cost is the first term alone. The defaults were tuned on seeds from 100 up,
-    except the last halving of the thrust weights: it used seeds 0 to 3 of the 20 that are reported.
+    The cost is half of a sum (``qp/sparse.py``). Each stage adds position |p - ref|^2 + thrust |U / F|^2 + change |dU /
+    F|^2, with U the commands and F the largest thrusts. The end of the horizon adds terminal position |p - ref|^2 +
+    terminal velocity |p' - ref'|^2, where p' is the velocity over ground. The paper's cost is the first term alone. The
+    defaults were tuned on seeds from 100 up, except the last halving of the thrust weights: it used seeds 0 to 3 of the
+    20 that are reported.
     """
 
     position_per_m2: Annotated[float, Meta(gt=0, le=1e6)] = 1.0

@@ -89,7 +89,7 @@ class Delay:
         return self._expected_ns
 
     def _update(self) -> None:
-        """Update the expected delay, between two cycles."""
+        """Compute the expected delay from all measurements; it is called between cycles, not within one."""
         in_order = sorted(self._receipts or self._computing)
         median, high = (in_order[math.ceil(share * (len(in_order) - 1))] for share in (0.5, self._quantile))
         self._expected_ns = max(high + (high - median), self._min_ns)

@@ -24,7 +24,7 @@ from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 
 MAX_SHIFT_NS = 10_000_000_000
-"""Longest time for which a plan is followed after it was solved: its preview of the current becomes outdated."""
+"""Longest time after its start for which a solved plan is followed: its preview of the current becomes outdated."""
 
 NOT_RUN = Solve(status=SolveStatus.NOT_RUN)
 """Report of a solver that was not called."""

@@ -2,7 +2,8 @@
 
 A command at knot k (k = 1 .. N) obeys  min <= U[k] <= max  and  |U[k] - U[k-1]| <= slew h[k].  Commands are linear
 between knots, so |dF/dt| <= slew everywhere, and also at the junction of two plans, because U[0] is the command in
-force there. These limits belong to the thrusters and are never violated.
+force there. The slew limit is never violated. The box is violated only while a command that starts outside it returns
+at the slew limit (``command_bounds``).
 
 A state may be required to stay within  |x[k]| <= max_state,  k = 1 .. N. The past can make that impossible, so the
 limit is soft: an excess costs ``PENALTY`` for each unit. A penalty proportional to the excess is exact (Fletcher 1987,

@@ -1,9 +1,10 @@
 """Problem data that stay the same from cycle to cycle: weights, limits and vehicle, packed for compiled code.
 
-This is the one file that packs kernel arguments into a flat array. A call from Python into compiled code costs about
-0.15 us for each array and 0.4 us for each number of a tuple; ``Constants`` has 34 fields, and a cycle makes nine such
-calls. By name they cost 13 % of a cycle with OSQP, above the limit of 5 % (docs/notes/kernel-arguments.md). So they are
-passed as one flat array (``packed``), and each kernel that is called from Python unpacks it, which costs nothing.
+This file packs the controller's constants into a flat array, as ``linearisation.py`` does the numbers of a cycle. A
+call from Python into compiled code costs about 0.15 us for each array and 0.4 us for each number of a tuple;
+``Constants`` has 34 fields, and a cycle makes nine such calls. By name they cost 13 % of a cycle with OSQP, above the
+limit of 5 % (docs/notes/kernel-arguments.md). So they are passed as one flat array (``packed``), and each kernel that
+is called from Python unpacks it, which costs nothing.
 """
 
 from __future__ import annotations

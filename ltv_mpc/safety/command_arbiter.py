@@ -8,9 +8,10 @@
                            |
     stopped  ----- arm ----+
 
-In disarmed and stopped no thruster is driven, including the vertical one. Only ``arm`` leads out of both: a pilot takes
-the thrusters from the controller. A command for the present state is accepted, unless it could be mistaken for more
-than it does. Every change of authority respects the slew limit, because each plan starts at the command in force.
+In disarmed and stopped no thruster is driven, including the vertical one. Only ``arm`` leads out of both, so a pilot
+takes the thrusters only from the controller. A command that changes nothing is accepted, except ``disarm`` while
+stopped, which would seem to lift the stop. Every change of authority respects the slew limit, because each plan starts
+at the command in force.
 """
 
 from __future__ import annotations

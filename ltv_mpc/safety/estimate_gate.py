@@ -2,7 +2,7 @@
 
 An estimate is accepted if
 
-    every number is finite
+    position, heading, velocities, yaw rate, depth and sinking speed are finite
     |velocity over ground|  <=  2 x top speed through the water + 3 m/s of current
     |yaw rate|              <=  3 x the steady rate at full opposite thrusts + 0.5 rad/s
     |sinking speed|         <=  2 x the steady rate at full thrust and net buoyancy + 1 m/s

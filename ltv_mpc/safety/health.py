@@ -7,8 +7,8 @@ Controller, by the age of the newest accepted estimate and the period T of the e
     failsafe   age > max(6 T, 3.0 s)                           lateral thrusts to zero, vertical thrust to the
                                                                vehicle's ``failsafe_vertical_N``: origin "zero"
 
-Before the first plausible estimate the reported health is "degraded". A cycle without a plausible estimate is
-"failsafe" (``control/mode.py``).
+Before the first plausible estimate the controller's status says "degraded", and its plans say "failsafe"
+(``control/mode.py``).
 
 The controller is also degraded while the actuators, having reported before, are silent for max(3 T, 0.5 s) with T
 their own period. The multiples of T make a slow publisher nominal: one that sends once a second is degraded after two

@@ -92,8 +92,8 @@ class InputMonitor:
     def receive(self, *, epoch: int, sequence: int, stamp_ns: int, received_ns: int) -> bool:
         """Return True if a message is accepted as the newest one.
 
-        It must be the next of its source or the first of another source, not stamped before the newest message, and
-        not stamped in the future.
+        It must be later than the last one of its source, or of another source; not stamped before the newest message,
+        unless by more than ``CLOCK_SET_BACK_NS``; and not stamped more than ``MAX_STAMP_AHEAD_NS`` after its arrival.
 
         Parameters
         ----------

@@ -15,8 +15,8 @@ the drag is (1 + b) times that of the model, in units of the true mass:
 
 q and p are the noise of the change of velocity and yaw rate. A correction of the velocity by the filter shows as a fall
 of its variance P_v. The remaining velocity error varies within P_v, with time constant tau. The noise P_r of the yaw
-rate is new in each estimate, so e_n subtracts what it added at the estimate before
-(``thrust_loss_detector.whiten``): over a window it is the noise of two estimates, not of all.
+rate is new in each estimate and enters two successive e_n with opposite signs. So the sum of e_n over a window contains
+only the noise of its first and its last estimate (``thrust_loss_detector.whiten``).
 
 The alarm is raised at ``ALARM_NATS`` of evidence that l has grown, beyond what 10 % of mismatch and the behaviour so
 far explain (``thrust_loss_detector.py``). While the alarm is on, the behaviour so far is not updated.
@@ -42,7 +42,9 @@ alarm in 200 runs with the largest mismatch.
 """
 
 QUIET_CYCLES = 10
-"""Cycles without evidence after which the alarm ends; in addition the loss must have left the longest window."""
+"""Successive cycles with evidence below half of ``ALARM_NATS`` after which the alarm ends. A loss that is still in a
+window can keep the evidence above this.
+"""
 
 VELOCITY_ERROR_TIME_S = 3.0
 """tau. With realistic sensors the velocity error is 1 cm/s while the filter learns the biases of the profiler. With a
@@ -59,9 +61,9 @@ MAX_INTERVAL_S = 1.0
 PUBLICATION_PERIOD_NS = 1_000_000_000
 
 SETTLING_TIME_S, SETTLING_MPS = 5.0, 8e-3
-"""Settling of the filter: for this time of thrust at the start of a descent, the velocity changes by this much between
-two estimates while the last satellite fixes and the first pings are reconciled, and its variance does not show it. The
-yaw rate does not settle, and shows what the thrusters do.
+"""Settling of the filter. While the last satellite fixes and the first pings are reconciled, the estimated velocity
+changes by ``SETTLING_MPS`` between two estimates, more than its variance shows. For the first ``SETTLING_TIME_S`` of
+thrust this is added to the surge noise. The yaw rate has no such error.
 """
 
 
@@ -102,7 +104,7 @@ class _ThrustImpulse:
             self._reports.append((applied.t_ns, thrust, at))
 
     def until(self, t_ns: int) -> Pair | None:
-        """Return the impulses (N s) up to ``t_ns``; None before the first report.
+        """Return the impulses (N s) up to ``t_ns``; None before the oldest report that is kept.
 
         The thrust is linear between reports and constant after the last one.
 
@@ -145,7 +147,7 @@ class _MeanResidual:
         self._seconds += seconds
 
     def is_due(self, t_ns: int) -> bool:
-        """Return True if the last publication is at least ``PUBLICATION_PERIOD_NS`` ago.
+        """Return True before the first publication, ``PUBLICATION_PERIOD_NS`` after the last one, or if time went back.
 
         Parameters
         ----------

@@ -19,7 +19,7 @@ x = [c, s, b]. They count with a reduced weight, because their noise is not quit
 
 This is a generalised likelihood ratio for a change. At first only the bounds of x are known; a few seconds of thrust
 inform more than these bounds (docs/faults.md).
-Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); here the unknowns are two losses and a drag.
+Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); here the unknowns are two losses d and three mismatches x.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ MEMORY_CYCLES = 300.0
 
 MAX_SWEEPS, MIN_GAIN = 500, 1e-4
 """Coordinate descent: largest number of sweeps, and the decrease of f below which it stops. The problem is convex, but
-port, starboard and drag may be hard to distinguish. An error in the first of both minima would count as evidence.
+port, starboard and drag may be hard to distinguish. If the minimum without a loss is found too large, the error
+counts as evidence.
 """
 
 MIN_PRODUCT = 1e-12
@@ -90,7 +91,7 @@ class ThrustLossDetector:
 
     @property
     def products(self) -> Array | None:
-        """Products of all cycles that left the window (``accumulate``), a copy; None before the first."""
+        """Decayed products of the cycles that left the window while it learned, a copy; None before the first."""
         return self._past.copy() if self._past.any() else None
 
     def restore(self, products: Array) -> None:

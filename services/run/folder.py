@@ -65,8 +65,8 @@ class RunFolder:
 
     @property
     def deleted(self) -> bool:
-        """True if the folder, which was made with a scenario, exists no more."""
-        return not self.scenario.exists()
+        """True if the folder does not exist any more."""
+        return not self.path.exists()
 
     def write_result(self, summary: msgspec.Struct, water: WaterPrior | None) -> None:
         """Write summary.json, and currents.csv of the estimated water, each of them completely or not at all."""

@@ -1,6 +1,6 @@
 """Synchronisation with the clocks of the other side: one clock for each publisher, and a vehicle time without steps.
 
-    vehicle time = m + theta_r - J        r: the actuators' clock; that of the estimates while no actuators report
+    vehicle time = m + theta_r - J        r: the clock of the actuators, before their third report of the estimates
 
 theta is the offset of a publisher's clock (``clock_offset.py``). J is the sum of the steps of clock r, so that vehicle
 time runs on if that clock is set. Stamps and vehicle time are converted where messages enter and leave:
@@ -34,13 +34,15 @@ MAX_PENDING_PLANS = 200
 """Plans whose receipt may still be reported, a minute of them."""
 
 MAX_PUBLISHERS = 8
-"""Largest number of publishers whose clocks are remembered; beyond it the oldest is forgotten."""
+"""Largest number of publishers whose clocks are remembered; beyond it the one
+that has been silent longest is forgotten.
+"""
 
 STAMPED_INPUTS = (Estimate, Applied)
 """Inputs that carry the other side's time."""
 
 SHARED_CLOCK = ClockOffset(ClockMode.SHARED, 0, 0)
-"""Offset if one clock is announced for all processes."""
+"""Offset if one clock is announced for all processes, or while none is followed yet."""
 
 STAMP_REJECTED = "t_ns contradicts the clock of all earlier stamps"
 RECEIPT_REJECTED = "plan_received_t_ns contradicts the clock of all earlier stamps"
@@ -50,9 +52,9 @@ RECEIPT_BEFORE_STEP = "plan_received_t_ns is of a plan that was sent before the 
 class ClockSync:
     """Choice of the clock that a process follows, when its inputs may come from sides with clocks of their own.
 
-    If a ``clock`` is published, the process follows it. If none has arrived within ``GRACE_US`` of the first input, the
-    process sets ``clock`` from the stamps of its inputs and from the other side's reports of what it received. A
-    publisher is identified by its epoch.
+    If a ``clock`` message is published, the process follows it. If none has arrived within ``GRACE_US`` of the first
+    input, the process sets its own vehicle clock from the stamps of its inputs and from the actuators' reports of the
+    plans that they received. A publisher is identified by its epoch.
     """
 
     def __init__(self, clock: VehicleClock, *, epoch: int, input_delay_ns: int = 0) -> None:
@@ -60,7 +62,9 @@ class ClockSync:
         self._clock = clock
         self._epoch = epoch
         self._input_delay_ns = input_delay_ns
-        self._publishers: OrderedDict[int, ClockOffsetEstimator] = OrderedDict()  # by epoch, the newest last
+        self._publishers: OrderedDict[int, ClockOffsetEstimator] = (
+            OrderedDict()
+        )  # by epoch, the one received last at the end
         self._reference: int | None = None  # publisher whose clock the vehicle time and the plans follow
         self._actuators_report = False
         self._sent_us: OrderedDict[int, int] = OrderedDict()  # by sequence
@@ -72,7 +76,7 @@ class ClockSync:
         """J: published time minus vehicle time."""
 
     def offset(self, now_us: int) -> ClockOffset:
-        """Return the clock that the process follows, its offset and its error bound."""
+        """Return mode, offset and error bound of the clock that the process follows."""
         if not self.active or self._reference is None:
             return SHARED_CLOCK
         return self._publishers[self._reference].read(now_us) or SHARED_CLOCK
@@ -123,7 +127,7 @@ class ClockSync:
         return self._sent_us.get(message.plan_sequence)
 
     def _choose_reference(self, message: Message, epoch: int, m_us: int) -> None:
-        """Let vehicle time follow the actuators' clock once three reports are there; before, that of the estimates."""
+        """Let vehicle time follow the actuators' clock from their third report on; before it, that of the estimates."""
         old, is_report = self._reference, isinstance(message, Applied)
         if epoch == old or old is None:
             self._reference, self._actuators_report = epoch, self._actuators_report or is_report
@@ -186,7 +190,7 @@ class ClockSync:
         return self.offset(m_us).mode is ClockMode.TWO_WAY
 
     def _set(self, m_us: int, first_us: int) -> None:
-        """Set the vehicle clock, once the stamps have had the time to show that no clock is announced."""
+        """Set the vehicle clock once ``GRACE_US`` have passed since the first input without a published clock."""
         if m_us - first_us < GRACE_US or self._reference is None:
             return
         self.active = True

@@ -4,7 +4,7 @@
                + 1/2 w_N |p_N - ref_N|^2 + 1/2 m |p'_N - ref'_N|^2
     subject to dX_(k+1) = A_k dX_k + B0_k dU_k + B1_k dU_(k+1) + Phi_k - Xbar_(k+1),   dX_0 = 0, dU_0 = 0
                p'_N = V dX_N + p'bar_N
-               |U_k - U_(k-1)| <= slew h_k,   min <= Ubar_k + dU_k <= max
+               |U_(k+1) - U_k| <= slew h_(k+1),   min <= Ubar_k + dU_k <= max
 
 and for each state x that has a limit (horizon_limits.py), with the additional cost  c g_k e_k / S  of its excess e_k
 and c = ``PENALTY``,
@@ -29,7 +29,7 @@ Rows of A, with E = 8 N + 2 (``SparseQp.equalities``) and thruster i = 0 (port),
 
     dynamics                         8 k + 0 .. 7       l = u
     terminal velocity                8 N + 0 .. 1       l = u
-    slew of thruster i               E + 2 k + i
+    slew of thruster i               E + 2 k + i        change from knot k to knot k + 1
     box of thruster i                E + 2 (N + k) + i
     limit of a state                 E + 4 N + ...      upper, lower, excess: 3 a stage and limited state
 

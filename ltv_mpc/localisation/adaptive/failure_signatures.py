@@ -4,9 +4,9 @@ A hypothesis has an unknown size nu (for example a drift of the current at all d
 belief is E nu, with one column of E per hypothesis. E propagates like an error:
     IMU propagation                  E := Phi E  on the core states (``filter/preintegration.py``)
     update with W = L^-1 H P         Y = L^-1 H E,   E := E - W^T Y
-Innovations r that pass the gate contain nu, since y = L^-1 r ~ N(Y nu, I):
+Innovations r in use contain nu, since y = L^-1 r ~ N(Y nu, I):
     score  d := d + Y^T y,           information  J := J + Y^T Y
-Then d ~ N(J nu, J), and nu = J^-1 d is the maximum likelihood estimate (linear, without gate).
+Then d ~ N(J nu, J), and nu = J^-1 d is the maximum likelihood estimate of a linear filter without a gate.
 One message adds at most ``MAX_SD`` standard deviations to a score, so that one bad ping is no evidence.
 Source  Willsky & Jones 1976, A generalized likelihood ratio approach to the detection and estimation of jumps in linear
         systems, IEEE T-AC 21(1).
@@ -71,7 +71,7 @@ class FailureSignatures:
         Y : (m, K) L^-1 H E.
         y : (m,) L^-1 r.
         """
-        # LAPACK sees the transposes of row-major arrays: E^T := E^T - Y^T W, in place
+        # BLAS expects column-major arrays, so it gets the transposes: E^T := E^T - Y^T W, in place
         dgemm(-1.0, Y.T, W.T, beta=1.0, c=self.error.T, trans_b=1, overwrite_c=1)
         J = Y.T @ Y
         bound = MAX_SD * np.sqrt(J.diagonal())

@@ -69,7 +69,7 @@ class Correction(NamedTuple):
 
 
 class WhitenedRows(NamedTuple):
-    """Rows in use, or as many equivalent ones, with independent noise of variance 1. None if S is not definite."""
+    """Rows in use, or as many equivalent ones, with independent noise of variance 1; no rows if S is not definite."""
 
     W: Array  # (m', n), L^-1 H P
     Y: Array  # (m', K), L^-1 H E
@@ -376,7 +376,9 @@ def update_covariance(P: Array, rows: Rows, gate: float) -> Correction:
 
 
 def correct(belief: Belief, rows: Rows, gate: float, deweight_limit: float = 0.0) -> Correction:
-    """Update a belief by the rows within the gate, in place: estimate, covariance and fault hypotheses.
+    """Update a belief in place by the rows in use: estimate, covariance and fault hypotheses.
+
+    A row is in use if it is within the gate, or if it is de-weighted.
 
     Parameters
     ----------

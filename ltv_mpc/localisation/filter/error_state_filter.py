@@ -284,7 +284,7 @@ class ErrorStateFilter:
 
         Parameters
         ----------
-        message : measurement of any sensor of the registry; it is counted only, if the vehicle lacks the sensor.
+        message : measurement of any sensor of the registry; if the vehicle lacks the sensor, it is only counted.
         """
         self.propagate_covariance()
         belief, sensor = self.belief, BY_MESSAGE[type(message)]

@@ -1,7 +1,7 @@
 """Parquet tables of a campaign.
 
-results.parquet             all rows by point and seed, without anything measured: the same bytes from any executor
-timing.parquet              when, where and how long each run was
+results.parquet       all rows, ordered by point and seed, without host and times: the same bytes from any executor
+timing.parquet        host, end time and duration of each run
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ RESULTS, TIMES = "results.parquet", "timing.parquet"
 
 
 def schema(campaign: Campaign) -> pa.Schema:
-    """Return the columns: point and seed, varied keys, figures, and measured times."""
+    """Return the columns: point and seed, varied keys, version, failure, result values, counts, host and times."""
     who = [("point", pa.int64()), ("seed", pa.int64())]
     varied = [(key, _column(key, over)) for key, over in campaign.varied.items()]
     what = [("version", pa.string()), ("failed", pa.string())]

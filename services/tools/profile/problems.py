@@ -194,7 +194,7 @@ def _run_folder(run: str) -> RunFolder:
 
 
 def _replay(recording: Path, node: Node, is_done: Callable[[], bool]) -> None:
-    """Replay every step of the recorded node with the node's name, on the recorded inbox."""
+    """Step ``node`` with the times and inboxes that the recorded node of its name had, until ``is_done``."""
     for t_ns, inbox in _steps(recording, node):
         if is_done():
             return

@@ -93,7 +93,7 @@ def test_an_input_that_is_not_finite_is_named_with_its_first_index(name):
     values = target if name == "target" else getattr(lin, name)
     values[1].flat[-1] = np.inf
     values[2] = np.nan
-    assert describe_non_finite(lin, target) == f"{name} is not finite from 1 on"
+    assert describe_non_finite(lin, target) == f"{name} is not finite from index 1 on"
 
 
 def test_velocity_over_ground_and_its_derivative_are_those_of_the_motion():

@@ -172,7 +172,7 @@ def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
         (["--solvers", "osqp,ospq"], 'option --solvers: "ospq"'),
         (["--solvers", ""], 'option --solvers: ""'),
         (["--cycles", "0"], "--cycles"),
-        (["--run", "nowhere"], 'option --run: "nowhere": must be a run'),
+        (["--run", "nowhere"], "RUN nowhere: no such folder or file"),
     ],
 )
 def test_a_bad_option_is_refused_by_name(options: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
