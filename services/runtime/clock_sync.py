@@ -1,6 +1,6 @@
 """Synchronisation with the clocks of the other side: one clock for each publisher, and a vehicle time without steps.
 
-    vehicle time = m + theta_r - J        r: the clock of the actuators, before their third report of the estimates
+    vehicle time = m + theta_r - J        r: the actuators; before their third report, the estimates
 
 theta is the offset of a publisher's clock (``clock_offset.py``). J is the sum of the steps of clock r, so that vehicle
 time runs on if that clock is set. Stamps and vehicle time are converted where messages enter and leave:
