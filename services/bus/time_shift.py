@@ -14,7 +14,7 @@ def shifted(message: S, by_ns: int) -> S:
     """Return the message with ``by_ns`` added to each of its times, also to those of the structs in it."""
     if by_ns == 0:
         return message
-    fields = ((name, getattr(message, name)) for name in msgspec.structs.asdict(message))
+    fields = ((name, getattr(message, name)) for name in message.__struct_fields__)
     changed = {
         name: shifted(value, by_ns) if isinstance(value, msgspec.Struct) else value + by_ns
         for name, value in fields

@@ -28,6 +28,7 @@ from ltv_mpc.errors import ConfigError
 
 ROOT = Path("runs")
 LATEST = "latest"
+DELETED = "the folder was deleted during the run"
 RECORDING = "run.mcap"
 RESULTS = ("summary.json", "currents.csv", "report.html")
 """Files that are beside the recording once a run has ended."""

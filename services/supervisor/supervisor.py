@@ -27,7 +27,7 @@ from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import LAUNCHER
 from services.bus.session import Session, Stopped, open_session
 from services.recording import join
-from services.run.folder import RunFolder
+from services.run.folder import DELETED, RunFolder
 from services.run.run_config import RunConfig
 from services.run.summary import summarise_recording
 from services.runtime.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
@@ -268,7 +268,7 @@ class Supervisor:
         if self._request():
             raise Stopped
         if self._folder.deleted:
-            raise RunFailed(f"{self._folder.path}: the folder was deleted during the run")
+            raise RunFailed(f"{self._folder.path}: {DELETED}")
         now_s = time.monotonic()
         late, self._ticked_s = now_s - self._ticked_s > LATE_S, now_s
         self.failures.check(now_s, excuse=late)

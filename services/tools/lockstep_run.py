@@ -14,7 +14,7 @@ from services.bus import topics, wire
 from services.bus.mailbox import Frame
 from services.bus.message_validation import rejection
 from services.recording.writer import RunWriter
-from services.run.folder import RunFolder
+from services.run.folder import DELETED, RunFolder
 from services.run.nodes import make_nodes
 from services.run.run_config import RunConfig
 from services.run.summary import LOCKSTEP, summarise
@@ -54,7 +54,7 @@ def run(
 
     def stop_or_deleted() -> bool:
         if folder.deleted:
-            raise FileNotFoundError(errno.ENOENT, "the folder was deleted during the run", str(folder.path))
+            raise FileNotFoundError(errno.ENOENT, DELETED, str(folder.path))
         return stop()
 
     metadata = {"mode": LOCKSTEP, "seed": str(run_config.scenario.run.seed), **run_config.files}
