@@ -120,6 +120,7 @@ East: TypeAlias = Annotated[Position, Meta(description="position east of the ori
 VelocityNorth: TypeAlias = Annotated[Speed, Meta(description="velocity over ground, north")]
 VelocityEast: TypeAlias = Annotated[Speed, Meta(description="velocity over ground, east")]
 YawRate: TypeAlias = Annotated[AngularRate, Meta(description="rate of turn about the down axis, positive to starboard")]
+HealthReason: TypeAlias = Annotated[str, Meta(description="reason of the health; empty if it is nominal")]
 ReferenceProgress: TypeAlias = Annotated[
     Share | None, Meta(description="completed share of the reference; null if the reference has no end")
 ]
@@ -499,6 +500,7 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
     why: Annotated[str, Meta(description="reason of the origin, if it is not solved")] = ""
     authority: Annotated[Authority, Meta(description="source of the thrust commands")] = Authority.CONTROLLER
     health: Annotated[Health, Meta(description="timeliness of the inputs of the controller")] = Health.NOMINAL
+    health_why: HealthReason = ""
     estimate_t_ns: Annotated[Time, Meta(description="t_ns of the estimate on which the plan is based")] = 0
     expected_delay_ns: Annotated[Duration, Meta(description="from the start of the cycle to the first knot")] = 0
     reference_m: Annotated[
@@ -627,6 +629,7 @@ class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
     clock_steps: Annotated[Count, Meta(description="steps of the publishers' clocks so far")] = 0
     authority: Annotated[Authority, Meta(description="source of the thrust commands")]
     health: Annotated[Health, Meta(description="timeliness of the inputs of the controller")]
+    health_why: HealthReason = ""
     error_m: Annotated[
         Position | None,
         Meta(description="horizontal distance of the newest estimate from the reference; null: no reference in force"),

@@ -40,7 +40,6 @@ from ltv_mpc.messages import (
     ControllerState,
     CycleTiming,
     Estimate,
-    Health,
     Plan,
     PlanOrigin,
     Times,
@@ -50,6 +49,7 @@ from ltv_mpc.references import Reference
 from ltv_mpc.references.follower import NO_PROGRESS, Follower, FollowerState
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
+from ltv_mpc.safety.health import NOMINAL, HealthState
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STAGE_S = STAGE_NS * 1e-9
@@ -142,7 +142,7 @@ class Controller:
         """
         self._delay.add_timing(timing)
 
-    def health(self, t_ns: int) -> Health:
+    def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest plausible estimate.
 
         Parameters
@@ -158,7 +158,7 @@ class Controller:
         t_ns: int | None = None,
         applied: Applied | None = None,
         override: ThrustOverride | None = None,
-        health: Health = Health.NOMINAL,
+        health: HealthState = NOMINAL,
     ) -> Plan:
         """Return the plan of one control cycle. It does not raise.
 
@@ -170,7 +170,8 @@ class Controller:
         t_ns : start of the cycle, vehicle time (ns); the estimate's own time if None.
         applied : the actuators' report. Without reports the controller assumes that its plans are followed.
         override : thrusts commanded by a source other than the controller.
-        health : of the inputs that the caller monitors; the plan reports the worse of it and the estimate's.
+        health : of the inputs that the caller monitors, with its reason; the plan reports the worse of it and the
+            estimate's.
 
         Returns
         -------
@@ -184,7 +185,7 @@ class Controller:
         except Exception as error:  # of any kind: the thrusters must have a command in every cycle
             return self._emergency_plan(now_ns, override, f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS])
 
-    def _cycle(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: Health) -> Plan:
+    def _cycle(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: HealthState) -> Plan:
         """Return the plan of one cycle. May raise; ``plan`` catches it."""
         decision = self._decide(newest, now_ns, override, health)
         delay_ns = self._delay.expected_ns()
@@ -250,7 +251,7 @@ class Controller:
 
     # --- parts of a cycle ---
 
-    def _decide(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: Health) -> Decision:
+    def _decide(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: HealthState) -> Decision:
         """Decide the mode, and begin the reference if the mode allows it.
 
         The decision uses the newest plausible estimate, with the estimated bias added to its current.
@@ -328,7 +329,8 @@ class Controller:
             solve=lateral.solve,
             why=lateral.why,
             authority=_authority(decision.override),
-            health=decision.health,
+            health=decision.health.health,
+            health_why=decision.health.why,
             estimate_t_ns=decision.estimate.t_ns,
             expected_delay_ns=delay_ns,
             reference_m=follower.target_m if follows else None,
@@ -361,6 +363,7 @@ class Controller:
         if estimate is not None:
             states[:, :2], states[:, 4] = (estimate.north_m, estimate.east_m), estimate.heading_rad
         vertical_N = 0.0 if override is not None else self.vehicle.failsafe_vertical_N
+        health = self.health(now_ns)
         plan = Plan(
             cycle_t_ns=now_ns,
             t_ns=knots,
@@ -370,7 +373,8 @@ class Controller:
             solve=NOT_RUN,
             why=why,
             authority=_authority(override),
-            health=self.health(now_ns),
+            health=health.health,
+            health_why=health.why,
             estimate_t_ns=now_ns if estimate is None else estimate.t_ns,
             expected_delay_ns=delay_ns,
         )

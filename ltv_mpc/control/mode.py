@@ -26,7 +26,7 @@ from ltv_mpc.messages import Estimate, Health
 from ltv_mpc.references.follower import Follower
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
-from ltv_mpc.safety.health import health, worst
+from ltv_mpc.safety.health import NOMINAL, HealthState, health, worst
 from ltv_mpc.safety.input_monitor import Period
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -49,7 +49,7 @@ class Selection(NamedTuple):
     """Estimate that a cycle plans on."""
 
     estimate: Estimate
-    health: Health  # by the age of the estimate alone
+    health: HealthState  # by the age of the estimate alone
     why: str  # reason why no estimate is plausible; empty if ``estimate`` is one
 
 
@@ -59,7 +59,7 @@ class Decision(NamedTuple):
     mode: Mode
     why: str  # empty in FOLLOW
     estimate: Estimate
-    health: Health  # the worst of the estimate's and the caller's inputs
+    health: HealthState  # the worst of the estimate's and the caller's inputs
     override: ThrustOverride | None
 
     @property
@@ -102,12 +102,13 @@ class EstimateSelector:
         estimate = self.gate.accepted
         if estimate is None:
             at_rest = msgspec.structs.replace(Estimate.at_rest(), t_ns=now_ns)
-            return Selection(at_rest, Health.FAILSAFE, f"no valid estimate: {reason}")
+            why = f"no valid estimate: {reason}"
+            return Selection(at_rest, HealthState(Health.FAILSAFE, why), why)
         if estimate is not before:
             self._period.add(estimate.t_ns)
         return Selection(estimate, self.health(now_ns), "")
 
-    def health(self, t_ns: int) -> Health:
+    def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest plausible estimate.
 
         Parameters
@@ -117,7 +118,7 @@ class EstimateSelector:
         estimate = self.gate.accepted
         age_ns = None if estimate is None else t_ns - estimate.t_ns
         if age_ns is not None and -self._fresh_ns <= age_ns <= self._fresh_ns:
-            return Health.NOMINAL  # for any period of the estimates
+            return NOMINAL  # for any period of the estimates
         return health(age_ns=age_ns, period_ns=self._period.median_ns, ages=self._ages)
 
 
@@ -126,7 +127,7 @@ def decide(
     now_ns: int,
     *,
     override: ThrustOverride | None,
-    health: Health,
+    health: HealthState,
     follower: Follower,
     lateral: bool,
 ) -> Decision:
@@ -147,18 +148,18 @@ def decide(
     ``now_ns``.
     """
     estimate, own, why = selection
-    if own is not Health.NOMINAL:
-        health = worst(health, own)
+    if own is not NOMINAL:
+        health = worst(own, health)
     age = ""
-    if not why and (own is Health.FAILSAFE or health is Health.HOLD):
+    if not why and (own.health is Health.FAILSAFE or health.health is Health.HOLD):
         age = f"the newest estimate is {(now_ns - estimate.t_ns) * 1e-9:.1f} s old"
-        if own is Health.FAILSAFE:
+        if own.health is Health.FAILSAFE:
             estimate = msgspec.structs.replace(estimate, t_ns=now_ns)
     if override is not None:
         return Decision(Mode.OVERRIDE, override.why, estimate, health, override)
-    if own is Health.FAILSAFE:
+    if own.health is Health.FAILSAFE:
         return Decision(Mode.FAILSAFE, why or age, estimate, health, None)
-    if health is Health.HOLD:
+    if health.health is Health.HOLD:
         has_begun = follower.target_m is not None
         mode, why = Mode.HOLD, (age if lateral else LATERAL_OFF) if has_begun else NOT_STARTED
     elif not follower.begin(estimate):

@@ -32,13 +32,15 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Cycle, Due, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.safety.command_arbiter import CommandArbiter
-from ltv_mpc.safety.health import report_health, worst
+from ltv_mpc.safety.health import NOMINAL, HealthState, report_health, worst
 from ltv_mpc.safety.input_monitor import InputMonitor
 from ltv_mpc.safety.model_monitor import ModelMonitor
 from ltv_mpc.vehicle.parameters import Vehicle
 
 CLOCK_DOUBT_NS = 10_000_000_000
 """Time for which the health is degraded after a clock step that may also be a congested link."""
+
+UNCERTAIN_CLOCK = "a publisher's clock was set back, or its link is congested"
 
 SAVE_PERIOD_NS = 5_000_000_000
 """Longest time between two published states."""
@@ -149,8 +151,8 @@ class ControllerNode:
             estimate, t_ns=t_ns, override=self.arbiter.override(t_ns), health=self._health_of_inputs(t_ns)
         )
 
-    def health(self, t_ns: int) -> Health:
-        """Return the health by the ages of the inputs.
+    def health(self, t_ns: int) -> HealthState:
+        """Return the health of all inputs, with its reason.
 
         Parameters
         ----------
@@ -170,15 +172,23 @@ class ControllerNode:
             for name, monitor, more in (("estimate", self.estimates, implausible), ("applied", self.reports, 0))
         )
 
-    def _health_of_inputs(self, t_ns: int) -> Health:
-        """Return the health by the time since the actuators' last report, and by doubts about a publisher's clock."""
-        if self._clock_doubt is not None and t_ns - self._clock_doubt.t_ns < CLOCK_DOUBT_NS:
-            return Health.DEGRADED
+    def _health_of_inputs(self, t_ns: int) -> HealthState:
+        """Return the worst health of the inputs other than the estimate's age."""
+        return worst(self._health_of_reports(t_ns), self._health_of_clock(t_ns))
+
+    def _health_of_reports(self, t_ns: int) -> HealthState:
+        """Return the health by the time since the actuators' last report."""
         reports, ages = self.reports, self.controller.config.ages
         silent_ns = reports.silent_ns(t_ns)
         if silent_ns is None or silent_ns <= ages.degraded_s * 1e9:
-            return Health.NOMINAL  # for any period of the reports
+            return NOMINAL  # for any period of the reports
         return report_health(silent_ns=silent_ns, period_ns=reports.period.median_ns, ages=ages)
+
+    def _health_of_clock(self, t_ns: int) -> HealthState:
+        """Return the health by doubts about a publisher's clock."""
+        if self._clock_doubt is not None and t_ns - self._clock_doubt.t_ns < CLOCK_DOUBT_NS:
+            return HealthState(Health.DEGRADED, UNCERTAIN_CLOCK)
+        return NOMINAL
 
     @staticmethod
     def _is_newer(monitor: InputMonitor, received: ReceivedMessage, stamp_ns: int) -> bool:

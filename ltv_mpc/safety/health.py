@@ -1,4 +1,4 @@
-"""Health of the inputs: thresholds on the age of estimates, actuator reports and plans, in vehicle time.
+"""Health with its reason: thresholds on the age of estimates, actuator reports and plans, in vehicle time.
 
 Controller, by the age of the newest accepted estimate and the period T of the estimates:
 
@@ -25,7 +25,7 @@ the past, so the absolute value counts.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 from msgspec import Meta
@@ -41,6 +41,23 @@ MIN_PLAN_TIMEOUT_NS = 500_000_000
 """Shortest silence that counts as a loss of the commander; a shorter one can be a delay of the link."""
 
 WORST_FIRST = (Health.FAILSAFE, Health.HOLD, Health.DEGRADED, Health.NOMINAL)
+
+
+class HealthState(NamedTuple):
+    """Health of one input, or of all, with its reason.
+
+    The reason contains no figure that changes with time, so that a change of the state is an event.
+    """
+
+    health: Health
+    why: str = ""  # empty if nominal
+
+
+NOMINAL = HealthState(Health.NOMINAL)
+
+OLD_ESTIMATES = "the estimates are too old"
+NO_ESTIMATE = "no estimate yet"
+SILENT_ACTUATORS = "the actuators do not report"
 
 
 class Ages(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -74,7 +91,7 @@ def timeout_ns(periods: float, period_ns: int, min_s: float) -> int:
     return max(round(periods * period_ns), round(min_s * 1e9))
 
 
-def health(*, age_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> Health:
+def health(*, age_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> HealthState:
     """Return the health of the controller by its estimates.
 
     Parameters
@@ -84,16 +101,17 @@ def health(*, age_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> 
     ages : thresholds.
     """
     if age_ns is None:
-        return Health.DEGRADED
+        return HealthState(Health.DEGRADED, NO_ESTIMATE)
     age = abs(age_ns)
     if age <= timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s):
-        return Health.NOMINAL
+        return NOMINAL
     if age <= timeout_ns(HOLD_PERIODS, period_ns, ages.hold_s):
-        return Health.DEGRADED
-    return Health.HOLD if age <= timeout_ns(FAILSAFE_PERIODS, period_ns, ages.failsafe_s) else Health.FAILSAFE
+        return HealthState(Health.DEGRADED, OLD_ESTIMATES)
+    held = age <= timeout_ns(FAILSAFE_PERIODS, period_ns, ages.failsafe_s)
+    return HealthState(Health.HOLD if held else Health.FAILSAFE, OLD_ESTIMATES)
 
 
-def report_health(*, silent_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> Health:
+def report_health(*, silent_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> HealthState:
     """Return the health of the controller by the reports of the actuators.
 
     Parameters
@@ -103,8 +121,8 @@ def report_health(*, silent_ns: int | None, period_ns: int, ages: Ages = DEFAULT
     ages : thresholds.
     """
     if silent_ns is None or silent_ns <= timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s):
-        return Health.NOMINAL
-    return Health.DEGRADED
+        return NOMINAL
+    return HealthState(Health.DEGRADED, SILENT_ACTUATORS)
 
 
 def plan_health(*, silent_ns: int | None, period_ns: int, left_ns: int) -> Health:
@@ -128,6 +146,6 @@ def plan_timeout_ns(period_ns: int) -> int:
     return max(round(REPLACEMENTS_MISSING * period_ns), MIN_PLAN_TIMEOUT_NS)
 
 
-def worst(*of: Health) -> Health:
-    """Return the worst of several states."""
-    return next(health for health in WORST_FIRST if health in of)
+def worst(*states: HealthState) -> HealthState:
+    """Return the first of the worst states."""
+    return min(states, key=lambda state: WORST_FIRST.index(state.health))

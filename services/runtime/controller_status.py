@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Applied, ClockStep, ControllerStatus, Estimate, Message, Plan
+from ltv_mpc.safety.health import HealthState
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
 
@@ -64,6 +65,9 @@ class ControllerStatusReporter:
         rejected = Counter(validator.rejected_by_reason)
         if node.arbiter.manual_rejected:
             rejected["manual: thrust outside the limits"] = node.arbiter.manual_rejected
+        health = node.health(t_ns)
+        if self._plan is not None:
+            health = HealthState(self._plan.health, self._plan.health_why)
         rejected.update({f"estimate: {why}": count for why, count in node.controller.estimate_gate.rejected.items()})
         status = ControllerStatus(
             t_ns=t_ns,
@@ -78,7 +82,8 @@ class ControllerStatusReporter:
             clock_error_ns=clock.error_ns,
             clock_steps=self._clock_steps,
             authority=node.arbiter.authority,
-            health=node.health(t_ns) if self._plan is None else self._plan.health,
+            health=health.health,
+            health_why=health.why,
             error_m=self._error_m(),
             progress=None if self._plan is None else self._plan.progress,
             inputs=node.inputs(),

@@ -54,7 +54,8 @@ class StatusLine:
 
 def text(status: ControllerStatus, estimates_on: str) -> str:
     """Return authority, health, input age, cycle time, error, clock and rejections, in one line."""
-    parts = [status.authority.value, status.health.value]
+    health = f"{status.health.value} ({status.health_why})" if status.health_why else status.health.value
+    parts = [status.authority.value, health]
     if status.estimate_age_ns is None:
         parts.append(f"no estimate yet on {estimates_on}")
     else:

@@ -19,7 +19,7 @@ from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
 from ltv_mpc.messages import Health, Solve
 from ltv_mpc.references.follower import Follower
 from ltv_mpc.safety.estimate_gate import EstimateGate
-from ltv_mpc.safety.health import Ages
+from ltv_mpc.safety.health import Ages, HealthState
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 
 SURFACES = msgspec.structs.replace(Vehicle.load("paper"), failsafe_vertical_N=-12.5)
@@ -377,9 +377,9 @@ def test_the_thresholds_are_settings():
 def test_the_health_of_the_caller_s_inputs_can_only_worsen_the_plan_s():
     controller = Controller(SURFACES, POINT)
     estimate = moving()
-    assert controller.plan(estimate, health=Health.DEGRADED).health == "degraded"
-    assert controller.plan(estimate, health=Health.HOLD).origin is ZERO
-    assert controller.plan(estimate, t_ns=2 * S, health=Health.NOMINAL).health == "hold"
+    assert controller.plan(estimate, health=HealthState(Health.DEGRADED, "x")).health_why == "x"
+    assert controller.plan(estimate, health=HealthState(Health.HOLD, "y")).origin is ZERO
+    assert controller.plan(estimate, t_ns=2 * S).health == "hold"
 
 
 def test_a_reference_neither_starts_nor_advances_in_hold():

@@ -11,7 +11,7 @@ from ltv_mpc import config
 from ltv_mpc.control.config import ControllerConfig, validate
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Health
-from ltv_mpc.safety.health import WORST_FIRST, Ages, health, plan_health, report_health, worst
+from ltv_mpc.safety.health import NOMINAL, WORST_FIRST, Ages, HealthState, health, plan_health, report_health, worst
 
 MS = 1_000_000
 BADNESS = {word: k for k, word in enumerate(reversed(WORST_FIRST))}
@@ -46,7 +46,9 @@ BADNESS = {word: k for k, word in enumerate(reversed(WORST_FIRST))}
 )
 def test_each_threshold_is_the_larger_of_its_seconds_and_its_periods(age_ms, period_ms, word):
     age_ns = None if age_ms is None else round(age_ms * MS)
-    assert health(age_ns=age_ns, period_ns=period_ms * MS) == word
+    state = health(age_ns=age_ns, period_ns=period_ms * MS)
+    assert state.health == word
+    assert (state.why == "") == (word == "nominal")
 
 
 ages = st.integers(0, 100_000 * MS)
@@ -59,15 +61,15 @@ thresholds = st.lists(st.floats(0.01, 60), min_size=3, max_size=3).map(
 def test_it_never_gets_better_with_age_and_never_worse_with_a_longer_period(age, later, period, limits):
     young, old = sorted((age, later))
     assert (
-        BADNESS[health(age_ns=young, period_ns=period, ages=limits)]
-        <= BADNESS[health(age_ns=old, period_ns=period, ages=limits)]
+        BADNESS[health(age_ns=young, period_ns=period, ages=limits).health]
+        <= BADNESS[health(age_ns=old, period_ns=period, ages=limits).health]
     )
     short, long = sorted((period, later))
     assert (
-        BADNESS[health(age_ns=age, period_ns=long, ages=limits)]
-        <= BADNESS[health(age_ns=age, period_ns=short, ages=limits)]
+        BADNESS[health(age_ns=age, period_ns=long, ages=limits).health]
+        <= BADNESS[health(age_ns=age, period_ns=short, ages=limits).health]
     )
-    assert health(age_ns=age, period_ns=period, ages=limits) is health(age_ns=-age, period_ns=period, ages=limits)
+    assert health(age_ns=age, period_ns=period, ages=limits) == health(age_ns=-age, period_ns=period, ages=limits)
 
 
 @given(ages, ages, ages, st.integers(-10_000 * MS, 10_000 * MS))
@@ -97,15 +99,17 @@ def test_plans_are_nominal_until_two_replacements_are_missing(silent_ms, period_
 
 
 def test_missing_reports_degrade_only_after_a_first_one():
-    assert report_health(silent_ns=None, period_ns=0) == "nominal"
-    assert report_health(silent_ns=500 * MS, period_ns=100 * MS) == "nominal"
-    assert report_health(silent_ns=500 * MS + 1, period_ns=100 * MS) == "degraded"
-    assert report_health(silent_ns=2000 * MS, period_ns=1000 * MS) == "nominal"
+    assert report_health(silent_ns=None, period_ns=0) is NOMINAL
+    assert report_health(silent_ns=500 * MS, period_ns=100 * MS) is NOMINAL
+    assert report_health(silent_ns=500 * MS + 1, period_ns=100 * MS).health == "degraded"
+    assert report_health(silent_ns=2000 * MS, period_ns=1000 * MS) is NOMINAL
 
 
 def test_the_worst_of_several_counts():
-    for k, word in enumerate(WORST_FIRST):
-        assert worst(*WORST_FIRST[k:]) is word
+    states = [HealthState(word, f"reason {k}") for k, word in enumerate(WORST_FIRST)]
+    for k, state in enumerate(states):
+        assert worst(*reversed(states[k:])) is state
+    assert worst(states[1], HealthState(states[1].health, "another reason")) is states[1]
 
 
 @pytest.mark.parametrize(
