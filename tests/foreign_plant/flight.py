@@ -1,0 +1,197 @@
+"""The foreign craft and the controller at simulated time, in a current of 0.2 m/s that the controller does not know.
+
+Every message passes as bytes through the codec, the message validation and the clock synchronisation of a process. A
+scenario overrides ``estimates``, ``accepts`` or ``delivered``, or sets the clock of the craft.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+import numpy as np
+
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.messages import ClockStep, Message, Plan
+from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.references import Point, Reference
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.mailbox import Frame
+from services.bus.message_validation import MessageValidator
+from services.bus.time_shift import shifted
+from services.bus.topics import BY_KEY
+from services.bus.wire import Header, WireError, encode
+from services.runtime.clock import VehicleClock
+from services.runtime.clock_sync import ClockSync
+from tests.foreign_plant.plant import STEP_NS, Actuators, Hull, Sender
+from tests.stepping import step
+
+HERE = Path(__file__).parent
+HULL, SQUARE = HERE / "hull.toml", HERE / "square.toml"
+ORIGIN = Point(north_m=0.0, east_m=0.0)
+CURRENT_MPS = (0.12, -0.16)
+BEGUN_NS = 1_790_000_000_123_456_789
+"""Start of its clock, which counts from 1970."""
+STEP_US = STEP_NS // 1000
+ESTIMATE_PERIOD_US, CYCLE_PERIOD_US = 100_000, 300_000
+DELAY_US = 60_000
+"""From the start of a cycle to the plan's arrival."""
+EPOCH = 1
+"""Of the controller."""
+
+
+class Figure(NamedTuple):
+    """One figure of a scenario and its limit."""
+
+    name: str
+    value: float
+    limit: float  # the largest value allowed
+    unit: str
+
+
+class Flight:
+    """Foreign craft and controller at simulated time."""
+
+    def __init__(
+        self,
+        reference: Reference = ORIGIN,
+        *,
+        vehicle: Path = HULL,
+        config: ControllerConfig | None = None,
+        reports: bool = True,
+        heading_rad: float = 2.2,
+    ) -> None:
+        """Begin at the origin, disarmed. Without ``reports`` the actuators publish nothing."""
+        self.hull = Hull(heading_rad=heading_rad, current_mps=CURRENT_MPS)
+        self.actuators, self.sender = Actuators(), Sender()
+        self.vehicle, self.reference, self.config = Vehicle.load(str(vehicle)), reference, config or ControllerConfig()
+        self.node = self.new_node()
+        self.validator = MessageValidator()
+        self.plans: list[Plan] = []
+        """Plans in the controller's time."""
+        self.clock_steps: list[ClockStep] = []
+        self.outputs: list[Message] = []
+        """All other messages of the controller."""
+        self.host_us = 0
+        """Monotonic time of the host."""
+        self._track: list[tuple[float, float]] = []
+        self._ahead_ns = BEGUN_NS
+        self._reports = reports
+        self._clock = VehicleClock()
+        self._sync = ClockSync(self._clock, epoch=EPOCH)
+        self._inbox: list[ReceivedMessage] = []
+        self._under_way: list[tuple[int, bytes]] = []
+        self._sequence = 0
+
+    # --- what a scenario overrides ---
+
+    def estimates(self, t_ns: int) -> Iterable[tuple[str, Sender, dict[str, Any]]]:
+        """Return the estimates published now, every 0.1 s: key, sender and fields of each."""
+        return [("estimate", self.sender, self.hull.estimate(t_ns))]
+
+    def accepts(self, plan: dict[str, Any]) -> bool:  # noqa: ARG002 (of overriding methods)
+        """Return True if the actuators accept a plan."""
+        return True
+
+    def delivered(self, command_N: tuple[float, float]) -> tuple[float, float]:
+        """Return the commands that the thrusters follow."""
+        return command_N
+
+    # --- what a scenario does ---
+
+    def new_node(self) -> ControllerNode:
+        """Return a controller that has heard nothing."""
+        return ControllerNode(self.vehicle, self.reference, self.config)
+
+    def set_clock(self, step_s: float) -> None:
+        """Set the clock of the craft."""
+        self._ahead_ns += round(step_s * 1e9)
+
+    def command(self, **fields: str) -> None:
+        """Send a command as an operator."""
+        self._receive("command", self.sender, {"command_id": self.host_us, **fields})
+
+    def fly(self, seconds: float) -> np.ndarray:
+        """Fly for a time. Return its positions (M, 2), north and east (m), one each 20 ms."""
+        begin = len(self._track)
+        for _ in range(round(seconds * 1e6) // STEP_US):
+            self._step()
+        return np.array(self._track[begin:])
+
+    @property
+    def track(self) -> np.ndarray:
+        """Positions (M, 2) since the start, north and east (m), one each 20 ms."""
+        return np.array(self._track)
+
+    @property
+    def craft_ns(self) -> int:
+        """Time by the clock of the craft."""
+        return self._ahead_ns + self.host_us * 1000
+
+    # --- one step ---
+
+    def _step(self) -> None:
+        while self._under_way and self._under_way[0][0] <= self.host_us:
+            plan = msgpack.unpackb(self._under_way.pop(0)[1])
+            if self.accepts(plan):
+                self.actuators.offer(plan, self.craft_ns)
+            else:
+                self.actuators.rejected += 1
+            self._report()
+        if self.host_us % ESTIMATE_PERIOD_US == 0:
+            for key, sender, fields in self.estimates(self.craft_ns):
+                self._receive(key, sender, fields)
+            self._report()
+        if self.host_us % CYCLE_PERIOD_US == 0 and self._sync.active:
+            self._cycle()
+        self.hull.step(self.delivered(self.actuators.step(self.craft_ns)))
+        self._track.append((self.hull.x[0], self.hull.x[1]))
+        self.host_us += STEP_US
+
+    def _report(self) -> None:
+        if self._reports:
+            self._receive("applied", self.sender, self.actuators.report(self.craft_ns, self.hull.thrust_N))
+
+    def _receive(self, key: str, sender: Sender, fields: dict[str, Any]) -> None:
+        """Pass a message to the controller as its process does."""
+        frame = Frame(BY_KEY[key], key, sender.pack(key, fields), self.host_us)
+        try:
+            message, header = self.validator.validate(frame)
+        except WireError:
+            return  # counted by the validator
+        rejected = self._sync.check_stamp(message, header.epoch, self.host_us)
+        for clock_step in self._sync.take_steps():
+            self.clock_steps.append(clock_step)
+            self._put(clock_step, 0, 0)
+        if not rejected:
+            self._put(shifted(message, self._sync.shift_ns(header.epoch, self.host_us)), header.epoch, header.sequence)
+
+    def _put(self, message: Message, epoch: int, sequence: int) -> None:
+        received_ns = self._clock.read(self.host_us)
+        # A command may come before the first stamp that tells the time.
+        self._inbox.append(ReceivedMessage(message, epoch, sequence, received_ns or 0))
+
+    def _cycle(self) -> None:
+        t_ns = self._clock.read(self.host_us)
+        assert t_ns is not None
+        inbox, self._inbox = self._inbox, []
+        for message in step(self.node, t_ns, inbox):
+            if isinstance(message, Plan):
+                self.plans.append(message)
+                payload = encode(
+                    shifted(message, self._sync.published_shift_ns), Header(epoch=EPOCH, sequence=self._sequence)
+                )
+                self._sync.on_plan_sent(self._sequence, self.host_us)
+                self._sequence += 1
+                self._under_way.append((self.host_us + DELAY_US, payload))
+            else:
+                self.outputs.append(message)
+
+
+def distance_m(track: np.ndarray) -> np.ndarray:
+    """Return the distance (M,) of positions (M, 2) from the origin (m)."""
+    distance: np.ndarray = np.hypot(track[:, 0], track[:, 1])
+    return distance

@@ -1,0 +1,30 @@
+"""Steps of the craft's clock in its hold, two-way (the actuators report) and one-way."""
+
+from __future__ import annotations
+
+from tests.foreign_plant.flight import Figure, Flight, distance_m
+
+STEPS_S = (-86_400.0, -5.0, -1.0, -0.05, 0.05, 1.0, 5.0, 86_400.0)
+
+
+def run() -> list[Figure]:
+    """Return the largest drift of all steps."""
+    return [
+        Figure("drift, two-way", max(drift_m(flown(s, reports=True)) for s in STEPS_S), 0.3, "m"),
+        Figure("drift, one-way", max(drift_m(flown(s, reports=False)) for s in STEPS_S), 1.0, "m"),
+    ]
+
+
+def flown(step_s: float, *, reports: bool) -> Flight:
+    """Return a flight of 55 s with a step of the craft's clock after 30 s."""
+    flight = Flight(reports=reports)
+    flight.command(action="arm")
+    flight.fly(30.0)
+    flight.set_clock(step_s)
+    flight.fly(25.0)
+    return flight
+
+
+def drift_m(flight: Flight) -> float:
+    """Return the largest distance from the point after 20 s."""
+    return float(distance_m(flight.track[1000:]).max())

@@ -1,0 +1,48 @@
+"""Scenarios of the foreign craft: each figure is within its limit."""
+
+from __future__ import annotations
+
+import pytest
+
+from ltv_mpc.control.config import ControllerConfig, Disturbance
+from tests.foreign_plant import scenarios
+from tests.foreign_plant.flight import Flight, distance_m
+from tests.foreign_plant.scenarios.clock_step import STEPS_S, drift_m, flown
+
+
+@pytest.mark.parametrize("name", scenarios.NAMES)
+def test_each_figure_is_within_its_limit(name: str) -> None:
+    figures = scenarios.run(name)
+    assert figures
+    assert [figure for figure in figures if not figure.value <= figure.limit] == []
+
+
+def test_without_an_estimate_of_the_current_it_would_not_hold_its_point() -> None:
+    flight = Flight(config=ControllerConfig(disturbance=Disturbance(sd_mps=0.0)))
+    flight.command(action="arm")
+    flight.fly(40.0)
+    assert distance_m(flight.fly(50.0)).max() > 0.4
+
+
+def _seconds_of(flight: Flight, health: str) -> float:
+    return 0.3 * sum(plan.health == health for plan in flight.plans[100:])
+
+
+@pytest.mark.parametrize("step_s", STEPS_S)
+def test_two_way_a_step_of_the_clock_is_certain_and_degrades_for_a_second(step_s: float) -> None:
+    flight = flown(step_s, reports=True)
+    (clock_step,) = flight.clock_steps
+    assert clock_step.certain
+    assert clock_step.step_ns == pytest.approx(step_s * 1e9, abs=50_000_000)
+    assert _seconds_of(flight, "failsafe") == _seconds_of(flight, "hold") == 0.0
+    assert _seconds_of(flight, "degraded") <= 1.0
+    assert drift_m(flight) < 0.3
+
+
+@pytest.mark.parametrize("step_s", STEPS_S)
+def test_one_way_a_step_backwards_is_doubtful_for_ten_seconds(step_s: float) -> None:
+    flight = flown(step_s, reports=False)
+    doubtful = -10.0 < step_s < -0.25
+    assert [clock_step.certain for clock_step in flight.clock_steps] == ([] if step_s == -0.05 else [not doubtful])
+    assert _seconds_of(flight, "failsafe") == _seconds_of(flight, "hold") == 0.0
+    assert _seconds_of(flight, "degraded") == pytest.approx(10.5 if doubtful else 0.3, abs=0.8)
