@@ -38,7 +38,7 @@ BEGUN_NS = 1_790_000_000_123_456_789
 STEP_US = STEP_NS // 1000
 ESTIMATE_PERIOD_US, CYCLE_PERIOD_US = 100_000, 300_000
 DELAY_US = 60_000
-"""From the start of a cycle to the plan's arrival."""
+"""Default time from the start of a cycle to the plan's arrival."""
 EPOCH = 1
 """Of the controller."""
 
@@ -63,6 +63,7 @@ class Flight:
         config: ControllerConfig | None = None,
         reports: bool = True,
         heading_rad: float = 2.2,
+        delay_us: int = DELAY_US,
     ) -> None:
         """Begin at the origin, disarmed. Without ``reports`` the actuators publish nothing."""
         self.hull = Hull(heading_rad=heading_rad, current_mps=CURRENT_MPS)
@@ -79,6 +80,7 @@ class Flight:
         """Monotonic time of the host."""
         self._track: list[tuple[float, float]] = []
         self._ahead_ns = BEGUN_NS
+        self._delay_us = delay_us
         self._reports = reports
         self._clock = VehicleClock()
         self._sync = ClockSync(self._clock, epoch=EPOCH)
@@ -186,7 +188,7 @@ class Flight:
                 )
                 self._sync.on_plan_sent(self._sequence, self.host_us)
                 self._sequence += 1
-                self._under_way.append((self.host_us + DELAY_US, payload))
+                self._under_way.append((self.host_us + self._delay_us, payload))
             else:
                 self.outputs.append(message)
 

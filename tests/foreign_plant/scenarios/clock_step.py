@@ -17,7 +17,7 @@ def run() -> list[Figure]:
 
 def flown(step_s: float, *, reports: bool) -> Flight:
     """Return a flight of 55 s with a step of the craft's clock after 30 s."""
-    flight = Flight(reports=reports)
+    flight = Flight(reports=reports, delay_us=20_000)  # a longer exchange would not tell a step of 0.05 s
     flight.command(action="arm")
     flight.fly(30.0)
     flight.set_clock(step_s)
