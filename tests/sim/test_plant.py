@@ -193,6 +193,19 @@ def test_a_weaker_plant_is_weaker_in_truth_and_not_in_what_its_actuators_say():
     assert of(Applied, said)[-1].thrust_N[0] == pytest.approx(20, rel=0.02)
 
 
+def test_a_stronger_plant_delivers_no_more_than_its_limits():
+    strong = msgspec.structs.replace(scenario().plant.mismatch, thrust=1.1)
+    push = {0: [arrival(0, [[0, 0, 0], [30, 30, 30], [60, 60, 60], *[[62.5, 62.5, 62.5]] * 20])]}
+    said = run(plant_of(scenario(plant={"mismatch": strong})), 4 * S, push)
+    limits = [thruster.max_N for thruster in VEHICLE.thrusters]
+    delivered = np.array([x.thrust_N for x in of(Truth, said)])
+    assert delivered.max(axis=0) == pytest.approx(limits)
+    # The motion too: the acceleration at the surface is that of the delivered thrust.
+    usual = run(plant_of(scenario()), 4 * S, push)
+    ratio = of(Truth, said)[-1].water_velocity_mps[2] / of(Truth, usual)[-1].water_velocity_mps[2]
+    assert ratio < 1.04
+
+
 def test_two_plants_with_one_seed_are_equal_bit_for_bit():
     inboxes = {k * 300 * MS: [arrival(k * 300 * MS, RAMP, sequence=k)] for k in range(5)}
     one, two = (run(plant_of(scenario()), 2 * S, inboxes) for _ in range(2))
