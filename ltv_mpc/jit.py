@@ -2,7 +2,8 @@
 
 numba's own cache notices an edit of a function's file, but not of another file that the function calls into. So the
 cache is in a folder whose name is a hash of every source file with compiled functions, of the compiler's version and of
-the processor: an edit of any of them starts a new folder. If the folder cannot be written, a temporary one is used.
+the processor: an edit of any of them starts a new folder. Each checkout has a folder of its own, since numba tells
+functions apart by the path of their file. If the folder cannot be written, a temporary one is used.
 Child processes inherit it through the environment.
 """
 
@@ -42,10 +43,10 @@ def _processor() -> str:
 
 
 def fingerprint() -> str:
-    """Return a hash of all compiled sources, the compiler and the processor: 16 hexadecimal digits."""
+    """Return a hash of all compiled sources, their place, the compiler and the processor: 16 hexadecimal digits."""
     digest = hashlib.sha256()
     for path in _sources():
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+        digest.update(str(path).encode() + b"\0" + path.read_bytes() + b"\0")
     for package in ("numba", "llvmlite", "numpy"):
         digest.update(f"{package} {metadata.version(package)}\n".encode())
     digest.update(_processor().encode())

@@ -129,10 +129,9 @@ def main(arguments: Sequence[str]) -> int:
         subprocess.Popen([*command(scenario), name, str(os.getpid())], stdin=subprocess.DEVNULL) for name in PARTS
     ]
     try:
-        from services.processes import sensors  # noqa: F401
+        from services.processes import controller, estimator, plant, sensors  # noqa: F401
 
-        # An upper bound: about a seventh of the functions is for layouts and references that a run does not
-        # use.
+        # An upper bound: about a tenth of the functions is for layouts and references that a run does not use.
         (CACHE / EXPECTED).write_text(str(len(JIT_FUNCTIONS)))
         while any(child.poll() is None for child in children):
             time.sleep(POLL_S)

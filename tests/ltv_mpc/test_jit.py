@@ -34,6 +34,15 @@ def test_an_edit_of_a_callee_in_another_file_starts_a_new_cache(tmp_path):
     assert folder_in(tmp_path) != before
 
 
+def test_each_checkout_has_a_cache_of_its_own(tmp_path):
+    """numba compiles a function of another path again: a shared folder would count as filled, and would not be."""
+    folders = set()
+    for name in ("one", "other"):
+        shutil.copytree(ROOT / "ltv_mpc", tmp_path / name / "ltv_mpc", ignore=shutil.ignore_patterns("__pycache__"))
+        folders.add(folder_in(tmp_path / name))
+    assert len(folders) == 2
+
+
 def test_without_a_home_that_can_be_written_it_compiles_into_a_temporary_folder(tmp_path):
     (tmp_path / "file").touch()
     environment = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}

@@ -37,10 +37,10 @@ def test_where_every_part_is_compiled_the_cache_is_marked(cache: Path) -> None:
     """The parts use the real cache, which is full."""
     assert jit_cache.main(["descent"]) == 0
     assert jit_cache.is_warm()
-    assert int((cache / jit_cache.EXPECTED).read_text()) > 80
+    assert int((cache / jit_cache.EXPECTED).read_text()) > 150
 
 
 def test_what_a_run_compiles_is_most_of_what_is_expected() -> None:
-    """Otherwise the progress bar would end at half."""
-    found = {path.name.split("-")[0] for path in jit_cache.CACHE.rglob("*.nbi")}
-    assert len(found) > 0.7 * int((jit_cache.CACHE / jit_cache.EXPECTED).read_text())
+    """Otherwise the progress bar would end at half, or stay at its end for half of the time."""
+    found = list(jit_cache.CACHE.rglob("*.nbi"))
+    assert 0.85 < len(found) / int((jit_cache.CACHE / jit_cache.EXPECTED).read_text()) <= 1.0
