@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.messages import Estimate, NodeStatus, RejectedFrame, RunEvent
 from services.bus import topics
-from services.bus.roles import LAUNCHER, ROUTER
+from services.bus.roles import LAUNCHER, RECORDER, ROUTER
 from services.bus.wire import WireError
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
@@ -22,8 +24,6 @@ LOCKSTEP = "lockstep"
 
 STATUS = topics.BY_TYPE[NodeStatus].key + "/"
 """Prefix of the keys of all processes' status: each further epoch is a further start."""
-
-ROUTER_STATUS = STATUS + ROUTER
 
 RESTARTS = topics.key_of(RunEvent, LAUNCHER)
 """Key on which the supervisor reports restarts, also of processes without a status."""
@@ -82,17 +82,17 @@ def summarise_recording(
     learned = EstimatedCurrent()
     metrics = RunMetrics(run_config.vehicle, speed=run_config.scenario.run.speed)
     losses = LossAccounting()
-    rejected = restarted = 0
-    counts: dict[
-        tuple[str, int], int
-    ] = {}  # rejected messages by key and epoch of the status; the router's are denials
+    restarted = 0
+    reported: Counter[str] = Counter()  # rejected messages on record, by process
+    counts: dict[tuple[str, int], int] = {}  # rejected messages by process and epoch of its status
     for message in Recording(path):
         epoch, sequence = message.plain["epoch"], message.plain["sequence"]
         losses.add(message.key, epoch, sequence)
-        rejected += message.kind is RejectedFrame
+        if message.kind is RejectedFrame:
+            reported[message.plain["node"]] += 1
         restarted += message.key == RESTARTS and message.plain["kind"] == "fault"
         if message.kind is NodeStatus:
-            counts[message.key, epoch] = message.plain["rejected"]
+            counts[message.plain["node"], epoch] = message.plain["rejected"]
         if message.kind in metrics.message_types:
             try:
                 signal, _ = message.typed()
@@ -101,7 +101,7 @@ def summarise_recording(
             metrics.observe(signal, epoch=epoch, sequence=sequence, t_ns=message.t_ns)
             if isinstance(signal, Estimate):
                 learned.update(signal)
-    denied = sum(count for (key, _), count in counts.items() if key == ROUTER_STATUS)
+    rejected, denied = _rejected_and_denied(reported, counts)
     summary = summarise(
         run_config,
         metrics,
@@ -109,7 +109,7 @@ def summarise_recording(
         messages=Messages(
             published=losses.published,
             dropped=max(losses.missing, unrecorded),
-            rejected=max(rejected, sum(counts.values()) - denied),  # a flood of rejections is not recorded as a whole
+            rejected=rejected,
             denied=denied,
         ),
         restarts=max(
@@ -119,3 +119,17 @@ def summarise_recording(
         ),
     )
     return summary, learned.prior()
+
+
+def _rejected_and_denied(reported: Mapping[str, int], counts: Mapping[tuple[str, int], int]) -> tuple[int, int]:
+    """Return the number of rejected messages and that of the router's denials.
+
+    A flood of rejections is not recorded as a whole, so the counts in the statuses matter too. The recorder rejects
+    again what a reader has rejected; its count only matters for keys that no process reads.
+    """
+    total: Counter[str] = Counter()
+    for (node, _), count in counts.items():
+        total[node] += count
+    total |= Counter(reported)  # the larger count of each process
+    denied, unreadable = total.pop(ROUTER, 0), total.pop(RECORDER, 0)
+    return max(total.total(), unreadable), denied
