@@ -122,20 +122,22 @@ def recorder(
     from services.processes import recorder as process
     from services.run import folder
 
-    if scenario is None:
-        if goes_on:
-            from ltv_mpc.errors import ConfigError
+    if goes_on and (out is None or scenario is None or not _is_scenario_of(out, scenario)):
+        from ltv_mpc.errors import ConfigError
 
-            raise ConfigError("option --continue", "", "needs the SCENARIO of the recording that it continues")
-        made = folder.make("recording", {}, out=out, force=force)
-        metadata = {"mode": process.MODE}
-        return process.main(process.Config(bus=bus, folder=made.path, start_ns=0, metadata=metadata))
+        raise ConfigError("option --continue", "", "needs --out DIR, the folder of a run, and its DIR/scenario.toml")
+    if scenario is None:
+        with folder.reserve("recording", {}, out=out, force=force) as made:
+            metadata = {"mode": process.MODE}
+            return process.main(process.Config(bus=bus, folder=made.path, start_ns=0, metadata=metadata))
     from services.run.run_config import resolve
 
     run_config = resolve(scenario)
-    run_folder = None if out is None else folder.find_prepared(Path(scenario), out, resume=goes_on)
-    if run_folder is None:
-        run_folder = folder.make(run_config.name, run_config.files, out=out, force=force)
     metadata = process.metadata(run_config.scenario.run.seed, run_config.files)
-    config = process.Config(bus=bus, folder=run_folder.path, start_ns=run_config.scenario.start_ns, metadata=metadata)
-    return process.main(config)
+    start_ns = run_config.scenario.start_ns
+    with folder.reserve(run_config.name, run_config.files, out=out, force=force, resume=goes_on) as made:
+        return process.main(process.Config(bus=bus, folder=made.path, start_ns=start_ns, metadata=metadata))
+
+
+def _is_scenario_of(folder: Path, scenario: str) -> bool:
+    return Path(scenario).absolute() == (folder / "scenario.toml").absolute()

@@ -151,8 +151,7 @@ def sim(
         _check_certs(certs, run_config, lockstep=lockstep)
     check_open_files()
     check_disk_space(out or folder.ROOT, run_config.scenario.run.surface_time_s + run_config.scenario.run.duration_s)
-    with folder.locked(out, force=force), hang_up_with_stderr():
-        run_folder = folder.make(run_config.name, run_config.files, out=out, force=force)
+    with folder.reserve(run_config.name, run_config.files, out=out, force=force) as run_folder, hang_up_with_stderr():
         for note in run_config.notes:
             typer.echo(note, err=True)
         if lockstep:

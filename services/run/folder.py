@@ -92,27 +92,27 @@ def draft_of(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def locked(out: Path | None, *, force: bool) -> Iterator[None]:
-    """Make the folder ``out`` and reserve it for one run; a default folder, None, belongs to one run anyway.
+def reserve(
+    name: str, files: Mapping[str, str], *, out: Path | None = None, force: bool = False, resume: bool = False
+) -> Iterator[RunFolder]:
+    """Make a folder as ``make`` does, and keep all other runs out of it within the context.
 
-    A folder that is not empty raises ``ConfigError`` unless ``force`` is set; one that another run has reserved raises
-    it in any case.
+    With ``resume`` the folder ``out`` keeps its recording and its files. A folder that another run has reserved raises
+    ``ConfigError``, also with ``force``.
     """
-    if out is None:
-        yield
-        return
-    folder = os.open(open_folder(out, force=force), os.O_RDONLY)
+    path = _make_with_link(name) if out is None else open_folder(out, force=force or resume)
+    lock = os.open(path, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             problem = "another run writes into this folder: wait for its end, or name another folder"
-            raise ConfigError("option --out", "", problem, value=str(out)) from None
+            raise ConfigError("option --out", "", problem, value=str(path)) from None
         except OSError:  # a file system without locks
             pass
-        yield
+        yield RunFolder(path) if resume else _prepare(path, files)
     finally:
-        os.close(folder)
+        os.close(lock)
 
 
 def make(name: str, files: Mapping[str, str], *, out: Path | None = None, force: bool = False) -> RunFolder:
@@ -121,12 +121,22 @@ def make(name: str, files: Mapping[str, str], *, out: Path | None = None, force:
     ``files`` maps a path in the folder to a text. A folder that is not empty raises ``ConfigError`` unless ``force``
     is set, which replaces the files of a run and leaves the others.
     """
-    folder = RunFolder(_make_with_link(name) if out is None else _prepare_given(out, force=force))
-    for path, text in files.items():
-        target = folder.path / path
+    return _prepare(_make_with_link(name) if out is None else open_folder(out, force=force), files)
+
+
+def _prepare(path: Path, files: Mapping[str, str]) -> RunFolder:
+    """Remove the recording and the results of an earlier run, and write the settings files."""
+    try:
+        # Old results would make a run that fails look complete.
+        for old in (*path.glob("run*.mcap"), *(path / name for name in RESULTS)):
+            old.unlink(missing_ok=True)
+    except OSError as error:
+        raise _refusal(path, error) from None
+    for relative, text in files.items():
+        target = path / relative
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(text, encoding="utf-8")
-    return folder
+    return RunFolder(path)
 
 
 def find(text: str) -> Path:
@@ -158,16 +168,6 @@ def _newest() -> Path | None:
     """Return the folder of the run that started last, by its scenario.toml, which is written once at the start."""
     started = [path for path in ROOT.glob("*/scenario.toml") if not path.parent.is_symlink()]
     return max(started, key=lambda path: path.stat().st_mtime_ns).parent if started else None
-
-
-def find_prepared(scenario: Path, out: Path, *, resume: bool = False) -> RunFolder | None:
-    """Return the folder ``out`` if a supervisor made it for a run of its ``scenario``, and nothing is recorded yet.
-
-    With ``resume`` it may hold a recording. None: the folder was not prepared.
-    """
-    folder = RunFolder(out)
-    same = folder.scenario.absolute() == scenario.absolute()
-    return folder if same and (resume or not folder.recording.exists()) else None
 
 
 def make_default(name: str) -> Path:
@@ -207,18 +207,6 @@ def open_folder(path: Path, *, force: bool) -> Path:
         if any(path.iterdir()) and not force:
             problem = "is not empty: name another folder, or add --force"
             raise ConfigError("option --out", "", problem, value=str(path))
-    except OSError as error:
-        raise _refusal(path, error) from None
-    return path
-
-
-def _prepare_given(path: Path, *, force: bool) -> Path:
-    """Make or open the folder, and remove the recording and the results of an earlier run from it."""
-    open_folder(path, force=force)
-    try:
-        # Old results would make a run that fails look complete.
-        for old in (*path.glob("run*.mcap"), *(path / name for name in RESULTS)):
-            old.unlink(missing_ok=True)
     except OSError as error:
         raise _refusal(path, error) from None
     return path

@@ -128,12 +128,31 @@ def test_what_is_no_run_is_refused_with_what_would_be(text: str, wrong: str) -> 
 def test_a_folder_that_a_run_writes_is_refused_to_a_second_one_even_by_force(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with folder.locked(tmp_path / "run", force=True):
-        assert app.run(["sim", "--lockstep", "--force", "--out", str(tmp_path / "run")]) == 2
-        assert "another run writes into this folder: wait for its end" in capsys.readouterr().err
-        assert not list((tmp_path / "run").iterdir())
-    with folder.locked(tmp_path / "run", force=False):
-        pass
+    out = tmp_path / "run"
+    with folder.reserve("descent", FILES, out=out) as made:
+        made.recording.write_bytes(b"any")
+        scenario = str(made.scenario)
+        for words in (["sim", "--lockstep", "--force"], ["recorder", "--force"], ["recorder", scenario, "--continue"]):
+            assert app.run([*words, "--out", str(out)]) == 2
+            assert "another run writes into this folder: wait for its end" in capsys.readouterr().err
+        assert made.recording.exists()
+    with folder.reserve("descent", FILES, out=out, force=True) as made:
+        assert not made.recording.exists()
+
+
+def test_a_default_folder_is_reserved_too(capsys: pytest.CaptureFixture[str]) -> None:
+    with folder.reserve("descent", FILES):
+        assert app.run(["recorder", "--force", "--out", "runs/latest"]) == 2
+        assert "another run writes into this folder" in capsys.readouterr().err
+
+
+def test_a_recording_is_continued_only_in_the_folder_of_its_scenario(capsys: pytest.CaptureFixture[str]) -> None:
+    made = folder.make("descent", FILES, out=Path("here"))
+    for words in (["--continue"], [str(made.scenario), "--continue"], ["descent", "--out", "here", "--continue"]):
+        assert app.run(["recorder", *words]) == 2
+        assert "option --continue: needs --out DIR" in capsys.readouterr().err
+    with folder.reserve("descent", {}, out=Path("here"), resume=True) as same:
+        assert same.scenario.read_text() == FILES["scenario.toml"]
 
 
 def test_a_draft_replaces_its_file_completely_or_is_removed(tmp_path: Path) -> None:
