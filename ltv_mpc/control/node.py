@@ -35,6 +35,7 @@ from ltv_mpc.safety.command_arbiter import CommandArbiter
 from ltv_mpc.safety.health import NOMINAL, HealthState, report_health, worst
 from ltv_mpc.safety.input_monitor import InputMonitor
 from ltv_mpc.safety.model_monitor import ModelMonitor
+from ltv_mpc.safety.plan_rejections import PlanRejections
 from ltv_mpc.vehicle.parameters import Vehicle
 
 CLOCK_DOUBT_NS = 10_000_000_000
@@ -81,6 +82,7 @@ class ControllerNode:
         """Order and age of the inputs whose age decides the health."""
         self._commands = OperatorCommands(self.controller, self.arbiter, reference)
         self._model_monitor = ModelMonitor(vehicle, config.disturbance.noise_mps)
+        self._plan_rejections = PlanRejections(config.period_ns)
         self._estimate: Estimate | None = None  # the newest
         self._cycle_ns = 0  # time of the last cycle
         self._clock_doubt: ClockStep | None = None  # the last step, if it is not certain
@@ -134,6 +136,7 @@ class ControllerNode:
                 if self._is_newer(self.reports, received, applied.t_ns):
                     self.controller.add_report(applied)
                     self._model_monitor.add_report(applied)
+                    self._plan_rejections.add(applied, received.received_t_ns)
             case CycleTiming() as timing:
                 self.controller.add_timing(timing)
             case _:
@@ -174,7 +177,8 @@ class ControllerNode:
 
     def _health_of_inputs(self, t_ns: int) -> HealthState:
         """Return the worst health of the inputs other than the estimate's age."""
-        return worst(self._health_of_reports(t_ns), self._health_of_clock(t_ns))
+        rejections = self._plan_rejections.health(t_ns)
+        return worst(self._health_of_reports(t_ns), rejections, self._health_of_clock(t_ns))
 
     def _health_of_reports(self, t_ns: int) -> HealthState:
         """Return the health by the time since the actuators' last report."""

@@ -1,0 +1,57 @@
+"""Health of the controller by the plans that the actuators reject, from the count in their reports."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from ltv_mpc.messages import Applied, Health
+from ltv_mpc.safety.health import NOMINAL, HealthState, plan_timeout_ns
+
+REJECTED_PLANS = "the actuators reject plans"
+
+MIN_REJECTIONS = 2
+"""Rejections within the window from which the health is degraded: a link that reorders two plans costs one."""
+
+
+class PlanRejections:
+    """Rejections of plans by the actuators, of this controller or of a second one.
+
+    The health is degraded from the second rejection within ``plan_timeout_ns`` on, until that time has passed without
+    another one.
+    """
+
+    def __init__(self, plan_period_ns: int) -> None:
+        """Begin without a report.
+
+        Parameters
+        ----------
+        plan_period_ns : period of the plans (ns).
+        """
+        self._window_ns = plan_timeout_ns(plan_period_ns)
+        self._count: int | None = None  # in the newest report
+        self._seen_ns: deque[int] = deque(maxlen=MIN_REJECTIONS)  # arrival of the reports of the last rejections
+
+    def add(self, applied: Applied, received_ns: int) -> None:
+        """Add a report; the first one counts from where its actuators are, and so does one that counts anew.
+
+        Parameters
+        ----------
+        applied : report, newer than the last.
+        received_ns : its arrival, vehicle time (ns).
+        """
+        count = applied.plans_rejected
+        if self._count is not None:
+            self._seen_ns.extend([received_ns] * min(count - self._count, MIN_REJECTIONS))
+        self._count = count
+
+    def health(self, t_ns: int) -> HealthState:
+        """Return the health by the last rejections.
+
+        Parameters
+        ----------
+        t_ns : now, vehicle time (ns).
+        """
+        seen = self._seen_ns
+        if len(seen) < MIN_REJECTIONS or t_ns - seen[-1] > self._window_ns or seen[-1] - seen[0] > self._window_ns:
+            return NOMINAL
+        return HealthState(Health.DEGRADED, REJECTED_PLANS)

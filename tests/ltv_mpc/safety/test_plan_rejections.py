@@ -1,0 +1,64 @@
+"""Rejections of plans by the actuators degrade the health of the controller."""
+
+from __future__ import annotations
+
+from ltv_mpc.messages import Applied
+from ltv_mpc.safety.plan_rejections import PlanRejections
+
+MS = 1_000_000
+PERIOD_NS = 300 * MS
+
+
+def report(rejected: int) -> Applied:
+    return Applied(
+        t_ns=0,
+        thrust_N=(0.0, 0.0, 0.0),
+        command_N=(0.0, 0.0, 0.0),
+        command_slew_N_per_s=(0.0, 0.0, 0.0),
+        plan_epoch=1,
+        plan_sequence=0,
+        plan_cycle_t_ns=0,
+        plan_received_t_ns=0,
+        plan_late=False,
+        plans_late=0,
+        plans_rejected=rejected,
+    )
+
+
+def states(*counts: tuple[int, int]) -> list[str]:
+    """Return the health after each report; ``counts`` are its arrival (ms) and its count."""
+    rejections, found = PlanRejections(PERIOD_NS), []
+    for at_ms, rejected in counts:
+        rejections.add(report(rejected), at_ms * MS)
+        found.append(rejections.health(at_ms * MS).health.value)
+    return found
+
+
+def test_the_second_rejection_in_a_row_degrades_until_there_are_no_more() -> None:
+    assert states((0, 0), (300, 1), (600, 2), (900, 3), (1650, 3), (1651, 3)) == [
+        "nominal",
+        "nominal",
+        "degraded",
+        "degraded",
+        "degraded",
+        "nominal",
+    ]
+
+
+def test_one_rejection_now_and_then_is_nominal() -> None:
+    assert set(states(*((1000 * k, k) for k in range(50)))) == {"nominal"}
+
+
+def test_several_rejections_in_one_report_degrade_at_once() -> None:
+    assert states((0, 7), (1000, 9)) == ["nominal", "degraded"]
+
+
+def test_rejections_before_the_first_report_and_a_count_that_begins_again_do_not_count() -> None:
+    assert states((0, 206), (100, 206), (200, 0), (300, 1)) == ["nominal"] * 4
+
+
+def test_the_reason_names_the_actuators() -> None:
+    rejections = PlanRejections(PERIOD_NS)
+    rejections.add(report(0), 0)
+    rejections.add(report(2), 0)
+    assert rejections.health(0) == ("degraded", "the actuators reject plans")
