@@ -2,8 +2,8 @@
 
 numba's own cache notices an edit of a function's file, but not of another file that the function calls into. So the
 cache is in a folder whose name is a hash of every source file with compiled functions, of the compiler's version and of
-the processor: an edit of any of them starts a new folder. Each checkout has a folder of its own, since numba tells
-functions apart by the path of their file. If the folder cannot be written, a temporary one is used.
+the processor: an edit of any of them starts a new folder. Each checkout has a folder of its own, because numba
+distinguishes functions by the path of their file. If the folder cannot be written, a temporary one is used.
 Child processes inherit it through the environment.
 """
 

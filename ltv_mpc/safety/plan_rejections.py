@@ -32,7 +32,7 @@ class PlanRejections:
         self._seen_ns: deque[int] = deque(maxlen=MIN_REJECTIONS)  # arrival of the reports of the last rejections
 
     def add(self, applied: Applied, received_ns: int) -> None:
-        """Add a report; the first one counts from where its actuators are, and so does one that counts anew.
+        """Add a report; rejections before the first one, or before a restart of the actuators, do not count.
 
         Parameters
         ----------

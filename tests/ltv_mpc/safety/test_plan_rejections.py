@@ -53,7 +53,7 @@ def test_several_rejections_in_one_report_degrade_at_once() -> None:
     assert states((0, 7), (1000, 9)) == ["nominal", "degraded"]
 
 
-def test_rejections_before_the_first_report_and_a_count_that_begins_again_do_not_count() -> None:
+def test_rejections_before_the_first_report_or_a_restart_of_the_count_do_not_count() -> None:
     assert states((0, 206), (100, 206), (200, 0), (300, 1)) == ["nominal"] * 4
 
 
