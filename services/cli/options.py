@@ -30,6 +30,9 @@ CampaignFolder: TypeAlias = Annotated[
     typer.Option("--out", metavar="DIR", help="Folder of the campaign; an interrupted one in it is continued."),
 ]
 Force: TypeAlias = Annotated[bool, typer.Option("--force", help="Write into a folder that is not empty.")]
+LogJson: TypeAlias = Annotated[
+    bool, typer.Option("--log-json", help="Print each line on stderr as a JSON object, for a log collector.")
+]
 Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print only the result, as JSON, on stdout.")]
 
 

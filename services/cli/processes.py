@@ -9,7 +9,7 @@ import typer
 
 from services.cli.bus import with_bus
 from services.cli.inject import inject
-from services.cli.options import Force, Out, ScenarioName, SensorsFile, VehicleFile
+from services.cli.options import Force, LogJson, Out, ScenarioName, SensorsFile, VehicleFile
 
 if TYPE_CHECKING:
     from services.bus.options import BusOptions
@@ -23,6 +23,7 @@ def register(app: typer.Typer, panel: str) -> None:
 
 @with_bus("router")
 def router(
+    log_json: LogJson = False,
     *,
     bus: BusOptions,
 ) -> int:
@@ -32,7 +33,7 @@ def router(
     """
     from services.processes import router as process
 
-    return process.main(process.Config(bus=bus))
+    return process.main(process.Config(bus=bus, log_json=log_json))
 
 
 @with_bus("plant")
@@ -44,6 +45,7 @@ def plant(
             "--expect", metavar="NODE", help="Also wait until this node is ready, such as recorder; repeatable."
         ),
     ] = None,
+    log_json: LogJson = False,
     *,
     bus: BusOptions,
 ) -> int:
@@ -53,12 +55,13 @@ def plant(
     """
     from services.processes import plant as process
 
-    return process.main(process.Config(bus=bus, scenario=scenario, expects=tuple(expect or ())))
+    return process.main(process.Config(bus=bus, scenario=scenario, expects=tuple(expect or ()), log_json=log_json))
 
 
 @with_bus("sensors")
 def sensors(
     scenario: ScenarioName = "descent",
+    log_json: LogJson = False,
     *,
     bus: BusOptions,
 ) -> int:
@@ -68,7 +71,7 @@ def sensors(
     """
     from services.processes import sensors as process
 
-    return process.main(process.Config(bus=bus, scenario=scenario))
+    return process.main(process.Config(bus=bus, scenario=scenario, log_json=log_json))
 
 
 @with_bus("estimator")
@@ -78,6 +81,7 @@ def estimator(
     settings: Annotated[
         Path | None, typer.Option("--settings", metavar="FILE", help="TOML file with the [estimator] table only.")
     ] = None,
+    log_json: LogJson = False,
     *,
     bus: BusOptions,
 ) -> int:
@@ -96,7 +100,7 @@ def estimator(
         if settings is None
         else resolve_prior_path(settings.parent, EstimatorConfig.load(str(settings)))
     )
-    return process.main(process.Config(bus=bus, sensors=sensors, settings=table))
+    return process.main(process.Config(bus=bus, sensors=sensors, settings=table, log_json=log_json))
 
 
 @with_bus("recorder")
@@ -112,6 +116,7 @@ def recorder(
     goes_on: Annotated[
         bool, typer.Option("--continue", help="Continue the recording in --out with the next segment, run.2.mcap.")
     ] = False,
+    log_json: LogJson = False,
     *,
     bus: BusOptions,
 ) -> int:
@@ -119,6 +124,8 @@ def recorder(
 
     Reads everything; run.mcap opens in Foxglove. `ltv-mpc replay` needs the SCENARIO of the run.
     """
+    from msgspec.structs import replace
+
     from services.processes import recorder as process
     from services.run import folder
 
@@ -126,17 +133,17 @@ def recorder(
         from ltv_mpc.errors import ConfigError
 
         raise ConfigError("option --continue", "", "needs --out DIR, the folder of a run, and its DIR/scenario.toml")
+    config = process.Config(bus=bus, folder=Path(), start_ns=0, metadata={"mode": process.MODE}, log_json=log_json)
     if scenario is None:
         with folder.reserve("recording", {}, out=out, force=force) as made:
-            metadata = {"mode": process.MODE}
-            return process.main(process.Config(bus=bus, folder=made.path, start_ns=0, metadata=metadata))
+            return process.main(replace(config, folder=made.path))
     from services.run.run_config import resolve
 
     run_config = resolve(scenario)
     metadata = process.metadata(run_config.scenario.run.seed, run_config.files)
     start_ns = run_config.scenario.start_ns
     with folder.reserve(run_config.name, run_config.files, out=out, force=force, resume=goes_on) as made:
-        return process.main(process.Config(bus=bus, folder=made.path, start_ns=start_ns, metadata=metadata))
+        return process.main(replace(config, folder=made.path, start_ns=start_ns, metadata=metadata))
 
 
 def _is_scenario_of(folder: Path, scenario: str) -> bool:

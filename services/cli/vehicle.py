@@ -9,7 +9,7 @@ import typer
 
 from services.cli.bus import with_bus
 from services.cli.localise import localise
-from services.cli.options import ReferenceFile, VehicleFile
+from services.cli.options import LogJson, ReferenceFile, VehicleFile
 from services.cli.topics import topics
 from services.cli.vehicle_file import vehicle as vehicle_file
 
@@ -76,6 +76,7 @@ def controller(
     metrics: Metrics = None,
     input_delay_s: InputDelay = 0.0,
     failed_qps: FailedQps = None,
+    log_json: LogJson = False,
     *,
     bus: BusOptions,
 ) -> int:
@@ -113,5 +114,6 @@ def controller(
             input_delay_s=input_delay_s,
             metrics_port=metrics,
             failed_qps=failed_qps,
+            log_json=log_json,
         )
     )

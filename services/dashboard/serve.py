@@ -19,6 +19,7 @@ from services.dashboard import page
 from services.dashboard.access_guard import LOOPBACK, Token, hosts
 from services.dashboard.bus_feed import BusFeed
 from services.dashboard.config import Config
+from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 
@@ -68,7 +69,7 @@ def main(config: Config) -> int:
             # a signal ends the server, which then passes it to the previous handlers
             uvicorn.Server(configuration(app)).run(sockets=[bound])
 
-    return run_until_stopped("dashboard", work)
+    return run_until_stopped(Console("dashboard"), work)
 
 
 def _give_way() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -42,13 +41,15 @@ from services.bus.options import BusOptions
 from services.bus.topics import BY_TYPE, Topic
 from services.processes.failed_qps import FailedQps
 from services.runtime import metrics as prometheus
+from services.runtime.console import Console
+from services.runtime.controller_changes import ControllerChanges
 from services.runtime.controller_status import ControllerStatusReporter, StatusSink
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from services.runtime.stage_timer import StageTimer
-from services.runtime.status_line import StatusLine
-from services.runtime.stopping import FAILED, Say, StopRequest, stderr_printer
+from services.runtime.status_line import text as status_text
+from services.runtime.stopping import FAILED, Say, StopRequest
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
@@ -62,33 +63,33 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     input_delay_s: float = 0.0  # smallest delay of an estimate, if no clock exchange measures it
     metrics_port: int | None = None  # port on loopback of the Prometheus metrics
     failed_qps: Path | None = None  # folder for QPs that were not solved
+    log_json: bool = False  # lines on stderr as JSON objects
 
 
 def main(config: Config) -> int:
     """Run the controller node until it is stopped. Returns the exit code."""
     vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
     settings, bus = config.settings, config.bus
-    metrics = prometheus.Metrics()
+    metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
     with contextlib.ExitStack() as stack:
         if config.metrics_port is not None:
             try:
                 stack.enter_context(prometheus.serving(metrics, config.metrics_port))
             except OSError as error:
-                stderr_printer(ControllerNode.name)(f"--metrics {config.metrics_port}: {error.strerror}")
+                console.say(f"--metrics {config.metrics_port}: {error.strerror}")
                 return FAILED
         warm_up(vehicle, reference, settings)
         node_stages = StageTimer()
         recorder = FailureRecorder()
         make_solver = make if config.failed_qps is None else recorder
         node = ControllerNode(vehicle, reference, settings, make_solver=make_solver, stopwatch=node_stages)
-        line = StatusLine(node.name, key_in(bus, BY_TYPE[Estimate]), sys.stderr)
-        stack.callback(line.close)
+        estimates_on = key_in(bus, BY_TYPE[Estimate])
+        stack.callback(console.close)
 
         def make_runner(request: StopRequest, say: Say) -> Runner:
-            say = line.saying(say)
             for text in (*announcement(bus, settings), *reference.notes(vehicle)):
                 say(text)
-            shown: list[StatusSink] = [line.show, metrics.show]
+            shown: list[StatusSink] = [lambda status, _: console.show(status_text(status, estimates_on)), metrics.show]
             if config.failed_qps is not None:
                 shown.append(FailedQps(recorder, config.failed_qps, say).show)
             return Runner(
@@ -98,10 +99,10 @@ def main(config: Config) -> int:
                 clock=ClockOptions(sync_to_inputs=True, input_delay_ns=round(config.input_delay_s * 1e9)),
                 compute_delay_ns=round(config.compute_delay_s * 1e9),
                 stages=node_stages,
-                report=ControllerStatusReporter(node, shown),
+                report=ControllerStatusReporter(node, shown, ControllerChanges(console.tell)),
             )
 
-        return serve(node.name, bus, make_runner)
+        return serve(console, bus, make_runner)
 
 
 INTERNAL_TYPES = (ControllerState,)

@@ -19,6 +19,7 @@ from ltv_mpc.node import ReceivedMessage
 from services.bus.options import BusOptions
 from services.run.water import load_prior
 from services.runtime.clock import monotonic_us
+from services.runtime.console import Console
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from services.runtime.stopping import Say, StopRequest
@@ -31,6 +32,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     bus: BusOptions
     sensors: str = "paper"  # NAME or FILE
     settings: EstimatorConfig = EstimatorConfig()
+    log_json: bool = False  # lines on stderr as JSON objects
 
 
 def main(config: Config) -> int:
@@ -43,7 +45,7 @@ def main(config: Config) -> int:
         node = Estimator(sensor_config, settings, prior, progress=lambda: SUPERVISOR_LINK.beat(monotonic_us()))
         return Runner(node, stop=request, say=say)
 
-    return serve(Estimator.name, config.bus, make)
+    return serve(Console(Estimator.name, as_json=config.log_json), config.bus, make)
 
 
 def warm_up(sensor_config: SensorConfig, config: EstimatorConfig) -> None:

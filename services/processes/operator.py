@@ -12,7 +12,8 @@ from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, Session, Stopped, open_session
 from services.bus.topics import BY_TYPE, OPERATOR
 from services.bus.wire import WireError, decode
-from services.runtime.stopping import DONE, FAILED, stderr_printer
+from services.runtime.console import Console
+from services.runtime.stopping import DONE, FAILED
 
 TIMEOUT_S = 3.0
 """Longest wait for a router, and again for the answer. A control cycle takes a third of a second."""
@@ -20,7 +21,7 @@ TIMEOUT_S = 3.0
 
 def main(action: Action, reference_toml: str, bus: BusOptions) -> int:
     """Send a command; return 0 if the controller accepted it, else print the reason to stderr and return 1."""
-    say = stderr_printer(f"ctl {action.value}")
+    say = Console(f"ctl {action.value}").say
     until = time.monotonic() + TIMEOUT_S
     try:
         with open_session(bus, stop=lambda: time.monotonic() > until, say=say) as session:

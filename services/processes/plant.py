@@ -7,10 +7,11 @@ import msgspec
 from services.bus.options import BusOptions
 from services.run.run_config import RunConfig, resolve
 from services.runtime.clock_master import ClockMasterSettings
+from services.runtime.console import Console
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
-from services.runtime.stopping import DONE, FAILED, Say, StopRequest, stderr_printer
+from services.runtime.stopping import DONE, FAILED, Say, StopRequest
 from sim.plant import Plant
 
 
@@ -20,6 +21,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     bus: BusOptions
     scenario: str  # NAME or FILE
     expects: tuple[str, ...] = ()  # further nodes that the clock waits for
+    log_json: bool = False  # lines on stderr as JSON objects
 
 
 def main(config: Config) -> int:
@@ -40,9 +42,10 @@ def main(config: Config) -> int:
         runners.append(Runner(_make(run_config), stop=request, say=say, clock=ClockOptions(master=clock_master)))
         return runners[0]
 
-    code = serve(Plant.name, config.bus, make_runner)
+    console = Console(Plant.name, as_json=config.log_json)
+    code = serve(console, config.bus, make_runner)
     if code == DONE and not (runners and runners[0].finished):
-        stderr_printer(Plant.name)("stopped before the end of the run")
+        console.say("stopped before the end of the run")
         return FAILED
     return code
 

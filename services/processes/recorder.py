@@ -10,6 +10,7 @@ import msgspec
 from services.bus.options import BusOptions
 from services.bus.session import BusError
 from services.recording.segments import SegmentWriter
+from services.runtime.console import Console
 from services.runtime.recording_loop import NAME, RecordingLoop
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
@@ -26,6 +27,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     folder: Path  # of the run
     start_ns: int  # vehicle time of log time 0
     metadata: dict[str, str]  # kept in the recording
+    log_json: bool = False  # lines on stderr as JSON objects
 
 
 def metadata(seed: int, files: Mapping[str, str]) -> dict[str, str]:
@@ -42,4 +44,4 @@ def main(config: Config) -> int:
         with SegmentWriter(recording, start_ns=config.start_ns, metadata=config.metadata) as writer:
             RecordingLoop(writer, start_ns=config.start_ns, stop=request, say=say).serve(config.bus)
 
-    return run_until_stopped(NAME, work, failures=(BusError, OSError))
+    return run_until_stopped(Console(NAME, as_json=config.log_json), work, failures=(BusError, OSError))

@@ -17,6 +17,7 @@ from services.bus.wire import WireError
 from services.edges.ros2 import cdr
 from services.edges.ros2.edge import Edge
 from services.runtime.clock import monotonic_us
+from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 
@@ -34,7 +35,9 @@ class Topics(msgspec.Struct, frozen=True, kw_only=True):
 def main(topics: Topics, bus: BusOptions, *, ros_namespace: str, rate_hz: float) -> int:
     """Translate until a stop is requested. ``ros_namespace`` is the bridge's prefix of all its keys."""
     period_us = round(1e6 / rate_hz)
-    return run_until_stopped(NAME, lambda request, say: _run(topics, bus, ros_namespace, period_us, request, say))
+    return run_until_stopped(
+        Console(NAME), lambda request, say: _run(topics, bus, ros_namespace, period_us, request, say)
+    )
 
 
 def _run(topics: Topics, bus: BusOptions, ros_namespace: str, period_us: int, request: StopRequest, say: Say) -> None:

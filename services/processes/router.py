@@ -21,6 +21,7 @@ from services.bus.session import Session, log_to_stdout, open_session
 from services.bus.topics import BY_TYPE, Topic
 from services.bus.wire import WireError, decode
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
+from services.runtime.console import Console, tenfold
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 from services.runtime.supervisor_link import HEARTBEAT_PERIOD_US, SUPERVISOR_LINK
@@ -39,6 +40,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     """Configuration of the router process."""
 
     bus: BusOptions
+    log_json: bool = False  # lines on stderr as JSON objects
 
 
 def main(config: Config) -> int:
@@ -59,7 +61,7 @@ def main(config: Config) -> int:
             while not request.wait(PULSE_S):
                 SUPERVISOR_LINK.beat(monotonic_us())
 
-    return run_until_stopped(ROUTER, work)
+    return run_until_stopped(Console(ROUTER, as_json=config.log_json), work)
 
 
 def _route_with_roles(options: BusOptions, request: StopRequest, say: Say) -> None:
@@ -109,7 +111,8 @@ class _Report:
         total = self._denials.total
         if total > self._reported:
             text = f"denied {total} attempts so far: {self._denials}"
-            self._say(text)
+            if tenfold(total) > tenfold(self._reported):
+                self._say(text)
             self._out.publish(RunEvent(t_ns=t_ns, node=ROUTER, kind="denied", text=text))
             self._reported = total
         self._out.publish(

@@ -8,6 +8,7 @@ from ltv_mpc.messages import Truth
 from ltv_mpc.node import ReceivedMessage
 from services.bus.options import BusOptions
 from services.run.run_config import RunConfig, resolve
+from services.runtime.console import Console
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
@@ -20,6 +21,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 
     bus: BusOptions
     scenario: str  # NAME or FILE
+    log_json: bool = False  # lines on stderr as JSON objects
 
 
 def main(config: Config) -> int:
@@ -27,7 +29,7 @@ def main(config: Config) -> int:
     run_config = resolve(config.scenario)
     warm_up(run_config)
     return serve(
-        Sensors.name,
+        Console(Sensors.name, as_json=config.log_json),
         config.bus,
         lambda request, say: Runner(
             _make(run_config), stop=request, say=say, clock=ClockOptions(speed=run_config.scenario.run.speed)

@@ -11,6 +11,7 @@ from ltv_mpc.messages import Applied, ClockStep, ControllerStatus, Estimate, Mes
 from ltv_mpc.safety.health import HealthState
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
+from services.runtime.controller_changes import ControllerChanges
 
 PERIOD_US = 1_000_000
 """Time between two statuses (us)."""
@@ -22,12 +23,15 @@ StatusSink = Callable[[ControllerStatus, int], None]
 
 
 class ControllerStatusReporter:
-    """Reporter of the controller's status on the bus, and to each sink: the status line, the metrics."""
+    """Reporter of the controller's status on the bus, and to each sink: the status line, the metrics, the changes."""
 
     writes: tuple[type[Message], ...] = (ControllerStatus,)
 
-    def __init__(self, node: ControllerNode, sinks: Sequence[StatusSink] = ()) -> None:
+    def __init__(
+        self, node: ControllerNode, sinks: Sequence[StatusSink] = (), changes: ControllerChanges | None = None
+    ) -> None:
         self._node = node
+        self._changes = changes
         self._sinks = sinks
         self._plan: Plan | None = None
         self._estimate: Estimate | None = None
@@ -38,6 +42,8 @@ class ControllerStatusReporter:
 
     def on_input(self, message: Message) -> None:
         """Record an accepted input."""
+        if self._changes is not None:
+            self._changes.on_message(message)
         match message:
             case Estimate():
                 self._estimate = message
@@ -53,6 +59,8 @@ class ControllerStatusReporter:
         plan = next((message for message in outputs if isinstance(message, Plan)), None)
         if plan is not None:
             self._plan = plan
+            if self._changes is not None:
+                self._changes.on_message(plan)
             self._cycles.append((now_us, took_us))
 
     def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: ClockOffset) -> ControllerStatus:
@@ -88,6 +96,8 @@ class ControllerStatusReporter:
             progress=None if self._plan is None else self._plan.progress,
             inputs=node.inputs(),
         )
+        if self._changes is not None:
+            self._changes.on_status(status)
         for sink in self._sinks:
             sink(status, now_us)
         return status

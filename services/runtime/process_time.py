@@ -16,7 +16,6 @@ from services.runtime.clock_master import ClockMaster, ClockMasterSettings
 from services.runtime.clock_offset import ClockOffset
 from services.runtime.clock_sync import SHARED_CLOCK, STAMPED_INPUTS, ClockSync
 from services.runtime.schedule import StepSchedule
-from services.runtime.stopping import Say
 
 INPUT_LATENCY_US = 6_000
 """Cycles start this long after the multiples of their period. Measurements of an instant arrive within it: a cycle that
@@ -43,14 +42,13 @@ class ClockOptions(NamedTuple):
 class ProcessTime:
     """Vehicle time and the step schedule of one process."""
 
-    def __init__(self, node: Node, options: ClockOptions, *, epoch: int, say: Say) -> None:
+    def __init__(self, node: Node, options: ClockOptions, *, epoch: int) -> None:
         self.clock = VehicleClock(speed=options.speed)
         self.master: ClockMaster | None = None  # set when the process is connected
         self.sync: ClockSync | None = None
         if options.sync_to_inputs:
             self.sync = ClockSync(self.clock, epoch=epoch, input_delay_ns=options.input_delay_ns)
         self.schedule = StepSchedule(node.schedule, end_ns=options.master.end_ns if options.master else None)
-        self._say = say
 
     def now_ns(self, now_us: int) -> int:
         """Return the vehicle time at a monotonic time; 0 while it is not known."""
@@ -108,11 +106,8 @@ class ProcessTime:
         return reason
 
     def take_clock_steps(self) -> list[ClockStep]:
-        """Return the steps of the publishers' clocks since the last call, and say them."""
-        steps = [] if self.sync is None else self.sync.take_steps()
-        for step in steps:
-            self._say(step_text(step))
-        return steps
+        """Return the steps of the publishers' clocks since the last call."""
+        return [] if self.sync is None else self.sync.take_steps()
 
 
 def step_text(step: ClockStep) -> str:

@@ -72,7 +72,7 @@ class Runner:
         self._stages = stages or StageTimer()
         self._report = report
         self._epoch = new_epoch()
-        self._time = ProcessTime(node, clock, epoch=self._epoch, say=say)
+        self._time = ProcessTime(node, clock, epoch=self._epoch)
 
     @property
     def finished(self) -> bool:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from services.bus.options import BusOptions
 from services.bus.session import BusError, Stopped
 from services.runtime.clock import ClockError
-from services.runtime.stopping import FAILED, Say, StopRequest, stderr_printer, stop_on_signals
+from services.runtime.console import Console
+from services.runtime.stopping import FAILED, Say, StopRequest, stop_on_signals
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 if TYPE_CHECKING:
@@ -16,32 +17,31 @@ if TYPE_CHECKING:
 
 
 def run_until_stopped(
-    name: str,
+    console: Console,
     work: Callable[[StopRequest, Say], None],
     *,
     failures: tuple[type[Exception], ...] = (BusError, ClockError),
 ) -> int:
     """Run ``work`` until it returns or a signal stops it. Return the exit code: 0 done, 1 failed, 130 Ctrl-C.
 
-    An exception of ``failures`` becomes one line on stderr and exit code 1.
+    Lines go to ``console``; an exception of ``failures`` becomes one of them, with exit code 1.
     """
-    say = stderr_printer(name)
     with stop_on_signals() as request:
         try:
-            work(request, say)
+            work(request, console.say)
         except Stopped:
             pass
         except failures as error:
-            say(str(error))
+            console.say(str(error))
             return FAILED
         return request.exit_code
 
 
-def serve(name: str, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]) -> int:
+def serve(console: Console, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]) -> int:
     """Run a node until it is done or a signal stops it. Return the exit code, as ``run_until_stopped``."""
 
     def work(request: StopRequest, say: Say) -> None:
         state = SUPERVISOR_LINK.restored_state()
         make(request, say).serve(bus, state)
 
-    return run_until_stopped(name, work)
+    return run_until_stopped(console, work)

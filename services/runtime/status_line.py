@@ -1,59 +1,12 @@
-"""Status line of the controller on stderr: updated in place on a terminal, printed every 10 s into a pipe."""
+"""Status line of the controller: authority, health, age of the input, cycle time, error, clock and rejections."""
 
 from __future__ import annotations
 
-from typing import TextIO
-
 from ltv_mpc.messages import ClockMode, ControllerStatus
-from services.runtime.stopping import Say
-
-PERIOD_US = 10_000_000
-ERASE = "\r\x1b[2K"
-
-
-class StatusLine:
-    """Writer of the status line and of all other lines of the process, so that they do not overwrite each other."""
-
-    def __init__(self, name: str, estimates_on: str, out: TextIO) -> None:
-        """``estimates_on`` is the estimates' key with its namespace, shown until the first one arrives."""
-        self._name = name
-        self._estimates_on = estimates_on
-        self._out = out
-        self._terminal = out.isatty()
-        self._shown = ""
-        self._due_us: int | None = None
-
-    def say(self, text: str) -> None:
-        """Print a line that stays."""
-        self._write(f"{ERASE if self._shown else ''}{self._name}: {text}\n{self._shown}")
-
-    def saying(self, say: Say) -> Say:
-        """Return ``self.say`` on a terminal, else ``say``."""
-        return self.say if self._terminal else say
-
-    def show(self, status: ControllerStatus, now_us: int) -> None:
-        """Show the newest status."""
-        line = text(status, self._estimates_on)
-        if self._terminal:
-            self._shown = f"{self._name}: {line}"
-            self._write(f"{ERASE}{self._shown}")
-        elif self._due_us is None or now_us >= self._due_us:
-            self._due_us = now_us + PERIOD_US
-            self._write(f"{self._name}: {line}\n")
-
-    def close(self) -> None:
-        """Leave the terminal's cursor on a new line."""
-        if self._shown:
-            self._shown = ""
-            self._write("\n")
-
-    def _write(self, text: str) -> None:
-        self._out.write(text)
-        self._out.flush()
 
 
 def text(status: ControllerStatus, estimates_on: str) -> str:
-    """Return authority, health, input age, cycle time, error, clock and rejections, in one line."""
+    """Return a status in one line; ``estimates_on`` is the estimates' key, shown until the first one arrives."""
     health = f"{status.health.value} ({status.health_why})" if status.health_why else status.health.value
     parts = [status.authority.value, health]
     if status.estimate_age_ns is None:

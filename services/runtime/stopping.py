@@ -121,13 +121,3 @@ def hang_up_with_stderr() -> Iterator[None]:
         yield
     finally:
         sys.stderr = stderr
-
-
-def stderr_printer(name: str) -> Say:
-    """Return a function that prints lines on stderr, prefixed by ``name``."""
-
-    def say(text: str) -> None:
-        sys.stderr.write(f"{name}: {text}\n")
-        sys.stderr.flush()
-
-    return say

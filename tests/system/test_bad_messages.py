@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import time
+from collections import Counter
 from pathlib import Path
 
 import msgpack
@@ -150,7 +152,8 @@ def test_an_estimate_out_of_order_doubled_or_of_a_former_start_changes_no_plan()
 @pytest.mark.timeout(400)
 def test_a_controller_process_shows_and_counts_what_it_refuses_and_goes_on(tmp_path: Path) -> None:
     (tmp_path / "point.toml").write_text('kind = "point"\nnorth_m = 0.0\neast_m = 0.0\n')
-    with controller(loopback.free_port(), ("--reference", str(tmp_path / "point.toml"))) as (endpoint, _):
+    arguments = ("--reference", str(tmp_path / "point.toml"), "--log-json")
+    with controller(loopback.free_port(), arguments) as (endpoint, console):
         bus = BusOptions(connect=(endpoint,))
         with open_session(bus, stop=StopRequest(), say=lambda _: None) as session:
             box = Mailbox()
@@ -159,6 +162,10 @@ def test_a_controller_process_shows_and_counts_what_it_refuses_and_goes_on(tmp_p
             _besiege(
                 Outbox(session, node="estimator", epoch=9, kinds=(Estimate,)), session.publisher("estimate").put, box
             )
+        console.until(lambda line: '"kind": "rejected"' in line)
+    lines = [json.loads(line) for line in console.said]
+    assert {line["kind"] for line in lines} == {"note", "health", "authority", "rejected"}
+    assert max(Counter(line["text"] for line in lines if line["kind"] == "rejected").values()) == 1
 
 
 def _besiege(out: Outbox, put: object, box: Mailbox) -> None:

@@ -28,6 +28,7 @@ from services.bus.session import Publisher, Session, Stopped, open_session
 from services.bus.topics import BY_TYPE, TOPICS, Topic, topic_at
 from services.bus.wire import Header, WireError, crc, decode, encode
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
+from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 from services.tools.faults.schedule import problem
@@ -319,4 +320,4 @@ def main(config: Config) -> int:
             injector.serve(config.at_a, config.at_b)
         sys.stdout.write(json.dumps(injector.account) + "\n")
 
-    return run_until_stopped(NAME, work)
+    return run_until_stopped(Console(NAME), work)

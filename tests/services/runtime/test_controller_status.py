@@ -1,9 +1,8 @@
-"""Controller status: its figures, the status line on a terminal and in a pipe, the metrics for Prometheus."""
+"""Controller status: its figures, the status line, the metrics for Prometheus."""
 
 from __future__ import annotations
 
 import http.client
-import io
 from collections.abc import Iterator
 
 import msgspec
@@ -15,6 +14,7 @@ from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import (
     Authority,
     ClockMode,
+    ClockStep,
     ControllerStatus,
     Estimate,
     Health,
@@ -27,9 +27,11 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import ReceivedMessage
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_sync import ClockOffset
+from services.runtime.console import Level
+from services.runtime.controller_changes import ControllerChanges
 from services.runtime.controller_status import ControllerStatusReporter
 from services.runtime.metrics import Metrics, serving
-from services.runtime.status_line import ERASE, StatusLine
+from services.runtime.status_line import text
 from services.supervisor import loopback
 from tests.stepping import step
 
@@ -101,44 +103,45 @@ def test_a_message_by_hand_outside_the_box_is_counted_by_the_node(node: Controll
     assert node.arbiter.manual_rejected == 1
 
 
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_on_a_terminal_the_line_is_replaced_and_words_go_above_it() -> None:
-    out = Terminal()
-    line = StatusLine("controller", "boat/estimate", out)
-    line.show(STATUS, 0)
-    line.say("waiting for applied")
-    line.show(msgspec.structs.replace(STATUS, health=Health.DEGRADED), S)
-    line.close()
-    first, above, second = out.getvalue().split(ERASE)[1:]
-    assert first == (
-        "controller: controller | nominal | estimate 0.04 s old | cycle 0.9 ms (p99 2.1) | error 0.25 m"
+def test_the_status_line_names_health_input_cycle_error_clock_and_rejections() -> None:
+    assert text(STATUS, "boat/estimate") == (
+        "controller | nominal | estimate 0.04 s old | cycle 0.9 ms (p99 2.1) | error 0.25 m"
         " | clock two-way, within 0.9 ms | 1 dropped, 5 rejected"
     )
-    assert above == f"controller: waiting for applied\n{first}"
-    assert second == first.replace("nominal", "degraded") + "\n"
 
 
-def test_in_a_pipe_there_is_a_plain_line_each_ten_seconds() -> None:
-    out = io.StringIO()
-    line = StatusLine("controller", "boat/estimate", out)
-    unheard = msgspec.structs.replace(STATUS, estimate_age_ns=None, clock=ClockMode.SHARED, rejected={}, dropped=0)
-    for second in range(25):
-        line.show(unheard, second * S)
-    line.close()
-    assert out.getvalue().count("\n") == 3
-    assert "\x1b" not in out.getvalue()
-    assert "no estimate yet on boat/estimate" in out.getvalue()
-    assert "clock" not in out.getvalue()
+def test_before_the_first_estimate_the_status_line_names_its_key() -> None:
+    line = text(
+        msgspec.structs.replace(STATUS, estimate_age_ns=None, clock=ClockMode.SHARED, rejected={}, dropped=0),
+        "boat/estimate",
+    )
+    assert "no estimate yet on boat/estimate" in line
+    assert "clock" not in line
 
 
 def test_without_reports_it_says_that_its_plans_are_taken_as_followed() -> None:
-    out = io.StringIO()
-    StatusLine("controller", "estimate", out).show(msgspec.structs.replace(STATUS, applied_age_ns=None), 0)
-    assert "no `applied` messages: plans count as followed" in out.getvalue()
+    assert "no `applied` messages: plans count as followed" in text(
+        msgspec.structs.replace(STATUS, applied_age_ns=None), "estimate"
+    )
+
+
+def test_plans_inputs_and_statuses_reach_the_changes(node: ControllerNode) -> None:
+    told: list[str] = []
+
+    def tell(_level: Level, _kind: str, text: str, **_: object) -> None:
+        told.append(text)
+
+    report = ControllerStatusReporter(node, changes=ControllerChanges(tell))
+    report.status(0, 0, MessageValidator(), SHARED)
+    assert told == ["health: degraded (no estimate yet)", "authority: disarmed"]
+    told.clear()
+    report.on_input(ClockStep(t_ns=0, input="estimate", publisher=1, step_ns=10**9, certain=True))
+    report.on_step([plan(0.0)], 9_000, 1 * S)
+    assert told == [
+        "the clock of the publisher of `estimate` was set by +1.000 s",
+        "health: nominal",
+        "authority: controller",
+    ]
 
 
 @pytest.fixture

@@ -1,0 +1,100 @@
+"""Console of a process: its lines on standard error, as text or as JSON, and a status line on a terminal.
+
+    text    controller: waiting for an estimate, or a clock
+            controller: 2026-11-24T14:31:02.105Z  health: degraded (the estimates are too old)
+    JSON    {"t_ns": 81300000000, "time": "2026-11-24T14:31:02.105Z", "level": "warning", "process": "controller",
+            "kind": "health", "text": "health: degraded (the estimates are too old)", "fields": {"health": ...}}
+
+A change has its time; other lines have it in JSON alone. The status line is replaced in place. Where standard error is
+no terminal there is none: it would flood a log, and ``controller/status`` has the same.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+import json
+import sys
+from datetime import UTC, datetime
+from typing import Protocol, TextIO
+
+from ltv_mpc.errors import one_line
+
+ERASE = "\r\x1b[2K"
+
+
+class Level(enum.StrEnum):
+    """Importance of a line."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+class Tell(Protocol):
+    """Function that prints a change: its kind in one word, its text, its vehicle time, and its values by name."""
+
+    def __call__(self, level: Level, kind: str, text: str, *, t_ns: int, fields: dict[str, str | int]) -> None: ...
+
+
+class Console:
+    """Writer of all lines of one process. It continues without a reader: a log collector that ends stops no vehicle."""
+
+    def __init__(self, name: str, *, as_json: bool = False, out: TextIO | None = None) -> None:
+        """``out``: the stream; None: standard error, whatever that is when a line is written."""
+        self._name = name
+        self._as_json = as_json
+        self._given = out
+        self._shown = ""  # status line on the terminal
+
+    def say(self, text: str) -> None:
+        """Print a line that stays."""
+        if self._as_json:
+            self._write_json(Level.INFO, "note", text, None, {})
+        else:
+            self._write_line(text)
+
+    def tell(self, level: Level, kind: str, text: str, *, t_ns: int, fields: dict[str, str | int]) -> None:
+        """Print a change (``Tell``)."""
+        if self._as_json:
+            self._write_json(level, kind, text, t_ns, fields)
+        else:
+            self._write_line(f"{_utc()}  {one_line(text)}")
+
+    def show(self, status: str) -> None:
+        """Show a status line in place of the last one, on a terminal."""
+        if not self._as_json and self._out.isatty():
+            self._shown = f"{self._name}: {status}"
+            self._write(f"{ERASE}{self._shown}")
+
+    def close(self) -> None:
+        """Leave the terminal's cursor on a new line."""
+        if self._shown:
+            self._shown = ""
+            self._write("\n")
+
+    @property
+    def _out(self) -> TextIO:
+        return sys.stderr if self._given is None else self._given
+
+    def _write_line(self, text: str) -> None:
+        self._write(f"{ERASE if self._shown else ''}{self._name}: {text}\n{self._shown}")
+
+    def _write_json(self, level: Level, kind: str, text: str, t_ns: int | None, fields: dict[str, str | int]) -> None:
+        line = {"t_ns": t_ns, "time": _utc(), "level": level, "process": self._name, "kind": kind, "text": text}
+        self._write(json.dumps({**line, "fields": fields}) + "\n")
+
+    def _write(self, text: str) -> None:
+        with contextlib.suppress(OSError):
+            self._out.write(text)
+            self._out.flush()
+
+
+def tenfold(count: int) -> int:
+    """Return the largest of 1, 10, 100, ... that a count has reached, or 0: a growing count is told at each of them."""
+    return 10 ** (len(str(count)) - 1) if count else 0
+
+
+def _utc() -> str:
+    """Return the wall time to the millisecond, in ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -1,0 +1,85 @@
+"""Changes of a controller's state, each told once: health, authority, source, clocks, rejected messages and plans.
+
+state    told when it changes, and once at the start: health with its reason, authority, source of the estimates
+event    told each time: a step of a publisher's clock
+count    told at the first one, then at 10, 100, ...: rejected messages by reason, plans that the actuators
+rejected, plans that arrived late
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ltv_mpc.messages import Applied, Authority, ClockStep, ControllerStatus, Health, Message, Plan
+from services.runtime.console import Level, Tell, tenfold
+from services.runtime.process_time import step_text
+
+LEVELS = {Health.NOMINAL: Level.INFO, Health.DEGRADED: Level.WARNING}
+"""Level of a health; all others are errors."""
+
+
+class ControllerChanges:
+    """Detector of the changes, from the messages of one controller process."""
+
+    def __init__(self, tell: Tell) -> None:
+        self._tell = tell
+        self._states: dict[str, object] = {}  # newest, by kind
+        self._told: dict[str, int] = {}  # counts that were told last, by their text
+        self._reported: Mapping[str, int] | None = None  # counts in the newest report of the actuators
+        self._since_start: dict[str, int] = {}  # what these counts have grown by
+
+    def on_message(self, message: Message) -> None:
+        """Take in a plan of the controller or an accepted input."""
+        match message:
+            case Plan():
+                self._health(message.cycle_t_ns, message.health, message.health_why)
+                self._authority(message.cycle_t_ns, message.authority)
+            case Applied():
+                self._actuators(message)
+            case ClockStep():
+                fields: dict[str, str | int] = {"input": message.input, "step_ns": message.step_ns}
+                self._tell(Level.WARNING, "clock", step_text(message), t_ns=message.t_ns, fields=fields)
+            case _:
+                pass
+
+    def on_status(self, status: ControllerStatus) -> None:
+        """Take in the controller's status, which also exists while there are no plans."""
+        self._health(status.t_ns, status.health, status.health_why)
+        self._authority(status.t_ns, status.authority)
+        for reason, count in status.rejected.items():
+            self._count(status.t_ns, "rejected", f"rejected: {reason}", count, reason=reason)
+
+    def _health(self, t_ns: int, health: Health, why: str) -> None:
+        if self._changes("health", (health, why)):
+            text = f"health: {health.value} ({why})" if why else f"health: {health.value}"
+            level = LEVELS.get(health, Level.ERROR)
+            self._tell(level, "health", text, t_ns=t_ns, fields={"health": health.value, "why": why})
+
+    def _authority(self, t_ns: int, authority: Authority) -> None:
+        if self._changes("authority", authority):
+            fields: dict[str, str | int] = {"authority": authority.value}
+            self._tell(Level.INFO, "authority", f"authority: {authority.value}", t_ns=t_ns, fields=fields)
+
+    def _actuators(self, report: Applied) -> None:
+        """Take in the counts of the actuators, which may be older than this process."""
+        counts = {
+            "plans rejected by the actuators": report.plans_rejected,
+            "plans late at the actuators": report.plans_late,
+        }
+        before, self._reported = self._reported or counts, counts
+        for text, count in counts.items():
+            self._since_start[text] = self._since_start.get(text, 0) + max(0, count - before[text])
+            self._count(report.t_ns, "plans", text, self._since_start[text])
+
+    def _changes(self, kind: str, state: object) -> bool:
+        """Return True if a state is new."""
+        before = self._states.get(kind)
+        self._states[kind] = state
+        return state != before
+
+    def _count(self, t_ns: int, kind: str, text: str, count: int, **fields: str | int) -> None:
+        """Tell a count if it has reached a power of ten since it was told."""
+        if tenfold(count) > tenfold(self._told.get(text, 0)):
+            self._told[text] = count
+            said = text if count == 1 else f"{text}: {count} so far"
+            self._tell(Level.WARNING, kind, said, t_ns=t_ns, fields={**fields, "count": count})

@@ -1,0 +1,135 @@
+"""Changes of a controller's state are told once each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.messages import (
+    Applied,
+    Authority,
+    ClockMode,
+    ClockStep,
+    ControllerStatus,
+    Health,
+    Plan,
+    PlanOrigin,
+    Solve,
+    SolveStatus,
+)
+from services.runtime.controller_changes import ControllerChanges
+
+PLAN = Plan(
+    cycle_t_ns=7,
+    t_ns=np.array([0, 1]),
+    thrust_N=np.zeros((2, 3)),
+    states=np.zeros((2, 6)),
+    origin=PlanOrigin.SOLVED,
+    solve=Solve(status=SolveStatus.SOLVED),
+)
+STATUS = ControllerStatus(
+    t_ns=5,
+    estimate_age_ns=None,
+    applied_age_ns=None,
+    cycle_median_us=None,
+    cycle_p99_us=None,
+    received=0,
+    dropped=0,
+    rejected={},
+    clock=ClockMode.SHARED,
+    clock_error_ns=None,
+    authority=Authority.CONTROLLER,
+    health=Health.NOMINAL,
+    error_m=None,
+)
+APPLIED = Applied(
+    t_ns=9,
+    thrust_N=(0.0, 0.0, 0.0),
+    command_N=(0.0, 0.0, 0.0),
+    command_slew_N_per_s=(0.0, 0.0, 0.0),
+    plan_epoch=1,
+    plan_sequence=0,
+    plan_cycle_t_ns=0,
+    plan_received_t_ns=0,
+    plan_late=False,
+    plans_late=0,
+    plans_rejected=0,
+)
+
+Told = list[tuple[str, str, str, int, dict[str, Any]]]
+
+
+@pytest.fixture
+def told() -> Told:
+    return []
+
+
+@pytest.fixture
+def changes(told: Told) -> ControllerChanges:
+    def tell(level: str, kind: str, text: str, *, t_ns: int, fields: dict[str, Any]) -> None:
+        told.append((level, kind, text, t_ns, fields))
+
+    return ControllerChanges(tell)
+
+
+def test_health_is_told_at_each_change_of_state_or_reason(changes: ControllerChanges, told: Told) -> None:
+    for health, why in (
+        *[("nominal", "")] * 3,
+        *[("degraded", "the estimates are too old")] * 3,
+        *[("degraded", "second source")] * 3,
+        *[("failsafe", "the estimates are too old")] * 3,
+        ("nominal", ""),
+    ):
+        changes.on_message(msgspec.structs.replace(PLAN, health=Health(health), health_why=why))
+    assert [(level, text) for level, kind, text, _, _ in told if kind == "health"] == [
+        ("info", "health: nominal"),
+        ("warning", "health: degraded (the estimates are too old)"),
+        ("warning", "health: degraded (second source)"),
+        ("error", "health: failsafe (the estimates are too old)"),
+        ("info", "health: nominal"),
+    ]
+    assert told[-1][3:] == (7, {"health": "nominal", "why": ""})
+
+
+def test_a_status_tells_again_nothing_that_a_plan_has_told(changes: ControllerChanges, told: Told) -> None:
+    changes.on_message(PLAN)
+    assert [text for _, _, text, _, _ in told] == ["health: nominal", "authority: controller"]
+    for _ in range(10):
+        changes.on_status(STATUS)
+        changes.on_message(PLAN)
+    assert len(told) == 2
+    changes.on_status(msgspec.structs.replace(STATUS, authority=Authority.STOPPED))
+    assert told[2:] == [("info", "authority", "authority: stopped", 5, {"authority": "stopped"})]
+
+
+def test_rejections_are_told_by_reason_at_one_ten_a_hundred(changes: ControllerChanges, told: Told) -> None:
+    for second in range(1, 251):
+        changes.on_status(msgspec.structs.replace(STATUS, rejected={"out of order": second, "north_m": 1}))
+    rejected = [(text, fields) for _, kind, text, _, fields in told if kind == "rejected"]
+    assert rejected == [
+        ("rejected: out of order", {"reason": "out of order", "count": 1}),
+        ("rejected: north_m", {"reason": "north_m", "count": 1}),
+        ("rejected: out of order: 10 so far", {"reason": "out of order", "count": 10}),
+        ("rejected: out of order: 100 so far", {"reason": "out of order", "count": 100}),
+    ]
+
+
+def test_plans_rejected_and_late_are_counted_from_the_first_report_on(changes: ControllerChanges, told: Told) -> None:
+    for rejected, late in ((206, 3), (206, 3), (207, 3), (220, 4), (0, 0), (1, 0), (90, 0)):
+        changes.on_message(msgspec.structs.replace(APPLIED, plans_rejected=rejected, plans_late=late))
+    assert [(level, kind, text) for level, kind, text, _, _ in told] == [
+        ("warning", "plans", "plans rejected by the actuators"),
+        ("warning", "plans", "plans rejected by the actuators: 14 so far"),
+        ("warning", "plans", "plans late at the actuators"),
+        ("warning", "plans", "plans rejected by the actuators: 104 so far"),
+    ]
+
+
+def test_each_step_of_a_clock_is_told(changes: ControllerChanges, told: Told) -> None:
+    for _ in range(2):
+        changes.on_message(ClockStep(t_ns=3, input="estimate", publisher=1, step_ns=-(10**9), certain=False))
+    text = "the clock of the publisher of `estimate` was set by -1.000 s, or its link is congested: degraded for 10 s"
+    assert told == [("warning", "clock", text, 3, {"input": "estimate", "step_ns": -(10**9)})] * 2
