@@ -2,7 +2,7 @@
 
 An estimate is accepted if
 
-    position, heading, velocities, yaw rate, depth and sinking speed are finite
+    position, heading, velocities, yaw rate, depth, sinking speed and covariance are finite
     |velocity over ground|  <=  2 x top speed through the water + 3 m/s of current
     |yaw rate|              <=  3 x the steady rate at full opposite thrusts + 0.5 rad/s
     |sinking speed|         <=  2 x the steady rate at full thrust and net buoyancy + 1 m/s
@@ -24,6 +24,8 @@ from __future__ import annotations
 import math
 from collections import Counter
 from typing import NamedTuple
+
+import numpy as np
 
 from ltv_mpc.messages import Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -114,7 +116,8 @@ class EstimateGate:
             return "velocity over ground above what the vehicle can reach"
         if not abs(e.yaw_rate_radps) <= bounds.yaw_rate_radps:
             return "yaw rate above what the vehicle can reach"
-        if not math.isfinite(e.depth_m or 0.0):
+        P = e.covariance
+        if not math.isfinite(e.depth_m or 0.0) or not (P is None or math.isfinite(np.vdot(P, P))):
             return NOT_FINITE
         if not abs(e.velocity_down_mps or 0.0) <= bounds.sinking_mps:
             return "sinking speed above what the vehicle can reach"

@@ -1,7 +1,7 @@
 """Plan gate of the actuators: select the plan in force and compute a command that never leaves box or slew limit.
 
 Target   T(t) = the newest accepted plan that has started, linear between its knots; after its last knot the lateral
-         thrusts are zero and the vertical one is the vehicle's ``failsafe_vertical_N``
+         thrusts are zero and the vertical one is the vehicle's ``failsafe_vertical_N``; zero before the first plan
 Command  y(t) (N), port, starboard, vertical:  y(t + dt) = y(t) + clip(T(t + dt) - y(t), -slew dt, slew dt)
 
 A plan that starts at the command in force is followed exactly. The command approaches a late plan at the slew limit,
@@ -220,7 +220,7 @@ def _follow(
     limits: Array,
     commands: Array,
 ) -> None:
-    """Move y (3,) from ``from_ns`` towards one plan, or towards rest outside it, and store it at each time.
+    """Move y (3,) from ``from_ns`` towards one plan, and towards rest after it, and store it at each time.
 
     ``limits`` (3, 3): low, high and slew of each thruster. ``commands`` (K, 3) is the output.
     """
@@ -233,8 +233,10 @@ def _follow(
             s = (t_ns - knots_ns[i]) / (knots_ns[i + 1] - knots_ns[i])
             for j in range(3):
                 T[j] = thrust[i, j] + s * (thrust[i + 1, j] - thrust[i, j])
-        else:
+        elif M > 0 and t_ns > knots_ns[M - 1]:
             copy_to(T, rest)
+        else:
+            T[:] = 0.0  # no plan has started yet
         seconds = (t_ns - from_ns) * 1e-9
         for j in range(3):
             # y + clip(T - y, -slew dt, slew dt), with T in the box

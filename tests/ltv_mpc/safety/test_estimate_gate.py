@@ -61,6 +61,14 @@ def test_a_non_finite_estimate_is_rejected_and_counted_and_the_last_one_stays(fi
     assert gate.check(at(2)) == ""
 
 
+@pytest.mark.parametrize("place", [(0, 0), (3, 1)])
+def test_an_estimate_with_a_covariance_that_is_not_finite_is_rejected(place):
+    """A NaN variance would pass every comparison with a multiple of it."""
+    covariance = np.eye(6)
+    covariance[place] = math.nan
+    assert settled().check(at(1, covariance=covariance)) == "a number is not finite"
+
+
 @pytest.mark.parametrize(
     ("inside", "outside"),
     [

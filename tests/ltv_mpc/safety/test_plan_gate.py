@@ -266,6 +266,15 @@ def test_no_command_leaves_box_or_slew_limit_for_any_sequence_of_plans(sequence)
     assert (np.abs(np.diff(rows, axis=0)) <= 1.0 + 1e-12).all()
 
 
+def test_before_the_first_plan_has_started_no_thruster_turns():
+    """The vehicle may still be on deck, so the failsafe thrust has to wait for a controller."""
+    gate = PlanGate(msgspec.structs.replace(VEHICLE, failsafe_vertical_N=-20.0))
+    assert not commands(gate, 0, S).any()
+    assert gate.offer(constant(2 * S, 0.0, 0.0, 30.0, knots=2), 1, 0, S) is PlanVerdict.ACCEPTED
+    assert not commands(gate, S + STEP_NS, 2 * S - STEP_NS).any()
+    assert commands(gate, 2 * S, 2 * S + 200_000_000)[-1][2] == pytest.approx(21.0)
+
+
 def test_without_plans_the_vertical_thrust_is_the_failsafe_of_the_vehicle():
     vehicle = msgspec.structs.replace(VEHICLE, failsafe_vertical_N=-20.0)
     gate = PlanGate(vehicle)
