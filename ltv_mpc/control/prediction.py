@@ -2,7 +2,8 @@
 
 An estimate is valid at its own time; the plan that is computed from it takes effect later. Until then the commands that
 were sent before act, through the thrusters' lag. The delivered thrust follows the lag model from the last report of the
-actuators that is not newer than the estimate.
+actuators that is not newer than the estimate. Without newer estimates the prediction grows longer: ``mode.py`` says how
+long it is used.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ STEP_NS = 100_000_000
 """Longest integration step; steps also end where the commands have a knot."""
 
 MAX_REPORTS = 32
-"""Number of reports of the actuators that are kept: 3 s at 10 Hz, the default age limit of an estimate. For an older
-estimate, the delivered thrust is taken to be the command in force.
+"""Number of reports of the actuators that are kept for later estimates: a delay of 2 s or more at 10 Hz and one a plan.
+The one before the estimate in use is kept beside them.
 """
 
 NEVER = -(2**62)
@@ -100,8 +101,9 @@ class Prediction:
         """Begin without a report of the actuators."""
         self.coefficients = np.array(vehicle.coefficients())
         """(19,) coefficients of the vehicle."""
-        self._reports: deque[Report] = deque(maxlen=MAX_REPORTS)
         self._no_report = Report(NEVER, np.zeros(3))
+        self._report = self._no_report  # the newest that is not newer than the estimate in use
+        self._later_reports: deque[Report] = deque(maxlen=MAX_REPORTS)
 
     def add_report(self, applied: Applied) -> None:
         """Take in the thrusts that the actuators deliver.
@@ -110,8 +112,9 @@ class Prediction:
         ----------
         applied : report; one that is not newer than the last is ignored.
         """
-        if not self._reports or applied.t_ns > self._reports[-1].t_ns:
-            self._reports.append(Report(applied.t_ns, np.array(applied.thrust_N)))
+        newest = self._later_reports[-1] if self._later_reports else self._report
+        if applied.t_ns > newest.t_ns:
+            self._later_reports.append(Report(applied.t_ns, np.array(applied.thrust_N)))
 
     def state_at(self, estimate: Estimate, t_ns: int, commands: SentCommands) -> Start:
         """Return the predicted state of the vehicle.
@@ -138,13 +141,12 @@ class Prediction:
 
         Parameters
         ----------
-        estimate : is combined with the newest report of the actuators that is not newer than it.
+        estimate : not older than that of the last call. The newest report of the actuators that is not newer than it
+            belongs to it.
         """
-        report = self._no_report
-        for one in reversed(self._reports):
-            if one.t_ns <= estimate.t_ns:
-                report = one
-                break
+        while self._later_reports and self._later_reports[0].t_ns <= estimate.t_ns:
+            self._report = self._later_reports.popleft()
+        report = self._report if self._report.t_ns <= estimate.t_ns else self._no_report
         flat = np.array(
             (
                 estimate.north_m,

@@ -18,9 +18,13 @@ from ltv_mpc.messages import Array, Plan, Times, Triple
 from ltv_mpc.vehicle.parameters import Vehicle
 
 HISTORY_NS = 10_000_000_000
-"""Length of the history, longer than the default age limit of an estimate (``failsafe_s``, 3 s). The prediction from an
-older estimate begins with the oldest command that is kept.
-"""
+"""Length of the history while estimates arrive."""
+
+MAX_HISTORY_NS = 60_000_000_000
+"""Length of the history while they do not: it reaches back to the estimate in use, at most this far."""
+
+BEFORE_ESTIMATE_NS = 1_000_000_000
+"""Time before the estimate in use from which commands are kept: a report of the actuators may be older than it."""
 
 TOLERANCE_N = 0.01
 """Largest difference between two commands that counts as rounding."""
@@ -43,7 +47,7 @@ class SentCommands:
         self._slew = np.array([t.slew_N_per_s for t in vehicle.thrusters])
         self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
         self.knots: Commands = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
-        """Commands from ``HISTORY_NS`` ago on."""
+        """Commands from ``HISTORY_NS`` ago on, or from the estimate of the last plan on if that is older."""
 
     def add(self, plan: Plan) -> None:
         """Add a plan that was sent.
@@ -53,7 +57,9 @@ class SentCommands:
         plan : is in force from its first knot on.
         """
         t, thrust = self.knots
-        self.knots = supersede(t, thrust, plan.t_ns, plan.thrust_N, self._slew, self._rest)
+        start_ns = int(plan.t_ns[0])
+        since_ns = min(start_ns - HISTORY_NS, max(plan.estimate_t_ns - BEFORE_ESTIMATE_NS, start_ns - MAX_HISTORY_NS))
+        self.knots = supersede(t, thrust, since_ns, plan.t_ns, plan.thrust_N, self._slew, self._rest)
 
     def correct(self, t_ns: int, command_N: Triple) -> None:
         """Correct the commands by a report of the actuators.
@@ -111,13 +117,14 @@ class SentCommands:
 
 @jit
 def supersede(
-    t: Times, thrust: Array, plan_t: Times, plan_thrust: Array, slew: Array, rest: Array
+    t: Times, thrust: Array, since: int, plan_t: Times, plan_thrust: Array, slew: Array, rest: Array
 ) -> tuple[Times, Array]:
     """Return the commands until the plan begins, then the plan, then its ramp to rest at the slew limit.
 
     Parameters
     ----------
     t, thrust : (M,), (M, 3) commands before the plan (ns, N).
+    since : time (ns) up to which older commands are dropped.
     plan_t, plan_thrust : (N+1,), (N+1, 3) the plan (ns, N).
     slew : (3,) slew limits (N/s).
     rest : (3,) commands at rest (N).
@@ -126,16 +133,16 @@ def supersede(
     -------
     Knots (K,) in ns and commands (K, 3) in N.
     """
-    first = np.searchsorted(t, plan_t[0] - HISTORY_NS, side="right")
+    first = np.searchsorted(t, since, side="right")
     until = np.searchsorted(t, plan_t[0], side="left")
     end = len(plan_t) - 1
-    # One knot where each thruster comes to rest, in the order of time.
+    # One knot where each thruster comes to rest, in the order of time; two in one nanosecond share it.
     seconds = np.abs(plan_thrust[end] - rest) / slew
     corners, count, latest = np.empty(3), 0, 0.0
     while True:
         soonest = np.inf
         for j in range(3):
-            if latest < seconds[j] < soonest:
+            if np.ceil(latest * 1e9) < np.ceil(seconds[j] * 1e9) and seconds[j] < soonest:
                 soonest = seconds[j]
         if soonest == np.inf:
             break

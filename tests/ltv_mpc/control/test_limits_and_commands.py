@@ -111,6 +111,15 @@ def test_after_the_last_knot_every_thruster_ramps_to_rest_at_its_own_slew_limit(
     np.testing.assert_allclose(at[:, 2], [30, 20, 10, -10, -10], atol=1e-6)
 
 
+def test_two_thrusters_that_come_to_rest_together_have_one_knot():
+    """The times differ by a rounding error; a prediction over a stage of no length would not be finite."""
+    sent = SentCommands(PAPER)
+    sent.add(plan(0, [[0, 0, 0], [62.5, np.nextafter(62.5, 0.0), 30.0]]))
+    t, thrust = sent.knots
+    np.testing.assert_array_equal(t, [0, 300_000_000, 600_000_000, 925_000_000])
+    np.testing.assert_allclose(thrust[-1], 0.0, atol=1e-6)
+
+
 def test_between_gives_both_ends_and_the_knots_inside():
     sent = SentCommands(PAPER)
     sent.add(plan(0, np.zeros((4, 3))))
@@ -128,6 +137,17 @@ def test_from_a_reported_command_the_plan_is_approached_at_the_slew_limit():
     np.testing.assert_allclose(at[:, 0], [10.0, 30.0, 40.0, 40.0], atol=0.02)
     np.testing.assert_allclose(at[:, 1], 40.0, atol=0.02)
     np.testing.assert_allclose(at[:, 2], [62.5, 42.5, 40.0, 40.0], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("estimate_s", "oldest_s"), [(80.0, 70.0), (71.0, 70.0), (60.0, 59.0), (25.0, 24.0), (5.0, 20.0)]
+)
+def test_commands_are_kept_from_the_estimate_on_at_least_ten_seconds_and_at_most_a_minute(estimate_s, oldest_s):
+    sent = SentCommands(PAPER)
+    for k in range(81):
+        one = plan(k * SECOND, np.full((5, 3), float(k % 2)))
+        sent.add(msgspec.structs.replace(one, estimate_t_ns=min(k * SECOND, round(estimate_s * SECOND))))
+    assert sent.knots[0][0] * 1e-9 == pytest.approx(oldest_s, abs=0.5)
 
 
 @pytest.mark.parametrize("thruster", range(3))

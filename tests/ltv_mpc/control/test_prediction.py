@@ -112,6 +112,19 @@ def test_a_report_newer_than_the_estimate_does_not_hide_the_one_before_it():
     np.testing.assert_allclose([*start.X[6:], start.vertical_N], [1.0, 2.0, 3.0])
 
 
+def test_the_report_before_the_estimate_in_use_is_kept_however_many_follow():
+    """Twenty seconds of reports at 13 Hz without a new estimate."""
+    prediction, commands = Prediction(PAPER), sent()
+    prediction.add_report(applied(200_000_000, (1.0, 2.0, 3.0)))
+    prediction.state_at(estimate(200_000_000), 200_000_000, commands)
+    for k in range(1, 261):
+        prediction.add_report(applied(200_000_000 + k * 77_000_000, (40.0, 40.0, 40.0)))
+        start = prediction.state_at(estimate(200_000_000), 200_000_000, commands)
+    np.testing.assert_allclose([*start.X[6:], start.vertical_N], [1.0, 2.0, 3.0])
+    start = prediction.state_at(estimate(20_000_000_000), 20_000_000_000, commands)  # of the reports since
+    assert start.X[6] > 10.0
+
+
 def test_the_current_is_constant_beyond_the_profile_and_zero_without_one():
     np.testing.assert_allclose(
         currents_at_depths(PROFILE, np.array([-1.0, 10.5, 99.0])), [[0, 0.05], [0.06, 0], [0.1, 0]]
