@@ -446,6 +446,7 @@ class PlanOrigin(enum.StrEnum):
 
     SOLVED = "solved"  # by the QP
     SHIFTED = "shifted"  # the previous plan, resampled on the new grid
+    STOP = "stop"  # lateral thrusts that stop the vehicle through the water
     ZERO = "zero"  # lateral thrusts to zero at the slew limit
     MANUAL = "manual"  # thrusts of the pilot, reached at the slew limit
 

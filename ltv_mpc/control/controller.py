@@ -8,6 +8,7 @@ If the QP gives no usable commands, the same cycle takes the next fallback level
 
     solved     the QP
     shifted    the rest of the plan that was solved last, then zero lateral thrust
+    stop       the vehicle is stopped through the water: no estimates, in the mode HOLD
     zero       a ramp to zero: no plan is left to shift, the mode commands no lateral thrust, or the cycle raised
     manual     a ramp to the lateral thrusts of an override
 
@@ -29,6 +30,7 @@ from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
 from ltv_mpc.control.lateral import MAX_WHY_CHARS, LateralPlanner
 from ltv_mpc.control.mode import Decision, EstimateSelector, Mode, decide
 from ltv_mpc.control.prediction import Prediction, Start, current_at_depth, profile_of
+from ltv_mpc.control.prediction_uncertainty import growth_m
 from ltv_mpc.control.problem_data import pack_constants
 from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.sent_commands import SentCommands
@@ -40,6 +42,7 @@ from ltv_mpc.messages import (
     ControllerState,
     CycleTiming,
     Estimate,
+    Health,
     Plan,
     PlanOrigin,
     Times,
@@ -49,7 +52,7 @@ from ltv_mpc.references import Reference
 from ltv_mpc.references.follower import NO_PROGRESS, Follower, FollowerState
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
-from ltv_mpc.safety.health import NOMINAL, HealthState
+from ltv_mpc.safety.health import NOMINAL, HealthState, worst
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STAGE_S = STAGE_NS * 1e-9
@@ -101,6 +104,7 @@ class Controller:
             stopwatch=stopwatch,
         )
         self._stopwatch = stopwatch
+        self._held_depth_m: float | None = None  # predicted depth at which the current hold began
         self.follow(reference)
 
     @property
@@ -143,7 +147,7 @@ class Controller:
         self._delay.add_timing(timing)
 
     def health(self, t_ns: int) -> HealthState:
-        """Return the health by the age of the newest plausible estimate.
+        """Return the health by the age of the newest plausible estimate, and by the prediction in the last cycle.
 
         Parameters
         ----------
@@ -183,7 +187,8 @@ class Controller:
                 self.add_report(applied)
             return self._cycle(estimate, now_ns, override, health)
         except Exception as error:  # of any kind: the thrusters must have a command in every cycle
-            return self._emergency_plan(now_ns, override, f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS])
+            why = f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS]
+            return self._emergency_plan(now_ns, override, health, why)
 
     def _cycle(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: HealthState) -> Plan:
         """Return the plan of one cycle. May raise; ``plan`` catches it."""
@@ -256,15 +261,19 @@ class Controller:
 
         The decision uses the newest plausible estimate, with the estimated bias added to its current.
         """
-        selection = self._estimates.select(newest, now_ns)
-        if self._bias is not None and not selection.why:
-            estimate = self._bias.correct(selection.estimate, self._prediction, self.sent_commands)
-            selection = selection._replace(estimate=estimate)
+        estimate = self._estimates.select(newest)
+        if estimate is not None and self._bias is not None:
+            estimate = self._bias.correct(estimate, self._prediction, self.sent_commands)
+        own = self._estimates.health(now_ns)
+        if estimate is not None and own.health is Health.DEGRADED:
+            growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._bias)
+            self._estimates.limit_growth(growth)
+            own = self._estimates.health(now_ns)
         return decide(
-            selection,
+            estimate,
             now_ns,
             override=override,
-            health=health,
+            health=health if own is NOMINAL else worst(own, health),
             follower=self._follower,
             lateral=self.config.lateral,
         )
@@ -278,6 +287,8 @@ class Controller:
     def _plan_vertical(self, decision: Decision, start: Start, knots: Times) -> VerticalPlan:
         """Return the vertical thruster's plan in this mode: the depth law's, a ramp, or the commands in force."""
         law, depth_m = self._vertical, decision.estimate.depth_m
+        held_m = start.depth_m if self._held_depth_m is None else self._held_depth_m
+        self._held_depth_m = held_m if decision.mode is Mode.HOLD else None
         if decision.override is not None:
             return law.ramp_to(start, knots, decision.override.targets(knots)[:, 2])
         if decision.mode is Mode.FAILSAFE:
@@ -285,7 +296,7 @@ class Controller:
         if depth_m is not None:
             if decision.mode is Mode.HOLD and self._follower.depth_m is not None:
                 no_motion = np.zeros(len(knots))
-                return law.track(start, no_motion + depth_m, no_motion)
+                return law.track(start, no_motion + held_m, no_motion)
             depth_reference = self._follower.depths(knots) if decision.follows else None
             if depth_reference is not None:
                 return law.track(start, *depth_reference)
@@ -294,11 +305,14 @@ class Controller:
     def _plan_lateral(self, decision: Decision, start: Start, knots: Times) -> LateralPlan:
         """Return the lateral thrusters' plan in this mode.
 
-        In FOLLOW it is the QP's plan or that of a fallback level; in the other modes a ramp to the override or to zero.
+        In FOLLOW it is the QP's plan or that of a fallback level, in HOLD one that stops the vehicle, and in the other
+        modes a ramp to the override or to zero.
         """
         if decision.mode is Mode.FOLLOW:
             self._follower.fill(knots, self._lateral.target)
             return self._lateral.plan(start)
+        if decision.stops:
+            return self._lateral.stop(start, decision.why)
         goal = None if decision.override is None else decision.override.targets(knots)
         return self._lateral.ramp(start, decision.why, goal)
 
@@ -331,7 +345,7 @@ class Controller:
             authority=_authority(decision.override),
             health=decision.health.health,
             health_why=decision.health.why,
-            estimate_t_ns=decision.estimate.t_ns,
+            estimate_t_ns=decision.estimate_t_ns,
             expected_delay_ns=delay_ns,
             reference_m=follower.target_m if follows else None,
             reference_depth_m=follower.depth_m if follows else None,
@@ -345,7 +359,7 @@ class Controller:
         self.sent_commands.add(plan)
         self._lateral.previous.record(plan)
 
-    def _emergency_plan(self, now_ns: int, override: ThrustOverride | None, why: str) -> Plan:
+    def _emergency_plan(self, now_ns: int, override: ThrustOverride | None, health: HealthState, why: str) -> Plan:
         """Return the plan of a cycle that raised, computed without the parts that may have raised.
 
         The lateral thrusts ramp to zero and the vertical one to the failsafe thrust (to zero under an override). The
@@ -363,7 +377,7 @@ class Controller:
         if estimate is not None:
             states[:, :2], states[:, 4] = (estimate.north_m, estimate.east_m), estimate.heading_rad
         vertical_N = 0.0 if override is not None else self.vehicle.failsafe_vertical_N
-        health = self.health(now_ns)
+        health = worst(self.health(now_ns), health)
         plan = Plan(
             cycle_t_ns=now_ns,
             t_ns=knots,

@@ -72,6 +72,15 @@ class CurrentBias:
         """Covariance (2, 2) of the bias (m^2/s^2)."""
         return self._belief[1]
 
+    def covariance_of_mean(self, seconds: float) -> Array:
+        """Return the covariance (2, 2) of the mean of the bias from its last update on (m^2/s^2).
+
+        Parameters
+        ----------
+        seconds : length of the mean (s).
+        """
+        return self.covariance + self._noise[0] ** 2 * seconds / 3.0 * np.eye(2)
+
     def correct(self, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> Estimate:
         """Update the bias with an estimate, and add it to the estimate's current.
 

@@ -4,6 +4,13 @@
               ``MAX_SHIFT_NS`` after its start, the thrusters ramp to zero
     zero      both lateral thrusters ramp to zero at their slew limits
 
+In the mode HOLD the lateral plan is ``stop``: it stops the vehicle through the water. With surge mass M_u, yaw inertia
+I, predicted surge u and yaw rate r at the plan's start, and t from there on,
+
+    F1 + F2 = -M_u u / T exp(-t / T),    F1 a1 - F2 a2 = -I r / T exp(-t / T),    T = 2 (lag + 0.3 s)
+
+inside box and slew. Each cycle begins the law again from its own prediction; at rest it gives zero.
+
 The level is named in the plan (``Plan.origin``), with the reason (``Plan.why``). Every level keeps box and slew, and
 begins at the commands in force.
 """
@@ -74,7 +81,11 @@ class PreviousPlan:
         ----------
         plan : is in force at the actuators. If its horizon is another one, no cycle can begin from it.
         """
-        self._set_end(plan)
+        if plan.origin is PlanOrigin.SHIFTED:  # its end of the solved part shows in its commands alone
+            moving = np.flatnonzero(plan.thrust_N[:, :2].any(axis=1))
+            self.solved_until_ns = int(plan.t_ns[moving[-1] if len(moving) else 0])
+        else:
+            self._set_end(plan)
         same_knots = np.array_equal(plan.t_ns - plan.t_ns[0], self.knots_ns)
         self.plan = plan if same_knots else None
 
@@ -106,17 +117,24 @@ class PreviousPlan:
 class Fallback:
     """Lateral plans below the solved one."""
 
-    def __init__(self, packed: Array, previous: PreviousPlan) -> None:
+    def __init__(self, vehicle: Vehicle, packed: Array, previous: PreviousPlan) -> None:
         """Prepare the levels.
 
         Parameters
         ----------
+        vehicle : parameters of the vehicle.
         packed : packed constants (``problem_data.pack_constants``).
         previous : plan that was sent last; its owner keeps it up to date.
         """
         self._packed = packed
         self._previous = previous
         self._zero = np.zeros((len(previous.knots_ns), 2))
+        port, starboard = vehicle.thruster.port, vehicle.thruster.starboard
+        time_s = 2.0 * (max(port.lag_s, starboard.lag_s) + STAGE_NS * 1e-9)
+        mixing = [[1.0, 1.0], [port.arm_m, -starboard.arm_m]]  # of F1, F2 (N) to surge force (N) and yaw moment (N m)
+        masses = np.diag([vehicle.surge.mass_kg, vehicle.yaw.inertia_kgm2])
+        self._stopping_gain = np.linalg.solve(mixing, -masses / time_s)  # of surge and yaw rate to F1, F2
+        self._decay = np.exp(-1e-9 * previous.knots_ns / time_s)
 
     def plan(self, start: Start, C: Array, solve: Solve) -> LateralPlan:
         """Return the plan of the first level that gives one.
@@ -165,10 +183,26 @@ class Fallback:
         why : reason that the plan gives.
         goal : (N+1, 3) thrusts of all thrusters at the knots (N); zero if None.
         """
-        X, U = self.empty()
         lateral = self._zero if goal is None else np.ascontiguousarray(goal[:, :2])
-        nominal_trajectory.ramp_to(self._packed, start.lateral, lateral, C, X, U)
         origin = PlanOrigin.MANUAL if goal is not None and goal.any() else PlanOrigin.ZERO
+        return self._ramp_to(lateral, start, C, origin, why)
+
+    def stop(self, start: Start, C: Array, why: str) -> LateralPlan:
+        """Stop the vehicle through the water: the law at the head of this file.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        C : (N+1, 2) current at the knots (m/s).
+        why : reason that the plan gives.
+        """
+        thrust = self._stopping_gain @ start.lateral[[2, 5]]  # by surge and yaw rate
+        return self._ramp_to(np.outer(self._decay, thrust), start, C, PlanOrigin.STOP, why)
+
+    def _ramp_to(self, goal: Array, start: Start, C: Array, origin: PlanOrigin, why: str) -> LateralPlan:
+        """Approach the goal (N+1, 2) in box and slew."""
+        X, U = self.empty()
+        nominal_trajectory.ramp_to(self._packed, start.lateral, goal, C, X, U)
         return LateralPlan(np.nan_to_num(X, posinf=0.0, neginf=0.0), U, origin, NOT_RUN, why)
 
     def empty(self) -> tuple[Array, Array]:

@@ -61,7 +61,7 @@ class LateralPlanner:
         self._packed = packed
         self._lin = Linearisation.empty(config.stages)
         self._sqp_iterations = config.sqp_iterations
-        self._fallback = Fallback(packed, self.previous)
+        self._fallback = Fallback(vehicle, packed, self.previous)
         self._make_solver: Callable[[], Solver] = lambda: make_solver(vehicle, config)
         self._solver = self._make_solver()
         self._solver_is_suspect = False
@@ -86,6 +86,15 @@ class LateralPlanner:
         start, why, goal : as ``Fallback.ramp`` takes them; the current is the one that was set.
         """
         return self._fallback.ramp(start, self._lin.C, why, goal)
+
+    def stop(self, start: Start, why: str) -> LateralPlan:
+        """Stop the vehicle through the water.
+
+        Parameters
+        ----------
+        start, why : as ``Fallback.stop`` takes them; the current is the one that was set.
+        """
+        return self._fallback.stop(start, self._lin.C, why)
 
     def plan(self, start: Start) -> LateralPlan:
         """Return the QP's plan, or that of the first fallback level that gives one.

@@ -1,17 +1,20 @@
 """Mode of a control cycle: what the thrusters do, and why.
 
-    mode         condition                                             lateral thrusters     vertical thruster
-    OVERRIDE     disarmed, stopped or steered by hand                  ramp to the override  ramp to the override
-    FAILSAFE     no plausible estimate, or its age is over the limit   ramp to zero          ramp to the failsafe thrust
-    HOLD         health is "hold": the estimate or an input is old     ramp to zero          hold the depth (*)
-    WAIT         the reference has not started                         ramp to zero          keep the command in force
-    DEPTH_ONLY   [controller] lateral = false                          ramp to zero          depth law
-    FOLLOW       none of these                                         QP or fallback level  depth law
+    mode         condition                               lateral thrusters            vertical thruster
+    OVERRIDE     disarmed, stopped or steered by hand    ramp to the override         ramp to the override
+    FAILSAFE     health is "failsafe"                    ramp to zero                 ramp to the failsafe thrust
+    HOLD         health is "hold"                        stop through the water (*)   hold the depth (**)
+    WAIT         the reference has not started           ramp to zero                 keep the command in force
+    DEPTH_ONLY   [controller] lateral = false            ramp to zero                 depth law
+    FOLLOW       none of these                           QP or fallback level         depth law
 
-(*) the estimated depth, if estimate and reference have a depth; else the command in force is kept.
+(*) ramp to zero before the reference has started and with [controller] lateral = false.
+(**) the predicted depth at which the hold began, if estimate and reference have a depth; else the command in force is
+kept.
 
-The first condition that is met decides. Ages and health are in ``safety/health.py``; the failsafe thrust is the
-vehicle's ``failsafe_vertical_N``.
+The first condition that is met decides. The health is the worst of that of the estimates and that of the caller's
+inputs (``safety/health.py``); the failsafe thrust is the vehicle's ``failsafe_vertical_N``. FOLLOW, DEPTH_ONLY and HOLD
+use the prediction from the newest estimate, however old it is; in FAILSAFE the vehicle is taken to be where it was.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from ltv_mpc.messages import Estimate, Health
 from ltv_mpc.references.follower import Follower
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
-from ltv_mpc.safety.health import NOMINAL, HealthState, health, worst
+from ltv_mpc.safety.health import NOMINAL, PREDICTED_TOO_FAR, HealthState, health
 from ltv_mpc.safety.input_monitor import Period
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -45,22 +48,16 @@ class Mode(enum.Enum):
     FOLLOW = enum.auto()
 
 
-class Selection(NamedTuple):
-    """Estimate that a cycle plans on."""
-
-    estimate: Estimate
-    health: HealthState  # by the age of the estimate alone
-    why: str  # reason why no estimate is plausible; empty if ``estimate`` is one
-
-
 class Decision(NamedTuple):
     """Mode of a cycle with its reason and its inputs."""
 
     mode: Mode
     why: str  # empty in FOLLOW
-    estimate: Estimate
-    health: HealthState  # the worst of the estimate's and the caller's inputs
+    estimate: Estimate  # to predict from; stamped now if it is too old for that
+    estimate_t_ns: int  # its own stamp
+    health: HealthState
     override: ThrustOverride | None
+    stops: bool = False  # the lateral thrusters stop the vehicle through the water
 
     @property
     def follows(self) -> bool:
@@ -84,46 +81,56 @@ class EstimateSelector:
         self._ages = config.ages
         self._fresh_ns = round(config.ages.degraded_s * 1e9)
         self._period = Period()  # of the plausible estimates
+        self._without = health(age_ns=None, period_ns=0)  # health before the first plausible estimate
+        self._uncertain: Estimate | None = None  # the last one from which the prediction grew too uncertain
 
-    def select(self, newest: Estimate, now_ns: int) -> Selection:
-        """Return the newest plausible estimate.
+    def select(self, newest: Estimate) -> Estimate | None:
+        """Return the newest plausible estimate; None before the first.
 
         Parameters
         ----------
         newest : estimate that was received last.
-        now_ns : start of the cycle, vehicle time (ns).
-
-        Returns
-        -------
-        The estimate and its health. Before the first plausible one: an estimate at rest at the origin, with the reason.
         """
         before = self.gate.accepted
         reason = self.gate.check(newest)
         estimate = self.gate.accepted
         if estimate is None:
-            at_rest = msgspec.structs.replace(Estimate.at_rest(), t_ns=now_ns)
-            why = f"no valid estimate: {reason}"
-            return Selection(at_rest, HealthState(Health.FAILSAFE, why), why)
-        if estimate is not before:
+            self._without = HealthState(Health.FAILSAFE, f"no valid estimate: {reason}")
+        elif estimate is not before:
             self._period.add(estimate.t_ns)
-        return Selection(estimate, self.health(now_ns), "")
+        return estimate
 
     def health(self, t_ns: int) -> HealthState:
-        """Return the health by the age of the newest plausible estimate.
+        """Return the health by the age of the newest plausible estimate, and by ``limit_growth``.
 
         Parameters
         ----------
         t_ns : now, vehicle time (ns).
         """
         estimate = self.gate.accepted
-        age_ns = None if estimate is None else t_ns - estimate.t_ns
-        if age_ns is not None and -self._fresh_ns <= age_ns <= self._fresh_ns:
+        if estimate is None:
+            return self._without
+        age_ns = t_ns - estimate.t_ns
+        if -self._fresh_ns <= age_ns <= self._fresh_ns:
             return NOMINAL  # for any period of the estimates
-        return health(age_ns=age_ns, period_ns=self._period.median_ns, ages=self._ages)
+        state = health(age_ns=age_ns, period_ns=self._period.median_ns, ages=self._ages)
+        if estimate is self._uncertain and state.health is Health.DEGRADED:
+            return HealthState(Health.HOLD, PREDICTED_TOO_FAR)
+        return state
+
+    def limit_growth(self, growth_m: float) -> None:
+        """Hold until the next plausible estimate if the prediction from the newest one is too uncertain.
+
+        Parameters
+        ----------
+        growth_m : growth of the standard deviation of the predicted position (m); NaN is too uncertain.
+        """
+        if not growth_m <= self._ages.hold_growth_m:
+            self._uncertain = self.gate.accepted
 
 
 def decide(
-    selection: Selection,
+    estimate: Estimate | None,
     now_ns: int,
     *,
     override: ThrustOverride | None,
@@ -135,37 +142,31 @@ def decide(
 
     Parameters
     ----------
-    selection : estimate that the cycle plans on.
+    estimate : newest plausible one; None if there is none, then ``health`` is "failsafe".
     now_ns : start of the cycle, vehicle time (ns).
     override : thrusts commanded by a source other than the controller, if any.
-    health : of the inputs that the caller watches.
+    health : the worst of all inputs.
     follower : begins its reference here if the mode allows it.
     lateral : False if the lateral thrusters stay at zero.
 
     Returns
     -------
-    The mode, its reason, the estimate and the worst health. An estimate that is too old to predict from is stamped
-    ``now_ns``.
+    The mode, its reason and the estimate to predict from.
     """
-    estimate, own, why = selection
-    if own is not NOMINAL:
-        health = worst(own, health)
-    age = ""
-    if not why and (own.health is Health.FAILSAFE or health.health is Health.HOLD):
-        age = f"the newest estimate is {(now_ns - estimate.t_ns) * 1e-9:.1f} s old"
-        if own.health is Health.FAILSAFE:
-            estimate = msgspec.structs.replace(estimate, t_ns=now_ns)
+    stamp_ns = now_ns if estimate is None else estimate.t_ns
+    if estimate is None or health.health is Health.FAILSAFE:
+        estimate = msgspec.structs.replace(estimate or Estimate.at_rest(), t_ns=now_ns)
+    stops = False
     if override is not None:
-        return Decision(Mode.OVERRIDE, override.why, estimate, health, override)
-    if own.health is Health.FAILSAFE:
-        return Decision(Mode.FAILSAFE, why or age, estimate, health, None)
-    if health.health is Health.HOLD:
-        has_begun = follower.target_m is not None
-        mode, why = Mode.HOLD, (age if lateral else LATERAL_OFF) if has_begun else NOT_STARTED
+        mode, why = Mode.OVERRIDE, override.why
+    elif health.health is Health.FAILSAFE:
+        mode, why = Mode.FAILSAFE, health.why
+    elif health.health is Health.HOLD:
+        mode, why, stops = Mode.HOLD, health.why, lateral and follower.target_m is not None
     elif not follower.begin(estimate):
         mode, why = Mode.WAIT, NOT_STARTED
     elif not lateral:
         mode, why = Mode.DEPTH_ONLY, LATERAL_OFF
     else:
-        mode = Mode.FOLLOW
-    return Decision(mode, why, estimate, health, None)
+        mode, why = Mode.FOLLOW, ""
+    return Decision(mode, why, estimate, stamp_ns, health, override, stops)

@@ -1,26 +1,28 @@
 """Health with its reason: thresholds on the age of estimates, actuator reports and plans, in vehicle time.
 
-Controller, by the age of the newest accepted estimate and the period T of the estimates:
+Controller, by the age of the newest accepted estimate, the period T of the estimates, and the growth of the standard
+deviation of the position predicted from that estimate (``control/prediction_uncertainty.py``):
 
-    degraded   age > max(3 T, 0.5 s)                           control continues, and the plan reports it
-    hold       age > max(4 T, 1.5 s)                           lateral thrusts to zero, depth held: origin "zero"
-    failsafe   age > max(6 T, 3.0 s)                           lateral thrusts to zero, vertical thrust to the
-                                                               vehicle's ``failsafe_vertical_N``: origin "zero"
+    degraded   age > max(3 T, degraded_s)       control continues from the prediction: origin "solved"
+    hold       age > max(4 T, hold_s), or       stop through the water, hold the depth: origin "stop"
+               growth > hold_growth_m
+    failsafe   age > max(6 T, failsafe_s)       lateral thrusts to zero, vertical thrust to the vehicle's
+                                                ``failsafe_vertical_N``: origin "zero"
 
-Before the first plausible estimate the controller's status says "degraded", and its plans say "failsafe"
-(``control/mode.py``).
+Defaults: 0.5 s, 10 s, 0.5 m, 20 s. Before the first estimate the controller is degraded and publishes no plan; while it
+has received implausible ones only, it is in failsafe.
 
 The controller is also degraded while the actuators, having reported before, are silent for max(3 T, 0.5 s) with T
-their own period. The multiples of T make a slow publisher nominal: one that sends once a second is degraded after two
-missing messages, held after three, failsafe after five. They exceed the fixed times below 6, 2.7 and 2 Hz.
+their own period. The multiples of T make a slow publisher nominal: one that sends every 5 s is degraded after two
+missing messages, held after three, failsafe after five.
 
 Actuators, by the time since the last accepted plan and the period T of the plans:
 
     degraded   no plan for max(2.5 T, 0.5 s), or none yet                       the last plan is followed to its end
     failsafe   the last plan is at its end                                      thrusts ramp to rest
 
-A pause of the clock freezes every age. A negative age comes from a stamp in the future. It is as wrong as a stamp of
-the past, so the absolute value counts.
+A pause of the clock freezes every age. A negative age comes from a stamp in the future. Nothing can be predicted back
+from there, so an estimate that is ahead by more than ``MAX_STAMP_AHEAD_NS`` means failsafe.
 """
 
 from __future__ import annotations
@@ -40,6 +42,12 @@ REPLACEMENTS_MISSING = 2.5
 MIN_PLAN_TIMEOUT_NS = 500_000_000
 """Shortest silence that counts as a loss of the commander; a shorter one can be a delay of the link."""
 
+MAX_STAMP_AHEAD_NS = 1_000_000_000
+"""Largest lead of a stamp over its arrival. A stamp farther ahead comes from a clock that jumped; if accepted, it would
+make every correct message look old until its time has come. The offset to another host's clock is known to 0.5 s while
+its first messages arrive through delays that jump.
+"""
+
 WORST_FIRST = (Health.FAILSAFE, Health.HOLD, Health.DEGRADED, Health.NOMINAL)
 
 
@@ -55,17 +63,26 @@ class HealthState(NamedTuple):
 
 NOMINAL = HealthState(Health.NOMINAL)
 
-OLD_ESTIMATES = "the estimates are too old"
+PREDICTED = "no new estimates: control continues from the prediction"
+PREDICTED_TOO_LONG = "no new estimates: predicted for longer than hold_s"
+PREDICTED_TOO_FAR = "no new estimates: the predicted position is uncertain by more than hold_growth_m"
+OLD_ESTIMATES = "no new estimates: the newest is older than failsafe_s"
+AHEAD = "the estimates are stamped in the future"
 NO_ESTIMATE = "no estimate yet"
 SILENT_ACTUATORS = "the actuators do not report"
 
 
 class Ages(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """[controller.ages]: largest ages of the newest estimate, in vehicle seconds; they grow for a slow publisher."""
+    """[controller.ages]: ages of the newest estimate, in vehicle seconds, from which the health is worse.
+
+    They grow for a slow publisher. ``hold_growth_m`` begins the hold earlier: it is the largest growth of the standard
+    deviation of the predicted position.
+    """
 
     degraded_s: Annotated[float, Meta(gt=0, le=60)] = 0.5
-    hold_s: Annotated[float, Meta(gt=0, le=60)] = 1.5
-    failsafe_s: Annotated[float, Meta(gt=0, le=60)] = 3.0
+    hold_s: Annotated[float, Meta(gt=0, le=60)] = 10.0
+    hold_growth_m: Annotated[float, Meta(gt=0, le=1000)] = 0.5
+    failsafe_s: Annotated[float, Meta(gt=0, le=60)] = 20.0
 
     def problem(self) -> tuple[str, str] | None:
         """Return the field and the bound it violates if the thresholds are not in order, else None."""
@@ -92,7 +109,7 @@ def timeout_ns(periods: float, period_ns: int, min_s: float) -> int:
 
 
 def health(*, age_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> HealthState:
-    """Return the health of the controller by its estimates.
+    """Return the health of the controller by the age of its estimates.
 
     Parameters
     ----------
@@ -102,13 +119,15 @@ def health(*, age_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> 
     """
     if age_ns is None:
         return HealthState(Health.DEGRADED, NO_ESTIMATE)
-    age = abs(age_ns)
-    if age <= timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s):
+    if abs(age_ns) <= timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s):
         return NOMINAL
-    if age <= timeout_ns(HOLD_PERIODS, period_ns, ages.hold_s):
-        return HealthState(Health.DEGRADED, OLD_ESTIMATES)
-    held = age <= timeout_ns(FAILSAFE_PERIODS, period_ns, ages.failsafe_s)
-    return HealthState(Health.HOLD if held else Health.FAILSAFE, OLD_ESTIMATES)
+    if age_ns < 0:
+        return HealthState(Health.DEGRADED if -age_ns <= MAX_STAMP_AHEAD_NS else Health.FAILSAFE, AHEAD)
+    if age_ns <= timeout_ns(HOLD_PERIODS, period_ns, ages.hold_s):
+        return HealthState(Health.DEGRADED, PREDICTED)
+    if age_ns <= timeout_ns(FAILSAFE_PERIODS, period_ns, ages.failsafe_s):
+        return HealthState(Health.HOLD, PREDICTED_TOO_LONG)
+    return HealthState(Health.FAILSAFE, OLD_ESTIMATES)
 
 
 def report_health(*, silent_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> HealthState:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from ltv_mpc.safety.health import DEFAULT_AGES, DEGRADED_PERIODS, Ages, timeout_ns
+from ltv_mpc.safety.health import DEFAULT_AGES, DEGRADED_PERIODS, MAX_STAMP_AHEAD_NS, Ages, timeout_ns
 
 SPACINGS = 9
 """Number of spacings in the median, so that a lost message or a burst does not change the period."""
@@ -23,12 +23,6 @@ MAX_MEAN_OVER_MEDIAN = 2.0
 
 CLOCK_SET_BACK_NS = 10_000_000_000
 """Step backwards between two stamps from which the sender's clock counts as set back."""
-
-MAX_STAMP_AHEAD_NS = 1_000_000_000
-"""Largest lead of a stamp over its arrival. A stamp farther ahead comes from a clock that jumped; if accepted, it would
-make every correct message look old until its time has come. The offset to another host's clock is known to 0.5 s while
-its first messages arrive through delays that jump.
-"""
 
 
 class Period:

@@ -19,7 +19,7 @@ from services.tools.faults.fault import Fault
 from services.tools.faults.kinds import AFLOAT, INSTRUMENTS, MESSAGES
 from services.tools.faults.lockstep_runs import INTRUDERS_EPOCH, Observed
 
-LEVELS = ((Health.FAILSAFE, 6, 3.0), (Health.HOLD, 4, 1.5), (Health.DEGRADED, 3, 0.5))
+LEVELS = ((Health.FAILSAFE, 6, 20.0), (Health.HOLD, 4, 10.0), (Health.DEGRADED, 3, 0.5))
 """Health by the age of the newest estimate: worse than this many periods and seconds, worst first."""
 
 SEVERITY = {Health.NOMINAL: 0, Health.DEGRADED: 1, Health.HOLD: 2, Health.FAILSAFE: 3}

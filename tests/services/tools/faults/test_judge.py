@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import pytest
 
 from ltv_mpc.messages import Health, PlanOrigin, SensorStatus
@@ -59,9 +60,9 @@ def change_plans(of: Log, from_s: float, to_s: float, **changes) -> Log:
     return of
 
 
-def silence(of: Log) -> Log:
+def silence(of: Log, end_s: float = END_S) -> Log:
     """No estimate from the fault's start to its end."""
-    of.received_estimates = [(received, t) for received, t in of.received_estimates if not START_S * S <= t < END_S * S]
+    of.received_estimates = [(received, t) for received, t in of.received_estimates if not START_S * S <= t < end_s * S]
     return of
 
 
@@ -84,16 +85,16 @@ def test_silence_that_nobody_mentions_is_late_from_its_threshold_on():
     assert "nominal with an estimate" in seen(silence(log()), fault("message_loss")).late
 
 
-@pytest.mark.parametrize(("hold_s", "in_time"), [(31.3, True), (31.9, False)])
+@pytest.mark.parametrize(("hold_s", "in_time"), [(39.8, True), (40.4, False)])
 def test_each_level_of_health_has_its_own_threshold(hold_s, in_time):
-    """The last estimate is of 29.9 s: degraded beyond 30.4, held beyond 31.4, given up beyond 32.9."""
-    of = change_plans(silence(log()), 30.4, hold_s, health=Health.DEGRADED)
-    of = change_plans(of, hold_s, 32.9, health=Health.HOLD)
-    of = change_plans(of, 32.9, 41.0, health=Health.FAILSAFE)
-    one = seen(of, fault("message_loss"))
+    """The last estimate is of 29.9 s: degraded beyond 30.4, held beyond 39.9, given up beyond 49.9."""
+    of = change_plans(silence(log(), 55.0), 30.4, hold_s, health=Health.DEGRADED)
+    of = change_plans(of, hold_s, 49.8, health=Health.HOLD)
+    of = change_plans(of, 49.8, 56.0, health=Health.FAILSAFE)
+    one = seen(of, msgspec.structs.replace(fault("message_loss"), end_s=55.0))
     assert (one.late == "") is in_time
     if in_time:
-        assert one.reaction_s == pytest.approx(0.2)  # cycles at 30.6, 31.5, 33.0
+        assert one.reaction_s == pytest.approx(0.2)  # cycles at 30.6, 39.9, 50.1
 
 
 def test_actuators_that_miss_two_plans_must_say_so():

@@ -1,0 +1,95 @@
+"""Growth of a prediction's uncertainty: against draws of the estimate, the current and the thrust."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle
+from ltv_mpc.control.config import Disturbance
+from ltv_mpc.control.disturbance import CurrentBias
+from ltv_mpc.control.prediction import Prediction
+from ltv_mpc.control.prediction_uncertainty import growth_m
+from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.messages import Solve
+
+PAPER = Vehicle.load("paper")
+S = 1_000_000_000
+STILL = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
+MOVING = msgspec.structs.replace(
+    Estimate.at_rest(north_m=3.0, east_m=-2.0, heading_rad=0.6),
+    velocity_north_mps=0.25,
+    velocity_east_mps=0.15,
+    yaw_rate_radps=0.05,
+    current=STILL,
+)
+SD = np.array([0.4, 0.2, 0.02, 0.03, 0.05, 0.01])
+"""Of north, east, velocity north and east, heading, yaw rate."""
+CORRELATED = np.diag(SD) @ (np.eye(6) + 0.4 * (np.eye(6, k=2) + np.eye(6, k=-2))) @ np.diag(SD)
+
+
+def sent(port: float = 1.0, starboard: float = 1.0) -> SentCommands:
+    """Return commands of 8 s, each thruster's scaled."""
+    commands = SentCommands(PAPER)
+    thrust = np.tile([30.0 * port, 22.0 * starboard, 0.0], (28, 1))
+    commands.add(
+        Plan(
+            cycle_t_ns=0,
+            t_ns=np.arange(28, dtype=np.int64) * 300_000_000,
+            thrust_N=thrust,
+            states=np.zeros((28, 6)),
+            origin=PlanOrigin.SOLVED,
+            solve=Solve(status=SolveStatus.SOLVED),
+        )
+    )
+    return commands
+
+
+def drawn(t_ns: int, covariance: np.ndarray | None, bias: CurrentBias | None) -> float:
+    """Return the standard deviation of the predicted position over 1000 draws (m)."""
+    rng = np.random.default_rng(1)
+    factor = np.zeros((6, 6)) if covariance is None else np.linalg.cholesky(covariance)
+    current_sd = 0.0 if bias is None else np.sqrt(bias.covariance_of_mean(t_ns * 1e-9)[0, 0])
+    places = np.empty((1000, 2))
+    for k in range(1000):
+        n, e, vn, ve, psi, r = factor @ rng.standard_normal(6)
+        cn, ce = current_sd * rng.standard_normal(2)
+        estimate = msgspec.structs.replace(
+            MOVING,
+            north_m=3.0 + n,
+            east_m=-2.0 + e,
+            velocity_north_mps=0.25 + vn,
+            velocity_east_mps=0.15 + ve,
+            heading_rad=0.6 + psi,
+            yaw_rate_radps=0.05 + r,
+            current=CurrentProfile(depth_m=np.zeros(1), north_mps=np.array([cn]), east_mps=np.array([ce])),
+        )
+        commands = sent(*(1.0 + 0.1 * rng.standard_normal(2)))
+        places[k] = Prediction(PAPER).state_at(estimate, t_ns, commands).X[:2]
+    return float(np.sqrt(places.var(axis=0).sum()))
+
+
+@pytest.mark.parametrize("seconds", [2, 6])
+@pytest.mark.parametrize(
+    ("covariance", "bias"),
+    [(None, None), (CORRELATED, None), (None, CurrentBias(Disturbance())), (CORRELATED, CurrentBias(Disturbance()))],
+)
+def test_the_growth_is_that_of_draws(covariance, bias, seconds):
+    estimate = msgspec.structs.replace(MOVING, covariance=covariance)
+    growth = growth_m(Prediction(PAPER), estimate, seconds * S, sent(), bias)
+    at_first = 0.0 if covariance is None else float(np.hypot(*SD[:2]))
+    assert growth == pytest.approx(drawn(seconds * S, covariance, bias) - at_first, rel=0.15)
+
+
+@pytest.mark.parametrize("covariance", [None, CORRELATED])
+def test_at_the_time_of_the_estimate_nothing_has_grown(covariance):
+    estimate = msgspec.structs.replace(MOVING, covariance=covariance)
+    assert growth_m(Prediction(PAPER), estimate, 0, sent(), CurrentBias(Disturbance())) == pytest.approx(0, abs=1e-9)
+
+
+def test_a_random_walk_of_the_current_adds_up():
+    """By hand: the position of a drifting vehicle has the variance q^2 t^3 / 3 from a walk of q."""
+    bias = CurrentBias(Disturbance(walk_mps_per_rts=0.02))
+    added = bias.covariance_of_mean(9.0) - bias.covariance
+    np.testing.assert_allclose(added * 9.0**2, 0.02**2 * 9.0**3 / 3.0 * np.eye(2))
