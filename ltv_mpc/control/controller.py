@@ -104,7 +104,6 @@ class Controller:
             stopwatch=stopwatch,
         )
         self._stopwatch = stopwatch
-        self._held_depth_m: float | None = None  # predicted depth at which the current hold began
         self.follow(reference)
 
     @property
@@ -287,16 +286,15 @@ class Controller:
     def _plan_vertical(self, decision: Decision, start: Start, knots: Times) -> VerticalPlan:
         """Return the vertical thruster's plan in this mode: the depth law's, a ramp, or the commands in force."""
         law, depth_m = self._vertical, decision.estimate.depth_m
-        held_m = start.depth_m if self._held_depth_m is None else self._held_depth_m
-        self._held_depth_m = held_m if decision.mode is Mode.HOLD else None
+        if decision.mode is not Mode.HOLD:
+            law.held_m = None
         if decision.override is not None:
             return law.ramp_to(start, knots, decision.override.targets(knots)[:, 2])
         if decision.mode is Mode.FAILSAFE:
             return law.ramp_to(start, knots, np.full(len(knots), self.vehicle.failsafe_vertical_N))
         if depth_m is not None:
             if decision.mode is Mode.HOLD and self._follower.depth_m is not None:
-                no_motion = np.zeros(len(knots))
-                return law.track(start, no_motion + held_m, no_motion)
+                return law.hold(start, knots)
             depth_reference = self._follower.depths(knots) if decision.follows else None
             if depth_reference is not None:
                 return law.track(start, *depth_reference)

@@ -51,7 +51,7 @@ def growth_m(
     times, commanded_N = commands.knots
     profile = profile_of(estimate)
 
-    def position(state: Array = state, current: tuple[float, float] = (0.0, 0.0), gain: Array | float = 1.0) -> Array:
+    def _position(state: Array = state, current: tuple[float, float] = (0.0, 0.0), gain: Array | float = 1.0) -> Array:
         return predict_state(
             prediction.coefficients,
             (since_ns, state, report_ns, thrust_N * gain),
@@ -60,19 +60,19 @@ def growth_m(
             (profile.depth_m, profile.north_mps + current[0], profile.east_mps + current[1]),
         )[:2]
 
-    at = position()
+    at = _position()
     variance = 0.0
     for thruster in (0, 1):
         gain = np.ones(3)
         gain[thruster] += THRUST_SD
-        d = position(gain=gain) - at
+        d = _position(gain=gain) - at
         variance += float(d @ d)
     if bias is not None:
-        B = np.array([position(current=(STEP, 0.0)) - at, position(current=(0.0, STEP)) - at]).T / STEP
+        B = np.array([_position(current=(STEP, 0.0)) - at, _position(current=(0.0, STEP)) - at]).T / STEP
         variance += float(np.trace(B @ bias.covariance_of_mean((t_ns - since_ns) * 1e-9) @ B.T))
     P0 = estimate.covariance
     if P0 is None:
         return math.sqrt(variance)
-    A = np.array([position(state + STEP * np.eye(len(state))[column]) - at for column in COLUMN_OF]).T / STEP
+    A = np.array([_position(state + STEP * np.eye(len(state))[column]) - at for column in COLUMN_OF]).T / STEP
     variance += float(np.trace(A @ P0 @ A.T))
     return math.sqrt(variance) - math.sqrt(float(P0[0, 0] + P0[1, 1]))

@@ -110,6 +110,8 @@ class VerticalLaw:
         self._packed = packed
         self.integral_N = 0.0
         """Integral term of the law (N)."""
+        self.held_m: float | None = None
+        """Depth that ``hold`` keeps (m); None: that of its next call."""
         self._integrated_ns: int | None = None
 
     def track(self, start: Start, depth_m: Array, sinking_mps: Array) -> VerticalPlan:
@@ -136,6 +138,22 @@ class VerticalLaw:
             sinking_mps,
         )
         return VerticalPlan(*plan)
+
+    def hold(self, start: Start, knots: Times) -> VerticalPlan:
+        """Keep the depth at which the hold began.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        knots : (N+1,) times of the knots (ns).
+
+        Returns
+        -------
+        The commands and the predicted depths.
+        """
+        if self.held_m is None:
+            self.held_m = start.depth_m
+        return self.track(start, np.full(len(knots), self.held_m), np.zeros(len(knots)))
 
     def ramp_to(self, start: Start, knots: Times, goal: Array) -> VerticalPlan:
         """Move the vertical thruster towards given commands at the slew limit.

@@ -142,7 +142,7 @@ def test_from_a_reported_command_the_plan_is_approached_at_the_slew_limit():
 @pytest.mark.parametrize(
     ("estimate_s", "oldest_s"), [(80.0, 70.0), (71.0, 70.0), (60.0, 59.0), (25.0, 24.0), (5.0, 20.0)]
 )
-def test_commands_are_kept_from_the_estimate_on_at_least_ten_seconds_and_at_most_a_minute(estimate_s, oldest_s):
+def test_commands_are_kept_from_the_estimate_on_for_ten_seconds_to_a_minute(estimate_s, oldest_s):
     sent = SentCommands(PAPER)
     for k in range(81):
         one = plan(k * SECOND, np.full((5, 3), float(k % 2)))

@@ -51,7 +51,7 @@ def changes(plans: list[Plan]) -> list[tuple[str, str, str]]:
     return [state for k, state in enumerate(states) if k == 0 or state != states[k - 1]]
 
 
-def test_without_estimates_it_predicts_then_stops_then_lets_go_and_gives_each_reason_once():
+def test_without_estimates_it_predicts_then_stops_then_lets_go_with_each_reason_once():
     controller, estimate = flown()
     assert changes(silent(controller, estimate, 25.0)) == [
         ("nominal", "", "solved"),
