@@ -1,4 +1,4 @@
-"""Changes of a controller's state, each told once: health, authority, source, clocks, rejected messages and plans.
+"""Changes of a controller's state, each reported once: health, authority, source, clocks, rejected messages and plans.
 
 state    told when it changes, and once at the start: health with its reason, authority, source of the estimates
 event    told each time: a step of a publisher's clock
@@ -24,7 +24,7 @@ class ControllerChanges:
     def __init__(self, tell: Tell) -> None:
         self._tell = tell
         self._states: dict[str, object] = {}  # newest, by kind
-        self._told: dict[str, int] = {}  # counts that were told last, by their text
+        self._reported_at: dict[str, int] = {}  # counts that were reported last, by their text
         self._reported: Mapping[str, int] | None = None  # counts in the newest report of the actuators
         self._since_start: dict[str, int] = {}  # what these counts have grown by
 
@@ -78,8 +78,8 @@ class ControllerChanges:
         return state != before
 
     def _count(self, t_ns: int, kind: str, text: str, count: int, **fields: str | int) -> None:
-        """Tell a count if it has reached a power of ten since it was told."""
-        if tenfold(count) > tenfold(self._told.get(text, 0)):
-            self._told[text] = count
+        """Report a count if it has reached a power of ten since its last report."""
+        if tenfold(count) > tenfold(self._reported_at.get(text, 0)):
+            self._reported_at[text] = count
             said = text if count == 1 else f"{text}: {count} so far"
             self._tell(Level.WARNING, kind, said, t_ns=t_ns, fields={**fields, "count": count})

@@ -205,7 +205,7 @@ def test_a_disk_that_is_full_ends_a_run_in_one_line(
     assert os.strerror(errno.ENOSPC) in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_the_recorder_accepts_its_own_folder_and_no_other_that_is_not_empty(
+def test_the_recorder_continues_its_own_folder_and_rejects_one_that_is_not_empty(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -222,8 +222,8 @@ def test_the_recorder_accepts_its_own_folder_and_no_other_that_is_not_empty(
     assert cli("recorder descent --out .") == 2
     assert Path("r/run.mcap").read_bytes() == before
     assert taken == []
-    Path("r/run.mcap").unlink()
-    assert cli("recorder r/scenario.toml --out r") == 0
+    assert cli("recorder r/scenario.toml --out r --continue") == 0
+    assert Path("r/run.mcap").read_bytes() == before
     assert cli("recorder descent --out new") == 0
     assert taken == [Path("r"), Path("new")]
 
