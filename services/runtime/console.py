@@ -91,7 +91,7 @@ class Console:
 
 
 def tenfold(count: int) -> int:
-    """Return the largest of 1, 10, 100, ... that a count has reached, or 0: a growing count is reported at each of them."""
+    """Return the largest of 1, 10, 100, ... that a count has reached, or 0. A growing count is printed at each."""
     return 10 ** (len(str(count)) - 1) if count else 0
 
 

@@ -1,8 +1,8 @@
 """Changes of a controller's state, each reported once: health, authority, source, clocks, rejected messages and plans.
 
-state    told when it changes, and once at the start: health with its reason, authority, source of the estimates
-event    told each time: a step of a publisher's clock
-count    told at the first one, then at 10, 100, ...: rejected messages by reason, plans that the actuators
+state    reported when it changes, and once at the start: health with its reason, authority, source of the estimates
+event    reported each time: a step of a publisher's clock
+count    reported at the first one, then at 10, 100, ...: rejected messages by reason, plans that the actuators
 rejected, plans that arrived late
 """
 
