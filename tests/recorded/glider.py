@@ -24,6 +24,7 @@ class World:
     water_change: float = 0.001  # m/s per sqrt(s), alike over water_length
     wave_amplitude: float = 0.0  # of an internal wave of one mode, period 600 s
     gradient: float = 0.0  # of the current north, 1/s, per metre to the north
+    river: float = 0.0  # amplitude of a current north that changes with the way north, period 150 m, less at the bottom
     swell: float = 0.0  # rms velocity at the surface, gone within 10 m
     noise: float = 0.014  # of a beam near the face, doubled at 25 m
     near_bias: float = 0.015  # sd by beam in the first near_cells
@@ -78,6 +79,8 @@ class _Water:
         wave = self._world.wave_amplitude * mode * np.cos(2 * np.pi * self._t / 600 + self._phase)
         c = np.stack([np.interp(z, self._z, self._c[:, a]) for a in range(2)], axis=-1) + wave
         c[..., 0] += self._world.gradient * north
+        share = (1.0 - np.asarray(z) / (self._world.bottom_m + 1.0)).clip(0.0, 1.0) ** (1 / 6)
+        c[..., 0] += self._world.river * share * math.sin(2.0 * math.pi * north / 150.0)
         return c
 
 

@@ -19,6 +19,7 @@ from ltv_mpc.localisation.recorded_dive.model import POSITION, VELOCITY, Model
 from ltv_mpc.localisation.recorded_dive.noise import beam_sd
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.screening import usable
+from ltv_mpc.localisation.recorded_dive.uniformity import added_variance
 from ltv_mpc.localisation.recorded_dive.update import Mask, beams, correct, over_ground
 from ltv_mpc.messages import Array
 
@@ -88,7 +89,7 @@ def run(ensembles: Sequence[BeamEnsemble], instrument: Instrument, parameters: D
     gate = float(chi2.ppf(parameters.gate_probability, 1))
     x, P = model.prior()
     position, velocity, p_cov, v_cov = [], [], [], []
-    fixed = used = rejected = 0
+    fixed = last_fix = used = rejected = 0
     nis_sum = 0.0
     for k, (ensemble, mask) in enumerate(zip(ensembles, masks, strict=True)):
         if k:
@@ -98,19 +99,25 @@ def run(ensembles: Sequence[BeamEnsemble], instrument: Instrument, parameters: D
         if k < fixes and np.isfinite(ensemble.bottom_mps[:2]).all():
             batch = batch.joined(over_ground(model, ensemble))
         accepted, nis = correct(x, P, batch, gate)
-        fixed += int(accepted[cells:].any())
+        if accepted[cells:].any():
+            fixed, last_fix = fixed + 1, k
         used, rejected = used + int(accepted[:cells].sum()), rejected + int((~accepted[:cells]).sum())
         nis_sum += float(nis[:cells].sum())
         position.append(x[POSITION].copy())
         velocity.append(x[VELOCITY].copy())
         p_cov.append(P[POSITION, POSITION].copy())
         v_cov.append(P[VELOCITY, VELOCITY].copy())
+    position_covariance, velocity_mps = np.array(p_cov), np.array(velocity)
+    if parameters.water_change_mps_per_rtm:
+        t_s = 1e-9 * np.array([e.t_ns - ensembles[last_fix].t_ns for e in ensembles[last_fix:]], dtype=np.float64)
+        added = added_variance(t_s, velocity_mps[last_fix:], parameters.water_change_mps_per_rtm)
+        position_covariance[last_fix:] += added[:, None, None] * np.eye(2)
     there = sum(int(np.isfinite(e.velocity_mps).sum()) for e in ensembles)
     return Track(
         t_ns=tuple(e.t_ns for e in ensembles),
         position_m=np.array(position),
-        position_covariance=np.array(p_cov),
-        velocity_mps=np.array(velocity),
+        position_covariance=position_covariance,
+        velocity_mps=velocity_mps,
         velocity_covariance=np.array(v_cov),
         fixes=fixed,
         cells_used=used,

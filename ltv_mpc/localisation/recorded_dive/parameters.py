@@ -32,6 +32,9 @@ class DiveParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     water_correlation_length_m: Positive = 10.0
     # Internal waves and eddies of 3 cm/s that change in 15 minutes: sqrt(2 x 0.03^2 / 900).
     water_change_mps_per_rts: Sd = 0.0015
+    # Change with the distance run, which the filter does not model: its covariance is widened by it. 0 in water that is
+    # horizontally uniform; ``uniformity.py`` estimates it.
+    water_change_mps_per_rtm: Sd = 0.0
 
     # Bias of a beam: a constant (data sheets: some mm/s and 0.3 %; the design's 5 mm/s) ...
     beam_bias_sd_mps: Sd = 0.005

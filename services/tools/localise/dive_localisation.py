@@ -7,6 +7,7 @@ The starts of the study lie in the first dive of the file, independent of where 
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,8 +25,16 @@ from ltv_mpc.localisation.recorded_dive import study
 from ltv_mpc.localisation.recorded_dive.filter import Instrument, Track, run
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.truth import BottomTrackPath, dead_reckon
+from ltv_mpc.localisation.recorded_dive.uniformity import uniformity
 from ltv_mpc.messages import Array
-from services.tools.localise.dive_result import InstrumentRow, LocalisationResult, LostBytes, StudyRow, TrackRow
+from services.tools.localise.dive_result import (
+    InstrumentRow,
+    LocalisationResult,
+    LostBytes,
+    StudyRow,
+    TrackRow,
+    WaterRow,
+)
 
 MAX_STARTS = 60
 COLUMNS = (
@@ -65,6 +74,9 @@ def localise(
     settings = recording.ensembles[first].settings
     seen = [to_beams(e) for e in recording.ensembles]
     dive = seen[first:end]
+    water = uniformity(dive, settings, parameters)
+    if water is not None and not water.uniform:
+        parameters = msgspec.structs.replace(parameters, water_change_mps_per_rtm=water.change_mps_per_rtm)
     instrument = Instrument.of(dive, settings, parameters)
     track = run(dive, instrument, parameters, fixes=fixes)
     ground = dead_reckon(dive)
@@ -78,6 +90,7 @@ def localise(
         surface_fixes=fixes,
         instrument=_instrument(settings, instrument),
         track=_track(track, dive, recording.ensembles[first].number),
+        water=None if water is None else WaterRow(**dataclasses.asdict(water)),
         error=_error(dive, ground, track, fixes),
         study=_study(recording.ensembles, seen, parameters, fixes, progress),
         notes=tuple(_notes(settings, dive, track, why)),

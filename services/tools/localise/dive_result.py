@@ -48,6 +48,15 @@ class TrackRow(msgspec.Struct, frozen=True, kw_only=True):
     nis: float
 
 
+class WaterRow(msgspec.Struct, frozen=True, kw_only=True):
+    """Change of the current along the track, from bottom track."""
+
+    change_mps_per_rtm: float
+    change_mps: float  # over the whole track
+    run_m: float
+    uniform: bool  # false: sigma is widened by the change
+
+
 class StudyRow(msgspec.Struct, frozen=True, kw_only=True):
     """Statistics over all starts for which a true track exists."""
 
@@ -71,6 +80,7 @@ class LocalisationResult(msgspec.Struct, frozen=True, kw_only=True):
     surface_fixes: int
     instrument: InstrumentRow
     track: TrackRow
+    water: WaterRow | None  # None: too little bottom track
     error: study.StartResult | None
     study: StudyRow | None
     notes: tuple[str, ...]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ltv_mpc.localisation.recorded_dive.study import MAX_START_DEPTH_M, MIN_START_DEPTH_M, WINDOW_S, StartResult
-from services.tools.localise.dive_result import LocalisationResult, StudyRow
+from services.tools.localise.dive_result import LocalisationResult, StudyRow, WaterRow
 
 _STARTS = f"between {MIN_START_DEPTH_M:g} and {MAX_START_DEPTH_M:g} m"
 
@@ -26,11 +26,21 @@ def text(result: LocalisationResult) -> str:
             f" ends {t.end_north_m:.1f} m north, {t.end_east_m:.1f} m east, sigma {t.end_sigma_m:.1f} m",
         ),
         ("cells", f"{t.cells_used} used, {t.cells_screened} screened, {t.cells_rejected} rejected; NIS {t.nis:.2f}"),
+        ("water", _water_text(result.water)),
         ("error", _error_text(result.error)),
         ("study", _study_text(result.study)),
         *(("note", note) for note in result.notes),
     ]
     return "\n".join(f"{name:<11} {words}" for name, words in rows)
+
+
+def _water_text(w: WaterRow | None) -> str:
+    if w is None:
+        return "too little bottom track to tell whether it is horizontally uniform"
+    change = f"changes by {100 * w.change_mps:.0f} cm/s along {w.run_m:.0f} m"
+    if w.uniform:
+        return f"horizontally uniform as assumed: {change}"
+    return f"NOT horizontally uniform: {change}; sigma is widened for it"
 
 
 def _error_text(e: StartResult | None) -> str:
