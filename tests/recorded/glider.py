@@ -42,6 +42,7 @@ class World:
     deepest: float = 41.0
     period: float = 3.7
     coordinates: int = 3
+    adapts: bool = False  # from half of the time on its cells are half as long, and twice as many
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,10 @@ def dive(world: World, seed: int, *, duration: float = 420.0) -> Dive:
     t, sign = 0.0, 1.0
     steps = 4
     while t < duration:
+        if world.adapts and t > duration / 2 and head.cell_cm == 200:
+            head = Head(coordinates=world.coordinates, cells=2 * head.cells, cell_cm=100, first_cm=244)
+            d = head.first_cm / 100 + head.cell_cm / 100 * np.arange(head.cells)
+            near, shrink = np.repeat(near, 2, axis=0), np.repeat(shrink, 2, axis=0)
         if depth > world.deepest:
             sign = -1.0
         heading = course + turn * min(t / 110, 1.0) + 5 * math.sin(t / 17)

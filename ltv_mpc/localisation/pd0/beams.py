@@ -41,6 +41,7 @@ class BeamEnsemble(NamedTuple):
     """Ensemble in beam coordinates and the signs of this project; NaN if missing."""
 
     t_ns: int
+    settings: Settings
     depth_m: float  # of the transducer
     direction: Array  # u, (4, 3), NED
     velocity_mps: Array  # z, (4, cells)
@@ -64,6 +65,7 @@ def to_beams(ensemble: Ensemble) -> BeamEnsemble:
         below = u[:, 2:] * along
     return BeamEnsemble(
         t_ns=ensemble.t_ns,
+        settings=settings,
         depth_m=ensemble.depth_m,
         direction=u,
         velocity_mps=-_beam_velocities(ensemble)[:, order].T,

@@ -48,6 +48,10 @@ class Coordinates(Enum):
     EARTH = 3  # east, north, up, error
 
 
+HEAD = ("frequency_kHz", "upward", "convex", "beam_angle_rad")
+"""Settings that belong to the transducer head. All others may change within a dive."""
+
+
 class Settings(NamedTuple):
     """Instrument settings (fixed leader). Distances are perpendicular to the transducer face, not along a beam."""
 
@@ -66,15 +70,19 @@ class Settings(NamedTuple):
     heading_alignment_rad: float
     heading_bias_rad: float
 
-    def same_setup(self, other: Settings) -> bool:
-        """Return True if the settings are equal; the first cell may move by 0.1 cells with the speed of sound.
+    @property
+    def setup(self) -> Settings:
+        """Setup of the measurement: the settings without the first cell, which moves with the speed of sound."""
+        return self._replace(first_cell_m=0.0)
+
+    def same_instrument(self, other: Settings) -> bool:
+        """Return True if both are settings of one instrument; cells, pings and coordinates may differ.
 
         Parameters
         ----------
         other : settings of another ensemble.
         """
-        near = abs(self.first_cell_m - other.first_cell_m) <= 0.1 * self.cell_m
-        return near and self._replace(first_cell_m=other.first_cell_m) == other
+        return all(getattr(self, name) == getattr(other, name) for name in HEAD)
 
 
 class BottomTrack(NamedTuple):

@@ -6,6 +6,7 @@ in ``model.py``; measurement rows, gate and update are in ``update.py``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,9 +15,8 @@ from scipy.stats import chi2
 
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
-from ltv_mpc.localisation.pd0.records import Settings
 from ltv_mpc.localisation.recorded_dive.model import POSITION, VELOCITY, Model
-from ltv_mpc.localisation.recorded_dive.noise import beam_sd
+from ltv_mpc.localisation.recorded_dive.noise import BeamNoise
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.screening import usable
 from ltv_mpc.localisation.recorded_dive.uniformity import added_variance
@@ -25,6 +25,10 @@ from ltv_mpc.messages import Array
 
 MAX_GRID_POINTS = 200
 """Largest number of grid points of the current, which bounds the time of a run."""
+
+
+MAX_RANGES = 40
+"""Largest number of ranges with a bias of their own in each beam."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,33 +53,13 @@ class Track:
         return 1e-9 * np.array([t - self.t_ns[0] for t in self.t_ns], dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Instrument:
-    """Instrument settings of a recording, and the beam noise estimated from the whole recording."""
-
-    settings: Settings
-    beam_sd_mps: Array  # (cells,)
-
-    @classmethod
-    def of(cls, ensembles: Sequence[BeamEnsemble], settings: Settings, parameters: DiveParameters) -> Instrument:
-        """Return the instrument with beam noise estimated from the error velocity (``noise.py``).
-
-        Parameters
-        ----------
-        ensembles : the recording.
-        settings : instrument settings.
-        parameters : ``min_good_share`` selects the cells.
-        """
-        return cls(settings=settings, beam_sd_mps=beam_sd(ensembles, settings, parameters.min_good_share))
-
-
-def run(ensembles: Sequence[BeamEnsemble], instrument: Instrument, parameters: DiveParameters, *, fixes: int) -> Track:
+def run(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DiveParameters, *, fixes: int) -> Track:
     """Estimate the track of a dive.
 
     Parameters
     ----------
     ensembles : the dive, in order of time.
-    instrument : settings and beam noise.
+    noise : beam noise of the recording.
     parameters : assumptions of the filter.
     fixes : number of first ensembles whose bottom track is used if available.
 
@@ -83,9 +67,8 @@ def run(ensembles: Sequence[BeamEnsemble], instrument: Instrument, parameters: D
     -------
     Track from the first ensemble on.
     """
-    settings = instrument.settings
-    masks = [usable(x, settings, parameters.min_good_share) for x in ensembles]
-    model = Model.of(parameters, _nodes(ensembles, masks, settings), _ranges(masks, ensembles[0]))
+    masks = [usable(x, parameters.min_good_share) for x in ensembles]
+    model = Model.of(parameters, _nodes(ensembles, masks), _ranges(ensembles, masks))
     gate = float(chi2.ppf(parameters.gate_probability, 1))
     x, P = model.prior()
     position, velocity, p_cov, v_cov = [], [], [], []
@@ -94,7 +77,7 @@ def run(ensembles: Sequence[BeamEnsemble], instrument: Instrument, parameters: D
     for k, (ensemble, mask) in enumerate(zip(ensembles, masks, strict=True)):
         if k:
             model.propagate(x, P, 1e-9 * (ensemble.t_ns - ensembles[k - 1].t_ns))
-        batch = beams(model, ensemble, mask, instrument.beam_sd_mps, settings.cell_m)
+        batch = beams(model, ensemble, mask, noise.sd_mps(ensemble.settings))
         cells = len(batch.z)
         if k < fixes and np.isfinite(ensemble.bottom_mps[:2]).all():
             batch = batch.joined(over_ground(model, ensemble))
@@ -128,21 +111,36 @@ def run(ensembles: Sequence[BeamEnsemble], instrument: Instrument, parameters: D
     )
 
 
-def _nodes(ensembles: Sequence[BeamEnsemble], masks: Sequence[Mask], settings: Settings) -> Array:
+def _nodes(ensembles: Sequence[BeamEnsemble], masks: Sequence[Mask]) -> Array:
     """Return the depths of the grid points (m): all observed depths, a cell apart, at most ``MAX_GRID_POINTS``."""
+    cell_m = min(e.settings.cell_m for e in ensembles)
     seen = [e.depth_m + e.below_m[mask] for e, mask in zip(ensembles, masks, strict=True)]
     depths = np.concatenate([*seen, [e.depth_m for e in ensembles]])
-    top = max(float(depths.min()) - settings.cell_m, 0.0)
-    bottom = float(depths.max()) + settings.cell_m
-    count = int(np.clip(np.ceil((bottom - top) / settings.cell_m), 1, MAX_GRID_POINTS - 1)) + 1
+    top = max(float(depths.min()) - cell_m, 0.0)
+    bottom = float(depths.max()) + cell_m
+    count = int(np.clip(np.ceil((bottom - top) / cell_m), 1, MAX_GRID_POINTS - 1)) + 1
     nodes: Array = np.linspace(top, bottom, count)
     return nodes
 
 
-def _ranges(masks: Sequence[Mask], ensemble: BeamEnsemble) -> Array:
-    """Return the ranges of the cells up to the last one that is ever used (m), (C,)."""
-    ever = np.flatnonzero(np.any([mask.any(axis=0) for mask in masks], axis=0))
-    return ensemble.range_m[: ever[-1] + 1 if len(ever) else 1]
+def _ranges(ensembles: Sequence[BeamEnsemble], masks: Sequence[Mask]) -> Array:
+    """Return the ranges at which the beams have biases (m), (C,).
+
+    They are those of the cells, up to the last one that is ever used. If the cells change within the dive, the ranges
+    are a smallest cell apart, at most ``MAX_RANGES``.
+    """
+    used = [e.range_m[mask.any(axis=0)] for e, mask in zip(ensembles, masks, strict=True)]
+    last_m = max((float(ranges[-1]) for ranges in used if len(ranges)), default=0.0)
+    first = ensembles[0]
+    if all(e.settings.setup == first.settings.setup for e in ensembles):
+        spacing_m = first.range_m[1] - first.range_m[0] if len(first.range_m) > 1 else 1.0
+        within: Array = first.range_m[first.range_m <= max(last_m, first.range_m[0]) + 0.5 * spacing_m]
+        return within
+    near_m = min(float(e.range_m[0]) for e in ensembles)
+    spacing_m = min(e.settings.cell_m / math.cos(e.settings.beam_angle_rad) for e in ensembles)
+    count = int(np.clip(np.ceil((last_m - near_m) / spacing_m), 1, MAX_RANGES - 1)) + 1
+    ranges: Array = np.linspace(near_m, max(last_m, near_m + spacing_m), count)
+    return ranges
 
 
 def _water(model: Model, x: Array, P: Array) -> WaterPrior:

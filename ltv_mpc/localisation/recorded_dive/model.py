@@ -3,7 +3,7 @@
 State   x = [p, v, w, beta, c]
         p, v   position and velocity over ground (m, m/s), north and east
         w      vertical velocity of the vehicle through the water (m/s, down): unknown in every ensemble
-        beta   bias of beam i in cell j (m/s), (4 C)
+        beta   bias of beam i at range j (m/s), (4 C); a cell has that of the nearest range
         c      current north at the grid points, then east (m/s), (2 K); linear between grid points
 Propagation over dt:  p += v dt,  v a random walk of intensity q:  Q = q^2 [dt^3/3, dt^2/2; dt^2/2, dt]
         beta := f beta + noise,  f = exp(-dt / tau), noise of covariance (1 - f^2) B: stationary covariance B
@@ -18,6 +18,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from ltv_mpc.localisation.pd0.records import BEAMS
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
@@ -37,7 +38,7 @@ class Model:
 
     parameters: DiveParameters
     depth_m: Array  # (K,) depths of the grid points
-    cells: int  # C
+    range_m: Array  # (C,) ranges of the biases along a beam
     bias: Array  # B, (C, C)
     correlation: Array  # rho, (K, K)
 
@@ -49,19 +50,37 @@ class Model:
         ----------
         parameters : assumptions of the filter.
         depth_m : (K,) depths of the grid points, evenly spaced (m).
-        range_m : (C,) ranges of the cells along a beam (m).
+        range_m : (C,) ranges of the biases along a beam, evenly spaced (m).
         """
         p = parameters
         r1, r2 = range_m[:, None], range_m[None, :]
         varying = p.range_bias_sd_mps**2 + p.near_bias_sd_mps**2 * np.exp(-(r1 + r2) / p.near_bias_length_m)
         bias = p.beam_bias_sd_mps**2 + varying * np.exp(-np.abs(r1 - r2) / p.range_bias_length_m)
         correlation = np.exp(-np.abs(depth_m[:, None] - depth_m[None, :]) / p.water_correlation_length_m)
-        return cls(parameters=p, depth_m=depth_m, cells=len(range_m), bias=bias, correlation=correlation)
+        return cls(parameters=p, depth_m=depth_m, range_m=range_m, bias=bias, correlation=correlation)
+
+    @property
+    def cells(self) -> int:
+        """Number of biases of one beam C."""
+        return len(self.range_m)
 
     @property
     def spacing_m(self) -> float:
         """Spacing of the grid points (m)."""
         return float(self.depth_m[1] - self.depth_m[0])
+
+    def nearest(self, range_m: Array) -> npt.NDArray[np.int64]:
+        """Return the indices of the nearest ranges that have a bias.
+
+        Parameters
+        ----------
+        range_m : ranges of cells (m).
+        """
+        if self.cells == 1:
+            return np.zeros(len(range_m), dtype=np.int64)
+        place = (range_m - self.range_m[0]) / (self.range_m[1] - self.range_m[0])
+        nearest: npt.NDArray[np.int64] = np.clip(np.rint(place), 0, self.cells - 1).astype(np.int64)
+        return nearest
 
     @property
     def north(self) -> slice:

@@ -35,15 +35,41 @@ def data_sheet_sd(settings: Settings) -> float:
     return 0.0194 * (1200 / settings.frequency_kHz) / settings.cell_m / float(np.sqrt(settings.pings))
 
 
-def beam_sd(ensembles: Sequence[BeamEnsemble], settings: Settings, min_good_share: float) -> Array:
+class BeamNoise:
+    """Beam noise of a recording, for each setup of its instrument."""
+
+    def __init__(self, ensembles: Sequence[BeamEnsemble], min_good_share: float) -> None:
+        """Estimate the noise from the error velocity.
+
+        Parameters
+        ----------
+        ensembles : the recording.
+        min_good_share : smallest share of good pings of a cell in use.
+        """
+        by_setup: dict[Settings, list[BeamEnsemble]] = {}
+        for ensemble in ensembles:
+            by_setup.setdefault(ensemble.settings.setup, []).append(ensemble)
+        self._sd_mps = {setup: beam_sd(of, min_good_share) for setup, of in by_setup.items()}
+
+    def sd_mps(self, settings: Settings) -> Array:
+        """Return sigma of one beam for each cell (m/s), (cells,).
+
+        Parameters
+        ----------
+        settings : of an ensemble of the recording.
+        """
+        return self._sd_mps[settings.setup]
+
+
+def beam_sd(ensembles: Sequence[BeamEnsemble], min_good_share: float) -> Array:
     """Estimate sigma of one beam for each cell (m/s), (cells,).
 
     Parameters
     ----------
-    ensembles : the recording.
-    settings : instrument settings.
+    ensembles : ensembles of one setup.
     min_good_share : smallest share of good pings of a cell in use.
     """
+    settings = ensembles[0].settings
     sheet = data_sheet_sd(settings)
     spare = np.array([_OPPOSED @ x.velocity_mps for x in ensembles])
     spare[np.array([x.good[0] < min_good_share for x in ensembles])] = np.nan

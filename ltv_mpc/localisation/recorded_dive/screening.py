@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
-from ltv_mpc.localisation.pd0.records import Settings
 
 RISE_COUNTS = 20.0
 """Smallest rise of a sea-bed echo: 9 dB at 0.45 dB a count. Scattering layers rise by less, a sea bed by 15 to 25."""
@@ -27,30 +26,29 @@ FIRST = 3
 """First cell searched for the sea bed. Nearer cells may ring."""
 
 
-def usable(ensemble: BeamEnsemble, settings: Settings, min_good_share: float) -> npt.NDArray[np.bool_]:
+def usable(ensemble: BeamEnsemble, min_good_share: float) -> npt.NDArray[np.bool_]:
     """Return the mask of usable cells, (4, cells).
 
     Parameters
     ----------
     ensemble : beam velocities, depths and echoes.
-    settings : instrument settings.
     min_good_share : smallest share of good pings.
     """
     there = np.isfinite(ensemble.velocity_mps) & (ensemble.good >= min_good_share)
     in_water = ensemble.depth_m + ensemble.below_m > 0
-    reach = np.abs(ensemble.below_m) < reach_m(ensemble, settings)
+    reach = np.abs(ensemble.below_m) < reach_m(ensemble)
     result: npt.NDArray[np.bool_] = there & in_water & reach
     return result
 
 
-def reach_m(ensemble: BeamEnsemble, settings: Settings) -> float:
+def reach_m(ensemble: BeamEnsemble) -> float:
     """Return the vertical distance without side-lobe echoes of the bottom (m); infinite if no bottom is seen.
 
     Parameters
     ----------
     ensemble : echoes by beam and cell.
-    settings : instrument settings.
     """
+    settings = ensemble.settings
     if ensemble.echo is None or settings.cells <= FIRST + 2:
         return math.inf
     echo = ensemble.echo

@@ -18,7 +18,8 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
-from ltv_mpc.localisation.recorded_dive.filter import Instrument, Track, run
+from ltv_mpc.localisation.recorded_dive.filter import Track, run
+from ltv_mpc.localisation.recorded_dive.noise import BeamNoise
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.truth import BottomTrackPath
 from ltv_mpc.messages import Array
@@ -49,7 +50,7 @@ class StartResult(msgspec.Struct, frozen=True, kw_only=True):
 def run_start(
     ensembles: Sequence[BeamEnsemble],
     bottom_track: BottomTrackPath,
-    instrument: Instrument,
+    noise: BeamNoise,
     parameters: DiveParameters,
     *,
     start: int,
@@ -61,7 +62,7 @@ def run_start(
     ----------
     ensembles : the dive.
     bottom_track : its bottom-track path.
-    instrument : settings and beam noise.
+    noise : beam noise of the recording.
     parameters : assumptions of the filter.
     start : first ensemble of the window.
     offered_fixes : number of first ensembles whose bottom track the filter receives.
@@ -69,7 +70,7 @@ def run_start(
     end = window_end(bottom_track, start)
     if end is None or bottom_track.displacement(start, end) is None:
         return None
-    track = run(ensembles[start : end + 1], instrument, parameters, fixes=offered_fixes)
+    track = run(ensembles[start : end + 1], noise, parameters, fixes=offered_fixes)
     return evaluate_track(ensembles, bottom_track, track, start=start, end=end, offered_fixes=offered_fixes)
 
 

@@ -25,7 +25,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
-from ltv_mpc.localisation.pd0.records import Settings
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.screening import usable
 from ltv_mpc.localisation.recorded_dive.truth import dead_reckon
@@ -53,21 +52,20 @@ class Uniformity:
     uniform: bool
 
 
-def uniformity(ensembles: Sequence[BeamEnsemble], settings: Settings, parameters: DiveParameters) -> Uniformity | None:
+def uniformity(ensembles: Sequence[BeamEnsemble], parameters: DiveParameters) -> Uniformity | None:
     """Return the change of the current along the track; None if too little of it has bottom track.
 
     Parameters
     ----------
     ensembles : the dive.
-    settings : instrument settings.
     parameters : ``water_change_mps_per_rts`` is the change that the filter expects.
     """
     path = dead_reckon(ensembles)
     steps_m = np.hypot(*path.velocity_mps[1:].T) * np.diff(path.t_s)
     run_m = np.concatenate([[0.0], np.nancumsum(steps_m)])
-    number, depth_m, current_mps = _currents(ensembles, settings, parameters)
+    number, depth_m, current_mps = _currents(ensembles, parameters.min_good_share)
     distance, time, square = [np.empty(0)], [np.empty(0)], [np.empty(0)]
-    layers = np.round(depth_m / settings.cell_m)
+    layers = np.round(depth_m / min(e.settings.cell_m for e in ensembles))
     for layer in np.unique(layers):
         here = np.flatnonzero(layers == layer)
         k, m = (here[index] for index in np.triu_indices(len(here), 1))
@@ -101,15 +99,13 @@ def added_variance(t_s: Array, velocity_mps: Array, change_mps_per_rtm: float) -
     return np.maximum(variance, 0.0)
 
 
-def _currents(
-    ensembles: Sequence[BeamEnsemble], settings: Settings, parameters: DiveParameters
-) -> tuple[Array, Array, Array]:
+def _currents(ensembles: Sequence[BeamEnsemble], min_good_share: float) -> tuple[Array, Array, Array]:
     """Return the currents of all cells with four beams and bottom track: ensemble, depth (m), north and east (m/s)."""
     numbers, depths, currents = [np.empty(0, dtype=np.int64)], [np.empty(0)], [np.empty((0, 2))]
     for k, ensemble in enumerate(ensembles):
         if not np.isfinite(ensemble.bottom_mps[:2]).all():
             continue
-        cells = usable(ensemble, settings, parameters.min_good_share).all(axis=0)
+        cells = usable(ensemble, min_good_share).all(axis=0)
         relative = np.linalg.lstsq(ensemble.direction, ensemble.velocity_mps[:, cells], rcond=None)[0]
         numbers.append(np.full(int(cells.sum()), k))
         depths.append(ensemble.depth_m + ensemble.below_m[:, cells].mean(axis=0))

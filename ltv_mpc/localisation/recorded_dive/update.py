@@ -48,7 +48,7 @@ class Batch(NamedTuple):
         return Batch(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
-def beams(model: Model, ensemble: BeamEnsemble, mask: Mask, sd_mps: Array, cell_m: float) -> Batch:
+def beams(model: Model, ensemble: BeamEnsemble, mask: Mask, sd_mps: Array) -> Batch:
     """Return the rows of the usable cells.
 
     Parameters
@@ -57,16 +57,16 @@ def beams(model: Model, ensemble: BeamEnsemble, mask: Mask, sd_mps: Array, cell_
     ensemble : beam velocities and directions.
     mask : (4, cells) usable cells.
     sd_mps : (cells,) beam noise with all pings good (m/s).
-    cell_m : length of a cell (m).
     """
-    beam, cell = np.nonzero(mask[:, : model.cells])
+    beam, cell = np.nonzero(mask)
+    cell_m = ensemble.settings.cell_m
     m = len(beam)
     u = ensemble.direction[beam]
     each = np.arange(m)
     H = np.zeros((m, model.size))
     H[:, VELOCITY] = -u[:, :2]
     H[:, HEAVE] = -u[:, 2]
-    H[each, BIAS + beam * model.cells + cell] = 1.0
+    H[each, BIAS + beam * model.cells + model.nearest(ensemble.range_m[cell])] = 1.0
     h, last = model.spacing_m, len(model.depth_m) - 2
     depth = ensemble.depth_m + ensemble.below_m[beam, cell]
     for shift, weight in _TRIANGLE:

@@ -1,8 +1,9 @@
 """Localisation of a recorded dive: one track, and a study over many starting points.
 
-The dive runs from the first ensemble, or from the first at or below ``--start-depth-m``, to the end of the file, to a
-change of the instrument settings, or to a gap of more than two minutes. Beam noise is estimated from all its ensembles.
-The starts of the study lie in the first dive of the file, independent of where the track starts.
+The dive runs from the first ensemble, or from the first at or below ``--start-depth-m``, to the end of the file, to
+another instrument, or to a gap of more than two minutes. An instrument may change its cells and pings within a dive.
+Beam noise is estimated from all ensembles of each setup. The starts of the study lie in the first dive of the file,
+independent of where the track starts.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
 from ltv_mpc.localisation.pd0.records import Ensemble, Settings
 from ltv_mpc.localisation.recorded_dive import study
-from ltv_mpc.localisation.recorded_dive.filter import Instrument, Track, run
+from ltv_mpc.localisation.recorded_dive.filter import Track, run
+from ltv_mpc.localisation.recorded_dive.noise import BeamNoise
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.truth import BottomTrackPath, dead_reckon
 from ltv_mpc.localisation.recorded_dive.uniformity import uniformity
@@ -74,11 +76,11 @@ def localise(
     settings = recording.ensembles[first].settings
     seen = [to_beams(e) for e in recording.ensembles]
     dive = seen[first:end]
-    water = uniformity(dive, settings, parameters)
+    water = uniformity(dive, parameters)
     if water is not None and not water.uniform:
         parameters = msgspec.structs.replace(parameters, water_change_mps_per_rtm=water.change_mps_per_rtm)
-    instrument = Instrument.of(dive, settings, parameters)
-    track = run(dive, instrument, parameters, fixes=fixes)
+    noise = BeamNoise(dive, parameters.min_good_share)
+    track = run(dive, noise, parameters, fixes=fixes)
     ground = dead_reckon(dive)
     result = LocalisationResult(
         file=str(path),
@@ -88,7 +90,7 @@ def localise(
         lost_places=recording.lost_places,
         losses=tuple(LostBytes(offset=x.offset, length=x.length, why=x.why) for x in recording.losses),
         surface_fixes=fixes,
-        instrument=_instrument(settings, instrument),
+        instrument=_instrument(settings, noise),
         track=_track(track, dive, recording.ensembles[first].number),
         water=None if water is None else WaterRow(**dataclasses.asdict(water)),
         error=_error(dive, ground, track, fixes),
@@ -106,8 +108,8 @@ def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) ->
         gap = 1e-9 * (ensembles[k].t_ns - ensembles[k - 1].t_ns)
         if gap > longest_gap_s:
             return k, f"the dive ends at ensemble {ensembles[k - 1].number}: a gap of {gap:.0f} s follows"
-        if not ensembles[k].settings.same_setup(ensembles[first].settings):
-            return k, f"the dive ends at ensemble {ensembles[k - 1].number}: the instrument's settings change there"
+        if not ensembles[k].settings.same_instrument(ensembles[first].settings):
+            return k, f"the dive ends at ensemble {ensembles[k - 1].number}: another instrument follows"
     return len(ensembles), ""
 
 
@@ -136,7 +138,7 @@ def _first(ensembles: Sequence[Ensemble], start_depth_m: float | None, source: s
     raise ConfigError("option --start-depth-m", "", problem, value=start_depth_m)
 
 
-def _instrument(settings: Settings, instrument: Instrument) -> InstrumentRow:
+def _instrument(settings: Settings, noise: BeamNoise) -> InstrumentRow:
     return InstrumentRow(
         frequency_kHz=settings.frequency_kHz,
         beam_angle_deg=round(math.degrees(settings.beam_angle_rad), 6),
@@ -147,7 +149,7 @@ def _instrument(settings: Settings, instrument: Instrument) -> InstrumentRow:
         cell_m=settings.cell_m,
         first_cell_m=settings.first_cell_m,
         pings=settings.pings,
-        beam_sd_mps=float(np.median(instrument.beam_sd_mps)),
+        beam_sd_mps=float(np.median(noise.sd_mps(settings))),
     )
 
 
@@ -184,12 +186,12 @@ def _study(
     end, _ = dive_end(ensembles, 0, parameters.longest_gap_s)
     dive = seen[:end]
     ground = dead_reckon(dive)
-    instrument = Instrument.of(dive, ensembles[0].settings, parameters)
+    noise = BeamNoise(dive, parameters.min_good_share)
     rows = []
     starts = study.starts(dive)[:MAX_STARTS]
     for done, start in enumerate(starts):
         progress(done / len(starts))
-        result = study.run_start(dive, ground, instrument, parameters, start=start, offered_fixes=fixes)
+        result = study.run_start(dive, ground, noise, parameters, start=start, offered_fixes=fixes)
         if result is not None:
             rows.append(result)
     if not rows:
@@ -209,6 +211,9 @@ def _study(
 
 def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: str) -> list[str]:
     notes = [why] if why else []
+    setups = len({e.settings.setup for e in dive})
+    if setups > 1:
+        notes.append(f"the instrument changes its cells or pings: {setups} setups; the first is shown")
     if track.fixes == 0:
         notes.append("no fix by bottom track: the initial velocity, and so the track, is unknown")
     if not any(np.isfinite(e.bottom_mps[:2]).all() for e in dive):

@@ -13,7 +13,7 @@ from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
 from ltv_mpc.localisation.pd0.records import Settings
 from ltv_mpc.localisation.recorded_dive import noise, study
-from ltv_mpc.localisation.recorded_dive.filter import Instrument, Track, run
+from ltv_mpc.localisation.recorded_dive.filter import Track, run
 from ltv_mpc.localisation.recorded_dive.model import BIAS, HEAVE, HEAVE_SD_MPS, VELOCITY, Model
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.screening import reach_m, usable
@@ -25,10 +25,18 @@ PARAMETERS = DiveParameters()
 S = 1_000_000_000
 
 
-def seen(made: Dive) -> tuple[list[BeamEnsemble], Settings]:
+def seen(made: Dive) -> list[BeamEnsemble]:
     """Return the ensembles of the file."""
-    ensembles = reader.parse(made.data, source="test").ensembles
-    return [to_beams(e) for e in ensembles], ensembles[0].settings
+    return [to_beams(e) for e in reader.parse(made.data, source="test").ensembles]
+
+
+def noise_of(ensembles: list[BeamEnsemble]) -> noise.BeamNoise:
+    return noise.BeamNoise(ensembles, PARAMETERS.min_good_share)
+
+
+def setting(**changed: object) -> Settings:
+    """Return the settings of the simulated instrument."""
+    return seen(dive(World(), 0, duration=5.0))[0].settings._replace(**changed)
 
 
 def window(made: Dive, start_s: float, after_s: float = 300.0) -> tuple[int, int]:
@@ -40,12 +48,12 @@ def window(made: Dive, start_s: float, after_s: float = 300.0) -> tuple[int, int
 def errors(world: World, seed: int, starts_s: tuple[float, ...]) -> list[tuple[float, float, float]]:
     """Return for each start: error (m), e P^-1 e, error of constant velocity (m), against the simulated truth."""
     made = dive(world, seed)
-    ensembles, settings = seen(made)
-    instrument = Instrument.of(ensembles, settings, PARAMETERS)
+    ensembles = seen(made)
+    beam_noise = noise_of(ensembles)
     found = []
     for start_s in starts_s:
         a, b = window(made, start_s)
-        track = run(ensembles[a : b + 1], instrument, PARAMETERS, fixes=10)
+        track = run(ensembles[a : b + 1], beam_noise, PARAMETERS, fixes=10)
         true = made.position[b] - made.position[a]
         error, P = track.position_m[-1] - true, track.position_covariance[-1]
         held = np.mean([e.bottom_mps[:2] for e in ensembles[a : a + 10]], axis=0) * (made.t[b] - made.t[a])
@@ -187,6 +195,7 @@ def calm_ensemble(rng: np.random.Generator, **more: object) -> BeamEnsemble:
     u /= np.linalg.norm(u, axis=1)[:, None]
     values = {
         "t_ns": 0,
+        "settings": setting(),
         "depth_m": 20.0,
         "direction": u,
         "velocity_mps": np.zeros((4, 5)),
@@ -208,7 +217,7 @@ def test_a_row_is_the_beam_through_water_that_is_linear_in_depth() -> None:
     slope, offset = np.array([0.03, -0.02]), np.array([0.1, 0.4])
     x[model.north], x[model.east] = (offset[a] + slope[a] * model.depth_m for a in range(2))
     mask = rng.random((4, 5)) < 0.7
-    batch = beams(model, ensemble, mask, np.linspace(0.01, 0.02, 5), cell_m=2.0)
+    batch = beams(model, ensemble, mask, np.linspace(0.01, 0.02, 5))
     expected, variance = [], []
     for i in range(4):
         for j in range(5):
@@ -226,17 +235,17 @@ def test_a_row_is_the_beam_through_water_that_is_linear_in_depth() -> None:
 
 def test_a_cell_is_the_mean_over_twice_its_length_not_the_water_at_its_middle() -> None:
     """At a kink c = g |z|: exactly g length / 3 by the triangle's integral, g length / 4 by its three points."""
-    ensemble = calm_ensemble(np.random.default_rng(4), below_m=np.zeros((4, 5)))
+    ensemble = calm_ensemble(np.random.default_rng(4), below_m=np.zeros((4, 5)), settings=setting(cell_m=4.0))
     model = Model.of(PARAMETERS, np.linspace(5, 35, 31), ensemble.range_m)
     x = np.zeros(model.size)
     x[model.north] = 0.1 * np.abs(model.depth_m - 20.0)
-    batch = beams(model, ensemble, np.ones((4, 5), dtype=bool), np.full(5, 0.01), cell_m=4.0)
+    batch = beams(model, ensemble, np.ones((4, 5), dtype=bool), np.full(5, 0.01))
     np.testing.assert_allclose(batch.H @ x, np.repeat(ensemble.direction[:, 0], 5) * 0.1 * 4.0 / 4)
 
 
 def test_noise_is_found_under_bias_and_outliers_and_not_below_the_data_sheet() -> None:
     rng = np.random.default_rng(5)
-    settings = seen(dive(World(), 0, duration=5.0))[1]
+    settings = setting(cells=5)
     sheet = noise.data_sheet_sd(settings)
     assert sheet == pytest.approx(0.0194 / math.sqrt(10))  # 600 kHz and 2 m: as 1200 kHz and 1 m
 
@@ -248,18 +257,17 @@ def test_noise_is_found_under_bias_and_outliers_and_not_below_the_data_sheet() -
             z[:, 3] *= 0.01
             if k > 20:
                 z[1, 4] = np.nan
-            made.append(calm_ensemble(rng, velocity_mps=z, good=np.ones((4, 5))))
+            made.append(calm_ensemble(rng, velocity_mps=z, good=np.ones((4, 5)), settings=settings))
         return made
 
-    settings = settings._replace(cells=5)
-    sd = noise.beam_sd(recorded(1000), settings, 0.5)
+    sd = noise.beam_sd(recorded(1000), 0.5)
     np.testing.assert_allclose(sd[:3], 0.02, rtol=0.2)
     assert sd[3] == sheet  # quieter than it can be
     assert sd[4] == sd[3]  # too few samples: the cell before
-    few = noise.beam_sd(recorded(20), settings, 0.5)
+    few = noise.beam_sd(recorded(20), 0.5)
     np.testing.assert_allclose(few, 0.02, rtol=0.5)  # all cells together
     assert (few == few[0]).all()
-    assert (noise.beam_sd(recorded(2), settings, 0.5) == 2 * sheet).all()
+    assert (noise.beam_sd(recorded(2), 0.5) == 2 * sheet).all()
 
 
 @pytest.mark.parametrize("pitch_deg", [0.0, -26.0, 26.0])
@@ -272,36 +280,35 @@ def test_the_bottoms_side_lobes_are_cut_off_and_little_else(pitch_deg: float) ->
     u = lying @ turned.T
     r = (2.94 + 2.0 * np.arange(40)) / math.cos(a)
     echo = 110 - 1.5 * r + 45 * np.exp(-0.5 * ((r - 20 / u[:, 2:]) / 1.5) ** 2)
-    settings = seen(dive(World(), 0, duration=5.0))[1]._replace(cells=40)
-    ensemble = calm_ensemble(np.random.default_rng(0), direction=u, echo=echo, range_m=r)
+    ensemble = calm_ensemble(np.random.default_rng(0), direction=u, echo=echo, range_m=r, settings=setting(cells=40))
     flattest = u[:, 2].min()
-    reach = reach_m(ensemble, settings)
+    reach = reach_m(ensemble)
     assert 20 * flattest - 8 < reach <= 20 * flattest  # a pulse and the width of the echo are given away
     silent = ensemble._replace(echo=np.tile(110 - 1.5 * r, (4, 1)))
-    assert reach_m(silent, settings) == reach_m(ensemble._replace(echo=None), settings) == math.inf
+    assert reach_m(silent) == reach_m(ensemble._replace(echo=None)) == math.inf
 
 
 def test_the_reach_is_that_of_the_flattest_beam_less_a_cell() -> None:
     """Level, beams at 60 deg of elevation: bottom at 16 m in each is 16 cos 30 below, side lobes reach cos 30 of it."""
-    settings = seen(dive(World(), 0, duration=5.0))[1]._replace(cells=12)
     k = math.cos(math.radians(30))
     u = np.array([[0.5, 0, k], [-0.5, 0, k], [0, 0.5, k], [0, -0.5, k]])
     echo = np.full((4, 12), 60.0)
     echo[:, 8:] = 90.0
-    level = calm_ensemble(np.random.default_rng(0), direction=u, echo=echo, range_m=2.0 * np.arange(12))
-    assert reach_m(level, settings) == pytest.approx(16 * k * k - 2.0)
+    level = calm_ensemble(
+        np.random.default_rng(0), direction=u, echo=echo, range_m=2.0 * np.arange(12), settings=setting(cells=12)
+    )
+    assert reach_m(level) == pytest.approx(16 * k * k - 2.0)
     echo[1, :] = 60.0  # sees no bottom to 22 m
     h = 4 * k / (3 / 16 + 1 / 22)
-    assert reach_m(level, settings) == pytest.approx(h * h / 22 - 2.0)
+    assert reach_m(level) == pytest.approx(h * h / 22 - 2.0)
 
 
 def test_bad_cells_are_left_out() -> None:
-    settings = seen(dive(World(), 0, duration=5.0))[1]
     ensemble = calm_ensemble(np.random.default_rng(0), depth_m=3.0, below_m=np.full((4, 5), 2.0))
     ensemble.velocity_mps[0, 0] = np.nan
     ensemble.good[1, 1] = 0.4
     ensemble.below_m[2, 2] = -3.5  # above the surface
-    left_out = ~usable(ensemble, settings, 0.5)
+    left_out = ~usable(ensemble, 0.5)
     assert sorted(zip(*np.nonzero(left_out), strict=True)) == [(0, 0), (1, 1), (2, 2)]
 
 
@@ -381,20 +388,20 @@ def assert_same(one: Track, other: Track) -> None:
 
 def test_bottom_track_after_the_fixes_is_truth_and_never_reaches_the_filter() -> None:
     made = dive(World(), 1, duration=120.0)
-    ensembles, settings = seen(made)
-    instrument = Instrument.of(ensembles, settings, PARAMETERS)
-    track = run(ensembles, instrument, PARAMETERS, fixes=10)
+    ensembles = seen(made)
+    beam_noise = noise_of(ensembles)
+    track = run(ensembles, beam_noise, PARAMETERS, fixes=10)
     blind = [e if k < 10 else e._replace(bottom_mps=np.full(3, np.nan)) for k, e in enumerate(ensembles)]
-    assert_same(track, run(blind, Instrument.of(blind, settings, PARAMETERS), PARAMETERS, fixes=10))
+    assert_same(track, run(blind, noise_of(blind), PARAMETERS, fixes=10))
     assert track.fixes == 10
     changed = [e if k != 9 else e._replace(bottom_mps=e.bottom_mps + 0.02) for k, e in enumerate(ensembles)]
-    assert (run(changed, instrument, PARAMETERS, fixes=10).position_m[-1] != track.position_m[-1]).any()
+    assert (run(changed, beam_noise, PARAMETERS, fixes=10).position_m[-1] != track.position_m[-1]).any()
 
 
 def test_without_bottom_track_there_is_a_track_that_says_how_little_it_knows() -> None:
     made = dive(World(), 2, duration=60.0)
-    ensembles, settings = seen(made)
-    track = run(ensembles, Instrument.of(ensembles, settings, PARAMETERS), PARAMETERS, fixes=0)
+    ensembles = seen(made)
+    track = run(ensembles, noise_of(ensembles), PARAMETERS, fixes=0)
     assert track.fixes == 0
     assert np.isfinite(track.position_m).all()
     # nothing says how fast the water moves: its prior is the velocity's
@@ -404,8 +411,8 @@ def test_without_bottom_track_there_is_a_track_that_says_how_little_it_knows() -
 
 def test_the_covariance_stays_symmetric_and_definite_and_the_profile_is_the_waters() -> None:
     made = dive(World(water_change=0.0, outliers=0.0), 4)
-    ensembles, settings = seen(made)
-    track = run(ensembles, Instrument.of(ensembles, settings, PARAMETERS), PARAMETERS, fixes=10)
+    ensembles = seen(made)
+    track = run(ensembles, noise_of(ensembles), PARAMETERS, fixes=10)
     P = track.position_covariance
     np.testing.assert_allclose(P, P.transpose(0, 2, 1), rtol=1e-9)
     assert (np.linalg.eigvalsh(P[1:]) > 0).all()
@@ -452,10 +459,10 @@ def test_a_filter_that_believes_its_near_cells_goes_astray_where_they_err() -> N
     found = {name: [] for name in (PARAMETERS, believing)}
     for seed in range(5):
         made = dive(World(near_bias=0.01, towards_zero=0.15), seed)
-        ensembles, settings = seen(made)
+        ensembles = seen(made)
         a, b = window(made, 40.0)
         for parameters, rows in found.items():
-            track = run(ensembles[a : b + 1], Instrument.of(ensembles, settings, parameters), parameters, fixes=10)
+            track = run(ensembles[a : b + 1], noise_of(ensembles), parameters, fixes=10)
             error = track.position_m[-1] - (made.position[b] - made.position[a])
             rows.append((math.hypot(*error), error @ np.linalg.solve(track.position_covariance[-1], error)))
     kept, astray = (np.array(rows) for rows in found.values())
@@ -466,8 +473,8 @@ def test_a_filter_that_believes_its_near_cells_goes_astray_where_they_err() -> N
 
 def test_position_is_the_integral_of_velocity() -> None:
     made = dive(World(outliers=0.0), 6, duration=100.0)
-    ensembles, settings = seen(made)
-    track = run(ensembles, Instrument.of(ensembles, settings, PARAMETERS), PARAMETERS, fixes=1000)
+    ensembles = seen(made)
+    track = run(ensembles, noise_of(ensembles), PARAMETERS, fixes=1000)
     true = made.position - made.position[0]
     np.testing.assert_allclose(track.position_m, true, atol=1.0)
     np.testing.assert_allclose(track.velocity_mps, made.velocity, atol=0.03)

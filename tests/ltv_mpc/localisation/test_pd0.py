@@ -397,10 +397,11 @@ def test_files_that_cannot_be_read_are_refused_by_name(tmp_path: Path) -> None:
         reader.read(path)
 
 
-def test_settings_are_alike_where_only_the_first_cell_has_moved_by_centimetres():
+def test_another_instrument_has_another_head_and_other_cells_are_another_setup():
     leader = parse(written(HEADS[0], still(HEADS[0]))).ensembles[0].settings
     moved = leader._replace(first_cell_m=leader.first_cell_m + 0.04 * leader.cell_m)
-    assert leader.same_setup(moved)
-    assert moved.same_setup(leader)
-    assert not leader.same_setup(leader._replace(first_cell_m=leader.first_cell_m + 0.5 * leader.cell_m))
-    assert not leader.same_setup(moved._replace(pings=leader.pings + 1))
+    assert leader.setup == moved.setup
+    assert leader.setup != leader._replace(pings=leader.pings + 1).setup
+    assert leader.same_instrument(leader._replace(cells=leader.cells + 5, cell_m=0.5, pings=1))
+    assert not leader.same_instrument(leader._replace(frequency_kHz=75))
+    assert not leader.same_instrument(leader._replace(upward=not leader.upward))

@@ -85,12 +85,13 @@ def test_json_has_the_result_alone_and_its_figures_agree_with_one_another(
 
 def test_the_text_says_what_matters_in_lines_that_can_be_read(whole: Outcome) -> None:
     lines = dive_text(whole.result).splitlines()
-    assert [line.split()[0] for line in lines] == ["file", "instrument", "track", "cells", "error", "study"]
+    assert [line.split()[0] for line in lines] == ["file", "instrument", "track", "cells", "water", "error", "study"]
     assert "no byte lost" in lines[0]
     assert "600 kHz, 30 deg beams looking down, earth coordinates, 20 x 2 m, 10 pings" in lines[1]
     assert "sigma" in lines[2]
-    assert "constant velocity" in lines[4]
-    assert "inside 3 sigma" in lines[5]
+    assert "horizontally uniform as assumed" in lines[4]
+    assert "constant velocity" in lines[5]
+    assert "inside 3 sigma" in lines[6]
 
 
 def test_the_folder_holds_result_track_current_and_picture(
@@ -155,16 +156,49 @@ def test_without_bottom_track_there_is_a_track_and_nothing_to_compare_it_with(tm
     assert np.isfinite(outcome.track.position_m).all()
 
 
-def test_a_long_gap_and_a_change_of_settings_end_the_dive(tmp_path: Path) -> None:
+def test_a_long_gap_and_another_instrument_end_the_dive(tmp_path: Path) -> None:
     result = localise(written_to(tmp_path, small(gap_s=500.0))).result
     assert (result.ensembles, result.track.ensembles) == (12, 6)
     assert "a gap of 504 s follows" in result.notes[0]
     assert localise(written_to(tmp_path, small(gap_s=100.0))).result.track.ensembles == 12
-    head = Head(cells=5, coordinates=BEAM)
+    head = Head(frequency_kHz=300, cells=5, coordinates=BEAM)
     other = written(head, Written(t_s=100.0, beams_mps=np.zeros((5, 4)), bottom_beams_mps=np.zeros(4)))
     result = localise(written_to(tmp_path, small() + other)).result
     assert (result.ensembles, result.track.ensembles) == (13, 12)
-    assert "settings change" in result.notes[0]
+    assert "another instrument follows" in result.notes[0]
+
+
+def test_an_instrument_that_changes_its_cells_is_followed(tmp_path: Path) -> None:
+    path = tmp_path / "adapted.PD0"
+    path.write_bytes(dive(World(), 5, duration=420.0).data)
+    same = localise(path)
+    path.write_bytes(dive(World(adapts=True), 5, duration=420.0).data)
+    outcome = localise(path)
+    result = outcome.result
+    assert result.track.ensembles == same.result.track.ensembles
+    assert any("2 setups" in note for note in result.notes)
+    assert result.error is not None
+    assert result.error.inside_3_sigma
+    assert result.error.error_m < result.error.constant_velocity_error_m
+    assert result.track.cells_used > 1.3 * same.result.track.cells_used
+    assert result.track.nis == pytest.approx(same.result.track.nis, rel=0.5)
+
+
+@pytest.mark.parametrize("amplitude_mps", [0.0, 0.3])
+def test_water_that_is_not_uniform_is_said_and_widens_sigma(amplitude_mps: float, tmp_path: Path) -> None:
+    """Runs over the waves of a river's current: without the widening its error is 16 sigma."""
+    path = tmp_path / "river.PD0"
+    boat = World(speed=1.0, fall=0.0, bottom_m=20.0, river=amplitude_mps)
+    for seed in (10, 12, 13):
+        made = dive(boat, seed)
+        path.write_bytes(made.data)
+        outcome = localise(path)
+        water, track = outcome.result.water, outcome.track
+        assert water is not None
+        assert water.uniform is (amplitude_mps == 0.0)
+        assert ("NOT horizontally uniform" in dive_text(outcome.result)) is not water.uniform
+        error = track.position_m[-1] - (made.position[-1] - made.position[0])
+        assert error @ np.linalg.solve(track.position_covariance[-1], error) <= 9.0
 
 
 def test_damage_is_said_with_its_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
