@@ -274,6 +274,7 @@ class Controller:
             override=override,
             health=health if own is NOMINAL else worst(own, health),
             follower=self._follower,
+            starts=own is NOMINAL,
             lateral=self.config.lateral,
         )
 

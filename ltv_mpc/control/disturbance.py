@@ -73,12 +73,16 @@ class CurrentBias:
         return self._belief[1]
 
     def covariance_of_mean(self, seconds: float) -> Array:
-        """Return the covariance (2, 2) of the mean of the bias from its last update on (m^2/s^2).
+        """Return the covariance (2, 2) of the mean of the bias from the last estimate on (m^2/s^2).
+
+        It is zero if the profile of that estimate is used as it is.
 
         Parameters
         ----------
         seconds : length of the mean (s).
         """
+        if self._last is None:
+            return np.zeros((2, 2))
         return self.covariance + self._noise[0] ** 2 * seconds / 3.0 * np.eye(2)
 
     def correct(self, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> Estimate:
@@ -98,8 +102,12 @@ class CurrentBias:
             self._last = None
             return estimate
         last, self._last = self._last, estimate
-        if last is not None and 0 < estimate.t_ns - last.t_ns <= MAX_INTERVAL_NS:
+        interval_ns = 0 if last is None else estimate.t_ns - last.t_ns
+        if last is not None and 0 < interval_ns <= MAX_INTERVAL_NS:
             self._update(last, estimate, prediction, commands)
+        elif interval_ns > 0:
+            walk, _, prior_variance = self._noise
+            self._belief = self.bias_mps, _propagate(self.covariance, interval_ns, walk, prior_variance)
         return _with_bias(estimate, self.bias_mps)
 
     def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> None:

@@ -136,6 +136,7 @@ def decide(
     override: ThrustOverride | None,
     health: HealthState,
     follower: Follower,
+    starts: bool,
     lateral: bool,
 ) -> Decision:
     """Decide the mode of one cycle.
@@ -147,6 +148,7 @@ def decide(
     override : thrusts commanded by a source other than the controller, if any.
     health : the worst of all inputs.
     follower : begins its reference here if the mode allows it.
+    starts : False if no reference starts now, because the estimates are late.
     lateral : False if the lateral thrusters stay at zero.
 
     Returns
@@ -163,7 +165,7 @@ def decide(
         mode, why = Mode.FAILSAFE, health.why
     elif health.health is Health.HOLD:
         mode, why, stops = Mode.HOLD, health.why, lateral and follower.target_m is not None
-    elif not follower.begin(estimate):
+    elif follower.target_m is None and not (starts and follower.begin(estimate)):
         mode, why = Mode.WAIT, NOT_STARTED
     elif not lateral:
         mode, why = Mode.DEPTH_ONLY, LATERAL_OFF

@@ -170,7 +170,7 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
         t_ns, fails = start_ns + k * config.period_ns, k == 4
         messages = (msgspec.structs.replace(estimate, t_ns=t_ns), *others.get(k, ()))
         node.steps([(t_ns, [ReceivedMessage(message, 1, k, t_ns) for message in messages])])
-    for missed_s in (2.0, 20.0):  # hold, then failsafe
+    for missed_s in (2.0, 12.0, 30.0):  # prediction, hold, failsafe
         node.steps([(t_ns + round(missed_s * 1e9), [])])
     SentCommands(vehicle).correct(0, (0.0, 0.0, 0.0))  # these cycles have no report of the actuators
     thrust_loss_detector.warm_up()

@@ -118,6 +118,17 @@ def test_over_a_long_interval_the_bias_is_not_updated():
     np.testing.assert_array_equal(bias.bias_mps, 0.0)
 
 
+def test_over_a_long_interval_the_bias_becomes_less_certain():
+    """By hand: a random walk of 0.01 m/s per sqrt(s) over 9 s."""
+    bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
+    estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
+    for i in range(50):
+        bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
+    before = bias.covariance
+    bias.correct(msgspec.structs.replace(estimate, t_ns=49 * 300_000_000 + 9_000_000_000), vehicle, commands)
+    np.testing.assert_allclose(bias.covariance - before, 9e-4 * np.eye(2), rtol=1e-6, atol=1e-12)
+
+
 def test_a_nan_velocity_is_ignored_and_the_bias_is_bounded():
     bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
     first = Estimate.at_rest()

@@ -123,6 +123,16 @@ def test_in_hold_the_depth_at_which_it_began_is_kept():
     assert last.depth_m == pytest.approx(began_m, abs=0.3)
 
 
+def test_a_reference_starts_at_an_estimate_that_is_not_late():
+    """Where the vehicle was nine seconds ago is no place to hold."""
+    controller, estimate = flown()
+    controller.follow(references.Hold(depth_m=10.0))
+    waiting = controller.plan(estimate, t_ns=estimate.t_ns + 9 * S)
+    assert (waiting.origin, waiting.why, waiting.reference_m) == (ZERO, "the reference has not started yet", None)
+    back = msgspec.structs.replace(estimate, t_ns=estimate.t_ns + 10 * S, north_m=3.0)
+    assert controller.plan(back).reference_m == (3.0, estimate.east_m)
+
+
 # --- the inputs of the caller ----------------------------------------------------------------------------------------
 
 LEAK = HealthState(Health.FAILSAFE, "leak")

@@ -29,6 +29,13 @@ SD = np.array([0.4, 0.2, 0.02, 0.03, 0.05, 0.01])
 CORRELATED = np.diag(SD) @ (np.eye(6) + 0.4 * (np.eye(6, k=2) + np.eye(6, k=-2))) @ np.diag(SD)
 
 
+def learning(walk_mps_per_rts: float = 0.01) -> CurrentBias:
+    """Return the bias after one estimate without a current."""
+    bias = CurrentBias(Disturbance(walk_mps_per_rts=walk_mps_per_rts))
+    bias.correct(Estimate.at_rest(), Prediction(PAPER), SentCommands(PAPER))
+    return bias
+
+
 def sent(port: float = 1.0, starboard: float = 1.0) -> SentCommands:
     """Return commands of 8 s, each thruster's scaled."""
     commands = SentCommands(PAPER)
@@ -73,7 +80,7 @@ def drawn(t_ns: int, covariance: np.ndarray | None, bias: CurrentBias | None) ->
 @pytest.mark.parametrize("seconds", [2, 6])
 @pytest.mark.parametrize(
     ("covariance", "bias"),
-    [(None, None), (CORRELATED, None), (None, CurrentBias(Disturbance())), (CORRELATED, CurrentBias(Disturbance()))],
+    [(None, None), (CORRELATED, None), (None, learning()), (CORRELATED, learning())],
 )
 def test_the_growth_is_that_of_draws(covariance, bias, seconds):
     estimate = msgspec.structs.replace(MOVING, covariance=covariance)
@@ -85,11 +92,18 @@ def test_the_growth_is_that_of_draws(covariance, bias, seconds):
 @pytest.mark.parametrize("covariance", [None, CORRELATED])
 def test_at_the_time_of_the_estimate_nothing_has_grown(covariance):
     estimate = msgspec.structs.replace(MOVING, covariance=covariance)
-    assert growth_m(Prediction(PAPER), estimate, 0, sent(), CurrentBias(Disturbance())) == pytest.approx(0, abs=1e-9)
+    assert growth_m(Prediction(PAPER), estimate, 0, sent(), learning()) == pytest.approx(0, abs=1e-9)
 
 
 def test_a_random_walk_of_the_current_adds_up():
     """By hand: the position of a drifting vehicle has the variance q^2 t^3 / 3 from a walk of q."""
-    bias = CurrentBias(Disturbance(walk_mps_per_rts=0.02))
+    bias = learning(0.02)
     added = bias.covariance_of_mean(9.0) - bias.covariance
     np.testing.assert_allclose(added * 9.0**2, 0.02**2 * 9.0**3 / 3.0 * np.eye(2))
+
+
+def test_a_bias_that_is_not_used_adds_nothing():
+    """An estimate with a profile of its own follows one without."""
+    bias = learning()
+    bias.correct(MOVING, Prediction(PAPER), SentCommands(PAPER))
+    assert not bias.covariance_of_mean(5.0).any()

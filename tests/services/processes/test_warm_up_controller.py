@@ -54,7 +54,7 @@ for k in range(60):
 blind = msgspec.structs.replace(estimate, depth_m=None, velocity_down_mps=None, current=None)
 controller.plan(blind)
 controller.plan(msgspec.structs.replace(estimate, heading_rad=float("nan")))
-for age_s in (2, 9):
+for age_s in (2, 12, 25):
     origins.add(controller.plan(estimate, t_ns=estimate.t_ns + age_s * 10**9).origin)
 controller.plan(estimate)
 fails = True
