@@ -273,8 +273,8 @@ class Controller:
             now_ns,
             override=override,
             health=health if own is NOMINAL else worst(own, health),
+            late=own is not NOMINAL,
             follower=self._follower,
-            starts=own is NOMINAL,
             lateral=self.config.lateral,
         )
 

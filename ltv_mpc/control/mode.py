@@ -37,6 +37,10 @@ NOT_STARTED = "the reference has not started yet"
 LATERAL_OFF = "lateral control is off"
 
 
+MAX_START_AGE_NS = 1_500_000_000
+"""Age of a late estimate up to which a reference starts at it: "here" is not where the vehicle was long ago."""
+
+
 class Mode(enum.Enum):
     """Mode of one control cycle; the conditions are in the table at the head of this file."""
 
@@ -135,8 +139,8 @@ def decide(
     *,
     override: ThrustOverride | None,
     health: HealthState,
+    late: bool,
     follower: Follower,
-    starts: bool,
     lateral: bool,
 ) -> Decision:
     """Decide the mode of one cycle.
@@ -147,8 +151,8 @@ def decide(
     now_ns : start of the cycle, vehicle time (ns).
     override : thrusts commanded by a source other than the controller, if any.
     health : the worst of all inputs.
+    late : True if the estimate is older than those of a nominal publisher.
     follower : begins its reference here if the mode allows it.
-    starts : False if no reference starts now, because the estimates are late.
     lateral : False if the lateral thrusters stay at zero.
 
     Returns
@@ -165,7 +169,9 @@ def decide(
         mode, why = Mode.FAILSAFE, health.why
     elif health.health is Health.HOLD:
         mode, why, stops = Mode.HOLD, health.why, lateral and follower.target_m is not None
-    elif follower.target_m is None and not (starts and follower.begin(estimate)):
+    elif follower.target_m is None and (
+        (late and now_ns - stamp_ns > MAX_START_AGE_NS) or not follower.begin(estimate)
+    ):
         mode, why = Mode.WAIT, NOT_STARTED
     elif not lateral:
         mode, why = Mode.DEPTH_ONLY, LATERAL_OFF

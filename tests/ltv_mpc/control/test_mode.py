@@ -123,7 +123,7 @@ def test_in_hold_the_depth_at_which_it_began_is_kept():
     assert last.depth_m == pytest.approx(began_m, abs=0.3)
 
 
-def test_a_reference_starts_at_an_estimate_that_is_not_late():
+def test_no_reference_starts_at_an_estimate_of_long_ago():
     """Where the vehicle was nine seconds ago is no place to hold."""
     controller, estimate = flown()
     controller.follow(references.Hold(depth_m=10.0))
