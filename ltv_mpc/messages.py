@@ -628,6 +628,7 @@ class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
         Duration | None, Meta(description="bound of the clock error; null: one-way, where it is unknown")
     ]
     clock_steps: Annotated[Count, Meta(description="steps of the publishers' clocks so far")] = 0
+    checkpoints_failed: Annotated[Count, Meta(description="checkpoints that could not be written so far")] = 0
     authority: Annotated[Authority, Meta(description="source of the thrust commands")]
     health: Annotated[Health, Meta(description="timeliness of the inputs of the controller")]
     health_why: HealthReason = ""
@@ -650,12 +651,21 @@ class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     velocity_mps: Annotated[tuple[Speed, Speed], Meta(description="over ground: north, east")]
 
 
+class CurrentBiasState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Estimate of the current's bias, with its covariance."""
+
+    bias_mps: Annotated[tuple[WaterSpeed, WaterSpeed], Meta(description="north, east")]
+    covariance: Annotated[
+        tuple[SpeedVariance, SpeedVariance, SpeedVariance], Meta(description="north-north, north-east, east-east")
+    ]
+
+
 class ControllerState(Message, frozen=True, kw_only=True, eq=False):
-    """State of a controller between two cycles: authority, reference, last plan, learned delays and model products.
+    """State of a controller between two cycles: authority, reference, last plan, and what it has learned.
 
     The controller publishes it every 5 s and at each change of authority or reference. A controller that replaces a
-    dead one receives the newest state as its first message; the supervisor has replaced ``plan`` by the plan that is
-    in force at that time.
+    dead one receives the newest state as its first message. It comes from the supervisor, which has replaced ``plan``
+    by the plan that is in force at that time, or from the checkpoint of --state.
     """
 
     t_ns: PublicationTime
@@ -667,6 +677,9 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
     reference_start: Annotated[
         ReferenceStart | None, Meta(description="start of the reference; null before it is in force")
     ] = None
+    arm_continues: Annotated[
+        bool, Meta(description="the next arm continues the reference: a restart, and no operator, has disarmed")
+    ] = False
     schedule_t_ns: Annotated[
         Time, Meta(description="time at which schedule_s was valid: first knot of the last plan")
     ] = 0
@@ -682,6 +695,9 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
         Durations, Meta(description="of the last plans: from the start of the cycle to arrival at the actuators")
     ] = ()
     cycle_times_ns: Annotated[Durations, Meta(description="of the last cycles: computing time alone")] = ()
+    current_bias: Annotated[
+        CurrentBiasState | None, Meta(description="learned bias of the current; null: none is estimated")
+    ] = None
     model_products: Annotated[
         ModelProductMatrix | None,
         Meta(description="4 x 4 sums of products of missing impulse, port impulse, starboard impulse and drag"),

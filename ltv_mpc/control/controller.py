@@ -57,6 +57,9 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 STAGE_S = STAGE_NS * 1e-9
 
+SAVE_PERIOD_NS = 5_000_000_000
+"""Longest time between two published states."""
+
 
 class Controller:
     """Model predictive controller of one vehicle along one reference."""
@@ -230,6 +233,7 @@ class Controller:
             schedule_rate=follower.rate,
             progress=self._follower.progress.share,
             depth_integral_N=self._vertical.integral_N,
+            current_bias=None if self._bias is None else self._bias.save(),
             plan_delays_ns=plan_delays_ns,
             cycle_times_ns=cycle_times_ns,
             plan=self._lateral.previous.plan,
@@ -250,8 +254,10 @@ class Controller:
             self._lateral.previous.restore(state.plan)
         self._delay.restore(first_ns, state.plan_delays_ns, state.cycle_times_ns)
         self._vertical.integral_N = state.depth_integral_N
+        if self._bias is not None and state.current_bias is not None:
+            self._bias.restore(state.current_bias, t_ns - state.t_ns)
         followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
-        self._follower.restore(followed, t_ns)
+        self._follower.restore(followed, t_ns, moved_until_ns=_end_of_motion_ns(state))
 
     # --- parts of a cycle ---
 
@@ -398,6 +404,17 @@ class Controller:
 
 def _authority(override: ThrustOverride | None) -> Authority:
     return Authority.CONTROLLER if override is None else override.authority
+
+
+def _end_of_motion_ns(state: ControllerState) -> int:
+    """Return until when (ns) the vehicle has followed the reference at most: to the end of the last plan.
+
+    The plan in the state may be older than that one, by the period of the states.
+    """
+    plan = state.plan
+    if plan is None or plan.authority is not Authority.CONTROLLER:
+        return state.schedule_t_ns
+    return int(plan.t_ns[-1]) + SAVE_PERIOD_NS
 
 
 def _first_delay_ns(config: ControllerConfig) -> int:

@@ -26,7 +26,7 @@ from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.prediction import Measured, Prediction, Profile, current_at_depth, predict_state
 from ltv_mpc.control.sent_commands import Commands, SentCommands
 from ltv_mpc.jit import jit
-from ltv_mpc.messages import Array, CurrentProfile, Estimate
+from ltv_mpc.messages import Array, CurrentBiasState, CurrentProfile, Estimate
 
 STEP_MPS = 0.005
 """Step of the finite difference dh/db (m/s)."""
@@ -109,6 +109,24 @@ class CurrentBias:
             walk, _, prior_variance = self._noise
             self._belief = self.bias_mps, _propagate(self.covariance, interval_ns, walk, prior_variance)
         return _with_bias(estimate, self.bias_mps)
+
+    def save(self) -> CurrentBiasState:
+        """Return the belief, from which another filter continues."""
+        (north, east), P = self.bias_mps.tolist(), self.covariance
+        return CurrentBiasState(bias_mps=(north, east), covariance=(P[0, 0], P[0, 1], P[1, 1]))
+
+    def restore(self, state: CurrentBiasState, age_ns: int) -> None:
+        """Continue from the belief of another filter.
+
+        Parameters
+        ----------
+        state : saved belief.
+        age_ns : time since it was saved (ns): the bias has walked since.
+        """
+        north, cross, east = state.covariance
+        growth = self._noise[0] ** 2 * max(age_ns, 0) * 1e-9  # the next update bounds it by the prior
+        P = np.array([[north, cross], [cross, east]]) + growth * np.eye(2)
+        self._belief = np.clip(np.array(state.bias_mps), -self._max_mps, self._max_mps), P
 
     def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> None:
         """Update the bias with the change of velocity between two estimates; nothing if it would not be finite."""

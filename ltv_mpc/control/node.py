@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import msgspec
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.controller import SAVE_PERIOD_NS, Controller
 from ltv_mpc.control.operator_commands import OperatorCommands
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.messages import (
@@ -42,9 +42,6 @@ CLOCK_DOUBT_NS = 10_000_000_000
 """Time for which the health is degraded after a clock step that may also be a congested link."""
 
 UNCERTAIN_CLOCK = "a publisher's clock was set back, or its link is congested"
-
-SAVE_PERIOD_NS = 5_000_000_000
-"""Longest time between two published states."""
 
 
 class ControllerNode:
@@ -116,10 +113,11 @@ class ControllerNode:
                     self._restore(state, t_ns)
                 case _:
                     self.receive(received)
-        # The plan comes first: a command that is acknowledged is in force.
+        # The plan and the state come first: a command that is acknowledged is in force, and saved.
         plans = [] if self._estimate is None else [self.cycle(self._estimate, t_ns)]
-        reports = (self._due_state(t_ns), self._check_model())
-        return [*plans, *acknowledged, *(report for report in reports if report is not None)]
+        due_state, check = self._due_state(t_ns), self._check_model()
+        states, checks = ([] if report is None else [report] for report in (due_state, check))
+        return [*plans, *states, *acknowledged, *checks]
 
     def receive(self, received: ReceivedMessage) -> None:
         """Take in a message about the vehicle's motion or the time of a cycle.
@@ -212,6 +210,7 @@ class ControllerNode:
         self.arbiter.authority = state.authority
         if state.reference_toml and state.reference_toml != self._commands.reference_toml:
             self._commands.follow(state.reference_toml)
+        self._commands.arm_continues = state.arm_continues
         if state.model_products is not None:
             self._model_monitor.restore(state.model_products)
         self.controller.restore(state, t_ns)
@@ -224,6 +223,7 @@ class ControllerNode:
         if before is not None and (
             0 <= t_ns - before.t_ns < SAVE_PERIOD_NS
             and before.authority is self.arbiter.authority
+            and before.arm_continues is self._commands.arm_continues
             and before.reference_toml is toml
             and (before.reference_start is None) == (self.controller.follower.target_m is None)
         ):
@@ -232,6 +232,7 @@ class ControllerNode:
             self.controller.save(t_ns),
             authority=self.arbiter.authority,
             reference_toml=toml,
+            arm_continues=self._commands.arm_continues,
             model_products=self._model_monitor.products,
             estimate=self._estimate,
         )

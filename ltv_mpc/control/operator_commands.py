@@ -34,6 +34,8 @@ class OperatorCommands:
         self._reference = reference
         self.reference_toml = reference_toml(reference)
         """Reference that is followed, as a reference file holds it; empty if it is longer than MAX_TOML_CHARS."""
+        self.arm_continues = False
+        """The next arm continues the reference, because a restart and no operator has disarmed."""
 
     def acknowledge(self, command: Command, estimate: Estimate | None, t_ns: int) -> Acknowledgement:
         """Execute a command.
@@ -86,9 +88,12 @@ class OperatorCommands:
             return self._hold(estimate)
         before = self._arbiter.authority
         result = self._arbiter.request(command.action)
-        if command.action is Action.ARM and before is not Authority.CONTROLLER and not result.why:
+        if result.why:
+            return result
+        if command.action is Action.ARM and before is not Authority.CONTROLLER and not self.arm_continues:
             # A reference that begins "here" begins where the vehicle is armed, not where it was put into the water.
             self._controller.follow(self._reference)
+        self.arm_continues = False
         return result
 
     def _hold(self, estimate: Estimate | None) -> CommandResult:
@@ -106,6 +111,7 @@ class OperatorCommands:
 
     def _set_reference(self, reference: Reference, toml: str) -> None:
         self._reference, self.reference_toml = reference, toml
+        self.arm_continues = False
         self._controller.follow(reference)
 
 

@@ -134,21 +134,22 @@ class Follower:
         """Return the state that another follower of the same reference continues from."""
         return FollowerState(self._start, self._t_ns, self._tau_s, self._rate)
 
-    def restore(self, state: FollowerState, now_ns: int) -> None:
+    def restore(self, state: FollowerState, now_ns: int, *, moved_until_ns: int) -> None:
         """Continue from the state of another follower of this reference.
 
-        The target has moved at its rate since then, because the vehicle has followed the last plan.
+        The target has moved at its rate as long as the vehicle has followed the last plan, and has waited since.
 
         Parameters
         ----------
         state : saved state.
         now_ns : current time (ns).
+        moved_until_ns : time (ns) until which the vehicle has followed the last plan, if that is before ``now_ns``.
         """
         if state.reference_start is None:
             return
         self._start_at(state.reference_start)
         self._rate = min(max(state.rate, 0.0), 1.0)
-        way_s = self._rate * max(now_ns - state.t_ns, 0) * 1e-9
+        way_s = self._rate * max(min(now_ns, moved_until_ns) - state.t_ns, 0) * 1e-9
         self._t_ns = max(now_ns, state.t_ns)
         if self._track is not None:
             self._tau_s = min(max(state.tau_s + way_s, 0.0), self._track.duration_s)

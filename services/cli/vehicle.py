@@ -63,6 +63,17 @@ FailedQps: TypeAlias = Annotated[
     Path | None,
     typer.Option("--failed-qps", metavar="DIR", help="Store QPs that were not solved here, for `ltv-mpc qp show`."),
 ]
+State: TypeAlias = Annotated[
+    Path | None,
+    typer.Option("--state", metavar="DIR", help="Keep a checkpoint here, and continue from it after a restart."),
+]
+ResumeArmed: TypeAlias = Annotated[
+    bool, typer.Option("--resume-armed", help="Continue armed after a restart. Without it: disarmed.")
+]
+ResumeWithin: TypeAlias = Annotated[
+    float,
+    typer.Option("--resume-within-s", metavar="S", help="Largest age of a checkpoint that arms (s).", min=0, max=3600),
+]
 
 
 @with_bus("controller")
@@ -77,6 +88,9 @@ def controller(
     input_delay_s: InputDelay = 0.0,
     failed_qps: FailedQps = None,
     log_json: LogJson = False,
+    state: State = None,
+    resume_armed: ResumeArmed = False,
+    resume_within_s: ResumeWithin = 60.0,
     *,
     bus: BusOptions,
 ) -> int:
@@ -90,8 +104,11 @@ def controller(
     from ltv_mpc import references
     from ltv_mpc.control.config import ControllerConfig, validate
     from ltv_mpc.control.horizon_selection import proposed_horizon_s
+    from ltv_mpc.errors import ConfigError
     from ltv_mpc.vehicle.parameters import Vehicle
 
+    if resume_armed and state is None:
+        raise ConfigError("option --resume-armed", "", "needs --state DIR, the folder of the checkpoint")
     parameters = Vehicle.load(vehicle)
     references.load(reference)
     control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
@@ -115,5 +132,7 @@ def controller(
             metrics_port=metrics,
             failed_qps=failed_qps,
             log_json=log_json,
+            state=state,
+            resume_within_s=resume_within_s if resume_armed else None,
         )
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc import references
+from ltv_mpc.config import to_toml
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.node import ControllerNode
@@ -39,6 +41,7 @@ from ltv_mpc.safety import thrust_loss_detector
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.options import BusOptions
 from services.bus.topics import BY_TYPE, Topic
+from services.processes.checkpoint import Checkpoint
 from services.processes.failed_qps import FailedQps
 from services.runtime import metrics as prometheus
 from services.runtime.console import Console
@@ -47,6 +50,7 @@ from services.runtime.controller_status import ControllerStatusReporter, StatusS
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
+from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.status_line import text as status_text
 from services.runtime.stopping import FAILED, Say, StopRequest
@@ -64,6 +68,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     metrics_port: int | None = None  # port on loopback of the Prometheus metrics
     failed_qps: Path | None = None  # folder for QPs that were not solved
     log_json: bool = False  # lines on stderr as JSON objects
+    state: Path | None = None  # folder of the checkpoint
+    resume_within_s: float | None = None  # largest age of a checkpoint that arms the vehicle; None: none does
 
 
 def main(config: Config) -> int:
@@ -71,6 +77,7 @@ def main(config: Config) -> int:
     vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
     settings, bus = config.settings, config.bus
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
+    SERVICE_MANAGER.connect(os.environ)
     with contextlib.ExitStack() as stack:
         if config.metrics_port is not None:
             try:
@@ -78,7 +85,14 @@ def main(config: Config) -> int:
             except OSError as error:
                 console.say(f"--metrics {config.metrics_port}: {error.strerror}")
                 return FAILED
+        checkpoint = None
+        if config.state is not None:
+            within_s = config.resume_within_s
+            checkpoint = Checkpoint(config.state, to_toml(reference), resume_within_s=within_s, console=console)
+            stack.callback(checkpoint.close)
+        SERVICE_MANAGER.status("compiling")
         warm_up(vehicle, reference, settings)
+        SERVICE_MANAGER.status("waiting for the router")
         node_stages = StageTimer()
         recorder = FailureRecorder()
         make_solver = make if config.failed_qps is None else recorder
@@ -86,10 +100,17 @@ def main(config: Config) -> int:
         estimates_on = key_in(bus, BY_TYPE[Estimate])
         stack.callback(console.close)
 
+        def show(status: ControllerStatus, _now_us: int) -> None:
+            line = status_text(status, estimates_on)
+            console.show(line)
+            SERVICE_MANAGER.status(line)
+
         def make_runner(request: StopRequest, say: Say) -> Runner:
             for text in (*announcement(bus, settings), *reference.notes(vehicle)):
                 say(text)
-            shown: list[StatusSink] = [lambda status, _: console.show(status_text(status, estimates_on)), metrics.show]
+            shown: list[StatusSink] = [show, metrics.show]
+            if checkpoint is not None:
+                shown.append(checkpoint.show)
             if config.failed_qps is not None:
                 shown.append(FailedQps(recorder, config.failed_qps, say).show)
             return Runner(
@@ -99,10 +120,10 @@ def main(config: Config) -> int:
                 clock=ClockOptions(sync_to_inputs=True, input_delay_ns=round(config.input_delay_s * 1e9)),
                 compute_delay_ns=round(config.compute_delay_s * 1e9),
                 stages=node_stages,
-                report=ControllerStatusReporter(node, shown, ControllerChanges(console.tell)),
+                report=ControllerStatusReporter(node, shown, ControllerChanges(console.tell), checkpoint),
             )
 
-        return serve(console, bus, make_runner)
+        return serve(console, bus, make_runner, checkpoint)
 
 
 INTERNAL_TYPES = (ControllerState,)

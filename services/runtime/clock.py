@@ -23,6 +23,8 @@ LEAD_US = 50_000
 """Lead time of an announced change: many times the transit time of a message through a router."""
 
 BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")
+NO_BOOT_ID = "unknown"
+"""Boot id of a host that does not tell it."""
 MAX_SPEED_DENOMINATOR = 1_000_000
 MAX_SEGMENTS = 100
 """Announced segments that are kept. With a lead time of 50 ms only a few are in the future."""
@@ -45,7 +47,7 @@ def boot_id() -> str:
     try:
         return BOOT_ID_FILE.read_text().strip()
     except OSError:
-        return "unknown"
+        return NO_BOOT_ID
 
 
 def fraction_of(speed: float) -> Fraction:

@@ -12,6 +12,7 @@ from ltv_mpc.safety.health import HealthState
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
 from services.runtime.controller_changes import ControllerChanges
+from services.runtime.saved_state import SavedState
 
 PERIOD_US = 1_000_000
 """Time between two statuses (us)."""
@@ -28,9 +29,14 @@ class ControllerStatusReporter:
     writes: tuple[type[Message], ...] = (ControllerStatus,)
 
     def __init__(
-        self, node: ControllerNode, sinks: Sequence[StatusSink] = (), changes: ControllerChanges | None = None
+        self,
+        node: ControllerNode,
+        sinks: Sequence[StatusSink] = (),
+        changes: ControllerChanges | None = None,
+        saved: SavedState | None = None,
     ) -> None:
         self._node = node
+        self._saved = saved
         self._changes = changes
         self._sinks = sinks
         self._plan: Plan | None = None
@@ -89,6 +95,7 @@ class ControllerStatusReporter:
             clock=clock.mode,
             clock_error_ns=clock.error_ns,
             clock_steps=self._clock_steps,
+            checkpoints_failed=0 if self._saved is None else self._saved.failures,
             authority=node.arbiter.authority,
             health=health.health,
             health_why=health.why,

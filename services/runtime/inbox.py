@@ -13,12 +13,12 @@ class PendingInbox:
     def __init__(self) -> None:
         self._pairs: list[tuple[ReceivedMessage, InboxEntry]] = []
 
-    def add(self, signal: Message, entry: InboxEntry) -> None:
-        """Append a message, its times being vehicle time."""
+    def add(self, signal: Message, entry: InboxEntry, *, first: bool = False) -> None:
+        """Append a message, its times being vehicle time; ``first`` puts it before all others."""
         if BY_TYPE[type(signal)].delivery is LATEST:
             self._pairs = [pair for pair in self._pairs if pair[1].key != entry.key]
         arrival = ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns)
-        self._pairs.append((arrival, entry))
+        self._pairs.insert(0 if first else len(self._pairs), (arrival, entry))
 
     def take(self) -> tuple[list[ReceivedMessage], tuple[InboxEntry, ...]]:
         """Return and remove all messages, with their entries for the step's record."""

@@ -96,6 +96,7 @@ def _metrics(s: ControllerStatus) -> Iterator[Metric]:
     clock_error_s = _seconds(s.clock_error_ns)
     yield GaugeMetricFamily("ltv_mpc_clock_error_seconds", "Bound of the clock error.", clock_error_s)
     yield CounterMetricFamily("ltv_mpc_clock_steps", "Steps of the publishers' clocks.", s.clock_steps)
+    yield CounterMetricFamily("ltv_mpc_checkpoints_failed", "Checkpoints not written.", s.checkpoints_failed)
     yield GaugeMetricFamily("ltv_mpc_tracking_error_metres", "Distance from the estimate to the reference.", s.error_m)
     yield GaugeMetricFamily("ltv_mpc_progress_ratio", "Completed share of the reference.", s.progress)
     yield _one_of("authority", "Source of the thruster commands.", s.authority, Authority)

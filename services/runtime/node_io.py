@@ -6,8 +6,13 @@ from ltv_mpc.messages import InboxEntry, Message, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus.outbox import Outbox, SentFrame
 from services.bus.time_shift import shifted
+from services.bus.topics import STATES
 from services.bus.wire import Header, crc
+from services.runtime.clock import monotonic_us
 from services.runtime.inbox import PendingInbox
+from services.runtime.saved_state import SavedState
+
+STATE_TYPES = tuple(STATES.values())
 
 
 class NodeIO:
@@ -18,17 +23,28 @@ class NodeIO:
     publish one by one; the step loop also flushes them with each node status, within half a second.
     """
 
-    def __init__(self, node: str, outbox: Outbox) -> None:
+    def __init__(self, node: str, outbox: Outbox, saved: SavedState | None = None) -> None:
+        """Begin with an empty inbox; ``saved`` keeps the node's states and may have one that it continues from."""
         self._node = node
         self._outbox = outbox
+        self._saved = saved
         self._inbox = PendingInbox()
         self._records: list[StepRecord] = []
         self.shift_ns = 0
         """Published time minus vehicle time. The step loop sets it between two steps."""
 
     def publish(self, message: Message) -> SentFrame:
-        """Publish a message of the node or of its process."""
-        return self._outbox.publish(shifted(message, self.shift_ns))
+        """Publish a message of the node or of its process; a state is kept first."""
+        published = shifted(message, self.shift_ns)
+        if self._saved is not None and isinstance(published, STATE_TYPES):
+            self._saved.keep(published, monotonic_us())
+        return self._outbox.publish(published)
+
+    def restore_state(self, t_ns: int, now_us: int, *, own_clock: bool) -> None:
+        """Put the state that the node continues from, if there is one, at the head of its first inbox."""
+        state = None if self._saved is None else self._saved.restored(t_ns, now_us, own_clock=own_clock)
+        if state is not None:
+            self.publish_to_self(state, t_ns, first=True)
 
     def add_to_inbox(
         self, message: Message, header: Header, *, key: str, payload: bytes, received_t_ns: int, shift_ns: int = 0
@@ -55,8 +71,11 @@ class NodeIO:
             ),
         )
 
-    def publish_to_self(self, message: Message, now_ns: int) -> None:
-        """Publish a message and put it directly into the node's own inbox, received at ``now_ns`` (vehicle time)."""
+    def publish_to_self(self, message: Message, now_ns: int, *, first: bool = False) -> None:
+        """Publish a message and put it directly into the node's own inbox, received at ``now_ns`` (vehicle time).
+
+        ``first`` puts it before the messages that wait there.
+        """
         sent = self.publish(message)
         self._inbox.add(
             message,
@@ -68,6 +87,7 @@ class NodeIO:
                 received_t_ns=now_ns,
                 shift_ns=-self.shift_ns,
             ),
+            first=first,
         )
 
     def take_inbox(self, step: int, t_ns: int, cause: str) -> list[ReceivedMessage]:

@@ -20,8 +20,6 @@ from services.bus.message_validation import MessageValidator
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import Session, open_session
-from services.bus.topics import STATES
-from services.bus.wire import decode
 from services.runtime import ports
 from services.runtime.clock import monotonic_us
 from services.runtime.clock_master import ClockMaster
@@ -30,6 +28,8 @@ from services.runtime.node_io import NodeIO
 from services.runtime.node_status import NodeStatusReporter, WaitingFor
 from services.runtime.process_time import ClockOptions, ProcessTime
 from services.runtime.reporters import NodeReporter, Reporters
+from services.runtime.saved_state import SavedState
+from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.step_loop import StepLoop, StepLoopPorts
 from services.runtime.stopping import Say, StopRequest
@@ -75,6 +75,11 @@ class Runner:
         self._time = ProcessTime(node, clock, epoch=self._epoch)
 
     @property
+    def name(self) -> str:
+        """Name of the node."""
+        return self._node.name
+
+    @property
     def finished(self) -> bool:
         """True once the last step of a schedule that ends is done."""
         return self._time.schedule.finished
@@ -84,12 +89,12 @@ class Runner:
         """Synchronisation with the other side's clock, for a process that may take the time from its inputs."""
         return self._time.sync
 
-    def serve(self, bus: BusOptions, state: bytes = b"") -> None:
+    def serve(self, bus: BusOptions, saved: SavedState | None = None) -> None:
         """Connect, report ready, run the steps, report finished, disconnect.
 
-        ``state`` is the encoded state message that the node continues from: the newest one that a node of this name has
-        published. The node's first step receives it first. It is also published again, as the first state of this
-        process.
+        ``saved`` has the state that the node continues from, if there is one: the newest one that a node of this name
+        has published. The node's first step receives it first. It is also published again, as the first state of this
+        process. Later states of the node are kept in ``saved`` before they are published.
 
         Raises ``BusError``, ``ClockError``, ``Stopped`` (a stop was requested before the connection), or any exception
         of the node.
@@ -97,19 +102,17 @@ class Runner:
         gc.collect()
         gc.freeze()  # objects that live until the end: no later collection visits them
         with open_session(bus, stop=self.stop, say=self._say) as session:
-            connected = self._connect(session)
+            connected = self._connect(session, saved)
             loop = StepLoop(
                 self._node, connected, stop=self.stop, stopwatch=self._stages, compute_delay_ns=self._compute_delay_ns
             )
-            if state:
-                restored = decode(STATES[self._node.name], state)[0]
-                connected.io.publish_to_self(restored, restored.t_ns)
+            SERVICE_MANAGER.ready()
             try:
                 loop.run()
             finally:
                 loop.finish()
 
-    def _connect(self, session: Session) -> StepLoopPorts:
+    def _connect(self, session: Session, saved: SavedState | None) -> StepLoopPorts:
         """Declare publishers and subscribers, and start the clock's part of the process."""
         node, time, keeps_time = self._node, self._time, self._master_settings is not None
         kinds = ports.outputs(node, clock_master=keeps_time)
@@ -132,4 +135,5 @@ class Runner:
                 self._master_settings, time.clock, epoch=self._epoch, now_us=monotonic_us(), publish=outbox.publish
             )
         time.start_schedule()
-        return StepLoopPorts(self.mailbox, NodeIO(node.name, outbox), time, Reporters(status, self._report), validator)
+        io = NodeIO(node.name, outbox, saved)
+        return StepLoopPorts(self.mailbox, io, time, Reporters(status, self._report), validator)

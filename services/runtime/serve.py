@@ -9,6 +9,7 @@ from services.bus.options import BusOptions
 from services.bus.session import BusError, Stopped
 from services.runtime.clock import ClockError
 from services.runtime.console import Console
+from services.runtime.saved_state import SavedState, SupervisorState
 from services.runtime.stopping import FAILED, Say, StopRequest, stop_on_signals
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
@@ -37,11 +38,17 @@ def run_until_stopped(
         return request.exit_code
 
 
-def serve(console: Console, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]) -> int:
-    """Run a node until it is done or a signal stops it. Return the exit code, as ``run_until_stopped``."""
+def serve(
+    console: Console, bus: BusOptions, make: Callable[[StopRequest, Say], Runner], saved: SavedState | None = None
+) -> int:
+    """Run a node until it is done or a signal stops it. Return the exit code, as ``run_until_stopped``.
+
+    ``saved`` is where its states are kept; None: the supervisor keeps them, if there is one.
+    """
 
     def work(request: StopRequest, say: Say) -> None:
         state = SUPERVISOR_LINK.restored_state()
-        make(request, say).serve(bus, state)
+        runner = make(request, say)
+        runner.serve(bus, saved or SupervisorState(runner.name, state))
 
     return run_until_stopped(console, work)

@@ -25,6 +25,8 @@ def text(status: ControllerStatus, estimates_on: str) -> str:
         error = "" if status.clock_error_ns is None else f", within {status.clock_error_ns / 1e6:.1f} ms"
         steps = f", steps: {status.clock_steps}" if status.clock_steps else ""
         parts.append(f"clock {status.clock.value}{error}{steps}")
+    if status.checkpoints_failed:
+        parts.append(f"{status.checkpoints_failed} checkpoints not written")
     if status.dropped or status.rejected:
         parts.append(f"{status.dropped} dropped, {sum(status.rejected.values())} rejected")
     return " | ".join(parts)

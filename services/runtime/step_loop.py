@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from ltv_mpc.messages import CycleTiming, Message, Plan
+from ltv_mpc.messages import ClockMode, CycleTiming, Message, Plan
 from ltv_mpc.node import Node
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator
@@ -26,6 +26,7 @@ from services.runtime.input_receiver import InputReceiver
 from services.runtime.node_io import NodeIO
 from services.runtime.process_time import ProcessTime
 from services.runtime.reporters import NodeReporter, Reporters
+from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import StopRequest
 from services.runtime.supervisor_link import SUPERVISOR_LINK
@@ -70,6 +71,7 @@ class StepLoop:
         while not self._time.schedule.finished and self._wait(self._step_due_us):
             self._scheduled_step()
         SUPERVISOR_LINK.last_beat()
+        SERVICE_MANAGER.stopping()
         if self._time.master is not None:
             self._time.master.stop(monotonic_us())
         self._drain()
@@ -85,6 +87,7 @@ class StepLoop:
         """Add the periodic duties of the process to the deadline queue."""
         (status, report), master = self._reporters, self._time.master
         self._deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
+        self._deadlines.add(lambda: SERVICE_MANAGER.due_us, SERVICE_MANAGER.beat)
         if master is not None:
             self._deadlines.add(lambda: master.due_us, master.run_due)
         self._deadlines.add(lambda: status.due_us, self._publish_status)
@@ -155,6 +158,10 @@ class StepLoop:
         """Step the node and publish its outputs. ``started_us`` is the monotonic time at which the step was due."""
         status, report = self._reporters
         self._io.shift_ns = self._time.published_shift_ns
+        if status.steps == 0:
+            now_us = monotonic_us()
+            own_clock = self._time.offset(now_us).mode is not ClockMode.SHARED
+            self._io.restore_state(t_ns, now_us, own_clock=own_clock)
         inbox = self._io.take_inbox(status.steps, t_ns, cause)
         # Stage "read": reading the inbox. The controller uses the same recorded name for reading the QP's solution out,
         # and the stage timer adds both.

@@ -15,7 +15,7 @@ import numpy as np
 
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.messages import ClockStep, Message, Plan
+from ltv_mpc.messages import ClockStep, ControllerState, Message, Plan
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -26,6 +26,7 @@ from services.bus.topics import BY_KEY
 from services.bus.wire import Header, WireError, encode
 from services.runtime.clock import VehicleClock
 from services.runtime.clock_sync import ClockSync
+from services.runtime.saved_state import SavedState
 from tests.foreign_plant.plant import STEP_NS, Actuators, Hull, Sender
 from tests.stepping import step
 
@@ -39,8 +40,8 @@ STEP_US = STEP_NS // 1000
 ESTIMATE_PERIOD_US, CYCLE_PERIOD_US = 100_000, 300_000
 DELAY_US = 60_000
 """Default time from the start of a cycle to the plan's arrival."""
-EPOCH = 1
-"""Of the controller."""
+FIRST_EPOCH = 1
+"""Of the first controller; each later one has the next."""
 
 
 class Figure(NamedTuple):
@@ -71,6 +72,7 @@ class Flight:
         self.vehicle, self.reference, self.config = Vehicle.load(str(vehicle)), reference, config or ControllerConfig()
         self.node = self.new_node()
         self.validator = MessageValidator()
+        self.epoch = FIRST_EPOCH
         self.plans: list[Plan] = []
         """Plans in the controller's time."""
         self.clock_steps: list[ClockStep] = []
@@ -83,7 +85,9 @@ class Flight:
         self._delay_us = delay_us
         self._reports = reports
         self._clock = VehicleClock()
-        self._sync = ClockSync(self._clock, epoch=EPOCH)
+        self._sync = ClockSync(self._clock, epoch=self.epoch)
+        self._runs = True
+        self._saved: SavedState | None = None
         self._inbox: list[ReceivedMessage] = []
         self._under_way: list[tuple[int, bytes]] = []
         self._sequence = 0
@@ -107,6 +111,17 @@ class Flight:
     def new_node(self) -> ControllerNode:
         """Return a controller that has heard nothing."""
         return ControllerNode(self.vehicle, self.reference, self.config)
+
+    def kill_controller(self) -> None:
+        """Kill the process of the controller; its plans that are under way still arrive."""
+        self._runs, self._inbox = False, []
+
+    def start_controller(self, saved: SavedState) -> None:
+        """Start another process of the controller, which keeps its states in ``saved`` and continues from one there."""
+        self.node, self.validator, self.epoch = self.new_node(), MessageValidator(), self.epoch + 1
+        self._clock = VehicleClock()
+        self._sync = ClockSync(self._clock, epoch=self.epoch)
+        self._runs, self._saved, self._sequence = True, saved, 0
 
     def set_clock(self, step_s: float) -> None:
         """Set the clock of the craft."""
@@ -147,7 +162,7 @@ class Flight:
             for key, sender, fields in self.estimates(self.craft_ns):
                 self._receive(key, sender, fields)
             self._report()
-        if self.host_us % CYCLE_PERIOD_US == 0 and self._sync.active:
+        if self._runs and self.host_us % CYCLE_PERIOD_US == 0 and self._sync.active:
             self._cycle()
         self.hull.step(self.delivered(self.actuators.step(self.craft_ns)))
         self._track.append((self.hull.x[0], self.hull.x[1]))
@@ -158,7 +173,9 @@ class Flight:
             self._receive("applied", self.sender, self.actuators.report(self.craft_ns, self.hull.thrust_N))
 
     def _receive(self, key: str, sender: Sender, fields: dict[str, Any]) -> None:
-        """Pass a message to the controller as its process does."""
+        """Pass a message to the controller, if it runs, as its process does."""
+        if not self._runs:
+            return
         frame = Frame(BY_KEY[key], key, sender.pack(key, fields), self.host_us)
         try:
             message, header = self.validator.validate(frame)
@@ -180,16 +197,21 @@ class Flight:
         t_ns = self._clock.read(self.host_us)
         assert t_ns is not None
         inbox, self._inbox = self._inbox, []
+        if self._sequence == 0 and self._saved is not None:
+            state = self._saved.restored(t_ns, self.host_us, own_clock=True)
+            inbox = inbox if state is None else [ReceivedMessage(state, self.epoch, 0, t_ns), *inbox]
         for message in step(self.node, t_ns, inbox):
             if isinstance(message, Plan):
                 self.plans.append(message)
                 payload = encode(
-                    shifted(message, self._sync.published_shift_ns), Header(epoch=EPOCH, sequence=self._sequence)
+                    shifted(message, self._sync.published_shift_ns), Header(epoch=self.epoch, sequence=self._sequence)
                 )
                 self._sync.on_plan_sent(self._sequence, self.host_us)
                 self._sequence += 1
                 self._under_way.append((self.host_us + self._delay_us, payload))
             else:
+                if self._saved is not None and isinstance(message, ControllerState):
+                    self._saved.keep(shifted(message, self._sync.published_shift_ns), self.host_us)
                 self.outputs.append(message)
 
 

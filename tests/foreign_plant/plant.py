@@ -235,7 +235,10 @@ SET_AT_S = 45.0
 
 
 def main(endpoint: str, set_by_s: float = 0.0) -> None:
-    """Run in real time over Zenoh until it is ended; print one line of JSON each second."""
+    """Run in real time over Zenoh until it is ended; print a line of JSON each second and at each new controller.
+
+    It arms the controller once.
+    """
     import zenoh
 
     ahead_ns = AHEAD_NS
@@ -258,8 +261,8 @@ def main(endpoint: str, set_by_s: float = 0.0) -> None:
         def send(key: str, fields: dict[str, Any]) -> None:
             out[key].put(sender.pack(key, fields))
 
-        plan: dict[str, Any] = {"authority": "no plan"}
-        due, step = now_ns(), 0
+        plan: dict[str, Any] = {"authority": "no plan", "epoch": 0}
+        due, step, epoch, armed = now_ns(), 0, 0, False
         while True:
             if step * STEP_S == SET_AT_S:
                 ahead_ns += round(set_by_s * 1e9)
@@ -272,11 +275,13 @@ def main(endpoint: str, set_by_s: float = 0.0) -> None:
             if step % 5 == 0:
                 send("estimate", hull.estimate(due))
                 send("applied", actuators.report(now_ns(), hull.thrust_N))
-            if step % 50 == 0:
-                if plan["authority"] == "disarmed":
-                    send("command", {"command_id": step, "action": "arm"})
-                line = {"t_s": step * STEP_S, "north_m": hull.x[0], "east_m": hull.x[1], "authority": plan["authority"]}
-                sys.stdout.write(json.dumps(line) + "\n")
+            armed = armed or plan["authority"] == "controller"
+            if step % 50 == 0 and plan["authority"] == "disarmed" and not armed:
+                send("command", {"command_id": step, "action": "arm"})
+            if step % 50 == 0 or plan["epoch"] != epoch:
+                epoch = plan["epoch"]
+                line = {"t_s": step * STEP_S, "north_m": hull.x[0], "east_m": hull.x[1], "epoch": epoch}
+                sys.stdout.write(json.dumps({**line, "authority": plan["authority"]}) + "\n")
                 sys.stdout.flush()
             due, step = due + STEP_NS, step + 1
             time.sleep(max(0, due - now_ns()) * 1e-9)

@@ -28,7 +28,7 @@ def run() -> list[Figure]:
     begin_s, end_s = times_s[progress > 0.001][0], times_s[progress >= 0.999][0]
     t_s = STEP_S * np.arange(len(track))
     lap = track[(t_s >= begin_s) & (t_s <= end_s)]
-    off_m, corner_m = _off_the_square(lap)
+    off_m, corner_m = distance_from_outline_m(lap), _distance_from_corner_m(lap)
     missed_m = max(float(np.linalg.norm(lap - corner, axis=1).min()) for corner in CORNERS)
     return [
         Figure("distance from the outline", float(off_m.max()), 0.5, "m"),
@@ -38,12 +38,18 @@ def run() -> list[Figure]:
     ]
 
 
-def _off_the_square(track: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distances (M,) of positions (M, 2) from the outline of the square and from its nearest corner."""
+def distance_from_outline_m(track: np.ndarray) -> np.ndarray:
+    """Return the distance (M,) of positions (M, 2) from the outline of the square (m)."""
     sides = zip(CORNERS, np.roll(CORNERS, -1, axis=0), strict=True)
     legs = [
         np.linalg.norm(track - a - np.clip((track - a) @ (b - a) / SIDE_M**2, 0.0, 1.0)[:, None] * (b - a), axis=1)
         for a, b in sides
     ]
-    corners = np.linalg.norm(track[:, None, :] - CORNERS[None, :, :], axis=2)
-    return np.min(legs, axis=0), corners.min(axis=1)
+    distance: np.ndarray = np.min(legs, axis=0)
+    return distance
+
+
+def _distance_from_corner_m(track: np.ndarray) -> np.ndarray:
+    """Return the distance (M,) of positions (M, 2) from the nearest corner (m)."""
+    distance: np.ndarray = np.linalg.norm(track[:, None, :] - CORNERS[None, :, :], axis=2).min(axis=1)
+    return distance

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, Estimate, Plan, PlanOrigin, Vehicle, advance, references
-from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.node import SAVE_PERIOD_NS, ControllerNode
+from ltv_mpc.control.config import ControllerConfig, Disturbance
+from ltv_mpc.control.controller import SAVE_PERIOD_NS
+from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import (
     Acknowledgement,
     Action,
     Authority,
     Command,
     ControllerState,
+    CurrentBiasState,
     CurrentProfile,
     CycleTiming,
     Health,
@@ -30,6 +32,7 @@ from tests.stepping import step
 PAPER = Vehicle.load("paper")
 PERIOD_NS = 300_000_000
 S = 1_000_000_000
+LEARNED = CurrentBiasState(bias_mps=(0.12, -0.16), covariance=(4e-4, 1e-4, 9e-4))
 FOLLOWED = (PlanVerdict.ACCEPTED, PlanVerdict.LATE)
 START = Estimate.at_rest(north_m=0.3, heading_rad=0.4, depth_m=2.0)
 
@@ -186,6 +189,71 @@ def test_the_model_monitor_s_products_are_restored_and_validated():
     after.step(msgspec.structs.replace(state, model_products=products))
     np.testing.assert_array_equal(after.states[-1].model_products, products)
     assert before.states[-1].model_products is None
+
+
+def test_the_target_waits_once_the_vehicle_has_come_to_the_end_of_its_plan():
+    """A long time later it is where the last plan has ended, at most 5 s after the one in the state."""
+    before = armed(references.load("lawnmower"), 120)
+    state = before.node.controller.save(before.estimate.t_ns)
+
+    def progress(silent_s):
+        after = Controller(PAPER, references.load("lawnmower"), ControllerConfig())
+        after.restore(state, before.estimate.t_ns + round(silent_s * S))
+        return after.save(before.estimate.t_ns).schedule_s
+
+    assert progress(1.0) < progress(4.0) < progress(9.0) < progress(11.0) == progress(600.0)
+    assert state.schedule_s < progress(600.0) <= state.schedule_s + 10.5  # the horizon is 5.1 s
+
+
+def test_the_learned_current_is_restored_and_less_certain_after_a_while():
+    before = armed(references.Hold(depth_m=5.0), 3)
+    states = {}
+    for silent_s in (0.0, 100.0):
+        state = msgspec.structs.replace(before.states[-1], current_bias=LEARNED)
+        assert rejection_reason(state) is None
+        after = Controller(PAPER, references.load("line"), ControllerConfig())
+        after.restore(state, state.t_ns + round(silent_s * S))
+        states[silent_s] = after.save(0).current_bias
+    assert states[0.0] == LEARNED
+    assert states[100.0].bias_mps == LEARNED.bias_mps
+    assert states[100.0].covariance[0] > 10 * LEARNED.covariance[0]
+    never = ControllerConfig(disturbance=Disturbance(sd_mps=0.0))
+    without = Controller(PAPER, references.load("line"), never)
+    without.restore(state, state.t_ns)
+    assert without.save(0).current_bias is None
+
+
+@pytest.mark.parametrize("covariance", [(0.0, 0.0, 0.0), (1e-4, 2e-4, 1e-4), (-1e-4, 0.0, 1e-4)])
+def test_a_learned_current_without_a_covariance_is_rejected(covariance):
+    bias = msgspec.structs.replace(LEARNED, covariance=covariance)
+    assert "positive definite" in rejection_reason(ControllerState(t_ns=0, current_bias=bias))
+
+
+@pytest.mark.parametrize("disarmed_by", [None, Action.DISARM, Action.STOP])
+def test_only_a_restart_lets_the_next_arm_continue_the_reference(disarmed_by):
+    """It may even be restarted twice, as long as no operator has disarmed the vehicle."""
+    before = armed(references.load("lawnmower"), 120)
+    after, state = before.handed_over(1.2)
+    plan = after.step(msgspec.structs.replace(state, authority=Authority.DISARMED, arm_continues=True))
+    assert plan.authority is Authority.DISARMED
+    assert after.states[-1].arm_continues
+    if disarmed_by is not None:
+        after.step(Command(command_id=2, action=disarmed_by))
+        assert not after.states[-1].arm_continues
+    again, state = after.handed_over(0.0)
+    again.step(state)
+    plan = again.step(ARM)
+    assert plan.authority is Authority.CONTROLLER
+    assert (plan.progress >= before.plans[-1].progress > 0.01) == (disarmed_by is None)
+    assert not again.states[-1].arm_continues
+
+
+def test_the_state_is_published_before_the_acknowledgement_and_after_the_plan():
+    flight = armed(references.load("line"), 3)
+    flight.step(Command(command_id=2, action=Action.STOP))
+    kinds = [type(message) for message in flight.messages]
+    assert kinds[-3:] == [Plan, ControllerState, Acknowledgement]
+    assert flight.states[-1].authority is flight.answers[-1].authority is Authority.STOPPED
 
 
 def test_from_an_empty_state_it_begins_disarmed():

@@ -1,0 +1,143 @@
+"""Restart of the controller alone, as processes: killed while the foreign craft holds its point."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.supervisor import loopback
+from tests.foreign_plant.flight import HERE, HULL
+from tests.foreign_plant.scenarios.controller_restarted import RestartedFlight, held
+from tests.system.alone import CLI, Lines, started
+
+
+@pytest.fixture
+def notified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], set[str]]]:
+    """Return a function that returns what was sent to the service manager since the last call, without texts."""
+    address = str(tmp_path / "notify")
+    monkeypatch.setenv("NOTIFY_SOCKET", address)
+    monkeypatch.setenv("WATCHDOG_USEC", "2000000")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(address)
+        manager.setblocking(False)
+
+        def read() -> set[str]:
+            found = set()
+            while True:
+                try:
+                    found.add(manager.recv(4096).decode().removesuffix("=1").partition("=")[0])
+                except BlockingIOError:
+                    return found
+
+        yield read
+
+
+class Hold:
+    """Lines of the plant: the drift since it has reached its point, and the newest controller and authority."""
+
+    def __init__(self, lines: Lines) -> None:
+        self._lines = lines
+        self.newest: dict[str, Any] = {}
+        self.farthest_m = 0.0
+
+    def until(self, wanted: Callable[[dict[str, Any]], bool], within_s: float = 120.0) -> None:
+        """Read lines until one is ``wanted``."""
+        self._lines.until(lambda line: line.startswith("{") and wanted(self._take(json.loads(line))), within_s)
+
+    def _take(self, line: dict[str, Any]) -> dict[str, Any]:
+        self.newest = line
+        self.newest["off_m"] = math.hypot(line["north_m"], line["east_m"])
+        self.farthest_m = max(self.farthest_m, self.newest["off_m"])
+        return line
+
+
+@pytest.mark.timeout(600)
+def test_a_killed_controller_is_back_in_five_seconds_and_never_after_a_stop(
+    tmp_path: Path, notified: Callable[[], set[str]]
+) -> None:
+    """The better of two restarts counts: the cores have other work."""
+    (tmp_path / "point.toml").write_text('kind = "point"\nnorth_m = 0.0\neast_m = 0.0\n')
+    endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
+    connected = ("--connect", endpoint)
+    hull_and_point = ("--vehicle", str(HULL), "--reference", str(tmp_path / "point.toml"))
+    controller = (*CLI, "controller", *connected, *hull_and_point, "--state", str(tmp_path / "state"), "--resume-armed")
+    with ExitStack() as stack:
+        stack.enter_context(started(*CLI, "router", "--listen", endpoint))
+        process, console = stack.enter_context(started(*controller))
+        console.until(lambda line: "waiting for" in line)
+        _, plant = stack.enter_context(started(sys.executable, "-P", str(HERE / "plant.py"), endpoint))
+        hold = Hold(plant)
+        hold.until(lambda line: line["t_s"] > 25.0 and line["off_m"] < 0.1)
+        assert notified() >= {"READY", "WATCHDOG", "STATUS"}
+        hold.farthest_m = 0.0
+
+        def restart() -> float:
+            """Kill the controller and start it again; return the time until its first plan is in force (s)."""
+            nonlocal process
+            epoch, killed_s = hold.newest["epoch"], time.monotonic()
+            process.kill()
+            process, _ = stack.enter_context(started(*controller))
+            hold.until(lambda line: line["epoch"] != epoch)
+            return time.monotonic() - killed_s
+
+        in_force_s = []
+        for _ in range(2):
+            in_force_s.append(restart())
+            assert hold.newest["authority"] == "controller"
+            begin_s = hold.newest["t_s"]
+            hold.until(lambda line, begin_s=begin_s: line["t_s"] > begin_s + 8.0)  # type: ignore[misc]
+        assert min(in_force_s) <= 5.0, in_force_s
+        assert hold.farthest_m <= 0.5
+        watchdog_stops_with_the_process(process, notified)
+        answer = subprocess.run([*CLI, "ctl", "stop", *connected], capture_output=True, text=True, check=False)
+        restart()
+        assert "stopped" in answer.stdout, answer.stderr
+        assert hold.newest["authority"] == "stopped"
+        process.terminate()
+        process.wait(20.0)
+        assert "STOPPING" in notified()
+
+
+def watchdog_stops_with_the_process(process: subprocess.Popen[str], notified: Callable[[], set[str]]) -> None:
+    """Stop the process for longer than the time-out of its watchdog, and let it continue."""
+    os.kill(process.pid, signal.SIGSTOP)
+    notified()  # what was sent before
+    time.sleep(2.5)  # there is no event to wait for: nothing may come
+    assert notified() == set()
+    os.kill(process.pid, signal.SIGCONT)
+    until_s = time.monotonic() + 20.0
+    while "WATCHDOG" not in notified():
+        assert time.monotonic() < until_s
+        time.sleep(0.05)
+
+
+def test_without_resume_armed_it_drifts_until_arm_continues_the_reference(tmp_path: Path) -> None:
+    flight = RestartedFlight(tmp_path, resumes=False)
+    flight.command(action="arm")
+    flight.fly(20.0)
+    flight.restart()
+    flight.fly(3.0)
+    assert flight.plans[-1].authority == "disarmed"
+    flight.command(action="arm")
+    flight.fly(1.0)
+    assert flight.plans[-1].authority == "controller"
+
+
+def test_the_learned_current_is_not_learned_again() -> None:
+    """Without it the craft would be half a metre off once more: see the start of the hold."""
+    flight, _ = held()
+    first = next(plan for plan in flight.plans if plan.cycle_t_ns > flight.plans[0].cycle_t_ns + 34_000_000_000)
+    before = flight.plans[flight.plans.index(first) - 1]
+    assert abs(first.thrust_N[:, :2].mean() - before.thrust_N[:, :2].mean()) < 5.0
