@@ -84,9 +84,7 @@ class Checkpoint:
         # A newer estimate is in the same inbox, or none has arrived.
         state = msgspec.structs.replace(state, estimate=None)
         if stamp.boot_id != boot_id() or stamp.boot_id == NO_BOOT_ID:
-            self._console.say(
-                "continuing from a checkpoint before a reboot: disarmed, `arm` starts the reference again"
-            )
+            self._console.say("the checkpoint is from before a reboot: not armed, `arm` starts the reference again")
             return _after_reboot(state, t_ns)
         age_us = now_us - stamp.written_us
         set_by_ns = t_ns - age_us * 1000 - state.t_ns
@@ -95,10 +93,10 @@ class Checkpoint:
         why = self._why_not_armed(age_us * 1e-6)
         if state.authority in DRIVEN and why:
             state = msgspec.structs.replace(state, authority=Authority.DISARMED, arm_continues=True)
-        after = f": {why}; `arm` continues the reference" if state.arm_continues else ""
-        self._console.say(
-            f"continuing from the checkpoint of {age_us * 1e-6:.1f} s ago, {state.authority.value}{after}"
-        )
+        text = f"continuing from the checkpoint of {age_us * 1e-6:.1f} s ago, {state.authority.value}"
+        if state.arm_continues:
+            text += f" ({why}); `arm` continues the reference" if why else "; `arm` continues the reference"
+        self._console.say(text)
         return state
 
     def keep(self, state: Message, now_us: int) -> None:
