@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from pathlib import Path
 
 import pytest
 
@@ -58,9 +59,26 @@ def test_without_a_horizon_and_settings_it_is_the_vehicle_s_own(
     assert paper.stages == slow.stages == 34
 
 
+def test_a_checkpoint_arms_only_with_an_option_and_for_a_minute(started: list[controller.Config]) -> None:
+    for words in ("", "--state s", "--state s --resume-armed", "--state s --resume-armed --resume-within-s 5"):
+        assert run(["controller", *words.split()]) == 0
+    kept = [(config.state, config.resume_within_s) for config in started]
+    folder = Path("s")
+    assert kept == [(None, None), (folder, None), (folder, 60.0), (folder, 5.0)]
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(controller, "warm_up", lambda *_: pytest.fail("started"))
+    (tmp_path / "file").write_text("in the way")
+    assert run(["controller", "--state", str(tmp_path / "file")]) == 2
+    assert f'option --state: "{tmp_path / "file"}": cannot be written: ' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        ("--resume-armed", "option --resume-armed: needs --state DIR"),
+        ("--state s --resume-armed --resume-within-s -1", "resume-within-s"),
         ("--rate-hz 0", "rate-hz"),
         ("--rate-hz 51", "rate-hz"),
         ("--rate-hz nan", "rate-hz"),

@@ -95,7 +95,7 @@ def test_a_young_checkpoint_arms_only_if_resuming_is_allowed(authority: Authorit
     found = restored(opened(resume_within_s=None))
     assert found is not None
     assert (found.authority, found.arm_continues) == (Authority.DISARMED, True)
-    assert "disarmed: --resume-armed is not set; `arm` continues the reference" in said()[-1]
+    assert "disarmed (--resume-armed is not set); `arm` continues the reference" in said()[-1]
     found = restored(opened(resume_within_s=60.0))
     assert found is not None
     assert (found.authority, found.arm_continues) == (authority, False)
@@ -259,7 +259,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 def test_two_controllers_do_not_share_a_folder(opened: Opener, tmp_path: Path) -> None:
     opened()
-    with pytest.raises(ConfigError, match=r"option --state = .*: another controller keeps its checkpoint there"):
+    with pytest.raises(ConfigError, match=r"option --state: .*: another controller keeps its checkpoint there"):
         Checkpoint(tmp_path / "state", POINT, resume_within_s=None, console=Console("controller"))
 
 

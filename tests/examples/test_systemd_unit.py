@@ -1,0 +1,61 @@
+"""Unit of systemd for the controller: systemd accepts it, and its command is one that the program knows."""
+
+from __future__ import annotations
+
+import configparser
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from services.cli.app import run
+from services.processes import controller
+
+UNIT = Path(__file__).parents[2] / "examples" / "systemd" / "ltv-mpc-controller.service"
+PROGRAM = "/opt/ltv-mpc/bin/ltv-mpc"
+
+
+def verified(text: str, folder: Path) -> str:
+    """Return what ``systemd-analyze verify`` says of a unit whose program is one that exists here."""
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("systemd-analyze is not installed: the unit is not checked")
+    unit = folder / UNIT.name
+    unit.write_text(text.replace(PROGRAM, sys.executable))
+    command = ["systemd-analyze", "verify", "--man=no", str(unit)]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    return f"{answer.stdout}{answer.stderr}" or f"exit code {answer.returncode}" * bool(answer.returncode)
+
+
+def test_systemd_has_nothing_to_say_about_it(tmp_path: Path) -> None:
+    assert verified(UNIT.read_text(), tmp_path) == ""
+
+
+def test_systemd_notices_a_misspelt_setting(tmp_path: Path) -> None:
+    assert "WatchdogSecs" in verified(UNIT.read_text().replace("WatchdogSec=", "WatchdogSecs="), tmp_path)
+
+
+def test_its_command_resumes_armed_from_the_folder_that_systemd_keeps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[controller.Config] = []
+    monkeypatch.setattr(controller, "main", lambda config: started.append(config) or 0)  # type: ignore[func-returns-value]
+    parser = configparser.ConfigParser(interpolation=None)
+    parser.read(UNIT)
+    service = parser["Service"]
+    program, *words = service["ExecStart"].replace("%S", str(tmp_path)).split()
+    assert program == PROGRAM
+    files = {"/etc/ltv-mpc/vehicle.toml": "paper", "/etc/ltv-mpc/mission.toml": "descent"}
+    assert files.keys() <= set(words)
+    assert run([files.get(word, word) for word in words]) == 0
+    assert started[0].state == tmp_path / service["StateDirectory"]
+    assert started[0].resume_within_s == 60.0
+
+
+def test_each_setting_has_its_reason_on_the_page_of_hosts() -> None:
+    page = (UNIT.parents[2] / "docs" / "hosts.md").read_text()
+    for name in re.findall(r"^(\w+)=", UNIT.read_text().partition("[Service]")[2], re.MULTILINE):
+        if name not in ("ExecStart", "StateDirectory", "Environment", "DynamicUser", "WantedBy"):
+            assert f"`{name}" in page, name
