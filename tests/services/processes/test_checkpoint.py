@@ -6,7 +6,9 @@ import io
 import json
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
@@ -125,10 +127,14 @@ def test_after_stop_or_disarm_nothing_arms_and_arm_starts_the_reference(authorit
 
 @pytest.mark.parametrize("authority", [Authority.CONTROLLER, Authority.STOPPED])
 def test_after_a_reboot_nothing_arms_and_no_time_or_position_is_used(
-    authority: Authority, opened: Opener, said: Said, monkeypatch: pytest.MonkeyPatch
+    authority: Authority, opened: Opener, said: Said, tmp_path: Path
 ) -> None:
     opened().keep(state(authority), KEPT_US)
-    monkeypatch.setattr(module, "boot_id", lambda: "another")
+    opened()  # the first one has written
+    path = tmp_path / "state" / FILE
+    stamp, kept = parse(path.read_bytes())
+    assert stamp.boot_id == boot_id()
+    path.write_bytes(serialised(msgspec.structs.replace(stamp, boot_id="another"), kept))
     found = opened().restored(5, KEPT_US + S_US, own_clock=True)
     assert found is not None
     assert found.authority is (Authority.STOPPED if authority is Authority.STOPPED else Authority.DISARMED)
@@ -190,61 +196,62 @@ def test_a_whole_file_with_an_impossible_state_is_not_used() -> None:
 # --- the disk --------------------------------------------------------------------------------------------------------
 
 
-def test_stop_and_disarm_wait_for_the_disk_and_cycles_do_not(
-    opened: Opener, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    released, write = threading.Event(), module.write
+@contextmanager
+def hanging_disk(draft: Path) -> Iterator[None]:
+    """Let writing hang within the context: the draft is a pipe without a reader. Then it fails."""
+    os.mkfifo(draft)
+    try:
+        yield
+    finally:
+        os.close(os.open(draft, os.O_RDONLY | os.O_NONBLOCK))
 
-    def slow(path: Path, folder: int, contents: bytes) -> None:
-        assert released.wait(20.0)
-        write(path, folder, contents)
 
+def test_stop_and_disarm_wait_for_the_disk_and_cycles_do_not(opened: Opener, tmp_path: Path) -> None:
+    path = tmp_path / "state" / FILE
     checkpoint = opened()
-    monkeypatch.setattr(module, "write", slow)
-    checkpoint.keep(ARMED, KEPT_US)  # returns although the disk hangs
-    threading.Timer(0.1, released.set).start()
-    checkpoint.keep(state(Authority.STOPPED), KEPT_US)
-    stamp, kept = parse((tmp_path / "state" / FILE).read_bytes())
-    assert (kept.authority, stamp.boot_id, stamp.written_us) == (Authority.STOPPED, boot_id(), KEPT_US)
+    checkpoint.keep(ARMED, KEPT_US)
+    until(path.exists)
+    with hanging_disk(path.with_suffix(".state.part")):
+        checkpoint.keep(ARMED, KEPT_US)  # returns at once
+        begin_s = time.monotonic()
+        checkpoint.keep(state(Authority.STOPPED), KEPT_US)
+        assert time.monotonic() - begin_s >= module.MAX_WAIT_S
+        assert path.exists()
+    checkpoint.keep(state(Authority.DISARMED), KEPT_US)
+    assert parse(path.read_bytes())[1].authority is Authority.DISARMED
 
 
-def test_a_disk_that_hangs_is_waited_for_a_second(opened: Opener, monkeypatch: pytest.MonkeyPatch, said: Said) -> None:
-    released = threading.Event()
+def test_a_disk_that_hangs_is_reported(opened: Opener, tmp_path: Path, said: Said) -> None:
     checkpoint = opened()
-    monkeypatch.setattr(module, "MAX_WAIT_S", 0.05)
-    monkeypatch.setattr(module, "write", lambda *_: released.wait(20.0))
-    checkpoint.keep(state(Authority.STOPPED), KEPT_US)
-    released.set()
-    checkpoint.show(STATUS, 0)
-    assert "the disk does not answer" in said()[-1]
+    with hanging_disk(tmp_path / "state" / f"{FILE}.part"):
+        checkpoint.keep(state(Authority.STOPPED), KEPT_US)
+        checkpoint.show(STATUS, 0)
+    assert "the disk does not answer within 1 s" in said()[-1]
 
 
 @pytest.mark.parametrize("authority", [Authority.CONTROLLER, Authority.STOPPED])
-def test_on_a_full_disk_no_checkpoint_is_left_that_arms_after_a_stop(
-    authority: Authority, opened: Opener, said: Said, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_if_writing_fails_no_checkpoint_is_left_that_arms_after_a_stop(
+    authority: Authority, opened: Opener, said: Said, tmp_path: Path
 ) -> None:
-    def full(_file: int) -> None:
-        raise OSError(28, "No space left on device")
-
+    """The failure is counted and reported once, and so is its end."""
+    path = tmp_path / "state" / FILE
+    draft = tmp_path / "state" / f"{FILE}.part"
     checkpoint = opened()
     checkpoint.keep(state(Authority.MANUAL), KEPT_US)
-    until(lambda: (tmp_path / "state" / FILE).exists())
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", full)
+    until(path.exists)
+    draft.mkdir()  # in the way, as a full disk is
+    for failures in (1, 2):
         checkpoint.keep(state(authority), KEPT_US)
-        until(lambda: checkpoint.failures == 1)
-        checkpoint.keep(state(authority), KEPT_US)
-        until(lambda: checkpoint.failures == 2)
-        for _ in range(3):
-            checkpoint.show(STATUS, 0)
-    assert said() == ["the checkpoint cannot be written: No space left on device; the controller continues without it"]
-    left = [path.name for path in (tmp_path / "state").iterdir()]
-    assert left == ([FILE] if authority is Authority.CONTROLLER else [])
+        until(lambda failures=failures: checkpoint.failures == failures)  # type: ignore[misc]
+        checkpoint.show(STATUS, 0)
+    assert said() == ["the checkpoint cannot be written: Is a directory; the controller continues without it"]
+    assert path.exists() == (authority is Authority.CONTROLLER)
+    draft.rmdir()
     checkpoint.keep(state(authority), KEPT_US)
     opened()  # the other one has written
-    assert (tmp_path / "state" / FILE).exists()
+    assert parse(path.read_bytes())[1].authority is authority
     checkpoint.show(STATUS, 0)
-    assert said()[-1] == "the checkpoint is written again"
+    assert said()[1:] == ["the checkpoint is written again"]
 
 
 def until(condition: Callable[[], bool]) -> None:
