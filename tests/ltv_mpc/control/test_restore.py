@@ -240,7 +240,7 @@ def test_only_a_restart_lets_the_next_arm_continue_the_reference(disarmed_by):
     if disarmed_by is not None:
         after.step(Command(command_id=2, action=disarmed_by))
         assert not after.states[-1].arm_continues
-    again, state = after.handed_over(0.0)
+    again, state = after.handed_over(0.0, references.load("lawnmower"))
     again.step(state)
     plan = again.step(ARM)
     assert plan.authority is Authority.CONTROLLER
