@@ -221,6 +221,8 @@ def _explained(options: BusOptions, text: str) -> str:
 def waiting_for_router(options: BusOptions) -> str:
     """Return the text that is shown while the router does not answer."""
     where = ", ".join(options.connects_to) or "the configured endpoints"
-    command = "`ltv-mpc router`" if options.certs is None else "`ltv-mpc router --certs`"
+    command = "ltv-mpc router" if options.certs is None else "ltv-mpc router --certs DIR"
+    if options.connects_to and options.usual_endpoint not in options.connects_to:
+        command += f" --listen {options.connects_to[0]}"
     hint = "" if options.certs is None else "; a router that rejects this certificate reports it in its own log"
-    return f"waiting for a router at {where}; {command} starts one at {options.usual_endpoint}{hint}"
+    return f"waiting for a router at {where}; `{command}` starts one{hint}"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from services.bus.options import BusOptions
-from services.bus.session import BusError, open_session
+from services.bus.session import BusError, open_session, waiting_for_router
 from services.runtime.stopping import StopRequest
 
 
@@ -43,3 +43,15 @@ def test_what_zenoh_cannot_do_is_explained(endpoint: str, explanation: str, tmp_
     text = error_of(endpoint)
     assert text.startswith(f"cannot listen at {endpoint}: {explanation}")
     assert "Zenoh" not in text
+
+
+@pytest.mark.parametrize(
+    ("options", "command"),
+    [
+        (BusOptions(), "ltv-mpc router"),
+        (BusOptions(connect=("tcp/10.0.0.7:7447",)), "ltv-mpc router --listen tcp/10.0.0.7:7447"),
+        (BusOptions(certs=Path("certs")), "ltv-mpc router --certs DIR"),
+    ],
+)
+def test_the_command_that_starts_the_router_listens_where_it_is_waited_for(options: BusOptions, command: str) -> None:
+    assert f"; `{command}` starts one" in waiting_for_router(options)

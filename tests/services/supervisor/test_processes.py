@@ -17,12 +17,17 @@ import pytest
 from msgspec import structs
 
 from ltv_mpc.currents import read_prior
-from ltv_mpc.messages import ControllerState, EstimatorState, NodeStatus, Plan, RunEvent, StepRecord, Truth
+from ltv_mpc.messages import ControllerState, EstimatorState, Kill, NodeStatus, Plan, RunEvent, StepRecord, Truth
+from services.bus.options import BusOptions
+from services.bus.outbox import Outbox
+from services.bus.session import open_session
+from services.bus.topics import OPERATOR
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.replay import replay
 from services.run import folder
 from services.run.run_config import Override, RunConfig, resolve
+from services.runtime.stopping import StopRequest
 from services.supervisor import supervisor
 from services.supervisor.screen import LiveView
 
@@ -182,6 +187,21 @@ def test_the_death_of_the_orphan_cleanup_changes_nothing(tmp_path: Path) -> None
     assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
     assert run.summary.exists()
     assert not children_of(os.getpid())
+
+
+def test_a_request_to_kill_an_unknown_process_is_refused_and_changes_nothing(tmp_path: Path) -> None:
+    s = run_config(3.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    bus: list[BusOptions] = []
+
+    def ask() -> None:
+        with open_session(structs.replace(bus[0], role=OPERATOR), stop=StopRequest(), say=print) as session:
+            Outbox(session, node=OPERATOR, epoch=1, kinds=(Kill,)).publish(Kill(node="nobody\n"))
+
+    screen = Screen(ask)
+    outcome = supervisor.run(s, run, screen, on_bus=bus.append)
+    assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
+    assert [line for line in screen.said if "kill" in line] == ['kill refused: no process "nobody\\n" in this run']
 
 
 def test_results_that_cannot_be_written_leave_the_verdict_exit_1_and_no_draft(tmp_path: Path) -> None:
@@ -449,7 +469,9 @@ def test_nodes_started_in_the_wrong_order_name_what_they_wait_for_and_continue(t
                 processes[name] = subprocess.Popen(
                     [*CLI, name, *arguments.get(name, []), *bus], stdin=subprocess.DEVNULL, stderr=file
                 )
-        until(lambda: all("`ltv-mpc router` starts one" in log.read_text() for log in logs.values()))
+        until(
+            lambda: all(f"`ltv-mpc router --listen {endpoint}` starts one" in log.read_text() for log in logs.values())
+        )
         processes["router"] = subprocess.Popen([*CLI, "router", "--listen", endpoint], stderr=subprocess.DEVNULL)
         assert processes["plant"].wait(PATIENCE_S) == 0
         assert "waiting for" in logs["plant"].read_text()
