@@ -278,7 +278,7 @@ class CurrentProfile(Message, frozen=True, kw_only=True, eq=False):
 
 
 class Estimate(Message, frozen=True, kw_only=True, eq=False):
-    """Estimated position and motion of the vehicle over ground.
+    """Estimated position and motion of the vehicle over ground, at the reference point that its file declares.
 
     ``covariance`` is (6, 6) over north, east (m), velocity north, east (m/s), heading (rad), yaw rate (rad/s).
     """
@@ -486,7 +486,7 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
 
     ``t_ns`` (N+1,) are the knots; the plan takes effect at the first. ``thrust_N`` (N+1, 3) are the commands at the
     knots. ``states`` (N+1, 6) are the predicted n, e (m), u, v (m/s, through the water), heading (rad), yaw rate
-    (rad/s).
+    (rad/s). States and target are those of the vehicle's reference point, as the estimates are.
     """
 
     cycle_t_ns: Annotated[Time, Meta(description="start of the cycle that computed the plan")]
@@ -705,7 +705,7 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
     plan: Annotated[
         Plan | None, Meta(description="last plan sent; after a restart, the plan in force at the actuators")
     ] = None
-    estimate: Annotated[Estimate | None, Meta(description="newest estimate")] = None
+    estimate: Annotated[Estimate | None, Meta(description="newest estimate, of the vehicle's origin")] = None
 
 
 # --- written by the actuators ----------------------------------------------------------------------------------------

@@ -53,6 +53,7 @@ from ltv_mpc.references.follower import NO_PROGRESS, Follower, FollowerState
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, HealthState, worst
+from ltv_mpc.safety.reference_point_check import ReferencePointCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STAGE_S = STAGE_NS * 1e-9
@@ -119,6 +120,11 @@ class Controller:
         """Plausibility check of the estimates, with the count of rejected ones."""
         return self._estimates.gate
 
+    @property
+    def reference_point_check(self) -> ReferencePointCheck:
+        """Check that the estimates describe the vehicle's declared reference point."""
+        return self._estimates.reference_point_check
+
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on.
 
@@ -172,7 +178,7 @@ class Controller:
 
         Parameters
         ----------
-        estimate : the newest estimate.
+        estimate : the newest estimate, of the vehicle's origin (``Vehicle.reference_point.to_origin``).
         t_ns : start of the cycle, vehicle time (ns); the estimate's own time if None.
         applied : the actuators' report. Without reports the controller assumes that its plans are followed.
         override : thrusts commanded by a source other than the controller.
@@ -267,8 +273,10 @@ class Controller:
         The decision uses the newest plausible estimate, with the estimated bias added to its current.
         """
         estimate = self._estimates.select(newest)
-        if estimate is not None and self._bias is not None:
-            estimate = self._bias.correct(estimate, self._prediction, self.sent_commands)
+        if estimate is not None:
+            if self._bias is not None:
+                estimate = self._bias.correct(estimate, self._prediction, self.sent_commands)
+            self.reference_point_check.update(estimate, self._prediction, self.sent_commands)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._bias)

@@ -31,6 +31,7 @@ from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, PREDICTED_TOO_FAR, HealthState, health
 from ltv_mpc.safety.input_monitor import Period
+from ltv_mpc.safety.reference_point_check import ReferencePointCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
 NOT_STARTED = "the reference has not started yet"
@@ -82,6 +83,8 @@ class EstimateSelector:
         """
         self.gate = EstimateGate(vehicle)
         """Plausibility check, with the count of rejected estimates."""
+        self.reference_point_check = ReferencePointCheck()
+        """Check that the estimates describe the vehicle's declared reference point."""
         self._ages = config.ages
         self._fresh_ns = round(config.ages.degraded_s * 1e9)
         self._period = Period()  # of the plausible estimates

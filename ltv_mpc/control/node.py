@@ -129,7 +129,7 @@ class ControllerNode:
         match received.message:
             case Estimate() as estimate:
                 if self._is_newer(self.estimates, received, estimate.t_ns):
-                    self._estimate = estimate
+                    self._estimate = self.controller.vehicle.reference_point.to_origin(estimate)
             case Applied() as applied:
                 if self._is_newer(self.reports, received, applied.t_ns):
                     self.controller.add_report(applied)
@@ -148,9 +148,10 @@ class ControllerNode:
         estimate : the newest estimate.
         t_ns : start of the cycle, vehicle time (ns).
         """
-        return self.controller.plan(
+        plan = self.controller.plan(
             estimate, t_ns=t_ns, override=self.arbiter.override(t_ns), health=self._health_of_inputs(t_ns)
         )
+        return self.controller.vehicle.reference_point.of_plan(plan)
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health of all inputs, with its reason.
@@ -175,8 +176,12 @@ class ControllerNode:
 
     def _health_of_inputs(self, t_ns: int) -> HealthState:
         """Return the worst health of the inputs other than the estimate's age."""
-        rejections = self._plan_rejections.health(t_ns)
-        return worst(self._health_of_reports(t_ns), rejections, self._health_of_clock(t_ns))
+        return worst(
+            self._health_of_reports(t_ns),
+            self._plan_rejections.health(t_ns),
+            self._health_of_clock(t_ns),
+            self.controller.reference_point_check.health,
+        )
 
     def _health_of_reports(self, t_ns: int) -> HealthState:
         """Return the health by the time since the actuators' last report."""
@@ -201,7 +206,11 @@ class ControllerNode:
     def _check_model(self) -> ModelCheck | None:
         """Compare the motion with the model's; return the report that is due."""
         estimate = self.controller.estimate_gate.accepted
-        return None if estimate is None else self._model_monitor.update(estimate)
+        check = None if estimate is None else self._model_monitor.update(estimate)
+        why = self.controller.reference_point_check.health.why
+        if check is None or not why:
+            return check
+        return msgspec.structs.replace(check, alarm=True, why=f"{why}; {check.why}" if check.why else why)
 
     # --- saved state ---
 

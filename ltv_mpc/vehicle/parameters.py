@@ -12,6 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from ltv_mpc import config
+from ltv_mpc.vehicle.reference_point import ORIGIN, ReferencePoint
 
 Positive: TypeAlias = Annotated[float, Meta(gt=0, le=1e7)]
 NonNegative: TypeAlias = Annotated[float, Meta(ge=0, le=1e7)]
@@ -110,6 +111,7 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     heave: Translation | None = None
     yaw: Rotation
     thruster: Thrusters
+    reference_point: ReferencePoint = ORIGIN  # whose position and velocity the estimates give
 
     def __post_init__(self) -> None:
         """Reject parameters that contradict each other."""
@@ -156,6 +158,10 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def can_dive(self) -> bool:
         """True if the vehicle can dive, with a vertical thruster; False for a surface craft."""
         return self.heave is not None
+
+    def at_origin(self) -> Vehicle:
+        """Return the vehicle for estimates of its origin: without the reference point of its own navigation."""
+        return msgspec.structs.replace(self, reference_point=ORIGIN)
 
     def coefficients(self) -> Coefficients:
         """Return the coefficients for compiled code. A surface craft has its dry mass and no damping in heave."""

@@ -23,6 +23,7 @@ GYRATION_OVER_SIZE = (0.15, 10.0)
 """Ratio of sqrt(I_z / M_y) to the edge of a cube of the hull's volume: 1 for a hull of 1 : 7."""
 
 ARM_OVER_SIZE = (0.02, 5.0)
+REFERENCE_POINT_OVER_SIZE = 5.0
 MIN_THRUSTER_TIME_S = 0.02
 MAX_THRUSTER_TIME_S = 5.0
 MAX_DRAG_RATE_PER_S = 10.0
@@ -41,6 +42,7 @@ def warnings(vehicle: Vehicle, can: Performance) -> list[str]:
     """
     return [
         *_size_warnings(vehicle),
+        *_reference_point_warnings(vehicle),
         *_lateral_thruster_warnings(vehicle),
         *_damping_warnings(vehicle),
         *_motion_warnings(vehicle, can),
@@ -65,6 +67,16 @@ def _size_warnings(vehicle: Vehicle) -> Iterator[str]:
             f"[yaw] inertia_kgm2 = {vehicle.yaw.inertia_kgm2:g}: a radius of gyration of {gyration:.2g} m does not fit "
             f"{mass:g} kg, of which {low:.2g} to {high:.2g} m are usual"
         )
+
+
+def _reference_point_warnings(vehicle: Vehicle) -> Iterator[str]:
+    point, high = vehicle.reference_point, REFERENCE_POINT_OVER_SIZE * _size(vehicle)
+    for name, offset in (("forward_m", point.forward_m), ("starboard_m", point.starboard_m), ("down_m", point.down_m)):
+        if abs(offset) > high:
+            yield (
+                f"[reference_point] {name} = {offset:g}: within {high:.2g} m of the centre fits "
+                f"{vehicle.dry_mass_kg:g} kg; is it in m?"
+            )
 
 
 def _lateral_thruster_warnings(vehicle: Vehicle) -> Iterator[str]:

@@ -89,12 +89,19 @@ def estimator(
 
     Reads sensor/*; writes estimate.
     """
+    from ltv_mpc.errors import ConfigError
     from ltv_mpc.localisation.config import EstimatorConfig
     from ltv_mpc.vehicle.parameters import Vehicle
     from services.processes import estimator as process
     from services.run.water import resolve_prior_path
 
-    Vehicle.load(vehicle)
+    loaded = Vehicle.load(vehicle)
+    if loaded != loaded.at_origin():
+        raise ConfigError(
+            f"vehicle {vehicle}",
+            "[reference_point]",
+            "must be 0 or left out: this estimator publishes the vehicle's origin; leave it out for the controller too",
+        )
     table = (
         EstimatorConfig()
         if settings is None

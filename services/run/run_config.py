@@ -59,7 +59,8 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
     for override in overrides:
         scenario = with_overrides(scenario, override.assignments, source=override.source)
     scenario = checked(scenario, source=f"scenario {name}")
-    vehicle = Vehicle.load(scenario.vehicle)
+    measured = Vehicle.load(scenario.vehicle)
+    vehicle = measured.at_origin()  # the point of which the simulated navigation gives estimates
     sensor_config = SensorConfig.load(scenario.sensors)
     solvers.make(vehicle, scenario.controller)  # raises ConfigError if the solver is not installed
     reference = references.load(scenario.reference)
@@ -73,8 +74,8 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
         reference=reference,
         water=water.make(scenario.water, scenario.run.seed),
         prior=prior,
-        files=_files(scenario, sensor_config, called),
-        notes=(*_notes(scenario, prior), *reference.notes(vehicle)),
+        files=_files(scenario, sensor_config, called) | _files_at_origin(measured),
+        notes=(*_notes(scenario, prior), *reference.notes(vehicle), *_notes_on_reference_point(measured)),
     )
 
 
@@ -123,6 +124,18 @@ def _files(scenario: Scenario, sensor_config: SensorConfig, called: str) -> dict
     )
     files["scenario.toml"] = config.to_toml(again)
     return files
+
+
+def _files_at_origin(vehicle: Vehicle) -> dict[str, str]:
+    """Return the vehicle file of a run if it must differ from that of the real vehicle, which has a reference point."""
+    at_origin = vehicle.at_origin()
+    return {} if at_origin == vehicle else {"config/vehicle.toml": config.to_toml(at_origin)}
+
+
+def _notes_on_reference_point(vehicle: Vehicle) -> tuple[str, ...]:
+    if vehicle.at_origin() == vehicle:
+        return ()
+    return ("[reference_point] of the vehicle is not used: the simulated estimates are those of its origin",)
 
 
 def _notes(scenario: Scenario, prior: WaterPrior | None) -> tuple[str, ...]:

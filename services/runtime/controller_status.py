@@ -110,11 +110,12 @@ class ControllerStatusReporter:
         return status
 
     def _error_m(self) -> float | None:
-        """Return the distance from the newest estimate to the reference position of the newest plan."""
-        if self._plan is None or self._plan.reference_m is None or self._estimate is None:
+        """Return the distance of the vehicle's origin from its target, by the newest accepted estimate."""
+        controller = self._node.controller
+        estimate, target_m = controller.estimate_gate.accepted, controller.follower.target_m
+        if self._plan is None or self._plan.reference_m is None or estimate is None or target_m is None:
             return None
-        north, east = self._plan.reference_m
-        return math.hypot(self._estimate.north_m - north, self._estimate.east_m - east)
+        return math.dist((estimate.north_m, estimate.east_m), target_m)
 
 
 def _quantile(ascending: Sequence[int], share: float) -> float | None:

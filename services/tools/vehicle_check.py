@@ -12,6 +12,7 @@ from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
 from ltv_mpc.vehicle.plausibility import warnings
+from ltv_mpc.vehicle.reference_point import ReferencePoint
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
@@ -20,6 +21,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     description: str
     dives: bool
+    reference_point: ReferencePoint
     performance: Performance
     speed_scale_mps: float
     time_scale_s: float
@@ -35,6 +37,7 @@ def check(vehicle: Vehicle) -> Check:
         name=vehicle.name,
         description=vehicle.description,
         dives=vehicle.can_dive,
+        reference_point=vehicle.reference_point,
         performance=can,
         speed_scale_mps=scales.speed_mps,
         time_scale_s=scales.time_s,
@@ -46,7 +49,7 @@ def check(vehicle: Vehicle) -> Check:
 
 def table(of: Check) -> str:
     """Format the result as text."""
-    can, w = of.performance, of.weights
+    can, w, point = of.performance, of.weights, of.reference_point
     rows = [
         ("top speed ahead", _value(can.top_speed_ahead_mps, "m/s")),
         ("top speed astern", _value(can.top_speed_astern_mps, "m/s")),
@@ -64,6 +67,10 @@ def table(of: Check) -> str:
         ("time constant of sway", f"{_value(can.sway_s, 's')} from a tenth of top speed"),
         ("time constant of yaw", _value(can.yaw_s, "s")),
         ("time constant of a thruster", f"{_value(can.thruster_s, 's')}, slew and lag"),
+        (
+            "estimates are of the point",
+            f"{point.forward_m:g} m forward, {point.starboard_m:g} m starboard, {point.down_m:g} m down of the origin",
+        ),
         ("proposed horizon", f"{of.horizon_s:g} s: --horizon-s {of.horizon_s:g}"),
         ("scales of the weights", f"V {of.speed_scale_mps:.3g} m/s, T {of.time_scale_s:.3g} s"),
         ("weights", f"position {w.position_per_m2:g} /m2, at the end {w.terminal_position_per_m2:g} /m2"),

@@ -47,7 +47,7 @@ class Controllers(msgspec.Struct, frozen=True, kw_only=True):
 def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
     """Run the process: the controllers of these vehicles."""
     die_with_parent(parent)
-    vehicle = Vehicle.load(fleet.vehicle)
+    vehicle = Vehicle.load(fleet.vehicle).at_origin()  # of which the plants publish estimates
     config = ControllerConfig(horizon_s=fleet.horizon_s, period_s=1.0 / fleet.rate_hz)
     point = Point(north_m=0.0, east_m=0.0, depth_m=10.0)
     warm_up(vehicle, point, config)

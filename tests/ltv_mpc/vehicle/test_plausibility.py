@@ -66,6 +66,11 @@ def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
             "arm_m = 0.0 # m left",
             "[thruster.port] arm_m = 0: this thruster makes no yaw moment",
         ),
+        (
+            "[surge]",
+            "[reference_point]\nforward_m = 50.0\n[surge]",
+            "[reference_point] forward_m = 50: within 2.9 m of the centre fits 200 kg; is it in m?",
+        ),
         ("max_N = 62.5 ", "max_N = 0.0625 ", "is the thrust in kN or gf"),
         ("max_N = 62.5 ", "max_N = 62500.0 ", "is the thrust in kN or gf"),
         (

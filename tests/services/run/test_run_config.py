@@ -9,6 +9,9 @@ import pytest
 
 from ltv_mpc.localisation import sensor_config
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.vehicle import parameters
+from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.reference_point import ORIGIN
 from services.run.run_config import Override, resolve
 
 UPON = """
@@ -67,3 +70,16 @@ def test_a_scenario_names_sensors_and_prior_from_its_own_folder(
     assert here.prior.sd_mps.tolist() == [1.0]
     assert any("water prior known.csv: 0 to 0 m, sd 1000.0 to 1000.0 mm/s" in note for note in here.notes)
     assert resolve("descent").prior is None
+
+
+def test_a_run_has_no_reference_point_because_its_estimates_are_of_the_origin(tmp_path: Path) -> None:
+    """Its own vehicle file says so too, so that replay and a run made again agree."""
+    template = (Path(parameters.__file__).parent / "template.toml").read_text()
+    (tmp_path / "mine.toml").write_text(template.replace("forward_m = 0.0", "forward_m = 0.5"))
+    here = resolve("descent", [Override("test", [f"vehicle={tmp_path / 'mine.toml'}"])])
+    (tmp_path / "kept.toml").write_text(here.files["config/vehicle.toml"])
+    assert here.vehicle == Vehicle.load(str(tmp_path / "kept.toml"))
+    assert here.vehicle.reference_point == ORIGIN
+    assert here.vehicle.name == "mine"
+    assert any("[reference_point]" in note for note in here.notes)
+    assert not any("[reference_point]" in note for note in resolve("descent").notes)

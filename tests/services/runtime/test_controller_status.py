@@ -12,9 +12,11 @@ import pytest
 from ltv_mpc import ControllerConfig, Vehicle, references
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import (
+    Action,
     Authority,
     ClockMode,
     ClockStep,
+    Command,
     ControllerStatus,
     Estimate,
     Health,
@@ -25,6 +27,7 @@ from ltv_mpc.messages import (
     SolveStatus,
 )
 from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.vehicle.reference_point import ReferencePoint
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_sync import ClockOffset
 from services.runtime.console import Level
@@ -68,7 +71,7 @@ def plan(north_m: float) -> Plan:
 
 @pytest.fixture
 def node() -> ControllerNode:
-    return ControllerNode(Vehicle.load("paper"), references.load("hover"), ControllerConfig())
+    return ControllerNode(Vehicle.load("paper"), references.Point(north_m=0.0, east_m=0.0), ControllerConfig())
 
 
 def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(node: ControllerNode) -> None:
@@ -78,7 +81,8 @@ def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(
     assert (first.estimate_age_ns, first.cycle_median_us, first.error_m) == (None, None, None)
     assert (first.authority, first.health) == ("disarmed", "degraded")
     estimate = msgspec.structs.replace(Estimate.at_rest(north_m=3.0, east_m=4.0), t_ns=7_000_000_000)
-    node.receive(ReceivedMessage(estimate, 1, 0, estimate.t_ns))
+    arm = Command(command_id=1, action=Action.ARM)
+    step(node, estimate.t_ns, [ReceivedMessage(message, 1, 0, estimate.t_ns) for message in (estimate, arm)])
     node.arbiter.receive_manual((1e6, 0.0, 0.0), 0)
     report.on_input(estimate)
     for _ in range(5):
@@ -96,6 +100,17 @@ def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(
     assert status.rejected == {"manual: thrust outside the limits": 1}
     assert report.due_us == 12 * S + 1
     assert shown == [first, status]
+
+
+def test_its_error_is_that_of_the_origin_wherever_the_estimates_are_measured() -> None:
+    """The antenna is 3 m ahead of the vehicle, which looks east: the vehicle is 2 m from its point, the antenna 5 m."""
+    vehicle = msgspec.structs.replace(Vehicle.load("paper"), reference_point=ReferencePoint(forward_m=3.0))
+    node = ControllerNode(vehicle, references.Point(north_m=0.0, east_m=0.0), ControllerConfig())
+    report = ControllerStatusReporter(node)
+    estimate = Estimate.at_rest(east_m=5.0, depth_m=0.0, heading_rad=np.pi / 2)
+    messages = estimate, Command(command_id=1, action=Action.ARM)
+    report.on_step(step(node, 0, [ReceivedMessage(message, 1, 0, 0) for message in messages]), 1, 0)
+    assert report.status(1, 0, MessageValidator(), SHARED).error_m == pytest.approx(2.0)
 
 
 def test_a_message_by_hand_outside_the_box_is_counted_by_the_node(node: ControllerNode) -> None:
