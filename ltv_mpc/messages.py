@@ -79,6 +79,8 @@ RotationEntry: TypeAlias = Annotated[float, Meta(ge=-1.0001, le=1.0001, extra={"
 ModelProduct: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "squares of noise deviations"})]
 # Bounded because a reference is parsed within a control cycle.
 ReferenceText: TypeAlias = Annotated[str, Meta(max_length=65_536)]
+SourceName: TypeAlias = Annotated[str, Meta(pattern="^[a-z0-9][a-z0-9_-]{0,31}$")]
+SourceChoice: TypeAlias = Annotated[str, Meta(pattern="^([a-z0-9][a-z0-9_-]{0,31})?$")]
 # Bounded because a restarted process receives them through a pipe.
 Durations: TypeAlias = Annotated[tuple[Duration, ...], Meta(max_length=1000)]
 
@@ -638,6 +640,14 @@ class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
     ]
     progress: ReferenceProgress = None
     inputs: Annotated[tuple[InputReport, ...], Meta(description="inputs whose age is monitored")] = ()
+    source: Annotated[
+        SourceChoice, Meta(description="name of the source of the estimates in use; empty before the first")
+    ] = ""
+    source_epoch: Annotated[Identifier, Meta(description="epoch of that source; 0 before the first")] = 0
+    rejected_epoch: Annotated[
+        Identifier, Meta(description="epoch of a second source that publishes on its key and is rejected; 0: none")
+    ] = 0
+    rejected_estimates: Annotated[Count, Meta(description="estimates of second sources rejected so far")] = 0
 
 
 class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -706,6 +716,7 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
         Plan | None, Meta(description="last plan sent; after a restart, the plan in force at the actuators")
     ] = None
     estimate: Annotated[Estimate | None, Meta(description="newest estimate, of the vehicle's origin")] = None
+    source: Annotated[SourceChoice, Meta(description="name of the source that an operator has chosen; else empty")] = ""
 
 
 # --- written by the actuators ----------------------------------------------------------------------------------------
@@ -751,6 +762,7 @@ class Action(enum.StrEnum):
     RELEASE = "release"  # the pilot returns the thrusters to the controller
     FOLLOW = "follow"  # another reference
     HOLD = "hold"  # hold the current position
+    SOURCE = "source"  # use the estimates of one source
 
 
 class Command(Message, frozen=True, kw_only=True, eq=False):
@@ -761,6 +773,10 @@ class Command(Message, frozen=True, kw_only=True, eq=False):
     ]
     action: Annotated[Action, Meta(description="requested action")]
     reference_toml: Annotated[ReferenceText, Meta(description="for follow: contents of a reference file, TOML")] = ""
+    source: Annotated[
+        SourceChoice,
+        Meta(description="for source: its name, `default` for the plain key; empty: the order of the settings"),
+    ] = ""
 
 
 class Manual(Message, frozen=True, kw_only=True, eq=False):

@@ -15,6 +15,9 @@ import msgspec
 
 from ltv_mpc.messages import Message
 
+DEFAULT_SOURCE = "default"
+"""Name of the source on a plain key."""
+
 
 class Grid(msgspec.Struct, frozen=True):
     """Schedule of steps at exactly t_ns = k x period; none is skipped."""
@@ -44,12 +47,16 @@ Schedule: TypeAlias = Grid | Cycle | OnMessage
 
 
 class ReceivedMessage(msgspec.Struct, frozen=True, eq=False, gc=False):
-    """Entry of an inbox: a validated message, epoch and sequence of its header, and its time of arrival."""
+    """Entry of an inbox: a validated message, epoch and sequence of its header, its time of arrival, and its source.
+
+    ``source`` is the name of the source, if several may publish on keys of their own.
+    """
 
     message: Message
     epoch: int
     sequence: int
     received_t_ns: int
+    source: str = DEFAULT_SOURCE
 
 
 Inbox: TypeAlias = Sequence[ReceivedMessage]

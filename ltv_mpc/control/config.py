@@ -12,7 +12,8 @@ from msgspec import Meta
 from ltv_mpc import config
 from ltv_mpc.control import shooting_grid
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Array
+from ltv_mpc.messages import Array, SourceName
+from ltv_mpc.node import DEFAULT_SOURCE
 from ltv_mpc.safety.health import Ages
 
 STAGE_NS = 300_000_000
@@ -91,6 +92,9 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     max_iterations: Annotated[int, Meta(ge=1, le=100_000)] = 400
     tolerance: Annotated[float, Meta(gt=0, le=1e-1)] = 5e-6
     solver: str = "osqp"
+    sources: Annotated[tuple[SourceName, ...], Meta(max_length=16)] = (
+        DEFAULT_SOURCE,
+    )  # names of the sources of estimates, the preferred one first; "default": the plain key
     delay_quantile: Annotated[float, Meta(ge=0.5, le=1)] = 0.98  # of the measured delays: delay.py
     first_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.05  # expected delay before any measurement
     min_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.0  # smallest expected delay: margin on a busy machine

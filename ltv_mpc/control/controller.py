@@ -38,6 +38,7 @@ from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan
 from ltv_mpc.messages import (
     Applied,
+    Array,
     Authority,
     ControllerState,
     CycleTiming,
@@ -94,7 +95,7 @@ class Controller:
         """Commands in force, by time."""
         packed = pack_constants(vehicle, config.weights, config.knots, STAGE_S, config.limits.max_abs)
         self._estimates = EstimateSelector(vehicle, config)
-        self._bias = None if config.disturbance.sd_mps == 0 else CurrentBias(config.disturbance)
+        self._bias = _new_bias(config)
         self._delay = Delay(_first_delay_ns(config), config.delay_quantile, round(config.min_delay_s * 1e9))
         self._prediction = Prediction(vehicle)
         self._vertical = VerticalLaw(vehicle, packed)
@@ -153,6 +154,21 @@ class Controller:
         timing : ``compute_ns`` is used; it does not include the transport of the plan.
         """
         self._delay.add_timing(timing)
+
+    def restart_estimates(self) -> None:
+        """Begin with another source of estimates: gate, period, checks and current bias are those of one source."""
+        self._estimates.restart()
+        self._bias = _new_bias(self.config)
+
+    def predict(self, estimate: Estimate, t_ns: int) -> Array:
+        """Return the predicted lateral state (6,) at ``t_ns``: n, e, u, v, psi, r.
+
+        Parameters
+        ----------
+        estimate : where the prediction begins.
+        t_ns : time of the state, vehicle time (ns).
+        """
+        return self._prediction.state_at(estimate, t_ns, self.sent_commands).lateral[:6]
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest plausible estimate, and by the prediction in the last cycle.
@@ -423,6 +439,10 @@ def _end_of_motion_ns(state: ControllerState) -> int:
     if plan is None or plan.authority is not Authority.CONTROLLER:
         return state.schedule_t_ns
     return int(plan.t_ns[-1]) + SAVE_PERIOD_NS
+
+
+def _new_bias(config: ControllerConfig) -> CurrentBias | None:
+    return None if config.disturbance.sd_mps == 0 else CurrentBias(config.disturbance)
 
 
 def _first_delay_ns(config: ControllerConfig) -> int:

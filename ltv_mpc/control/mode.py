@@ -30,7 +30,6 @@ from ltv_mpc.references.follower import Follower
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, PREDICTED_TOO_FAR, HealthState, health
-from ltv_mpc.safety.input_monitor import Period
 from ltv_mpc.safety.reference_point_check import ReferencePointCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -87,7 +86,6 @@ class EstimateSelector:
         """Check that the estimates describe the vehicle's declared reference point."""
         self._ages = config.ages
         self._fresh_ns = round(config.ages.degraded_s * 1e9)
-        self._period = Period()  # of the plausible estimates
         self._without = health(age_ns=None, period_ns=0)  # health before the first plausible estimate
         self._uncertain: Estimate | None = None  # the last one from which the prediction grew too uncertain
 
@@ -98,14 +96,16 @@ class EstimateSelector:
         ----------
         newest : estimate that was received last.
         """
-        before = self.gate.accepted
         reason = self.gate.check(newest)
         estimate = self.gate.accepted
         if estimate is None:
             self._without = HealthState(Health.FAILSAFE, f"no valid estimate: {reason}")
-        elif estimate is not before:
-            self._period.add(estimate.t_ns)
         return estimate
+
+    def restart(self) -> None:
+        """Begin with another source of estimates."""
+        self.gate.restart()
+        self.reference_point_check = ReferencePointCheck()
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest plausible estimate, and by ``limit_growth``.
@@ -120,7 +120,7 @@ class EstimateSelector:
         age_ns = t_ns - estimate.t_ns
         if -self._fresh_ns <= age_ns <= self._fresh_ns:
             return NOMINAL  # for any period of the estimates
-        state = health(age_ns=age_ns, period_ns=self._period.median_ns, ages=self._ages)
+        state = health(age_ns=age_ns, period_ns=self.gate.period.median_ns, ages=self._ages)
         if estimate is self._uncertain and state.health is Health.DEGRADED:
             return HealthState(Health.HOLD, PREDICTED_TOO_FAR)
         return state

@@ -1,7 +1,7 @@
 """Controller node: one control cycle per period on the newest estimate, under the current authority.
 
-It publishes its state at each change of authority or reference, and every ``SAVE_PERIOD_NS``. From that state and the
-plan in force another controller node can continue.
+It publishes its state at each change of authority, reference or forced source, and every ``SAVE_PERIOD_NS``. From that
+state and the plan in force another controller node can continue.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import msgspec
 
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import SAVE_PERIOD_NS, Controller
+from ltv_mpc.control.estimate_sources import EstimateSources
 from ltv_mpc.control.operator_commands import OperatorCommands
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.messages import (
@@ -36,6 +37,7 @@ from ltv_mpc.safety.health import NOMINAL, HealthState, report_health, worst
 from ltv_mpc.safety.input_monitor import InputMonitor
 from ltv_mpc.safety.model_monitor import ModelMonitor
 from ltv_mpc.safety.plan_rejections import PlanRejections
+from ltv_mpc.safety.source_selector import Source
 from ltv_mpc.vehicle.parameters import Vehicle
 
 CLOCK_DOUBT_NS = 10_000_000_000
@@ -75,12 +77,13 @@ class ControllerNode:
         self.schedule = Cycle(config.period_ns)
         self.controller = Controller(vehicle, reference, config, make_solver=make_solver, stopwatch=stopwatch)
         self.arbiter = CommandArbiter(vehicle)
-        self.estimates, self.reports = InputMonitor(), InputMonitor()
-        """Order and age of the inputs whose age decides the health."""
-        self._commands = OperatorCommands(self.controller, self.arbiter, reference)
+        self.sources = EstimateSources(self.controller, config.sources)
+        """Sources of the estimates: the active one and the rejected ones."""
+        self.reports = InputMonitor()
+        """Order and age of the actuators' reports."""
+        self._commands = OperatorCommands(self.controller, self.arbiter, self.sources, reference)
         self._model_monitor = ModelMonitor(vehicle, config.disturbance.noise_mps)
         self._plan_rejections = PlanRejections(config.period_ns)
-        self._estimate: Estimate | None = None  # the newest
         self._cycle_ns = 0  # time of the last cycle
         self._clock_doubt: ClockStep | None = None  # the last step, if it is not certain
         self._saved: ControllerState | None = None  # state that was published last
@@ -104,7 +107,7 @@ class ControllerNode:
         for received in inbox:
             match received.message:
                 case Command() as command:
-                    acknowledged.append(self._commands.acknowledge(command, self._estimate, t_ns))
+                    acknowledged.append(self._commands.acknowledge(command, t_ns))
                 case Manual() as manual:
                     self.arbiter.receive_manual(manual.thrust_N, received.received_t_ns)
                 case ClockStep() as clock_step:
@@ -114,7 +117,7 @@ class ControllerNode:
                 case _:
                     self.receive(received)
         # The plan and the state come first: a command that is acknowledged is in force, and saved.
-        plans = [] if self._estimate is None else [self.cycle(self._estimate, t_ns)]
+        plans = [] if self.sources.newest is None else [self.cycle(self.sources.newest, t_ns)]
         due_state, check = self._due_state(t_ns), self._check_model()
         states, checks = ([] if report is None else [report] for report in (due_state, check))
         return [*plans, *states, *acknowledged, *checks]
@@ -128,8 +131,9 @@ class ControllerNode:
         """
         match received.message:
             case Estimate() as estimate:
-                if self._is_newer(self.estimates, received, estimate.t_ns):
-                    self._estimate = self.controller.vehicle.reference_point.to_origin(estimate)
+                at_origin = self.controller.vehicle.reference_point.to_origin(estimate)
+                if self.sources.receive(received, at_origin):
+                    self._model_monitor.restart()
             case Applied() as applied:
                 if self._is_newer(self.reports, received, applied.t_ns):
                     self.controller.add_report(applied)
@@ -162,6 +166,11 @@ class ControllerNode:
         """
         return worst(self.controller.health(t_ns), self._health_of_inputs(t_ns))
 
+    @property
+    def active_source(self) -> Source | None:
+        """Source of the estimates in use; None before the first believed estimate."""
+        return self.sources.selector.active
+
     def inputs(self) -> tuple[InputReport, ...]:
         """Return the state of each input whose age decides the health, at the last cycle."""
         implausible, ages = self.controller.estimate_gate.rejected.total(), self.controller.config.ages
@@ -171,7 +180,7 @@ class ControllerNode:
                 rejected=monitor.rejected + more,
                 **monitor.state_at(self._cycle_ns, ages)._asdict(),
             )
-            for name, monitor, more in (("estimate", self.estimates, implausible), ("applied", self.reports, 0))
+            for name, monitor, more in (("estimate", self.sources.monitor, implausible), ("applied", self.reports, 0))
         )
 
     def _health_of_inputs(self, t_ns: int) -> HealthState:
@@ -181,6 +190,7 @@ class ControllerNode:
             self._plan_rejections.health(t_ns),
             self._health_of_clock(t_ns),
             self.controller.reference_point_check.health,
+            self.sources.health(t_ns),
         )
 
     def _health_of_reports(self, t_ns: int) -> HealthState:
@@ -223,17 +233,19 @@ class ControllerNode:
         if state.model_products is not None:
             self._model_monitor.restore(state.model_products)
         self.controller.restore(state, t_ns)
-        if self._estimate is None:
-            self._estimate = state.estimate
+        self.sources.selector.forced = state.source
+        if self.sources.newest is None:
+            self.sources.newest = state.estimate
 
     def _due_state(self, t_ns: int) -> ControllerState | None:
-        """Return the state if it is due: at each change of authority or reference, and every SAVE_PERIOD_NS."""
+        """Return the state if it is due: at each change of authority, reference or source, every SAVE_PERIOD_NS."""
         before, toml = self._saved, self._commands.reference_toml
         if before is not None and (
             0 <= t_ns - before.t_ns < SAVE_PERIOD_NS
             and before.authority is self.arbiter.authority
             and before.arm_continues is self._commands.arm_continues
             and before.reference_toml is toml
+            and before.source == self.sources.selector.forced
             and (before.reference_start is None) == (self.controller.follower.target_m is None)
         ):
             return None
@@ -243,6 +255,7 @@ class ControllerNode:
             reference_toml=toml,
             arm_continues=self._commands.arm_continues,
             model_products=self._model_monitor.products,
-            estimate=self._estimate,
+            estimate=self.sources.newest,
+            source=self.sources.selector.forced,
         )
         return self._saved

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ltv_mpc import config as settings
 from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.estimate_sources import EstimateSources
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Acknowledgement, Action, Authority, Command, Estimate
 from ltv_mpc.references import Hold, Reference, Timed
@@ -20,37 +21,40 @@ process reads the same file."""
 class OperatorCommands:
     """Execution of an operator's commands, and the reference that they chose."""
 
-    def __init__(self, controller: Controller, arbiter: CommandArbiter, reference: Reference) -> None:
+    def __init__(
+        self, controller: Controller, arbiter: CommandArbiter, sources: EstimateSources, reference: Reference
+    ) -> None:
         """Begin with the reference that the controller was started with.
 
         Parameters
         ----------
         controller : follows the chosen reference.
         arbiter : decides who commands the thrusters.
+        sources : of the estimates; "hold" means the depth of the newest one.
         reference : the one that ``controller`` follows now.
         """
         self._controller = controller
         self._arbiter = arbiter
+        self._sources = sources
         self._reference = reference
         self.reference_toml = reference_toml(reference)
         """Reference that is followed, as a reference file holds it; empty if it is longer than MAX_TOML_CHARS."""
         self.arm_continues = False
         """The next arm continues the reference, because a restart and no operator has disarmed."""
 
-    def acknowledge(self, command: Command, estimate: Estimate | None, t_ns: int) -> Acknowledgement:
+    def acknowledge(self, command: Command, t_ns: int) -> Acknowledgement:
         """Execute a command.
 
         Parameters
         ----------
         command : what the operator asks for.
-        estimate : the newest estimate, if there is one: "hold" means its depth.
         t_ns : now, vehicle time (ns).
 
         Returns
         -------
         The acknowledgement; it gives the reason if the command was rejected.
         """
-        result = self._execute(command, estimate)
+        result = self._execute(command, t_ns)
         return Acknowledgement(
             t_ns=t_ns,
             command_id=command.command_id,
@@ -81,11 +85,13 @@ class OperatorCommands:
         self._set_reference(reference, toml)
         return self._arbiter.request(Action.FOLLOW)
 
-    def _execute(self, command: Command, estimate: Estimate | None) -> CommandResult:
+    def _execute(self, command: Command, t_ns: int) -> CommandResult:
         if command.action is Action.FOLLOW:
             return self.follow(command.reference_toml)
         if command.action is Action.HOLD:
-            return self._hold(estimate)
+            return self._hold(self._sources.newest)
+        if command.action is Action.SOURCE:
+            return self._reject(self._sources.selector.force(command.source, t_ns))
         before = self._arbiter.authority
         result = self._arbiter.request(command.action)
         if result.why:
@@ -107,6 +113,7 @@ class OperatorCommands:
         return self._arbiter.request(Action.HOLD)
 
     def _reject(self, why: str) -> CommandResult:
+        """Return the unchanged authority with the reason of a rejection, if there is one."""
         return CommandResult(self._arbiter.authority, why)
 
     def _set_reference(self, reference: Reference, toml: str) -> None:

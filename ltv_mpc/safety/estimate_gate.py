@@ -28,6 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import Estimate
+from ltv_mpc.safety.input_monitor import Period
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady_speed
 
@@ -79,8 +80,11 @@ class EstimateGate:
         """Number of rejected estimates, by reason."""
         self.accepted: Estimate | None = None
         """Newest accepted estimate."""
+        self.period = Period()
+        """Spacing of the stamps of accepted estimates."""
         self._bounds = Bounds.of(vehicle)
         self._jumped: Estimate | None = None  # the last estimate, if it was rejected as a jump
+        self._last: tuple[Estimate | None, str] = (None, "")  # the last rejected estimate, and the reason
 
     def check(self, estimate: Estimate) -> str:
         """Return the reason why ``estimate`` is rejected; empty if it is accepted now or was before.
@@ -91,23 +95,37 @@ class EstimateGate:
         """
         if estimate is self.accepted:
             return ""
-        if self._jumped is not None and estimate is self._jumped:
-            return JUMPED
-        reason = self._out_of_bounds(estimate)
+        last, reason = self._last
+        if estimate is last:
+            return reason
+        reason = self.out_of_bounds(estimate)
         if reason:
             self._jumped = None
-        elif self.accepted is not None and self._jumps(self.accepted, estimate):
+        elif self.accepted is not None and self.jumps(self.accepted, estimate):
             before, self._jumped = self._jumped, estimate
-            if before is None or before.t_ns == estimate.t_ns or self._jumps(before, estimate):
+            if before is None or before.t_ns == estimate.t_ns or self.jumps(before, estimate):
                 reason = JUMPED
         if reason:
             self.rejected[reason] += 1
+            self._last = estimate, reason
             return reason
+        if self.accepted is None or estimate.t_ns != self.accepted.t_ns:
+            self.period.add(estimate.t_ns)
         self.accepted, self._jumped = estimate, None
         return ""
 
-    def _out_of_bounds(self, e: Estimate) -> str:
-        """Return which bound the estimate exceeds; the comparisons are written so that NaN exceeds every bound."""
+    def restart(self) -> None:
+        """Begin with another source: its next plausible estimate is accepted, and its period is its own."""
+        self.accepted = self._jumped = None
+        self.period = Period()
+
+    def out_of_bounds(self, e: Estimate) -> str:
+        """Return which bound an estimate exceeds by itself; NaN exceeds every bound.
+
+        Parameters
+        ----------
+        e : any estimate.
+        """
         bounds = self._bounds
         vn, ve = e.velocity_north_mps, e.velocity_east_mps
         if not math.isfinite(e.north_m + e.east_m + e.heading_rad + vn + ve + e.yaw_rate_radps):
@@ -123,27 +141,39 @@ class EstimateGate:
             return "sinking speed above what the vehicle can reach"
         return ""
 
-    def _jumps(self, old: Estimate, new: Estimate) -> bool:
-        """Return True if the vehicle cannot have moved from ``old`` to ``new`` in the time between them."""
+    def jumps(self, old: Estimate, new: Estimate) -> bool:
+        """Return True if the vehicle cannot have moved from ``old`` to ``new`` in the time between them.
+
+        Parameters
+        ----------
+        old, new : two estimates.
+        """
         bounds = self._bounds
         dt = abs(new.t_ns - old.t_ns) * 1e-9
         off_n = new.north_m - old.north_m - old.velocity_north_mps * dt
         off_e = new.east_m - old.east_m - old.velocity_east_mps * dt
         reach = bounds.speed_mps * dt + JUMP_M
         if off_n * off_n + off_e * off_e > reach * reach:
-            sd = sum(_sd(e, (0, 1), UNKNOWN_SD_M) for e in (old, new))
+            sd = sum(standard_deviation(e, (0, 1), UNKNOWN_SD_M) for e in (old, new))
             if math.hypot(off_n, off_e) > max(reach, SIGMAS * sd):
                 return True
         turned = abs(math.remainder(new.heading_rad - old.heading_rad - old.yaw_rate_radps * dt, math.tau))
         reach = bounds.yaw_rate_radps * dt + JUMP_RAD
-        if turned > reach and turned > SIGMAS * sum(_sd(e, (4,), UNKNOWN_SD_RAD) for e in (old, new)):
+        if turned > reach and turned > SIGMAS * sum(standard_deviation(e, (4,), UNKNOWN_SD_RAD) for e in (old, new)):
             return True
         if old.depth_m is None or new.depth_m is None:
             return False
         return abs(new.depth_m - old.depth_m) > bounds.sinking_mps * dt + JUMP_DEPTH_M
 
 
-def _sd(estimate: Estimate, indices: tuple[int, ...], unknown: float) -> float:
-    """Return the standard deviation of some states, from the diagonal of the covariance."""
+def standard_deviation(estimate: Estimate, indices: tuple[int, ...], unknown: float) -> float:
+    """Return the standard deviation of some states, from the diagonal of the covariance.
+
+    Parameters
+    ----------
+    estimate : any estimate.
+    indices : places of the states in the covariance.
+    unknown : result for an estimate without covariance.
+    """
     P = estimate.covariance
     return unknown if P is None else math.sqrt(sum(max(float(P[i, i]), 0.0) for i in indices))

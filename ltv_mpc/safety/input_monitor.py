@@ -111,6 +111,10 @@ class InputMonitor:
         self._epoch, self._sequence, self._stamp_ns, self._received_ns = epoch, sequence, stamp_ns, received_ns
         return True
 
+    def restart(self) -> None:
+        """Begin with another source: its order and its period are its own. The count of rejected messages stays."""
+        self.period, self._epoch, self._sequence, self._stamp_ns = Period(), None, -1, None
+
     def silent_ns(self, t_ns: int) -> int | None:
         """Return the time (ns) since the newest message arrived; None before the first.
 

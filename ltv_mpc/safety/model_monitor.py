@@ -209,6 +209,11 @@ class ModelMonitor:
         self._detector.restore(products)
         self._settling_s = 0.0
 
+    def restart(self) -> None:
+        """Begin with another source of estimates: its motion is not compared with that of the last one."""
+        self._last, self._residual, self._quiet_cycles = None, _MeanResidual(), 0
+        self._detector.clear_window()
+
     def add_report(self, applied: Applied) -> None:
         """Add a report of the actuators.
 

@@ -1,7 +1,8 @@
 """Roles of a secured bus: the keys that each process may write and read, derived from the table of topics.
 
 A role is the common name of a certificate. The writer of a row may publish on its key and the readers may subscribe.
-The router denies everything else; a certificate without a role may do nothing.
+The router denies everything else; a certificate without a role may do nothing. A source of estimates with a name has a
+role of its own, ``estimator-<name>``, which may publish on ``estimate/<name>``.
 """
 
 from __future__ import annotations
@@ -9,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from ltv_mpc.messages import NodeStatus, Truth
-from services.bus.topics import BY_TYPE, OPERATOR, TOPICS, Topic
+from ltv_mpc.messages import Estimate, NodeStatus, Truth
+from services.bus.topics import BY_TYPE, OPERATOR, TOPICS, Topic, expression
 
 ANYONE = "*"
 
@@ -21,6 +22,10 @@ SEES_EVERYTHING = (LAUNCHER, RECORDER, DISPLAY, OPERATOR)
 
 SIMULATED = BY_TYPE[Truth].written_by
 """Role of the simulated vehicle: it is the clock master, so it reads the others' status, and it arms its controller."""
+
+
+SOURCE_PREFIX = f"{BY_TYPE[Estimate].written_by}-"
+"""Start of the role of a named source."""
 
 
 def _named(topics: Iterable[Topic]) -> tuple[str, ...]:
@@ -35,6 +40,8 @@ ROLES = tuple(dict.fromkeys((ROUTER, *_named(TOPICS), *SEES_EVERYTHING)))
 def writes(role: str) -> tuple[str, ...]:
     """Return the keys on which ``role`` may publish; of a key of every node, only the role's own."""
     acts_as = (role, OPERATOR) if role == SIMULATED else (role,)
+    if role.startswith(SOURCE_PREFIX):
+        return (f"{BY_TYPE[Estimate].key}/{role.removeprefix(SOURCE_PREFIX)}",)
     return tuple(
         f"{topic.key}/{role}" if topic.written_by == ANYONE else topic.key
         for topic in TOPICS
@@ -46,24 +53,20 @@ def reads(role: str) -> tuple[str, ...]:
     """Return the key expressions to which ``role`` may subscribe."""
     if role in SEES_EVERYTHING:
         return ("**",)
-    return tuple(_pattern(topic) for topic in TOPICS if _reads(role, topic))
+    return tuple(expression(topic) for topic in TOPICS if _reads(role, topic))
 
 
 def _reads(role: str, topic: Topic) -> bool:
     return role in topic.read_by or ANYONE in topic.read_by or (role == SIMULATED and topic.message_type is NodeStatus)
 
 
-def _pattern(topic: Topic) -> str:
-    return f"{topic.key}/*" if topic.written_by == ANYONE else topic.key
-
-
-def access_control(namespace: str) -> dict[str, Any]:
+def access_control(namespace: str, sources: Iterable[str] = ()) -> dict[str, Any]:
     """Return Zenoh's ``access_control`` for a router: default deny, one subject a role, by the common name.
 
-    With a ``namespace`` the rights hold in that one only; without, in every namespace. The router is no subject: its
-    own messages use no link.
+    With a ``namespace`` the rights hold in that one only; without, in every namespace. ``sources`` are the roles of the
+    named sources. The router is no subject: its own messages use no link.
     """
-    subjects = [role for role in ROLES if role != ROUTER]
+    subjects = [role for role in (*ROLES, *sources) if role != ROUTER]
     rules = [rule for role in subjects for rule in _rules(role, namespace)]
     policies = [{"subjects": [role], "rules": [rule["id"] for rule in _rules(role, namespace)]} for role in subjects]
     return {

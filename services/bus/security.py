@@ -49,6 +49,11 @@ def credentials(folder: Path, role: str) -> Credentials:
     return files
 
 
+def roles_in(folder: Path, prefix: str) -> list[str]:
+    """Return the roles whose names begin with ``prefix`` and whose certificates are in ``folder``."""
+    return sorted(file.stem for file in folder.glob(f"{prefix}*.pem"))
+
+
 def tls(files: Credentials) -> dict[str, Any]:
     """Return Zenoh's ``transport/link/tls``: both sides need a certificate of one authority; the host is verified."""
     return {

@@ -1,8 +1,10 @@
-"""Check of epoch and sequence number: each header is compared with the last one accepted on its key.
+"""Check of epoch and sequence number: each header is compared with the last ones accepted on its key.
 
-- The newest epoch of a key counts. A restarted source replaces its former epoch, whose frames are rejected from then
-  on.
-- Within an epoch the sequence number must increase. Numbers that it skips are counted as dropped.
+- One source of a key at a time, by its epoch. While its frames arrive, those of other sources are rejected. After a
+  silence of three of its periods, at least 0.5 s and at most 1.5 s, another one takes over: a restarted source, or a
+  former one. No source is excluded for ever.
+- Within an epoch the sequence number must increase, also of a source that takes over again. Numbers that it skips are
+  counted as dropped.
 - One frame alone changes neither by much. Its header may be the damaged part, and then every correct frame after it
   would seem old. A sequence number far ahead, or another epoch that does not start near 0, is accepted with the second
   frame that agrees with it.
@@ -27,16 +29,25 @@ MAX_FIRST = 10
 MAX_SOURCES = 1000
 """Largest number of keys, and of former epochs of one key, that are remembered; beyond it the oldest is forgotten."""
 
+MIN_SILENCE_US, MAX_SILENCE_US = 500_000, 1_500_000
+SILENT_PERIODS = 3
+
+
+def silence_us(period_ns: int) -> int:
+    """Return the silence after which another source takes over a key whose messages have this period."""
+    return min(max(SILENT_PERIODS * period_ns // 1000, MIN_SILENCE_US), MAX_SILENCE_US)
+
 
 class _Source:
-    """Last accepted header of a key, its former epochs, and an unconfirmed header."""
+    """Last accepted header of a key and its arrival, the former epochs, and an unconfirmed header."""
 
-    __slots__ = ("epoch", "former", "sequence", "unconfirmed")
+    __slots__ = ("epoch", "former", "received_us", "sequence", "unconfirmed")
 
-    def __init__(self, epoch: int, sequence: int) -> None:
+    def __init__(self, epoch: int, sequence: int, received_us: int) -> None:
         self.epoch = epoch
         self.sequence = sequence
-        self.former: dict[int, None] = {}
+        self.received_us = received_us
+        self.former: dict[int, int] = {}  # last accepted sequence by epoch
         self.unconfirmed: Header | None = None  # too far off to be accepted alone
 
 
@@ -47,37 +58,40 @@ class SequenceCheck:
         self.dropped = 0  # messages that were skipped, on all keys
         self._sources: dict[str, _Source] = {}
 
-    def check(self, key: str, header: Header) -> None:
+    def check(self, key: str, header: Header, received_us: int, silent_us: int = MIN_SILENCE_US) -> None:
         """Check epoch and sequence number against the last header accepted on ``key``.
 
-        Raises ``WireError`` if they are stale, duplicated or implausibly far ahead.
+        ``silent_us`` is the silence after which another source takes over. Raises ``WireError`` if the header is of a
+        second source, or its sequence number is old, duplicated or implausibly far ahead.
         """
         source = self._sources.pop(key, None)
         if source is None:
-            self._sources[key] = _Source(header.epoch, header.sequence)
+            self._sources[key] = _Source(header.epoch, header.sequence, received_us)
             _forget_oldest(self._sources)
             return
         self._sources[key] = source  # now the last one to be forgotten
-        restarted = header.epoch != source.epoch
-        skipped = header.sequence - (-1 if restarted else source.sequence) - 1
+        another = header.epoch != source.epoch
+        if another and 0 <= received_us - source.received_us < silent_us:
+            raise WireError(f"second source: epoch {header.epoch} while epoch {source.epoch} publishes")
+        last = source.former.get(header.epoch, -1) if another else source.sequence
+        skipped = header.sequence - last - 1
         if skipped < 0:
-            raise WireError(f"out of order: sequence {header.sequence} after {source.sequence}")
-        if header.epoch in source.former:
-            raise WireError("former epoch: its source has restarted since")
-        if skipped > (MAX_FIRST if restarted else MAX_SKIPPED):
+            raise WireError(f"out of order: sequence {header.sequence} after {last}")
+        if skipped > (MAX_FIRST if another else MAX_SKIPPED):
             first, source.unconfirmed = source.unconfirmed, header
             if first is None or first.epoch != header.epoch or not 0 < header.sequence - first.sequence <= MAX_APART:
                 raise WireError(
                     f"implausibly far ahead: sequence {header.sequence} of epoch {header.epoch}; accepted if repeated"
                 )
             skipped -= 1  # the first of the two frames was rejected, and is counted there
-        if restarted:
-            source.former[source.epoch] = None
+        if another:
+            source.former.pop(header.epoch, None)
+            source.former[source.epoch] = source.sequence
             _forget_oldest(source.former)
             source.epoch = header.epoch
         else:
             self.dropped += skipped
-        source.sequence, source.unconfirmed = header.sequence, None
+        source.sequence, source.received_us, source.unconfirmed = header.sequence, received_us, None
 
 
 def _forget_oldest(entries: dict[Any, Any]) -> None:

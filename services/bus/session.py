@@ -97,7 +97,8 @@ def configuration(options: BusOptions) -> zenoh.Config:
         if options.certs is not None:
             _insert(config, "transport/link/tls", security.tls(security.credentials(options.certs, options.role)))
             if options.acts_as == "router" or options.listen:
-                _insert(config, "access_control", roles.access_control(options.namespace))
+                sources = security.roles_in(options.certs, roles.SOURCE_PREFIX)
+                _insert(config, "access_control", roles.access_control(options.namespace, sources))
     except zenoh.ZError as error:
         raise _refusal(options, error) from None
     return config

@@ -6,6 +6,7 @@ Keys, quality of service, documentation and the channels of a recording all come
 from __future__ import annotations
 
 import enum
+import re
 
 import msgspec
 
@@ -45,6 +46,7 @@ from ltv_mpc.messages import (
     Truth,
     UsblFix,
 )
+from ltv_mpc.node import DEFAULT_SOURCE
 
 
 class Delivery(enum.StrEnum):
@@ -64,7 +66,8 @@ class Topic(msgspec.Struct, frozen=True):
     """Row of the table of topics.
 
     ``written_by`` is the only writer. "*" stands for every node, which then appends its name to the key. ``OPERATOR``
-    stands for any source of commands: several may publish on one key, each under an epoch of its own.
+    stands for any source of commands: several may publish on one key, each under an epoch of its own. Of a type in
+    ``NAMED`` other sources may publish beside the writer, on keys of their own.
     ``period_ns`` is the vehicle time between two messages, 0 if they are published on events.
     """
 
@@ -92,7 +95,7 @@ TOPICS = (
     Topic(LblRange,           "sensor/lbl",          10_000_000_000, EVERY,    "sensors",    ("estimator",)),
     Topic(UsblFix,            "sensor/usbl",          2_000_000_000, EVERY,    "sensors",    ("estimator",)),
     Topic(LocalisationReport, "localisation",         1_000_000_000, EVERY,    "estimator",  ()),
-    Topic(Estimate,           "estimate",               100_000_000, LATEST,   "estimator",  ("controller",)),
+    Topic(Estimate,           "estimate",               100_000_000, EVERY,    "estimator",  ("controller",)),
     Topic(Plan,               "plan",                   300_000_000, EVERY,    "controller", ("plant",)),
     Topic(Command,            "command",                          0, EVERY,    OPERATOR,     ("controller",)),
     Topic(Manual,             "manual",                 100_000_000, LATEST,   OPERATOR,     ("controller",)),
@@ -122,6 +125,11 @@ STATES: dict[str, type[ControllerState] | type[EstimatorState]] = {
 
 BY_KEY = {topic.key: topic for topic in TOPICS}
 
+NAMED: frozenset[type[Message]] = frozenset({Estimate})
+"""Types that several sources may publish, each on a key of its own: the key of the table, a slash, and its name."""
+
+_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
+
 
 def key_of(kind: type[Message], writer: str) -> str:
     """Return the key on which ``writer`` publishes; on a key of every node its name is appended."""
@@ -129,10 +137,36 @@ def key_of(kind: type[Message], writer: str) -> str:
     return f"{topic.key}/{writer}" if topic.written_by == "*" else topic.key
 
 
+def expression(topic: Topic) -> str:
+    """Return the key expression of all keys of a topic."""
+    if topic.message_type in NAMED:
+        return f"{topic.key}/**"  # the key of the table too
+    return f"{topic.key}/*" if topic.written_by == "*" else topic.key
+
+
 def topic_at(key: str) -> Topic | None:
     """Return the row of a key as published, or None for an unknown key."""
     topic = BY_KEY.get(key)
     if topic is not None:
         return topic if topic.written_by != "*" else None
-    topic = BY_KEY.get(key.rpartition("/")[0])
-    return topic if topic is not None and topic.written_by == "*" else None
+    table_key, _, name = key.rpartition("/")
+    topic = BY_KEY.get(table_key)
+    if topic is None or topic.written_by == "*":
+        return topic
+    return topic if topic.message_type in NAMED and is_source_name(name) else None
+
+
+def is_source_name(name: str) -> bool:
+    """Return True if a source may have this name, on a key of its own."""
+    return name != DEFAULT_SOURCE and _NAME.fullmatch(name) is not None
+
+
+def table_key(key: str) -> str:
+    """Return the key in the table of the source on ``key``; any other key as it is."""
+    topic = topic_at(key)
+    return topic.key if topic is not None and topic.message_type in NAMED else key
+
+
+def source_of(key: str) -> str:
+    """Return the name of the source that publishes on a key."""
+    return DEFAULT_SOURCE if key in BY_KEY else key.rpartition("/")[2]

@@ -111,6 +111,22 @@ def header_of(message: dict[str, Any]) -> Header:
     return header
 
 
+_EPOCH = b"\xa5epoch"
+_INTEGER_BYTES = {0xCC: 1, 0xCD: 2, 0xCE: 4, 0xCF: 8, 0xD0: 1, 0xD1: 2, 0xD2: 4, 0xD3: 8}
+"""Length of msgpack's integers by their first byte."""
+
+
+def epoch_of(payload: bytes) -> int | None:
+    """Return the first epoch in a frame without decoding it; None if there is none in its first 256 bytes."""
+    at = payload.find(_EPOCH, 0, 256) + len(_EPOCH)
+    if at < len(_EPOCH) or at >= len(payload):
+        return None
+    length = _INTEGER_BYTES.get(payload[at])
+    if length is None:
+        return payload[at]
+    return int.from_bytes(payload[at + 1 : at + 1 + length], "big")
+
+
 def crc(payload: bytes) -> int:
     """Return the CRC-32 of a frame, by which a step record identifies it."""
     return zlib.crc32(payload)

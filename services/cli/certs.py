@@ -9,6 +9,8 @@ import typer
 
 from services.cli.options import Force
 
+SOURCE_NAME = "must be 1 to 32 of a-z, 0-9, _ and -, begin with a letter or digit, and not be `default`"
+
 certs = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
 
 
@@ -28,21 +30,34 @@ def new(
             help="Name or address of a router, in addition to loopback; repeatable.",
         ),
     ] = None,
+    source: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--source",
+            metavar="NAME",
+            help="Source of estimates on estimate/NAME, role estimator-NAME; repeatable.",
+        ),
+    ] = None,
     days: Annotated[int, typer.Option("--days", metavar="N", help="Validity in days.", min=1, max=36_500)] = 365,
     force: Force = False,
 ) -> int:
     """Create a certificate authority, and a key and certificate for every role.
 
-    Copy to each host only ca.pem and the two files of each role that runs there.
+    Copy to each host only ca.pem and the two files of each role that runs there, and to the router's host the .pem, not
+    the .key, of each named source: it learns from them which sources there are.
     """
     import re
 
     from ltv_mpc.errors import ConfigError
-    from services.bus.roles import ROLES
+    from services.bus.roles import ROLES, SOURCE_PREFIX
+    from services.bus.topics import is_source_name
 
     for name in host or ():
         if not re.fullmatch(r"[A-Za-z0-9.:-]{1,253}", name):
             raise ConfigError("option --host", "", "must be a host's name or address", value=name)
+    for name in source or ():
+        if not is_source_name(name):
+            raise ConfigError("option --source", "", SOURCE_NAME, value=name)
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"folder {folder}", "", "is a file")
     if folder.is_dir() and any(folder.iterdir()) and not force:
@@ -54,7 +69,8 @@ def new(
             raise
         problem = "needs the package cryptography: pip install cryptography (extra secure)"
         raise ConfigError("ltv-mpc certs new", "", problem) from None
-    certificates.make(folder, ROLES, hosts=host or (), days=days)
-    typer.echo(f"certificates of {len(ROLES)} roles, valid for {days} days: {', '.join(ROLES)}", err=True)
+    roles = list(dict.fromkeys((*ROLES, *(SOURCE_PREFIX + name for name in source or ()))))
+    certificates.make(folder, roles, hosts=host or (), days=days)
+    typer.echo(f"certificates of {len(roles)} roles, valid for {days} days: {', '.join(roles)}", err=True)
     typer.echo(str(folder))
     return 0

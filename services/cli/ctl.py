@@ -15,10 +15,15 @@ if TYPE_CHECKING:
 @with_bus("operator")
 def ctl(
     action: Annotated[
-        str, typer.Argument(metavar="ACTION", help="One of arm, disarm, stop, manual, release, follow, hold.")
+        str, typer.Argument(metavar="ACTION", help="One of arm, disarm, stop, manual, release, follow, hold, source.")
     ],
     file: Annotated[
-        str | None, typer.Argument(metavar="[NAME|FILE]", help="Reference for follow: a shipped name or a TOML file.")
+        str | None,
+        typer.Argument(
+            metavar="[NAME|FILE]",
+            help="Reference for follow: a shipped name or a TOML file. Source of estimates for source: its name, "
+            "`default` for the plain key; without it, the order of the settings again.",
+        ),
     ] = None,
     *,
     bus: BusOptions,
@@ -31,6 +36,7 @@ def ctl(
     from ltv_mpc.config import to_toml
     from ltv_mpc.errors import ConfigError, format_value
     from ltv_mpc.messages import Action
+    from ltv_mpc.node import DEFAULT_SOURCE
     from ltv_mpc.settings_schema import closest_name
 
     known = [one.value for one in Action]
@@ -39,10 +45,19 @@ def ctl(
         near = f"; did you mean {format_value(meant)}?" if meant else ""
         raise ConfigError("argument ACTION", "", f"must be one of {', '.join(known)}{near}", value=action)
     wanted = Action(action)
-    if (file is not None) != (wanted is Action.FOLLOW):
-        problem = "needs a reference, NAME or FILE, after it" if file is None else "takes no file: only follow does"
-        raise ConfigError("argument ACTION", "", problem, value=action)
-    toml = "" if file is None else to_toml(references.load(file))
+    if wanted is Action.FOLLOW and file is None:
+        raise ConfigError("argument ACTION", "", "needs a reference, NAME or FILE, after it", value=action)
+    if wanted not in (Action.FOLLOW, Action.SOURCE) and file is not None:
+        raise ConfigError("argument ACTION", "", "takes no file or name: only follow and source do", value=action)
+    fields: dict[str, str] = {}
+    if wanted is Action.FOLLOW:
+        fields["reference_toml"] = to_toml(references.load(file or ""))
+    elif file is not None:
+        from services.bus.topics import is_source_name
+
+        if file != DEFAULT_SOURCE and not is_source_name(file):
+            raise ConfigError("argument NAME", "", "must be 1 to 32 of a-z, 0-9, _ and -", value=file)
+        fields["source"] = file
     from services.processes import operator as node
 
-    return node.main(wanted, toml, bus)
+    return node.main(wanted, fields, bus)

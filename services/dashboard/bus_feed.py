@@ -28,7 +28,7 @@ from ltv_mpc.vehicle.parameters import Thruster
 from services.bus.latest_cache import LatestCache, LatestFrame
 from services.bus.mailbox import Mailbox
 from services.bus.session import Session
-from services.bus.topics import BY_TYPE
+from services.bus.topics import BY_TYPE, expression
 from services.bus.wire import Header, WireError, decode
 from services.reporting.plots.collector import Collector
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
@@ -62,6 +62,8 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     requested_speed: float  # larger than ``speed`` if the machine cannot keep it
     authority: str
     health: str
+    health_why: str
+    source: str  # of the estimates that the controller uses
     origin: str
     why: str
     error_m: float | None
@@ -90,7 +92,7 @@ class BusFeed:
         for kind in (*NEWEST, *EVERY, NodeStatus):
             topic = BY_TYPE[kind]
             inlet = self._every if kind in EVERY else self._newest
-            session.subscribe(f"{topic.key}/*" if topic.written_by == "*" else topic.key, topic, inlet)
+            session.subscribe(expression(topic), topic, inlet)
 
     def update(self) -> None:
         """Process the messages received since the last call."""
@@ -126,6 +128,8 @@ class BusFeed:
             requested_speed=1.0 if clock is None else clock.requested_speed,
             authority="" if plan is None else plan.authority.value,
             health="" if plan is None else plan.health.value,
+            health_why="" if plan is None else plan.health_why,
+            source="" if controller is None else controller.source,
             origin="" if plan is None else plan.origin.value,
             why="" if plan is None else plan.why,
             error_m=None if controller is None else controller.error_m,
@@ -144,6 +148,9 @@ class BusFeed:
         return estimate.t_ns if reading is None and estimate is not None else reading
 
     def _receive(self, signal: Message, header: Header, came_s: float) -> None:
+        controller = self._of(ControllerStatus)
+        if isinstance(signal, Estimate) and controller is not None and header.epoch != controller.source_epoch != 0:
+            return  # of another source than the one in use
         if isinstance(signal, Clock):
             self._receive_clock(signal)
         if isinstance(signal, NodeStatus):

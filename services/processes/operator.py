@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
 
 from ltv_mpc.messages import Acknowledgement, Action, Command, RejectedFrame
 from services.bus.mailbox import Mailbox
@@ -19,13 +20,16 @@ TIMEOUT_S = 3.0
 """Longest wait for a router, and again for the answer. A control cycle takes a third of a second."""
 
 
-def main(action: Action, reference_toml: str, bus: BusOptions) -> int:
-    """Send a command; return 0 if the controller accepted it, else print the reason to stderr and return 1."""
+def main(action: Action, fields: Mapping[str, str], bus: BusOptions) -> int:
+    """Send a command with its other fields.
+
+    Returns 0 if the controller accepted it, else prints the reason to stderr and returns 1.
+    """
     say = Console(f"ctl {action.value}").say
     until = time.monotonic() + TIMEOUT_S
     try:
         with open_session(bus, stop=lambda: time.monotonic() > until, say=say) as session:
-            answer = send_command(session, action, reference_toml)
+            answer = send_command(session, action, **fields)
     except Stopped:
         say(f"no router within {TIMEOUT_S:.0f} s")
         return FAILED
@@ -39,13 +43,13 @@ def main(action: Action, reference_toml: str, bus: BusOptions) -> int:
     return FAILED
 
 
-def send_command(session: Session, action: Action, reference_toml: str = "") -> Acknowledgement | RejectedFrame | None:
+def send_command(session: Session, action: Action, **fields: str) -> Acknowledgement | RejectedFrame | None:
     """Send a command; return the controller's answer, the rejection of the frame, or None without an answer."""
     box = Mailbox()
     for kind, suffix in ((Acknowledgement, ""), (RejectedFrame, "/*")):
         session.subscribe(f"{BY_TYPE[kind].key}{suffix}", BY_TYPE[kind], box)
     outbox = Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(Command,))
-    command = Command(command_id=new_epoch(), action=action, reference_toml=reference_toml)
+    command = Command(command_id=new_epoch(), action=action, **fields)
     sent = outbox.publish(command)
     until = time.monotonic() + TIMEOUT_S
     while (left := until - time.monotonic()) > 0:

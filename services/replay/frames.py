@@ -15,7 +15,7 @@ from ltv_mpc.messages import InboxEntry, InjectorFrame
 from ltv_mpc.node import ReceivedMessage
 from services.bus import wire
 from services.bus.time_shift import shifted
-from services.bus.topics import BY_TYPE, topic_at
+from services.bus.topics import BY_TYPE, source_of, topic_at
 from services.recording.reader import StoredMessage
 
 
@@ -87,4 +87,6 @@ def received_message(stored: StoredMessage, entry: InboxEntry) -> ReceivedMessag
     if stored.kind is None:
         raise wire.WireError(f"{stored.key}: no topic has this key")
     signal = wire.from_validated_map(stored.kind, msgspec.json.decode(stored.data))
-    return ReceivedMessage(shifted(signal, entry.shift_ns), entry.epoch, entry.sequence, entry.received_t_ns)
+    return ReceivedMessage(
+        shifted(signal, entry.shift_ns), entry.epoch, entry.sequence, entry.received_t_ns, source_of(entry.key)
+    )

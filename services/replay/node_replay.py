@@ -13,7 +13,7 @@ import msgspec
 
 from ltv_mpc.messages import NodeStatus, StepRecord
 from ltv_mpc.node import Node
-from services.bus.topics import STATES, key_of
+from services.bus.topics import STATES, key_of, table_key
 from services.recording.reader import Recording, StoredMessage
 from services.replay.epoch import REACH, Epoch, Outcome, Record
 from services.replay.frames import INJECTOR_KEY, Frames, Header, unwrap
@@ -79,7 +79,7 @@ class NodeReplay(Generic[Made]):
                 epoch = self._epoch(header.epoch)
                 epoch.steps_run = max(epoch.steps_run, status.steps)
         else:
-            if stored.key in self.reads:
+            if table_key(stored.key) in self.reads:
                 self._frames.add(stored, header, at)
                 for epoch in self._open:
                     if epoch.waits:
@@ -110,6 +110,16 @@ class NodeReplay(Generic[Made]):
         return epoch
 
 
+class _Keys:
+    """Keys in the table of topics, and those of the sources that publish beside them."""
+
+    def __init__(self, keys: set[str]) -> None:
+        self._keys = keys
+
+    def __contains__(self, key: object) -> bool:
+        return isinstance(key, str) and table_key(key) in self._keys
+
+
 def feed(
     recordings: Sequence[Recording],
     nodes: Iterable[NodeReplay[Made]],
@@ -123,7 +133,7 @@ def feed(
             readers.setdefault(key, []).append(node)
     every = list(dict.fromkeys(node for of_key in readers.values() for node in of_key))
     t_ns = None
-    stream = chain.from_iterable(recording.stored({*readers, INJECTOR_KEY}) for recording in recordings)
+    stream = chain.from_iterable(recording.stored(_Keys({*readers, INJECTOR_KEY})) for recording in recordings)
     for at, stored in enumerate(stream, 1):
         if t_ns is None:
             progress(stored.t_ns)
@@ -131,7 +141,7 @@ def feed(
         frame = stored if stored.key != INJECTOR_KEY else unwrap(stored)
         header = None if frame is None else _read(_header, frame)
         if frame is not None and header is not None:
-            for node in readers.get(frame.key, ()):
+            for node in readers.get(table_key(frame.key), ()):
                 node.take(frame, header, at)
         if at % SWEEP == 0:
             progress(t_ns)

@@ -1,6 +1,6 @@
 """Synchronisation with the clocks of the other side: one clock for each publisher, and a vehicle time without steps.
 
-    vehicle time = m + theta_r - J        r: the actuators; before their third report, the estimates
+    vehicle time = m + theta_r - J        r: the actuators; before their third report, the estimates in use
 
 theta is the offset of a publisher's clock (``clock_offset.py``). J is the sum of the steps of clock r, so that vehicle
 time runs on if that clock is set. Stamps and vehicle time are converted where messages enter and leave:
@@ -28,14 +28,14 @@ SHARED_CLOCK_LATE_NS = 1_000_000_000
 """Largest lateness of a publisher that shares the actuators' clock, unless its own clock has been seen to step."""
 
 SILENT_US = 1_000_000
-"""Silence after which another publisher of the same input takes over: vehicle time then follows its clock."""
+"""Silence of the actuators after which others that report take over: vehicle time then follows their clock."""
 
 MAX_PENDING_PLANS = 200
 """Plans whose receipt may still be reported, a minute of them."""
 
-MAX_PUBLISHERS = 8
-"""Largest number of publishers whose clocks are remembered; beyond it the one
-that has been silent longest is forgotten.
+MAX_PUBLISHERS = 16
+"""Largest number of publishers whose clocks are remembered, as many as the rate limit admits at a time; beyond it the
+one that has been silent longest is forgotten.
 """
 
 STAMPED_INPUTS = (Estimate, Applied)
@@ -93,6 +93,11 @@ class ClockSync:
         while len(self._sent_us) > MAX_PENDING_PLANS:
             self._sent_us.popitem(last=False)
 
+    def follow_source(self, epoch: int, m_us: int) -> None:
+        """Follow the publisher ``epoch``, whose estimates are in use from now on, while the actuators do not report."""
+        if not self._actuators_report and epoch in self._publishers:
+            self._follow(Estimate, epoch, m_us)
+
     def take_steps(self) -> list[ClockStep]:
         """Return the clock steps that were recognised since the last call."""
         steps, self._steps = self._steps, []
@@ -115,7 +120,7 @@ class ClockSync:
         if publisher.clock_steps > steps:
             if epoch == self._reference:
                 self._keep_vehicle_time(m_us)
-            self._report(message, epoch, self._theta_ns(epoch, m_us) - before_ns, m_us)
+            self._report(type(message), epoch, self._theta_ns(epoch, m_us) - before_ns, m_us)
         self._choose_reference(message, epoch, m_us)
         self._set(m_us, self._first_us)
         return RECEIPT_BEFORE_STEP if sent_us is not None and sent_us <= self._plans_from_us else reason
@@ -131,18 +136,25 @@ class ClockSync:
         old, is_report = self._reference, isinstance(message, Applied)
         if epoch == old or old is None:
             self._reference, self._actuators_report = epoch, self._actuators_report or is_report
-        elif self._publishers[epoch].stamps >= STEP_DETECTED_AT and self._takes_over(old, m_us, is_report=is_report):
-            before_ns, differs = self._theta_ns(old, m_us), self._has_own_clock(epoch, m_us)
-            self._reference, self._actuators_report = epoch, is_report
-            if differs and self.active:
-                self._keep_vehicle_time(m_us)
-                self._report(message, epoch, self._theta_ns(epoch, m_us) - before_ns, m_us)
+        elif (
+            is_report
+            and self._publishers[epoch].stamps >= STEP_DETECTED_AT
+            and not (self._actuators_report and m_us - self._publishers[old].heard_us <= SILENT_US)
+        ):
+            self._actuators_report = True
+            self._follow(Applied, epoch, m_us)
 
-    def _takes_over(self, old: int, m_us: int, *, is_report: bool) -> bool:
-        """Return True if another publisher's clock replaces that of ``old``: the actuators', or after a silence."""
-        if is_report != self._actuators_report:
-            return is_report
-        return m_us - self._publishers[old].heard_us > SILENT_US
+    def _follow(self, kind: type[Message], epoch: int, m_us: int) -> None:
+        """Let vehicle time follow the clock of ``epoch``, the publisher of ``kind``, without a step of vehicle time."""
+        old = self._reference
+        if old is None or epoch == old:
+            return
+        before_ns, differs = self._theta_ns(old, m_us), self._has_own_clock(epoch, m_us)
+        self._reference = epoch
+        step_ns = self._theta_ns(epoch, m_us) - before_ns
+        if self.active and (differs or abs(step_ns) >= LATE_NS):
+            self._keep_vehicle_time(m_us)
+            self._report(kind, epoch, step_ns, m_us)
 
     def _keep_vehicle_time(self, m_us: int) -> None:
         """Set J so that vehicle time runs on although theta_r has changed."""
@@ -151,13 +163,13 @@ class ClockSync:
         if vehicle_ns is not None and self._reference is not None:
             self.published_shift_ns = m_us * 1000 + self._theta_ns(self._reference, m_us) - vehicle_ns
 
-    def _report(self, message: Message, epoch: int, step_ns: int, m_us: int) -> None:
+    def _report(self, kind: type[Message], epoch: int, step_ns: int, m_us: int) -> None:
         """Report a step. One that lateness alone shows is certain if a two-way exchange confirms the new clock."""
         confirmed = epoch != self._reference and not self._has_own_clock(epoch, m_us) and self._is_two_way(m_us)
         self._steps.append(
             ClockStep(
                 t_ns=self._clock.read(m_us) or 0,
-                input=BY_TYPE[type(message)].key,
+                input=BY_TYPE[kind].key,
                 publisher=epoch,
                 step_ns=step_ns,
                 certain=self._publishers[epoch].certain or confirmed,

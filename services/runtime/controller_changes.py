@@ -46,6 +46,10 @@ class ControllerChanges:
         """Take in the controller's status, which also exists while there are no plans."""
         self._health(status.t_ns, status.health, status.health_why)
         self._authority(status.t_ns, status.authority)
+        if status.source and self._changes("source", (status.source, status.source_epoch)):
+            fields: dict[str, str | int] = {"source": status.source, "epoch": status.source_epoch}
+            text = f"source of the estimates: {status.source}, epoch {status.source_epoch}"
+            self._tell(Level.INFO, "source", text, t_ns=status.t_ns, fields=fields)
         for reason, count in status.rejected.items():
             self._count(status.t_ns, "rejected", f"rejected: {reason}", count, reason=reason)
 

@@ -76,6 +76,7 @@ class ControllerStatusReporter:
             self._cycles.popleft()
         took_us = sorted(took for _, took in self._cycles)
         estimate, node = self._estimate, self._node
+        sources = node.sources.selector
         rejected = Counter(validator.rejected_by_reason)
         if node.arbiter.manual_rejected:
             rejected["manual: thrust outside the limits"] = node.arbiter.manual_rejected
@@ -102,6 +103,10 @@ class ControllerStatusReporter:
             error_m=self._error_m(),
             progress=None if self._plan is None else self._plan.progress,
             inputs=node.inputs(),
+            source="" if sources.active is None else sources.active.name,
+            source_epoch=0 if sources.active is None else sources.active.epoch,
+            rejected_epoch=sources.second.epoch if sources.second is not None and sources.contested(t_ns) else 0,
+            rejected_estimates=sources.rejected,
         )
         if self._changes is not None:
             self._changes.on_status(status)

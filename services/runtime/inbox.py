@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ltv_mpc.messages import InboxEntry, Message
 from ltv_mpc.node import ReceivedMessage
-from services.bus.topics import BY_TYPE, LATEST
+from services.bus.topics import BY_TYPE, LATEST, source_of
 
 
 class PendingInbox:
@@ -17,7 +17,7 @@ class PendingInbox:
         """Append a message, its times being vehicle time; ``first`` puts it before all others."""
         if BY_TYPE[type(signal)].delivery is LATEST:
             self._pairs = [pair for pair in self._pairs if pair[1].key != entry.key]
-        arrival = ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns)
+        arrival = ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns, source_of(entry.key))
         self._pairs.insert(0 if first else len(self._pairs), (arrival, entry))
 
     def take(self) -> tuple[list[ReceivedMessage], tuple[InboxEntry, ...]]:

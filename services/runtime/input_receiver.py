@@ -21,7 +21,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import Node, OnMessage
 from services.bus.mailbox import Frame
-from services.bus.message_validation import MessageValidator, rejection
+from services.bus.message_validation import MessageValidator, RateExceeded, rejection
 from services.bus.time_shift import shifted
 from services.bus.topics import OPERATOR
 from services.bus.wire import WireError
@@ -65,6 +65,8 @@ class InputReceiver:
         received_us = frame.received_monotonic_us
         try:
             message, header = self._validator.validate(frame)
+        except RateExceeded:
+            return None
         except WireError as error:
             self._reject(frame, str(error))
             return None

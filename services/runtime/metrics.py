@@ -93,6 +93,16 @@ def _metrics(s: ControllerStatus) -> Iterator[Metric]:
     for reason, count in s.rejected.items():
         rejected.add_metric((reason,), count)
     yield rejected
+    yield CounterMetricFamily(
+        "ltv_mpc_rejected_estimates", "Estimates of second sources, rejected.", s.rejected_estimates
+    )
+    sources = GaugeMetricFamily(
+        "ltv_mpc_source", "1 for the source of the estimates in use, 0 for a rejected one.", labels=("name", "epoch")
+    )
+    for epoch, used in ((s.source_epoch, 1.0), (s.rejected_epoch, 0.0)):
+        if epoch:
+            sources.add_metric((s.source, str(epoch)), used)
+    yield sources
     clock_error_s = _seconds(s.clock_error_ns)
     yield GaugeMetricFamily("ltv_mpc_clock_error_seconds", "Bound of the clock error.", clock_error_s)
     yield CounterMetricFamily("ltv_mpc_clock_steps", "Steps of the publishers' clocks.", s.clock_steps)

@@ -8,7 +8,7 @@ from ltv_mpc.messages import Clock, ClockStep, CycleTiming, Message, NodeStatus,
 from ltv_mpc.node import Cycle, Node
 from services.bus.mailbox import Mailbox
 from services.bus.session import Session
-from services.bus.topics import BY_TYPE
+from services.bus.topics import BY_TYPE, NAMED, expression
 
 
 def times_cycles(node: Node) -> bool:
@@ -38,4 +38,4 @@ def subscribe(session: Session, kinds: Iterable[type[Message]], mailbox: Mailbox
     """Subscribe to all types with one mailbox, so that arrivals have one order."""
     for kind in dict.fromkeys(kinds):
         topic = BY_TYPE[kind]
-        session.subscribe(f"{topic.key}/*" if topic.written_by == "*" else topic.key, topic, mailbox)
+        session.subscribe(expression(topic), None if kind in NAMED else topic, mailbox)

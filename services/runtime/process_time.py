@@ -55,6 +55,12 @@ class ProcessTime:
         reading = self.clock.read(now_us)
         return 0 if reading is None else reading
 
+    @property
+    def speed(self) -> float:
+        """Speed of the vehicle clock; 1 while it is not known."""
+        newest = self.clock.newest
+        return 1.0 if newest is None else newest.num / newest.den
+
     def received_ns(self, message: Message, received_us: int) -> int:
         """Return the vehicle time of a message's arrival; its own stamp while the vehicle time is not known."""
         if isinstance(message, STAMPED_INPUTS) and self.clock.read(received_us) is None:
@@ -104,6 +110,11 @@ class ProcessTime:
         if sync.active and not was_active:
             self.start_schedule()
         return reason
+
+    def follow_source(self, epoch: int) -> None:
+        """Let the clock follow the source of the estimates in use, while the actuators do not report."""
+        if self.sync is not None:
+            self.sync.follow_source(epoch, monotonic_us())
 
     def take_clock_steps(self) -> list[ClockStep]:
         """Return the steps of the publishers' clocks since the last call."""

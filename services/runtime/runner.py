@@ -19,6 +19,7 @@ from services.bus.mailbox import Mailbox
 from services.bus.message_validation import MessageValidator
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
+from services.bus.rate_limit import RateLimit
 from services.bus.session import Session, open_session
 from services.runtime import ports
 from services.runtime.clock import monotonic_us
@@ -118,7 +119,7 @@ class Runner:
         kinds = ports.outputs(node, clock_master=keeps_time)
         kinds += self._report.writes if self._report is not None else ()
         outbox = Outbox(session, node=node.name, epoch=self._epoch, kinds=kinds)
-        validator = MessageValidator()
+        validator = MessageValidator(RateLimit(lambda: time.speed))
         waiting = WaitingFor(
             time.clock,
             ports.inputs(node),

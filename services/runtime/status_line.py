@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ltv_mpc.messages import ClockMode, ControllerStatus
+from ltv_mpc.node import DEFAULT_SOURCE
 
 
 def text(status: ControllerStatus, estimates_on: str) -> str:
@@ -17,6 +18,8 @@ def text(status: ControllerStatus, estimates_on: str) -> str:
             parts.append("no `applied` messages: plans count as followed")
     if status.cycle_median_us is not None and status.cycle_p99_us is not None:
         parts.append(f"cycle {status.cycle_median_us / 1e3:.1f} ms (p99 {status.cycle_p99_us / 1e3:.1f})")
+    if status.source not in ("", DEFAULT_SOURCE):
+        parts.append(f"source {status.source}")
     if status.error_m is not None:
         parts.append(f"error {status.error_m:.2f} m")
     if status.progress is not None:

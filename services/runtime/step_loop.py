@@ -13,10 +13,11 @@ it (``services/supervisor/failure_handler.py``).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
-from ltv_mpc.messages import ClockMode, CycleTiming, Message, Plan
+from ltv_mpc.messages import ClockMode, CycleTiming, Message, Plan, RunEvent
 from ltv_mpc.node import Node
+from ltv_mpc.safety.source_selector import Source
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator
 from services.runtime import ports
@@ -37,6 +38,14 @@ MAX_DRAIN_US = 20_000
 FINAL_DRAIN_US, FINAL_SILENCE_US = 300_000, 20_000
 """After a stop request the mailbox is drained until no frame has arrived for FINAL_SILENCE_US, at most FINAL_DRAIN_US:
 messages published before the request may still be on their way."""
+
+
+@runtime_checkable
+class NavigatedNode(Protocol):
+    """Node that uses the estimates of one of several sources; None before the first."""
+
+    @property
+    def active_source(self) -> Source | None: ...
 
 
 class StepLoopPorts(NamedTuple):
@@ -63,6 +72,8 @@ class StepLoop:
         self._mailbox, self._io, self._time, self._reporters, validator = connected
         self._receiver = InputReceiver(node, self._io, self._time, self._reporters, validator)
         self._command = ""  # key of a command that the next step must not wait for
+        self._navigated = node if isinstance(node, NavigatedNode) else None
+        self._source: Source | None = None  # of the estimates in use
         self._deadlines = DeadlineQueue()
         self._add_deadlines(validator)
 
@@ -157,6 +168,8 @@ class StepLoop:
     def _step(self, t_ns: int, cause: str, started_us: int) -> None:
         """Step the node and publish its outputs. ``started_us`` is the monotonic time at which the step was due."""
         status, report = self._reporters
+        if self._navigated is not None:
+            self._follow_source(self._navigated.active_source, t_ns)
         self._io.shift_ns = self._time.published_shift_ns
         if status.steps == 0:
             now_us = monotonic_us()
@@ -180,6 +193,16 @@ class StepLoop:
         if report is not None:
             now_us = monotonic_us()
             report.on_step(outputs, now_us - started_us, now_us)
+
+    def _follow_source(self, source: Source | None, t_ns: int) -> None:
+        """Publish a change of the source of the estimates in the last step, and follow its clock."""
+        if source is None or source == self._source:
+            return
+        before, self._source = self._source, source
+        self._time.follow_source(source.epoch)
+        if before is not None:
+            text = f"source of the estimates: {before} -> {source}"
+            self._io.publish(RunEvent(t_ns=t_ns, node=self._node.name, kind="source", text=text))
 
     def _publish(self, outputs: Sequence[Message]) -> None:
         sync = self._time.sync

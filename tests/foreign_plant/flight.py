@@ -16,13 +16,14 @@ import numpy as np
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import ClockStep, ControllerState, Message, Plan
-from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.node import DEFAULT_SOURCE, ReceivedMessage
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame
 from services.bus.message_validation import MessageValidator
+from services.bus.rate_limit import RateLimit
 from services.bus.time_shift import shifted
-from services.bus.topics import BY_KEY
+from services.bus.topics import source_of, topic_at
 from services.bus.wire import Header, WireError, encode
 from services.runtime.clock import VehicleClock
 from services.runtime.clock_sync import ClockSync
@@ -71,7 +72,7 @@ class Flight:
         self.actuators, self.sender = Actuators(), Sender()
         self.vehicle, self.reference, self.config = Vehicle.load(str(vehicle)), reference, config or ControllerConfig()
         self.node = self.new_node()
-        self.validator = MessageValidator()
+        self.validator = MessageValidator(RateLimit())
         self.epoch = FIRST_EPOCH
         self.plans: list[Plan] = []
         """Plans in the controller's time."""
@@ -176,7 +177,7 @@ class Flight:
         """Pass a message to the controller, if it runs, as its process does."""
         if not self._runs:
             return
-        frame = Frame(BY_KEY[key], key, sender.pack(key, fields), self.host_us)
+        frame = Frame(topic_at(key), key, sender.pack(key, fields), self.host_us)
         try:
             message, header = self.validator.validate(frame)
         except WireError:
@@ -186,12 +187,13 @@ class Flight:
             self.clock_steps.append(clock_step)
             self._put(clock_step, 0, 0)
         if not rejected:
-            self._put(shifted(message, self._sync.shift_ns(header.epoch, self.host_us)), header.epoch, header.sequence)
+            shift_ns = self._sync.shift_ns(header.epoch, self.host_us)
+            self._put(shifted(message, shift_ns), header.epoch, header.sequence, source_of(key))
 
-    def _put(self, message: Message, epoch: int, sequence: int) -> None:
+    def _put(self, message: Message, epoch: int, sequence: int, source: str = DEFAULT_SOURCE) -> None:
         received_ns = self._clock.read(self.host_us)
         # A command may come before the first stamp that tells the time.
-        self._inbox.append(ReceivedMessage(message, epoch, sequence, received_ns or 0))
+        self._inbox.append(ReceivedMessage(message, epoch, sequence, received_ns or 0, source))
 
     def _cycle(self) -> None:
         t_ns = self._clock.read(self.host_us)
@@ -200,7 +202,10 @@ class Flight:
         if self._sequence == 0 and self._saved is not None:
             state = self._saved.restored(t_ns, self.host_us, own_clock=True)
             inbox = inbox if state is None else [ReceivedMessage(state, self.epoch, 0, t_ns), *inbox]
-        for message in step(self.node, t_ns, inbox):
+        outputs = step(self.node, t_ns, inbox)
+        if self.node.active_source is not None:
+            self._sync.follow_source(self.node.active_source.epoch, self.host_us)
+        for message in outputs:
             if isinstance(message, Plan):
                 self.plans.append(message)
                 payload = encode(

@@ -78,11 +78,11 @@ class Interference:
             signal, header = decode(topic.message_type, payload)
         except WireError:
             return [(t_ns, payload)]
-        message = _Carried(signal, header.epoch, header.sequence, t_ns, payload, signal, header)
+        message = _Carried(signal, header.epoch, header.sequence, t_ns, payload=payload, sent=signal, header=header)
         return [(delivery.at_ns, _bytes(delivery)) for delivery in self._message_faults.carry("", "", message)]
 
 
-class _Carried(ReceivedMessage, frozen=True, eq=False):
+class _Carried(ReceivedMessage, frozen=True, eq=False, kw_only=True):
     """Received message together with the frame that carried it."""
 
     payload: bytes

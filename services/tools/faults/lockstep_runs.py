@@ -174,16 +174,15 @@ class ReaderValidators:
         """Return the accepted message, or the reason why it is rejected."""
         message, kind = delivery.message, type(delivery.message.message)
         validator = self._validators.setdefault(reader, MessageValidator())
-        key = topics.key_of(kind, reader)
+        key, received_us = topics.key_of(kind, reader), delivery.at_ns // 1000
         try:
             if delivery.payload is not None:
-                signal, header = validator.validate(Frame(topics.BY_TYPE[kind], key, delivery.payload, 0))
+                signal, header = validator.validate(Frame(topics.BY_TYPE[kind], key, delivery.payload, received_us))
                 self.accepted.append(delivery.at_ns)
                 return ReceivedMessage(signal, header.epoch, header.sequence, delivery.at_ns)
             if (reason := rejection_reason(message.message)) is not None:
                 return reason
-            shared = topics.BY_TYPE[kind].written_by == topics.OPERATOR or kind is Plan  # as in MessageValidator
-            validator.check_order(f"{key}@{message.epoch}" if shared else key, _header(message))
+            validator.check_order(topics.BY_TYPE[kind], key, _header(message), received_us)
         except wire.WireError as error:
             return str(error)
         return message

@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import base64
 import contextlib
+from collections import Counter
+from collections.abc import Iterable, Iterator
 
 import msgpack
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from ltv_mpc.messages import Manual, PressureDepth
+from ltv_mpc.messages import Estimate, GnssFix, Manual, Message, PressureDepth
 from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import MAX_REASONS, MessageValidator, rejection
-from services.bus.sequence_check import MAX_SOURCES
-from services.bus.topics import BY_TYPE
-from services.bus.wire import Header, WireError, crc, encode, unpack
+from services.bus.message_validation import MAX_REASONS, MessageValidator, RateExceeded, rejection
+from services.bus.rate_limit import RateLimit
+from services.bus.sequence_check import MAX_SOURCES, silence_us
+from services.bus.topics import BY_TYPE, source_of, topic_at
+from services.bus.wire import Header, WireError, crc, encode, epoch_of, unpack
 
 TOPIC = BY_TYPE[PressureDepth]
 MANUAL = Manual(thrust_N=(0.0, 0.0, 0.0))
 
 
-def frame(sequence: int, *, epoch: int = 1, depth_m: float = 1.0, key: str = TOPIC.key) -> Frame:
+def frame(sequence: int, *, epoch: int = 1, depth_m: float = 1.0, key: str = TOPIC.key, at_ms: int = 0) -> Frame:
     header = Header(epoch=epoch, sequence=sequence, sent_monotonic_us=0)
-    return Frame(TOPIC, key, encode(PressureDepth(t_ns=0, depth_m=depth_m), header), 0)
+    return Frame(TOPIC, key, encode(PressureDepth(t_ns=0, depth_m=depth_m), header), at_ms * 1000)
 
 
 def test_what_a_sequence_skips_is_counted_as_dropped() -> None:
@@ -42,14 +47,37 @@ def test_a_doubled_or_reordered_frame_is_refused(again: int) -> None:
     assert (validator.received, validator.dropped, validator.rejected) == (3, 3, 1)
 
 
-def test_a_restarted_source_takes_over_and_its_former_self_is_refused() -> None:
+def test_a_restarted_source_takes_over_after_half_a_second_and_no_source_is_banned() -> None:
     validator = MessageValidator()
     validator.validate(frame(100, epoch=1))
-    validator.validate(frame(0, epoch=2))
-    with pytest.raises(WireError, match="former epoch"):
-        validator.validate(frame(101, epoch=1))
-    validator.validate(frame(1, epoch=2))
-    assert (validator.received, validator.dropped, validator.rejected) == (3, 0, 1)
+    with pytest.raises(WireError, match="second source: epoch 2 while epoch 1 publishes"):
+        validator.validate(frame(0, epoch=2, at_ms=499))
+    validator.validate(frame(1, epoch=2, at_ms=500))
+    with pytest.raises(WireError, match="second source: epoch 1"):
+        validator.validate(frame(101, epoch=1, at_ms=600))
+    validator.validate(frame(2, epoch=2, at_ms=600))
+    for sequence in (99, 100):
+        with pytest.raises(WireError, match="out of order"):
+            validator.validate(frame(sequence, epoch=1, at_ms=1100))
+    validator.validate(frame(101, epoch=1, at_ms=1100))
+    assert (validator.received, validator.dropped, validator.rejected) == (4, 0, 4)
+
+
+def test_one_frame_of_another_source_locks_nobody_out() -> None:
+    validator = MessageValidator()
+    for k in range(30):
+        validator.validate(frame(k, at_ms=100 * k))
+        if k % 10 == 5:
+            with pytest.raises(WireError, match="second source"):
+                validator.validate(frame(0, epoch=50 + k, at_ms=100 * k + 50))
+    assert (validator.received, validator.rejected) == (30, 3)
+
+
+@pytest.mark.parametrize(("kind", "silence_ms"), [(PressureDepth, 500), (GnssFix, 1500), (Manual, 500)])
+def test_the_silence_after_which_another_takes_over_is_three_periods_within_bounds(
+    kind: type[Message], silence_ms: int
+) -> None:
+    assert silence_us(BY_TYPE[kind].period_ns) == silence_ms * 1000
 
 
 @pytest.mark.parametrize("damaged", [(1, 2**40), (2**40, 57)], ids=["sequence", "epoch"])
@@ -58,7 +86,7 @@ def test_one_damaged_header_does_not_silence_the_true_source(damaged: tuple[int,
     validator = MessageValidator()
     validator.validate(frame(56))
     epoch, sequence = damaged
-    with pytest.raises(WireError, match="far ahead"):
+    with pytest.raises(WireError, match=r"far ahead|second source"):
         validator.validate(frame(sequence, epoch=epoch))
     for sequence in (57, 58):
         validator.validate(frame(sequence))
@@ -70,9 +98,9 @@ def test_what_two_frames_say_is_believed(epoch: int, lost: int) -> None:
     validator = MessageValidator()
     validator.validate(frame(56))
     with pytest.raises(WireError, match="far ahead"):
-        validator.validate(frame(20_000 - 1, epoch=epoch))
-    validator.validate(frame(20_000, epoch=epoch))
-    validator.validate(frame(20_001, epoch=epoch))
+        validator.validate(frame(20_000 - 1, epoch=epoch, at_ms=600))
+    validator.validate(frame(20_000, epoch=epoch, at_ms=700))
+    validator.validate(frame(20_001, epoch=epoch, at_ms=800))
     assert (validator.received, validator.dropped, validator.rejected) == (3, lost, 1)
 
 
@@ -91,7 +119,7 @@ def test_another_source_does_not_take_over_from_one_that_still_publishes() -> No
     validator.validate(frame(0))
     for sequence in range(1, 20):
         validator.validate(frame(sequence))
-        with pytest.raises(WireError, match="far ahead"):
+        with pytest.raises(WireError, match="second source"):
             validator.validate(frame(500 + sequence, epoch=9))
     assert (validator.received, validator.rejected) == (20, 19)
 
@@ -111,8 +139,8 @@ def test_two_frames_of_two_epochs_do_not_make_one_source() -> None:
     validator.validate(frame(56))
     for k, epoch in enumerate((2**40, 2**41, 2**42)):
         with pytest.raises(WireError, match="far ahead"):
-            validator.validate(frame(500 + k, epoch=epoch))
-    validator.validate(frame(57))
+            validator.validate(frame(500 + k, epoch=epoch, at_ms=600))
+    validator.validate(frame(57, at_ms=700))
 
 
 def test_what_a_door_remembers_does_not_grow_with_what_strangers_send() -> None:
@@ -123,7 +151,7 @@ def test_what_a_door_remembers_does_not_grow_with_what_strangers_send() -> None:
         return Frame(manual, manual.key, encode(MANUAL, Header(epoch=epoch, sequence=0)), 0)
 
     for k in range(MAX_SOURCES + 500):
-        validator.validate(frame(0, epoch=k))
+        validator.validate(frame(0, epoch=k, at_ms=1000 * k))
         validator.validate(by_operator(k))
         letters = "".join(chr(ord("a") + int(digit)) for digit in str(k))
         with pytest.raises(WireError, match="unknown field"):
@@ -134,9 +162,10 @@ def test_what_a_door_remembers_does_not_grow_with_what_strangers_send() -> None:
     with pytest.raises(WireError, match="out of order"):
         validator.validate(by_operator(501))
     validator.validate(by_operator(500))
-    with pytest.raises(WireError, match="former epoch"):
-        validator.validate(frame(1, epoch=499))
-    validator.validate(frame(1, epoch=498))
+    at_ms = 1000 * (MAX_SOURCES + 500)
+    with pytest.raises(WireError, match="out of order"):
+        validator.validate(frame(0, epoch=499, at_ms=at_ms))
+    validator.validate(frame(0, epoch=498, at_ms=at_ms))
 
 
 def test_keys_are_counted_apart() -> None:
@@ -206,3 +235,80 @@ def test_what_is_turned_back_after_it_was_let_in_is_counted_as_refused() -> None
     validator.validate(frame(0))
     validator.reject("no time yet: it would be late")
     assert (validator.received, validator.rejected, dict(validator.rejected_by_reason)) == (0, 1, {"no time yet": 1})
+
+
+ESTIMATE = BY_TYPE[Estimate]
+
+
+def estimate(sequence: int, at_us: int, *, epoch: int = 1, key: str = ESTIMATE.key) -> Frame:
+    payload = encode(Estimate.at_rest(), Header(epoch=epoch, sequence=sequence, sent_monotonic_us=0))
+    return Frame(ESTIMATE, key, payload, at_us)
+
+
+def accepted(validator: MessageValidator, frames: Iterable[Frame]) -> Counter[int]:
+    """Return the number of accepted frames by epoch."""
+    counts: Counter[int] = Counter()
+    for one in frames:
+        with contextlib.suppress(WireError):
+            counts[validator.validate(one)[1].epoch] += 1
+    return counts
+
+
+@pytest.mark.parametrize("epochs", ["one", "many"])
+def test_a_flood_is_dropped_undecoded_and_the_publisher_beside_it_loses_no_frame(epochs: str) -> None:
+    """Ten seconds at 2,000 frames a second beside ten a second, of one source or each of another."""
+    validator = MessageValidator(RateLimit())
+
+    def frames() -> Iterator[Frame]:
+        for k in range(20_000):
+            if k % 200 == 0:
+                yield estimate(k // 200, k * 500)
+            yield estimate(k, k * 500, epoch=7 if epochs == "one" else 1000 + k)
+
+    counts = accepted(validator, frames())
+    assert counts.pop(1) == 100
+    assert counts.total() <= 1100  # a hundred a second, and a burst
+    dropped = validator.rejected_by_reason["above the rate limit"]
+    assert dropped >= 18_000
+
+
+def test_the_limit_is_per_key_and_in_vehicle_time() -> None:
+    for speed, limit in ((1.0, 260), (10.0, 600)):
+        validator = MessageValidator(RateLimit(lambda speed=speed: speed))
+        frames = [estimate(k, k * 3333) for k in range(600)]  # two seconds at 300 a second
+        assert accepted(validator, frames)[1] <= limit
+        assert accepted(validator, [estimate(0, 2_000_000, key="estimate/gnss")])[1] == 1
+    assert accepted(validator, [estimate(0, 2_000_000, epoch=3)])[3] == 1
+
+
+def test_a_source_is_admitted_again_once_one_of_many_has_been_silent_for_a_second() -> None:
+    validator = MessageValidator(RateLimit())
+    assert accepted(validator, [estimate(0, 0, epoch=100 + k) for k in range(50)]).total() == 16
+    with pytest.raises(RateExceeded):
+        validator.validate(estimate(0, 900_000, epoch=1))
+    validator.validate(estimate(0, 1_100_000, epoch=1))
+
+
+@given(epoch=st.integers(0, 2**48 - 1), sequence=st.integers(0, 2**53 - 1))
+def test_the_epoch_of_a_frame_is_found_without_decoding_it(epoch: int, sequence: int) -> None:
+    header = Header(epoch=epoch, sequence=sequence, sent_monotonic_us=0)
+    assert epoch_of(encode(MANUAL, header)) == epoch
+    assert epoch_of(msgpack.packb({"sequence": sequence, "epoch": epoch, "thrust_N": [0.0] * 3})) == epoch
+
+
+@given(st.binary(max_size=40))
+def test_any_bytes_have_an_epoch_or_none(payload: bytes) -> None:
+    for each in (payload, b"\xa5epoch" + payload, payload + b"\xa5epoch"):
+        assert epoch_of(each) is None or isinstance(epoch_of(each), int)
+
+
+def test_a_named_source_has_a_key_of_its_own() -> None:
+    assert topic_at("estimate/gnss-2") is ESTIMATE
+    assert (source_of("estimate/gnss-2"), source_of("estimate")) == ("gnss-2", "default")
+    for key in ("estimate/", "estimate/default", "estimate/GNSS", "estimate/a/b", "estimate/-", "plan/b"):
+        assert topic_at(key) is None
+    validator = MessageValidator()
+    for k in range(5):
+        validator.validate(estimate(k, 0))
+        validator.validate(estimate(k, 0, epoch=2, key="estimate/gnss"))
+    assert validator.rejected == 0

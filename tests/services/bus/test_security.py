@@ -159,13 +159,38 @@ def test_the_truth_is_for_the_sensors_and_those_who_watch() -> None:
         "display",
         "operator",
     }
-    assert set(reads("controller")) >= {"estimate", "applied", "clock"}
+    assert set(reads("controller")) >= {"estimate/**", "applied", "clock"}
     assert "**" not in reads("controller")
 
 
 @pytest.mark.parametrize("role", ROLES)
 def test_a_role_speaks_for_itself_alone(role: str) -> None:
     assert not [key for key in writes(role) if key.startswith("status/") and key != f"status/{role}"]
+
+
+def test_a_named_source_may_publish_on_its_own_key_alone_and_the_controller_reads_it() -> None:
+    assert writes("estimator-gnss") == ("estimate/gnss",)
+    assert not [role for role in ROLES if "estimate/gnss" in writes(role)]
+    assert "estimate/**" in reads("controller")
+    assert "**" not in reads("estimator-gnss")
+
+
+def test_a_router_learns_the_named_sources_from_the_certificates_in_its_folder(tmp_path: Path) -> None:
+    assert run(["certs", "new", str(tmp_path / "certs"), "--source", "gnss", "--source", "dvl-2"]) == 0
+    (tmp_path / "certs" / "estimator-gnss.key").unlink()  # it needs no key
+    control = configuration(BusOptions(listen=("tls/127.0.0.1:7447",), certs=tmp_path / "certs", role="router"))
+    rules = {rule["id"]: rule["key_exprs"] for rule in json.loads(control.get_json("access_control/rules"))}
+    assert rules["estimator-gnss puts"] == ["**/estimate/gnss"]
+    assert rules["estimator-dvl-2 puts"] == ["**/estimate/dvl-2"]
+    assert rules["estimator puts"].count("**/estimate") == 1
+
+
+@pytest.mark.parametrize("name", ["default", "GNSS", "a/b", ""])
+def test_a_source_has_a_name_that_is_one_part_of_a_key(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["certs", "new", str(tmp_path / "certs"), "--source", name]) == 2
+    assert "option --source" in capsys.readouterr().err
 
 
 def test_a_router_denies_by_default_and_grants_within_its_namespace() -> None:

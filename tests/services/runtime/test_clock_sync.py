@@ -197,6 +197,15 @@ def test_two_publishers_on_one_clock_need_no_shift():
     assert (link.sync.shift_ns(NAVIGATION, link.m_us), link.sync.published_shift_ns) == (0, 0)
 
 
+def test_with_reports_plans_go_by_the_actuators_whichever_source_is_in_use():
+    link = Link({NAVIGATION: YEARS_NS + 60 * 10**9, ACTUATORS: YEARS_NS})
+    link.run(5.0)
+    link.sync.follow_source(NAVIGATION, link.m_us)
+    link.run(1.0)
+    assert link.steps == []
+    assert link.plan_error_ns(ACTUATORS) == pytest.approx(0, abs=5_000_000)
+
+
 def test_estimates_that_are_always_half_a_second_late_share_the_actuators_clock():
     link = Link({NAVIGATION: YEARS_NS - 500_000_000, ACTUATORS: YEARS_NS})
     link.run(10.0)
@@ -229,7 +238,7 @@ def test_a_step_that_two_publishers_share_is_certain_where_reports_confirm_it():
 
 
 def test_two_sources_of_estimates_that_alternate_do_not_set_the_clock():
-    """Vehicle time follows the first one; the other takes over when that is silent."""
+    """Vehicle time follows the first one until the estimates of the other are used, also while it is silent."""
     clock = VehicleClock()
     sync = ClockSync(clock, epoch=EPOCH)
     for m_us in range(0, 5_000_000, 100_000):
@@ -239,6 +248,9 @@ def test_two_sources_of_estimates_that_alternate_do_not_set_the_clock():
     before_ns = clock.read(m_us) - m_us * 1000
     for m_us in range(5_000_000, 8_000_000, 100_000):
         sync.check_stamp(estimate(YEARS_NS + 5_000_000_000 + m_us * 1000), 2, m_us)
+    assert sync.take_steps() == []
+    assert sync.published_shift_ns == 0
+    sync.follow_source(2, m_us)
     (step,) = sync.take_steps()
     assert step.publisher == 2
     assert clock.read(m_us) - m_us * 1000 == pytest.approx(before_ns, abs=1_000_000)

@@ -1,0 +1,244 @@
+"""Source selector: the active source stays, a sound candidate takes over after its silence, no source is banned."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from ltv_mpc.safety.source_selector import (
+    MAX_SILENCE_NS,
+    RETURN_NS,
+    RUN_MESSAGES,
+    RUN_NS,
+    Judgement,
+    Source,
+    SourceSelector,
+)
+
+MS = 1_000_000
+TRUE, OTHER = Source("default", 1), Source("default", 2)
+GNSS = Source("gnss", 3)
+GOOD = Judgement(believed=True, consistent=True, agrees=True)
+ELSEWHERE = Judgement(believed=True, consistent=True, agrees=False)
+BAD = Judgement(believed=False, consistent=False, agrees=False)
+
+
+def receive(of: SourceSelector, source: Source, t_ns: int, judgement: Judgement = GOOD) -> bool:
+    """Pass a message on as ``EstimateSources`` does. Return True if its source is active then."""
+    if of.active in (None, source):
+        if judgement.believed:
+            of.believe(source, t_ns)
+        return of.active == source
+    return of.offer(source, t_ns, judgement)
+
+
+def publish(of: SourceSelector, source: Source, times_ms: range, judgement: Judgement = GOOD) -> list[bool]:
+    return [receive(of, source, t * MS, judgement) for t in times_ms]
+
+
+def test_one_message_of_another_source_changes_nothing() -> None:
+    of = SourceSelector()
+    publish(of, TRUE, range(0, 1000, 100))
+    assert not receive(of, OTHER, 950 * MS)
+    assert all(publish(of, TRUE, range(1000, 3000, 100)))
+    assert (of.active, of.second, of.rejected) == (TRUE, OTHER, 1)
+
+
+def test_a_second_source_is_reported_while_both_publish_and_not_after_a_restart() -> None:
+    of = SourceSelector()
+    publish(of, TRUE, range(0, 1000, 100))
+    publish(of, OTHER, range(1000, 2000, 100))
+    assert of.active == OTHER
+    assert not of.contested(2000 * MS)
+    publish(of, TRUE, range(2010, 2050, 10))
+    publish(of, OTHER, range(2100, 2200, 100))
+    assert of.contested(2200 * MS)
+    assert not of.contested(4000 * MS)
+
+
+def test_a_source_of_another_name_is_no_second_source() -> None:
+    of = SourceSelector()
+    for t in range(0, 3000, 100):
+        publish(of, TRUE, range(t, t + 1))
+        publish(of, GNSS, range(t + 50, t + 51))
+    assert not of.contested(3000 * MS)
+    assert of.rejected == 0
+
+
+def test_a_restarted_source_is_back_within_its_silence_and_five_messages() -> None:
+    for period_ms, limit_ms in ((10, 600), (100, 600), (300, 1500)):
+        of = SourceSelector()
+        publish(of, TRUE, range(0, 3000 + 1, period_ms))
+        first = next(t for t in range(3000 + period_ms, 10_000, period_ms) if receive(of, OTHER, t * MS))
+        assert first - 3000 <= limit_ms
+
+
+def test_a_former_source_takes_over_again() -> None:
+    of = SourceSelector()
+    for k, source in enumerate((TRUE, OTHER, TRUE, OTHER)):
+        publish(of, source, range(2000 * k, 2000 * k + 1500, 100))
+        assert of.active == source
+
+
+def test_a_message_that_is_not_believed_does_not_keep_its_source_active() -> None:
+    of = SourceSelector()
+    publish(of, TRUE, range(0, 1000, 100))
+    for t in range(1000, 2000, 100):
+        receive(of, TRUE, t * MS, BAD)
+        receive(of, OTHER, t * MS)
+    assert of.active == OTHER
+
+
+def test_a_source_that_disagrees_takes_over_after_ten_seconds_of_silence() -> None:
+    of = SourceSelector()
+    publish(of, TRUE, range(0, 1000, 100))
+    assert not any(publish(of, OTHER, range(1000, 10_900, 100), ELSEWHERE))
+    assert any(publish(of, OTHER, range(10_900, 11_200, 100), ELSEWHERE))
+
+
+def test_one_disagreement_breaks_a_run() -> None:
+    of = SourceSelector()
+    publish(of, TRUE, range(0, 1000, 100))
+    assert not any(publish(of, OTHER, range(1000, 1400, 100)))
+    assert not receive(of, OTHER, 1450 * MS, BAD)
+    assert not any(publish(of, OTHER, range(1500, 1900, 100)))
+
+
+def test_the_preferred_source_takes_over_after_five_seconds_of_agreement() -> None:
+    of = SourceSelector(order=("gnss", "default"))
+    publish(of, TRUE, range(0, 1000, 100))
+    switched_ms = None
+    for t in range(1000, 8000, 100):
+        receive(of, TRUE, t * MS)
+        if receive(of, GNSS, t * MS + 1) and switched_ms is None:
+            switched_ms = t - 1000
+    assert switched_ms == RETURN_NS // MS
+    assert of.active == GNSS
+
+
+def test_a_source_that_is_not_preferred_does_not_take_over_from_one_in_use() -> None:
+    for order in (("default", "gnss"), ("default",), ()):
+        of = SourceSelector(order=order)
+        for t in range(0, 20_000, 100):
+            receive(of, TRUE, t * MS)
+            receive(of, GNSS, t * MS + 1)
+        assert of.active == TRUE
+
+
+def test_a_preferred_source_that_disagrees_does_not_take_over() -> None:
+    of = SourceSelector(order=("gnss", "default"))
+    for t in range(0, 20_000, 100):
+        receive(of, TRUE, t * MS)
+        receive(of, GNSS, t * MS + 1, ELSEWHERE)
+    assert of.active == TRUE
+
+
+def test_a_forced_source_takes_over_at_once_and_is_replaced_when_silent() -> None:
+    of = SourceSelector(order=("default", "gnss"))
+    for t in range(0, 2000, 100):
+        receive(of, TRUE, t * MS)
+        receive(of, GNSS, t * MS + 1, ELSEWHERE)
+    assert of.force("gnss", 2000 * MS) == ""
+    assert receive(of, GNSS, 2000 * MS, ELSEWHERE)
+    assert any(publish(of, TRUE, range(2000, 3500, 100)))
+    assert of.force("", 3500 * MS) == ""
+    assert of.forced == ""
+
+
+@pytest.mark.parametrize("name", ["sonar", "gnss"])
+def test_a_name_without_a_believed_message_of_the_last_ten_seconds_cannot_be_forced(name: str) -> None:
+    of = SourceSelector()
+    receive(of, TRUE, 0)
+    receive(of, GNSS, 0)
+    publish(of, TRUE, range(0, 11_000, 100))
+    assert of.force(name, 11_000 * MS) == f"no valid message of source {name} in the last 10 s; sources: default"
+    assert of.forced == ""
+
+
+class Sources(RuleBasedStateMachine):
+    """Random sources, silences, restarts, names and floods beside one sound source."""
+
+    @initialize(period_ms=st.integers(5, 300), order=st.permutations(("default", "a", "b")))
+    def start(self, period_ms: int, order: list[str]) -> None:
+        self.of = SourceSelector(order)
+        self.order = order
+        self.t_ns, self.period_ns, self.epoch, self.name = 0, period_ms * MS, 1000, "default"
+        self.sound_since = 0
+        self.believed_ns: dict[Source, int] = {}
+        self.agreed_since: dict[Source, int] = {}
+        self.used_ns = 0
+
+    def _send(self, source: Source, judgement: Judgement = GOOD) -> None:
+        before, active_ns = self.of.active, self.believed_ns.get(self.of.active or source, 0)
+        used = receive(self.of, source, self.t_ns, judgement)
+        assert used == (self.of.active == source)  # one active source: the others are rejected
+        if judgement != GOOD:
+            self.agreed_since.pop(source, None)
+        if before not in (None, self.of.active):
+            assert judgement.believed
+            preferred = self._place(source) < self._place(before)
+            long_agreed = self.t_ns - self.agreed_since.get(source, self.t_ns) >= RETURN_NS
+            forced = source.name == self.of.forced != before.name
+            silent = self.t_ns - active_ns >= 500 * MS and (judgement.agrees or self.t_ns - active_ns > 10_000 * MS)
+            assert silent or forced or (preferred and long_agreed)
+        if judgement.believed:
+            self.believed_ns[source] = self.t_ns
+        if judgement == GOOD:
+            self.agreed_since.setdefault(source, self.t_ns)
+        if used and judgement.believed:
+            self.used_ns = self.t_ns
+
+    def _place(self, source: Source) -> int:
+        return -1 if source.name == self.of.forced else self.order.index(source.name)
+
+    @rule(
+        count=st.integers(1, 30),
+        beside=st.integers(0, 5),
+        names=st.sampled_from(("default", "a", "b")),
+        judgement=st.sampled_from((GOOD, ELSEWHERE, BAD)),
+    )
+    def publish(self, count: int, beside: int, names: str, judgement: Judgement) -> None:
+        """Publish from the sound source, and faster from others beside it."""
+        for _ in range(count):
+            self.t_ns += self.period_ns
+            for other in range(beside):
+                self._send(Source(names, other), judgement)
+            self._send(Source(self.name, self.epoch))
+
+    @rule(ms=st.integers(0, 20_000))
+    def silence(self, ms: int) -> None:
+        self.t_ns += ms * MS
+        self.sound_since = self.t_ns
+        self.agreed_since.clear()
+
+    @rule(name=st.sampled_from(("default", "a", "b")))
+    def restart(self, name: str) -> None:
+        self.epoch, self.name = self.epoch + 1, name
+        self.sound_since = self.t_ns
+
+    @rule(count=st.integers(1, 200), epoch=st.integers(0, 400), many=st.booleans(), name=st.sampled_from(("a", "b")))
+    def flood(self, count: int, epoch: int, many: bool, name: str) -> None:
+        """Another source, or many, send within a moment."""
+        for k in range(count):
+            self.t_ns += MS // 100
+            self._send(Source(name, epoch + (k if many else 0)))
+
+    @precondition(lambda self: hasattr(self, "of"))
+    @rule(name=st.sampled_from(("", "default", "a", "b")))
+    def force(self, name: str) -> None:
+        self.of.force(name, self.t_ns)
+
+    @invariant()
+    def never_without_a_source_for_longer_than_stated(self) -> None:
+        if not hasattr(self, "of"):
+            return
+        sound_ns = self.t_ns - self.sound_since
+        limit = max(MAX_SILENCE_NS, RUN_NS, RUN_MESSAGES * self.period_ns) + 2 * self.period_ns + 10 * MS
+        if sound_ns > limit:
+            assert self.t_ns - self.used_ns <= limit
+
+
+Sources.TestCase.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+TestSources = Sources.TestCase
