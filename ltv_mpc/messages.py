@@ -67,6 +67,7 @@ Force: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "N"})]
 ForceRate: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "N/s"})]
 Moment: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "N m"})]
 Share: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "share"})]
+ThrustShare: TypeAlias = Annotated[float, Meta(ge=0.1, le=1.0, extra={"unit": "share"})]
 Dimensionless: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12, extra={"unit": "dimensionless"})]
 SpeedOfTime: TypeAlias = Annotated[float, Meta(ge=0.01, le=1000.0, extra={"unit": "vehicle s per s"})]
 MessageFaultSize: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "share or s"})]
@@ -710,8 +711,12 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
     ] = None
     model_products: Annotated[
         ModelProductMatrix | None,
-        Meta(description="4 x 4 sums of products of missing impulse, port impulse, starboard impulse and drag"),
+        Meta(description="6 x 6 sums of products of missing impulse and of its five regressors"),
     ] = None
+    thrust_shares: Annotated[
+        tuple[ThrustShare, ThrustShare],
+        Meta(description="share of the reported thrust that port and starboard deliver; below 1: a weak thruster"),
+    ] = (1.0, 1.0)
     plan: Annotated[
         Plan | None, Meta(description="last plan sent; after a restart, the plan in force at the actuators")
     ] = None

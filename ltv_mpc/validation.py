@@ -259,8 +259,8 @@ def _plan(s: Plan) -> Reason:
 
 
 def _controller_state(s: ControllerState) -> Reason:
-    if s.model_products is not None and s.model_products.shape != (4, 4):
-        return f"model_products {s.model_products.shape}: must be (4, 4)"
+    if s.model_products is not None and s.model_products.shape != (6, 6):
+        return f"model_products {s.model_products.shape}: must be (6, 6)"
     if s.current_bias is not None:
         north, cross, east = s.current_bias.covariance
         if not (north > 0.0 and east > 0.0 and cross * cross < north * east):

@@ -25,7 +25,7 @@ import numpy as np
 
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.delay import Delay
-from ltv_mpc.control.disturbance import CurrentBias
+from ltv_mpc.control.disturbance import Belief, CurrentBias
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
 from ltv_mpc.control.lateral import MAX_WHY_CHARS, LateralPlanner
 from ltv_mpc.control.mode import Decision, EstimateSelector, Mode, decide
@@ -44,6 +44,7 @@ from ltv_mpc.messages import (
     CycleTiming,
     Estimate,
     Health,
+    Pair,
     Plan,
     PlanOrigin,
     Times,
@@ -126,6 +127,11 @@ class Controller:
         """Check that the estimates describe the vehicle's declared reference point."""
         return self._estimates.reference_point_check
 
+    @property
+    def learned_current(self) -> Belief | None:
+        """Estimated bias of the current and its covariance: the current itself for estimates without one."""
+        return None if self._bias is None else (self._bias.bias_mps, self._bias.covariance)
+
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on.
 
@@ -169,6 +175,16 @@ class Controller:
         t_ns : time of the state, vehicle time (ns).
         """
         return self._prediction.state_at(estimate, t_ns, self.sent_commands).lateral[:6]
+
+    def set_thrust_shares(self, shares: Pair) -> None:
+        """Plan from the next cycle on with lateral thrusters that deliver a share of what they report.
+
+        Parameters
+        ----------
+        shares : of port and starboard, above 0; 1 if sound.
+        """
+        self._lateral.set_shares(shares)
+        self._prediction.shares[:2] = shares
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest plausible estimate, and by the prediction in the last cycle.

@@ -137,7 +137,7 @@ class CurrentBias:
             estimate.t_ns,
             prediction.coefficients,
             prediction.measured(last),
-            commands.knots,
+            prediction.delivered(commands),
             (profile.depth_m, profile.north_mps, profile.east_mps),
             self._noise,
         )

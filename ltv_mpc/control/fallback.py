@@ -60,6 +60,8 @@ class PreviousPlan:
         """The plan, whatever it came from."""
         self.solved_until_ns = 0
         """Vehicle time (ns) until which the last solved plan may be followed; a shifted plan then ramps to zero."""
+        self.shares = np.ones(2)
+        """(2,) share of their commands that port and starboard deliver."""
         self._no_commands = np.zeros((len(knots_ns), 2))
         self._max_shift_ns = min(int(knots_ns[-1]), MAX_SHIFT_NS)
 
@@ -102,13 +104,13 @@ class PreviousPlan:
 
         Returns
         -------
-        How many stages of 0.3 s the plan began before ``start_ns``, and its commands (N+1, 2) in N. NaN and zeros if
-        there is no such plan.
+        How many stages of 0.3 s the plan began before ``start_ns``, and its commands (N+1, 2) in N, times the shares
+        that are delivered. NaN and zeros if there is no such plan.
         """
         plan = self.plan
         if plan is None or (plan.origin is not PlanOrigin.SOLVED and plan.origin is not PlanOrigin.SHIFTED):
             return math.nan, self._no_commands
-        return (start_ns - int(plan.t_ns[0])) / STAGE_NS, np.ascontiguousarray(plan.thrust_N[:, :2])
+        return (start_ns - int(plan.t_ns[0])) / STAGE_NS, plan.thrust_N[:, :2] * self.shares
 
     def _set_end(self, plan: Plan) -> None:
         self.solved_until_ns = int(plan.t_ns[0]) + self._max_shift_ns
@@ -181,9 +183,9 @@ class Fallback:
         start : the vehicle at the plan's start.
         C : (N+1, 2) current at the knots (m/s).
         why : reason that the plan gives.
-        goal : (N+1, 3) thrusts of all thrusters at the knots (N); zero if None.
+        goal : (N+1, 2) thrusts of port and starboard at the knots (N); zero if None.
         """
-        lateral = self._zero if goal is None else np.ascontiguousarray(goal[:, :2])
+        lateral = self._zero if goal is None else goal
         origin = PlanOrigin.MANUAL if goal is not None and goal.any() else PlanOrigin.ZERO
         return self._ramp_to(lateral, start, C, origin, why)
 

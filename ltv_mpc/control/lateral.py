@@ -5,6 +5,10 @@
                          +---------------------- relinearise, ``sqp_iterations`` times ------------------------+
 
 A cycle whose QP gives no usable commands takes the next fallback level (``fallback.py``).
+
+A weak thruster delivers a share of its command. Every thrust in the planner is the delivered one: the command in force,
+the previous plan, box and slew of the QP are multiplied by the share, and the plan is divided by it at the end. So the
+model stays right, and the box is as small as the thruster is weak.
 """
 
 from __future__ import annotations
@@ -12,15 +16,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import msgspec
 import numpy as np
 
 from ltv_mpc.control import line_search, nominal_trajectory
-from ltv_mpc.control.config import ResolvedConfig
+from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
+from ltv_mpc.control.problem_data import pack_constants
 from ltv_mpc.control.solvers import Solver, SolverFactory
-from ltv_mpc.messages import Array, Estimate, PlanOrigin, Solve, SolveStatus, Times
+from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus, Times
 from ltv_mpc.node import Stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -62,7 +68,9 @@ class LateralPlanner:
         self._lin = Linearisation.empty(config.stages)
         self._sqp_iterations = config.sqp_iterations
         self._fallback = Fallback(vehicle, packed, self.previous)
-        self._make_solver: Callable[[], Solver] = lambda: make_solver(vehicle, config)
+        self._vehicle, self._config = vehicle, config
+        self._shares = np.ones(2)  # of their commands that port and starboard deliver
+        self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), config)
         self._solver = self._make_solver()
         self._solver_is_suspect = False
         self._stopwatch = stopwatch
@@ -85,7 +93,24 @@ class LateralPlanner:
         ----------
         start, why, goal : as ``Fallback.ramp`` takes them; the current is the one that was set.
         """
-        return self._fallback.ramp(start, self._lin.C, why, goal)
+        delivered = None if goal is None else goal[:, :2] * self._shares
+        return self._as_commands(self._fallback.ramp(start, self._lin.C, why, delivered))
+
+    def set_shares(self, shares: Pair) -> None:
+        """Plan with thrusters that deliver a share of their commands; the solver is made anew if the shares change.
+
+        Parameters
+        ----------
+        shares : of port and starboard, above 0.
+        """
+        if shares == tuple(self._shares):
+            return
+        self._shares[:] = self.previous.shares[:] = shares
+        config = self._config
+        self._packed[:] = pack_constants(
+            self._weakened_vehicle(), config.weights, config.knots, STAGE_NS * 1e-9, config.limits.max_abs
+        )
+        self.distrust_solver()
 
     def stop(self, start: Start, why: str) -> LateralPlan:
         """Stop the vehicle through the water.
@@ -94,7 +119,7 @@ class LateralPlanner:
         ----------
         start, why : as ``Fallback.stop`` takes them; the current is the one that was set.
         """
-        return self._fallback.stop(start, self._lin.C, why)
+        return self._as_commands(self._fallback.stop(start, self._lin.C, why))
 
     def plan(self, start: Start) -> LateralPlan:
         """Return the QP's plan, or that of the first fallback level that gives one.
@@ -109,7 +134,7 @@ class LateralPlanner:
             plan: LateralPlan | Solve = self._solve(start)
         except Exception as error:  # a solver should report a status, but those of others may raise
             plan = Solve(status=SolveStatus.FAILED, why=f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS])
-        return self._fall_back(start, plan) if isinstance(plan, Solve) else plan
+        return self._as_commands(self._fall_back(start, plan) if isinstance(plan, Solve) else plan)
 
     def distrust_solver(self) -> None:
         """Make a new solver before the next solve."""
@@ -161,6 +186,27 @@ class LateralPlanner:
         self._solver_is_suspect = True
         np.nan_to_num(self._lin.C, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
         return self._fallback.plan(start, self._lin.C, solve)
+
+    def _as_commands(self, plan: LateralPlan) -> LateralPlan:
+        """Return a plan of delivered thrusts with the commands that lead to them."""
+        if (self._shares == 1.0).all():
+            return plan
+        port, starboard, _ = self._vehicle.thrusters
+        # The quotient may exceed the box by rounding.
+        return plan._replace(
+            U=np.clip(plan.U / self._shares, (port.min_N, starboard.min_N), (port.max_N, starboard.max_N))
+        )
+
+    def _weakened_vehicle(self) -> Vehicle:
+        """Return the vehicle whose lateral thrusters have the box and slew limit of the thrust that they deliver."""
+        port, starboard = (
+            msgspec.structs.replace(
+                of, min_N=of.min_N * share, max_N=of.max_N * share, slew_N_per_s=of.slew_N_per_s * share
+            )
+            for of, share in zip(self._vehicle.thrusters[:2], self._shares.tolist(), strict=True)
+        )
+        thruster = msgspec.structs.replace(self._vehicle.thruster, port=port, starboard=starboard)
+        return msgspec.structs.replace(self._vehicle, thruster=thruster)
 
 
 def is_usable(commands: Array, solve: Solve) -> bool:

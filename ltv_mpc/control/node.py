@@ -191,6 +191,7 @@ class ControllerNode:
             self._health_of_clock(t_ns),
             self.controller.reference_point_check.health,
             self.sources.health(t_ns),
+            self._health_of_thrusters(),
         )
 
     def _health_of_reports(self, t_ns: int) -> HealthState:
@@ -207,6 +208,11 @@ class ControllerNode:
             return HealthState(Health.DEGRADED, UNCERTAIN_CLOCK)
         return NOMINAL
 
+    def _health_of_thrusters(self) -> HealthState:
+        """Return the health by a weak thruster whose box is reduced."""
+        reduced = self.controller.config.reduce_weak_thruster
+        return self._model_monitor.weak_thruster.health(self.controller.vehicle) if reduced else NOMINAL
+
     @staticmethod
     def _is_newer(monitor: InputMonitor, received: ReceivedMessage, stamp_ns: int) -> bool:
         return monitor.receive(
@@ -215,12 +221,18 @@ class ControllerNode:
 
     def _check_model(self) -> ModelCheck | None:
         """Compare the motion with the model's; return the report that is due."""
-        estimate = self.controller.estimate_gate.accepted
-        check = None if estimate is None else self._model_monitor.update(estimate)
+        estimate, monitor = self.controller.estimate_gate.accepted, self._model_monitor
+        check = None if estimate is None else monitor.update(estimate, self.controller.learned_current)
+        self._set_thrust_shares()
         why = self.controller.reference_point_check.health.why
         if check is None or not why:
             return check
         return msgspec.structs.replace(check, alarm=True, why=f"{why}; {check.why}" if check.why else why)
+
+    def _set_thrust_shares(self) -> None:
+        """Plan with the share that a weak thruster delivers, unless the settings turn this off."""
+        if self.controller.config.reduce_weak_thruster:
+            self.controller.set_thrust_shares(self._model_monitor.weak_thruster.shares)
 
     # --- saved state ---
 
@@ -232,6 +244,8 @@ class ControllerNode:
         self._commands.arm_continues = state.arm_continues
         if state.model_products is not None:
             self._model_monitor.restore(state.model_products)
+        self._model_monitor.weak_thruster.restore(state.thrust_shares)
+        self._set_thrust_shares()
         self.controller.restore(state, t_ns)
         self.sources.selector.forced = state.source
         if self.sources.newest is None:
@@ -255,6 +269,7 @@ class ControllerNode:
             reference_toml=toml,
             arm_continues=self._commands.arm_continues,
             model_products=self._model_monitor.products,
+            thrust_shares=self._model_monitor.weak_thruster.shares,
             estimate=self.sources.newest,
             source=self.sources.selector.forced,
         )

@@ -39,7 +39,8 @@ class Start(NamedTuple):
     """State of the vehicle at the instant at which the plan takes effect."""
 
     t_ns: int
-    lateral: Array  # (10,) n, e, u, v, psi, r, F1, F2, and the commands of port and starboard in force
+    # (10,) n, e, u, v, psi, r, F1, F2, and the commands of port and starboard in force; thrusts are those delivered
+    lateral: Array
     vertical_command_N: float  # in force
     depth_m: float
     sinking_mps: float
@@ -101,6 +102,8 @@ class Prediction:
         """Begin without a report of the actuators."""
         self.coefficients = np.array(vehicle.coefficients())
         """(19,) coefficients of the vehicle."""
+        self.shares = np.ones(3)
+        """(3,) share of its reported thrust that each thruster delivers: port, starboard, vertical."""
         self._no_report = Report(NEVER, np.zeros(3))
         self._report = self._no_report  # the newest that is not newer than the estimate in use
         self._later_reports: deque[Report] = deque(maxlen=MAX_REPORTS)
@@ -131,7 +134,7 @@ class Prediction:
             self.coefficients,
             self.measured(estimate),
             t_ns,
-            commands.knots,
+            self.delivered(commands),
             (profile.depth_m, profile.north_mps, profile.east_mps),
         )
         return Start(t_ns, end[:10], *end[10:].tolist())
@@ -159,7 +162,17 @@ class Prediction:
                 estimate.velocity_down_mps or 0.0,
             )
         )
-        return estimate.t_ns, flat, report.t_ns, report.thrust_N
+        return estimate.t_ns, flat, report.t_ns, report.thrust_N * self.shares
+
+    def delivered(self, commands: SentCommands) -> Commands:
+        """Return the commands times the share of them that each thruster delivers.
+
+        Parameters
+        ----------
+        commands : as sent.
+        """
+        t, thrust = commands.knots
+        return t, thrust * self.shares
 
 
 def profile_of(estimate: Estimate) -> CurrentProfile:

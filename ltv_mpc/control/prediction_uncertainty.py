@@ -48,7 +48,7 @@ def growth_m(
     bias : estimated bias of the current; None: the current is taken to be certain.
     """
     since_ns, state, report_ns, thrust_N = prediction.measured(estimate)
-    times, commanded_N = commands.knots
+    times, commanded_N = prediction.delivered(commands)
     profile = profile_of(estimate)
 
     def _position(state: Array = state, current: tuple[float, float] = (0.0, 0.0), gain: Array | float = 1.0) -> Array:

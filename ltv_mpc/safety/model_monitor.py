@@ -21,8 +21,22 @@ only the noise of its first and its last estimate (``thrust_loss_detector.whiten
 The alarm is raised at ``ALARM_NATS`` of evidence that l has grown, beyond what 10 % of mismatch and the behaviour so
 far explain (``thrust_loss_detector.py``). While the alarm is on, the behaviour so far is not updated.
 
-The monitor needs reports of the actuators and estimates with a current. It cannot distinguish a loss of thrust from a
-change of the current that the estimate does not contain, or from a tow; the model is wrong in these cases too.
+The monitor needs reports of the actuators. It cannot distinguish a loss of thrust from a change of the current that the
+estimate does not contain, or from a tow; the model is wrong in these cases too.
+
+Estimates without a current: u and v are relative to the current that the controller has learned (``disturbance.py``).
+That current follows any force that lasts, so it can explain a missing surge impulse, and its corrections look like
+forces. So only the yaw row counts. Such a vehicle is often known less well than one that measures its current, and its
+fins and hull give moments that the model does not contain. These are two more unknowns, learned like the mismatch,
+
+    z_n = ... + g_1 (M_x + M_y) u v dt + g_2 (M_x + M_y) a |u| r dt,     a = (a1 + a2) / 2
+
+and what they do not explain is noise, a moment that lasts for tau_m = ``UNMODELLED_TIME_S`` (s_c: standard deviation of
+the learned current). The yaw rows are then not whitened.
+
+    e_n ~ N(0, I_z^2 (p^2 + P_r0 + P_r1) + 2 tau_m dt m^2),
+    m = ``OF_THRUST`` (a1 |F1| + a2 |F2|) + ``OF_MOTION`` [|d_psi(r)| + (M_x + M_y) |u| (|v| + a |r|)]
+        + |M_x - M_y| (|u| + |v|) s_c
 """
 
 from __future__ import annotations
@@ -31,9 +45,13 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+import numpy as np
+
+from ltv_mpc.control.disturbance import Belief
 from ltv_mpc.control.prediction import current_at_depth
 from ltv_mpc.messages import Applied, Array, Estimate, ModelCheck, Pair
-from ltv_mpc.safety.thrust_loss_detector import ThrustLossDetector
+from ltv_mpc.safety.thrust_loss_detector import Row, ThrustLossDetector
+from ltv_mpc.safety.weak_thruster import WeakThruster, attribute
 from ltv_mpc.vehicle.parameters import Vehicle
 
 ALARM_NATS = 12.0
@@ -55,6 +73,14 @@ minute.
 NOISE_RADPS = 2e-4
 """p: noise of the change of yaw rate from the gyro bias and the trapezoidal integrals."""
 
+OF_THRUST, OF_MOTION, UNMODELLED_TIME_S = 0.01, 0.02, 1.5
+"""Unmodelled yaw moment without a current in the estimates: shares of the known moments, and its time constant. With
+these the healthy foreign craft of tests/foreign_plant, whose model is wrong in fins and Munk moment, gives 3 nats.
+"""
+
+KEPT_NS = 5_000_000_000
+"""Age up to which reports are kept: an estimate that is older is not used by the controller either."""
+
 MAX_INTERVAL_S = 1.0
 """Largest time between two estimates for which the trapezoidal integrals are accurate enough."""
 
@@ -71,20 +97,27 @@ class _Motion(NamedTuple):
     """Motion of one estimate, and the impulses of all reports up to its time."""
 
     t_ns: int
-    u: float
-    v: float
+    velocity: Pair  # over ground, north and east
     r: float
     heading: float
     current: Pair
     impulse: Pair
     variance: Pair  # of a velocity component, of the yaw rate
+    learned_sd: float | None  # of the current (m/s); None if the estimate contains the current
+
+    @property
+    def through_water(self) -> Pair:
+        """Surge and sway velocity through the water (m/s)."""
+        cos, sin = math.cos(self.heading), math.sin(self.heading)
+        vn, ve = self.velocity[0] - self.current[0], self.velocity[1] - self.current[1]
+        return cos * vn + sin * ve, cos * ve - sin * vn
 
 
 class _ThrustImpulse:
     """Integral of the reported thrusts of port and starboard over time."""
 
     def __init__(self) -> None:
-        self._reports: deque[tuple[int, Pair, Pair]] = deque(maxlen=32)  # time, thrusts, impulses up to that time
+        self._reports: deque[tuple[int, Pair, Pair]] = deque()  # time, thrusts, impulses up to that time
 
     def add(self, applied: Applied) -> None:
         """Add a report of the actuators.
@@ -102,6 +135,8 @@ class _ThrustImpulse:
         if half_s > 0.0:
             at = impulse[0] + half_s * (before[0] + thrust[0]), impulse[1] + half_s * (before[1] + thrust[1])
             self._reports.append((applied.t_ns, thrust, at))
+            while self._reports[1][0] <= applied.t_ns - KEPT_NS:
+                self._reports.popleft()
 
     def until(self, t_ns: int) -> Pair | None:
         """Return the impulses (N s) up to ``t_ns``; None before the oldest report that is kept.
@@ -187,6 +222,8 @@ class ModelMonitor:
         self._detector = ThrustLossDetector()
         self._residual = _MeanResidual()
         self._quiet_cycles = 0
+        self.weak_thruster = WeakThruster()
+        """Thruster that lost thrust, if it is one."""
         self.evidence = 0.0
         """Log-likelihood ratio of a thrust loss (nats)."""
         self.alarm = False
@@ -223,18 +260,23 @@ class ModelMonitor:
         """
         self._impulse.add(applied)
 
-    def update(self, estimate: Estimate) -> ModelCheck | None:
+    def update(self, estimate: Estimate, learned: Belief | None = None) -> ModelCheck | None:
         """Add an accepted estimate. Return the message to publish: at each change of the alarm, and every second.
 
         Parameters
         ----------
         estimate : newest accepted estimate.
+        learned : current that the controller has learned, for an estimate without one; None: there is none either.
         """
-        motion, before = self._motion(estimate), self._last
+        motion, before = self._motion(estimate, learned), self._last
         if motion is None or (before is not None and motion.t_ns == before.t_ns):
             return None
         self._last = motion
-        if before is None or not 0 < motion.t_ns - before.t_ns <= MAX_INTERVAL_S * 1e9:
+        if (
+            before is None
+            or not 0 < motion.t_ns - before.t_ns <= MAX_INTERVAL_S * 1e9
+            or (before.learned_sd is None) is not (motion.learned_sd is None)
+        ):
             self._detector.clear_window()
             return None
         alarm = self.alarm
@@ -242,65 +284,100 @@ class ModelMonitor:
         due = self._residual.is_due(motion.t_ns)
         return self._message(motion.t_ns) if due or self.alarm is not alarm else None
 
-    def _motion(self, e: Estimate) -> _Motion | None:
-        """Return the motion of an estimate; None without reports up to its time or without a current."""
+    def _motion(self, e: Estimate, learned: Belief | None) -> _Motion | None:
+        """Return the motion of an estimate; None without reports up to its time or without any current."""
         impulse = self._impulse.until(e.t_ns)
-        profile = e.current
-        if impulse is None or profile is None:
+        profile, learned_sd = e.current, None
+        if impulse is None:
             return None
-        cn, ce = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, e.depth_m or 0.0)
-        cos, sin = math.cos(e.heading_rad), math.sin(e.heading_rad)
-        vn, ve = e.velocity_north_mps - cn, e.velocity_east_mps - ce
+        if profile is not None:
+            cn, ce = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, e.depth_m or 0.0)
+        elif learned is not None:
+            cn, ce = learned[0].tolist()
+            learned_sd = math.sqrt(0.5 * float(np.trace(learned[1])))
+        else:
+            return None
         P = e.covariance
         variance = (0.0, 0.0) if P is None else (0.5 * float(P[2, 2] + P[3, 3]), float(P[5, 5]))
         return _Motion(
             e.t_ns,
-            cos * vn + sin * ve,
-            cos * ve - sin * vn,
+            (e.velocity_north_mps, e.velocity_east_mps),
             e.yaw_rate_radps,
             e.heading_rad,
             (cn, ce),
             impulse,
             variance,
+            learned_sd,
         )
 
     def _evaluate(self, a: _Motion, b: _Motion) -> None:
-        """Add the missing impulses from ``a`` to ``b`` to the detector, and update the alarm."""
-        p = self._p
-        dt = (b.t_ns - a.t_ns) * 1e-9
-        half = 0.5 * dt
-        i1, i2 = b.impulse[0] - a.impulse[0], b.impulse[1] - a.impulse[1]
-        turning = i1 * p.arm_port - i2 * p.arm_starboard
-        linear, quadratic = p.linear_surge, p.quadratic_surge
-        drag = half * ((linear + quadratic * abs(a.u)) * a.u + (linear + quadratic * abs(b.u)) * b.u)
-        linear, quadratic = p.linear_yaw, p.quadratic_yaw
-        twist = half * ((linear + quadratic * abs(a.r)) * a.r + (linear + quadratic * abs(b.r)) * b.r)
-        coriolis = half * p.mass_sway * (a.v * a.r + b.v * b.r)
-        munk = half * (p.mass_surge - p.mass_sway) * (a.u * a.v + b.u * b.v)
-        heading = a.heading + 0.5 * math.remainder(b.heading - a.heading, math.tau)
-        dn, de = b.current[0] - a.current[0], b.current[1] - a.current[1]
-        shear = p.dry_mass * (math.cos(heading) * dn + math.sin(heading) * de)
-        z_x = i1 + i2 - drag + coriolis - shear - p.mass_surge * (b.u - a.u)
-        z_n = turning - twist + munk - p.inertia_yaw * (b.r - a.r)
-        self._residual.subtract(z_x, z_n, dt)
-        noise = self._noise
-        if self._settling_s > 0.0:
-            self._settling_s -= dt if i1 or i2 else 0.0
-            noise += (p.mass_surge * SETTLING_MPS) ** 2
-        corrected = max(a.variance[0] - b.variance[0], 0.0) + 2.0 * b.variance[0] * dt / VELOCITY_ERROR_TIME_S
-        s_x = 1.0 / math.sqrt(noise + p.mass_surge * p.mass_surge * corrected)
-        s_n = 1.0 / (p.inertia_yaw * math.sqrt(NOISE_RADPS * NOISE_RADPS + a.variance[1] + b.variance[1]))
-        row = (
-            (z_x * s_x, z_n * s_n),
-            (i1 * s_x, p.arm_port * i1 * s_n),
-            (i2 * s_x, -p.arm_starboard * i2 * s_n),
-            (drag * s_x, twist * s_n),
-            (0.0, 1.0 if b.variance[1] > NOISE_RADPS * NOISE_RADPS else 0.0),
-        )
+        """Add the missing impulses from ``a`` to ``b`` to the detector, and update the alarm and the weak thruster."""
+        if b.learned_sd is not None:
+            a = a._replace(current=b.current)  # a correction of the learned current is not a motion
+        row = self._row(a, b)
         self.evidence, *loss = self._detector.add(row, learn=not self.alarm)
         self.loss = loss[0], loss[1]
         self._quiet_cycles = 0 if self.evidence >= 0.5 * ALARM_NATS else self._quiet_cycles + 1
         self.alarm = self.evidence >= ALARM_NATS or (self.alarm and self._quiet_cycles < QUIET_CYCLES)
+        weak = self.weak_thruster
+        gain = self._detector.recovery_gain(weak.loss) if weak.is_weak else 0.0
+        if weak.update(attribute(self.loss) if self.alarm else None, gain):
+            self._detector.clear_window()  # the loss is over
+        self.alarm |= weak.is_weak
+
+    def _row(self, a: _Motion, b: _Motion) -> Row:
+        """Return the row of the detector for the motion from ``a`` to ``b``."""
+        p = self._p
+        dt = (b.t_ns - a.t_ns) * 1e-9
+        half = 0.5 * dt
+        (au, av), (bu, bv) = a.through_water, b.through_water
+        i1, i2 = b.impulse[0] - a.impulse[0], b.impulse[1] - a.impulse[1]
+        linear, quadratic = p.linear_surge, p.quadratic_surge
+        drag = half * ((linear + quadratic * abs(au)) * au + (linear + quadratic * abs(bu)) * bu)
+        linear, quadratic = p.linear_yaw, p.quadratic_yaw
+        twist = half * ((linear + quadratic * abs(a.r)) * a.r + (linear + quadratic * abs(b.r)) * b.r)
+        coriolis = half * p.mass_sway * (av * a.r + bv * b.r)
+        munk = half * (p.mass_surge - p.mass_sway) * (au * av + bu * bv)
+        heading = a.heading + 0.5 * math.remainder(b.heading - a.heading, math.tau)
+        dn, de = b.current[0] - a.current[0], b.current[1] - a.current[1]
+        shear = p.dry_mass * (math.cos(heading) * dn + math.sin(heading) * de)
+        z_x = i1 + i2 - drag + coriolis - shear - p.mass_surge * (bu - au)
+        z_n = i1 * p.arm_port - i2 * p.arm_starboard - twist + munk - p.inertia_yaw * (b.r - a.r)
+        self._residual.subtract(z_x, z_n, dt)
+        s_x = fresh = cross = lift = 0.0
+        yaw_noise = p.inertia_yaw**2 * (NOISE_RADPS**2 + a.variance[1] + b.variance[1])
+        if b.learned_sd is None:
+            s_x = 1.0 / math.sqrt(self._surge_noise(a, b, dt, thrusting=bool(i1 or i2)))
+            fresh = 1.0 if b.variance[1] > NOISE_RADPS * NOISE_RADPS else 0.0
+        else:
+            mass, arm = p.mass_surge + p.mass_sway, 0.5 * (p.arm_port + p.arm_starboard)
+            cross = half * mass * (au * av + bu * bv)
+            lift = half * mass * arm * (abs(au) * a.r + abs(bu) * b.r)
+            of_thrust = p.arm_port * abs(i1) + p.arm_starboard * abs(i2)
+            of_motion = abs(twist) + mass * abs(bu) * (abs(bv) + arm * abs(b.r)) * dt
+            of_current = abs(p.mass_surge - p.mass_sway) * (abs(bu) + abs(bv)) * b.learned_sd * dt
+            unmodelled = OF_THRUST * of_thrust + OF_MOTION * of_motion + of_current
+            yaw_noise += 2.0 * UNMODELLED_TIME_S / dt * unmodelled * unmodelled
+        s_n = 1.0 / math.sqrt(yaw_noise)
+        return (
+            (z_x * s_x, z_n * s_n),
+            (i1 * s_x, p.arm_port * i1 * s_n),
+            (i2 * s_x, -p.arm_starboard * i2 * s_n),
+            (drag * s_x, twist * s_n),
+            (0.0, cross * s_n),
+            (0.0, lift * s_n),
+            (0.0, fresh),
+        )
+
+    def _surge_noise(self, a: _Motion, b: _Motion, dt: float, *, thrusting: bool) -> float:
+        """Return the variance of e_x (N^2 s^2) from ``a`` to ``b``, dt seconds later."""
+        mass = self._p.mass_surge
+        noise = self._noise
+        if self._settling_s > 0.0:
+            self._settling_s -= dt if thrusting else 0.0
+            noise += (mass * SETTLING_MPS) ** 2
+        corrected = max(a.variance[0] - b.variance[0], 0.0) + 2.0 * b.variance[0] * dt / VELOCITY_ERROR_TIME_S
+        return noise + mass * mass * corrected
 
     def _message(self, t_ns: int) -> ModelCheck:
         force, moment = self._residual.publish(t_ns)

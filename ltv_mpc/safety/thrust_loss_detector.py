@@ -3,7 +3,11 @@
 ``model_monitor.py`` computes the missing impulse. Each cycle has two rows, surge and yaw, in standard deviations of
 their noise e:
 
-    z = l_1 phi_1 + l_2 phi_2 + b phi_3 + e        phi: regressors of port thrust, starboard thrust and drag
+    z = l_1 phi_1 + l_2 phi_2 + b phi_3 + g_1 phi_4 + g_2 phi_5 + e
+
+    phi_1, phi_2   regressors of port and starboard thrust
+    phi_3          regressor of the drag
+    phi_4, phi_5   regressors of moments that the model may not contain; zero if the estimates have a current
 
 The unknowns l_1 = c + s, l_2 = c - s and b are the constant mismatch between vehicle and model. If mass, drag and
 thrust are each off by at most 10 %, and the two thrusters differ by at most ``THRUSTER_DIFFERENCE``, they are, in units
@@ -12,19 +16,21 @@ of the true mass,
     c = 1 - (1 -+ 0.1) / (1 + m),   b = (1 +- 0.1) / (1 + m) - 1,   |m| <= 0.1                  (at most c = 0.18)
 
 A loss adds d_1, d_2 >= 0 to l_1, l_2 from some cycle among the last thirty on. The cycles before that cycle also inform
-x = [c, s, b]. They count with a reduced weight, because their noise is not quite white:
+x = [c, s, b, g_1, g_2]. They count with a reduced weight, because their noise is not quite white:
 
-    f(x, d) = |z - phi' (l, b) - phi' d|^2 over the window + PAST_WEIGHT |z - phi' (l, b)|^2 over the cycles before
+    f(x, d) = |z - phi' (l + d, b, g)|^2 over the window + PAST_WEIGHT |z - phi' (l, b, g)|^2 over the cycles before
+              + |(x, d)|^2 / PRIOR_SD^2
     evidence = max over windows of (min over x of f(x, 0) - min over x, d of f(x, d)) / 2       nats
 
 This is a generalised likelihood ratio for a change. At first only the bounds of x are known; a few seconds of thrust
-inform more than these bounds (docs/faults.md).
-Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); here the unknowns are two losses d and three mismatches x.
+inform more than these bounds (docs/faults.md). The likelihood ratio of single cycles shows a recovery.
+Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); here the unknowns are two losses d and five mismatches x.
 """
 
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 
@@ -58,36 +64,66 @@ port, starboard and drag may be hard to distinguish. If the minimum without a lo
 counts as evidence.
 """
 
-MIN_PRODUCT = 1e-12
-"""Replacement for the product of a thruster that has not been used."""
+PRIOR_SD = 0.5
+"""Prior standard deviation of each unknown, so that one that the motion does not show is zero. It costs at most two
+nats for each.
+"""
+
+ONE_THRUSTER_NATS = 2.0
+"""Evidence by which a loss of both thrusters must exceed that of one, to be taken as the more likely."""
+
+MAX_GAIN_NATS = 4.0
+"""Largest log-likelihood ratio of one cycle for a recovery: no single cycle shows one."""
+
+SIZE = 6
+"""Number of z and its regressors."""
+
+Row: TypeAlias = tuple[Pair, Pair, Pair, Pair, Pair, Pair, Pair]
+"""One cycle: z and phi_1 .. phi_5, each for surge and yaw. The yaw entry of the last pair is 1 if the noise of the yaw
+rate is new in each estimate.
+"""
 
 
 def _mismatch_bounds() -> tuple[Array, Array]:
-    """Return the lower and upper bounds (5, K) of c, s, b, d_1, d_2 for K masses."""
+    """Return the lower and upper bounds (5, K) of c, s, b, g_1, g_2 for K masses."""
     e = MISMATCH + DISCRETISATION_MARGIN
     m = np.linspace(-e, e, 5)
-    low, high, zero = (1.0 - e) / (1.0 + m), (1.0 + e) / (1.0 + m), np.zeros_like(m)
-    difference, full_loss = zero + 0.5 * THRUSTER_DIFFERENCE, zero + 1.0
-    return np.stack([1.0 - high, -difference, low - 1.0, zero, zero]), np.stack(
-        [1.0 - low, difference, high - 1.0, full_loss, full_loss]
+    low, high, one = (1.0 - e) / (1.0 + m), (1.0 + e) / (1.0 + m), np.ones_like(m)
+    difference = 0.5 * THRUSTER_DIFFERENCE * one
+    return np.stack([1.0 - high, -difference, low - 1.0, -one, -one]), np.stack(
+        [1.0 - low, difference, high - 1.0, one, one]
     )
 
 
 LOWEST, HIGHEST = _mismatch_bounds()
 _LARGEST = np.maximum(HIGHEST, -LOWEST).max(axis=1)
-_MAX_MISMATCH = np.array([_LARGEST[0] + _LARGEST[1], _LARGEST[0] + _LARGEST[1], _LARGEST[2]])  # of l_1, l_2, b
+_MAX_MISMATCH = np.array([_LARGEST[0] + _LARGEST[1], _LARGEST[0] + _LARGEST[1], *_LARGEST[2:]])  # of phi_1 .. phi_5
 
-_MIX = np.array([[1, 0, 0, 0], [0, 1, 1, 0], [0, 1, -1, 0], [0, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0]], dtype=np.float64)
-"""Regressors of c, s, b, d_1, d_2 (rows 1 to 5) in terms of z and the three phi (columns); row 0 is z."""
+_MIX = np.array(
+    [
+        [1, 0, 0, 0, 0, 0],
+        [0, 1, 1, 0, 0, 0],
+        [0, 1, -1, 0, 0, 0],
+        [0, 0, 0, 1, 0, 0],
+        [0, 0, 0, 0, 1, 0],
+        [0, 0, 0, 0, 0, 1],
+        [0, 1, 0, 0, 0, 0],
+        [0, 0, 1, 0, 0, 0],
+    ],
+    dtype=np.float64,
+)
+"""Regressors of c, s, b, g_1, g_2, d_1, d_2 (rows 1 to 7) in terms of z and the five phi (columns); row 0 is z."""
+
+_NO_LOSS, _FULL_LOSS = np.zeros(2), np.ones(2)
 
 
 class ThrustLossDetector:
     """Window of the last cycles and the products of all cycles before it, for one vehicle."""
 
     def __init__(self) -> None:
-        self._rows = np.empty((WINDOWS[-1], 5, 2))  # newest first
+        self._rows = np.empty((WINDOWS[-1], SIZE + 1, 2))  # newest first
         self._cycles = 0  # number of valid rows
-        self._past = np.zeros((4, 4))
+        self._past = np.zeros((SIZE, SIZE))
 
     @property
     def products(self) -> Array | None:
@@ -95,11 +131,11 @@ class ThrustLossDetector:
         return self._past.copy() if self._past.any() else None
 
     def restore(self, products: Array) -> None:
-        """Continue from the ``products`` (4, 4) of another detector for the same vehicle.
+        """Continue from the ``products`` (6, 6) of another detector for the same vehicle.
 
         Parameters
         ----------
-        products : (4, 4) products of the other detector.
+        products : (6, 6) products of the other detector.
         """
         self._past[...] = products
 
@@ -107,12 +143,12 @@ class ThrustLossDetector:
         """Forget the cycles in the window, because the next one does not follow them."""
         self._cycles = 0
 
-    def add(self, row: tuple[Pair, Pair, Pair, Pair, Pair], *, learn: bool) -> tuple[float, float, float]:
+    def add(self, row: Row, *, learn: bool) -> tuple[float, float, float]:
         """Add a cycle and return the evidence (nats) and the most likely lost shares of port and starboard.
 
         Parameters
         ----------
-        row : z, port, starboard, drag, each for surge and yaw, and as in ``evaluate`` whether the yaw noise is fresh.
+        row : the cycle.
         learn : add the cycle that leaves the window to the products.
         """
         rows = self._rows
@@ -123,37 +159,85 @@ class ThrustLossDetector:
         rows[0] = row
         return evaluate(rows[: self._cycles], self._past)
 
+    def recovery_gain(self, loss: Pair) -> float:
+        """Return the log-likelihood ratio (nats) of the newest cycle, of no loss against a given one.
+
+        Parameters
+        ----------
+        loss : lost shares of port and starboard.
+        """
+        return recovery_gain(self._rows[0], self._past, np.array(loss))
+
 
 @jit
-def _clip_row(row: Array, axis: int, out: Array) -> None:
-    """Write z, phi_1, phi_2, phi_3 of one axis of a cycle's row (5, 2) into out (4,), with z limited.
+def _clip_row(row: Array, axis: int, explained: float, out: Array) -> None:
+    """Write z and the five phi of one axis of a cycle's row (7, 2) into out (6,), with z limited.
 
-    z exceeds what mismatch explains by at most ``MAX_SIGMAS``: one outlier of the estimate is no evidence, and a
-    lasting loss shows in several cycles.
+    z exceeds what mismatch and a loss of the share ``explained`` explain by at most ``MAX_SIGMAS``: one outlier of the
+    estimate is no evidence, and a lasting loss shows in several cycles.
     """
-    reach = MAX_SIGMAS
-    for i in range(3):
+    reach = MAX_SIGMAS + explained * (abs(row[1, axis]) + abs(row[2, axis]))
+    for i in range(SIZE - 1):
         out[1 + i] = row[1 + i, axis]
         reach += abs(row[1 + i, axis]) * _MAX_MISMATCH[i]
     out[0] = min(max(row[0, axis], -reach), reach)
 
 
 @jit
+def _add_products(y: Array, products: Array) -> None:
+    """Add y y' to the products (6, 6)."""
+    for i in range(SIZE):
+        for j in range(SIZE):
+            products[i, j] += y[i] * y[j]
+
+
+@jit
 def accumulate(past: Array, row: Array) -> None:
-    """Add a cycle that leaves the longest window to the products of z and the three phi, in place.
+    """Add a cycle that leaves the longest window to the products of z and the five phi, in place.
 
     Parameters
     ----------
-    past : (4, 4) products, which decay with ``MEMORY_CYCLES``.
-    row : (5, 2) row of the cycle, as in ``evaluate``.
+    past : (6, 6) products, which decay with ``MEMORY_CYCLES``.
+    row : (7, 2) row of the cycle, as in ``evaluate``.
     """
-    out = np.empty(4)
+    out = np.empty(SIZE)
     past *= 1.0 - 1.0 / MEMORY_CYCLES
     for axis in range(2):
-        _clip_row(row, axis, out)
-        for i in range(4):
-            for j in range(4):
-                past[i, j] += out[i] * out[j]
+        _clip_row(row, axis, 0.0, out)
+        _add_products(out, past)
+
+
+@jit
+def _window_products(rows: Array, past: Array, explained: float) -> tuple[Array, Array]:
+    """Return the products (W, 6, 6) within each window, and those before each.
+
+    Parameters
+    ----------
+    rows, past : as in ``evaluate``.
+    explained : as in ``_clip_row``.
+    """
+    n = rows.shape[0]
+    surge, yaw = np.empty((n, SIZE)), np.empty((n, SIZE))
+    fresh = True
+    for k in range(n):
+        _clip_row(rows[k], 0, explained, surge[k])
+        _clip_row(rows[k], 1, explained, yaw[k])
+        fresh = fresh and rows[k, SIZE, 1] != 0.0
+    if fresh:
+        yaw = whiten(yaw)
+    within, before = np.zeros((len(WINDOWS), SIZE, SIZE)), np.zeros((len(WINDOWS), SIZE, SIZE))
+    total, products = past.copy(), np.zeros((SIZE, SIZE))
+    for k in range(n):
+        _add_products(surge[k], total)
+        _add_products(yaw[k], total)
+    window = 0
+    for k in range(n):
+        _add_products(surge[k], products)
+        _add_products(yaw[k], products)
+        if k + 1 == WINDOWS[window]:
+            within[window], before[window] = products, total - products
+            window += 1
+    return within[:window], before[:window]
 
 
 @jit
@@ -162,99 +246,120 @@ def evaluate(rows: Array, past: Array) -> tuple[float, float, float]:
 
     Parameters
     ----------
-    rows : (n, 5, 2) cycles, the newest first: z, port, starboard, drag, each for surge and yaw. The yaw entry of the
-        last row of each is 1 if the noise of the yaw rate is new in each estimate.
-    past : (4, 4) products of the cycles before, by ``accumulate``.
+    rows : (n, 7, 2) cycles (``Row``), the newest first.
+    past : (6, 6) products of the cycles before, by ``accumulate``.
     """
-    n = rows.shape[0]
-    surge, yaw = np.empty((n, 4)), np.empty((n, 4))
-    fresh = True
-    for k in range(n):
-        _clip_row(rows[k], 0, surge[k])
-        _clip_row(rows[k], 1, yaw[k])
-        fresh = fresh and rows[k, 4, 1] != 0.0
-    if fresh:
-        yaw = whiten(yaw)
-    products, before = np.zeros((4, 4)), past.copy()
-    for k in range(n):
-        for i in range(4):
-            for j in range(4):
-                before[i, j] += surge[k, i] * surge[k, j] + yaw[k, i] * yaw[k, j]
-    evidence, port, starboard = 0.0, 0.0, 0.0
-    for k in range(n):
-        for i in range(4):
-            for j in range(4):
-                now = surge[k, i] * surge[k, j] + yaw[k, i] * yaw[k, j]
-                products[i, j] += now
-                before[i, j] -= now
-        if k + 1 in WINDOWS:
-            gain, l1, l2 = _likelihood_gain(products, before)
-            if gain > evidence:
-                evidence, port, starboard = gain, l1, l2
+    within, before = _window_products(rows, past, 0.0)
+    evidence, best = 0.0, -1
+    for k in range(len(within)):
+        F = quadratic_form(within[k], before[k])
+        gain = 0.5 * (smallest(F, _NO_LOSS, _NO_LOSS)[0] - smallest(F, _NO_LOSS, _FULL_LOSS)[0])
+        if gain > evidence:
+            evidence, best = gain, k
+    if best < 0:
+        return 0.0, 0.0, 0.0
+    within, before = _window_products(rows, past, 1.0)  # a large loss is not an outlier
+    F = quadratic_form(within[best], before[best])
+    least, port, starboard = smallest(F, _NO_LOSS, _FULL_LOSS)
+    least += 2.0 * ONE_THRUSTER_NATS
+    for i in range(2):
+        f, l1, l2 = smallest(F, _NO_LOSS, np.array([1.0 - i, float(i)]))
+        if f < least:
+            least, port, starboard = f, l1, l2
     return evidence, port, starboard
 
 
 @jit
-def _likelihood_gain(window: Array, past: Array) -> tuple[float, float, float]:
-    """Return half of the decrease of the minimum of f by a loss in one window, and the lost shares l + d."""
-    x, F = np.empty(5), quadratic_form(window, past)
-    without = with_loss = np.inf
-    l1 = l2 = 0.0
+def recovery_gain(row: Array, past: Array, loss: Array) -> float:
+    """Return the log-likelihood ratio (nats) of no loss against a loss in one cycle, at most ``MAX_GAIN_NATS``.
+
+    The mismatch is the most likely one of the cycles before the loss.
+
+    Parameters
+    ----------
+    row : (7, 2) newest cycle.
+    past : (6, 6) products of the cycles before the loss.
+    loss : (2,) lost shares of port and starboard.
+    """
+    F = quadratic_form(past, np.zeros((SIZE, SIZE)))
+    x, low, high, y = np.zeros(7), np.zeros(7), np.zeros(7), np.empty(SIZE)
+    middle = LOWEST.shape[1] // 2
+    low[:5], high[:5] = LOWEST[:, middle], HIGHEST[:, middle]
+    constrained_minimum(F, low, high, x)
+    gain = 0.0
+    for axis in range(2):
+        _clip_row(row, axis, 1.0, y)
+        lost = loss[0] * y[1] + loss[1] * y[2]
+        residual = y[0] - (x[0] + x[1]) * y[1] - (x[0] - x[1]) * y[2] - x[2] * y[3] - x[3] * y[4] - x[4] * y[5]
+        gain += 0.5 * ((residual - lost) ** 2 - residual**2)
+    return min(gain, MAX_GAIN_NATS)
+
+
+@jit
+def smallest(F: Array, least_loss: Array, most_loss: Array) -> tuple[float, float, float]:
+    """Return the minimum of f over x and over d within bounds, and there the lost shares d of both thrusters.
+
+    Parameters
+    ----------
+    F : (8, 8) quadratic form.
+    least_loss, most_loss : (2,) bounds of d.
+    """
+    x, low, high = np.zeros(7), np.empty(7), np.empty(7)
+    low[5:], high[5:], x[5:] = least_loss, most_loss, least_loss
+    least, port, starboard = np.inf, 0.0, 0.0
     for k in range(LOWEST.shape[1]):
-        x[:] = 0.0
-        without = min(without, constrained_minimum(F, LOWEST[:, k], HIGHEST[:, k], False, x))
-        f = constrained_minimum(F, LOWEST[:, k], HIGHEST[:, k], True, x)
-        if f < with_loss:
-            with_loss, l1, l2 = f, x[0] + x[1] + x[3], x[0] - x[1] + x[4]
-    return 0.5 * (without - with_loss), max(l1, 0.0), max(l2, 0.0)
+        low[:5], high[:5] = LOWEST[:, k], HIGHEST[:, k]
+        f = constrained_minimum(F, low, high, x)
+        if f < least:
+            least, port, starboard = f, x[5], x[6]
+    return least, port, starboard
 
 
 @jit
 def quadratic_form(window: Array, past: Array) -> Array:
-    """Return F (6, 6) with f = [1, -x]' F [1, -x], x = [c, s, b, d_1, d_2].
+    """Return F (8, 8) with f = [1, -x]' F [1, -x], x = [c, s, b, g_1, g_2, d_1, d_2].
 
     Parameters
     ----------
-    window : (4, 4) products of z and the three phi within the window.
-    past : (4, 4) the same before it.
+    window : (6, 6) products of z and the five phi within the window.
+    past : (6, 6) the same before it.
     """
-    F = np.zeros((6, 6))
-    for i in range(6):
-        for j in range(6):
-            before = PAST_WEIGHT if i < 4 and j < 4 else 0.0
-            for k in range(4):
-                for m in range(4):
-                    F[i, j] += _MIX[i, k] * _MIX[j, m] * (window[k, m] + before * past[k, m])
+    F = _MIX @ window @ _MIX.T
+    F[:6, :6] += PAST_WEIGHT * (_MIX[:6] @ past @ _MIX[:6].T)
+    for i in range(1, 8):
+        F[i, i] += 1.0 / (PRIOR_SD * PRIOR_SD)
     return F
 
 
 @jit
-def constrained_minimum(F: Array, low: Array, high: Array, loss: bool, x: Array) -> float:
+def constrained_minimum(F: Array, low: Array, high: Array, x: Array) -> float:
     """Return the minimum of f over low <= x <= high, by coordinate descent.
 
     Parameters
     ----------
-    F : (6, 6) quadratic form.
-    low, high : (5,) bounds of c, s, b, d_1, d_2.
-    loss : False fixes d_1 = d_2 = 0.
-    x : (5,) start; overwritten with the minimiser.
+    F : (8, 8) quadratic form.
+    low, high : (7,) bounds of c, s, b, g_1, g_2, d_1, d_2.
+    x : (7,) start; overwritten with the minimiser.
     """
     for _ in range(MAX_SWEEPS):
         gained = 0.0
-        for i in range(5 if loss else 3):
+        for i in range(7):
+            if low[i] == high[i]:
+                x[i] = low[i]
+                continue
             slope = F[0, 1 + i]
-            for j in range(5):
+            for j in range(7):
                 if j != i:
                     slope -= F[1 + i, 1 + j] * x[j]
             own = F[1 + i, 1 + i]
-            to = min(max(slope / max(own, MIN_PRODUCT), low[i]), high[i])
+            to = min(max(slope / own, low[i]), high[i])
             gained, x[i] = gained + own * (to - x[i]) ** 2, to
         if gained < MIN_GAIN:
             break
     f = F[0, 0]
-    for i in range(5):
+    for i in range(7):
         f -= 2.0 * F[0, 1 + i] * x[i]
-        for j in range(5):
+        for j in range(7):
             f += F[1 + i, 1 + j] * x[i] * x[j]
     return float(f)
 
@@ -275,6 +380,7 @@ def whiten(y: Array) -> Array:
 
 def warm_up() -> None:
     """Compile the kernels."""
-    rows, past = np.zeros((2, 5, 2)), np.zeros((4, 4))
+    rows, past = np.zeros((2, SIZE + 1, 2)), np.zeros((SIZE, SIZE))
     accumulate(past, rows[1])
     evaluate(rows, past)
+    recovery_gain(rows[0], past, _NO_LOSS)

@@ -181,10 +181,10 @@ def test_depth_integral_and_delays_are_restored():
 
 def test_the_model_monitor_s_products_are_restored_and_validated():
     before = armed(references.Hold(depth_m=5.0), 3)
-    products = np.outer([0.5, 1.0, -1.0, 0.1], [0.5, 1.0, -1.0, 0.1])
+    products = np.outer([0.5, 1.0, -1.0, 0.1, 0.0, 0.0], [0.5, 1.0, -1.0, 0.1, 0.0, 0.0])
     written = msgspec.structs.replace(before.states[-1], model_products=products)
     assert rejection_reason(written) is None
-    assert "(4, 4)" in rejection_reason(msgspec.structs.replace(written, model_products=products[:3]))
+    assert "(6, 6)" in rejection_reason(msgspec.structs.replace(written, model_products=products[:3]))
     after, state = before.handed_over(1.0)
     after.step(msgspec.structs.replace(state, model_products=products))
     np.testing.assert_array_equal(after.states[-1].model_products, products)

@@ -41,7 +41,8 @@ class Sea:
         self.share = np.ones(2)
         self.cost_Ns = 0.0
         self.messages: list[ModelCheck] = []
-        self.current = STILL
+        self.current: CurrentProfile | None = STILL
+        self.learned: Callable[[float], tuple[float, float]] | None = None  # current by time (s)
         self._thrust, self._p = thrust, true or PAPER.coefficients()
         self.x, self.cycle = np.zeros(6), 0
 
@@ -50,7 +51,8 @@ class Sea:
             t = 0.1 * self.cycle
             self.monitor.add_report(applied(self.cycle, self._thrust(t)))
             if self.cycle % CYCLE == 0:
-                message = self.monitor.update(altered(self._estimate()))
+                learned = None if self.learned is None else (np.array(self.learned(t)), 4e-4 * np.eye(2))
+                message = self.monitor.update(altered(self._estimate()), learned)
                 if message is not None:
                     self.messages.append(message)
                 if until_alarm and self.monitor.alarm:
@@ -129,7 +131,7 @@ def test_a_loss_is_found_at_the_first_estimate_after_it_has_cost_ten_newton_seco
     last = sea.messages[-1]
     assert last.alarm
     lost, kept = max(last.thrust_loss), min(last.thrust_loss)
-    assert (lost > 0.25, kept > 0.25) == (max(named) > 0, min(named) > 0)
+    assert (lost > 0.15, kept > 0.15) == (max(named) > 0, min(named) > 0)  # mismatch may explain a part
     assert f"starboard {round(100 * last.thrust_loss[1])} %" in last.why
 
 
@@ -271,3 +273,114 @@ def test_an_estimate_before_the_first_report_is_not_used():
     monitor = ModelMonitor(PAPER, 1e-3)
     monitor.add_report(applied(50, (1.0, 1.0)))
     assert monitor.update(msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=STILL)) is None
+
+
+# --- estimates without a current ---
+
+
+def without_current(sea: Sea, learned: Callable[[float], tuple[float, float]] = lambda _: (0.0, 0.0)) -> Sea:
+    """Let the estimates of the vehicle have no current; the controller has learned one."""
+    sea.current, sea.learned = None, learned
+    return sea
+
+
+@pytest.mark.parametrize(
+    ("share", "name"), [((0.7, 1.0), "port"), ((1.0, 0.7), "starboard"), ((1.0, 0.0), "starboard")]
+)
+@pytest.mark.parametrize("start_s", [3.0, 12.0])
+def test_without_a_current_a_loss_of_one_thruster_shows_in_the_turn(share, name, start_s):
+    sea = without_current(Sea())
+    sea.sail(start_s)
+    assert not sea.monitor.alarm
+    sea.share[:] = share
+    sea.cost_Ns = 0.0
+    sea.sail(8.0, until_alarm=True)
+    assert sea.monitor.alarm
+    assert sea.cost_Ns < 25.0
+    sea.sail(3.0)
+    weak, sound = sorted(sea.messages[-1].thrust_loss, reverse=True)
+    assert weak > 0.2
+    assert sound < 0.1
+    assert sea.monitor.weak_thruster.health(PAPER).why.startswith(name)
+
+
+def test_a_learned_current_that_follows_other_forces_is_no_loss():
+    """It swings by 10 cm/s within seconds: 50 N s of surge impulse a swing, if it counted."""
+    sea = without_current(Sea(), lambda t: (0.1 * math.sin(t), 0.1 * math.cos(0.7 * t)))
+    sea.sail(40.0)
+    assert sea.monitor.evidence < 0.25 * ALARM_NATS
+    assert not any(message.alarm for message in sea.messages)
+
+
+@pytest.mark.parametrize(("thrust", "drag", "mass"), [(0.9, 1.1, 1.1), (1.1, 0.9, 0.9), (0.9, 0.9, 1.1)])
+def test_without_a_current_mismatch_of_ten_per_cent_gives_no_alarm(thrust, drag, mass):
+    sea = without_current(off_by(thrust, drag, mass))
+    sea.sail(40.0)
+    assert not any(message.alarm for message in sea.messages)
+
+
+def test_a_moment_of_the_hull_that_the_model_lacks_is_learned_and_is_no_loss():
+    """The true sway mass is 1.3 times that of the model, so the Munk moment is 150 kg u v and not zero."""
+    p = PAPER.coefficients()
+    sea = without_current(Sea(true=p._replace(mass_sway=1.3 * p.mass_sway)))
+    sea.x[3] = 0.2
+    sea.sail(30.0)
+    assert not any(message.alarm for message in sea.messages)
+    sea.share[:] = 1.0, 0.5
+    sea.sail(8.0, until_alarm=True)
+    assert sea.monitor.alarm
+
+
+def test_where_the_current_is_told_from_now_on_the_window_starts_empty():
+    sea = without_current(Sea(), lambda _: (0.3, 0.0))
+    sea.sail(6.0)
+    sea.current = STILL
+    sea.sail(0.6)
+    assert sea.monitor.evidence == 0.0
+    sea.sail(6.0)
+    assert not any(message.alarm for message in sea.messages)
+
+
+def test_reports_are_kept_by_their_age_and_not_by_their_number():
+    monitor = ModelMonitor(PAPER, 1e-3)
+    for k in range(200):  # at 100 Hz
+        monitor.add_report(report(k * 10_000_000, [1.0, 1.0, 0.0]))
+        if k % 30 == 0:
+            late = msgspec.structs.replace(
+                Estimate.at_rest(depth_m=0.0), t_ns=max(k - 50, 0) * 10_000_000, current=STILL
+            )
+            message = monitor.update(late)
+    assert message is not None
+
+
+def test_a_repeated_report_changes_nothing():
+    monitor = ModelMonitor(PAPER, 1e-3)
+    for _ in range(2):
+        monitor.add_report(applied(0, (1.0, 1.0)))
+    assert monitor.update(msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=STILL)) is None
+
+
+# --- weak thruster ---
+
+
+def test_a_thruster_is_weak_until_it_recovers_and_the_alarm_lasts_as_long():
+    sea = Sea()
+    sea.sail(6.0)
+    sea.share[:] = 0.4, 1.0
+    sea.sail(20.0)
+    assert sea.monitor.alarm
+    assert sea.monitor.weak_thruster.shares == pytest.approx((0.4, 1.0))
+    sea.share[:] = 1.0
+    sea.sail(3.0)
+    assert sea.monitor.weak_thruster.shares == (1.0, 1.0)
+    sea.sail(0.3 * QUIET_CYCLES + 0.6)
+    assert not sea.monitor.alarm
+
+
+def test_thrusters_that_both_lost_thrust_raise_the_alarm_and_keep_their_box():
+    sea = Sea()
+    sea.sail(6.0)
+    sea.share[:] = 0.6
+    sea.sail(8.0)
+    assert sea.monitor.alarm
+    assert not sea.monitor.weak_thruster.is_weak

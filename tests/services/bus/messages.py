@@ -82,7 +82,7 @@ CONTROLLER_STATE = ControllerState(
     plan_delays_ns=(81_000_000, 79_500_001),
     cycle_times_ns=(4_000_000,),
     current_bias=CurrentBiasState(bias_mps=(0.12, -0.16), covariance=(1e-4, -2e-5, 3e-4)),
-    model_products=np.outer([0.5, 1.0, -1.0, 0.1], [0.5, 1.0, -1.0, 0.1]),
+    model_products=np.outer([0.5, 1.0, -1.0, 0.1, 0.0, 0.2], [0.5, 1.0, -1.0, 0.1, 0.0, 0.2]),
 )
 DROPPED = DroppedGridPoint(
     grid_point=3,

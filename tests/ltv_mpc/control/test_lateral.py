@@ -1,0 +1,93 @@
+"""Lateral plans with a weak thruster: the model, the box and the commands."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import Controller, Estimate, Plan, PlanOrigin, Vehicle, advance, references
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.messages import Authority, ControllerState, CurrentProfile, Health
+from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.safety.command_arbiter import ThrustOverride
+from tests.stepping import step
+
+PAPER = Vehicle.load("paper")
+START = Estimate.at_rest(north_m=-1.0, heading_rad=0.3, depth_m=2.0)
+FAR = msgspec.structs.replace(START, north_m=-30.0)
+WEAK = 0.4, 1.0
+
+
+def controller(shares: tuple[float, float], **settings: object) -> Controller:
+    """Return a controller that holds the origin with thrusters of these shares."""
+    made = Controller(PAPER, references.Hold(depth_m=2.0), ControllerConfig(**settings))
+    made.plan(Estimate.at_rest(depth_m=2.0))  # the reference begins at the origin
+    made.set_thrust_shares(shares)
+    return made
+
+
+def of_the_water(plan: Plan, shares: tuple[float, float]) -> Plan:
+    """Return the plan as the water feels it."""
+    return msgspec.structs.replace(plan, thrust_N=plan.thrust_N * [*shares, 1.0])
+
+
+@pytest.mark.parametrize("shares", [WEAK, (1.0, 0.2), (1.0, 1.0)])
+def test_the_predicted_motion_is_that_of_the_thrust_that_is_delivered(shares):
+    start = msgspec.structs.replace(START, t_ns=300_000_000)
+    plan = controller(shares).plan(start)
+    assert plan.origin is PlanOrigin.SOLVED
+    first = int(plan.t_ns[0])
+    at_first = msgspec.structs.replace(start, t_ns=first)
+    end = advance(PAPER, at_first, of_the_water(plan, shares), duration_s=(int(plan.t_ns[-1]) - first) * 1e-9)
+    np.testing.assert_allclose(plan.states[-1, :2], (end.north_m, end.east_m), atol=2e-3)
+
+
+@pytest.mark.parametrize("solver", ["osqp", "riccati", "piqp"])
+def test_the_box_shrinks_for_the_water_and_stays_for_the_actuators(solver):
+    """From 30 m away the plan is bounded by the box: the sound thruster gives no more than keeps it straight."""
+    plan = controller(WEAK, solver=solver).plan(msgspec.structs.replace(FAR, t_ns=300_000_000))
+    assert plan.origin is PlanOrigin.SOLVED
+    thrust = plan.thrust_N[:, :2]
+    assert (np.abs(thrust) <= 62.5).all()
+    assert (np.abs(np.diff(thrust, axis=0)) <= 30.0 + 1e-6).all()
+    assert thrust[:, 0].max() > 60.0  # its whole command
+    assert np.abs(thrust * WEAK)[:, 0].max() <= 0.4 * 62.5 + 1e-9
+
+
+def test_thrusters_that_are_sound_again_give_the_plans_of_before():
+    """Bit for bit, except that the solver begins without its warm start."""
+    near = msgspec.structs.replace(START, t_ns=300_000_000)
+    sound, recovered = controller((1.0, 1.0)), controller(WEAK)
+    recovered.set_thrust_shares((1.0, 1.0))
+    np.testing.assert_array_equal(recovered.plan(near).thrust_N, sound.plan(near).thrust_N)
+
+
+def test_an_override_is_commanded_as_it_is():
+    override = ThrustOverride(Authority.MANUAL, (62.5, -20.0, 0.0), 10**12, "manual")
+    plan = controller(WEAK).plan(msgspec.structs.replace(START, t_ns=300_000_000), override=override)
+    np.testing.assert_allclose(plan.thrust_N[-1, :2], [62.5, -20.0], rtol=1e-15)
+    assert plan.thrust_N.max() <= 62.5
+
+
+def node_after(state: ControllerState, **settings: object) -> tuple[ControllerNode, Plan]:
+    """Return a node that was restored from a state, and its first plan."""
+    node = ControllerNode(PAPER, references.Hold(depth_m=2.0), ControllerConfig(**settings))
+    still = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
+    estimate = msgspec.structs.replace(START, current=still)
+    inbox = [ReceivedMessage(message, 1, k, 0) for k, message in enumerate((state, estimate))]
+    (plan,) = [message for message in step(node, 0, inbox) if isinstance(message, Plan)]
+    return node, plan
+
+
+def test_a_restored_controller_continues_with_the_share_and_tells_it():
+    node, plan = node_after(ControllerState(t_ns=0, thrust_shares=(0.6, 1.0)))
+    assert plan.health is Health.DEGRADED
+    assert plan.health_why == "port thruster weak: box reduced to 37.5 N"
+    assert node.health(0) == (Health.DEGRADED, plan.health_why)
+
+
+def test_the_settings_can_leave_it_at_the_alarm():
+    _, plan = node_after(ControllerState(t_ns=0, thrust_shares=(0.6, 1.0)), reduce_weak_thruster=False)
+    assert plan.health is Health.NOMINAL
