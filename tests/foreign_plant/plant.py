@@ -56,6 +56,7 @@ class Hull:
         """Start at the origin, drifting with the water."""
         self.current = current_mps
         self.linear, self.quadratic, self.fin, self.righting_Nm = LINEAR, QUADRATIC, FIN, RIGHTING_NM
+        self.shares = 1.0, 1.0  # of the thrust that reaches the water, which no report contains
         self.x = [0.0] * 15
         self.x[3], self.x[6] = cos(heading_rad / 2), sin(heading_rad / 2)
 
@@ -79,7 +80,7 @@ class Hull:
     def _rate(self, x: list[float], wanted_rps: list[float]) -> list[float]:
         _, _, _, qw, qx, qy, qz, u, v, w, p, q, r, n1, n2 = x
         R = _rotation(qw, qx, qy, qz)
-        port, starboard = _thrust(n1, u), _thrust(n2, u)
+        port, starboard = self.shares[0] * _thrust(n1, u), self.shares[1] * _thrust(n2, u)
         f = [port + starboard, -self.fin * abs(u) * (v - FIN_AFT_M * r), -self.fin * abs(u) * (w + FIN_AFT_M * q)]
         m = [
             -self.righting_Nm * R[2][1],

@@ -1,0 +1,50 @@
+"""Starboard delivers half of what it reports for a minute of the hold; a healthy and a weak lap of the square."""
+
+from __future__ import annotations
+
+from ltv_mpc.messages import ModelCheck
+from tests.foreign_plant.flight import SQUARE, Figure, Flight, distance_m
+
+SOUND = 1.0, 1.0
+
+
+def run() -> list[Figure]:
+    """Return the delays of the report and of the recovery, the errors, and the evidence of the healthy lap."""
+    hold = Flight()
+    hold.command(action="arm")
+    hold.fly(30.0)
+    hold.hull.shares = 1.0, 0.5
+    weak_m = distance_m(hold.fly(60.0)).max()
+    hold.hull.shares = SOUND
+    sound_m = distance_m(hold.fly(40.0)).max()
+    begin_s = hold.plans[0].cycle_t_ns * 1e-9
+    weak_s = [plan.cycle_t_ns * 1e-9 - begin_s for plan in hold.plans if "starboard thruster weak" in plan.health_why]
+    healthy = square(SOUND, 100.0)
+    weak = square((0.7, 1.0), 30.0)
+    return [
+        Figure("hold at half: health degraded after", min(weak_s, default=1e3) - 30.0, 12.0, "s"),
+        Figure("hold at half: distance", float(weak_m), 0.05, "m"),
+        Figure("hold: nominal after the recovery", max(weak_s, default=1e3) - 90.0, 30.0, "s"),
+        Figure("hold: distance after the recovery", float(sound_m), 0.05, "m"),
+        Figure("degraded before the loss", float(sum(t < 30.0 for t in weak_s)), 0.0, "plans"),
+        Figure("square: evidence without a loss", max(check.evidence for check in healthy), 6.0, "nats"),
+        Figure("square at 70 %: alarm after", first_alarm_s(weak), 10.0, "s"),
+    ]
+
+
+def square(shares: tuple[float, float], seconds: float) -> list[ModelCheck]:
+    """Return the model checks of a flight along the square, from 12 s after its begin with these shares on."""
+    flight = Flight()
+    flight.command(action="arm")
+    flight.fly(30.0)
+    flight.command(action="follow", reference_toml=SQUARE.read_text())
+    flight.fly(12.0)
+    begin = len(flight.outputs)
+    flight.hull.shares = shares
+    flight.fly(seconds)
+    return [message for message in flight.outputs[begin:] if isinstance(message, ModelCheck)]
+
+
+def first_alarm_s(checks: list[ModelCheck]) -> float:
+    """Return the time from the first of these checks to the first alarm (s); infinite if there is none."""
+    return min((check.t_ns - checks[0].t_ns for check in checks if check.alarm), default=10**18) * 1e-9
