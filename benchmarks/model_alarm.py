@@ -2,7 +2,7 @@
 
     .venv/bin/python -m benchmarks.model_alarm [--nominal N] [--losses N] [--duration-s S] [--first-seed N]
                                                [--sensors paper|realistic] [--out FILE.json]
-                                               [--picture FILE.png]
+                                               [--without-current] [--picture FILE.png]
 
 FILE.json is written after every run; the same command continues an interrupted benchmark.
 
@@ -27,7 +27,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.messages import Applied, Disturbance, Message, ModelCheck, Triple, Truth
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.messages import Applied, Disturbance, Estimate, Message, ModelCheck, Triple, Truth
 from ltv_mpc.node import Due, Grid, Node, ReceivedMessage
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
@@ -124,10 +125,27 @@ class Watcher:
         return t, np.abs(both).sum(axis=1), cost
 
 
-def fly(settings: tuple[str, ...], breaker: Breaker | None) -> Watcher:
+def withhold_current(node: ControllerNode) -> None:
+    """Let the controller receive estimates without a current."""
+    receive = node.receive
+
+    def without(received: ReceivedMessage) -> None:
+        message = received.message
+        if isinstance(message, Estimate):
+            received = received._replace(message=msgspec.structs.replace(message, current=None))
+        receive(received)
+
+    node.receive = without  # type: ignore[method-assign]
+
+
+def fly(settings: tuple[str, ...], breaker: Breaker | None, *, with_current: bool = True) -> Watcher:
     """One run in lock step."""
     here = resolve("descent", [Override("benchmark", settings)])
     table: list[Node] = make_nodes(here)
+    if not with_current:
+        for node in table:
+            if isinstance(node, ControllerNode):
+                withhold_current(node)
     if breaker is not None:
         table.insert(1, breaker)
     watcher = Watcher()
@@ -201,6 +219,7 @@ class Kept(msgspec.Struct, kw_only=True):
     duration_s: float
     first_seed: int
     sensors: str
+    with_current: bool = True
     loss_runs: int = 0
     nominal_runs: int = 0
     false_alarms: list[tuple[int, float]] = []
@@ -215,7 +234,7 @@ def opened(path: Path | None, asked: Kept) -> Kept:
     if path is None or not path.exists():
         return asked
     found = msgspec.json.decode(path.read_bytes(), type=Kept)
-    for name in ("duration_s", "first_seed", "sensors"):
+    for name in ("duration_s", "first_seed", "sensors", "with_current"):
         if getattr(found, name) != getattr(asked, name):
             raise SystemExit(f"{path} holds other runs: {name} = {getattr(found, name)}")
     return found
@@ -255,11 +274,18 @@ def main() -> None:
     parser.add_argument("--duration-s", type=float, default=200.0)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--sensors", choices=("paper", "realistic"), default="paper")
+    parser.add_argument("--without-current", action="store_true", help="withhold the current from the controller")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--picture", type=Path)
     options = parser.parse_args()
     kept = opened(
-        options.out, Kept(duration_s=options.duration_s, first_seed=options.first_seed, sensors=options.sensors)
+        options.out,
+        Kept(
+            duration_s=options.duration_s,
+            first_seed=options.first_seed,
+            sensors=options.sensors,
+            with_current=not options.without_current,
+        ),
     )
 
     def keep(text: str) -> None:
@@ -272,7 +298,7 @@ def main() -> None:
     for k in range(kept.loss_runs, options.losses):
         known, seed = k % 2 == 0, options.first_seed + k // 2
         breaker = Breaker(k // 2)
-        seen = fly(settings_of(seed, kept, known=known), breaker)
+        seen = fly(settings_of(seed, kept, known=known), breaker, with_current=kept.with_current)
         kept.losses += of_run("known" if known else "estimated", breaker, seen, 300_000_000)
         kept.false_alarms += [
             (seed, a * 1e-9) for a in seen.alarms if (a - FIRST_NS) % EVERY_NS > LASTS_NS or a < FIRST_NS
@@ -281,7 +307,8 @@ def main() -> None:
         keep(f"losses {k + 1}/{options.losses}")
     for k in range(kept.nominal_runs, options.nominal):
         seed = options.first_seed + k // 2
-        seen = fly((*settings_of(seed, kept, known=k % 2 == 0), *mismatch(k // 2)), None)
+        settings = (*settings_of(seed, kept, known=k % 2 == 0), *mismatch(k // 2))
+        seen = fly(settings, None, with_current=kept.with_current)
         kept.false_alarms += [(seed, a * 1e-9) for a in seen.alarms]
         kept.evidence.append(seen.evidence)
         kept.nominal_runs = k + 1
