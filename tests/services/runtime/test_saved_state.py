@@ -15,7 +15,7 @@ from services.runtime.saved_state import SupervisorState
 from tests.services.bus.messages import CONTROLLER_STATE, HEADER
 
 STOPPED = ControllerState(t_ns=5, authority=Authority.STOPPED)
-ACKNOWLEDGED = Acknowledgement(t_ns=5, command_id=1, accepted=True, authority=Authority.STOPPED)
+ACKNOWLEDGED = Acknowledgement(t_ns=5, command_id=1, accepted=True, authority=Authority.STOPPED, why="")
 
 
 class Log(list[str]):
