@@ -42,7 +42,6 @@ the learned current). The yaw rows are then not whitened.
 from __future__ import annotations
 
 import math
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +49,7 @@ import numpy as np
 from ltv_mpc.control.disturbance import Belief
 from ltv_mpc.control.prediction import current_at_depth
 from ltv_mpc.messages import Applied, Array, Estimate, ModelCheck, Pair
+from ltv_mpc.safety.thrust_impulse import ThrustImpulse
 from ltv_mpc.safety.thrust_loss_detector import Row, ThrustLossDetector
 from ltv_mpc.safety.weak_thruster import WeakThruster, attribute
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -77,9 +77,6 @@ OF_THRUST, OF_MOTION, UNMODELLED_TIME_S = 0.01, 0.02, 1.5
 """Unmodelled yaw moment without a current in the estimates: shares of the known moments, and its time constant. With
 these the healthy foreign craft of tests/foreign_plant, whose model is wrong in fins and Munk moment, gives 3 nats.
 """
-
-KEPT_NS = 5_000_000_000
-"""Age up to which reports are kept: an estimate that is older is not used by the controller either."""
 
 MAX_INTERVAL_S = 1.0
 """Largest time between two estimates for which the trapezoidal integrals are accurate enough."""
@@ -111,55 +108,6 @@ class _Motion(NamedTuple):
         cos, sin = math.cos(self.heading), math.sin(self.heading)
         vn, ve = self.velocity[0] - self.current[0], self.velocity[1] - self.current[1]
         return cos * vn + sin * ve, cos * ve - sin * vn
-
-
-class _ThrustImpulse:
-    """Integral of the reported thrusts of port and starboard over time."""
-
-    def __init__(self) -> None:
-        self._reports: deque[tuple[int, Pair, Pair]] = deque()  # time, thrusts, impulses up to that time
-
-    def add(self, applied: Applied) -> None:
-        """Add a report of the actuators.
-
-        Parameters
-        ----------
-        applied : the report.
-        """
-        thrust = applied.thrust_N[:2]
-        if not self._reports:
-            self._reports.append((applied.t_ns, thrust, (0.0, 0.0)))
-            return
-        t_ns, before, impulse = self._reports[-1]
-        half_s = 0.5e-9 * (applied.t_ns - t_ns)
-        if half_s > 0.0:
-            at = impulse[0] + half_s * (before[0] + thrust[0]), impulse[1] + half_s * (before[1] + thrust[1])
-            self._reports.append((applied.t_ns, thrust, at))
-            while self._reports[1][0] <= applied.t_ns - KEPT_NS:
-                self._reports.popleft()
-
-    def until(self, t_ns: int) -> Pair | None:
-        """Return the impulses (N s) up to ``t_ns``; None before the oldest report that is kept.
-
-        The thrust is linear between reports and constant after the last one.
-
-        Parameters
-        ----------
-        t_ns : time (ns).
-        """
-        reports = self._reports
-        if not reports or t_ns < reports[0][0]:
-            return None
-        k = len(reports) - 1
-        while reports[k][0] > t_ns:
-            k -= 1
-        at, (f1, f2), (i1, i2) = reports[k]
-        s = (t_ns - at) * 1e-9
-        if k + 1 < len(reports):
-            then, (g1, g2), _ = reports[k + 1]
-            half = 0.5 * s * s / ((then - at) * 1e-9)
-            return i1 + s * f1 + half * (g1 - f1), i2 + s * f2 + half * (g2 - f2)
-        return i1 + s * f1, i2 + s * f2
 
 
 class _MeanResidual:
@@ -217,7 +165,7 @@ class ModelMonitor:
         self._settling_s = settling_s
         self._p = vehicle.coefficients()
         self._noise = (self._p.mass_surge * noise_mps) ** 2
-        self._impulse = _ThrustImpulse()
+        self._impulse = ThrustImpulse()
         self._last: _Motion | None = None
         self._detector = ThrustLossDetector()
         self._residual = _MeanResidual()

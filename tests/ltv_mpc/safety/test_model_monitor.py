@@ -341,25 +341,6 @@ def test_where_the_current_is_told_from_now_on_the_window_starts_empty():
     assert not any(message.alarm for message in sea.messages)
 
 
-def test_reports_are_kept_by_their_age_and_not_by_their_number():
-    monitor = ModelMonitor(PAPER, 1e-3)
-    for k in range(200):  # at 100 Hz
-        monitor.add_report(report(k * 10_000_000, [1.0, 1.0, 0.0]))
-        if k % 30 == 0:
-            late = msgspec.structs.replace(
-                Estimate.at_rest(depth_m=0.0), t_ns=max(k - 50, 0) * 10_000_000, current=STILL
-            )
-            message = monitor.update(late)
-    assert message is not None
-
-
-def test_a_repeated_report_changes_nothing():
-    monitor = ModelMonitor(PAPER, 1e-3)
-    for _ in range(2):
-        monitor.add_report(applied(0, (1.0, 1.0)))
-    assert monitor.update(msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=STILL)) is None
-
-
 # --- weak thruster ---
 
 
