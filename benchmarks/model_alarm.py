@@ -132,7 +132,7 @@ def withhold_current(node: ControllerNode) -> None:
     def without(received: ReceivedMessage) -> None:
         message = received.message
         if isinstance(message, Estimate):
-            received = received._replace(message=msgspec.structs.replace(message, current=None))
+            received = msgspec.structs.replace(received, message=msgspec.structs.replace(message, current=None))
         receive(received)
 
     node.receive = without  # type: ignore[method-assign]
