@@ -110,7 +110,7 @@ def main(messages: int) -> None:
                 ping.append(pong.received_monotonic_us - sent_us)
             if k % 5 == 0:
                 sent_us = time.monotonic_ns() // 1000
-                out.publish(Command(command_id=k, action=Action.ARM if k == 0 else Action.HOLD))
+                out.publish(Command(command_id=k, action=Action.ARM if k == 0 else Action.HOLD, force=True))
                 if answer := awaited(box, "acknowledged", 1.0, plans):
                     assert decode(Acknowledgement, answer.payload)[0].command_id == k
                     answers.append(answer.received_monotonic_us - sent_us)

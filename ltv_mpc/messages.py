@@ -70,6 +70,7 @@ Share: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "share"}
 ThrustShare: TypeAlias = Annotated[float, Meta(ge=0.1, le=1.0, extra={"unit": "share"})]
 Dimensionless: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12, extra={"unit": "dimensionless"})]
 SpeedOfTime: TypeAlias = Annotated[float, Meta(ge=0.01, le=1000.0, extra={"unit": "vehicle s per s"})]
+Voltage: TypeAlias = Annotated[float, Meta(ge=0.0, le=10_000.0, extra={"unit": "V"})]
 MessageFaultSize: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "share or s"})]
 # Finite even if the solve failed.
 Residual: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e300, extra={"unit": "dimensionless"})]
@@ -146,6 +147,14 @@ class Health(enum.StrEnum):
     DEGRADED = "degraded"
     HOLD = "hold"
     FAILSAFE = "failsafe"
+
+
+class MissionAction(enum.StrEnum):
+    """Action of the mission policy. ``ltv_mpc/safety/mission_policy.py`` has the causes."""
+
+    GO_ON = "go on"  # the reference is followed
+    HOLD = "hold"  # the position is held, the reference waits
+    SURFACE = "surface"  # the failsafe of the vehicle: no lateral thrust, failsafe_vertical_N
 
 
 # --- written by the plant of a simulation: the true state; no process aboard the vehicle reads it ---------------------
@@ -542,6 +551,9 @@ class Acknowledgement(Message, frozen=True, kw_only=True, eq=False):
     accepted: Annotated[bool, Meta(description="the command was carried out")]
     authority: Annotated[Authority, Meta(description="source of the thrust commands after it")]
     why: Annotated[str, Meta(description="reason of the rejection; empty if the command was accepted")]
+    warnings: Annotated[
+        tuple[str, ...], Meta(description="of an accepted command: what it skipped, could not check or does not end")
+    ] = ()
 
 
 class CycleTiming(Message, frozen=True, kw_only=True, eq=False):
@@ -635,6 +647,7 @@ class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
     authority: Annotated[Authority, Meta(description="source of the thrust commands")]
     health: Annotated[Health, Meta(description="timeliness of the inputs of the controller")]
     health_why: HealthReason = ""
+    mission_action: Annotated[MissionAction, Meta(description="action of the mission policy")] = MissionAction.GO_ON
     error_m: Annotated[
         Position | None,
         Meta(description="horizontal distance of the newest estimate from the reference; null: no reference in force"),
@@ -669,6 +682,15 @@ class CurrentBiasState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     covariance: Annotated[
         tuple[SpeedVariance, SpeedVariance, SpeedVariance], Meta(description="north-north, north-east, east-east")
     ]
+
+
+class MissionState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """State of the mission policy: start of the mission, last sign of the operator, and the action in force."""
+
+    start_t_ns: Annotated[Time | None, Meta(description="start of the mission time; null: not armed yet")] = None
+    operator_t_ns: Annotated[Time | None, Meta(description="last sign of an operator; null: none yet")] = None
+    action: Annotated[MissionAction, Meta(description="action in force")] = MissionAction.GO_ON
+    why: Annotated[str, Meta(description="cause of the action; empty if it is to go on")] = ""
 
 
 class ControllerState(Message, frozen=True, kw_only=True, eq=False):
@@ -722,6 +744,7 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
     ] = None
     estimate: Annotated[Estimate | None, Meta(description="newest estimate, of the vehicle's origin")] = None
     source: Annotated[SourceChoice, Meta(description="name of the source that an operator has chosen; else empty")] = ""
+    mission: Annotated[MissionState, Meta(description="state of the mission policy")] = MissionState()
 
 
 # --- written by the actuators ----------------------------------------------------------------------------------------
@@ -754,6 +777,22 @@ class Applied(Message, frozen=True, kw_only=True, eq=False):
     ] = Health.NOMINAL
 
 
+# --- written by the vehicle's monitors of battery and leaks -----------------------------------------------------------
+
+
+class Battery(Message, frozen=True, kw_only=True, eq=False):
+    """State of the battery. It has no time: the controller uses the time of arrival."""
+
+    voltage_V: Annotated[Voltage, Meta(description="voltage under the present load")]
+    remaining: Annotated[Share | None, Meta(description="remaining share of the energy; null: unknown")] = None
+
+
+class Leak(Message, frozen=True, kw_only=True, eq=False):
+    """State of the leak detectors. It has no time: the controller uses the time of arrival."""
+
+    detected: Annotated[bool, Meta(description="water in the hull")]
+
+
 # --- written by the operator: commands to the controller, disturbances and faults for a simulation --------------------
 
 
@@ -768,6 +807,7 @@ class Action(enum.StrEnum):
     FOLLOW = "follow"  # another reference
     HOLD = "hold"  # hold the current position
     SOURCE = "source"  # use the estimates of one source
+    CLEAR = "clear"  # end the action of the mission policy, if its cause is gone
 
 
 class Command(Message, frozen=True, kw_only=True, eq=False):
@@ -778,10 +818,15 @@ class Command(Message, frozen=True, kw_only=True, eq=False):
     ]
     action: Annotated[Action, Meta(description="requested action")]
     reference_toml: Annotated[ReferenceText, Meta(description="for follow: contents of a reference file, TOML")] = ""
+    force: Annotated[bool, Meta(description="for arm: arm although pre-arm checks fail")] = False
     source: Annotated[
         SourceChoice,
         Meta(description="for source: its name, `default` for the plain key; empty: the order of the settings"),
     ] = ""
+
+
+class Heartbeat(Message, frozen=True, kw_only=True, eq=False):
+    """Sign of life of an operator. Commands and messages of a pilot count as one too."""
 
 
 class Manual(Message, frozen=True, kw_only=True, eq=False):

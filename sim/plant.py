@@ -104,7 +104,7 @@ class Plant:
         ]
         if self._arms:
             self._arms = False
-            outputs[-1].append(Command(command_id=ARMING, action=Action.ARM))
+            outputs[-1].append(Command(command_id=ARMING, action=Action.ARM, force=True))
         if inbox or self._t_ns % REPORT_NS == 0:
             outputs[-1].append(self._report(self._t_ns))
         return outputs

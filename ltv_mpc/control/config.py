@@ -15,6 +15,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, SourceName
 from ltv_mpc.node import DEFAULT_SOURCE
 from ltv_mpc.safety.health import Ages
+from ltv_mpc.safety.mission_policy import MissionSettings
 
 STAGE_NS = 300_000_000
 """Time between the first two knots (ns)."""
@@ -100,6 +101,7 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     first_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.05  # expected delay before any measurement
     min_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.0  # smallest expected delay: margin on a busy machine
     ages: Ages = Ages()  # of the newest estimate, at which health degrades
+    mission: MissionSettings = MissionSettings()  # ends of a mission, and bounds of the pre-arm checks
 
     @classmethod
     def load(cls, path: str) -> ControllerConfig:

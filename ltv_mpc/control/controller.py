@@ -50,7 +50,7 @@ from ltv_mpc.messages import (
     Times,
 )
 from ltv_mpc.node import Stopwatch, no_stopwatch
-from ltv_mpc.references import Reference
+from ltv_mpc.references import Hold, Reference
 from ltv_mpc.references.follower import NO_PROGRESS, Follower, FollowerState
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
@@ -110,12 +110,12 @@ class Controller:
             stopwatch=stopwatch,
         )
         self._stopwatch = stopwatch
-        self.follow(reference)
+        self._followers = [Follower(reference, vehicle)]  # of the reference, and of the hold while it is paused
 
     @property
     def follower(self) -> Follower:
         """Follower of the reference: its target and the progress along it."""
-        return self._follower
+        return self._followers[-1]
 
     @property
     def estimate_gate(self) -> EstimateGate:
@@ -133,13 +133,32 @@ class Controller:
         return None if self._bias is None else (self._bias.bias_mps, self._bias.covariance)
 
     def follow(self, reference: Reference) -> None:
-        """Follow another reference from the next cycle on.
+        """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
 
         Parameters
         ----------
         reference : begins at the first estimate after its start.
         """
-        self._follower = Follower(reference, self.vehicle)
+        self._followers[0] = Follower(reference, self.vehicle)
+
+    def pause(self, estimate: Estimate | None) -> None:
+        """Hold the position of the next cycle until ``resume``; the reference waits.
+
+        Parameters
+        ----------
+        estimate : its depth is held.
+        """
+        if len(self._followers) == 1:
+            self._followers.append(Follower(Hold.at_depth_of(estimate), self.vehicle))
+
+    def resume(self) -> None:
+        """Follow the reference again, if it waits."""
+        del self._followers[1:]
+
+    @property
+    def reference_has_begun(self) -> bool:
+        """True if the reference is in force, or was before ``pause``."""
+        return self._followers[0].target_m is not None
 
     def add_report(self, applied: Applied) -> None:
         """Add a report of the actuators: it corrects the expected delay, the commands in force and the thrusts.
@@ -261,7 +280,8 @@ class Controller:
         -------
         The state, without what belongs to the node around the controller: authority, reference, model check.
         """
-        follower = self._follower.save()
+        reference = self._followers[0]
+        follower = reference.save()
         plan_delays_ns, cycle_times_ns = self._delay.save()
         return ControllerState(
             t_ns=t_ns,
@@ -269,7 +289,7 @@ class Controller:
             schedule_t_ns=follower.t_ns,
             schedule_s=follower.tau_s,
             schedule_rate=follower.rate,
-            progress=self._follower.progress.share,
+            progress=reference.progress.share,
             depth_integral_N=self._vertical.integral_N,
             current_bias=None if self._bias is None else self._bias.save(),
             plan_delays_ns=plan_delays_ns,
@@ -295,7 +315,7 @@ class Controller:
         if self._bias is not None and state.current_bias is not None:
             self._bias.restore(state.current_bias, t_ns - state.t_ns)
         followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
-        self._follower.restore(followed, t_ns, moved_until_ns=_end_of_motion_ns(state))
+        self._followers[0].restore(followed, t_ns, moved_until_ns=_end_of_motion_ns(state))
 
     # --- parts of a cycle ---
 
@@ -320,7 +340,7 @@ class Controller:
             override=override,
             health=health if own is NOMINAL else worst(own, health),
             late=own is not NOMINAL,
-            follower=self._follower,
+            follower=self.follower,
             lateral=self.config.lateral,
         )
 
@@ -328,7 +348,7 @@ class Controller:
         """Advance the target along the reference to the plan's first knot, in the current at the predicted depth."""
         profile = profile_of(estimate)
         current = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, start.depth_m)
-        self._follower.advance(knots, start.lateral, current)
+        self.follower.advance(knots, start.lateral, current)
 
     def _plan_vertical(self, decision: Decision, start: Start, knots: Times) -> VerticalPlan:
         """Return the vertical thruster's plan in this mode: the depth law's, a ramp, or the commands in force."""
@@ -340,9 +360,9 @@ class Controller:
         if decision.mode is Mode.FAILSAFE:
             return law.ramp_to(start, knots, np.full(len(knots), self.vehicle.failsafe_vertical_N))
         if depth_m is not None:
-            if decision.mode is Mode.HOLD and self._follower.depth_m is not None:
+            if decision.mode is Mode.HOLD and self.follower.depth_m is not None:
                 return law.hold(start, knots)
-            depth_reference = self._follower.depths(knots) if decision.follows else None
+            depth_reference = self.follower.depths(knots) if decision.follows else None
             if depth_reference is not None:
                 return law.track(start, *depth_reference)
         return law.keep(start, self.sent_commands.at(knots)[:, 2])
@@ -354,7 +374,7 @@ class Controller:
         modes a ramp to the override or to zero.
         """
         if decision.mode is Mode.FOLLOW:
-            self._follower.fill(knots, self._lateral.target)
+            self.follower.fill(knots, self._lateral.target)
             return self._lateral.plan(start)
         if decision.stops:
             return self._lateral.stop(start, decision.why)
@@ -377,7 +397,7 @@ class Controller:
         # checked in lateral.py and fallback.py.
         if not math.isfinite(np.vdot(vertical.thrust_N, vertical.thrust_N)):
             raise ArithmeticError("a thrust is not finite")
-        follower, follows = self._follower, decision.follows
+        follower, follows = self.follower, decision.follows
         progress = follower.progress if follows else NO_PROGRESS
         return Plan(
             cycle_t_ns=now_ns,

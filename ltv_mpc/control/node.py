@@ -14,27 +14,35 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import SAVE_PERIOD_NS, Controller
 from ltv_mpc.control.estimate_sources import EstimateSources
 from ltv_mpc.control.operator_commands import OperatorCommands
+from ltv_mpc.control.pre_arm import Failure, failures
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.messages import (
     Acknowledgement,
+    Action,
     Applied,
+    Authority,
+    Battery,
     ClockStep,
     Command,
     ControllerState,
     CycleTiming,
     Estimate,
     Health,
+    Heartbeat,
     InputReport,
+    Leak,
     Manual,
     Message,
+    MissionAction,
     ModelCheck,
     Plan,
 )
 from ltv_mpc.node import Cycle, Due, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
-from ltv_mpc.safety.command_arbiter import CommandArbiter
+from ltv_mpc.safety.command_arbiter import MANUAL_TIMEOUT_NS, CommandArbiter
 from ltv_mpc.safety.health import NOMINAL, HealthState, report_health, worst
 from ltv_mpc.safety.input_monitor import InputMonitor
+from ltv_mpc.safety.mission_policy import MissionPolicy
 from ltv_mpc.safety.model_monitor import ModelMonitor
 from ltv_mpc.safety.plan_rejections import PlanRejections
 from ltv_mpc.safety.source_selector import Source
@@ -49,14 +57,25 @@ UNCERTAIN_CLOCK = "a publisher's clock was set back, or its link is congested"
 class ControllerNode:
     """Controller of one vehicle as a node.
 
-    It reads the newest ``Estimate`` and ``Manual``, and each ``Applied``, ``Command``, ``CycleTiming`` and
-    ``ClockStep``. It writes one ``Plan`` per cycle, also while disarmed: that plan ramps all thrusts to zero. It also
-    writes an ``Acknowledgement`` for each command, a ``ControllerState`` and a ``ModelCheck`` from time to time. A node
-    that replaces another one receives the newest ``ControllerState`` as its first message.
+    It reads the newest ``Estimate`` and ``Manual``, and each ``Applied``, ``Command``, ``CycleTiming``, ``ClockStep``,
+    ``Battery``, ``Leak`` and ``Heartbeat``; commands after the other messages of an inbox. It writes one ``Plan`` per
+    cycle, also while disarmed: that plan ramps all thrusts to zero. It also writes an ``Acknowledgement`` for each
+    command, a ``ControllerState`` and a ``ModelCheck`` from time to time. A node that replaces another one receives the
+    newest ``ControllerState`` as its first message.
     """
 
     name = "controller"
-    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming, ClockStep, Command, Manual)
+    reads: tuple[type[Message], ...] = (
+        Estimate,
+        Applied,
+        CycleTiming,
+        ClockStep,
+        Command,
+        Manual,
+        Heartbeat,
+        Battery,
+        Leak,
+    )
     writes: tuple[type[Message], ...] = (Plan, Acknowledgement, ControllerState, ModelCheck)
 
     def __init__(
@@ -84,9 +103,15 @@ class ControllerNode:
         self._commands = OperatorCommands(self.controller, self.arbiter, self.sources, reference)
         self._model_monitor = ModelMonitor(vehicle, config.disturbance.noise_mps)
         self._plan_rejections = PlanRejections(config.period_ns)
+        self._applied: Applied | None = None  # the newest
         self._cycle_ns = 0  # time of the last cycle
         self._clock_doubt: ClockStep | None = None  # the last step, if it is not certain
         self._saved: ControllerState | None = None  # state that was published last
+
+    @property
+    def mission(self) -> MissionPolicy:
+        """Policy that ends the mission."""
+        return self._commands.mission
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """Run one cycle at each time; there is no plan before the first estimate.
@@ -104,18 +129,25 @@ class ControllerNode:
     def _step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         self._cycle_ns = t_ns
         acknowledged: list[Message] = []
-        for received in inbox:
+        for received in sorted(inbox, key=_is_by_operator):
             match received.message:
                 case Command() as command:
-                    acknowledged.append(self._commands.acknowledge(command, t_ns))
+                    self.mission.hear_operator(received.received_t_ns)
+                    acknowledged.append(self._commands.acknowledge(command, t_ns, self._pre_arm_failures))
                 case Manual() as manual:
+                    self.mission.hear_operator(received.received_t_ns)
                     self.arbiter.receive_manual(manual.thrust_N, received.received_t_ns)
+                case Heartbeat():
+                    self.mission.hear_operator(received.received_t_ns)
+                case Battery() | Leak() as monitored:
+                    self.mission.receive(monitored, received.received_t_ns)
                 case ClockStep() as clock_step:
                     self._clock_doubt = None if clock_step.certain else clock_step
                 case ControllerState() as state:
                     self._restore(state, t_ns)
                 case _:
                     self.receive(received)
+        self._apply_mission_policy(t_ns)
         # The plan and the state come first: a command that is acknowledged is in force, and saved.
         plans = [] if self.sources.newest is None else [self.cycle(self.sources.newest, t_ns)]
         due_state, check = self._due_state(t_ns), self._check_model()
@@ -136,6 +168,7 @@ class ControllerNode:
                     self._model_monitor.restart()
             case Applied() as applied:
                 if self._is_newer(self.reports, received, applied.t_ns):
+                    self._applied = applied
                     self.controller.add_report(applied)
                     self._model_monitor.add_report(applied)
                     self._plan_rejections.add(applied, received.received_t_ns)
@@ -185,14 +218,18 @@ class ControllerNode:
 
     def _health_of_inputs(self, t_ns: int) -> HealthState:
         """Return the worst health of the inputs other than the estimate's age."""
-        return worst(
-            self._health_of_reports(t_ns),
-            self._plan_rejections.health(t_ns),
-            self._health_of_clock(t_ns),
-            self.controller.reference_point_check.health,
-            self.sources.health(t_ns),
-            self._health_of_thrusters(),
-        )
+        return worst(self.mission.health(t_ns), *self._states(t_ns).values())
+
+    def _states(self, t_ns: int) -> dict[str, HealthState]:
+        """Return the health by each input other than estimate's age and mission policy, by name."""
+        return {
+            "actuators": self._health_of_reports(t_ns),
+            "plans": self._plan_rejections.health(t_ns),
+            "clock": self._health_of_clock(t_ns),
+            "reference point": self.controller.reference_point_check.health,
+            "source": self.sources.health(t_ns),
+            "thrusters": self._health_of_thrusters(),
+        }
 
     def _health_of_reports(self, t_ns: int) -> HealthState:
         """Return the health by the time since the actuators' last report."""
@@ -212,6 +249,29 @@ class ControllerNode:
         """Return the health by a weak thruster whose box is reduced."""
         reduced = self.controller.config.reduce_weak_thruster
         return self._model_monitor.weak_thruster.health(self.controller.vehicle) if reduced else NOMINAL
+
+    def _pre_arm_failures(self) -> list[Failure]:
+        """Return the pre-arm checks that fail now."""
+        t_ns = self._cycle_ns
+        return failures(
+            Controller(self.controller.vehicle, self._commands.reference, self.controller.config),
+            estimate=self.sources.newest,
+            applied=self._applied,
+            reports={report.input: report for report in self.inputs()},
+            states=self._states(t_ns),
+            causes=self.mission.causes(t_ns),
+        )
+
+    def _apply_mission_policy(self, t_ns: int) -> None:
+        """Hold the position, or let the reference go on; an action takes the thrusters from a silent pilot."""
+        action = self.mission.update(t_ns, armed=self.arbiter.armed)
+        if action is MissionAction.HOLD:
+            self.controller.pause(self.sources.newest)
+        else:
+            self.controller.resume()
+        no_pilot = self.mission.operator_is_silent(t_ns, MANUAL_TIMEOUT_NS)
+        if action is not MissionAction.GO_ON and self.arbiter.authority is Authority.MANUAL and no_pilot:
+            self.arbiter.request(Action.RELEASE)
 
     @staticmethod
     def _is_newer(monitor: InputMonitor, received: ReceivedMessage, stamp_ns: int) -> bool:
@@ -247,6 +307,7 @@ class ControllerNode:
         self._model_monitor.weak_thruster.restore(state.thrust_shares)
         self._set_thrust_shares()
         self.controller.restore(state, t_ns)
+        self.mission.state = state.mission
         self.sources.selector.forced = state.source
         if self.sources.newest is None:
             self.sources.newest = state.estimate
@@ -260,7 +321,8 @@ class ControllerNode:
             and before.arm_continues is self._commands.arm_continues
             and before.reference_toml is toml
             and before.source == self.sources.selector.forced
-            and (before.reference_start is None) == (self.controller.follower.target_m is None)
+            and (before.reference_start is None) != self.controller.reference_has_begun
+            and before.mission.action is self.mission.state.action
         ):
             return None
         self._saved = msgspec.structs.replace(
@@ -272,5 +334,10 @@ class ControllerNode:
             thrust_shares=self._model_monitor.weak_thruster.shares,
             estimate=self.sources.newest,
             source=self.sources.selector.forced,
+            mission=self.mission.state,
         )
         return self._saved
+
+
+def _is_by_operator(received: ReceivedMessage) -> bool:
+    return isinstance(received.message, Command | Manual)

@@ -1,17 +1,18 @@
-"""Operator commands: who commands the thrusters, and which reference is followed."""
+"""Operator commands: who commands the thrusters, which reference is followed, and the end of a mission."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 from ltv_mpc import config as settings
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.estimate_sources import EstimateSources
+from ltv_mpc.control.pre_arm import Failure
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Acknowledgement, Action, Authority, Command, Estimate
+from ltv_mpc.messages import Acknowledgement, Action, Authority, Command, Estimate, MissionAction
 from ltv_mpc.references import Hold, Reference, Timed
 from ltv_mpc.safety.command_arbiter import CommandArbiter, CommandResult
-
-MAX_HOLD_DEPTH_M = 11_000.0
-"""Upper bound of a reference's ``depth_m``."""
+from ltv_mpc.safety.mission_policy import MissionPolicy
 
 MAX_TOML_CHARS = 65_536
 """Longest reference in a saved state, as message validation allows. A longer one was read from a file, and a new
@@ -36,31 +37,42 @@ class OperatorCommands:
         self._controller = controller
         self._arbiter = arbiter
         self._sources = sources
-        self._reference = reference
+        self.mission = MissionPolicy(controller.config.mission)
+        """Policy that ends the mission."""
+        self.reference = reference
+        """Reference that is followed."""
         self.reference_toml = reference_toml(reference)
-        """Reference that is followed, as a reference file holds it; empty if it is longer than MAX_TOML_CHARS."""
+        """The same, as a reference file holds it; empty if it is longer than MAX_TOML_CHARS."""
         self.arm_continues = False
         """The next arm continues the reference, because a restart and no operator has disarmed."""
 
-    def acknowledge(self, command: Command, t_ns: int) -> Acknowledgement:
+    def acknowledge(self, command: Command, t_ns: int, checks: Callable[[], list[Failure]]) -> Acknowledgement:
         """Execute a command.
 
         Parameters
         ----------
         command : what the operator asks for.
         t_ns : now, vehicle time (ns).
+        checks : runs the pre-arm checks.
 
         Returns
         -------
         The acknowledgement; it gives the reason if the command was rejected.
         """
-        result = self._execute(command, t_ns)
+        warnings: list[str] = []
+        if command.action is Action.ARM and self._arbiter.authority in (Authority.DISARMED, Authority.STOPPED):
+            result = self._arm(checks(), t_ns, warnings, force=command.force)
+        else:
+            result = self._execute(command, t_ns)
+        if not result.why and self.mission.state.action is not MissionAction.GO_ON:
+            warnings.append(f"{self.mission.health(t_ns).why}: `clear` ends this when its cause is gone")
         return Acknowledgement(
             t_ns=t_ns,
             command_id=command.command_id,
             accepted=not result.why,
             authority=result.authority,
             why=result.why,
+            warnings=tuple(warnings),
         )
 
     def follow(self, toml: str) -> CommandResult:
@@ -85,21 +97,38 @@ class OperatorCommands:
         self._set_reference(reference, toml)
         return self._arbiter.request(Action.FOLLOW)
 
-    def _execute(self, command: Command, t_ns: int) -> CommandResult:
-        if command.action is Action.FOLLOW:
-            return self.follow(command.reference_toml)
-        if command.action is Action.HOLD:
-            return self._hold(self._sources.newest)
-        if command.action is Action.SOURCE:
-            return self._reject(self._sources.selector.force(command.source, t_ns))
-        before = self._arbiter.authority
-        result = self._arbiter.request(command.action)
-        if result.why:
-            return result
-        if command.action is Action.ARM and before is not Authority.CONTROLLER and not self.arm_continues:
+    def _arm(self, failures: list[Failure], t_ns: int, warnings: list[str], *, force: bool) -> CommandResult:
+        """Arm if no pre-arm check fails, or by force; append to ``warnings`` what was skipped."""
+        blocking = [failure.text for failure in failures if failure.blocks]
+        if blocking and not force:
+            return self._reject(f"pre-arm checks failed (`ltv-mpc ctl arm --force` skips them): {'; '.join(blocking)}")
+        warnings += [f"{'skipped' if failure.blocks else 'warning'}: {failure.text}" for failure in failures]
+        self.mission.arm(t_ns)
+        if not self.arm_continues:
             # A reference that begins "here" begins where the vehicle is armed, not where it was put into the water.
-            self._controller.follow(self._reference)
+            self._controller.follow(self.reference)
         self.arm_continues = False
+        return self._arbiter.request(Action.ARM)
+
+    def _execute(self, command: Command, t_ns: int) -> CommandResult:
+        match command.action:
+            case Action.FOLLOW:
+                result = self.follow(command.reference_toml)
+                if not result.why:
+                    self.mission.restart(t_ns)
+                return result
+            case Action.HOLD:
+                return self._hold(self._sources.newest)
+            case Action.SOURCE:
+                return self._reject(self._sources.selector.force(command.source, t_ns))
+            case Action.CLEAR if why := self.mission.clear(t_ns):
+                return self._reject(f"the cause is still present: {why}: end it, or `disarm`")
+        result = self._arbiter.request(command.action)
+        if result.why or command.action is Action.CLEAR:
+            return result
+        self.arm_continues = False
+        if not self._arbiter.armed:
+            self.mission.disarm()
         return result
 
     def _hold(self, estimate: Estimate | None) -> CommandResult:
@@ -107,8 +136,7 @@ class OperatorCommands:
             return self._reject(
                 "no estimate received yet, so the current position is unknown: retry after the first estimate"
             )
-        depth_m = None if estimate.depth_m is None else min(max(estimate.depth_m, 0.0), MAX_HOLD_DEPTH_M)
-        hold = Hold(depth_m=depth_m)
+        hold = Hold.at_depth_of(estimate)
         self._set_reference(hold, reference_toml(hold))
         return self._arbiter.request(Action.HOLD)
 
@@ -117,7 +145,7 @@ class OperatorCommands:
         return CommandResult(self._arbiter.authority, why)
 
     def _set_reference(self, reference: Reference, toml: str) -> None:
-        self._reference, self.reference_toml = reference, toml
+        self.reference, self.reference_toml = reference, toml
         self.arm_continues = False
         self._controller.follow(reference)
 

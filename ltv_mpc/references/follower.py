@@ -104,6 +104,15 @@ class Follower:
         return None if self._start is None else self.reference.depth_m
 
     @property
+    def start_distance_m(self) -> float | None:
+        """Distance from the vehicle to the reference when it started (m); None before."""
+        if self._start is None:
+            return None
+        if self._track is not None:
+            return self._track.lead_m
+        return math.hypot(self._target[0] - self._start.north_m, self._target[1] - self._start.east_m)
+
+    @property
     def progress(self) -> Progress:
         """Progress along a path; ``NO_PROGRESS`` for a point, and before the reference starts."""
         return self._progress

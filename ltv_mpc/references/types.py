@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TypeAlias
 
 from ltv_mpc import config
-from ltv_mpc.messages import Pair, ReferenceStart
+from ltv_mpc.messages import Estimate, Pair, ReferenceStart
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.feasibility import descent_notes
 from ltv_mpc.references.geodesy import Latitude, Longitude, Metres, Place, local
@@ -14,6 +14,9 @@ from ltv_mpc.references.timed import Timed, from_csv
 from ltv_mpc.vehicle.parameters import Vehicle
 
 PACKAGE = "ltv_mpc.references.files"
+
+MAX_HOLD_DEPTH_M = 11_000.0
+"""Upper bound of a reference's ``depth_m``."""
 
 
 class Point(BaseReference, frozen=True, kw_only=True, tag="point"):
@@ -59,6 +62,17 @@ class Point(BaseReference, frozen=True, kw_only=True, tag="point"):
 
 class Hold(BaseReference, frozen=True, kw_only=True, tag="hold"):
     """Vertical line through the estimated position of the vehicle at the start: "here"."""
+
+    @classmethod
+    def at_depth_of(cls, estimate: Estimate | None) -> Hold:
+        """Return the hold at the depth of an estimate; without a depth the vertical command is kept.
+
+        Parameters
+        ----------
+        estimate : newest estimate, if there is one.
+        """
+        depth_m = None if estimate is None else estimate.depth_m
+        return cls(depth_m=None if depth_m is None else min(max(depth_m, 0.0), MAX_HOLD_DEPTH_M))
 
     def position(self, anchor: ReferenceStart) -> Pair:
         """Return north and east (m).

@@ -38,6 +38,7 @@ NEXT: Mapping[Action, Mapping[Authority, Authority]] = {
     Action.FOLLOW: {state: state for state in Authority},
     Action.HOLD: {state: state for state in Authority},
     Action.SOURCE: {state: state for state in Authority},
+    Action.CLEAR: {state: state for state in Authority},
 }
 """Next state by action and present state. An action is rejected in a state for which it has no entry."""
 
@@ -98,6 +99,11 @@ class CommandArbiter:
         """Number of messages of the pilot that requested a thrust outside the box."""
         self._box = [(t.min_N, t.max_N) for t in vehicle.thrusters]
         self._manual: tuple[Triple, int] | None = None  # requested thrusts, and when they arrived
+
+    @property
+    def armed(self) -> bool:
+        """True if the controller or a pilot commands the thrusters."""
+        return self.authority is CONTROLLER or self.authority is MANUAL
 
     def request(self, action: Action) -> CommandResult:
         """Carry out a command of the operator, if the present state allows it.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,11 +11,17 @@ from services.cli.bus import with_bus
 if TYPE_CHECKING:
     from services.bus.options import BusOptions
 
+HEARTBEAT = "heartbeat"
+
 
 @with_bus("operator")
 def ctl(
     action: Annotated[
-        str, typer.Argument(metavar="ACTION", help="One of arm, disarm, stop, manual, release, follow, hold, source.")
+        str,
+        typer.Argument(
+            metavar="ACTION",
+            help="One of arm, disarm, stop, manual, release, follow, hold, clear, source, heartbeat.",
+        ),
     ],
     file: Annotated[
         str | None,
@@ -25,12 +31,16 @@ def ctl(
             "`default` for the plain key; without it, the order of the settings again.",
         ),
     ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Arm although pre-arm checks fail; prints what it skips.")
+    ] = False,
     *,
     bus: BusOptions,
 ) -> int:
     """Send a command to a running controller.
 
-    Waits for the reply, at most 3 s. Exit code 1 and the reason if the controller rejects the command.
+    Waits for the reply, at most 3 s. Exit code 1 and the reason if the controller rejects the command. `heartbeat`
+    has no reply: it is sent once a second until Ctrl-C, as a sign that an operator is present.
     """
     from ltv_mpc import references
     from ltv_mpc.config import to_toml
@@ -39,18 +49,23 @@ def ctl(
     from ltv_mpc.node import DEFAULT_SOURCE
     from ltv_mpc.settings_schema import closest_name
 
-    known = [one.value for one in Action]
+    known = [*(one.value for one in Action), HEARTBEAT]
     if action not in known:
         meant = closest_name(action, known)
         near = f"; did you mean {format_value(meant)}?" if meant else ""
         raise ConfigError("argument ACTION", "", f"must be one of {', '.join(known)}{near}", value=action)
-    wanted = Action(action)
-    if wanted is Action.FOLLOW and file is None:
+    if force and action != Action.ARM:
+        raise ConfigError("option --force", "", "only arm takes it", value=action)
+    if action == Action.FOLLOW and file is None:
         raise ConfigError("argument ACTION", "", "needs a reference, NAME or FILE, after it", value=action)
-    if wanted not in (Action.FOLLOW, Action.SOURCE) and file is not None:
+    if action not in (Action.FOLLOW, Action.SOURCE) and file is not None:
         raise ConfigError("argument ACTION", "", "takes no file or name: only follow and source do", value=action)
-    fields: dict[str, str] = {}
-    if wanted is Action.FOLLOW:
+    from services.processes import operator as node
+
+    if action == HEARTBEAT:
+        return node.heartbeat(bus)
+    fields: dict[str, Any] = {"force": force}
+    if action == Action.FOLLOW:
         fields["reference_toml"] = to_toml(references.load(file or ""))
     elif file is not None:
         from services.bus.topics import is_source_name
@@ -58,6 +73,4 @@ def ctl(
         if file != DEFAULT_SOURCE and not is_source_name(file):
             raise ConfigError("argument NAME", "", "must be 1 to 32 of a-z, 0-9, _ and -", value=file)
         fields["source"] = file
-    from services.processes import operator as node
-
-    return node.main(wanted, fields, bus)
+    return node.main(Action(action), fields, bus)

@@ -1,4 +1,4 @@
-"""Bus subscription of the live page: every plan and event, the newest of all other messages, read 10 times a second."""
+"""Bus connection of the live page: every plan and event, the newest of all other messages; heartbeats go out."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from ltv_mpc.messages import (
     ControllerStatus,
     CycleTiming,
     Estimate,
+    Heartbeat,
     LocalisationReport,
     Message,
     NodeStatus,
@@ -27,8 +28,9 @@ from ltv_mpc.messages import (
 from ltv_mpc.vehicle.parameters import Thruster
 from services.bus.latest_cache import LatestCache, LatestFrame
 from services.bus.mailbox import Mailbox
+from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import Session
-from services.bus.topics import BY_TYPE, expression
+from services.bus.topics import BY_TYPE, OPERATOR, expression
 from services.bus.wire import Header, WireError, decode
 from services.reporting.plots.collector import Collector
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
@@ -89,10 +91,15 @@ class BusFeed:
         self._signals: dict[type[Message], Message] = {}
         self._processes: dict[str, tuple[NodeStatus, float]] = {}
         self._clock = VehicleClock()
+        self._heartbeats = Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(Heartbeat,))
         for kind in (*NEWEST, *EVERY, NodeStatus):
             topic = BY_TYPE[kind]
             inlet = self._every if kind in EVERY else self._newest
             session.subscribe(expression(topic), topic, inlet)
+
+    def beat(self) -> None:
+        """Publish a heartbeat: an operator has the page open."""
+        self._heartbeats.publish(Heartbeat())
 
     def update(self) -> None:
         """Process the messages received since the last call."""

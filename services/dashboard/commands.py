@@ -32,11 +32,13 @@ class Button(enum.StrEnum):
     DISARM = "disarm"
     STOP = "stop"
     HOLD = "hold"
+    CLEAR = "clear"
     PAUSE = "pause"
     RESUME = "resume"
     SPEED = "speed"
     KICK = "kick"
     KILL = "kill"
+    HEARTBEAT = "heartbeat"  # not a button: a page with the token sends it once a second
 
 
 SIMULATED = frozenset((Button.PAUSE, Button.RESUME, Button.SPEED, Button.KICK, Button.KILL))
@@ -77,7 +79,7 @@ def do(request: ButtonRequest, bus: BusOptions, t_ns: int | None, speed: float) 
 
 def _done(request: ButtonRequest, session: Session, t_ns: int | None, speed: float) -> ButtonReply:
     match request.button:
-        case Button.ARM | Button.DISARM | Button.STOP | Button.HOLD:
+        case Button.ARM | Button.DISARM | Button.STOP | Button.HOLD | Button.CLEAR:
             return _by_controller(request, send_command(session, Action(request.button.value)))
         case Button.PAUSE:
             return _sent(request, session, ClockCommand(paused=True, speed=speed), "requested: pause the clock")
@@ -88,6 +90,8 @@ def _done(request: ButtonRequest, session: Session, t_ns: int | None, speed: flo
             return _sent(request, session, ClockCommand(paused=False, speed=request.speed), text)
         case Button.KILL:
             return _sent(request, session, Kill(node=request.node), f"requested: kill {request.node}")
+        case Button.HEARTBEAT:
+            raise AssertionError("the page's own session publishes heartbeats")
         case Button.KICK:
             if t_ns is None:
                 return _reply(request, "no clock message and no estimate received yet: vehicle time is unknown")
@@ -98,9 +102,8 @@ def _done(request: ButtonRequest, session: Session, t_ns: int | None, speed: flo
 def _by_controller(request: ButtonRequest, answer: Acknowledgement | RejectedFrame | None) -> ButtonReply:
     match answer:
         case Acknowledgement(accepted=True):
-            return _reply(
-                request, f"{request.button.value} accepted; command authority: {answer.authority.value}", done=True
-            )
+            text = f"{request.button.value} accepted; command authority: {answer.authority.value}"
+            return _reply(request, "; ".join((text, *answer.warnings)), done=True)
         case Acknowledgement():
             return _reply(request, f"{request.button.value} rejected: {answer.why}")
         case RejectedFrame():

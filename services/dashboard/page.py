@@ -104,11 +104,13 @@ async def _obey(socket: WebSocket, reader: Reader, feed: BusFeed, token: Token, 
     """Execute the commands of a browser one after the other."""
     with contextlib.suppress(WebSocketDisconnect):
         while True:
-            text = await socket.receive_text()
-            reader.put(msgspec.json.encode(await _reply(text, feed, token, command)).decode())
+            reply = await _reply(await socket.receive_text(), feed, token, command)
+            if reply is not None:
+                reader.put(msgspec.json.encode(reply).decode())
 
 
-async def _reply(text: str, feed: BusFeed, token: Token, command: Do) -> ButtonReply:
+async def _reply(text: str, feed: BusFeed, token: Token, command: Do) -> ButtonReply | None:
+    """Return the reply to a command; None to a heartbeat."""
     try:
         asked = REQUEST.decode(text)
     except ValueError as error:  # includes the errors of msgspec
@@ -117,6 +119,9 @@ async def _reply(text: str, feed: BusFeed, token: Token, command: Do) -> ButtonR
         return ButtonReply(
             number=asked.number, done=False, text="read-only: open the printed address, which carries the token"
         )
+    if asked.button is Button.HEARTBEAT:
+        feed.beat()
+        return None
     moment = feed.status()
     if asked.button in SIMULATED and not moment.simulated:
         return ButtonReply(number=asked.number, done=False, text=f"{asked.button.value} works in a simulation only")

@@ -184,7 +184,7 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
     far = Estimate.at_rest(depth_m=0.0, heading_rad=3.0, north_m=3.0, east_m=1.0)
     broken = Estimate.at_rest(depth_m=0.0, heading_rad=math.nan)
     others: dict[int, tuple[Message, ...]] = {
-        0: (Command(command_id=0, action=Action.ARM),),
+        0: (Command(command_id=0, action=Action.ARM, force=True),),
         6: (Command(command_id=1, action=Action.MANUAL), Manual(thrust_N=(1.0, 1.0, 0.0))),
     }
     for k, estimate in enumerate((near, near, far, far, far, broken, near)):

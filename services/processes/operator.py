@@ -1,12 +1,13 @@
-"""Command of an operator: publish it and wait for the controller's answer."""
+"""Operator: publish a command and wait for the controller's answer, or publish heartbeats."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Mapping
+from typing import Any
 
-from ltv_mpc.messages import Acknowledgement, Action, Command, RejectedFrame
+from ltv_mpc.messages import Acknowledgement, Action, Command, Heartbeat, RejectedFrame
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
@@ -14,13 +15,28 @@ from services.bus.session import BusError, Session, Stopped, open_session
 from services.bus.topics import BY_TYPE, OPERATOR
 from services.bus.wire import WireError, decode
 from services.runtime.console import Console
-from services.runtime.stopping import DONE, FAILED
+from services.runtime.serve import run_until_stopped
+from services.runtime.stopping import DONE, FAILED, Say, StopRequest
 
 TIMEOUT_S = 3.0
 """Longest wait for a router, and again for the answer. A control cycle takes a third of a second."""
 
+HEARTBEAT_S = BY_TYPE[Heartbeat].period_ns * 1e-9
 
-def main(action: Action, fields: Mapping[str, str], bus: BusOptions) -> int:
+
+def heartbeat(bus: BusOptions) -> int:
+    """Publish a heartbeat once a second until a signal stops it. Return the exit code."""
+
+    def work(request: StopRequest, say: Say) -> None:
+        with open_session(bus, stop=request, say=say) as session:
+            outbox = Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(Heartbeat,))
+            while not request.wait(HEARTBEAT_S):
+                outbox.publish(Heartbeat())
+
+    return run_until_stopped(Console("ctl heartbeat"), work)
+
+
+def main(action: Action, fields: Mapping[str, Any], bus: BusOptions) -> int:
     """Send a command with its other fields.
 
     Returns 0 if the controller accepted it, else prints the reason to stderr and returns 1.
@@ -38,12 +54,14 @@ def main(action: Action, fields: Mapping[str, str], bus: BusOptions) -> int:
         return FAILED
     if isinstance(answer, Acknowledgement) and answer.accepted:
         sys.stdout.write(f"accepted; command authority: {answer.authority.value}\n")
+        for warning in answer.warnings:
+            say(warning)
         return DONE
     say(_reason(answer))
     return FAILED
 
 
-def send_command(session: Session, action: Action, **fields: str) -> Acknowledgement | RejectedFrame | None:
+def send_command(session: Session, action: Action, **fields: Any) -> Acknowledgement | RejectedFrame | None:
     """Send a command; return the controller's answer, the rejection of the frame, or None without an answer."""
     box = Mailbox()
     for kind, suffix in ((Acknowledgement, ""), (RejectedFrame, "/*")):

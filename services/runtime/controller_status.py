@@ -100,6 +100,7 @@ class ControllerStatusReporter:
             authority=node.arbiter.authority,
             health=health.health,
             health_why=health.why,
+            mission_action=node.mission.state.action,
             error_m=self._error_m(),
             progress=None if self._plan is None else self._plan.progress,
             inputs=node.inputs(),

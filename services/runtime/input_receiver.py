@@ -14,6 +14,7 @@ from ltv_mpc.messages import (
     ClockCommand,
     ClockStep,
     Command,
+    Heartbeat,
     Message,
     NodeStatus,
     RejectedFrame,
@@ -71,7 +72,7 @@ class InputReceiver:
             self._reject(frame, str(error))
             return None
         stops = isinstance(message, Command) and message.action is Action.STOP
-        by_operator = frame.topic is not None and frame.topic.written_by == OPERATOR
+        by_operator = frame.topic is not None and frame.topic.written_by == OPERATOR and type(message) is not Heartbeat
         if by_operator and time.clock.newest is None and not stops:
             reason = NO_TIME
         else:

@@ -17,7 +17,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 from prometheus_client.registry import Collector
 
-from ltv_mpc.messages import Authority, ControllerStatus, Health
+from ltv_mpc.messages import Authority, ControllerStatus, Health, MissionAction
 
 HOST = "127.0.0.1"
 NAMES = (HOST, "localhost")
@@ -111,6 +111,7 @@ def _metrics(s: ControllerStatus) -> Iterator[Metric]:
     yield GaugeMetricFamily("ltv_mpc_progress_ratio", "Completed share of the reference.", s.progress)
     yield _one_of("authority", "Source of the thruster commands.", s.authority, Authority)
     yield _one_of("health", "Health of the inputs.", s.health, Health)
+    yield _one_of("mission_action", "Action of the mission policy.", s.mission_action, MissionAction)
 
 
 def _gauge(name: str, help_: str, label: str, values: Mapping[str, float | None]) -> Metric:

@@ -23,6 +23,7 @@ from pyarrow import parquet
 from typer.core import TyperGroup
 from typer.main import get_command
 
+from ltv_mpc.control.config import ControllerConfig
 from services.cli import start
 from services.cli.app import app, run
 from services.run.folder import RunFolder
@@ -65,6 +66,7 @@ ONCE = r"ltv-mpc (replay latest$|report latest$|doctor|log info latest$|log expo
 ran_already: set[tuple[str, ...]] = set()
 
 TOML: dict[str, Callable[[Path], object]] = {
+    "docs/missions.md": lambda path: ControllerConfig.load(str(path)),
     "docs/campaigns.md": campaigns.load,
     "docs/fault-campaign.md": schedule.load,
 }

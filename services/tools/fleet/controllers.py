@@ -82,7 +82,9 @@ class _VehicleController:
         """Run a cycle on the frames that have arrived."""
         frames, self._frames = self._frames, []
         newest = max((k for k, frame in enumerate(frames) if _is_estimate(frame)), default=None)
-        arrivals = [] if self._armed else [ReceivedMessage(Command(command_id=0, action=Action.ARM), 1, 0, 0)]
+        arrivals = (
+            [] if self._armed else [ReceivedMessage(Command(command_id=0, action=Action.ARM, force=True), 1, 0, 0)]
+        )
         self._armed = True
         for k, frame in enumerate(frames):
             if _is_estimate(frame) and k != newest:

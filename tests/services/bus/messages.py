@@ -12,6 +12,7 @@ from ltv_mpc.messages import (
     AdcpPing,
     Applied,
     Authority,
+    Battery,
     BottomTrack,
     Clock,
     ClockCommand,
@@ -32,6 +33,7 @@ from ltv_mpc.messages import (
     FilterStatus,
     GnssFix,
     Health,
+    Heartbeat,
     ImuSample,
     InboxEntry,
     Injection,
@@ -39,6 +41,7 @@ from ltv_mpc.messages import (
     InputReport,
     Kill,
     LblRange,
+    Leak,
     LocalisationReport,
     Manual,
     Message,
@@ -194,7 +197,12 @@ EXAMPLES: tuple[Message, ...] = (
     ),
     Command(command_id=2**48 - 1, action=Action.FOLLOW, reference_toml='kind = "hold"'),
     Manual(thrust_N=TRIPLE),
-    Acknowledgement(t_ns=5, command_id=1, accepted=False, authority=Authority.STOPPED, why="stopped"),
+    Heartbeat(),
+    Battery(voltage_V=23.5, remaining=None),
+    Leak(detected=True),
+    Acknowledgement(
+        t_ns=5, command_id=1, accepted=False, authority=Authority.STOPPED, why="stopped", warnings=("a", "b")
+    ),
     ControllerStatus(
         t_ns=5,
         estimate_age_ns=40_000_000,

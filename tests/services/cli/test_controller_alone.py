@@ -109,7 +109,19 @@ def test_it_names_every_key_in_its_namespace_with_rate_and_fields() -> None:
     told = {line.split()[1]: line for line in lines if line.startswith(("reads", "writes"))}
     assert set(told) == {
         f"auv/7/{key}"
-        for key in ("estimate", "applied", "command", "manual", "plan", "acknowledged", "model", "controller/status")
+        for key in (
+            "estimate",
+            "applied",
+            "command",
+            "manual",
+            "heartbeat",
+            "battery",
+            "leak",
+            "plan",
+            "acknowledged",
+            "model",
+            "controller/status",
+        )
     }
     estimate = told["auv/7/estimate"]
     assert estimate.startswith("reads")

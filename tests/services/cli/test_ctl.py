@@ -133,6 +133,7 @@ def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(
         (("manual",), 0, "command authority: manual", "manual"),
         (("release",), 0, "command authority: controller", "controller"),
         (("hold",), 0, "accepted", "controller"),
+        (("clear",), 0, "accepted", "controller"),
         (("stop",), 0, "command authority: stopped", "stopped"),
         (("release",), 1, "no pilot", "stopped"),
         (("arm",), 0, "command authority: controller", "controller"),
@@ -150,6 +151,21 @@ def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(
     assert abs(alone.plan().cycle_t_ns - now_ns) < 10_000_000_000  # its knots are in the other side's time
 
 
+def test_arm_is_refused_by_a_pre_arm_check_and_forced_with_what_it_skips(
+    alone: Alone, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    far = tmp_path / "far.toml"
+    far.write_text('kind = "point"\nnorth_m = 9000.0\neast_m = 0.0\n')
+    assert alone.ctl("stop") == alone.ctl("follow", str(far)) == 0
+    assert alone.ctl("arm") == 1
+    assert "reference: its start is 8999 m away, more than 2000 m" in capsys.readouterr().err
+    assert alone.ctl("arm", "--force") == 0
+    shown = capsys.readouterr()
+    assert "command authority: controller" in shown.out
+    assert "skipped: reference: its start is 8999 m away" in shown.err
+    assert alone.ctl("follow", "hover") == alone.ctl("disarm") == 0
+
+
 def test_where_nobody_answers_it_says_so_and_exits_1(alone: Alone, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["ctl", "arm", "--connect", alone.endpoint, "--namespace", "nobody"]) == 1
     assert "no reply from a controller within 3 s" in capsys.readouterr().err
@@ -165,6 +181,7 @@ def test_where_nobody_answers_it_says_so_and_exits_1(alone: Alone, capsys: pytes
         ("follow", "needs a reference"),
         ("arm hover", "takes no file or name"),
         ("source GNSS", 'argument NAME: "GNSS": must be'),
+        ("hold --force", "only arm takes it"),
         ("follow nowhere.toml", "reference nowhere.toml: no such file"),
         ("arm --connect 127.0.0.1:1", "must be PROTOCOL/ADDRESS"),
     ],
