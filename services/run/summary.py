@@ -60,6 +60,7 @@ def summarise(
         plans_refused=metrics.plans_refused,
         qp_status=dict(sorted(metrics.qp_status.items())),
         plan_origin=dict(sorted(metrics.plan_origin.items())),
+        health=dict(sorted(metrics.health.items())),
         restarts=restarts,
         messages=messages,
         stages=stages,

@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.messages import Applied, ClockStep, ControllerStatus, Estimate, Message, Plan
+from ltv_mpc.messages import Applied, ClockStep, ControllerStatus, Estimate, Message, MissionAction, Plan, RunEvent
 from ltv_mpc.safety.health import HealthState
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
@@ -43,6 +43,7 @@ class ControllerStatusReporter:
         self._estimate: Estimate | None = None
         self._applied_ns: int | None = None
         self._clock_steps = 0
+        self._mission_action = MissionAction.GO_ON
         self._cycles: deque[tuple[int, int]] = deque()  # end and duration of each (us)
         self.due_us = 0
 
@@ -60,14 +61,20 @@ class ControllerStatusReporter:
             case _:
                 pass
 
-    def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> None:
-        """Record a step whose outputs were published."""
+    def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> list[RunEvent]:
+        """Record a step whose outputs were published; return an event if the mission policy has changed its action."""
         plan = next((message for message in outputs if isinstance(message, Plan)), None)
         if plan is not None:
             self._plan = plan
             if self._changes is not None:
                 self._changes.on_message(plan)
             self._cycles.append((now_us, took_us))
+        mission, before = self._node.mission.state, self._mission_action
+        if plan is None or mission.action is before:
+            return []
+        self._mission_action = mission.action
+        text = f"mission: {mission.action.value}{f': {mission.why}' if mission.why else ''}"
+        return [RunEvent(t_ns=plan.cycle_t_ns, node=self._node.name, kind="mission", text=text)]
 
     def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: ClockOffset) -> ControllerStatus:
         """Return the status that is due, and pass it to the sinks."""

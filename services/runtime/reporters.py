@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-from ltv_mpc.messages import Message
+from ltv_mpc.messages import Message, RunEvent
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
 from services.runtime.node_status import NodeStatusReporter
@@ -22,8 +22,8 @@ class NodeReporter(Protocol):
         """Note an accepted input."""
         ...
 
-    def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> None:
-        """Note a step whose outputs are published."""
+    def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> list[RunEvent]:
+        """Note a step whose outputs are published; return the events to publish."""
         ...
 
     def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: ClockOffset) -> Message:

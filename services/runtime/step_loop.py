@@ -192,7 +192,8 @@ class StepLoop:
             self._publish_timing(plan, t_ns, started_us)
         if report is not None:
             now_us = monotonic_us()
-            report.on_step(outputs, now_us - started_us, now_us)
+            for event in report.on_step(outputs, now_us - started_us, now_us):
+                self._io.publish(event)
 
     def _follow_source(self, source: Source | None, t_ns: int) -> None:
         """Publish a change of the source of the estimates in the last step, and follow its clock."""

@@ -231,6 +231,7 @@ class RunMetrics:
         self.plans_refused = 0
         self.qp_status: Counter[str] = Counter()
         self.plan_origin: Counter[str] = Counter()
+        self.health: Counter[str] = Counter()
         self._track = TrackErrors()
         self._commands = ThrustCommands(vehicle)
         self._clock = ClockSpeed(speed)
@@ -294,6 +295,7 @@ class RunMetrics:
         self.cycles += 1
         self.qp_status[plan.solve.status.value] += 1
         self.plan_origin[plan.origin.value] += 1
+        self.health[f"{plan.health.value}: {plan.health_why}" if plan.health_why else plan.health.value] += 1
         self._delays.add_plan(plan, epoch, sequence, t_ns)
         self._track.add_plan(plan)
 

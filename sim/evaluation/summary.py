@@ -68,6 +68,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     plans_refused: int  # rejected by the actuators: thrust limit, slew limit or out of order
     qp_status: dict[str, int]
     plan_origin: dict[str, int]
+    health: dict[str, int]  # number of plans by the controller's health and its reason
     restarts: int
     messages: Messages
     stages: int  # N of the horizon

@@ -37,7 +37,7 @@ class Marks:
         self.marks: list[Mark] = []
         self.omitted = 0
         self._authority: Authority | None = None
-        self._health = Health.NOMINAL
+        self._health = (Health.NOMINAL, "")
         self._origin: PlanOrigin | None = None
         self._filter = FilterStatus.NOMINAL
         self._epochs: dict[str, int] = {}
@@ -69,9 +69,9 @@ class Marks:
         if self._authority not in (None, plan.authority):
             self._append(plan.cycle_t_ns, "controller", f"command authority: {plan.authority.value}")
         self._authority = plan.authority
-        if plan.health is not self._health:
-            self._append(plan.cycle_t_ns, "controller", f"health {plan.health.value}")
-            self._health = plan.health
+        if (plan.health, plan.health_why) != self._health:
+            self._append(plan.cycle_t_ns, "controller", f"health {plan.health.value}{_because(plan.health_why)}")
+            self._health = plan.health, plan.health_why
         if plan.origin is not self._origin and self._origin is not None:
             self._append(plan.cycle_t_ns, "controller", f"plan origin {plan.origin.value}{_because(plan.why)}")
         self._origin = plan.origin
@@ -79,7 +79,8 @@ class Marks:
     def _add_acknowledgement(self, answer: Acknowledgement) -> None:
         command = self._commands.pop(answer.command_id, None)
         asked = "a command" if command is None else command.action.value
-        text = f"{asked} accepted" if answer.accepted else f"{asked} rejected{_because(answer.why)}"
+        why = "; ".join(answer.warnings) if answer.accepted else answer.why
+        text = f"{asked} {'accepted' if answer.accepted else 'rejected'}{_because(why)}"
         self._append(answer.t_ns, "controller", text)
 
     def _append(self, t_ns: int, node: str, text: str) -> None:

@@ -138,7 +138,7 @@ def figures() -> dict[str, settings_schema.Type]:
 NO_FIGURES = frozenset(
     {
         "scenario", "mode", "seed", "speed", "speed_reached", "compute_delay_wall_s", "end_to_end_delay_wall_s",
-        "stages_us", "qp_status", "plan_origin",
+        "stages_us", "qp_status", "plan_origin", "health",
     }
 )  # fmt: skip
 """Keys of summary.json without a column: identification, wall times, and counts by name, which ``trial.py`` adds."""

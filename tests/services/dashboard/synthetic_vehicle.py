@@ -19,6 +19,7 @@ from ltv_mpc.messages import (
     Command,
     Disturbance,
     Estimate,
+    Heartbeat,
     Kill,
     Message,
     NodeStatus,
@@ -62,7 +63,7 @@ class SyntheticVehicle:
         self.received: list[Message] = []
         self.clock_epoch = EPOCH
         self._box = Mailbox()
-        for kind in (Command, ClockCommand, Disturbance, Kill):
+        for kind in (Command, ClockCommand, Disturbance, Heartbeat, Kill):
             session.subscribe(BY_TYPE[kind].key, BY_TYPE[kind], self._box)
         self._out = {
             node: Outbox(session, node=node, epoch=EPOCH, kinds=kinds)

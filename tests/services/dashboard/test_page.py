@@ -11,7 +11,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from ltv_mpc.messages import ClockCommand, Command, Disturbance, Kill
+from ltv_mpc.messages import ClockCommand, Command, Disturbance, Heartbeat, Kill
 from services.cli import app
 from services.dashboard.access_guard import Token, hosts
 from tests.services.dashboard.synthetic_vehicle import NODES, SPEED, Served, served, until
@@ -183,6 +183,17 @@ def test_who_sends_a_flood_is_cut_off(page: Served) -> None:
         socket.send(100_000 * "x")
         with pytest.raises(ConnectionClosed):
             next_text(socket, "reply")
+
+
+def test_a_page_with_the_token_is_a_sign_of_an_operator(page: Served) -> None:
+    heartbeat = {"number": 0, "button": "heartbeat"}
+    with stream(page) as socket:
+        socket.send(json.dumps(heartbeat | {"token": ""}))
+        assert next_text(socket, "reply")["text"].startswith("read-only")
+        assert page.vehicle.received_of(Heartbeat) == []
+        for _ in range(2):
+            socket.send(json.dumps(heartbeat | {"token": page.token}))
+        until(lambda: len(page.vehicle.received_of(Heartbeat)) == 2)
 
 
 def test_buttons_send_what_they_say_and_show_the_controller_s_answer(page: Served) -> None:

@@ -20,6 +20,7 @@ from ltv_mpc.messages import (
     ControllerStatus,
     Estimate,
     Health,
+    Leak,
     Manual,
     Plan,
     PlanOrigin,
@@ -27,6 +28,7 @@ from ltv_mpc.messages import (
     SolveStatus,
 )
 from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.safety.mission_policy import MissionSettings
 from ltv_mpc.vehicle.reference_point import ReferencePoint
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_sync import ClockOffset
@@ -157,6 +159,19 @@ def test_plans_inputs_and_statuses_reach_the_changes(node: ControllerNode) -> No
         "health: nominal",
         "authority: controller",
     ]
+
+
+def test_an_action_of_the_mission_policy_is_an_event_and_a_field_of_the_status() -> None:
+    config = ControllerConfig(mission=MissionSettings(leak=True))
+    node = ControllerNode(Vehicle.load("paper"), references.load("hover"), config)
+    report = ControllerStatusReporter(node)
+    node.arbiter.authority = Authority.CONTROLLER
+    events = []
+    for sequence, detected in enumerate((False, True, True)):
+        step(node, sequence * S, [ReceivedMessage(Leak(detected=detected), 1, sequence, sequence * S)])
+        events.append([event.text for event in report.on_step([plan(0.0)], 1, sequence * S)])
+    assert events == [[], ["mission: surface: leak detected"], []]
+    assert report.status(3 * S, 3 * S, MessageValidator(), SHARED).mission_action == "surface"
 
 
 @pytest.fixture

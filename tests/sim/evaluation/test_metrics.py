@@ -12,6 +12,7 @@ from ltv_mpc.messages import (
     ClockState,
     CycleTiming,
     Estimate,
+    Health,
     Plan,
     PlanOrigin,
     Solve,
@@ -305,6 +306,13 @@ def test_cycles_are_counted_by_solver_status_and_by_origin_of_the_plan(metrics: 
     assert metrics.cycles == 4
     assert metrics.qp_status == {"not_run": 1, "solved": 2, "iteration_limit": 1}
     assert metrics.plan_origin == {"zero": 1, "solved": 2, "shifted": 1}
+
+
+def test_plans_are_counted_by_health_and_its_reason(metrics: RunMetrics) -> None:
+    degraded = msgspec.structs.replace(plan(S), health=Health.DEGRADED, health_why="hold: leak")
+    for sequence, one in enumerate((plan(0), degraded, degraded)):
+        feed(metrics, one, sequence=sequence)
+    assert metrics.health == {"nominal": 1, "degraded: hold: leak": 2}
 
 
 def test_misses_and_refusals_are_the_plants_last_word(metrics: RunMetrics) -> None:
