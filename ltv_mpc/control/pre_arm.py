@@ -8,8 +8,9 @@
     inputs         each state of the inputs that degrades the health, by its name
     mission        each present cause of the mission policy, by its name: battery, leak, mission time
 
-A weak thruster is a warning. What cannot be known does not block: actuators that never reported (a warning), an unknown covariance, a
-reference that has not started yet. There is a clock when a command arrives: without one its process rejects it.
+A weak thruster is a warning. What cannot be known does not block: actuators that never reported (a warning), an unknown
+covariance, a reference that has not started yet. There is a clock when a command arrives: without one its process
+rejects it.
 """
 
 from __future__ import annotations
