@@ -930,6 +930,17 @@ class NodeStatus(Message, frozen=True, kw_only=True, eq=False):
     finished: Annotated[bool, Meta(description="the node has done all its work; this is its last status")] = False
 
 
+class NodeSettings(Message, frozen=True, kw_only=True, eq=False):
+    """Settings of a process that runs aboard: a replay builds its node again from them.
+
+    The process publishes them at its start, at its first step and every 10 s: a recorder may start before or after it.
+    """
+
+    node: Publisher
+    files: Annotated[dict[str, str], Meta(description="settings files by path, such as config/vehicle.toml")]
+    made_by: Annotated[dict[str, str], Meta(description="versions, commit and processor")]
+
+
 class RunEvent(Message, frozen=True, kw_only=True, eq=False):
     """Event to be marked on the time axis: a phase, a loss, a restart."""
 

@@ -142,7 +142,7 @@ def _checks(of: inspect.Type, field: str, value: str, names: dict[str, Any], pre
             within = "between_or_nan" if limits and limits.has_gaps else "between"
             names[f"{field}_bounds"] = limits
             yield f'if not {within}({value}, {low!r}, {high!r}): return entry("{field}", {value}, {field}_bounds)'
-        case inspect.DictType():
+        case inspect.DictType() if limits:
             yield f"if not all({low!r} <= x <= {high!r} for x in {value}.values()): {reject}"
         case inspect.StrType(max_length=int(most)):
             yield f'if len({value}) > {most}: return f"{field}: {{len({value})}} characters, at most {most}"'

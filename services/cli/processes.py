@@ -129,20 +129,23 @@ def recorder(
 ) -> int:
     """Record every message into one folder.
 
-    Reads everything; run.mcap opens in Foxglove. `ltv-mpc replay` needs the SCENARIO of the run.
+    Reads everything; run.mcap opens in Foxglove. Without SCENARIO it follows the vehicle's own clock, and records the
+    settings that controller and estimator publish.
     """
     from msgspec.structs import replace
 
     from services.processes import recorder as process
+    from services.recording.writer import VEHICLE_MODE
     from services.run import folder
 
-    if goes_on and (out is None or scenario is None or not _is_scenario_of(out, scenario)):
+    if goes_on and (out is None or not _is_scenario_of(out, scenario)):
         from ltv_mpc.errors import ConfigError
 
-        raise ConfigError("option --continue", "", "needs --out DIR, the folder of a run, and its DIR/scenario.toml")
-    config = process.Config(bus=bus, folder=Path(), start_ns=0, metadata={"mode": process.MODE}, log_json=log_json)
+        problem = "needs --out DIR, the folder of a recording; that of a simulation with its DIR/scenario.toml"
+        raise ConfigError("option --continue", "", problem)
+    config = process.Config(bus=bus, folder=Path(), metadata={"mode": VEHICLE_MODE}, log_json=log_json)
     if scenario is None:
-        with folder.reserve("recording", {}, out=out, force=force) as made:
+        with folder.reserve("recording", {}, out=out, force=force, resume=goes_on) as made:
             return process.main(replace(config, folder=made.path))
     from services.run.run_config import resolve
 
@@ -153,5 +156,8 @@ def recorder(
         return process.main(replace(config, folder=made.path, start_ns=start_ns, metadata=metadata))
 
 
-def _is_scenario_of(folder: Path, scenario: str) -> bool:
+def _is_scenario_of(folder: Path, scenario: str | None) -> bool:
+    """Return True if the folder's recording is of this scenario; None: if it is not of a simulation."""
+    if scenario is None:
+        return not (folder / "scenario.toml").exists()
     return Path(scenario).absolute() == (folder / "scenario.toml").absolute()

@@ -42,13 +42,12 @@ def replay(
     from services.run import folder
 
     made = nodes.Run(folder.find(run))
-    scenario = made.run_config.scenario
     with ExitStack() as shown:
 
         @cache
         def bar() -> Callable[[int], None]:
             """Open the bar at the first progress: it starts a thread, and processes must be forked before that."""
-            return shown.enter_context(run_progress_bar(scenario.start_ns, scenario.end_ns))
+            return shown.enter_context(run_progress_bar(*made.nodes.span_ns))
 
         def progress(t_ns: int) -> None:
             bar()(t_ns)

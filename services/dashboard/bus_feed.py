@@ -129,7 +129,7 @@ class BusFeed:
             ages |= {report.sensor: _age(t_ns, report.last_t_ns) for report in localisation.sensors}
         state = "silent" if clock is None else clock.state.value
         return PageStatus(
-            t_s=None if t_ns is None else t_ns / 1e9,
+            t_s=None if t_ns is None else self.collector.seconds(t_ns),
             clock="own" if clock is None and t_ns is not None else state,
             speed=1.0 if clock is None else clock.speed_num / clock.speed_den,
             requested_speed=1.0 if clock is None else clock.requested_speed,

@@ -43,6 +43,7 @@ from services.bus.options import BusOptions
 from services.bus.topics import BY_TYPE, Topic
 from services.processes.checkpoint import Checkpoint
 from services.processes.failed_qps import FailedQps
+from services.run.settings_files import TOO_LARGE, controller_files, node_settings
 from services.runtime import metrics as prometheus
 from services.runtime.console import Console
 from services.runtime.controller_changes import ControllerChanges
@@ -94,6 +95,7 @@ def main(config: Config) -> int:
         warm_up(vehicle, reference, settings)
         SERVICE_MANAGER.status("waiting for the router")
         node_stages = StageTimer()
+        published = node_settings(ControllerNode.name, controller_files(config.vehicle, config.reference, settings))
         recorder = FailureRecorder()
         make_solver = make if config.failed_qps is None else recorder
         node = ControllerNode(vehicle, reference, settings, make_solver=make_solver, stopwatch=node_stages)
@@ -108,12 +110,14 @@ def main(config: Config) -> int:
         def make_runner(request: StopRequest, say: Say) -> Runner:
             for text in (*announcement(bus, settings), *reference.notes(vehicle)):
                 say(text)
+            if published is None:
+                say(TOO_LARGE)
             shown: list[StatusSink] = [show, metrics.show]
             if checkpoint is not None:
                 shown.append(checkpoint.show)
             if config.failed_qps is not None:
                 shown.append(FailedQps(recorder, config.failed_qps, say).show)
-            return Runner(
+            runner = Runner(
                 node,
                 stop=request,
                 say=say,
@@ -122,6 +126,8 @@ def main(config: Config) -> int:
                 stages=node_stages,
                 report=ControllerStatusReporter(node, shown, ControllerChanges(console.tell), checkpoint),
             )
+            runner.settings = published
+            return runner
 
         return serve(console, bus, make_runner, checkpoint)
 

@@ -17,6 +17,7 @@ from ltv_mpc.localisation.sensors.rows import Rows
 from ltv_mpc.localisation.sensors.sensor import Availability
 from ltv_mpc.node import ReceivedMessage
 from services.bus.options import BusOptions
+from services.run.settings_files import TOO_LARGE, estimator_files, node_settings
 from services.run.water import load_prior
 from services.runtime.clock import monotonic_us
 from services.runtime.console import Console
@@ -40,10 +41,15 @@ def main(config: Config) -> int:
     sensor_config, settings = SensorConfig.load(config.sensors), config.settings
     prior = load_prior(settings)
     warm_up(sensor_config, settings)
+    published = node_settings(Estimator.name, estimator_files(config.sensors, settings))
 
     def make(request: StopRequest, say: Say) -> Runner:
         node = Estimator(sensor_config, settings, prior, progress=lambda: SUPERVISOR_LINK.beat(monotonic_us()))
-        return Runner(node, stop=request, say=say)
+        if published is None:
+            say(TOO_LARGE)
+        runner = Runner(node, stop=request, say=say)
+        runner.settings = published
+        return runner
 
     return serve(Console(Estimator.name, as_json=config.log_json), config.bus, make)
 

@@ -17,7 +17,7 @@ from services.runtime.stopping import Say, StopRequest
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 MODE = "services"
-"""Mode in the metadata of a recording of processes."""
+"""Mode in the metadata of a recording of a simulation as processes."""
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
@@ -25,13 +25,13 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 
     bus: BusOptions
     folder: Path  # of the run
-    start_ns: int  # vehicle time of log time 0
+    start_ns: int | None = None  # vehicle time of log time 0; None beside a vehicle, whose times are stored as they are
     metadata: dict[str, str]  # kept in the recording
     log_json: bool = False  # lines on stderr as JSON objects
 
 
 def metadata(seed: int, files: Mapping[str, str]) -> dict[str, str]:
-    """Return the metadata of a recording of processes: mode, seed, and the settings files by their path."""
+    """Return the metadata of a recording of a simulation: mode, seed, and the settings files by their path."""
     return {"mode": MODE, "seed": str(seed), **files}
 
 
@@ -41,7 +41,7 @@ def main(config: Config) -> int:
     def work(request: StopRequest, say: Say) -> None:
         SUPERVISOR_LINK.restored_state()
         recording = config.folder / "run.mcap"
-        with SegmentWriter(recording, start_ns=config.start_ns, metadata=config.metadata) as writer:
+        with SegmentWriter(recording, start_ns=config.start_ns or 0, metadata=config.metadata) as writer:
             RecordingLoop(writer, start_ns=config.start_ns, stop=request, say=say).serve(config.bus)
 
     return run_until_stopped(Console(NAME, as_json=config.log_json), work, failures=(BusError, OSError))

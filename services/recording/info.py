@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,13 +19,17 @@ from ltv_mpc.config import loads
 from ltv_mpc.messages import Count
 from services.bus import topics
 from services.bus.wire import Epoch
+from services.recording.node_settings import PREFIX, vehicle_name
 from services.recording.recover import RECOVERY, RawMessage, SegmentReader
 from services.recording.sequence_gaps import SequenceGaps
+from services.recording.writer import VEHICLE_MODE
 
 MAX_EVENTS = 1000
 """Events that are listed; all are counted."""
 MAX_GAPS = 20
 """Gaps that are listed of each source."""
+FIRST_DATE_S, LAST_DATE_S = 946_684_800.0, 4_102_444_800.0
+"""2000 and 2100: times between them count from 1970. A clock that counts from its boot is far below."""
 
 
 class Segment(msgspec.Struct, frozen=True, kw_only=True):
@@ -43,6 +49,8 @@ class Source(msgspec.Struct, frozen=True, kw_only=True):
 
     epoch: int
     messages: int
+    first_s: float
+    last_s: float
     published: int  # up to the last recorded one
     missing: int
     doubled: int
@@ -58,6 +66,8 @@ class Key(msgspec.Struct, frozen=True, kw_only=True):
     rate_hz: float | None  # from the first to the last message; None if that is no time
     first_s: float
     last_s: float
+    silence_s: float  # longest time between two messages
+    silence_from_s: float
     bytes: int  # as JSON, before compression
     missing: int
     sources: tuple[Source, ...]
@@ -77,8 +87,11 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
 
     recording: str
     scenario: str
+    vehicle: str  # name in its file
     mode: str
     seed: str
+    start_s: float  # time of the first message
+    start_utc: str | None  # the same as a date, if the vehicle's clock counts from 1970
     duration_s: float  # from the first message to the last
     made_by: dict[str, str]
     whole: bool
@@ -98,6 +111,11 @@ class _Header(msgspec.Struct):
     sequence: Count
 
 
+class _Settings(msgspec.Struct):
+    files: dict[str, str]
+    made_by: dict[str, str]
+
+
 class _RunEvent(msgspec.Struct):
     t_ns: Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
     node: str
@@ -105,18 +123,35 @@ class _RunEvent(msgspec.Struct):
     text: str
 
 
+@dataclass(slots=True)
+class _SourceStatistics:
+    gaps: SequenceGaps
+    first_ns: int
+    last_ns: int
+
+
 class _KeyStatistics:
     def __init__(self) -> None:
         self.first_ns: int | None = None
         self.last_ns = 0
         self.bytes = 0
-        self.sources: dict[int, SequenceGaps] = {}
+        self.silence_ns = 0
+        self.silence_from_ns = 0
+        self.sources: dict[int, _SourceStatistics] = {}
 
-    def add(self, raw: RawMessage, header: _Header) -> None:
+    def add(self, raw: RawMessage, header: _Header, *, from_first: bool) -> None:
+        """Add a message. ``from_first``: a source is counted from its first recorded message on, not from 0."""
+        if self.bytes and raw.t_ns - self.last_ns > self.silence_ns:
+            self.silence_ns, self.silence_from_ns = raw.t_ns - self.last_ns, self.last_ns
         self.first_ns = raw.t_ns if self.first_ns is None else min(self.first_ns, raw.t_ns)
         self.last_ns = max(self.last_ns, raw.t_ns) if self.bytes else raw.t_ns
         self.bytes += len(raw.data)
-        self.sources.setdefault(header.epoch, SequenceGaps()).add(header.sequence)
+        source = self.sources.get(header.epoch)
+        if source is None:
+            begins = header.sequence if from_first else 0
+            source = self.sources[header.epoch] = _SourceStatistics(SequenceGaps(begins), raw.t_ns, raw.t_ns)
+        source.gaps.add(header.sequence)
+        source.last_ns = max(source.last_ns, raw.t_ns)
 
 
 class _Collector:
@@ -125,16 +160,22 @@ class _Collector:
         self.events: list[Event] = []
         self.events_total = 0
         self.unreadable = 0
+        self.settings: dict[str, _Settings] = {}  # newest, by key
+        self._settings = msgspec.json.Decoder(_Settings).decode
         self._header = msgspec.json.Decoder(_Header).decode
         self._event = msgspec.json.Decoder(_RunEvent).decode
 
-    def add(self, raw: RawMessage) -> None:
+    def add(self, raw: RawMessage, *, from_first: bool) -> None:
+        """Add a message; ``from_first`` as in ``_KeyStatistics.add``."""
         try:
             header = self._header(raw.data)
         except (msgspec.DecodeError, ValueError, RecursionError):
             self.unreadable += 1
             return
-        self.keys.setdefault(raw.key, _KeyStatistics()).add(raw, header)
+        self.keys.setdefault(raw.key, _KeyStatistics()).add(raw, header, from_first=from_first)
+        if raw.key.startswith(PREFIX):
+            with contextlib.suppress(msgspec.DecodeError, ValueError, RecursionError):
+                self.settings[raw.key] = self._settings(raw.data)
         if raw.key.startswith("event/"):
             self.events_total += 1
             with contextlib.suppress(msgspec.DecodeError, ValueError, RecursionError):
@@ -158,13 +199,18 @@ def read(parts: Sequence[Path]) -> Info:
     first = min((key.first_s for key in keys), default=0.0)
     last = max((key.last_s for key in keys), default=0.0)
     scenario = _scenario(metadata)
+    published = {name: text for settings in collector.settings.values() for name, text in settings.files.items()}
+    made_by = _table(scenario, "made_by") or next((of.made_by for of in collector.settings.values()), {})
     return Info(
         recording=str(parts[0]),
         scenario=_text(scenario, "title"),
+        vehicle=vehicle_name({**metadata, **published}),
         mode=metadata.get("mode", "unknown"),
         seed=metadata.get("seed", "unknown"),
+        start_s=first,
+        start_utc=utc(first) if metadata.get("mode") == VEHICLE_MODE else None,
         duration_s=last - first,
-        made_by={name: str(value) for name, value in _table(scenario, "made_by").items()},
+        made_by={name: str(value) for name, value in made_by.items()},
         whole=all(segment.whole for segment in segments),
         recovered=recovered,
         messages=sum(key.messages for key in keys),
@@ -184,7 +230,7 @@ def _segment(reader: SegmentReader, collector: _Collector) -> Segment:
         count += 1
         first = raw.t_ns if first is None else min(first, raw.t_ns)
         last = raw.t_ns if last is None else max(last, raw.t_ns)
-        collector.add(raw)
+        collector.add(raw, from_first=reader.metadata.get("mode") == VEHICLE_MODE)
     records = reader.records
     return Segment(
         file=records.path.name,
@@ -199,7 +245,7 @@ def _segment(reader: SegmentReader, collector: _Collector) -> Segment:
 
 def _key(name: str, of: _KeyStatistics) -> Key:
     topic = topics.topic_at(name)
-    messages = sum(gaps.messages for gaps in of.sources.values())
+    messages = sum(source.gaps.messages for source in of.sources.values())
     first_ns = of.first_ns or 0
     over_ns = of.last_ns - first_ns
     return Key(
@@ -209,20 +255,31 @@ def _key(name: str, of: _KeyStatistics) -> Key:
         rate_hz=1e9 * (messages - 1) / over_ns if over_ns > 0 else None,
         first_s=first_ns / 1e9,
         last_s=of.last_ns / 1e9,
+        silence_s=of.silence_ns / 1e9,
+        silence_from_s=of.silence_from_ns / 1e9,
         bytes=of.bytes,
-        missing=sum(gaps.missing for gaps in of.sources.values()),
+        missing=sum(source.gaps.missing for source in of.sources.values()),
         sources=tuple(
             Source(
                 epoch=epoch,
-                messages=gaps.messages,
-                published=gaps.published,
-                missing=gaps.missing,
-                doubled=gaps.doubled,
-                gaps=gaps.ranges[:MAX_GAPS],
+                messages=source.gaps.messages,
+                first_s=source.first_ns / 1e9,
+                last_s=source.last_ns / 1e9,
+                published=source.gaps.published,
+                missing=source.gaps.missing,
+                doubled=source.gaps.doubled,
+                gaps=source.gaps.ranges[:MAX_GAPS],
             )
-            for epoch, gaps in of.sources.items()
+            for epoch, source in of.sources.items()
         ),
     )
+
+
+def utc(t_s: float) -> str | None:
+    """Return a time since 1970 as a date in UTC; None if a clock that counts from 1970 would not read it today."""
+    if not FIRST_DATE_S <= t_s <= LAST_DATE_S:
+        return None
+    return datetime.fromtimestamp(t_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def _scenario(metadata: dict[str, str]) -> dict[str, Any]:

@@ -46,9 +46,14 @@ class LossAccounting:
             self._drop_oldest()
         return source.add(sequence)
 
-    def start_at(self, key: str, epoch: int, sequence: int) -> None:
-        """Count a new source from this message on, because its earlier messages could not be received."""
+    def start_at(self, key: str, epoch: int, sequence: int) -> bool:
+        """Count a new source from this message on, because its earlier messages could not be received.
+
+        Return True if the source is new.
+        """
+        is_new = (key, epoch) not in self._sources
         self._sources.setdefault((key, epoch), SequenceGaps(sequence))
+        return is_new
 
     def mark_lost(self, key: str, epoch: int) -> None:
         """Count a message that was added as missing after all."""

@@ -27,6 +27,7 @@ from msgspec import Meta
 from services.bus import topics
 from services.recording.records import start_of
 from services.recording.recover import Progress, RawMessage, no_progress, read_segments
+from services.recording.writer import VEHICLE_MODE
 
 MIN_SLICE_NS = 1000
 STEPS, THRUSTERS = 1, 2
@@ -254,11 +255,14 @@ def write(parts: Sequence[Path], out: Path, *, progress: Progress = no_progress)
     """Write the recording's segments as one trace file. Raises ``ConfigError`` if one is not an MCAP file."""
     data = _TraceData()
     metadata: dict[str, str] = {}
+    start_ns = 0
     for reader, raw in read_segments(parts, progress):
         data.add(raw)
-        metadata = metadata or reader.metadata
+        if not metadata:
+            metadata = reader.metadata
+            start_ns = raw.t_ns if metadata.get("mode") == VEHICLE_MODE else start_of(metadata)
     data.finish()
-    trace = _Trace(start_of(metadata))
+    trace = _Trace(start_ns)
     trace.draw(data)
     trace.save(out, metadata)
     return TraceSummary(

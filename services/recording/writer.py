@@ -32,6 +32,8 @@ PROFILE = ""  # of MCAP: none of the registered ones
 LIBRARY = "ltv-mpc"
 RUN = "run"
 """Name of the metadata record."""
+VEHICLE_MODE = "vehicle"
+"""Entry ``mode`` of a recording beside a vehicle; its times are those of the vehicle's own clock."""
 
 
 class RunWriter:

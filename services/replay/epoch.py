@@ -11,6 +11,7 @@ from ltv_mpc.messages import InboxEntry, Message
 from ltv_mpc.node import Node
 from services.bus.time_shift import shifted
 from services.bus.wire import WireError
+from services.recording.node_settings import NoSettingsError
 from services.recording.reader import StoredMessage
 from services.replay.frames import Frames, Header, received_message
 from services.replay.verdict import Gap
@@ -18,6 +19,9 @@ from services.replay.verdict import Gap
 REACH = 100_000
 """Largest distance in the file, in messages, between a step's record and a message of its inbox. The file has the
 messages of several processes in the order in which the recorder received them, and a mailbox holds 50,000."""
+
+
+FIRST_STEP = "the record of its first step, which it published before the recorder was there,"
 
 
 class Record(msgspec.Struct, frozen=True):
@@ -92,7 +96,7 @@ class Epoch:
         while self._records and self.gap is None:
             since, record = self._records.get(self._next, (None, None))
             if record is None or since is None:
-                missing = f"the record of step {self._next}"
+                missing = f"the record of step {self._next}" if self._next else FIRST_STEP
                 since, record = next(iter(self._records.values()))
             else:
                 inbox = [self._frames.find(entry) for entry in record.inbox]
@@ -126,7 +130,11 @@ class Epoch:
         for entry in record.inbox:
             self._frames.discard_through(entry)
         if self._node is None:
-            self._node = self._make()
+            try:
+                self._node = self._make()
+            except NoSettingsError as error:
+                self._stop(str(error), record.t_ns)
+                return
         self._next += 1
         try:
             (signals,) = self._node.steps([(record.t_ns, arrivals)])

@@ -6,6 +6,7 @@ These are the nodes that read it, wrote it, or whose step it records.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import chain
 from typing import Generic, TypeVar
 
@@ -47,9 +48,9 @@ def _read(decode: Callable[[bytes], T], stored: StoredMessage) -> T | None:
 class NodeReplay(Generic[Made]):
     """Replay of one node: its epochs by number, in the order of their start."""
 
-    def __init__(self, name: str, make: Callable[[], Node], outcome: Callable[[int], Made]) -> None:
-        """``make`` builds a new node; ``outcome`` builds the consumer of an epoch's outputs."""
-        node = make()
+    def __init__(self, name: str, make: Callable[[int | None], Node], outcome: Callable[[int], Made]) -> None:
+        """``make`` builds the node of an epoch, None: of any; ``outcome`` builds the consumer of its outputs."""
+        node = make(None)
         self.name = name
         self.epochs: dict[int, Epoch] = {}
         self.outcomes: dict[int, Made] = {}
@@ -105,7 +106,7 @@ class NodeReplay(Generic[Made]):
         epoch = self.epochs.get(number)
         if epoch is None:
             outcome = self.outcomes[number] = self._outcome(number)
-            epoch = self.epochs[number] = Epoch(number, self._make, self._frames, outcome)
+            epoch = self.epochs[number] = Epoch(number, partial(self._make, number), self._frames, outcome)
             self._open.append(epoch)
         return epoch
 

@@ -1,26 +1,34 @@
-"""Nodes of a run, rebuilt from the settings in its recording.
+"""Nodes of a recorded run, rebuilt from the settings in its recording.
 
-run.mcap contains every settings file of the run's folder, so a replay needs no other file. The processes and lock step
-build their nodes from the same settings.
+A recording of a simulation holds every settings file of the run's folder in its metadata. A recording beside a vehicle
+holds the settings that controller and estimator published, for each of their starts. The processes and lock step build
+their nodes from the same settings.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import msgspec
 
-from ltv_mpc import config
+from ltv_mpc import config, references
 from ltv_mpc.control import config as control
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.messages import NodeSettings
 from ltv_mpc.node import Node
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.recording.node_settings import NoSettingsError, SettingsByStart, published_settings, vehicle_name
+from services.recording.reader import Recording
 from services.replay.verdict import Change
 from services.run.nodes import make_nodes
 from services.run.run_config import RunConfig, resolve
@@ -28,45 +36,169 @@ from services.run.water import load_prior, resolve_prior_path
 
 SCENARIO = "scenario.toml"
 
-SETTINGS: Mapping[str, type[msgspec.Struct]] = {
+SETTINGS: Mapping[str, type[ControllerConfig] | type[EstimatorConfig]] = {
     ControllerNode.name: ControllerConfig,
     Estimator.name: EstimatorConfig,
 }
-"""Nodes whose settings another file may replace: RUN/config/<name>.toml."""
+"""Nodes aboard, whose settings another file may replace: RUN/config/<name>.toml."""
+
+
+class RecordedNodes(Protocol):
+    """Nodes of a recording that can be replayed."""
+
+    @property
+    def title(self) -> str:
+        """Name of the scenario, or of the vehicle."""
+        ...
+
+    @property
+    def made_by(self) -> Mapping[str, str] | None:
+        """Provenance of the run."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Nodes that can be replayed, in the order of the process table."""
+        ...
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Vehicle times of the start and the end."""
+        ...
+
+    def make(self, name: str, epoch: int | None = None) -> Node:
+        """Build a new node, as at the start of its process; ``epoch``: the start, None: any.
+
+        Raises ``NoSettingsError``, and ``ConfigError`` if the settings are rejected.
+        """
+        ...
+
+    def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
+        """Return the settings of a node that may be replaced."""
+        ...
+
+    def with_settings(self, name: str, path: Path) -> RecordedNodes:
+        """Return the nodes with the settings in ``path`` for one of them. Raises ``ConfigError``."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class SimulatedNodes:
+    """Nodes of a simulation, from the configuration of its run."""
+
+    run_config: RunConfig
+
+    @property
+    def title(self) -> str:
+        """Name of the scenario."""
+        return self.run_config.name
+
+    @property
+    def made_by(self) -> Mapping[str, str] | None:
+        """Provenance of the run."""
+        return self.run_config.scenario.made_by
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All nodes of the run."""
+        return tuple(node.name for node in make_nodes(self.run_config))
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Vehicle times of the start and the end."""
+        return self.run_config.scenario.start_ns, self.run_config.scenario.end_ns
+
+    def make(self, name: str, epoch: int | None = None) -> Node:  # noqa: ARG002
+        """Build a new node; its settings are the same at each start."""
+        return next(node for node in make_nodes(self.run_config) if node.name == name)
+
+    def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
+        """Return the settings of controller or estimator."""
+        scenario = self.run_config.scenario
+        return scenario.controller if name == ControllerNode.name else scenario.estimator
+
+    def with_settings(self, name: str, path: Path) -> SimulatedNodes:
+        """Return the nodes with the settings in ``path`` for one of them."""
+        run_config, settings = self.run_config, _load(name, path)
+        if isinstance(settings, EstimatorConfig):
+            run_config = dataclasses.replace(run_config, prior=load_prior(settings))
+        changed = msgspec.structs.replace(run_config.scenario, **{name: settings})
+        return SimulatedNodes(dataclasses.replace(run_config, scenario=changed))
+
+
+@dataclasses.dataclass(frozen=True)
+class VehicleNodes:
+    """Nodes aboard a vehicle, from the settings that their processes published, by the epoch of each start."""
+
+    source: str
+    settings: SettingsByStart
+    span_ns: tuple[int, int]
+    replacing: Mapping[str, Path] = dataclasses.field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """Name of the vehicle, from the controller's file."""
+        return (
+            vehicle_name(self._of(ControllerNode.name, None).files) if ControllerNode.name in self.names else "vehicle"
+        )
+
+    @property
+    def made_by(self) -> Mapping[str, str] | None:
+        """Provenance of the newest start."""
+        return self._of(self.names[-1], None).made_by
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Nodes whose settings are recorded."""
+        return tuple(name for name in (Estimator.name, ControllerNode.name) if name in self.settings)
+
+    def make(self, name: str, epoch: int | None = None) -> Node:
+        """Build a new node, as at the start of its process."""
+        with _unpacked(self._of(name, epoch).files, source=self.source) as place:
+            folder = place / "config"
+            settings = _load(name, self.replacing.get(name, folder / f"{name}.toml"))
+            if isinstance(settings, EstimatorConfig):
+                return Estimator(SensorConfig.load(str(folder / "sensors.toml")), settings, load_prior(settings))
+            vehicle, reference = Vehicle.load(str(folder / "vehicle.toml")), str(folder / "reference.toml")
+            return ControllerNode(vehicle, references.load(reference), settings)
+
+    def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
+        """Return the settings of a node at its newest start."""
+        with _unpacked(self._of(name, None).files, source=self.source) as place:
+            return _load(name, self.replacing.get(name, place / "config" / f"{name}.toml"))
+
+    def with_settings(self, name: str, path: Path) -> VehicleNodes:
+        """Return the nodes with the settings in ``path`` for one of them, at all of its starts."""
+        _load(name, path)  # raises ConfigError
+        return dataclasses.replace(self, replacing={**self.replacing, name: path})
+
+    def _of(self, name: str, epoch: int | None) -> NodeSettings:
+        starts = self.settings[name]
+        newest = next(reversed(starts.values()))
+        found = newest if epoch is None else starts.get(epoch)
+        if found is None:
+            raise NoSettingsError(f"the settings of this {name} are not in the file")
+        return found
+
+
+def nodes_of(recordings: Sequence[Recording], metadata: Mapping[str, str], *, source: str) -> RecordedNodes:
+    """Return the nodes of a run's recordings, with its ``metadata``. Raises ``ConfigError``."""
+    if SCENARIO in metadata:
+        return SimulatedNodes(run_config_of(metadata, source=source))
+    settings, span_ns = published_settings(recordings)
+    if not settings.keys() & SETTINGS.keys():
+        problem = (
+            f"has no settings to build a node from: neither those of a simulation ({SCENARIO}) nor those that a "
+            "controller or an estimator beside the recorder publishes"
+        )
+        raise ConfigError(source, "", problem)
+    return VehicleNodes(source, settings, span_ns)
 
 
 def run_config_of(metadata: Mapping[str, str], *, source: str) -> RunConfig:
-    """Return the configuration of the run, from the recording's ``metadata``. Raises ``ConfigError``."""
-    if SCENARIO not in metadata:
-        raise ConfigError(
-            source, "", f"does not hold the run's settings ({SCENARIO}): it is not a recording of this program"
-        )
-    with tempfile.TemporaryDirectory() as place:
-        for name, text in metadata.items():
-            path = Path(place, name)
-            if name.endswith((".toml", ".csv")) and path.resolve().is_relative_to(Path(place).resolve()):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_text(text, encoding="utf-8")
-        try:
-            return resolve(str(Path(place, SCENARIO)))
-        except ConfigError as error:
-            problem = f"its settings are rejected: {error.source.replace(f'{place}/', '')}"
-            raise ConfigError(source, error.field, f"{problem}: {error.problem}", value=error.value) from None
-
-
-def names(run_config: RunConfig) -> tuple[str, ...]:
-    """Return the nodes that can be replayed, in the order of the process table."""
-    return tuple(node.name for node in make_nodes(run_config))
-
-
-def make(run_config: RunConfig, name: str) -> Node:
-    """Build a new node, as at the start of its process."""
-    return next(node for node in make_nodes(run_config) if node.name == name)
-
-
-def settings_of(run_config: RunConfig, name: str) -> msgspec.Struct:
-    """Return the settings of a node that may be replaced."""
-    return run_config.scenario.controller if name == ControllerNode.name else run_config.scenario.estimator
+    """Return the configuration of a simulation, from the recording's ``metadata``. Raises ``ConfigError``."""
+    with _unpacked(metadata, source=source) as place:
+        return resolve(str(place / SCENARIO))
 
 
 def node_of(path: Path) -> str:
@@ -80,23 +212,41 @@ def node_of(path: Path) -> str:
     return fits[0]
 
 
-def replaced(run_config: RunConfig, path: Path) -> tuple[str, RunConfig, tuple[Change, ...]]:
-    """Return the node whose settings the file has, the configuration with these settings, and the changes.
+def replaced(nodes: RecordedNodes, path: Path) -> tuple[str, RecordedNodes, tuple[Change, ...]]:
+    """Return the node whose settings the file has, the nodes with these settings, and the changes.
 
     A missing key has its default, as for ``--settings``. Raises ``ConfigError``.
     """
     name = node_of(path)
-    scenario = run_config.scenario
+    if name not in nodes.names:
+        raise ConfigError(f"--with {path}", "", f"the recording has no {name} that can be replayed")
+    other = nodes.with_settings(name, path)
+    return name, other, _changes(nodes.settings_of(name), other.settings_of(name))
+
+
+def _load(name: str, path: Path) -> ControllerConfig | EstimatorConfig:
+    """Return the settings of controller or estimator in a file; a water prior is named relative to its folder."""
     if name == ControllerNode.name:
-        controller = control.validate(ControllerConfig.load(str(path)), source=f"--with {path}")
-        other = dataclasses.replace(run_config, scenario=msgspec.structs.replace(scenario, controller=controller))
-    else:
-        estimator = resolve_prior_path(path.parent, EstimatorConfig.load(str(path)))
-        changed = msgspec.structs.replace(scenario, estimator=estimator)
-        other = dataclasses.replace(run_config, scenario=changed, prior=load_prior(estimator))
-    if name not in names(other):
-        raise ConfigError(f"--with {path}", "", f"the run has no {name}: it ran with run.perfect_state")
-    return name, other, _changes(settings_of(run_config, name), settings_of(other, name))
+        return control.validate(ControllerConfig.load(str(path)), source=f"--with {path}")
+    return resolve_prior_path(path.parent, EstimatorConfig.load(str(path)))
+
+
+@contextlib.contextmanager
+def _unpacked(files: Mapping[str, str], *, source: str) -> Iterator[Path]:
+    """Write settings files into a temporary folder. A ``ConfigError`` of one of them names the recording."""
+    with tempfile.TemporaryDirectory() as place:
+        for name, text in files.items():
+            path = Path(place, name)
+            if name.endswith((".toml", ".csv")) and path.resolve().is_relative_to(Path(place).resolve()):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(text, encoding="utf-8")
+        try:
+            yield Path(place)
+        except ConfigError as error:
+            if place not in error.source:
+                raise
+            problem = f"its settings are rejected: {error.source.replace(f'{place}/', '')}"
+            raise ConfigError(source, error.field, f"{problem}: {error.problem}", value=error.value) from None
 
 
 def _changes(run: msgspec.Struct, here: msgspec.Struct) -> tuple[Change, ...]:

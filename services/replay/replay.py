@@ -45,14 +45,14 @@ Progress = Callable[[int], None]
 
 
 class Run:
-    """Recording and the configuration of its run. Raises ``ConfigError`` if it has no valid configuration."""
+    """Recording and the nodes in it. Raises ``ConfigError`` if it has no valid settings of any node."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.parts = segments(path)
         self.metadata = metadata_of(path)
-        self.run_config = nodes.run_config_of(self.metadata, source=f"recording {path}")
-        self.names = nodes.names(self.run_config)
+        self.nodes = nodes.nodes_of(self.recordings(), self.metadata, source=f"recording {path}")
+        self.names = self.nodes.names
 
     def recordings(self) -> list[Recording]:
         """Return the file and the segments that restarted recorders have left beside it."""
@@ -143,7 +143,7 @@ def _compared(run: Run, names: Sequence[str], progress: Progress) -> _Done:
         span_ns[:] = min((t_ns, *span_ns)), max((t_ns, *span_ns))
         progress(t_ns)
 
-    parts = [NodeReplay(name, partial(nodes.make, run.run_config, name), partial(Comparison, name)) for name in names]
+    parts = [NodeReplay(name, partial(run.nodes.make, name), partial(Comparison, name)) for name in names]
     recordings = run.recordings()
     feed(recordings, parts, progress=advance)
     return _Done(tuple(map(_node_verdict, parts)), any(recording.cut for recording in recordings), *(span_ns or (0, 0)))
@@ -168,14 +168,13 @@ def _node_verdict(part: NodeReplay[Comparison]) -> NodeVerdict:
 
 
 def _verdict(run: Run, verdicts: tuple[NodeVerdict, ...], done: _Done, wall_s: float) -> Verdict:
-    scenario = run.run_config.scenario
     vehicle_s = (done.end_ns - done.start_ns) / 1e9
     compared = sum(verdict.steps_compared for verdict in verdicts)
     identical = sum(verdict.steps_identical for verdict in verdicts)
     difference = first([verdict.first_difference for verdict in verdicts])
     return Verdict(
         recording=str(run.path),
-        scenario=run.run_config.name,
+        scenario=run.nodes.title,
         mode=run.metadata.get("mode", ""),
         cut=done.cut,
         vehicle_s=vehicle_s,
@@ -187,7 +186,7 @@ def _verdict(run: Run, verdicts: tuple[NodeVerdict, ...], done: _Done, wall_s: f
         steps_identical=identical,
         nodes=verdicts,
         first_difference=difference,
-        provenance_differences=provenance_differences(scenario.made_by),
+        provenance_differences=provenance_differences(run.nodes.made_by),
     )
 
 
@@ -196,17 +195,17 @@ def _verdict(run: Run, verdicts: tuple[NodeVerdict, ...], done: _Done, wall_s: f
 
 def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Progress = lambda _: None) -> WhatIfVerdict:
     """Replay the node whose settings the file has, with these settings. Raises ``ConfigError``."""
-    name, other, changes = nodes.replaced(run.run_config, settings)
+    name, other, changes = nodes.replaced(run.nodes, settings)
     if only not in (None, name):
         problem = f"cannot act together with --with {settings}, which holds settings of the {name}"
         raise ConfigError("option --node", "", problem, value=only)
     started_s = time.monotonic()
     comparison = WhatIf(name)
-    part = NodeReplay(name, partial(nodes.make, other, name), comparison.epoch_outcome)
+    part = NodeReplay(name, partial(other.make, name), comparison.epoch_outcome)
     feed(run.recordings(), [part], progress=progress)
     return WhatIfVerdict(
         recording=str(run.path),
-        scenario=run.run_config.name,
+        scenario=run.nodes.title,
         settings=str(settings),
         node=name,
         changes=changes,
@@ -218,5 +217,5 @@ def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Prog
         deviations=comparison.deviations,
         shares=comparison.shares,
         wall_s=time.monotonic() - started_s,
-        provenance_differences=provenance_differences(run.run_config.scenario.made_by),
+        provenance_differences=provenance_differences(run.nodes.made_by),
     )

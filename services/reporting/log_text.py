@@ -4,31 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from services.bus.topics import topic_at
 from services.recording.export import ExportResult
 from services.recording.info import Info, Key, Segment
 from services.recording.perfetto import TraceSummary
 from services.recording.recover import Recovery
+from services.recording.writer import VEHICLE_MODE
 
 MAX_EVENTS = 20
 """Number of events that are printed; --json lists all of them."""
 
+SILENT_PERIODS, MIN_SILENCE_S = 5, 1.0
+"""A key with a period is silent after so many periods, and not before so many seconds."""
+
 
 def text(info: Info) -> str:
     """Format the contents of a recording: source, duration, completeness, a line for each key, gaps and events."""
-    lines = [f"{info.recording}: {info.scenario}"]
+    vehicle = info.mode == VEHICLE_MODE
+    since_s = info.start_s if vehicle else 0.0
+    lines = [f"{info.recording}: {f'vehicle {info.vehicle}' if vehicle else info.scenario}"]
     versions = info.made_by
     packages = ("ltv_mpc", "python", "numpy", "osqp", "numba")
     by = ", ".join(f"{name} {versions[name]}" for name in packages if name in versions)
-    lines.append(f"mode {info.mode}, seed {info.seed}, {info.duration_s:.1f} s{'; ' if by else ''}{by}")
-    lines += [_segment(segment) for segment in info.segments]
+    how = _start(info) if vehicle else f"mode {info.mode}, seed {info.seed}"
+    lines.append(f"{how}, {info.duration_s:.1f} s{'; ' if by else ''}{by}")
+    lines += [_segment(segment, since_s) for segment in info.segments]
     lines.append(f"{info.messages} messages, {info.missing or 'none'} missing{_unreadable(info)}")
-    lines += ["", *_columns([_HEAD, *(_row(key) for key in info.keys)])]
+    lines += ["", *_columns([_HEAD, *(_row(key, since_s) for key in info.keys)])]
+    if sources := [line for key in info.keys for line in _sources(key, since_s)]:
+        lines += ["", "keys with several sources", *sources]
+    if silences := [line for key in info.keys for line in _silences(key, since_s)]:
+        lines += ["", "longest silences", *silences]
     if gaps := [line for key in info.keys for line in _gaps(key)]:
         lines += ["", "gaps", *gaps]
     if info.events:
         shown = info.events[:MAX_EVENTS]
         lines += ["", f"events ({info.events_total})"]
-        lines += [f"  {event.t_s:9.2f} s  {event.node}: {event.kind}: {event.text}" for event in shown]
+        lines += [f"  {event.t_s - since_s:9.2f} s  {event.node}: {event.kind}: {event.text}" for event in shown]
         if info.events_total > len(shown):
             lines.append(f"  ... {info.events_total - len(shown)} more")
     if not info.whole:
@@ -65,17 +77,38 @@ def exported(result: ExportResult | TraceSummary) -> str:
 _HEAD = ("key", "messages", "rate/s", "first s", "last s", "kB", "missing", "starts")
 
 
-def _row(key: Key) -> tuple[str, ...]:
+def _row(key: Key, since_s: float) -> tuple[str, ...]:
     rate = "-" if key.rate_hz is None else f"{key.rate_hz:.4g}"
     size = f"{key.bytes / 1e3:.1f}"
-    times = f"{key.first_s:.2f}", f"{key.last_s:.2f}"
+    times = f"{key.first_s - since_s:.2f}", f"{key.last_s - since_s:.2f}"
     return (key.key, str(key.messages), rate, *times, size, str(key.missing or "-"), str(len(key.sources)))
 
 
-def _segment(segment: Segment) -> str:
-    times = "" if segment.first_s is None else f", {segment.first_s:.1f} to {segment.last_s:.1f} s"
+def _segment(segment: Segment, since_s: float) -> str:
+    times = ""
+    if segment.first_s is not None and segment.last_s is not None:
+        times = f", {segment.first_s - since_s:.1f} to {segment.last_s - since_s:.1f} s"
     state = "complete" if segment.whole else f"INCOMPLETE, {segment.lost_bytes} bytes unreadable"
     return f"{segment.file}: {segment.bytes / 1e6:.2f} MB, {segment.messages} messages{times}, {state}"
+
+
+def _start(info: Info) -> str:
+    """Describe the first instant by the vehicle's own clock; all other times count from it."""
+    return f"start {info.start_utc or f'at {info.start_s:.3f} s'} by the vehicle's own clock"
+
+
+def _sources(key: Key, since_s: float) -> Iterable[str]:
+    if len(key.sources) > 1:
+        for source in key.sources:
+            times = f"{source.first_s - since_s:.2f} to {source.last_s - since_s:.2f} s"
+            yield f"  {key.key}, epoch {source.epoch}: {source.messages} messages, {times}"
+
+
+def _silences(key: Key, since_s: float) -> Iterable[str]:
+    topic = topic_at(key.key)
+    period_s = 0.0 if topic is None else topic.period_ns / 1e9
+    if period_s and key.silence_s > max(MIN_SILENCE_S, SILENT_PERIODS * period_s):
+        yield f"  {key.key}: {key.silence_s:.2f} s without a message, from {key.silence_from_s - since_s:.2f} s on"
 
 
 def _unreadable(info: Info) -> str:

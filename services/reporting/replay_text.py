@@ -10,7 +10,7 @@ import msgspec
 from services.replay.verdict import Difference, NodeVerdict, ProvenanceDifference, Verdict, WhatIfVerdict
 
 MAX_VALUE_LENGTH = 32
-MODES = {"lockstep": "in lock step", "services": "as processes"}
+MODES = {"lockstep": "in lock step", "services": "as processes", "vehicle": "beside a vehicle"}
 SAME_MACHINE_NEEDED = "another processor or version may change the last bits, and all outputs that follow:"
 
 

@@ -14,10 +14,14 @@ from typing import Any
 
 import msgspec
 
+from services.recording.info import utc
+from services.recording.node_settings import vehicle_name
+from services.recording.writer import VEHICLE_MODE
 from services.reporting import differences, static_files
 from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.collector import ROWS
+from services.reporting.plots.description import NO_DATA, Plot, Series
 from services.reporting.plots.recorded import PlotData, read
 from services.reporting.run_summary_text import how
 from services.run.folder import draft_of
@@ -75,15 +79,34 @@ def _data(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> str:
         }
         for i, (run, data) in enumerate(zip(runs, plot_data, strict=True))
     ]
-    text = msgspec.json.encode({"plots": PLOTS, "runs": shown}).decode()
+    text = msgspec.json.encode({"plots": plots_with_data(plot_data), "runs": shown}).decode()
     return text.replace("<", "\\u003c")
+
+
+def plots_with_data(plot_data: Sequence[PlotData]) -> list[Plot]:
+    """Return the plots for which a run has data, each with the series that have some.
+
+    A plot that says itself why it is empty stays, if its run is a simulation.
+    """
+    plots = []
+    for plot in PLOTS:
+        series = [one for one in plot.series if any(_has_data(data, one) for data in plot_data)]
+        simulated = any(data.metadata.get("mode") != VEHICLE_MODE for data in plot_data)
+        if series or (simulated and plot.empty != NO_DATA):
+            levels = tuple(one for one in plot.levels if any(one.value in data.values for data in plot_data))
+            plots.append(msgspec.structs.replace(plot, series=tuple(series) or plot.series, levels=levels))
+    return plots
+
+
+def _has_data(data: PlotData, series: Series) -> bool:
+    return any(value is not None for value in data.tables[series.table].get(series.y, ()))
 
 
 def _lines(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[str]:
     """Return the lines below the title, one for each run."""
     lines = []
     for run, data in zip(runs, plot_data, strict=True):
-        words = [_how(run.summary, data.metadata)]
+        words = [_vehicle(data)] if data.metadata.get("mode") == VEHICLE_MODE else [_how(run.summary, data.metadata)]
         if data.cut:
             words.append('<span class="bad">the recording was cut off: the report shows its readable part</span>')
         name = f"{html.escape(run.name)}: " if len(runs) > 1 else ""
@@ -92,19 +115,33 @@ def _lines(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[str]:
 
 
 def _how(summary: Mapping[str, Any], metadata: Mapping[str, str]) -> str:
-    """Describe the mode of the run and its seed."""
+    """Describe the mode of the run and its seed; beside a vehicle its name and the start by its clock."""
     ran = how({"mode": metadata.get("mode"), **summary})
     seed = summary.get("seed", metadata.get("seed"))
     return html.escape(f"{ran}, seed {seed}" if seed is not None else ran)
 
 
+def _vehicle(data: PlotData) -> str:
+    """Name the vehicle and the start of the recording by its clock, from which all times count."""
+    start = utc(data.start_s) or f"{data.start_s:.3f} s"
+    return html.escape(f"vehicle {vehicle_name(data.metadata)}, times from {start} by its own clock")
+
+
 def _tables(runs: Sequence[Run], plot_data: Sequence[PlotData], figures: Sequence[differences.Row]) -> list[str]:
     sections = [_figures(runs, figures)] if figures else []
     sections += [_events(run, data, several=len(runs) > 1) for run, data in zip(runs, plot_data, strict=True)]
-    if len(runs) == 1 and (scenario := plot_data[0].metadata.get(SCENARIO)):
-        text = f"<details><summary>{SCENARIO}: every setting and the program versions</summary>"
-        sections.append(f'<section class="panel wide">{text}<pre>{html.escape(scenario)}</pre></details></section>')
+    if len(runs) == 1:
+        files = plot_data[0].metadata
+        if SCENARIO in files:
+            sections.append(_file(f"{SCENARIO}: every setting and the program versions", files[SCENARIO]))
+        else:
+            sections += [_file(name, text) for name, text in files.items() if name.startswith("config/")]
     return sections
+
+
+def _file(title: str, text: str) -> str:
+    summary = f"<details><summary>{html.escape(title)}</summary>"
+    return f'<section class="panel wide">{summary}<pre>{html.escape(text)}</pre></details></section>'
 
 
 def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:

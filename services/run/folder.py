@@ -165,9 +165,18 @@ def find(text: str) -> Path:
 
 
 def _newest() -> Path | None:
-    """Return the folder of the run that started last, by its scenario.toml, which is written once at the start."""
-    started = [path for path in ROOT.glob("*/scenario.toml") if not path.parent.is_symlink()]
-    return max(started, key=lambda path: path.stat().st_mtime_ns).parent if started else None
+    """Return the folder of the newest run.
+
+    A simulation counts from its start, by its scenario.toml, which is written once. A recording beside a vehicle has
+    none and counts by its last message.
+    """
+    folders = [path for path in ROOT.glob("*") if not path.is_symlink()]
+    marks = [mark for path in folders if (mark := _dated_file(path)) is not None]
+    return max(marks, key=lambda path: path.stat().st_mtime_ns).parent if marks else None
+
+
+def _dated_file(folder: Path) -> Path | None:
+    return next((path for name in ("scenario.toml", RECORDING) if (path := folder / name).is_file()), None)
 
 
 def make_default(name: str) -> Path:

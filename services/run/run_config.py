@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,15 +17,13 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.provenance import provenance_table
+from services.run.settings_files import PRIOR, controller_files, estimator_files
 from services.run.water import load_prior, resolve_prior_path
 from sim import water
 from sim.scenario import Scenario, checked, with_overrides
 
 ORIGIN = "scenario"
 """Entry of a run's [made_by] with the name of its scenario."""
-
-PRIOR = "water-prior.csv"
-"""File of the estimator's water prior in a run's config/."""
 
 
 class Override(NamedTuple):
@@ -74,7 +71,7 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
         reference=reference,
         water=water.make(scenario.water, scenario.run.seed),
         prior=prior,
-        files=_files(scenario, sensor_config, called) | _files_at_origin(measured),
+        files=_files(scenario, called) | _files_at_origin(measured),
         notes=(*_notes(scenario, prior), *reference.notes(vehicle), *_notes_on_reference_point(measured)),
     )
 
@@ -86,33 +83,13 @@ def _called(name: str, scenario: Scenario) -> str:
     return origin if origin and plain else Path(name).stem
 
 
-def _files(scenario: Scenario, sensor_config: SensorConfig, called: str) -> dict[str, str]:
-    """Return the settings files as read, with comments; files for use aboard hold nothing of the true values.
-
-    Sensors that extend a shipped file are resolved, because the shipped file may differ when the run is repeated.
-    """
-    files = {
-        f"config/{what}.toml": config.read_text(config.find(name, what=what, package=package), what=what)
-        for what, name, package in (
-            ("vehicle", scenario.vehicle, "ltv_mpc.vehicle.files"),
-            ("sensors", scenario.sensors, "ltv_mpc.localisation.files"),
-            ("reference", scenario.reference, "ltv_mpc.references.files"),
-        )
-    }
-    reference = references.load(scenario.reference)
-    if isinstance(reference, references.Timed):
-        files["config/reference.toml"] = config.to_toml(reference)  # with the rows of the file that it names
-    if "base" in tomllib.loads(files["config/sensors.toml"]):
-        files["config/sensors.toml"] = config.to_toml(sensor_config)
+def _files(scenario: Scenario, called: str) -> dict[str, str]:
+    """Return the settings files as read, with comments; files for use aboard hold nothing of the true values."""
     measured, prior = scenario.water.file, scenario.estimator.water_prior
+    files = controller_files(scenario.vehicle, scenario.reference, scenario.controller)
+    files |= estimator_files(scenario.sensors, scenario.estimator)
     if measured:
         files["config/currents.csv"] = config.read_text(Path(measured), what="currents")
-    if prior:
-        files[f"config/{PRIOR}"] = config.read_text(Path(prior), what="currents")
-    files["config/controller.toml"] = config.to_toml(scenario.controller)
-    # Each file names the prior relative to its own folder.
-    aboard = msgspec.structs.replace(scenario.estimator, water_prior=PRIOR if prior else "")
-    files["config/estimator.toml"] = config.to_toml(aboard)
     again = msgspec.structs.replace(
         scenario,
         vehicle="config/vehicle.toml",

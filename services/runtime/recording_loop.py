@@ -2,25 +2,32 @@
 
 Losses are found in two ways: by gaps in the sequence numbers of each key and source, and at the end by the number of
 published messages that each process gives in its last status.
+
+Beside a vehicle, messages wait until the vehicle time is known (``publication_time.py``). In a simulation those that
+come before the clock have the time of the start.
 """
 
 from __future__ import annotations
 
+import contextlib
 import time
+from typing import Any, NamedTuple
 
-from ltv_mpc.messages import Clock, NodeStatus, RejectedFrame, RunEvent
+from ltv_mpc.messages import Clock, NodeStatus, RejectedFrame, RunEvent, StepRecord
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import rejection
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import open_session
-from services.bus.wire import WireError, crc, from_map, header_of, unpack
+from services.bus.wire import Header, WireError, crc, from_map, header_of, unpack
 from services.recording.loss_accounting import LossAccounting
 from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
-from services.runtime.clock import ClockError, VehicleClock, monotonic_us
+from services.runtime.clock import monotonic_us
+from services.runtime.clock_sync import STAMPED_INPUTS
 from services.runtime.deadlines import DeadlineQueue
 from services.runtime.node_status import NodeStatusReporter, WaitingFor
+from services.runtime.publication_time import PublicationTime
 from services.runtime.stopping import Say, StopRequest
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
@@ -29,21 +36,36 @@ FINAL_STATUS_US = 1_000_000  # longest wait for the last status of all other pro
 FINAL_SILENCE_US = 200_000  # the wait ends when no message has arrived for this time
 GATHERING_S = 0.05  # no process waits for the recorder, and waking it costs as much as writing a message
 
+MAX_WAITING = 20_000
+"""Messages that wait for the vehicle time; with more, the host's clock is followed."""
+
+
+BEGAN_BEFORE = "{} began before this recorder: `ltv-mpc replay` can repeat it from its next start on"
+
+
+class _Unpacked(NamedTuple):
+    """Frame that is to be written, unpacked."""
+
+    frame: Frame
+    message: dict[str, Any]
+    header: Header
+
 
 class RecordingLoop:
     """Loop of one recorder: writes messages until a stop is requested, then those that are still on their way.
 
     A restarted recorder counts from its own start. What was lost in between shows when the segments are joined.
+    ``start_ns``: vehicle time of the start of a simulation; None beside a vehicle.
     """
 
-    def __init__(self, writer: SegmentWriter, *, start_ns: int, stop: StopRequest, say: Say) -> None:
+    def __init__(self, writer: SegmentWriter, *, start_ns: int | None, stop: StopRequest, say: Say) -> None:
         self._writer = writer
-        self._start_ns = start_ns
         self._stop = stop
         self._say = say
         self.mailbox = Mailbox()
         stop.on_request(self.mailbox.wake)
-        self._clock = VehicleClock()
+        self._time = PublicationTime(start_ns=start_ns, say=say)
+        self._waiting: list[_Unpacked] = []
         self._losses = LossAccounting()
         self._publish_counts = PublishCounts()
         self.received = 0
@@ -70,7 +92,7 @@ class RecordingLoop:
                 outbox=self._out,
                 counts=self,
                 mailbox=self.mailbox,
-                waiting=WaitingFor(self._clock, ()),
+                waiting=WaitingFor(self._time.clock, (), clock_source=self._time.clock_source),
                 say=self._say,
             )
             session.subscribe("**", None, self.mailbox)
@@ -88,6 +110,9 @@ class RecordingLoop:
 
     def _finish(self) -> None:
         """Record until each process has reported its count and all its messages have arrived, or no more arrive."""
+        if not self._time.known:
+            self._time.follow_host()
+            self._write_waiting()
         started_us = arrived_us = monotonic_us()
         while self._take(0.0) or (
             (self._publish_counts.unfinished(self._out.epoch) or self.missing)
@@ -117,7 +142,7 @@ class RecordingLoop:
 
     @property
     def _now_ns(self) -> int:
-        return self._clock.read(monotonic_us()) or 0
+        return self._time.clock.read(monotonic_us()) or 0
 
     def _account(self) -> str:
         """Return the losses as a text; empty if there are none."""
@@ -139,9 +164,12 @@ class RecordingLoop:
         try:
             self._record(frame)
         except WireError as error:
-            self.rejected += 1
-            self._out.publish(rejection(frame, str(error), node=NAME, t_ns=self._now_ns))
+            self._reject(frame, error)
         return True
+
+    def _reject(self, frame: Frame, error: WireError) -> None:
+        self.rejected += 1
+        self._out.publish(rejection(frame, str(error), node=NAME, t_ns=self._now_ns))
 
     def _record(self, frame: Frame) -> None:
         if frame.topic is None:
@@ -149,24 +177,41 @@ class RecordingLoop:
         kind = frame.topic.message_type
         message = unpack(frame.payload)
         header = header_of(message)
-        signal = from_map(kind, message)[0] if kind in (Clock, NodeStatus) else None
-        if isinstance(signal, Clock):
-            self._follow(signal)
-        # No message is sent after its arrival, whatever its stamp says; and no message changes the time of another.
-        t_ns = self._clock.at(min(header.sent_monotonic_us or frame.received_monotonic_us, frame.received_monotonic_us))
-        self._writer.write_plain(frame.key, kind, message, self._start_ns if t_ns is None else t_ns, crc(frame.payload))
+        if kind is Clock or kind in STAMPED_INPUTS:
+            # A recorder also keeps what its readers reject. Only the time is not taken from it.
+            with contextlib.nullcontext() if kind is Clock else contextlib.suppress(WireError):
+                self._time.add(from_map(kind, message)[0], header.epoch, frame.received_monotonic_us)
+        self._waiting.append(_Unpacked(frame, message, header))
+        if len(self._waiting) > MAX_WAITING:
+            self._time.follow_host()
+        if self._time.known:
+            self._write_waiting()
+
+    def _write_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        for unpacked in waiting:
+            try:
+                self._write(*unpacked)
+            except WireError as error:
+                self._reject(unpacked.frame, error)
+
+    def _write(self, frame: Frame, message: dict[str, Any], header: Header) -> None:
+        assert frame.topic is not None
+        kind = frame.topic.message_type
+        signal = from_map(kind, message)[0] if kind is NodeStatus else None
+        t_ns = self._time.at(header.sent_monotonic_us or frame.received_monotonic_us, frame.received_monotonic_us)
+        assert t_ns is not None
+        self._writer.write_plain(frame.key, kind, message, t_ns, crc(frame.payload))
         self.received += 1
-        # A process that has published before this restarted recorder began is counted from its next message on.
-        if not self._publish_counts.count(header.epoch, late=self._writer.resumes and header.sequence > 0):
-            self._losses.start_at(frame.key, header.epoch, header.sequence)
+        # A process that has published before this recorder began is counted from its next message on. In a simulation
+        # only a restarted recorder begins after the others.
+        begins_late = self._writer.resumes or self._time.beside_vehicle
+        if not self._publish_counts.count(header.epoch, late=begins_late and header.sequence > 0):
+            is_new = self._losses.start_at(frame.key, header.epoch, header.sequence)
+            if is_new and kind is StepRecord and not self._writer.resumes:
+                self._say(BEGAN_BEFORE.format(message.get("node")))
         if not self._losses.add(frame.key, header.epoch, header.sequence):
             self._publish_counts.discount(header.epoch)
         self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
         if isinstance(signal, NodeStatus) and signal.finished:
             self._publish_counts.set_published(header.epoch, signal.node, signal.published)
-
-    def _follow(self, clock: Clock) -> None:
-        try:
-            self._clock.follow(clock)
-        except ClockError as error:  # the recorder records the messages of any clock master
-            self._say(str(error))

@@ -9,6 +9,7 @@ from ltv_mpc.messages import Message, RunEvent
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
 from services.runtime.node_status import NodeStatusReporter
+from services.runtime.settings_publisher import SettingsPublisher
 
 
 class NodeReporter(Protocol):
@@ -36,3 +37,4 @@ class Reporters(NamedTuple):
 
     process: NodeStatusReporter
     node: NodeReporter | None
+    settings: SettingsPublisher | None = None

@@ -13,7 +13,7 @@ from __future__ import annotations
 import gc
 from typing import Protocol, runtime_checkable
 
-from ltv_mpc.messages import Clock, ClockCommand, Message, NodeStatus
+from ltv_mpc.messages import Clock, ClockCommand, Message, NodeSettings, NodeStatus
 from ltv_mpc.node import Node
 from services.bus.mailbox import Mailbox
 from services.bus.message_validation import MessageValidator
@@ -31,6 +31,7 @@ from services.runtime.process_time import ClockOptions, ProcessTime
 from services.runtime.reporters import NodeReporter, Reporters
 from services.runtime.saved_state import SavedState
 from services.runtime.service_manager import SERVICE_MANAGER
+from services.runtime.settings_publisher import SettingsPublisher
 from services.runtime.stage_timer import StageTimer
 from services.runtime.step_loop import StepLoop, StepLoopPorts
 from services.runtime.stopping import Say, StopRequest
@@ -72,6 +73,8 @@ class Runner:
         self._compute_delay_ns = compute_delay_ns
         self._stages = stages or StageTimer()
         self._report = report
+        self.settings: NodeSettings | None = None
+        """Settings that the process publishes for recorders, if they are set before ``serve``."""
         self._epoch = new_epoch()
         self._time = ProcessTime(node, clock, epoch=self._epoch)
 
@@ -118,6 +121,7 @@ class Runner:
         node, time, keeps_time = self._node, self._time, self._master_settings is not None
         kinds = ports.outputs(node, clock_master=keeps_time)
         kinds += self._report.writes if self._report is not None else ()
+        kinds += [] if self.settings is None else [NodeSettings]
         outbox = Outbox(session, node=node.name, epoch=self._epoch, kinds=kinds)
         validator = MessageValidator(RateLimit(lambda: time.speed))
         waiting = WaitingFor(
@@ -137,4 +141,5 @@ class Runner:
             )
         time.start_schedule()
         io = NodeIO(node.name, outbox, saved)
-        return StepLoopPorts(self.mailbox, io, time, Reporters(status, self._report), validator)
+        settings = None if self.settings is None else SettingsPublisher(self.settings, outbox)
+        return StepLoopPorts(self.mailbox, io, time, Reporters(status, self._report, settings), validator)

@@ -96,11 +96,13 @@ class StepLoop:
 
     def _add_deadlines(self, validator: MessageValidator) -> None:
         """Add the periodic duties of the process to the deadline queue."""
-        (status, report), master = self._reporters, self._time.master
+        (status, report, settings), master = self._reporters, self._time.master
         self._deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
         self._deadlines.add(lambda: SERVICE_MANAGER.due_us, SERVICE_MANAGER.beat)
         if master is not None:
             self._deadlines.add(lambda: master.due_us, master.run_due)
+        if settings is not None:  # before the first status and the first step
+            self._deadlines.add(lambda: settings.due_us, settings.publish)
         self._deadlines.add(lambda: status.due_us, self._publish_status)
         if report is not None:
             self._deadlines.add(lambda: report.due_us, lambda now_us: self._publish_report(report, validator, now_us))
@@ -167,7 +169,9 @@ class StepLoop:
 
     def _step(self, t_ns: int, cause: str, started_us: int) -> None:
         """Step the node and publish its outputs. ``started_us`` is the monotonic time at which the step was due."""
-        status, report = self._reporters
+        status, report, settings = self._reporters
+        if settings is not None and status.steps == 0:
+            settings.due_us = 0  # a recorder that receives the first step can replay the node
         if self._navigated is not None:
             self._follow_source(self._navigated.active_source, t_ns)
         self._io.shift_ns = self._time.published_shift_ns

@@ -8,7 +8,8 @@ import msgspec
 
 from services.bus.options import BusOptions
 from services.run.folder import RunFolder
-from services.run.run_config import PRIOR, RunConfig
+from services.run.run_config import RunConfig
+from services.run.settings_files import PRIOR
 from sim.scenario import Scenario
 
 

@@ -142,11 +142,11 @@ CURRENT = Plot(
 
 LATENCY = Plot(
     name="latency",
-    title="Cycle latency by stage",
+    title="Delays, and the cycle by stage",
     x=TIME,
-    y=Axis(label="wall time (ms)", log=True),
+    y=Axis(label="time (ms)", log=True),
     empty="not timed in lock step",
-    note="Each point is the slowest of several cycles.",
+    note="Each point is the slowest of several cycles. Stages in wall time, delays between processes in vehicle time.",
     series=(
         Series(label="deadline", table="latency", x="t_s", y="deadline_ms", colour=palette.LIMIT, style=Style.DOTTED),
         *(
@@ -157,6 +157,22 @@ LATENCY = Plot(
                 palette.STAGES,
                 strict=True,
             )
+        ),
+        Series(
+            label="age of estimate",
+            table="latency",
+            x="t_s",
+            y="estimate_age_ms",
+            colour=palette.ESTIMATE,
+            style=Style.DASHED,
+        ),
+        Series(
+            label="cycle to actuators",
+            table="delivery",
+            x="t_s",
+            y="plan_ms",
+            colour=palette.PLAN,
+            style=Style.DASHED,
         ),
         Series(label="cycle", table="latency", x="t_s", y="cycle_ms", colour=palette.TRUTH, compared=True),
     ),

@@ -18,6 +18,9 @@ from services.reporting.plots.events import Marks
 from services.reporting.plots.table import Columns, Table, short
 from services.reporting.plots.truth import TrueTrack, principal
 
+MAX_PLAIN_NS = 1_000_000_000_000_000
+"""Largest vehicle time that is plotted as it is: 11 days. Times since 1970 are plotted from the first message on."""
+
 ROWS = 1_500
 """Row limit of a table; about the width of a screen in pixels."""
 
@@ -32,9 +35,11 @@ HISTORY = {
     "true_current": ("depth_m", "north_mps", "east_mps"),
     "latency": (
         *("t_s", "cycle_ms", "predict_ms", "linearise_ms", "build_ms", "solve_ms", "publish_ms", "deadline_ms"),
+        "estimate_age_ms",
     ),
+    "delivery": ("t_s", "plan_ms"),
 }
-PEAKS = {"latency": "cycle_ms"}
+PEAKS = {"latency": "cycle_ms", "delivery": "plan_ms"}
 
 STAGES = (("read", "predict"), ("linearise",), ("build", "update"), ("solve",), ("publish",))
 """Stages of a cycle; those of one tuple are plotted as their sum."""
@@ -47,16 +52,23 @@ SIGMAS = 2.0
 class Collector:
     """Builder of plot tables; takes messages in the order of their publication.
 
-    ``thrusters`` are port and starboard, whose limits are plotted; None if they are unknown.
+    ``thrusters`` are port and starboard, whose limits are plotted; None if they are unknown. ``origin_ns`` is the
+    vehicle time at which plotted times are zero; None: the time of the first message, if it is large as a time since
+    1970 is, otherwise 0.
     """
 
-    def __init__(self, thrusters: tuple[Thruster, Thruster] | None = None, *, rows: int = ROWS) -> None:
+    def __init__(
+        self,
+        thrusters: tuple[Thruster, Thruster] | None = None,
+        *,
+        rows: int = ROWS,
+        origin_ns: int | None = None,
+    ) -> None:
+        self._origin_ns = origin_ns
         self.tables = {name: Table(columns, limit=rows, peak=PEAKS.get(name, "")) for name, columns in HISTORY.items()}
-        self.marks = Marks()
+        self.marks = Marks(self.seconds)
         self.values: dict[str, float] = {}
-        if thrusters is not None:
-            for side, thruster in zip(("port", "starboard"), thrusters, strict=True):
-                self.values |= {f"{side}_min_N": thruster.min_N, f"{side}_max_N": thruster.max_N}
+        self.set_limits(thrusters)
         self._true = TrueTrack()
         self._speed = 1.0
         self._estimate: Estimate | None = None
@@ -84,6 +96,17 @@ class Collector:
         """Newest plan."""
         return self._plan
 
+    def set_limits(self, thrusters: tuple[Thruster, Thruster] | None) -> None:
+        """Set the thrust limits that are plotted, of port and starboard; None: no change."""
+        for side, thruster in zip(("port", "starboard"), thrusters or (), strict=False):
+            self.values |= {f"{side}_min_N": thruster.min_N, f"{side}_max_N": thruster.max_N}
+
+    def seconds(self, t_ns: int) -> float:
+        """Return a vehicle time as it is plotted (s)."""
+        if self._origin_ns is None:
+            self._origin_ns = t_ns if abs(t_ns) > MAX_PLAIN_NS else 0
+        return (t_ns - self._origin_ns) / 1e9
+
     def add(self, signal: Message, epoch: int) -> None:
         """Add a message; ``epoch`` is the one of its sender."""
         handler = self._handlers.get(type(signal))
@@ -94,7 +117,7 @@ class Collector:
     def current_tables(self) -> dict[str, Columns]:
         """Return the tables of the newest state."""
         return {
-            **_of_plan(self._plan),
+            **_of_plan(self._plan, self.seconds),
             "ellipse": self._ellipse(),
             "profile": _profile(self.profile),
         }
@@ -113,7 +136,7 @@ class Collector:
         position = self._true.position(truth)
         if position is None:
             return
-        self.tables["truth"].add(truth.t_ns / 1e9, *position, truth.position_m[2])
+        self.tables["truth"].add(self.seconds(truth.t_ns), *position, truth.position_m[2])
         self.tables["true_current"].add(truth.position_m[2], *truth.current_mps)
         self._wait_for_target("true_distance", truth.t_ns, *position)
 
@@ -125,7 +148,7 @@ class Collector:
         self.profile = estimate.current or self.profile
         for truth in self._true.begin(estimate):
             self._show_truth(truth)
-        self.tables["track"].add(estimate.t_ns / 1e9, estimate.north_m, estimate.east_m, estimate.depth_m)
+        self.tables["track"].add(self.seconds(estimate.t_ns), estimate.north_m, estimate.east_m, estimate.depth_m)
         self._wait_for_target("distance", estimate.t_ns, estimate.north_m, estimate.east_m)
         error = self._true.error(estimate)
         if error is None and self._true.known:
@@ -133,7 +156,7 @@ class Collector:
         covariance = self._true.covariance(estimate)
         spread = None if covariance is None else SIGMAS * float(principal(covariance)[0][-1])
         self.tables["errors"].add(
-            estimate.t_ns / 1e9, *(error or (None, None)), None if spread is None else -spread, spread
+            self.seconds(estimate.t_ns), *(error or (None, None)), None if spread is None else -spread, spread
         )
 
     def _add_plan(self, plan: Plan) -> None:
@@ -143,7 +166,7 @@ class Collector:
         t_ns = int(plan.t_ns[0])
         if not self._targets:  # there was no reference before
             self._waiting = [one for one in self._waiting if one[1] >= plan.cycle_t_ns]
-        self.tables["reference"].add(t_ns / 1e9, *plan.reference_m, plan.reference_depth_m)
+        self.tables["reference"].add(self.seconds(t_ns), *plan.reference_m, plan.reference_depth_m)
         last = self._targets[-1] if self._targets and plan.progress is not None else (t_ns, *plan.reference_m)
         self._targets = [last, (t_ns, *plan.reference_m)]
         waiting, self._waiting = self._waiting, []
@@ -151,10 +174,13 @@ class Collector:
             if then_ns > t_ns and plan.progress is not None:
                 self._waiting.append((table, then_ns, north, east))
             else:
-                table.add(then_ns / 1e9, math.hypot(*self._from_target(then_ns, north, east)))
+                table.add(self.seconds(then_ns), math.hypot(*self._from_target(then_ns, north, east)))
 
     def _add_applied(self, applied: Applied) -> None:
-        self.tables["thrust"].add(applied.t_ns / 1e9, *applied.thrust_N[:2])
+        self.tables["thrust"].add(self.seconds(applied.t_ns), *applied.thrust_N[:2])
+        delay_ms = (applied.plan_received_t_ns - applied.plan_cycle_t_ns) / 1e6
+        if len(self.tables["latency"]) and applied.plan_sequence >= 0 and delay_ms > 0.0:
+            self.tables["delivery"].add(self.seconds(applied.t_ns), delay_ms)
 
     def _add_timing(self, timing: CycleTiming) -> None:
         cycle_ms = (timing.compute_wall_ns or timing.compute_ns) / 1e6
@@ -167,7 +193,11 @@ class Collector:
         us = [sum(timing.stage_us.get(name, 0.0) for name in names) for names in STAGES]
         # a logarithmic axis cannot show zero
         self.tables["latency"].add(
-            timing.t_ns / 1e9, cycle_ms, *((one / 1e3) or None for one in us), deadline_ms or None
+            self.seconds(timing.t_ns),
+            cycle_ms,
+            *((one / 1e3) or None for one in us),
+            deadline_ms or None,
+            max(timing.estimate_age_ns / 1e6, 0.0) or None,
         )
 
     def _add_clock(self, clock: Clock) -> None:
@@ -201,7 +231,7 @@ class Collector:
         }
 
 
-def _of_plan(plan: Plan | None) -> dict[str, Columns]:
+def _of_plan(plan: Plan | None, seconds: Callable[[int], float]) -> dict[str, Columns]:
     if plan is None:
         nothing: Columns = {}
         return {"horizon": nothing, "ahead": nothing, "target": nothing}
@@ -210,7 +240,7 @@ def _of_plan(plan: Plan | None) -> dict[str, Columns]:
         "east_m": [short(x) for x in plan.states[:, 1]],
     }
     ahead: Columns = {
-        "t_s": [short(t / 1e9) for t in plan.t_ns],
+        "t_s": [short(seconds(t)) for t in plan.t_ns.tolist()],
         "port_N": [short(x) for x in plan.thrust_N[:, 0]],
         "starboard_N": [short(x) for x in plan.thrust_N[:, 1]],
     }

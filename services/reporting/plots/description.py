@@ -10,6 +10,8 @@ import enum
 
 import msgspec
 
+NO_DATA = "no data yet"
+
 
 class Style(enum.StrEnum):
     """Drawing style of a series."""
@@ -64,5 +66,5 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
     over_time: bool = True
     equal: bool = False  # the same scale on both axes
     from_start: bool = False  # data before t = 0 are hidden as soon as there are later ones
-    empty: str = "no data yet"  # text shown without data
+    empty: str = NO_DATA  # text shown without data
     note: str = ""  # explanation shown with the title

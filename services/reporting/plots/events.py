@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import msgspec
 
 from ltv_mpc.messages import (
@@ -33,7 +35,9 @@ class Mark(msgspec.Struct, frozen=True, kw_only=True):
 class Marks:
     """Collector of event marks, in the order of arrival; ``omitted`` counts those beyond ``MAX_MARKS``."""
 
-    def __init__(self) -> None:
+    def __init__(self, seconds: Callable[[int], float] = lambda t_ns: t_ns / 1e9) -> None:
+        """``seconds`` converts a vehicle time (ns) to the time axis."""
+        self._seconds = seconds
         self.marks: list[Mark] = []
         self.omitted = 0
         self._authority: Authority | None = None
@@ -85,7 +89,7 @@ class Marks:
 
     def _append(self, t_ns: int, node: str, text: str) -> None:
         if len(self.marks) < MAX_MARKS:
-            self.marks.append(Mark(t_s=round(t_ns / 1e9, 3), node=node, text=text))
+            self.marks.append(Mark(t_s=round(self._seconds(t_ns), 3), node=node, text=text))
         else:
             self.omitted += 1
 

@@ -24,6 +24,7 @@ from ltv_mpc.messages import (
     Estimate,
     LocalisationReport,
     Message,
+    NodeSettings,
     NodeStatus,
     Plan,
     RunEvent,
@@ -31,18 +32,19 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.vehicle.parameters import Thruster, Vehicle
 from services.bus import topics, wire
-from services.recording.records import Records
+from services.recording.node_settings import VEHICLE
+from services.recording.records import Records, start_of
 from services.recording.recover import segments
-from services.recording.writer import RUN
+from services.recording.writer import RUN, VEHICLE_MODE
 from services.reporting.plots.collector import ROWS, Collector
 from services.reporting.plots.events import Mark
 from services.reporting.plots.table import Columns
 
-RARE = frozenset((Plan, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, Command, Acknowledgement))
+RARE = frozenset(
+    (Plan, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, NodeSettings, Command, Acknowledgement)
+)
 OFTEN = {Truth: 200_000_000, Estimate: 200_000_000, Applied: 200_000_000}
 """Vehicle time (ns) between two decoded messages of these types; it grows with the length of the run."""
-
-VEHICLE = "config/vehicle.toml"
 
 
 class PlotData(msgspec.Struct, frozen=True, kw_only=True):
@@ -52,8 +54,9 @@ class PlotData(msgspec.Struct, frozen=True, kw_only=True):
     values: dict[str, float]
     marks: tuple[Mark, ...]
     omitted_marks: int
+    start_s: float  # vehicle time of the first message beside a vehicle, from which all times count; otherwise 0
     cut: bool  # the recording is incomplete, usually at its end
-    metadata: dict[str, str]
+    metadata: dict[str, str]  # of the recording, with the settings files that processes published
 
 
 class _When(msgspec.Struct):
@@ -91,6 +94,8 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
     kinds: dict[int, type[Message] | None] = {}
     sieves = {kind: _Sieve(period_ns, rows) for kind, period_ns in OFTEN.items()}
     metadata: dict[str, str] = {}
+    files: dict[str, str] = {}  # of the processes that published their settings
+    start_ns = 0
     collector: Collector | None = None
     newest: dict[str, Any] | None = None
     for record in chain.from_iterable(parts):
@@ -107,15 +112,21 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
                 signal, header = wire.from_map(kind, plain)
             except (wire.WireError, msgspec.DecodeError):
                 continue
-            collector = collector or Collector(thrusters(metadata), rows=rows)
+            if collector is None:
+                start_ns = record.log_time + start_of(metadata) if metadata.get("mode") == VEHICLE_MODE else 0
+                collector = Collector(rows=rows, origin_ns=start_ns)
             collector.add(signal, header.epoch)
+            if isinstance(signal, NodeSettings):
+                files |= signal.files
         elif isinstance(record, Channel):
             topic = topics.topic_at(record.topic)
             shown = topic is not None and (topic.message_type in RARE or topic.message_type in OFTEN)
             kinds[record.id] = topic.message_type if topic is not None and shown else None
         elif isinstance(record, Metadata) and record.name == RUN:
             metadata = record.metadata
-    collector = collector or Collector(thrusters(metadata), rows=rows)
+    metadata = {**files, **metadata}
+    collector = collector or Collector(rows=rows)
+    collector.set_limits(thrusters(metadata))
     if newest is not None:
         with contextlib.suppress(wire.WireError):
             collector.profile = wire.from_map(Estimate, newest)[0].current
@@ -124,6 +135,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
         values=collector.values,
         marks=tuple(collector.marks.marks),
         omitted_marks=collector.marks.omitted,
+        start_s=start_ns / 1e9,
         cut=not all(part.whole for part in parts),
         metadata=metadata,
     )

@@ -47,6 +47,7 @@ from ltv_mpc.messages import (
     Message,
     MessageFault,
     ModelCheck,
+    NodeSettings,
     NodeStatus,
     Plan,
     PlanOrigin,
@@ -265,6 +266,7 @@ EXAMPLES: tuple[Message, ...] = (
         rejected=5,
         step_us=6.5,
     ),
+    NodeSettings(node="controller", files={"config/vehicle.toml": 'name = "otter"\n'}, made_by={"numpy": "2.0"}),
     StepRecord(
         node="plant",
         epoch=HEADER.epoch,

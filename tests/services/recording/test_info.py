@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.messages import RunEvent
+from ltv_mpc.messages import Estimate, NodeSettings, RunEvent
 from services.recording import info
 from services.recording.recover import segments
 from services.recording.sequence_gaps import SequenceGaps
+from services.recording.writer import VEHICLE_MODE
 from services.reporting import log_text
 from tests.services.recording.recordings import START_NS, depth, foreign, write, write_depths
 
@@ -85,3 +86,41 @@ def test_messages_without_a_valid_header_are_counted_separately(tmp_path: Path) 
     good = b'{"epoch":1,"sequence":0,"t_ns":%s,"node":"x","kind":"y","text":"z"}' % huge
     found = info.read([foreign(tmp_path / "run.mcap", "event/x", *messages, good, start_ns="1e9")])
     assert (found.messages, found.unreadable, found.events_total, found.events) == (1, 4, 1, ())
+
+
+BEGAN_NS = 1_790_000_000 * S
+"""2026-09-21T14:13:20Z, by a vehicle's clock that counts from 1970."""
+
+
+@pytest.fixture
+def beside_a_vehicle(tmp_path: Path) -> Path:
+    """Write what a late recorder has: 10 Hz from sequence 500 on, a loss, a silence of 6 s, another publisher."""
+    estimate = Estimate.at_rest(depth_m=None, heading_rad=0.0)
+    settings = NodeSettings(node="controller", files={"config/vehicle.toml": 'name = "otter"'}, made_by={"numpy": "2"})
+    first = [("estimator", estimate, 7, 500 + i, BEGAN_NS + i * S // 10) for i in range(20) if i != 15]
+    second = [("estimator", estimate, 8, i, BEGAN_NS + 8 * S + i * S // 10) for i in range(5)]
+    messages = [*first, ("controller", settings, 9, 3, BEGAN_NS + S), *second]
+    return write(tmp_path / "run.mcap", messages, start_ns=0, mode=VEHICLE_MODE)
+
+
+def test_a_recording_beside_a_vehicle_is_described_by_vehicle_date_and_versions(beside_a_vehicle: Path) -> None:
+    found = info.read([beside_a_vehicle])
+    assert (found.vehicle, found.start_utc, found.made_by) == ("otter", "2026-09-21T14:13:20.000Z", {"numpy": "2"})
+    (estimates,) = (key for key in found.keys if key.key == "estimate")
+    assert estimates.missing == found.missing == 1  # what came before the recorder is not missing
+    assert [(source.first_s, source.last_s) for source in estimates.sources] == [
+        (BEGAN_NS / S, pytest.approx(BEGAN_NS / S + 1.9)),
+        (BEGAN_NS / S + 8, pytest.approx(BEGAN_NS / S + 8.4)),
+    ]
+    text = log_text.text(found)
+    assert "vehicle otter\nstart 2026-09-21T14:13:20.000Z by the vehicle's own clock, 8.4 s; numpy 2" in text
+    assert "estimate, epoch 8: 5 messages, 8.00 to 8.40 s" in text
+    assert "estimate: 6.10 s without a message, from 1.90 s on" in text
+    assert "estimate, epoch 7: 1 of 20; sequence 515" in text
+
+
+def test_a_clock_that_counts_from_its_boot_has_no_date(tmp_path: Path) -> None:
+    path = write(tmp_path / "run.mcap", [("sensors", depth(0), 7, 0, 5000 * S)], start_ns=0, mode=VEHICLE_MODE)
+    found = info.read([path])
+    assert (found.start_utc, found.start_s, found.vehicle) == (None, 5000.0, "unknown")
+    assert "start at 5000.000 s by the vehicle's own clock" in log_text.text(found)

@@ -19,6 +19,7 @@ from services.bus.time_shift import shifted
 from services.bus.topics import key_of
 from services.recording.reader import Recording
 from services.recording.writer import RunWriter
+from services.replay import nodes
 from services.replay import replay as engine
 from services.replay.frames import received_message
 from tests.services.bus.messages import EXAMPLES
@@ -79,7 +80,7 @@ def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording
     In mid-run the foreign clock is set. Vehicle time runs on.
     """
     run = engine.Run(recording)
-    run_config = run.run_config
+    run_config = nodes.run_config_of(run.metadata, source="")
     node = ControllerNode(run_config.vehicle, run_config.reference, run_config.scenario.controller)
     began, own, theirs = 1_763_000_000_123_456_789, 5, 6
     path = tmp_path / "run.mcap"

@@ -16,7 +16,6 @@ from services.bus import wire
 from services.bus.topics import key_of
 from services.recording.reader import StoredMessage
 from services.recording.writer import RunWriter
-from services.replay import nodes
 from services.replay import replay as engine
 from services.replay.comparison import NOT_RECORDED, NOT_REPLAYED
 from services.replay.verdict import NodeVerdict, Verdict
@@ -179,7 +178,7 @@ def test_after_a_gap_a_node_is_compared_again_from_its_next_start(recording: Pat
         return plain
 
     # Of one node: what acts on a plan names the plan's epoch, which would be another.
-    node = nodes.make(engine.Run(recording).run_config, "estimator")
+    node = engine.Run(recording).nodes.make("estimator")
     own = {key_of(kind, node.name) for kind in (*node.reads, *node.writes, StepRecord)}
     aboard = [(stored, plain) for stored, plain in messages(recording) if stored.key in own]
     out = tmp_path / "run.mcap"
@@ -285,5 +284,5 @@ def test_provenance_differences_of_another_machine_are_reported(recording: Path,
 def test_a_recording_without_settings_is_refused(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "run.mcap", start_ns=0, metadata={}):
         pass
-    with pytest.raises(ConfigError, match=r"run\.mcap: does not hold the run's settings \(scenario\.toml\)"):
+    with pytest.raises(ConfigError, match=r"run\.mcap: has no settings to build a node from"):
         engine.Run(tmp_path / "run.mcap")

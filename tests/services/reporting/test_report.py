@@ -7,9 +7,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
+from ltv_mpc.messages import Clock, NodeSettings, Truth
+from services.bus.wire import Header
 from services.cli import app
+from services.recording.writer import VEHICLE_MODE, RunWriter
 from services.reporting import static_files
 from tests.services.reporting import synthetic_run
 
@@ -123,3 +127,31 @@ def test_a_run_ends_with_its_report(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert json.loads(captured.out)["mode"] == "lockstep"
     assert f"report: {out / 'report.html'}" in captured.err
     assert data((out / "report.html").read_text())["runs"][0]["tables"]["truth"]["t_s"]
+
+
+def test_beside_a_vehicle_no_plot_of_a_truth_is_drawn_and_times_count_from_the_start(tmp_path: Path) -> None:
+    """The same dive, as a recorder beside a vehicle has it whose clock counts from 1970."""
+    began_ns = 1_790_000_000 * synthetic_run.S
+    times = {"t_ns", "cycle_t_ns", "plan_cycle_t_ns", "plan_received_t_ns"}
+    settings = NodeSettings(node="controller", files={"config/vehicle.toml": synthetic_run.VEHICLE}, made_by={})
+    with RunWriter(tmp_path / "run.mcap", start_ns=0, metadata={"mode": VEHICLE_MODE}) as writer:
+        writer.write("controller", settings, Header(epoch=1, sequence=0), began_ns)
+        for i, (node, message, t_ns) in enumerate(synthetic_run.dive()):
+            if isinstance(message, (Truth, Clock)):
+                continue
+            later = {name: getattr(message, name) + began_ns for name in times & {*message.__struct_fields__}}
+            moved = msgspec.structs.replace(message, **later)
+            writer.write(node, moved, Header(epoch=synthetic_run.EPOCH, sequence=i), t_ns + began_ns)
+    assert app.run(["report", str(tmp_path)]) == 0
+    text = (tmp_path / "report.html").read_text()
+    assert "vehicle paper, times from 2026-09-21T14:13:20.000Z by its own clock" in text
+    assert "config/vehicle.toml" in text
+    shown = data(text)
+    labels = {plot["name"]: [series["label"] for series in plot["series"]] for plot in shown["plots"]}
+    assert labels["tracking"] == ["estimate"]
+    assert labels["errors"] == ["2 sigma"]
+    assert not any("true" in label for of_plot in labels.values() for label in of_plot)
+    (run,) = shown["runs"]
+    assert run["values"]["port_max_N"] == 62.5
+    plotted = [t for table in run["tables"].values() for t in table.get("t_s", ())]
+    assert max(map(abs, plotted + [mark["t_s"] for mark in run["marks"]])) < 1000.0

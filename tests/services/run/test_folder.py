@@ -104,6 +104,12 @@ def test_a_run_is_found_by_its_folder_its_recording_or_as_the_latest() -> None:
     Path("runs/notes").mkdir()
     os.utime(made[1].scenario, ns=(2**62, 2**62))  # begun last, whatever it is called and wherever the link points
     assert folder.find("latest") == made[1].recording
+    vehicle = Path("runs/vehicle/run.mcap")  # without a scenario
+    vehicle.parent.mkdir()
+    vehicle.write_bytes(b"any")
+    assert folder.find("latest") == made[1].recording
+    os.utime(vehicle, ns=(2**62 + 1, 2**62 + 1))
+    assert folder.find("latest") == vehicle
     assert folder.find(str(made[0].path)) == folder.find(str(made[0].recording)) == made[0].recording
     bare = Path("elsewhere.mcap")
     bare.write_bytes(b"any")
@@ -148,7 +154,12 @@ def test_a_default_folder_is_reserved_too(capsys: pytest.CaptureFixture[str]) ->
 
 def test_a_recording_is_continued_only_in_the_folder_of_its_scenario(capsys: pytest.CaptureFixture[str]) -> None:
     made = folder.make("descent", FILES, out=Path("here"))
-    for words in (["--continue"], [str(made.scenario), "--continue"], ["descent", "--out", "here", "--continue"]):
+    for words in (
+        ["--continue"],
+        ["--continue", "--out", "here"],
+        [str(made.scenario), "--continue"],
+        ["descent", "--out", "here", "--continue"],
+    ):
         assert app.run(["recorder", *words]) == 2
         assert "option --continue: needs --out DIR" in capsys.readouterr().err
     with folder.reserve("descent", {}, out=Path("here"), resume=True) as same:

@@ -11,9 +11,20 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import msgspec
 import pytest
 
-from ltv_mpc.messages import Clock, ClockState, Message, NodeStatus, PressureDepth, RejectedFrame, RunEvent
+from ltv_mpc.messages import (
+    Clock,
+    ClockState,
+    Estimate,
+    Message,
+    NodeStatus,
+    PressureDepth,
+    RejectedFrame,
+    RunEvent,
+    StepRecord,
+)
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
 from services.bus.session import open_session
@@ -23,7 +34,8 @@ from services.recording.reader import RecordedMessage, Recording
 from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 from services.runtime.clock import boot_id, monotonic_us
-from services.runtime.recording_loop import RecordingLoop
+from services.runtime.publication_time import FOLLOWS_HOST, FOLLOWS_VEHICLE
+from services.runtime.recording_loop import BEGAN_BEFORE, RecordingLoop
 from services.runtime.stopping import StopRequest
 from tests.services.words import status
 
@@ -40,8 +52,8 @@ class Listening(SegmentWriter):
 
     AFTER = "after"
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path, start_ns=-S, metadata={}, retry_s=0.0)
+    def __init__(self, path: Path, start_ns: int = -S) -> None:
+        super().__init__(path, start_ns=start_ns, metadata={}, retry_s=0.0)
         self.heard = threading.Event()
 
     def write_plain(self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
@@ -51,23 +63,32 @@ class Listening(SegmentWriter):
 
 
 def record(
-    path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]], None], *, overflowed: int = 0
+    path: Path,
+    port: int,
+    say: Callable[[Outbox, Callable[[bytes], None]], None],
+    *,
+    overflowed: int = 0,
+    start_ns: int | None = -S,
+    said: Callable[[str], None] = print,
+    timed: bool = True,
 ) -> list[RecordedMessage]:
     """Return the recording of what ``say`` publishes, as messages and as bytes on the key of depths.
 
-    ``overflowed`` is the number of messages that found no room in the recorder's mailbox.
+    ``overflowed`` is the number of messages that found no room in the recorder's mailbox. ``start_ns``: None beside a
+    vehicle. ``said`` takes what the recorder says. Not ``timed``: nothing tells the time, so nothing is written before
+    the end.
     """
     endpoint = f"tcp/127.0.0.1:{port}"
     stop = StopRequest()
     with (
         open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print) as session,
-        Listening(path) as writer,
+        Listening(path, start_ns or 0) as writer,
     ):
-        loop = RecordingLoop(writer, start_ns=-S, stop=stop, say=print)
+        loop = RecordingLoop(writer, start_ns=start_ns, stop=stop, say=said)
         loop.mailbox.overflowed = overflowed
         thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"),))
         thread.start()
-        out = Outbox(session, node="plant", epoch=EPOCH, kinds=(Clock, NodeStatus))
+        out = Outbox(session, node="plant", epoch=EPOCH, kinds=(Clock, NodeStatus, Estimate, StepRecord))
         deadline = time.monotonic() + 60
         knock = session.publisher(UNREAD).put
         while not loop.rejected and time.monotonic() < deadline:  # until it has subscribed, and the router knows
@@ -76,7 +97,7 @@ def record(
         assert loop.rejected
         say(out, session.publisher(KEY).put)
         out.publish(status(Listening.AFTER))
-        assert writer.heard.wait(60)
+        assert not timed or writer.heard.wait(60)
         stop.request()
         thread.join(20)
         assert not thread.is_alive()
@@ -171,3 +192,61 @@ def test_messages_lost_by_a_full_disk_are_counted_and_reported(
     assert events[2].startswith("lost: ")
     status = [message.plain for message in after if message.key == "status/recorder"]
     assert status[-1]["dropped"] == refused[0]
+
+
+BEGAN_NS = 1_790_000_000 * S
+"""Time of a vehicle's clock that counts from 1970, at monotonic time 0."""
+
+
+def estimate() -> Estimate:
+    stamped = Estimate.at_rest(depth_m=None, heading_rad=0.0)
+    return msgspec.structs.replace(stamped, t_ns=BEGAN_NS + monotonic_us() * 1000)
+
+
+def test_beside_a_vehicle_messages_wait_for_its_clock_and_then_have_its_times(tmp_path: Path, free_port: int) -> None:
+    sent_us: list[int] = []
+
+    def say(out: Outbox, put: Callable[[bytes], None]) -> None:
+        for sequence in range(3):  # long before the first stamp
+            sent_us.append(monotonic_us())
+            put(depth(sequence, sent_us[-1]))
+        for _ in range(8):
+            out.publish(estimate())
+            time.sleep(0.1)
+
+    said: list[str] = []
+    messages = record(tmp_path / "run.mcap", free_port, say, start_ns=None, said=said.append)
+    times = [message.t_ns for message in messages if message.key == KEY]
+    assert times == pytest.approx([BEGAN_NS + sent * 1000 for sent in sent_us], abs=S // 10)
+    assert all(abs(message.t_ns - times[0]) < 60 * S for message in messages)
+    assert FOLLOWS_VEHICLE in said
+
+
+def test_beside_a_vehicle_that_says_nothing_messages_have_the_time_of_this_host(tmp_path: Path, free_port: int) -> None:
+    said: list[str] = []
+    messages = record(
+        tmp_path / "run.mcap",
+        free_port,
+        lambda _, put: put(depth(0, monotonic_us())),
+        start_ns=None,
+        said=said.append,
+        timed=False,
+    )
+    assert [message.key for message in messages].count(KEY) == 1
+    assert all(abs(message.t_ns - time.time_ns()) < 120 * S for message in messages)
+    assert FOLLOWS_HOST in said
+
+
+def test_a_late_recorder_counts_no_loss_and_reports_what_cannot_be_replayed(tmp_path: Path, free_port: int) -> None:
+    def say(out: Outbox, put: Callable[[bytes], None]) -> None:
+        put(depth(1000, monotonic_us()))
+        out.publish(clock(monotonic_us()))
+        put(depth(1001, monotonic_us()))
+        put(depth(1003, monotonic_us()))
+        for step in (70, 71):
+            out.publish(StepRecord(node="controller", epoch=EPOCH, step=step, t_ns=0, cause="cycle", inbox=()))
+
+    said: list[str] = []
+    record(tmp_path / "run.mcap", free_port, say, start_ns=None, said=said.append)
+    assert said.count(BEGAN_BEFORE.format("controller")) == 1
+    assert said[-1].endswith("messages recorded, lost: 1 on sensor/depth")

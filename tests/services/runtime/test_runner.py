@@ -22,6 +22,7 @@ from ltv_mpc.messages import (
     Estimate,
     ImuSample,
     Message,
+    NodeSettings,
     NodeStatus,
     Plan,
     PlanOrigin,
@@ -354,6 +355,31 @@ def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus
         Outbox(session, node="test", epoch=5, kinds=(PressureDepth,)).publish(PressureDepth(t_ns=0, depth_m=1.0))
         until(lambda: finished(drained(box, frames), 1))
     assert [s.inbox[0].key for _, s, _ in read(frames) if isinstance(s, StepRecord)] == ["sensor/depth"]
+
+
+def test_settings_are_published_at_the_start_and_again_at_the_first_step(bus: BusOptions) -> None:
+    """A recorder that receives the first step has the settings, whenever it started."""
+    settings = NodeSettings(node="estimator", files={"config/sensors.toml": "x = 1"}, made_by={"numpy": "2"})
+    runner = Runner(Listener(), stop=StopRequest(), say=print)
+    runner.settings = settings
+    frames: list[Frame] = []
+
+    def published() -> list[NodeSettings]:
+        return [message for _, message, _ in read(drained(box, frames)) if isinstance(message, NodeSettings)]
+
+    with ExitStack() as stack:
+        session, box = stack.enter_context(listening(bus))
+        stack.enter_context(running(bus, runner))
+        until(lambda: len(published()) == 1)
+        out = Outbox(session, node="test", epoch=5, kinds=(PressureDepth,))
+        out.publish(PressureDepth(t_ns=0, depth_m=1.0))
+        until(lambda: len(published()) == 2)
+        out.publish(PressureDepth(t_ns=1, depth_m=1.0))
+        until(lambda: any(isinstance(m, NodeStatus) and m.steps == 2 for _, m, _ in read(drained(box, frames))))
+        assert [message.files for message in published()] == [settings.files] * 2
+    assert {key for (_, key, *_), message, _ in read(frames) if isinstance(message, NodeSettings)} == {
+        "settings/estimator"
+    }
 
 
 def test_messages_on_their_way_at_a_stop_request_are_taken(bus: BusOptions) -> None:

@@ -1,0 +1,52 @@
+"""Settings of the processes aboard, as they published them beside the recorder."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Mapping
+from itertools import chain
+from typing import TypeAlias
+
+import msgspec
+
+from ltv_mpc.config import loads
+from ltv_mpc.messages import NodeSettings
+from services.bus.topics import BY_TYPE
+from services.bus.wire import WireError, from_map
+from services.recording.reader import Recording
+
+PREFIX = f"{BY_TYPE[NodeSettings].key}/"
+VEHICLE = "config/vehicle.toml"
+
+
+class NoSettingsError(LookupError):
+    """The recording does not hold the settings of this start of a node."""
+
+
+SettingsByStart: TypeAlias = dict[str, dict[int, NodeSettings]]
+"""Settings by node and epoch, those of the newest start last."""
+
+
+def published_settings(recordings: Iterable[Recording]) -> tuple[SettingsByStart, tuple[int, int]]:
+    """Return the settings in the recordings of a run, and the vehicle times (ns) of its first and last message.
+
+    Invalid messages are skipped.
+    """
+    settings: SettingsByStart = {}
+    times: list[int] = []
+    for stored in chain.from_iterable(recording.stored() for recording in recordings):
+        times[:] = min((stored.t_ns, *times)), max((stored.t_ns, *times))
+        if stored.kind is NodeSettings:
+            with contextlib.suppress(WireError, msgspec.DecodeError):
+                message, header = from_map(NodeSettings, msgspec.json.decode(stored.data))
+                settings.setdefault(stored.key.removeprefix(PREFIX), {})[header.epoch] = message
+    return settings, (times[0], times[1]) if times else (0, 0)
+
+
+def vehicle_name(files: Mapping[str, str]) -> str:
+    """Return the name in a vehicle file; "unknown" if there is none."""
+    try:
+        name = loads(files.get(VEHICLE, "")).get("name")
+    except (ValueError, RecursionError):
+        return "unknown"
+    return name if isinstance(name, str) and name.isprintable() else "unknown"

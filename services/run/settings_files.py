@@ -1,0 +1,72 @@
+"""Settings files of the processes aboard: their texts, by their path in a run's folder.
+
+A process aboard is built from these texts alone. A run's folder and its recording contain them. A process that is
+started alone publishes its own as a ``NodeSettings`` message.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from ltv_mpc import config, references
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.messages import NodeSettings
+from services.run.provenance import provenance_table
+
+PRIOR = "water-prior.csv"
+"""File of the estimator's water prior in a run's config/."""
+
+MAX_CHARACTERS = 262_144
+"""Largest size of the settings that a process publishes: it repeats them, and a frame is limited."""
+
+
+TOO_LARGE = f"its settings have more than {MAX_CHARACTERS} characters: a recording of this process cannot be replayed"
+
+
+def controller_files(vehicle: str, reference: str, settings: ControllerConfig) -> dict[str, str]:
+    """Return the files of a controller; ``vehicle`` and ``reference`` are NAME or FILE. Raises ``ConfigError``."""
+    reference_text = _text(reference, what="reference", package="ltv_mpc.references.files")
+    found = references.load(reference)
+    if isinstance(found, references.Timed):
+        reference_text = config.to_toml(found)  # with the rows of the file that it names
+    return {
+        "config/vehicle.toml": _text(vehicle, what="vehicle", package="ltv_mpc.vehicle.files"),
+        "config/reference.toml": reference_text,
+        "config/controller.toml": config.to_toml(settings),
+    }
+
+
+def estimator_files(sensors: str, settings: EstimatorConfig) -> dict[str, str]:
+    """Return the files of an estimator; ``sensors`` is NAME or FILE. Raises ``ConfigError``.
+
+    Sensors that extend a shipped file are resolved, because the shipped file may differ when the run is repeated.
+    """
+    sensors_text = _text(sensors, what="sensors", package="ltv_mpc.localisation.files")
+    if "base" in tomllib.loads(sensors_text):
+        sensors_text = config.to_toml(SensorConfig.load(sensors))
+    files = {"config/sensors.toml": sensors_text}
+    prior = settings.water_prior
+    if prior:
+        files[f"config/{PRIOR}"] = config.read_text(Path(prior), what="currents")
+    # The file names the prior relative to its own folder.
+    files["config/estimator.toml"] = config.to_toml(
+        msgspec.structs.replace(settings, water_prior=PRIOR if prior else "")
+    )
+    return files
+
+
+def node_settings(node: str, files: Mapping[str, str]) -> NodeSettings | None:
+    """Return the message with the settings of a process; None if they are too large to be published."""
+    if sum(map(len, files.values())) > MAX_CHARACTERS:
+        return None
+    return NodeSettings(node=node, files=dict(files), made_by=provenance_table())
+
+
+def _text(name: str, *, what: str, package: str) -> str:
+    return config.read_text(config.find(name, what=what, package=package), what=what)

@@ -1,0 +1,35 @@
+"""Settings that the processes aboard publish: complete, resolved, and not larger than a frame may be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ltv_mpc import references
+from ltv_mpc.config import loads, to_toml
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.localisation.config import EstimatorConfig
+from services.run.settings_files import MAX_CHARACTERS, PRIOR, controller_files, estimator_files, node_settings
+
+
+def test_a_track_in_a_file_of_its_own_is_in_the_reference(tmp_path: Path) -> None:
+    (tmp_path / "track.csv").write_text("t_s,north_m,east_m\n0,0,0\n100,10,0\n200,10,10\n")
+    (tmp_path / "track.toml").write_text('kind = "timed"\nfile = "track.csv"\n')
+    files = controller_files("paper", str(tmp_path / "track.toml"), ControllerConfig())
+    (tmp_path / "elsewhere").mkdir()
+    alone = tmp_path / "elsewhere" / "reference.toml"
+    alone.write_text(files["config/reference.toml"])
+    assert to_toml(references.load(str(alone))) == to_toml(references.load(str(tmp_path / "track.toml")))
+
+
+def test_a_water_prior_is_kept_beside_the_settings_that_name_it(tmp_path: Path) -> None:
+    text = "depth_m,v_north_mps,u_east_mps,sd_mps\n0,0,0,0.1\n1,0,0,0.1\n"
+    (tmp_path / "mine.csv").write_text(text)
+    files = estimator_files("paper", EstimatorConfig(water_prior=str(tmp_path / "mine.csv")))
+    assert files[f"config/{PRIOR}"] == text
+    assert loads(files["config/estimator.toml"])["water_prior"] == PRIOR
+
+
+def test_settings_too_large_for_the_bus_are_not_published() -> None:
+    files = {"config/reference.toml": "x" * MAX_CHARACTERS}
+    assert node_settings("controller", files) is not None
+    assert node_settings("controller", files | {"config/vehicle.toml": "x"}) is None
