@@ -53,11 +53,11 @@ def localise(
 
     with progress_bar(file.name) as progress:
         outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m, progress=progress)
-    written = None if out is None else folder.make("localise", {}, out=out, force=force)
+    written = None if out is None else folder.open_folder(out, force=force)
     plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2).decode()
     typer.echo(plain if as_json else text.text(outcome.result))
     if written is not None:
-        if note := dive.write(outcome, written.path):
+        if note := dive.write(outcome, written):
             typer.echo(note, err=True)
-        typer.echo(str(written.path), err=as_json)
+        typer.echo(str(written), err=as_json)
     return 0

@@ -71,7 +71,7 @@ def profile(
         problems.simulated(N, cycles, seed) if run is None else problems.recorded(run, N, cycles) for N in stages
     ]
     named = latency.parse_solvers(solvers, by_horizon[0][0])
-    written = None if out is None else folder.make("profile", {}, out=out, force=force)
+    written = None if out is None else folder.open_folder(out, force=force)
     names = ", ".join(f"{N} stages ({problems.seconds(N):.1f} s)" for N in stages)
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"{cycles} cycles at {names}", total=cycles * len(stages))
@@ -79,12 +79,12 @@ def profile(
     plain = msgspec.json.format(msgspec.json.encode(measured.profile), indent=2).decode()
     typer.echo(plain if as_json else table.text(measured.profile))
     if written is not None:
-        (written.path / "profile.json").write_text(plain + "\n", encoding="utf-8")
+        (written / "profile.json").write_text(plain + "\n", encoding="utf-8")
         try:
             from services.tools.profile import plot
         except ImportError:
             typer.echo("no plot: matplotlib is not installed: pip install matplotlib (extra viz)", err=True)
         else:
-            plot.draw(measured, written.path / "profile.png")
-        typer.echo(str(written.path), err=as_json)
+            plot.draw(measured, written / "profile.png")
+        typer.echo(str(written), err=as_json)
     return 0

@@ -67,10 +67,15 @@ def heard(episode: problems.Episode, estimates: int) -> list[Estimate]:
 
 @pytest.fixture(scope="module")
 def profiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
-    out = tmp_path_factory.mktemp("profile") / "out"
+    out = tmp_path_factory.mktemp("profile")
+    (out / "run.mcap").touch()
     options = ["--horizons", "4, 8,4", "--solvers", "osqp", "--cycles", "12"]
-    assert run(["profile", *options, "--out", str(out)]) == 0
+    assert run(["profile", *options, "--force", "--out", str(out)]) == 0
     return json.loads((out / "profile.json").read_text()), out
+
+
+def test_into_the_folder_of_a_run_it_writes_beside_the_recording(profiled: tuple[dict[str, Any], Path]) -> None:
+    assert (profiled[1] / "run.mcap").exists()
 
 
 def test_each_solver_has_a_row_at_each_horizon_and_piqp_is_among_them(profiled: tuple[dict[str, Any], Path]) -> None:
