@@ -9,7 +9,7 @@ import typer
 
 from services.cli.options import CampaignFolder, Force, Json
 
-QUICK = 25
+QUICK = 30
 FULL = 1000
 
 

@@ -31,6 +31,8 @@ AFTER_THRESHOLD = "the first cycle after its threshold"
 FLAGGED = "flagged, or inside 3 sigma"
 IMPULSE = "10 N s of lost impulse"
 DEAD = "2 s of wall time"
+RECOGNISED = "receipts of three plans"
+SECOND_CYCLE = "the second cycle after it"
 
 INSTRUMENTS: Mapping[str, type[Message]] = {
     "imu": ImuSample,
@@ -94,6 +96,10 @@ KINDS = (
     FaultClass("thruster_loss",       LOCKSTEP,  THRUSTERS,                    (10, 40),  (0.3, 1),      IMPULSE, True),
     FaultClass("second_commander",    LOCKSTEP,  ("plant",),                   (0.5, 5),  (0.2, 1),      SAME_CYCLE),
     FaultClass("external_force",      LOCKSTEP,  ("vehicle",),                 (1, 8),    (20, 200),     FLAGGED),
+    FaultClass("second_source",       LOCKSTEP,  ("estimate",),                (1, 15),   (3, 30),       SAME_CYCLE),
+    FaultClass("estimate_dropout",    LOCKSTEP,  ("estimate",),                (1, 30),   (1, 1),      AFTER_THRESHOLD),
+    FaultClass("clock_step",          LOCKSTEP,  ("vehicle",),                 (3, 15), (-3600, 3600), RECOGNISED),
+    FaultClass("controller_restart",  LOCKSTEP,  ("controller",),              (1, 5),    (1, 1),        SECOND_CYCLE),
     FaultClass("message_loss",        PROCESSES, LINKS,                        (1, 6),    (0.2, 1),    AFTER_THRESHOLD),
     FaultClass("message_delay",       PROCESSES, LINKS,                        (1, 6),    (0.05, 1),   AFTER_THRESHOLD),
     FaultClass("message_reorder",     PROCESSES, LINKS,                        (1, 6),    (0.1, 0.8),    SAME_CYCLE),
@@ -116,6 +122,9 @@ INERTIAL_M = 25.0
 AIDED_M = 2.0
 """With the current profiler: 3 sigma of a velocity of 5 mm/s over two minutes."""
 
+DROPOUT_M = 6.0
+"""Drift in water of 0.2 m/s for 30 s without estimates."""
+
 BOUNDS_M: Mapping[tuple[str, str], float] = {
     ("sensor_off", "imu"): ADRIFT_M,
     ("sensor_off", "adcp"): INERTIAL_M,
@@ -126,6 +135,10 @@ BOUNDS_M: Mapping[tuple[str, str], float] = {
     ("thruster_loss", "port"): ADRIFT_M,
     ("thruster_loss", "starboard"): ADRIFT_M,
     ("thruster_loss", "both"): ADRIFT_M,
+    ("second_source", "estimate"): AIDED_M,
+    ("estimate_dropout", "estimate"): DROPOUT_M,
+    ("clock_step", "vehicle"): AIDED_M,
+    ("controller_restart", "controller"): AIDED_M,
 }
 """Largest change of the true horizontal error (m) by class and target, during the fault and the minute after it; a
 permanent fault counts for 75 s.
@@ -140,9 +153,7 @@ def of(name: str, place: Place) -> FaultClass:
 
 
 def bound_m(fault: Fault) -> float | None:
-    """Return the bound of the true error's growth (m) for a lost instrument or a permanent fault; None: there is no
-    bound.
-    """
-    if fault.permanent or fault.kind == "sensor_off":
-        return BOUNDS_M[fault.kind, fault.target]
-    return None
+    """Return the bound of the true error's growth (m); None if the class has none, and for thrust lost for a while."""
+    if fault.kind == "thruster_loss" and not fault.permanent:
+        return None
+    return BOUNDS_M.get((fault.kind, fault.target))

@@ -11,6 +11,7 @@ import numpy as np
 
 from ltv_mpc.messages import (
     Applied,
+    ClockStep,
     Disturbance,
     Estimate,
     FilterStatus,
@@ -38,17 +39,23 @@ from services.tools import lockstep_run
 from services.tools.faults.draw import Run
 from services.tools.faults.fault import Fault
 from services.tools.faults.kinds import INSTRUMENTS, MESSAGES
-from sim.faults import world
+from services.tools.faults.own_clock import ClockStepFault, OwnClock
+from sim.faults import second_source, world
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval, MessageFaults
+from sim.faults.restarted_node import RestartedNode
+from sim.faults.second_source import SecondSource
 from sim.faults.sensor_faults import Failure, FaultySensors, SensorFault
 from sim.faults.solver_faults import SolverClock, SolverFault, SolverFaultInterval, TimedNode, faulty_solvers
-from sim.scheduler import Delivery, LockStep, Observation, Step
+from sim.scheduler import EPOCH, Delivery, LockStep, Observation, Step
 
 SCENARIO = "hover"
 
 INTRUDERS_EPOCH = 7
 """Epoch of the second commander's messages, which is another process than the controller."""
+
+RESTARTED_EPOCH = 100
+"""Difference between the epochs of a controller and of the one that replaces it."""
 
 POLL_NS = 500_000_000
 """Time between two readings of the validators' counts."""
@@ -64,6 +71,7 @@ class PlanSeen(NamedTuple):
     cycle_ns: int
     origin: PlanOrigin
     health: Health
+    health_why: str
     finite: bool
 
 
@@ -107,6 +115,7 @@ class Log:
     received_estimates: list[tuple[int, int]] = field(
         default_factory=list
     )  # estimates that the controller accepted: t received, t valid
+    clock_steps: list[int] = field(default_factory=list)  # times at which the controller was told of a clock step
 
     def __post_init__(self) -> None:
         self._box = np.array([[t.min_N, t.max_N] for t in self.vehicle.thrusters])
@@ -118,8 +127,11 @@ class Log:
             return
         self.cycles.append(step.at_ns)
         self.received_estimates += [
-            (a.received_t_ns, a.message.t_ns) for a in step.inbox if isinstance(a.message, Estimate)
+            (a.received_t_ns, a.message.t_ns)
+            for a in step.inbox
+            if isinstance(a.message, Estimate) and a.epoch != second_source.EPOCH
         ]
+        self.clock_steps += [a.received_t_ns for a in step.inbox if isinstance(a.message, ClockStep)]
 
     def published(self, node: str, message: ReceivedMessage) -> None:
         """Record a message as its writer published it."""
@@ -150,7 +162,7 @@ class Log:
 
     def _planned(self, plan: Plan, at_ns: int) -> None:
         finite = bool(np.isfinite(plan.thrust_N).all())
-        seen = PlanSeen(at_ns, plan.cycle_t_ns, plan.origin, plan.health, finite)
+        seen = PlanSeen(at_ns, plan.cycle_t_ns, plan.origin, plan.health, plan.health_why, finite)
         self.plans.append(seen)
         if plan.reference_m is not None:
             self.target.append((plan.cycle_t_ns, plan.reference_m))
@@ -194,17 +206,44 @@ class ReaderValidators:
 
 
 class Bus(MessageFaults):
-    """Message transport with the bytes and the validators of the bus; a second commander is another process."""
+    """Message transport with the bytes, the validators and the publishers of the bus.
 
-    def __init__(self, faults: Sequence[MessageFaultInterval]) -> None:
+    A second commander, a second source of estimates and a restarted controller are processes of their own.
+    """
+
+    def __init__(
+        self,
+        faults: Sequence[MessageFaultInterval],
+        second_sources: Sequence[SecondSource],
+        clock_steps: Sequence[ClockStepFault],
+        restarts: Callable[[int], int],
+    ) -> None:
+        """``restarts`` returns the number of the controller's restarts until a time (ns)."""
         self.validators = ReaderValidators()
+        self.second_estimates = [0] * len(second_sources)
+        """Number of messages that each second source has published."""
+        self._second_sources = second_sources
+        self._clock = OwnClock(clock_steps, epoch=EPOCH)
+        self._restarts = restarts
         super().__init__(faults, encode=encoded, receive=self.validators.receive)
 
     def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:
         """Deliver a message with the epoch of its writer."""
         if writer == world.Intruder.name:
             message = msgspec.structs.replace(message, epoch=INTRUDERS_EPOCH)
-        return super().carry(writer, reader, message)
+        elif writer == "controller":
+            restarts = self._restarts(message.received_t_ns)
+            message = msgspec.structs.replace(message, epoch=message.epoch + RESTARTED_EPOCH * restarts)
+        deliveries = [d for each in self._clock.carry(writer, reader, message) for d in self._harmed(each)]
+        for i, source in enumerate(self._second_sources):
+            if reader == "controller" and (second := source.message(message)) is not None:
+                self.second_estimates[i] += 1
+                deliveries.append(Delivery(second.received_t_ns, second))
+        return deliveries
+
+    def _harmed(self, delivery: Delivery) -> Sequence[Delivery]:
+        """Return the deliveries of one delivery, with the message faults."""
+        return super().carry("", "", delivery.message)
 
 
 def encoded(message: ReceivedMessage) -> bytes:
@@ -240,9 +279,18 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
     log = Log(of.vehicle, tap=tap)
     now = SolverClock()
     harmed = [(i, harm) for i, fault in enumerate(run.faults) if (harm := _harm(fault)) is not None]
-    bus = Bus([harm for _, harm in harmed])
+    second_sources = [
+        (i, source) for i, fault in enumerate(run.faults) if (source := _second_source(fault)) is not None
+    ]
+    nodes = _nodes(of, run.faults, now)
+    bus = Bus(
+        [harm for _, harm in harmed],
+        [source for _, source in second_sources],
+        [ClockStepFault(_interval(f), round(f.size * 1e9)) for f in run.faults if f.kind == "clock_step"],
+        restarts=lambda t_ns: sum(f.kind == "controller_restart" and f.end_s * 1e9 <= t_ns for f in run.faults),
+    )
     lockstep = LockStep(
-        _nodes(of, run.faults, now),
+        nodes,
         start_ns=of.scenario.start_ns,
         compute_delay_ns=_overrun(run.faults),
         observation=Observation(log, on_step=log.stepped),
@@ -261,7 +309,10 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
         until_ns = log.truth[-1][0] if log.truth else of.scenario.start_ns
     return Observed(
         log=log,
-        harmed=dict(zip((i for i, _ in harmed), bus.harmed, strict=True)),
+        harmed={
+            **dict(zip((i for i, _ in harmed), bus.harmed, strict=True)),
+            **dict(zip((i for i, _ in second_sources), bus.second_estimates, strict=True)),
+        },
         accepted=bus.validators.accepted,
         dropped=dropped,
         uncontrolled=uncontrolled,
@@ -272,8 +323,10 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
 def _nodes(of: RunConfig, faults: Sequence[Fault], now: SolverClock) -> list[Node]:
     """Return the nodes of the run, with the faulty components around them and the disturbances first."""
     solver_faults = [fault for fault in map(_solver_fault, faults) if fault is not None]
-    plant, sensors, *aboard = make_nodes(of, make_solver=faulty_solvers(solver_faults, now))
-    *others, controller = aboard
+    make_solver = faulty_solvers(solver_faults, now)
+    plant, sensors, *others, _ = make_nodes(of, make_solver=make_solver)
+    restarts = [_interval(fault) for fault in faults if fault.kind == "controller_restart"]
+    controller = RestartedNode(lambda: make_nodes(of, make_solver=make_solver)[-1], restarts)
     broken = [b for b in map(_broken, faults) if b is not None]
     disturbances = [d for fault in faults if (d := _disturbance(fault)) is not None]
     intrusions = [
@@ -303,10 +356,17 @@ def _broken(fault: Fault) -> SensorFault | None:
 
 
 def _harm(fault: Fault) -> MessageFaultInterval | None:
-    harm = fault.kind.removeprefix("message_")
+    harm = "loss" if fault.kind == "estimate_dropout" else fault.kind.removeprefix("message_")
     if harm not in set(MessageFault):
         return None
     return MessageFaultInterval(MESSAGES[fault.target], MessageFault(harm), _interval(fault), fault.size, fault.seed)
+
+
+def _second_source(fault: Fault) -> SecondSource | None:
+    if fault.kind != "second_source":
+        return None
+    towards = np.random.default_rng(fault.seed).uniform(0.0, 2.0 * np.pi)
+    return SecondSource(_interval(fault), (fault.size * float(np.cos(towards)), fault.size * float(np.sin(towards))))
 
 
 def _solver_fault(fault: Fault) -> SolverFaultInterval | None:

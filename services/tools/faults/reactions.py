@@ -38,6 +38,9 @@ SILENT_PERIODS = 3
 REPORT_NS = 1_000_000_000
 CYCLE_NS = 300_000_000
 
+STEP_S = 1.5
+"""Longest time (s) until a step of the clock is recognised; a small one backwards needs three receipts of plans."""
+
 ALARM_NEWTON_S = 10.0
 """Largest lost impulse (N s) before the alarm of the model check."""
 
@@ -107,6 +110,8 @@ def _a_command_each_cycle(case: Case) -> Reaction:
     """Check that each cycle ends in a finite plan of that cycle."""
     log = case.of.log
     first_ns = log.plans[0].cycle_ns if log.plans else math.inf
+    if case.fault.kind == "controller_restart":
+        first_ns = case.end_ns
     until_ns = min(case.end_ns + REPORT_NS, case.of.until_ns - 2 * REPORT_NS)  # of the last the plan is under way
     made = {plan.cycle_ns for plan in log.plans if plan.finite}
     without = [t for t in log.cycles if max(case.start_ns, first_ns) <= t <= until_ns and t not in made]
@@ -260,6 +265,37 @@ def _alarm_in_time(case: Case) -> Reaction:
     )
 
 
+def _second_source_reported(case: Case) -> Reaction:
+    """Check that each cycle after the first message of a second source is degraded and names it."""
+    during = [plan for plan in case.of.log.plans if case.start_ns + CYCLE_NS <= plan.cycle_ns < case.end_ns]
+    silent = [plan for plan in during if plan.health is Health.NOMINAL or "second source" not in plan.health_why]
+    if silent:
+        return Reaction(None, f"{len(silent)} of {len(during)} cycles do not report the second source")
+    return Reaction(0.0 if during else None)
+
+
+def _step_recognised(case: Case) -> Reaction:
+    """Check that the step of the clock is recognised in time, and that the controller is never worse than degraded."""
+    log, until_ns = case.of.log, case.end_ns
+    worse = [p for p in log.plans if case.start_ns <= p.cycle_ns < until_ns and SEVERITY[p.health] > 1]
+    if worse:
+        return Reaction(None, f"{worse[0].health} after a step of the clock")
+    told = next((t for t in log.clock_steps if case.start_ns <= t < until_ns), None)
+    if told is None:
+        return Reaction(None, "the step of the clock was not recognised")
+    seconds = (told - case.start_ns) * 1e-9
+    return Reaction(seconds, f"recognised after {seconds:.1f} s" if seconds > STEP_S else "")
+
+
+def _goes_on(case: Case) -> Reaction:
+    """Check that the second plan of a restarted controller is solved: it goes on, armed and with its reference."""
+    after = [plan for plan in case.of.log.plans if plan.cycle_ns >= case.end_ns][:2]
+    if len(after) < 2:
+        return Reaction(None)
+    seconds = (after[1].cycle_ns - case.end_ns) * 1e-9
+    return Reaction(seconds, "" if after[1].origin is PlanOrigin.SOLVED else f"its second plan is {after[1].origin}")
+
+
 RULES: Mapping[str, tuple[Callable[[Case], Reaction], ...]] = {
     "sensor_off": (_silence_flagged,),
     "message_reorder": (_refused_at_the_door,),
@@ -270,5 +306,8 @@ RULES: Mapping[str, tuple[Callable[[Case], Reaction], ...]] = {
     "solver_overrun": (_misses_counted,),
     "second_commander": (_not_followed,),
     "thruster_loss": (_alarm_in_time,),
+    "second_source": (_second_source_reported,),
+    "clock_step": (_step_recognised,),
+    "controller_restart": (_goes_on,),
 }
 """Requirements of a class beyond those of all classes."""

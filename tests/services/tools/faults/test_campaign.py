@@ -27,7 +27,7 @@ def test_a_quick_campaign_has_no_bad_thrust_uncounted_loss_or_late_reaction(caps
     monkeypatch.setattr(campaign.RunMaker, "clear", lambda *_: None)  # keeps runs in which all was well
     code = command(["faults", "--quick", "--seed", "3", "--json", "--out", str(tmp_path)])
     of = json.loads(capsys.readouterr().out)
-    assert {name: of[name] for name in ("injected", "in_processes")} == {"injected": 25, "in_processes": 5}
+    assert {name: of[name] for name in ("injected", "in_processes")} == {"injected": 30, "in_processes": 5}
     assert of["classes"] == len([kind for kind in kinds.KINDS if kind.place is Place.LOCKSTEP])
     broken = {name: of[name] for name in ("uncontrolled_exits", "bad_thrusts", "uncounted_losses", "late_reactions")}
     assert broken == dict.fromkeys(broken, 0), of["violations"]

@@ -70,8 +70,8 @@ def test_of_a_thousand_faults_two_hundred_are_in_processes_ten_of_each_class():
 
 
 def test_a_quick_one_leaves_processes_themselves_alone_unless_they_are_asked_for():
-    asked = campaign.plan("", "both", 25, quick=True)
-    assert (asked.n_inside, asked.n_outside) == (20, 5)
+    asked = campaign.plan("", "both", 30, quick=True)
+    assert (asked.n_inside, asked.n_outside) == (25, 5)
     assert all(kind.name.startswith("message_") for kind in asked.outside)
     (kind,) = campaign.plan("process_hang", "both", 1, quick=True).outside
     assert kind.name == "process_hang"

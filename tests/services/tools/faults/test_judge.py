@@ -43,7 +43,7 @@ def log(*, off_m: float = 0.0, sd_m: float = 1.0, off_s: tuple[float, float] = (
         of.gate.append(GateSeen(t, t - t % CYCLE_NS, t - t % CYCLE_NS, Health.NOMINAL))
     for t in range(0, UNTIL_NS, CYCLE_NS):
         of.cycles.append(t)
-        of.plans.append(PlanSeen(t, t, PlanOrigin.SOLVED, Health.NOMINAL, True))
+        of.plans.append(PlanSeen(t, t, PlanOrigin.SOLVED, Health.NOMINAL, "", True))
         of.target.append((t, (0.0, 0.0)))
     of.reports += [ReportSeen(t, True, {}) for t in range(0, UNTIL_NS, S)]
     return of

@@ -1,0 +1,65 @@
+"""Restarted node: it is dead in given intervals, and a new one then continues from the state that it published last."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import msgspec
+
+from ltv_mpc.messages import ControllerState, Message, Plan
+from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage, Schedule
+from sim.faults.interval import Interval
+
+
+class RestartedNode:
+    """Controller that dies at the start of each interval and is replaced at its end."""
+
+    def __init__(self, make: Callable[[], Node], intervals: Sequence[Interval]) -> None:
+        """Begin with the first node that ``make`` returns."""
+        self._make = make
+        self._intervals = intervals
+        self._node = make()
+        self._dead = False
+        self._state: ControllerState | None = None
+        self._plan: Plan | None = None  # in force
+
+    @property
+    def name(self) -> str:
+        """Name of the node inside."""
+        return self._node.name
+
+    @property
+    def schedule(self) -> Schedule:
+        """Schedule of the node inside."""
+        return self._node.schedule
+
+    @property
+    def reads(self) -> tuple[type[Message], ...]:
+        """Types that the node inside reads."""
+        return self._node.reads
+
+    @property
+    def writes(self) -> tuple[type[Message], ...]:
+        """Types that the node inside writes."""
+        return self._node.writes
+
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+        """Step the node inside, one step at a time; a dead one publishes nothing and loses its inbox."""
+        return [self._step(t_ns, inbox) for t_ns, inbox in due]
+
+    def _step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+        if any(interval.contains(t_ns) for interval in self._intervals):
+            self._dead = True
+            return []
+        if self._dead:
+            self._node, self._dead = self._make(), False
+            if self._state is not None:
+                state = msgspec.structs.replace(self._state, plan=self._plan)
+                inbox = [ReceivedMessage(state, 0, 0, t_ns), *inbox]
+        (outputs,) = self._node.steps([(t_ns, inbox)])
+        for message in outputs:
+            if isinstance(message, ControllerState):
+                self._state = message
+            elif isinstance(message, Plan):
+                self._plan = message
+        return outputs
