@@ -31,6 +31,7 @@ AFTER_THRESHOLD = "the first cycle after its threshold"
 FLAGGED = "flagged, or inside 3 sigma"
 IMPULSE = "10 N s of lost impulse"
 DEAD = "2 s of wall time"
+NAMED = "60 s"
 RECOGNISED = "receipts of three plans"
 SECOND_CYCLE = "the second cycle after it"
 
@@ -99,6 +100,7 @@ KINDS = (
     FaultClass("second_source",       LOCKSTEP,  ("estimate",),                (1, 15),   (3, 30),       SAME_CYCLE),
     FaultClass("estimate_dropout",    LOCKSTEP,  ("estimate",),                (1, 30),   (1, 1),      AFTER_THRESHOLD),
     FaultClass("clock_step",          LOCKSTEP,  ("vehicle",),                 (3, 15), (-3600, 3600), RECOGNISED),
+    FaultClass("reference_point",     LOCKSTEP,  ("ahead", "starboard"),       (60, 90),  (0.5, 0.5),     NAMED),
     FaultClass("controller_restart",  LOCKSTEP,  ("controller",),              (1, 5),    (1, 1),        SECOND_CYCLE),
     FaultClass("message_loss",        PROCESSES, LINKS,                        (1, 6),    (0.2, 1),    AFTER_THRESHOLD),
     FaultClass("message_delay",       PROCESSES, LINKS,                        (1, 6),    (0.05, 1),   AFTER_THRESHOLD),
@@ -138,6 +140,8 @@ BOUNDS_M: Mapping[tuple[str, str], float] = {
     ("second_source", "estimate"): AIDED_M,
     ("estimate_dropout", "estimate"): DROPOUT_M,
     ("clock_step", "vehicle"): AIDED_M,
+    ("reference_point", "ahead"): AIDED_M,
+    ("reference_point", "starboard"): AIDED_M,
     ("controller_restart", "controller"): AIDED_M,
 }
 """Largest change of the true horizontal error (m) by class and target, during the fault and the minute after it; a

@@ -30,6 +30,7 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Node, ReceivedMessage
 from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.reference_point import ReferencePoint
 from services.bus import topics, wire
 from services.bus.mailbox import Frame
 from services.bus.message_validation import MessageValidator
@@ -41,6 +42,7 @@ from services.tools.faults.fault import Fault
 from services.tools.faults.kinds import INSTRUMENTS, MESSAGES
 from services.tools.faults.own_clock import ClockStepFault, OwnClock
 from sim.faults import second_source, world
+from sim.faults.antenna import Antenna
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval, MessageFaults
 from sim.faults.restarted_node import RestartedNode
@@ -115,6 +117,7 @@ class Log:
     received_estimates: list[tuple[int, int]] = field(
         default_factory=list
     )  # estimates that the controller accepted: t received, t valid
+    named_points: list[int] = field(default_factory=list)  # alarms of the model check that name the reference point
     clock_steps: list[int] = field(default_factory=list)  # times at which the controller was told of a clock step
 
     def __post_init__(self) -> None:
@@ -154,6 +157,8 @@ class Log:
                 self.rejected.append((message.received_t_ns, node, s.key))
             case ModelCheck() as s:
                 self.alarms.append((message.received_t_ns, s.alarm))
+                if s.alarm and "[reference_point]" in s.why:
+                    self.named_points.append(message.received_t_ns)
             case LocalisationReport() as s:
                 wrong = {x.sensor: x.status for x in s.sensors if x.status is not SensorStatus.OK}
                 self.reports.append(ReportSeen(s.t_ns, s.status is FilterStatus.NOMINAL, wrong))
@@ -215,6 +220,7 @@ class Bus(MessageFaults):
         self,
         faults: Sequence[MessageFaultInterval],
         second_sources: Sequence[SecondSource],
+        antennas: Sequence[Antenna],
         clock_steps: Sequence[ClockStepFault],
         restarts: Callable[[int], int],
     ) -> None:
@@ -223,6 +229,7 @@ class Bus(MessageFaults):
         self.second_estimates = [0] * len(second_sources)
         """Number of messages that each second source has published."""
         self._second_sources = second_sources
+        self._antennas = antennas
         self._clock = OwnClock(clock_steps, epoch=EPOCH)
         self._restarts = restarts
         super().__init__(faults, encode=encoded, receive=self.validators.receive)
@@ -234,6 +241,8 @@ class Bus(MessageFaults):
         elif writer == "controller":
             restarts = self._restarts(message.received_t_ns)
             message = msgspec.structs.replace(message, epoch=message.epoch + RESTARTED_EPOCH * restarts)
+        for antenna in self._antennas:
+            message = antenna.moved(message)
         deliveries = [d for each in self._clock.carry(writer, reader, message) for d in self._harmed(each)]
         for i, source in enumerate(self._second_sources):
             if reader == "controller" and (second := source.message(message)) is not None:
@@ -286,6 +295,7 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
     bus = Bus(
         [harm for _, harm in harmed],
         [source for _, source in second_sources],
+        [antenna for fault in run.faults if (antenna := _antenna(fault)) is not None],
         [ClockStepFault(_interval(f), round(f.size * 1e9)) for f in run.faults if f.kind == "clock_step"],
         restarts=lambda t_ns: sum(f.kind == "controller_restart" and f.end_s * 1e9 <= t_ns for f in run.faults),
     )
@@ -360,6 +370,14 @@ def _harm(fault: Fault) -> MessageFaultInterval | None:
     if harm not in set(MessageFault):
         return None
     return MessageFaultInterval(MESSAGES[fault.target], MessageFault(harm), _interval(fault), fault.size, fault.seed)
+
+
+def _antenna(fault: Fault) -> Antenna | None:
+    if fault.kind != "reference_point":
+        return None
+    ahead = fault.target == "ahead"
+    point = ReferencePoint(forward_m=fault.size if ahead else 0.0, starboard_m=0.0 if ahead else fault.size)
+    return Antenna(_interval(fault), point)
 
 
 def _second_source(fault: Fault) -> SecondSource | None:

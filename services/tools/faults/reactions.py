@@ -38,6 +38,9 @@ SILENT_PERIODS = 3
 REPORT_NS = 1_000_000_000
 CYCLE_NS = 300_000_000
 
+NAMED_NS = 60_000_000_000
+"""Longest time until an antenna 0.5 m off is named: two turns, and 15 s of confirmation."""
+
 STEP_S = 1.5
 """Longest time (s) until a step of the clock is recognised; a small one backwards needs three receipts of plans."""
 
@@ -287,6 +290,17 @@ def _step_recognised(case: Case) -> Reaction:
     return Reaction(seconds, f"recognised after {seconds:.1f} s" if seconds > STEP_S else "")
 
 
+def _reference_point_named(case: Case) -> Reaction:
+    """Check that the model check names the reference point in time, if the fault lasts long enough."""
+    if case.end_ns - case.start_ns < NAMED_NS:
+        return Reaction(None)
+    named = next((t for t in case.of.log.named_points if case.start_ns <= t <= case.end_ns), None)
+    if named is None:
+        return Reaction(None, "the model check does not name the reference point")
+    seconds = (named - case.start_ns) * 1e-9
+    return Reaction(seconds, f"named after {seconds:.1f} s" if seconds > NAMED_NS * 1e-9 else "")
+
+
 def _goes_on(case: Case) -> Reaction:
     """Check that the second plan of a restarted controller is solved: it goes on, armed and with its reference."""
     after = [plan for plan in case.of.log.plans if plan.cycle_ns >= case.end_ns][:2]
@@ -308,6 +322,7 @@ RULES: Mapping[str, tuple[Callable[[Case], Reaction], ...]] = {
     "thruster_loss": (_alarm_in_time,),
     "second_source": (_second_source_reported,),
     "clock_step": (_step_recognised,),
+    "reference_point": (_reference_point_named,),
     "controller_restart": (_goes_on,),
 }
 """Requirements of a class beyond those of all classes."""
