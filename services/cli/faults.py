@@ -9,7 +9,7 @@ import typer
 
 from services.cli.options import CampaignFolder, Force, Json
 
-QUICK = 30
+QUICK = 31
 FULL = 1000
 
 

@@ -225,7 +225,7 @@ def test_what_is_lost_may_move_the_true_error_so_far_and_no_further():
 
 def test_whatever_is_lost_has_a_bound():
     lost = [kind for kind in KINDS if kind.may_last]
-    assert {(kind.name, target) for kind in lost for target in kind.targets} == set(BOUNDS_M)
+    assert {(kind.name, target) for kind in lost for target in kind.targets} <= set(BOUNDS_M)
 
 
 def test_a_plan_that_the_fault_kept_from_the_recording_still_counts_as_a_command():
