@@ -35,7 +35,7 @@ from services.tools.faults.process_verdict import judge as judge_processes
 from services.tools.faults.result import problems
 
 SEVERAL, SEVERAL_QUICK = 8, 10
-SEVERAL_IN_PROCESSES = 5
+SEVERAL_IN_PROCESSES = 6
 """Number of faults in each run."""
 
 A_SEED = 100
