@@ -94,7 +94,7 @@ class Instant(campaign.RunMaker):
 def test_runs_of_processes_are_made_once_and_kept_only_after_a_violation(tmp_path):
     maker = Instant()
     made = maker.made
-    plan = campaign.plan("process_crash,message_loss", "processes", 12)
+    plan = campaign.plan("process_crash,message_loss", "processes", 14)
     found = results(plan, tmp_path, maker)
     assert sorted(made) == [
         *("bus-000", "bus-001", "node-000", "node-001"),
