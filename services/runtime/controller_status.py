@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.messages import Applied, ClockStep, ControllerStatus, Estimate, Message, MissionAction, Plan, RunEvent
+from ltv_mpc.messages import Applied, ClockStep, ControllerStatus, Message, MissionAction, Plan, RunEvent
 from ltv_mpc.safety.health import HealthState
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
@@ -40,7 +40,6 @@ class ControllerStatusReporter:
         self._changes = changes
         self._sinks = sinks
         self._plan: Plan | None = None
-        self._estimate: Estimate | None = None
         self._applied_ns: int | None = None
         self._clock_steps = 0
         self._mission_action = MissionAction.GO_ON
@@ -52,8 +51,6 @@ class ControllerStatusReporter:
         if self._changes is not None:
             self._changes.on_message(message)
         match message:
-            case Estimate():
-                self._estimate = message
             case Applied():
                 self._applied_ns = message.t_ns
             case ClockStep():
@@ -82,8 +79,8 @@ class ControllerStatusReporter:
         while self._cycles and self._cycles[0][0] < now_us - CYCLE_WINDOW_US:
             self._cycles.popleft()
         took_us = sorted(took for _, took in self._cycles)
-        estimate, node = self._estimate, self._node
-        sources = node.sources.selector
+        node = self._node
+        estimate, sources = node.sources.newest, node.sources.selector
         rejected = Counter(validator.rejected_by_reason)
         if node.arbiter.manual_rejected:
             rejected["manual: thrust outside the limits"] = node.arbiter.manual_rejected

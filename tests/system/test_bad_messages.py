@@ -179,7 +179,7 @@ def test_a_controller_process_shows_and_counts_what_it_refuses_and_goes_on(tmp_p
             )
         console.until(lambda line: '"kind": "rejected"' in line)
     lines = [json.loads(line) for line in console.said]
-    assert {line["kind"] for line in lines} == {"note", "health", "authority", "rejected"}
+    assert {line["kind"] for line in lines} == {"note", "health", "authority", "rejected", "source"}
     assert max(Counter(line["text"] for line in lines if line["kind"] == "rejected").values()) == 1
 
 

@@ -17,13 +17,14 @@ import msgspec
 import pytest
 
 from ltv_mpc import config, references
-from ltv_mpc.messages import Authority, Estimate, Plan
+from ltv_mpc.messages import Authority, ControllerStatus, Estimate, Plan, RunEvent
 from services.bus.latest_cache import LatestCache
+from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
-from services.bus.wire import decode
+from services.bus.wire import Header, decode, encode
 from services.cli.app import run
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
@@ -164,6 +165,48 @@ def test_arm_is_refused_by_a_pre_arm_check_and_forced_with_what_it_skips(
     assert "command authority: controller" in shown.out
     assert "skipped: reference: its start is 8999 m away" in shown.err
     assert alone.ctl("follow", "hover") == alone.ctl("disarm") == 0
+
+
+def test_another_source_is_used_when_it_is_named_and_both_are_in_the_status(
+    alone: Alone, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The other one, 40 m away, publishes on a key of its own."""
+    assert alone.ctl("source", "gnss") == 1
+    assert "no valid message of source gnss in the last 10 s; sources: default" in capsys.readouterr().err
+    newest, events, ended = LatestCache(), Mailbox(), threading.Event()
+    options = BusOptions(connect=(alone.endpoint,), namespace="boat")
+    with open_session(options, stop=StopRequest(), say=print) as session:
+        session.subscribe("controller/status", BY_TYPE[ControllerStatus], newest)
+        session.subscribe("event/controller", BY_TYPE[RunEvent], events)
+        put = session.publisher("estimate/gnss").put
+
+        def source() -> str:
+            found = newest.get("controller/status")
+            return "" if found is None else decode(ControllerStatus, found[1])[0].source
+
+        def publish() -> None:
+            sequence = 0
+            while not ended.wait(0.1):
+                estimate = msgspec.structs.replace(Estimate.at_rest(north_m=41.0, depth_m=0.0), t_ns=time.time_ns())
+                put(encode(estimate, Header(epoch=2, sequence=sequence)))
+                sequence += 1
+
+        publisher = threading.Thread(target=publish)
+        publisher.start()
+        try:
+            until(lambda: source() == "default")
+            until(lambda: alone.ctl("source", "gnss") == 0)
+            until(lambda: source() == "gnss")
+            frame = events.take(PATIENCE_S)
+            assert frame is not None
+            text = decode(RunEvent, frame.payload)[0].text
+            assert text == "source of the estimates: default, epoch 1 -> gnss, epoch 2"
+            assert alone.ctl("source", "default") == 0
+            until(lambda: source() == "default")
+            assert alone.ctl("source") == 0
+        finally:
+            ended.set()
+            publisher.join()
 
 
 def test_where_nobody_answers_it_says_so_and_exits_1(alone: Alone, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ from ltv_mpc.messages import Action, Command, Estimate, InboxEntry, Message, Ste
 from ltv_mpc.node import ReceivedMessage
 from services.bus import wire
 from services.bus.time_shift import shifted
-from services.bus.topics import key_of
+from services.bus.topics import key_of, source_of
 from services.recording.reader import Recording
 from services.recording.writer import RunWriter
 from services.replay import nodes
@@ -73,11 +73,11 @@ def test_a_frame_is_found_by_its_checksum_and_decoded_as_it_was_live(signal: Mes
         assert wire.encode(again.message, header) == wire.encode(live, header)
 
 
-@pytest.mark.parametrize("set_by_ns", [0, -5_000_000_000])
-def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording, tmp_path, set_by_ns) -> None:
+@pytest.mark.parametrize(("set_by_ns", "source"), [(0, ""), (-5_000_000_000, ""), (0, "gnss")])
+def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording, tmp_path, set_by_ns, source) -> None:
     """Foreign estimates in nanoseconds since 1970, integral floats encoded as integers; no plant, no sensors.
 
-    In mid-run the foreign clock is set. Vehicle time runs on.
+    In mid-run the foreign clock is set. Vehicle time runs on. Or the estimates are those of a source with a name.
     """
     run = engine.Run(recording)
     run_config = nodes.run_config_of(run.metadata, source="")
@@ -103,10 +103,12 @@ def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording
             arrivals, entries = [], []
             for signal in heard:
                 key = key_of(type(signal), "")
+                if source and isinstance(signal, Estimate):
+                    key = f"{key}/{source}"
                 payload = SPELLINGS[1](wire.to_map(signal, wire.Header(epoch=theirs, sequence=numbered(key))))
                 understood, header = wire.decode(type(signal), payload)
                 understood, named = shifted(understood, -shift_ns), _named(header)
-                arrivals.append(ReceivedMessage(understood, header.epoch, header.sequence, t_ns))
+                arrivals.append(ReceivedMessage(understood, header.epoch, header.sequence, t_ns, source_of(key)))
                 entries.append(
                     InboxEntry(key=key, crc=wire.crc(payload), received_t_ns=t_ns, shift_ns=-shift_ns, **named)
                 )

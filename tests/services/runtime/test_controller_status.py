@@ -218,6 +218,29 @@ def test_prometheus_reads_every_figure_in_seconds_with_labels_escaped(port: int,
     assert named == {name.partition("{")[0] for name in samples}
     metrics.show(msgspec.structs.replace(STATUS, clock_error_ns=None), 0)
     assert "clock_error" not in asked(port)[1]
+    metrics.show(msgspec.structs.replace(STATUS, source="gnss", source_epoch=5, rejected_epoch=6), 0)
+    body = asked(port)[1]
+    assert 'ltv_mpc_source{epoch="5",name="gnss"} 1.0' in body
+    assert 'ltv_mpc_source{epoch="6",name="gnss"} 0.0' in body
+
+
+def test_the_status_names_the_sources_and_shows_the_error_of_the_one_in_use(
+    node: ControllerNode,
+) -> None:
+    report = ControllerStatusReporter(node)
+    for k in range(12):
+        t_ns = k * S // 10
+        inbox = [Command(command_id=1, action=Action.ARM)] if k == 0 else []
+        for epoch, north_m in ((5, 3.0), (6, 30.0)):
+            estimate = msgspec.structs.replace(Estimate.at_rest(north_m=north_m, depth_m=0.0), t_ns=t_ns)
+            report.on_input(estimate)
+            node.receive(ReceivedMessage(estimate, epoch, k, t_ns))
+        report.on_step(step(node, t_ns, [ReceivedMessage(message, 1, 0, t_ns) for message in inbox]), 1, 0)
+    status = report.status(0, t_ns, MessageValidator(), SHARED)
+    assert (status.source, status.source_epoch) == ("default", 5)
+    assert (status.rejected_epoch, status.rejected_estimates) == (6, 12)
+    assert status.error_m == pytest.approx(3.0)
+    assert "source gnss" in text(msgspec.structs.replace(STATUS, source="gnss"), "estimate")
 
 
 @pytest.mark.parametrize(
