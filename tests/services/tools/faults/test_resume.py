@@ -109,7 +109,7 @@ def test_runs_of_processes_are_made_once_and_kept_only_after_a_violation(tmp_pat
     assert made == ["node-001"]
     assert not (tmp_path / "node-001" / "run.mcap").exists()
     assert again == found
-    assert len(found) == 12
+    assert len(found) == 14
     maker.records = False
     with pytest.raises(campaign.Unmeasured, match=r"without-\w+-300\d: the run"):
         results(plan, tmp_path, maker, force=True)
