@@ -3,7 +3,8 @@
 Each run is a closed loop of 120 s: the controller drives the paper's vehicle, as its file says, to the corners
 of a square of 3 m, 15 s each, in a random steady current of up to 0.3 m/s that the estimates do not contain. The true
 vehicle has mass, drag and thrust of 0.7 to 1.3 times the file's, each random, and the simulation's own propellers.
-Controller and identification receive estimates at 10 Hz with white errors: 5 mm/s north and east, 2 mrad/s, 5 mrad; the
+The estimates that are identified are those of a point of up to 0.5 m forward and starboard of the origin, each random,
+which the file does not give. Estimates come at 10 Hz with white errors of 5 mm/s north and east, 2 mrad/s, 5 mrad; the
 reports of the actuators have 0.1 N.
 
     python -m benchmarks.identification [--runs 50] [--known thrust|mass] [--known-yaw arm|inertia] [--current-known]
@@ -27,7 +28,7 @@ from ltv_mpc.messages import Array, CurrentProfile, Estimate
 from ltv_mpc.vehicle.flow import advance_stage
 from ltv_mpc.vehicle.identification import Identified, identify
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
-from ltv_mpc.vehicle.shooting_fit import Motion, theta_scale
+from ltv_mpc.vehicle.shooting_fit import REFERENCE_POINT, Motion, theta_scale
 from sim import motion
 from sim.plant import apply_mismatch, level_to_ned
 from sim.scenario import Mismatch
@@ -102,8 +103,9 @@ def recorded(
     actuators: str = "propellers",
     reports: bool = True,
     current_known: bool = False,
+    point_m: tuple[float, float] = (0.0, 0.0),
 ) -> Motion:
-    """Return the motion of one run, with or without the actuators' reports and the current."""
+    """Return the motion of one run at ``point_m``, with or without the actuators' reports and the current."""
     rng = np.random.default_rng(seed)
     speed, towards = rng.uniform(0.0, FASTEST_MPS), rng.uniform(-np.pi, np.pi)
     boat = _Boat(vehicle, mismatch, speed * np.array([np.cos(towards), np.sin(towards)]), actuators, rng)
@@ -119,10 +121,12 @@ def recorded(
         steps = commands.at(np.arange(t_ns, t_ns + ESTIMATE_NS + 1, STEP_NS))
         for before, after in itertools.pairwise(steps):
             boat.go(before, after)
-    t, velocity, heading, command, thrust = zip(*seen, strict=True)
+    t, of_origin, heading, command, thrust = zip(*seen, strict=True)
+    velocity, (forward, starboard) = np.array(of_origin), point_m
+    velocity[:, :2] += np.outer(velocity[:, 2], (-starboard, forward))
     return Motion(
         t_s=np.array(t),
-        velocity=np.array(velocity),
+        velocity=velocity,
         heading=np.array(heading),
         shear=np.zeros((len(t), 2)),
         command=np.array(command),
@@ -182,10 +186,11 @@ def main() -> None:
     parser.add_argument("--actuators", choices=("propellers", "model"), default="propellers")
     options = parser.parse_args()
     vehicle = Vehicle.load("paper")
-    unit = dict(zip((*Coefficients._fields, "thrust"), theta_scale(vehicle).tolist(), strict=True))
+    unit = dict(zip((*Coefficients._fields, "thrust", *REFERENCE_POINT), theta_scale(vehicle).tolist(), strict=True))
     rows: dict[str, list[tuple[bool, float, bool]]] = defaultdict(list)
     for seed in range(options.first_seed, options.first_seed + options.runs):
         factors = np.random.default_rng([seed, 1]).uniform(0.7, 1.3, 3)
+        point_m = tuple(np.random.default_rng([seed, 2]).uniform(-0.5, 0.5, 2).tolist())
         mismatch = msgspec.convert(dict(zip(("mass", "drag", "thrust"), factors.tolist(), strict=True)), Mismatch)
         found = identify(
             vehicle,
@@ -196,11 +201,14 @@ def main() -> None:
                 actuators=options.actuators,
                 reports=not options.no_reports,
                 current_known=options.current_known,
+                point_m=point_m,
             ),
             options.known,
             options.known_yaw,
         )
-        for name, one in held(found, truth(vehicle, mismatch, options.known, options.known_yaw), unit).items():
+        true = truth(vehicle, mismatch, options.known, options.known_yaw)
+        true |= dict(zip(REFERENCE_POINT, point_m, strict=True))
+        for name, one in held(found, true, unit).items():
             rows[name].append(one)
         print(
             f"run {seed}: {sum(every[-1][0] for every in rows.values())} of {len(rows)} held",

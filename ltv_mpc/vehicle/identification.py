@@ -1,4 +1,4 @@
-"""System identification: masses, damping, thrust scale, arms and lags of a vehicle from a recorded motion.
+"""System identification: masses, damping, thrust scale, arms, lags and reference point of a vehicle from its motion.
 
 ``shooting_fit.py`` states the least-squares problem. Here theta is found by scipy's trust region with damping, lags and
 masses not negative; the standard deviations of the errors of u, v and r are scaled to the residuals.
@@ -32,6 +32,7 @@ from ltv_mpc.vehicle.shooting_fit import (
     CURRENT_SD_MPS,
     LAGS,
     PRIOR,
+    REFERENCE_POINT,
     SEGMENT_S,
     STEP,
     Motion,
@@ -49,6 +50,9 @@ MIN_SEGMENTS = 5
 MAX_RELATIVE_HALF_WIDTH = 0.5
 """Half width of the interval over the value in the file, up to which a coefficient counts as excited by the run."""
 
+MAX_POINT_HALF_WIDTH_M = 0.1
+"""Half width of the interval up to which the reference point counts as excited by the run."""
+
 LAG_INTERPOLATION_ERROR = 0.02
 """Error of a lag, as a share of the time between two reports, because commands are not linear between them (a hundredth
 was observed).
@@ -62,7 +66,7 @@ CONFIDENCE = 0.95
 NAMES = (
     "mass_surge", "mass_sway", "inertia_yaw",
     "linear_surge", "quadratic_surge", "linear_sway", "quadratic_sway", "linear_yaw", "quadratic_yaw",
-    "arm_port", "arm_starboard", "lag_port", "lag_starboard", "thrust",
+    "arm_port", "arm_starboard", "lag_port", "lag_starboard", "thrust", *REFERENCE_POINT,
 )  # fmt: skip
 """Coefficients that can be fitted; ``thrust`` is the factor on the commands."""
 
@@ -100,7 +104,7 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
     Parameters
     ----------
     vehicle : vehicle with the values of the file.
-    motion : recorded motion.
+    motion : recorded motion of the vehicle's origin, by the declared reference point.
     known : take thrust or surge mass from the file.
     known_yaw : take arms or yaw inertia from the file.
 
@@ -119,7 +123,7 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
         fit, theta = _solve(vehicle, motion, [name for name in free if _degree_of_freedom(name) not in still])
     half = _half_widths(*fit.by_segment(theta), prior=1.0 / PRIOR**2)
     by_name = dict(zip(fit.free, half[:-2].tolist(), strict=True))
-    excited = [name for name in fit.free if by_name[name] <= MAX_RELATIVE_HALF_WIDTH]
+    excited = [name for name in fit.free if by_name[name] <= _max_half_width(name)]
     if len(excited) < len(fit.free):
         fit, theta = _solve(vehicle, motion, excited)
     values = dict(zip(fit.free, theta[:-2].tolist(), strict=True))
@@ -163,10 +167,15 @@ def _below_noise(velocity: Array, sd: Array) -> set[str]:
     return {name for name, rms, error in zip(names, size, sd, strict=True) if rms < MIN_SIGNAL_TO_NOISE * error}
 
 
+def _max_half_width(name: str) -> float:
+    """Return the half width of theta up to which a coefficient counts as excited."""
+    return MAX_POINT_HALF_WIDTH_M if name in REFERENCE_POINT else MAX_RELATIVE_HALF_WIDTH
+
+
 def _degree_of_freedom(name: str) -> str:
-    """Return the degree of freedom of a coefficient: yaw for arms, surge for the thrust scale, none for lags."""
+    """Return the degree of freedom of a coefficient: yaw for arms and reference point, surge for thrust, or none."""
     kind, _, of = name.partition("_")
-    return {"arm": "yaw", "thrust": "surge", "lag": ""}.get(kind, of)
+    return {"arm": "yaw", "reference": "yaw", "thrust": "surge", "lag": ""}.get(kind, of)
 
 
 def _half_widths(residuals: Sequence[Array], slopes: Sequence[Array], *, prior: float) -> Array:
@@ -208,8 +217,10 @@ def _coefficient(name: str, vehicle: Vehicle, theta: float | None, half: float) 
     Without ``theta`` the coefficient is not excited and keeps the value of the file.
     """
     scale = float(theta_scale(vehicle)[index_of(name)])
-    file = float([*vehicle.coefficients(), 1.0][index_of(name)])
-    value = file if theta is None else theta * scale
+    point = vehicle.reference_point
+    file = float([*vehicle.coefficients(), 1.0, point.forward_m, point.starboard_m][index_of(name)])
+    zero = file if name in REFERENCE_POINT else 0.0  # the motion is that of the declared origin
+    value = file if theta is None else zero + theta * scale
     return IdentifiedCoefficient(
         name=name,
         unit=_unit(name),
@@ -226,7 +237,15 @@ def _unit(name: str) -> str:
         return "kg m2"
     if name in ("linear_yaw", "quadratic_yaw"):
         return "N m s" if name == "linear_yaw" else "kg m2"
-    kinds = {"mass": "kg", "linear": "kg/s", "quadratic": "kg/m", "arm": "m", "lag": "s", "thrust": ""}
+    kinds = {
+        "mass": "kg",
+        "linear": "kg/s",
+        "quadratic": "kg/m",
+        "arm": "m",
+        "lag": "s",
+        "thrust": "",
+        "reference": "m",
+    }
     return kinds[name.partition("_")[0]]
 
 
@@ -253,6 +272,8 @@ def with_coefficients(vehicle: Vehicle, found: Sequence[IdentifiedCoefficient]) 
                     lateral[name][key] *= one.value
         elif kind in ("arm", "lag"):
             lateral[of][f"{kind}_{'m' if kind == 'arm' else 's'}"] = one.value
+        elif kind == "reference":
+            table["reference_point"][f"{of}_m"] = one.value
         else:
             table[of][(YAW_KEYS if of == "yaw" else KEYS)[kind]] = one.value
     return msgspec.convert(table, Vehicle)

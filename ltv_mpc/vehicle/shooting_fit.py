@@ -13,6 +13,9 @@ segment by segment (variable projection: Golub & Pereyra 1973).
 
 c = [c_n, c_e] is a nuisance parameter: the current that the estimates do not contain. It is constant over the run and
 enters y as R_k' c, with the heading of instant k in R_k. Without it a current would be taken for damping and inertia.
+
+Two more coefficients are the reference point l = [forward, starboard] (m) relative to the declared one, of which the
+estimates give the velocity: u - r_k l_2 and v + r_k l_1 are compared with y_k.
 """
 
 from __future__ import annotations
@@ -47,6 +50,8 @@ MIN_THETA = 0.05
 
 LAGS = ("lag_port", "lag_starboard")
 BOUNDED = ("mass_surge", "mass_sway", "inertia_yaw", "thrust")
+REFERENCE_POINT = ("reference_forward", "reference_starboard")
+"""Offsets of the reference point from the declared one (m), of any sign; they are 0 in the file's own terms."""
 
 
 class Motion(NamedTuple):
@@ -85,10 +90,10 @@ class ShootingFit:
     def __init__(self, vehicle: Vehicle, motion: Motion, free: Sequence[str]) -> None:
         self.free = tuple(free)
         """Names of the fitted coefficients."""
-        self.nominal = np.array([*vehicle.coefficients(), 1.0])
-        """Coefficients of the file, and 1 for the thrust scale (20,)."""
+        self.nominal = np.array([*vehicle.coefficients(), 1.0, 0.0, 0.0])
+        """Coefficients of the file, 1 for the thrust scale, and 0 for the reference point (22,)."""
         self.scale = theta_scale(vehicle)
-        """Coefficients at theta = 1 (20,)."""
+        """Coefficients at theta = 1 (22,)."""
         input_ = motion.command if motion.thrust is None else motion.thrust
         if motion.thrust is not None:  # the reported thrust already contains the lag
             self.nominal[[index_of(name) for name in LAGS]] = 0.0
@@ -102,6 +107,7 @@ class ShootingFit:
         self._start = motion.velocity[self.edges[:, 0]].copy()
         compared = np.concatenate([np.arange(first, end) for first, end in [(0, 0), *self.edges.tolist()]])
         self._to_body = _rotations(motion.heading[compared])
+        self._yaw_rate = motion.velocity[compared, 2]
 
     @property
     def origin(self) -> Array:
@@ -111,7 +117,7 @@ class ShootingFit:
     @property
     def lower(self) -> Array:
         """Lower bound of theta (P,)."""
-        return np.array([*(MIN_THETA if name in BOUNDED else 0.0 for name in self.free), -np.inf, -np.inf])
+        return np.array([*map(_lower, self.free), -np.inf, -np.inf])
 
     def residuals(self, theta: Array) -> Array:
         """Return the residuals (3 M' + P,) of the motion from the best initial states, and of the prior.
@@ -182,9 +188,16 @@ class ShootingFit:
         # the acceleration of the water acts on the dry mass, which is assumed proportional to the total surge mass
         values[_DRY_MASS] = self.nominal[_DRY_MASS] * values[0] / self.nominal[0]
         off = np.empty((int(self._counts.sum()), 3))
-        _shoot(Coefficients(*values[:-1]), values[-1], self._series, self.edges, start, off)
+        *coefficients, thrust, forward, starboard = values
+        _shoot(Coefficients(*coefficients), thrust, self._series, self.edges, start, off)
         off[:, :2] += self._to_body @ (CURRENT_SD_MPS * theta[-2:])
+        off[:, :2] += np.outer(self._yaw_rate, (-starboard, forward))
         return off / self.sd
+
+
+def _lower(name: str) -> float:
+    """Return the lower bound of theta of a coefficient."""
+    return -np.inf if name in REFERENCE_POINT else MIN_THETA if name in BOUNDED else 0.0
 
 
 def _rotations(heading: Array) -> Array:
@@ -270,12 +283,15 @@ def segments(t_s: Array) -> Times:
 
 
 def index_of(name: str) -> int:
-    """Return the index of a coefficient in ``Coefficients``; the thrust scale comes last."""
-    return len(Coefficients._fields) if name == "thrust" else Coefficients._fields.index(name)
+    """Return the index of a coefficient in ``Coefficients``; then come the thrust scale and the reference point."""
+    return (*Coefficients._fields, "thrust", *REFERENCE_POINT).index(name)
 
 
 def theta_scale(vehicle: Vehicle) -> Array:
-    """Return the coefficients at theta = 1 (20,): those of the file, or for a 0 one of equal effect at full thrust."""
+    """Return the coefficients at theta = 1 (22,): those of the file, or for a 0 one of equal effect at full thrust.
+
+    Those of the reference point are 1 m.
+    """
     p = vehicle.coefficients()
     port, starboard = vehicle.thrusters[:2]
     push = port.max_N + starboard.max_N
@@ -294,7 +310,7 @@ def theta_scale(vehicle: Vehicle) -> Array:
         "arm_port": p.arm_starboard,
         "arm_starboard": p.arm_port,
     }
-    values = np.array([*p, 1.0])
+    values = np.array([*p, 1.0, 1.0, 1.0])
     for name, value in of_equal_effect.items():
         if values[index_of(name)] == 0.0:
             values[index_of(name)] = max(value, 1e-6)

@@ -73,7 +73,8 @@ def identify_run(run: RunFolder, vehicle: Vehicle, known: Known, known_yaw: Know
     """Identify the vehicle from the run. Raises ``ConfigError`` if the run does not excite it enough."""
     recorded = _recorded(run.recording)
     try:
-        motion = motion_of(recorded.estimates, recorded.applied, recorded.plans)
+        estimates = [vehicle.reference_point.to_origin(one) for one in recorded.estimates]
+        motion = motion_of(estimates, recorded.applied, recorded.plans)
         found = identify(vehicle, motion, known, known_yaw)
     except NotEnoughMotion as error:
         raise ConfigError(f"run {run.recording}", "", f"does not excite the vehicle enough: {error}") from None

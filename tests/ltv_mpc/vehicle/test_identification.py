@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from ltv_mpc import Vehicle
 from ltv_mpc.vehicle.identification import Identified, NotEnoughMotion, identify, with_coefficients
+from ltv_mpc.vehicle.reference_point import ReferencePoint
 from ltv_mpc.vehicle.shooting_fit import Motion, lagged_thrust, segments
 
 BELIEVED = Vehicle.load("paper")
@@ -27,6 +28,8 @@ TRUE = {
     "lag_port": 0.2,
     "lag_starboard": 0.45,
     "thrust": 1.0,
+    "reference_forward": 0.0,
+    "reference_starboard": 0.0,
 }
 H = 0.1
 
@@ -34,7 +37,7 @@ H = 0.1
 def moved(seconds: float, seed: int, *, commands=None, sd=(0.0, 0.0, 0.0), true=TRUE, current=(0.0, 0.0)) -> Motion:
     """Random steps of both thrusts, ramped within 0.5 s, each held for 4 s, unless ``commands`` (M, 2) are given.
 
-    The velocities contain ``current`` (2,), north and east.
+    The velocities are those of the true reference point and contain ``current`` (2,), north and east.
     """
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, H)
@@ -68,6 +71,8 @@ def moved(seconds: float, seed: int, *, commands=None, sd=(0.0, 0.0, 0.0), true=
     cos, sin = np.cos(y[:, 5]), np.sin(y[:, 5])
     north, east = current
     over_ground = y[:, :3] + np.column_stack([cos * north + sin * east, cos * east - sin * north, 0.0 * t])
+    over_ground[:, 0] -= y[:, 2] * true["reference_starboard"]
+    over_ground[:, 1] += y[:, 2] * true["reference_forward"]
     return Motion(
         t_s=t,
         velocity=over_ground + rng.standard_normal((len(t), 3)) * sd,
@@ -104,20 +109,52 @@ def test_without_errors_all_coefficients_are_recovered(clean: Motion) -> None:
     found = values(identify(ARMS, clean))
     assert set(found) == set(TRUE) - {"thrust", "arm_port", "arm_starboard"}
     for name, value in found.items():
-        assert value == pytest.approx(TRUE[name], rel=0.03), name
+        assert value == pytest.approx(TRUE[name], rel=0.03, abs=0.005), name
 
 
 def test_without_reports_the_lags_are_identified_from_the_motion(clean: Motion) -> None:
     found = values(identify(ARMS, clean._replace(thrust=None)))
     for name, value in found.items():
-        assert value == pytest.approx(TRUE[name], rel=0.03), name
+        assert value == pytest.approx(TRUE[name], rel=0.03, abs=0.005), name
 
 
 def test_a_current_that_the_estimates_lack_is_identified_too() -> None:
     found = identify(ARMS, moved(90.0, 1, current=(0.25, -0.15)))
     np.testing.assert_allclose(found.current_mps, [0.25, -0.15], atol=0.003)
     for name, value in values(found).items():
-        assert value == pytest.approx(TRUE[name], rel=0.03), name
+        assert value == pytest.approx(TRUE[name], rel=0.03, abs=0.005), name
+
+
+ANTENNA = {**TRUE, "reference_forward": 0.5, "reference_starboard": -0.3}
+
+
+def test_a_reference_point_that_the_file_does_not_give_is_identified() -> None:
+    found = identify(ARMS, moved(90.0, 1, current=(0.1, -0.2), true=ANTENNA)).found
+    for one in found:
+        assert one.value == pytest.approx(ANTENNA[one.name], rel=0.03, abs=0.005), one.name
+    point = with_coefficients(ARMS, found).reference_point
+    assert (point.forward_m, point.starboard_m) == pytest.approx((0.5, -0.3), abs=0.005)
+    assert point.down_m == 0.0
+
+
+def test_a_reference_point_of_the_file_is_corrected_by_what_is_found() -> None:
+    """The motion is that of the declared origin, so what it shows adds to the file's values."""
+    declared = msgspec.structs.replace(
+        ARMS, reference_point=ReferencePoint(forward_m=1.0, starboard_m=0.2, down_m=-1.0)
+    )
+    found = identify(declared, moved(90.0, 1, true=ANTENNA)).found
+    assert [one.file for one in found if one.name.startswith("reference")] == [1.0, 0.2]
+    point = with_coefficients(declared, found).reference_point
+    assert (point.forward_m, point.starboard_m, point.down_m) == pytest.approx((1.5, -0.1, -1.0), abs=0.005)
+
+
+def test_with_errors_the_intervals_contain_the_reference_point() -> None:
+    inside = []
+    for seed in range(6):
+        found = identify(ARMS, moved(90.0, seed, sd=(0.005, 0.005, 0.002), true=ANTENNA)).found
+        inside += [one.low <= ANTENNA[one.name] <= one.high for one in found if one.name.startswith("reference")]
+        assert all(one.excited for one in found if one.name.startswith("reference"))
+    assert np.mean(inside) >= 0.9
 
 
 def test_in_an_unknown_current_the_intervals_contain_truth_and_current() -> None:
@@ -190,11 +227,21 @@ def test_unexcited_coefficients_are_reported_and_keep_their_value() -> None:
     excited = {one.name for one in found if one.excited}
     assert "mass_surge" in excited
     assert excited.isdisjoint(
-        {"mass_sway", "inertia_yaw", "linear_sway", "quadratic_sway", "linear_yaw", "quadratic_yaw", "linear_surge"}
+        {
+            "reference_forward",
+            "reference_starboard",
+            "mass_sway",
+            "inertia_yaw",
+            "linear_sway",
+            "quadratic_sway",
+            "linear_yaw",
+            "quadratic_yaw",
+            "linear_surge",
+        }
     )
     assert all(one.value == one.file for one in found if not one.excited)
     kept = with_coefficients(wrong, found)
-    assert (kept.sway, kept.yaw) == (wrong.sway, wrong.yaw)
+    assert (kept.sway, kept.yaw, kept.reference_point) == (wrong.sway, wrong.yaw, wrong.reference_point)
     assert kept.surge.linear_damping_kgps == wrong.surge.linear_damping_kgps
 
 
