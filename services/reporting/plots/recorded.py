@@ -20,6 +20,7 @@ from ltv_mpc.messages import (
     Applied,
     Clock,
     Command,
+    ControllerStatus,
     CycleTiming,
     Estimate,
     LocalisationReport,
@@ -41,7 +42,10 @@ from services.reporting.plots.events import Mark
 from services.reporting.plots.table import Columns
 
 RARE = frozenset(
-    (Plan, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, NodeSettings, Command, Acknowledgement)
+    (
+        *(Plan, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, NodeSettings, Command, Acknowledgement),
+        ControllerStatus,
+    )
 )
 OFTEN = {Truth: 200_000_000, Estimate: 200_000_000, Applied: 200_000_000}
 """Vehicle time (ns) between two decoded messages of these types; it grows with the length of the run."""
@@ -98,6 +102,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
     start_ns = 0
     collector: Collector | None = None
     newest: dict[str, Any] | None = None
+    source_epoch = 0  # of the estimates in use; 0: unknown
     for record in chain.from_iterable(parts):
         if isinstance(record, McapMessage):
             kind = kinds[record.channel_id]
@@ -115,7 +120,10 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
             if collector is None:
                 start_ns = record.log_time + start_of(metadata) if metadata.get("mode") == VEHICLE_MODE else 0
                 collector = Collector(rows=rows, origin_ns=start_ns)
-            collector.add(signal, header.epoch)
+            if isinstance(signal, ControllerStatus):
+                source_epoch = signal.source_epoch
+            elif kind is not Estimate or source_epoch in (0, header.epoch):  # else it is of a source not in use
+                collector.add(signal, header.epoch)
             if isinstance(signal, NodeSettings):
                 files |= signal.files
         elif isinstance(record, Channel):

@@ -10,7 +10,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import PlanOrigin
+from ltv_mpc.messages import Estimate, PlanOrigin
+from services.bus.wire import Header
+from services.recording.writer import RunWriter
 from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.collector import HISTORY, Collector
@@ -19,6 +21,7 @@ from services.reporting.plots.recorded import read, thrusters
 from services.reporting.plots.table import Table
 from tests.services.reporting import synthetic_run
 from tests.services.reporting.synthetic_run import DRIFT_EAST_MPS, EPOCH, GROWTH_M2_PER_S, OFFSET, TARGET, S
+from tests.services.runtime.test_controller_status import STATUS as CONTROLLER_STATUS
 from tests.services.words import status
 
 COLOURS = [value for name, value in vars(palette).items() if name.isupper() and isinstance(value, str)]
@@ -180,6 +183,19 @@ def test_a_recording_gives_what_the_signals_give(tmp_path: Path, collector: Coll
     for name in ("ellipse", "profile", "horizon", "ahead"):
         assert picture.tables[name] == collector.all_tables()[name], name
     assert picture.marks == tuple(collector.marks.marks)
+
+
+def test_estimates_of_a_source_that_is_not_in_use_are_not_drawn(tmp_path: Path) -> None:
+    path, used = tmp_path / "run.mcap", 5
+    with RunWriter(path, start_ns=0, metadata={}) as writer:
+        in_use = msgspec.structs.replace(CONTROLLER_STATUS, source="default", source_epoch=used)
+        writer.write("controller", in_use, Header(epoch=1, sequence=0), 0)
+        for k in range(20):
+            for epoch, north_m in ((6, 50.0), (used, 1.0)):
+                t_ns = k * S + (epoch == used) * S // 2
+                estimate = msgspec.structs.replace(Estimate.at_rest(north_m=north_m, depth_m=0.0), t_ns=t_ns)
+                writer.write("estimator", estimate, Header(epoch=epoch, sequence=k), t_ns)
+    assert read(path).tables["track"]["north_m"] == [1.0] * 20
 
 
 def test_of_a_recording_that_was_cut_off_what_is_there_is_read(tmp_path: Path) -> None:
