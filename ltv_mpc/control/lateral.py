@@ -97,7 +97,7 @@ class LateralPlanner:
         return self._as_commands(self._fallback.ramp(start, self._lin.C, why, delivered))
 
     def set_shares(self, shares: Pair) -> None:
-        """Plan with thrusters that deliver a share of their commands; the solver is made anew if the shares change.
+        """Plan with thrusters that deliver a share of their commands; the solver is rebuilt if the shares change.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 """Horizontal uniformity of the water in a recording, from bottom track: does the current change with the distance run?
 
 The filter's current depends on depth and time alone. Where it also changes along the track, the beams show a change of
-the vehicle's velocity, and only bottom track tells the two apart. Of two ensembles k, l that see one depth:
+the vehicle's velocity, and only bottom track separates the two. Of two ensembles k, l that see one depth:
 
     c  = v_b + u,   u from the four beams of a cell                        current, north and east
     D  = mean over both axes of (c_k - c_l)^2 = n^2 + q_c^2 T + q_h^2 S + ...
