@@ -14,7 +14,9 @@ For each direction the tightest bound of each second is kept for 30 s (``WINDOW_
 
 The error is half the smallest round trip of that time plus drift, or less if the smallest delays of the two directions
 belong to different exchanges. This is NTP's clock filter (RFC 5905, section 10) with bounds in place of averages.
-Delays that jump, and messages that are out of order, duplicated or lost, only leave the bounds wider.
+A clock that is set by less than a round trip contradicts no bound: until the old ones have aged, the reading is off by
+at most that round trip. Delays that jump, and messages that are out of order, duplicated or lost, only leave the bounds
+wider.
 
     one-way mode (no reports of received plans):   theta = lower + d
 

@@ -26,6 +26,7 @@ from services.bus.time_shift import shifted
 from services.bus.topics import source_of, topic_at
 from services.bus.wire import Header, WireError, encode
 from services.runtime.clock import VehicleClock
+from services.runtime.clock_offset import ClockOffset
 from services.runtime.clock_sync import ClockSync
 from services.runtime.saved_state import SavedState
 from tests.foreign_plant.plant import STEP_NS, Actuators, Hull, Sender
@@ -148,6 +149,11 @@ class Flight:
     def craft_ns(self) -> int:
         """Time by the clock of the craft."""
         return self._ahead_ns + self.host_us * 1000
+
+    @property
+    def clock_offset(self) -> ClockOffset:
+        """Offset to the clock of the craft, as the controller knows it."""
+        return self._sync.offset(self.host_us)
 
     # --- one step ---
 

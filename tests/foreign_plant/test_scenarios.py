@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ControllerConfig, Disturbance
@@ -37,6 +38,40 @@ def test_two_way_a_step_of_the_clock_is_certain_and_degrades_for_a_second(step_s
     assert _seconds_of(flight, "failsafe") == _seconds_of(flight, "hold") == 0.0
     assert _seconds_of(flight, "degraded") <= 1.0
     assert drift_m(flight) < 0.3
+
+
+SMALL_STEPS_S = (-0.2, -0.05, 0.05, 0.2)
+"""Steps that are larger than the error of a short exchange, and smaller than a lateness that can count as a step."""
+
+
+@pytest.mark.parametrize("step_s", SMALL_STEPS_S)
+def test_two_way_a_step_above_the_reported_clock_error_is_recognised(step_s: float) -> None:
+    flight = Flight(reports=True, delay_us=20_000)
+    flight.command(action="arm")
+    flight.fly(20.0)
+    error_ns = flight.clock_offset.error_ns
+    assert error_ns is not None
+    assert error_ns < abs(step_s) * 1e9
+    flight.set_clock(step_s)
+    flight.fly(3.0)
+    (clock_step,) = flight.clock_steps
+    assert clock_step.certain
+    assert clock_step.step_ns == pytest.approx(step_s * 1e9, abs=error_ns + 1_000_000)
+
+
+@pytest.mark.parametrize("step_s", [step_s for step_s in SMALL_STEPS_S if step_s < 0.0])
+def test_one_way_a_small_step_backwards_is_followed_and_moves_nothing(step_s: float) -> None:
+    """Stamps that are later by a constant could be a slower link; the reported error is null. The offset follows."""
+    flight = Flight(reports=False)
+    flight.command(action="arm")
+    flight.fly(20.0)
+    flight.set_clock(step_s)
+    flight.fly(35.0)
+    assert flight.clock_offset.error_ns is None
+    assert flight.clock_offset.offset_ns == pytest.approx(flight.craft_ns - flight.host_us * 1000, abs=1_000_000)
+    assert drift_m(flight) < 0.05
+    periods_s = np.diff([plan.cycle_t_ns for plan in flight.plans]) * 1e-9
+    assert periods_s.min() >= 0.0  # vehicle time never steps back
 
 
 @pytest.mark.parametrize("step_s", STEPS_S)
