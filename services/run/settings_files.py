@@ -9,15 +9,17 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from ltv_mpc import config, references
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import NodeSettings
 from services.run.provenance import provenance_table
+
+if TYPE_CHECKING:
+    from ltv_mpc.localisation.config import EstimatorConfig
 
 PRIOR = "water-prior.csv"
 """File of the estimator's water prior in a run's config/."""
@@ -49,6 +51,8 @@ def estimator_files(sensors: str, settings: EstimatorConfig) -> dict[str, str]:
     """
     sensors_text = _text(sensors, what="sensors", package="ltv_mpc.localisation.files")
     if "base" in tomllib.loads(sensors_text):
+        from ltv_mpc.localisation.sensor_config import SensorConfig  # a controller does not load the estimator
+
         sensors_text = config.to_toml(SensorConfig.load(sensors))
     files = {"config/sensors.toml": sensors_text}
     prior = settings.water_prior
