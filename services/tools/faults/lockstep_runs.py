@@ -118,7 +118,7 @@ class Log:
         default_factory=list
     )  # estimates that the controller accepted: t received, t valid
     named_points: list[int] = field(default_factory=list)  # alarms of the model check that name the reference point
-    clock_steps: list[int] = field(default_factory=list)  # times at which the controller was told of a clock step
+    clock_steps: list[int] = field(default_factory=list)  # times at which a clock step was reported to the controller
 
     def __post_init__(self) -> None:
         self._box = np.array([[t.min_N, t.max_N] for t in self.vehicle.thrusters])

@@ -301,8 +301,8 @@ def _reference_point_named(case: Case) -> Reaction:
     return Reaction(seconds, f"named after {seconds:.1f} s" if seconds > NAMED_NS * 1e-9 else "")
 
 
-def _goes_on(case: Case) -> Reaction:
-    """Check that the second plan of a restarted controller is solved: it goes on, armed and with its reference."""
+def _continues(case: Case) -> Reaction:
+    """Check that the second plan of a restarted controller is solved: it is armed and follows its reference."""
     after = [plan for plan in case.of.log.plans if plan.cycle_ns >= case.end_ns][:2]
     if len(after) < 2:
         return Reaction(None)
@@ -323,6 +323,6 @@ RULES: Mapping[str, tuple[Callable[[Case], Reaction], ...]] = {
     "second_source": (_second_source_reported,),
     "clock_step": (_step_recognised,),
     "reference_point": (_reference_point_named,),
-    "controller_restart": (_goes_on,),
+    "controller_restart": (_continues,),
 }
 """Requirements of a class beyond those of all classes."""
