@@ -126,7 +126,8 @@ class Supervisor:
             unrecorded=0 if recorder is None else recorder.dropped,
         )
         if summary.cycles == 0:
-            return outcome
+            why = f"{self._folder.recording}: no cycle of the controller is recorded"
+            return replace(outcome, completed=False, exit_code=outcome.exit_code or FAILED, why=outcome.why or why)
         outcome = replace(outcome, summary=summary)
         try:
             self._folder.write_result(summary, water)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -202,6 +203,23 @@ def test_a_request_to_kill_an_unknown_process_is_refused_and_changes_nothing(tmp
     outcome = supervisor.run(s, run, screen, on_bus=bus.append)
     assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
     assert [line for line in screen.said if "kill" in line] == ['kill refused: no process "nobody\\n" in this run']
+
+
+def test_a_run_whose_recording_found_no_room_is_not_complete(tmp_path: Path) -> None:
+    """The disk takes the settings, and not a second of the recording."""
+    s = run_config(3.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        outcome = supervisor.run(s, run, Screen())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    assert (outcome.completed, outcome.exit_code) == (False, 1), outcome
+    assert outcome.why
+    assert not list(run.path.rglob("*.part"))
 
 
 def test_results_that_cannot_be_written_leave_the_verdict_exit_1_and_no_draft(tmp_path: Path) -> None:
