@@ -284,7 +284,7 @@ class ControllerNode:
         estimate, monitor = self.controller.estimate_gate.accepted, self._model_monitor
         check = None if estimate is None else monitor.update(estimate, self.controller.learned_current)
         self._set_thrust_shares()
-        why = self.controller.reference_point_check.health.why
+        why = self.controller.reference_point_check.why
         if check is None or not why:
             return check
         return msgspec.structs.replace(check, alarm=True, why=f"{why}; {check.why}" if check.why else why)

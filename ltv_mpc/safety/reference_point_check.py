@@ -37,6 +37,8 @@ SIGMAS = 5.0
 CONFIRMED_S = 15.0
 """Time for which both conditions must hold: the first turns of a run can look like a lever arm for 8 s."""
 
+UNDECLARED = "the estimates turn as if measured away from the declared [reference_point]"
+
 NOISE_MPS, NOISE_ROWS = 0.005, 20.0
 """Prior of the residuals' standard deviation, and its weight in estimates."""
 
@@ -82,6 +84,16 @@ class ReferencePointCheck:
         self._squares = kept * self._squares + abs(z) ** 2
         self._decide(interval_s)
 
+    @property
+    def why(self) -> str:
+        """Reason of the alarm with the lever arm; empty without an alarm."""
+        if self.health is NOMINAL:
+            return ""
+        arm_m = self._product / self._weight
+        along = f"{abs(arm_m.real):.1f} m {'ahead' if arm_m.real >= 0.0 else 'astern'}"
+        across = f"{abs(arm_m.imag):.1f} m to {'starboard' if arm_m.imag >= 0.0 else 'port'}"
+        return f"{UNDECLARED}: {along} and {across} of it"
+
     def _decide(self, interval_s: float) -> None:
         """Update the alarm after an interval (s)."""
         if self._weight == 0.0:
@@ -94,7 +106,7 @@ class ReferencePointCheck:
             return
         self._exceeded_s += interval_s
         if self._exceeded_s >= CONFIRMED_S:
-            self.health = HealthState(Health.DEGRADED, _reason(arm_m))
+            self.health = HealthState(Health.DEGRADED, UNDECLARED)
 
 
 def _turning(estimate: Estimate) -> complex:
@@ -108,9 +120,3 @@ def _predicted(last: Estimate, t_ns: int, prediction: Prediction, commands: Sent
     current = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, start.depth_m)
     u, v, heading_rad = start.lateral[2], start.lateral[3], start.lateral[4]
     return complex(u, v) * cmath.exp(1j * heading_rad) + complex(*current)
-
-
-def _reason(arm_m: complex) -> str:
-    along = f"{abs(arm_m.real):.1f} m {'ahead' if arm_m.real >= 0.0 else 'astern'}"
-    across = f"{abs(arm_m.imag):.1f} m to {'starboard' if arm_m.imag >= 0.0 else 'port'}"
-    return f"the estimates turn as if measured {along} and {across} of the declared [reference_point]"
