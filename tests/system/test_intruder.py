@@ -29,6 +29,10 @@ ENOUGH = 50  # messages that steps were given, to say something of them
 PATIENCE_S = 90.0
 
 
+OWN_ESTIMATES = 60
+"""Estimates of the run in the three seconds of a replay."""
+
+
 def ended_in_order(process: subprocess.Popen[bytes]) -> None:
     if process.poll() is None:
         process.kill()
@@ -121,7 +125,8 @@ def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(t
     assert {epoch for _, epoch, _ in ears.taken} <= ears.own
 
     # The reader counts what it has refused, and the router what it has denied.
-    assert ears.rejected("controller") == sent["refused"]
+    # Replayed frames have the epoch of the true estimator, whose own frames may then exceed the limit of its rate.
+    assert sent["refused"] <= ears.rejected("controller") <= sent["refused"] + OWN_ESTIMATES
     assert ears.rejected("plant") == 0
     assert any(re.search(r"display may not put on \S+/plan", text) for text in ears.denied)
     assert "denied" in log.read_text()

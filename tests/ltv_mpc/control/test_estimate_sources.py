@@ -196,6 +196,7 @@ def test_without_a_name_the_order_of_the_settings_counts_again() -> None:
     controlled = Controlled()
     controlled.run(10, plain, dvl)
     controlled.choose("dvl", plain, dvl)
+    controlled.run(1, plain, dvl)
     assert controlled.active == OTHER
     assert controlled.choose("", plain, dvl).accepted
     assert controlled.saved.source == ""

@@ -46,6 +46,7 @@ from ltv_mpc.messages import (
     Manual,
     Message,
     MessageFault,
+    MissionState,
     ModelCheck,
     NodeSettings,
     NodeStatus,
@@ -85,6 +86,7 @@ CONTROLLER_STATE = ControllerState(
     depth_integral_N=-3.5,
     plan_delays_ns=(81_000_000, 79_500_001),
     cycle_times_ns=(4_000_000,),
+    mission=MissionState(start_t_ns=0, operator_t_ns=10**9),
     current_bias=CurrentBiasState(bias_mps=(0.12, -0.16), covariance=(1e-4, -2e-5, 3e-4)),
     model_products=np.outer([0.5, 1.0, -1.0, 0.1, 0.0, 0.2], [0.5, 1.0, -1.0, 0.1, 0.0, 0.2]),
 )
@@ -200,6 +202,7 @@ EXAMPLES: tuple[Message, ...] = (
     Manual(thrust_N=TRIPLE),
     Heartbeat(),
     Battery(voltage_V=23.5, remaining=None),
+    Battery(voltage_V=23.5, remaining=0.8),
     Leak(detected=True),
     Acknowledgement(
         t_ns=5, command_id=1, accepted=False, authority=Authority.STOPPED, why="stopped", warnings=("a", "b")
