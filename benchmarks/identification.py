@@ -50,7 +50,6 @@ class _Boat:
         self._p, self._factor = apply_mismatch(vehicle.coefficients(), mismatch), mismatch.thrust
         self._body = motion.pack(vehicle, self._p, self._factor)
         self._model = actuators == "model"
-        self._limits_N = np.array([(thruster.min_N, thruster.max_N) for thruster in vehicle.thrusters[:2]]).T
         self._current, self._rng = current, rng
         self._state, self._revolutions, self._thrust = np.zeros(8), np.zeros(3), np.zeros(3)
         profile = np.tile(current, (2, 1))
@@ -74,10 +73,7 @@ class _Boat:
     @property
     def reported_N(self) -> Array:
         """Delivered thrust (2,) as the actuators report it: without the factor that they do not know of."""
-        thrust_N = self._thrust[:2]
-        if not self._model:  # true propellers stay within the limits, whatever the factor
-            thrust_N = np.clip(self._factor * thrust_N, *self._limits_N) / self._factor
-        return thrust_N + SD_N * self._rng.standard_normal(2)
+        return self._thrust[:2] + SD_N * self._rng.standard_normal(2)
 
     def estimate(self, t_ns: int, *, with_current: bool) -> Estimate:
         """Return the true state as an estimate with errors, with or without the current."""

@@ -9,8 +9,8 @@ Effects of the true vehicle alone:
 - propellers with a first-order lag in n. A governor drives them to n_c, the inverse of eq 8 for y at the inflow at the
   start of the step, limited to +-n_max. The lag is solved in closed form for n_c linear over the step, so every lag
   is stable, also a lag of zero;
-- true thrust: a factor times that of eq 8, both within the thruster's limits min_N and max_N. Without the limits, a
-  change of the inflow during the lag would make a thruster at its limit deliver more;
+- true thrust: eq 8 times a factor, within the thruster's limits min_N and max_N. Without the limits, a change of the
+  inflow during the lag would make a thruster at its limit deliver more. The actuators report eq 8 without the factor;
 - the surface, above which the vehicle cannot rise.
 Integrator: the classical Runge-Kutta method of order 4.
 """
@@ -68,7 +68,10 @@ def pack(vehicle: Vehicle, p: Coefficients, factor: float = 1.0) -> Array:
 
     One array costs less than a tuple: a call from Python takes 0.3 us for each field of a tuple.
     """
-    propellers = [[t.propeller_diameter_m, t.max_rps, t.lag_s, t.min_N, t.max_N] for t in vehicle.thrusters]
+    over = max(factor, 1.0)  # the delivered thrust, which includes the factor, stays within the thruster's limits
+    propellers = [
+        [t.propeller_diameter_m, t.max_rps, t.lag_s, t.min_N / over, t.max_N / over] for t in vehicle.thrusters
+    ]
     return np.concatenate([p, np.ravel(propellers), [vehicle.water_density_kgpm3, factor]])
 
 
@@ -162,23 +165,7 @@ def _thrusts(true: Body, n: Triple, surge: float, heave: float) -> Triple:
 @jit
 def _limited_thrust(propeller: Propeller, n: float, inflow: float, rho: float) -> float:
     """Return the thrust (N) at n revolutions, within the thruster's limits."""
-    return _limited(propeller, thrust(n, inflow, rho, propeller.diameter))
-
-
-@jit
-def _limited(propeller: Propeller, F: float) -> float:
-    """Return a thrust (N) within the thruster's limits."""
-    return min(max(F, propeller.min_N), propeller.max_N)
-
-
-@jit
-def delivered(true: Body, F1: float, F2: float, F3: float) -> Triple:
-    """Return the true thrust (N) of each thruster: the body's factor times that of eq 8, within its limits."""
-    return (
-        _limited(true.port, true.factor * F1),
-        _limited(true.starboard, true.factor * F2),
-        _limited(true.vertical, true.factor * F3),
-    )
+    return min(max(thrust(n, inflow, rho, propeller.diameter), propeller.min_N), propeller.max_N)
 
 
 @jit
@@ -186,12 +173,13 @@ def _slope(true: Body, s: State, n: Triple, held: bool, water: WaterSample) -> S
     """Return the time derivative s'."""
     _, _, u, v, psi, r, z, w = s
     F1, F2, F3 = _thrusts(true, n, u, w)
-    F1, F2, F3 = delivered(true, F1, F2, F3)
     cn, ce = velocity_at(z, water)
     # c' = dc/dz w: the change of the water's velocity as the vehicle sinks through it
     shear = gradient_at(z, water)
-    north, east, surge, sway, heading, yaw = rates(u, v, psi, r, F1, F2, cn, ce, shear[0] * w, shear[1] * w, true.p)
-    heave = heave_acceleration(w, F3, true.p)
+    north, east, surge, sway, heading, yaw = rates(
+        u, v, psi, r, true.factor * F1, true.factor * F2, cn, ce, shear[0] * w, shear[1] * w, true.p
+    )
+    heave = heave_acceleration(w, true.factor * F3, true.p)
     if held or (z <= 0.0 and w <= 0.0 and heave < 0.0):
         return north, east, surge, sway, heading, yaw, 0.0, 0.0
     return north, east, surge, sway, heading, yaw, w, heave

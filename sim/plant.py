@@ -25,7 +25,7 @@ from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from sim import motion
 from sim.attitude import Attitude, TiltWaves, roll_and_pitch
-from sim.motion import MotionState, delivered, unpack
+from sim.motion import MotionState
 from sim.scenario import Mismatch, Scenario
 from sim.water import WaterColumn
 from sim.water.column import SAMPLE_PERIOD_NS, WaterSample, WaterWindow, velocity_at
@@ -57,7 +57,6 @@ class Plant:
         self._water = water
         self._attitude = Attitude(start.tilt_rms_rad, start.tilt_period_s, scenario.run.seed)
         self._coefficients, self._factor = apply_mismatch(vehicle.coefficients(), start.mismatch), start.mismatch.thrust
-        self._limits_N = np.array([(thruster.min_N, thruster.max_N) for thruster in vehicle.thrusters]).T
         self._body = motion.pack(vehicle, self._coefficients, self._factor)
         s = np.array([start.north_m, start.east_m, 0.0, 0.0, start.heading_rad, 0.0, start.depth_m, 0.0])
         self._vehicle = MotionState(s, n=np.zeros(3), F=np.zeros(3))
@@ -139,8 +138,7 @@ class Plant:
     def _push(self, disturbance: Disturbance, seconds: float, afloat: bool) -> None:
         """Add the impulse of ``seconds`` to u, v, r and w; afloat the depth is held, and w with it."""
         p, state, f = self._coefficients, self._vehicle.s, disturbance
-        full = np.clip(self._factor * self._vehicle.F, *self._limits_N)
-        lost = ((np.array(f.thrust_scale) - 1.0) * full).tolist()
+        lost = (self._factor * (np.array(f.thrust_scale) - 1.0) * self._vehicle.F).tolist()
         cos, sin = math.cos(state[4]), math.sin(state[4])
         ahead, to_starboard = cos * f.force_N[0] + sin * f.force_N[1], cos * f.force_N[1] - sin * f.force_N[0]
         yaw_Nm = lost[0] * p.arm_port - lost[1] * p.arm_starboard + f.yaw_moment_Nm
@@ -154,7 +152,7 @@ class Plant:
     def _observe(self, t_ns: int) -> Array:
         """Return the observation at ``t_ns``, (1, 18)."""
         observed = np.empty((1, 18))
-        observe(observed[0], self._body, self._vehicle, t_ns * 1e-9, self._attitude.tilt, self._water.sample(t_ns))
+        observe(observed[0], self._vehicle, self._factor, t_ns * 1e-9, self._attitude.tilt, self._water.sample(t_ns))
         return observed
 
     def _truth(self, t_ns: int, observed: list[float]) -> Truth:
@@ -233,6 +231,7 @@ def simulate_steps(
     observed_water : the water column at the end of each step.
     tilt : fields of ``TiltWaves``.
     """
+    factor = motion.unpack(flat).factor
     state, waves = MotionState(*vehicle), TiltWaves(*tilt)
     depth_m, earlier, later, time_weights = water
     end_depth_m, end_earlier, end_later, end_time_weights = observed_water
@@ -245,16 +244,16 @@ def simulate_steps(
         motion.step(flat, state, last[0], commands[k], t_ns[k + 1] <= 0, h, at_middle)
         copy_to(last[0], commands[k])
         at_end = WaterSample(end_depth_m, end_earlier, end_later, end_time_weights[k])
-        observe(observed[k], flat, state, t_ns[k + 1] * 1e-9, waves, at_end)
+        observe(observed[k], state, factor, t_ns[k + 1] * 1e-9, waves, at_end)
     return observed
 
 
 @jit
-def observe(out: Array, flat: Array, vehicle: MotionState, t: float, tilt: TiltWaves, water: WaterSample) -> None:
+def observe(out: Array, vehicle: MotionState, factor: float, t: float, tilt: TiltWaves, water: WaterSample) -> None:
     """Write the observation at vehicle time ``t`` (s) to ``out`` (18,).
 
     It holds the state (8), velocity over ground north and east, roll, pitch, heading, current north and east, and
-    the delivered thrust (3). ``flat`` is the true vehicle, from ``motion.pack``.
+    the delivered thrust (3): ``factor`` times that of eq 8.
     """
     s = vehicle.s
     copy_to(out[:8], s)
@@ -265,7 +264,8 @@ def observe(out: Array, flat: Array, vehicle: MotionState, t: float, tilt: TiltW
     out[10], out[11] = roll_and_pitch(t, tilt)
     out[12] = wrap_angle(s[4])
     out[13], out[14] = cn, ce
-    out[15], out[16], out[17] = delivered(unpack(flat), vehicle.F[0], vehicle.F[1], vehicle.F[2])
+    for i in range(3):
+        out[15 + i] = factor * vehicle.F[i]
 
 
 @jit
