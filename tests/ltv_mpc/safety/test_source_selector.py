@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from ltv_mpc.safety.source_selector import (
+    MAX_GAP_NS,
     MAX_SILENCE_NS,
     RETURN_NS,
     RUN_MESSAGES,
@@ -167,15 +168,17 @@ class Sources(RuleBasedStateMachine):
         self.t_ns, self.period_ns, self.epoch, self.name = 0, period_ms * MS, 1000, "default"
         self.sound_since = 0
         self.believed_ns: dict[Source, int] = {}
-        self.agreed_since: dict[Source, int] = {}
+        self.agreed_since: dict[Source, int] = {}  # of runs without a gap above MAX_GAP_NS
+        self.sent_ns: dict[Source, int] = {}
         self.used_ns = 0
 
     def _send(self, source: Source, judgement: Judgement = GOOD) -> None:
         before, active_ns = self.of.active, self.believed_ns.get(self.of.active or source, 0)
         used = receive(self.of, source, self.t_ns, judgement)
         assert used == (self.of.active == source)  # one active source: the others are rejected
-        if judgement != GOOD:
+        if judgement != GOOD or self.t_ns - self.sent_ns.get(source, self.t_ns) > MAX_GAP_NS:
             self.agreed_since.pop(source, None)
+        self.sent_ns[source] = self.t_ns
         if before not in (None, self.of.active):
             assert judgement.believed
             preferred = self._place(source) < self._place(before)
@@ -211,7 +214,6 @@ class Sources(RuleBasedStateMachine):
     def silence(self, ms: int) -> None:
         self.t_ns += ms * MS
         self.sound_since = self.t_ns
-        self.agreed_since.clear()
 
     @rule(name=st.sampled_from(("default", "a", "b")))
     def restart(self, name: str) -> None:
@@ -240,5 +242,5 @@ class Sources(RuleBasedStateMachine):
             assert self.t_ns - self.used_ns <= limit
 
 
-Sources.TestCase.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+Sources.TestCase.settings = settings(max_examples=150, stateful_step_count=30, deadline=None)
 TestSources = Sources.TestCase
