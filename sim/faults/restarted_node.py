@@ -7,41 +7,22 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from ltv_mpc.messages import ControllerState, Message, Plan
-from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage, Schedule
+from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
 from sim.faults.interval import Interval
+from sim.faults.node_wrapper import NodeWrapper
 
 
-class RestartedNode:
+class RestartedNode(NodeWrapper):
     """Controller that dies at the start of each interval and is replaced at its end."""
 
     def __init__(self, make: Callable[[], Node], intervals: Sequence[Interval]) -> None:
         """Begin with the first node that ``make`` returns."""
+        super().__init__(make())
         self._make = make
         self._intervals = intervals
-        self._node = make()
         self._dead = False
         self._state: ControllerState | None = None
         self._plan: Plan | None = None  # in force
-
-    @property
-    def name(self) -> str:
-        """Name of the node inside."""
-        return self._node.name
-
-    @property
-    def schedule(self) -> Schedule:
-        """Schedule of the node inside."""
-        return self._node.schedule
-
-    @property
-    def reads(self) -> tuple[type[Message], ...]:
-        """Types that the node inside reads."""
-        return self._node.reads
-
-    @property
-    def writes(self) -> tuple[type[Message], ...]:
-        """Types that the node inside writes."""
-        return self._node.writes
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """Step the node inside, one step at a time; a dead one publishes nothing and loses its inbox."""

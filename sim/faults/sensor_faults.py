@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import Message
-from ltv_mpc.node import Due, Node, Schedule
+from ltv_mpc.node import Due, Node
 from sim.faults.interval import Interval
+from sim.faults.node_wrapper import NodeWrapper
 from sim.faults.readings import Reading, changed, restamped
 
 
@@ -45,36 +46,16 @@ class SensorFault(NamedTuple):
     seed: int
 
 
-class FaultySensors:
+class FaultySensors(NodeWrapper):
     """Node around the sensors' node that applies sensor faults to its messages."""
 
     def __init__(self, sensors: Node, faults: Sequence[SensorFault]) -> None:
-        self._sensors = sensors
+        super().__init__(sensors)
         self._faulty = [_FaultySensor(fault) for fault in faults]
-
-    @property
-    def name(self) -> str:
-        """Name of the node inside, so that other nodes see no difference."""
-        return self._sensors.name
-
-    @property
-    def schedule(self) -> Schedule:
-        """Schedule of the node inside."""
-        return self._sensors.schedule
-
-    @property
-    def reads(self) -> tuple[type[Message], ...]:
-        """Types that the node inside reads."""
-        return self._sensors.reads
-
-    @property
-    def writes(self) -> tuple[type[Message], ...]:
-        """Types that the node inside writes."""
-        return self._sensors.writes
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """Step the sensors and apply the faults to their messages."""
-        outputs = self._sensors.steps(due)
+        outputs = self._node.steps(due)
         for sensor in self._faulty:
             outputs = [sensor.apply(t_ns, messages) for (t_ns, _), messages in zip(due, outputs, strict=True)]
         return outputs

@@ -17,8 +17,9 @@ import numpy as np
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.messages import Message, Solve, SolveStatus
-from ltv_mpc.node import Due, Node, Schedule
+from ltv_mpc.node import Due, Node
 from sim.faults.interval import Interval
+from sim.faults.node_wrapper import NodeWrapper
 
 
 class SolverFault(enum.StrEnum):
@@ -71,32 +72,12 @@ class FaultySolver:
         return answer
 
 
-class TimedNode:
+class TimedNode(NodeWrapper):
     """Node that sets a solver clock to the time of each of its steps."""
 
     def __init__(self, node: Node, now: SolverClock) -> None:
-        self._node = node
+        super().__init__(node)
         self._now = now
-
-    @property
-    def name(self) -> str:
-        """Name of the node inside."""
-        return self._node.name
-
-    @property
-    def schedule(self) -> Schedule:
-        """Schedule of the node inside."""
-        return self._node.schedule
-
-    @property
-    def reads(self) -> tuple[type[Message], ...]:
-        """Types that the node inside reads."""
-        return self._node.reads
-
-    @property
-    def writes(self) -> tuple[type[Message], ...]:
-        """Types that the node inside writes."""
-        return self._node.writes
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """Step the node inside, one step at a time."""
