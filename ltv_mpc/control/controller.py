@@ -96,7 +96,7 @@ class Controller:
         """Commands in force, by time."""
         packed = pack_constants(vehicle, config.weights, config.knots, STAGE_S, config.limits.max_abs)
         self._estimates = EstimateSelector(vehicle, config)
-        self._bias = _new_bias(config)
+        self._bias = CurrentBias(config.disturbance)
         self._delay = Delay(_first_delay_ns(config), config.delay_quantile, round(config.min_delay_s * 1e9))
         self._prediction = Prediction(vehicle)
         self._vertical = VerticalLaw(vehicle, packed)
@@ -130,7 +130,7 @@ class Controller:
     @property
     def learned_current(self) -> Belief | None:
         """Estimated bias of the current and its covariance: the current itself for estimates without one."""
-        return None if self._bias is None else (self._bias.bias_mps, self._bias.covariance)
+        return self._bias.belief
 
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
@@ -183,7 +183,7 @@ class Controller:
     def restart_estimates(self) -> None:
         """Begin with another source of estimates: gate, period, checks and current bias are those of one source."""
         self._estimates.restart()
-        self._bias = _new_bias(self.config)
+        self._bias = CurrentBias(self.config.disturbance)
 
     def predict(self, estimate: Estimate, t_ns: int) -> Array:
         """Return the predicted lateral state (6,) at ``t_ns``: n, e, u, v, psi, r.
@@ -291,7 +291,7 @@ class Controller:
             schedule_rate=follower.rate,
             progress=reference.progress.share,
             depth_integral_N=self._vertical.integral_N,
-            current_bias=None if self._bias is None else self._bias.save(),
+            current_bias=None if self._bias.belief is None else self._bias.save(),
             plan_delays_ns=plan_delays_ns,
             cycle_times_ns=cycle_times_ns,
             plan=self._lateral.previous.plan,
@@ -312,7 +312,7 @@ class Controller:
             self._lateral.previous.restore(state.plan)
         self._delay.restore(first_ns, state.plan_delays_ns, state.cycle_times_ns)
         self._vertical.integral_N = state.depth_integral_N
-        if self._bias is not None and state.current_bias is not None:
+        if state.current_bias is not None:
             self._bias.restore(state.current_bias, t_ns - state.t_ns)
         followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
         self._followers[0].restore(followed, t_ns, moved_until_ns=_end_of_motion_ns(state))
@@ -326,9 +326,8 @@ class Controller:
         """
         estimate = self._estimates.select(newest)
         if estimate is not None:
-            if self._bias is not None:
-                estimate = self._bias.correct(estimate, self._prediction, self.sent_commands)
-            self.reference_point_check.update(estimate, self._prediction, self.sent_commands)
+            estimate, predicted_mps = self._bias.correct(estimate, self._prediction, self.sent_commands)
+            self.reference_point_check.update(estimate, predicted_mps)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._bias)
@@ -475,10 +474,6 @@ def _end_of_motion_ns(state: ControllerState) -> int:
     if plan is None or plan.authority is not Authority.CONTROLLER:
         return state.schedule_t_ns
     return int(plan.t_ns[-1]) + SAVE_PERIOD_NS
-
-
-def _new_bias(config: ControllerConfig) -> CurrentBias | None:
-    return None if config.disturbance.sd_mps == 0 else CurrentBias(config.disturbance)
 
 
 def _first_delay_ns(config: ControllerConfig) -> int:

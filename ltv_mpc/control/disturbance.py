@@ -26,7 +26,7 @@ from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.prediction import Measured, Prediction, Profile, current_at_depth, predict_state
 from ltv_mpc.control.sent_commands import Commands, SentCommands
 from ltv_mpc.jit import jit
-from ltv_mpc.messages import Array, CurrentBiasState, CurrentProfile, Estimate
+from ltv_mpc.messages import Array, CurrentBiasState, CurrentProfile, Estimate, Pair
 
 STEP_MPS = 0.005
 """Step of the finite difference dh/db (m/s)."""
@@ -44,6 +44,9 @@ MAX_INTERVAL_NS = 2_000_000_000
 Belief: TypeAlias = tuple[Array, Array]
 """Estimated bias b (2,), north and east (m/s), and its covariance P (2, 2) (m^2/s^2)."""
 
+NO_BIAS: Belief = (np.zeros(2), np.zeros((2, 2)))
+"""Belief where the profile is used as it is."""
+
 Noise: TypeAlias = tuple[float, float, float]
 """Walk q (m/s per sqrt(s)), noise of the velocity r (m/s), and the prior variance (m^2/s^2): the largest variance in
 any direction.
@@ -51,16 +54,24 @@ any direction.
 
 
 class CurrentBias:
-    """Extended Kalman filter of the current's bias, updated from estimate to estimate."""
+    """Extended Kalman filter of the current's bias, updated from estimate to estimate.
+
+    Its prediction of the velocity is also that of the reference point check, so it predicts without a bias, too.
+    """
 
     def __init__(self, settings: Disturbance) -> None:
-        """Begin at the prior; ``settings.sd_mps`` is above 0, or None."""
-        self._always = settings.sd_mps is not None
+        """Begin at the prior; with ``settings.sd_mps`` = 0 there never is a bias."""
+        self._sd_mps = settings.sd_mps
         self._max_mps = settings.max_mps
         prior_variance = (DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps) ** 2
         self._noise: Noise = (settings.walk_mps_per_rts, settings.noise_mps, prior_variance)
         self._belief: Belief = (np.zeros(2), prior_variance * np.eye(2))
         self._last: Estimate | None = None
+
+    @property
+    def belief(self) -> Belief | None:
+        """Estimated bias and its covariance; None if there never is a bias."""
+        return None if self._sd_mps == 0 else self._belief
 
     @property
     def bias_mps(self) -> Array:
@@ -81,11 +92,13 @@ class CurrentBias:
         ----------
         seconds : length of the mean (s).
         """
-        if self._last is None:
+        if self._last is None or not self._applies_to(self._last):
             return np.zeros((2, 2))
         return self.covariance + self._noise[0] ** 2 * seconds / 3.0 * np.eye(2)
 
-    def correct(self, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> Estimate:
+    def correct(
+        self, estimate: Estimate, prediction: Prediction, commands: SentCommands
+    ) -> tuple[Estimate, Pair | None]:
         """Update the bias with an estimate, and add it to the estimate's current.
 
         Parameters
@@ -96,19 +109,24 @@ class CurrentBias:
 
         Returns
         -------
-        The estimate with the corrected current; unchanged if its profile is used as it is.
+        The estimate with the corrected current, unchanged if its profile is used as it is; and its velocity over
+        ground, north and east (m/s), as predicted from the last estimate. It is None without one, and after too long a
+        time.
         """
-        if estimate.current is not None and not self._always:
-            self._last = None
-            return estimate
         last, self._last = self._last, estimate
         interval_ns = 0 if last is None else estimate.t_ns - last.t_ns
+        applies = self._applies_to(estimate)
+        predicted = None
         if last is not None and 0 < interval_ns <= MAX_INTERVAL_NS:
-            self._update(last, estimate, prediction, commands)
-        elif interval_ns > 0:
+            predicted = self._update(last, estimate, prediction, commands)
+        elif interval_ns > 0 and applies:
             walk, _, prior_variance = self._noise
             self._belief = self.bias_mps, _propagate(self.covariance, interval_ns, walk, prior_variance)
-        return _with_bias(estimate, self.bias_mps)
+        return _with_bias(estimate, self.bias_mps) if applies else estimate, predicted
+
+    def _applies_to(self, estimate: Estimate) -> bool:
+        """Return True if the bias is added to the estimate's current."""
+        return self._sd_mps != 0 and (self._sd_mps is not None or estimate.current is None)
 
     def save(self) -> CurrentBiasState:
         """Return the belief, from which another filter continues."""
@@ -128,11 +146,12 @@ class CurrentBias:
         P = np.array([[north, cross], [cross, east]]) + growth * np.eye(2)
         self._belief = np.clip(np.array(state.bias_mps), -self._max_mps, self._max_mps), P
 
-    def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> None:
-        """Update the bias with the change of velocity between two estimates; nothing if it would not be finite."""
+    def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> Pair:
+        """Return the velocity predicted from the last estimate, and update the bias if both estimates have one."""
         profile = last.current or STILL_WATER
-        bias_mps, covariance = update_bias(
-            self._belief,
+        applied = self._applies_to(last)
+        predicted, (bias_mps, covariance) = predict_and_update(
+            self._belief if applied else NO_BIAS,
             np.array([estimate.velocity_north_mps, estimate.velocity_east_mps]),
             estimate.t_ns,
             prediction.coefficients,
@@ -140,13 +159,15 @@ class CurrentBias:
             prediction.delivered(commands),
             (profile.depth_m, profile.north_mps, profile.east_mps),
             self._noise,
+            applied and self._applies_to(estimate),
         )
-        if np.isfinite(bias_mps).all():
+        if applied and np.isfinite(bias_mps).all():
             self._belief = np.clip(bias_mps, -self._max_mps, self._max_mps), covariance
+        return predicted
 
 
 @jit
-def update_bias(
+def predict_and_update(
     belief: Belief,
     velocity: Array,
     until: int,
@@ -155,8 +176,9 @@ def update_bias(
     commands: Commands,
     profile: Profile,
     noise: Noise,
-) -> Belief:
-    """Return the belief after one step of the filter: prediction, then a measurement of the velocity over ground.
+    updates: bool,
+) -> tuple[tuple[float, float], Belief]:
+    """Predict the velocity over ground, and update the belief with the measured one: one step of the filter.
 
     Parameters
     ----------
@@ -165,20 +187,24 @@ def update_bias(
     until : time of the measurement (ns).
     vehicle, measured, commands, profile : as ``predict_state`` takes them, from the last estimate; without the bias.
     noise : of the walk, of the velocity, and the prior.
+    updates : False: only predict.
+
+    Returns
+    -------
+    Predicted velocity over ground at ``until``, north and east (m/s), and the belief after the step.
     """
     b, P = belief
+    predicted = _predicted_velocity(b, until, vehicle, measured, commands, profile)
+    if not updates:
+        return predicted, (b, P)
     walk, velocity_sd, prior_variance = noise
-    predicted, H = np.empty(2), np.empty((2, 2))
-    for j in range(-1, 2):  # the prediction itself, then one difference for each component of b
+    H = np.empty((2, 2))
+    for j in range(2):  # one difference for each component of b
         shifted = b.copy()
-        if j >= 0:
-            shifted[j] += STEP_MPS
+        shifted[j] += STEP_MPS
         v = _predicted_velocity(shifted, until, vehicle, measured, commands, profile)
         for i in range(2):
-            if j < 0:
-                predicted[i] = v[i]
-            else:
-                H[i, j] = (v[i] - predicted[i]) / STEP_MPS
+            H[i, j] = (v[i] - predicted[i]) / STEP_MPS
     out_b, out_P = b.copy(), _propagate(P, until - measured[0], walk, prior_variance)
     r2 = velocity_sd * velocity_sd
     # The noise of the two components is independent, so they are used one after the other.
@@ -198,7 +224,7 @@ def update_bias(
         out_P[0, 1] = q00 * j10 + q01 * j11 + r2 * k0 * k1
         out_P[1, 0] = out_P[0, 1]
         out_P[1, 1] = q10 * j10 + q11 * j11 + r2 * k1 * k1
-    return out_b, out_P
+    return predicted, (out_b, out_P)
 
 
 @jit

@@ -17,9 +17,7 @@ from __future__ import annotations
 import cmath
 import math
 
-from ltv_mpc.control.prediction import Prediction, current_at_depth, profile_of
-from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.messages import Estimate, Health
+from ltv_mpc.messages import Estimate, Health, Pair
 from ltv_mpc.safety.health import NOMINAL, HealthState
 
 MAX_INTERVAL_NS = 1_000_000_000
@@ -55,25 +53,23 @@ class ReferencePointCheck:
         self._rows, self._squares = NOISE_ROWS, NOISE_ROWS * NOISE_MPS**2  # sum |z|^2
         self._exceeded_s = 0.0
 
-    def update(self, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> None:
+    def update(self, estimate: Estimate, predicted_mps: Pair | None) -> None:
         """Compare an estimate with the prediction from the last one.
 
         Parameters
         ----------
-        estimate : newest accepted estimate of the vehicle's origin, with the current that the controller uses.
-        prediction : prediction of the vehicle's state.
-        commands : commands in force since the last estimate.
+        estimate : newest accepted estimate of the vehicle's origin.
+        predicted_mps : its velocity over ground, north and east (m/s), as the model predicts it from the last estimate;
+            None if there is no prediction.
         """
         last = self._last
         if last is not None and estimate.t_ns == last.t_ns:
             return
         self._last = estimate
-        if last is None or not 0 < estimate.t_ns - last.t_ns <= MAX_INTERVAL_NS:
+        if last is None or predicted_mps is None or not 0 < estimate.t_ns - last.t_ns <= MAX_INTERVAL_NS:
             return
         d = _turning(estimate) - _turning(last)
-        z = complex(estimate.velocity_north_mps, estimate.velocity_east_mps) - _predicted(
-            last, estimate.t_ns, prediction, commands
-        )
+        z = complex(estimate.velocity_north_mps, estimate.velocity_east_mps) - complex(*predicted_mps)
         if not cmath.isfinite(z):
             return
         interval_s = (estimate.t_ns - last.t_ns) * 1e-9
@@ -112,11 +108,3 @@ class ReferencePointCheck:
 def _turning(estimate: Estimate) -> complex:
     """Return the velocity over ground, north + i east, of a point 1 m ahead of a turning vehicle (m/s)."""
     return 1j * estimate.yaw_rate_radps * cmath.exp(1j * estimate.heading_rad)
-
-
-def _predicted(last: Estimate, t_ns: int, prediction: Prediction, commands: SentCommands) -> complex:
-    """Return the predicted velocity over ground at ``t_ns``, north + i east (m/s)."""
-    start, profile = prediction.state_at(last, t_ns, commands), profile_of(last)
-    current = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, start.depth_m)
-    u, v, heading_rad = start.lateral[2], start.lateral[3], start.lateral[4]
-    return complex(u, v) * cmath.exp(1j * heading_rad) + complex(*current)

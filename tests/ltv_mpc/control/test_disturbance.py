@@ -74,8 +74,8 @@ def test_the_bias_survives_an_estimate_with_a_profile():
     learned = bias.bias_mps.copy()
     assert learned[0] > 0.05
     known = msgspec.structs.replace(estimate, t_ns=50 * 300_000_000, current=flat(WATER))
-    assert bias.correct(known, vehicle, commands) is known
-    again = bias.correct(msgspec.structs.replace(estimate, t_ns=51 * 300_000_000), vehicle, commands)
+    assert bias.correct(known, vehicle, commands)[0] is known
+    again, _ = bias.correct(msgspec.structs.replace(estimate, t_ns=51 * 300_000_000), vehicle, commands)
     assert again.current.north_mps[0] == learned[0]
 
 
@@ -95,7 +95,7 @@ def drifting(seconds: float, steps: int, settings: Disturbance = ON, **changes: 
     bias, commands, vehicle = CurrentBias(settings), SentCommands(PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(), **changes)
     for i in range(steps):
-        corrected = bias.correct(msgspec.structs.replace(estimate, t_ns=round(i * seconds * 1e9)), vehicle, commands)
+        corrected, _ = bias.correct(msgspec.structs.replace(estimate, t_ns=round(i * seconds * 1e9)), vehicle, commands)
     return bias, corrected
 
 
@@ -141,3 +141,19 @@ def test_a_nan_velocity_is_ignored_and_the_bias_is_bounded():
     for i in range(50):
         tight.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
     assert tight.bias_mps[0] == 0.01
+
+
+@pytest.mark.parametrize("known", [None, flat(np.array([0.2, -0.1]))])
+@pytest.mark.parametrize("settings", [ON, OFF, DEFAULT])
+def test_the_predicted_velocity_is_that_of_the_controller_s_own_prediction(settings: Disturbance, known):
+    """Also where the bias is not updated; it is the velocity before the update."""
+    bias, commands, vehicle = CurrentBias(settings), SentCommands(PAPER), Prediction(PAPER)
+    first = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2, yaw_rate_radps=0.1, current=known)
+    corrected, predicted = bias.correct(first, vehicle, commands)
+    assert predicted is None
+    for k in range(1, 4):
+        expected = as_estimate(vehicle.state_at(corrected, k * 300_000_000, commands), corrected)
+        corrected, predicted = bias.correct(msgspec.structs.replace(first, t_ns=k * 300_000_000), vehicle, commands)
+        np.testing.assert_allclose(predicted, (expected.velocity_north_mps, expected.velocity_east_mps), atol=1e-12)
+    _, predicted = bias.correct(msgspec.structs.replace(first, t_ns=10_000_000_000), vehicle, commands)
+    assert predicted is None

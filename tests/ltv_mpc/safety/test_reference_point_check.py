@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Vehicle
+from ltv_mpc.control.config import Disturbance
+from ltv_mpc.control.disturbance import CurrentBias
 from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
@@ -24,7 +26,7 @@ def checked(
 ) -> ReferencePointCheck:
     """Return the check after a motion that turns to and fro, seen at a point ``offset`` from the origin."""
     rng, check = np.random.default_rng(0), ReferencePointCheck()
-    commands, model = SentCommands(PAPER), Prediction(PAPER)
+    commands, model, bias = SentCommands(PAPER), Prediction(PAPER), CurrentBias(Disturbance())
     estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), current=CURRENT)
     back = msgspec.structs.replace(offset, forward_m=-offset.forward_m, starboard_m=-offset.starboard_m)
     for k in range(cycles):
@@ -47,7 +49,7 @@ def checked(
             velocity_north_mps=seen.velocity_north_mps + north,
             velocity_east_mps=seen.velocity_east_mps + east,
         )
-        check.update(seen, model, commands)
+        check.update(*bias.correct(seen, model, commands))
         estimate = as_estimate(model.state_at(estimate, estimate.t_ns + PERIOD_NS, commands), estimate)
     return check
 
