@@ -97,10 +97,11 @@ class Controller:
         packed = pack_constants(vehicle, config.weights, config.knots, STAGE_S, config.limits.max_abs)
         self._estimates = EstimateSelector(vehicle, config)
         self._bias = CurrentBias(config.disturbance)
-        self._delay = Delay(_first_delay_ns(config), config.delay_quantile, round(config.min_delay_s * 1e9))
         self._prediction = Prediction(vehicle)
         self._vertical = VerticalLaw(vehicle, packed)
         self._knots_ns = np.round(config.knots * STAGE_NS).astype(np.int64)  # (N+1,), after the plan's start
+        least_ns, plan_ns = round(config.min_delay_s * 1e9), int(self._knots_ns[-1])
+        self._delay = Delay(_first_delay_ns(config), config.delay_quantile, least_ns, plan_ns)
         self._lateral = LateralPlanner(
             vehicle,
             config,

@@ -7,7 +7,8 @@ Without receipts it is the cycle's computing time alone. With m the median and h
     max(h + (h - m), min_ns)
 
 so that a plan is rarely late, and a delay that never varies is expected as it is. An expectation that is too long costs
-little, because the vehicle's motion until then is predicted.
+little, because the vehicle's motion until then is predicted. A receipt after the end of the plan is not counted: the
+actuators do not follow such a plan, so a stamp is wrong.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ WINDOW_CYCLES = 100
 class Delay:
     """Expected delay of a plan, in vehicle time."""
 
-    def __init__(self, first_ns: int, quantile: float, min_ns: int = 0) -> None:
+    def __init__(self, first_ns: int, quantile: float, min_ns: int = 0, plan_ns: float = math.inf) -> None:
         """Begin without measurements.
 
         Parameters
@@ -33,10 +34,12 @@ class Delay:
         first_ns : expected before anything was measured (ns).
         quantile : h is this quantile of the measurements, 0.5 to 1.
         min_ns : lower bound of what is expected (ns).
+        plan_ns : length of a plan (ns); a longer delay until a receipt is not counted.
         """
         self._expected_ns = max(first_ns, min_ns)
         self._quantile = quantile
         self._min_ns = min_ns
+        self._plan_ns = plan_ns
         self._receipts: deque[int] = deque(maxlen=WINDOW_CYCLES)
         self._computing: deque[int] = deque(maxlen=WINDOW_CYCLES)
         self._last_receipt: int | None = None  # start of the cycle whose receipt came last
@@ -71,8 +74,10 @@ class Delay:
         if applied.plan_sequence < 0 or applied.plan_cycle_t_ns == self._last_receipt:
             return
         self._last_receipt = applied.plan_cycle_t_ns
-        self._receipts.append(max(applied.plan_received_t_ns - applied.plan_cycle_t_ns, 0))
-        self._update()
+        took_ns = max(applied.plan_received_t_ns - applied.plan_cycle_t_ns, 0)
+        if took_ns <= self._plan_ns:
+            self._receipts.append(took_ns)
+            self._update()
 
     def add_timing(self, timing: CycleTiming) -> None:
         """Take in the computing time of the last cycle.

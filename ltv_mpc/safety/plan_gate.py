@@ -5,7 +5,8 @@ Target   T(t) = the newest accepted plan that has started, linear between its kn
 Command  y(t) (N), port, starboard, vertical:  y(t + dt) = y(t) + clip(T(t + dt) - y(t), -slew dt, slew dt)
 
 A plan that starts at the command in force is followed exactly. The command approaches a late plan at the slew limit,
-and the end of the last plan is a ramp. A plan is rejected if it violates box or slew limit itself, or is out of order.
+and the end of the last plan is a ramp. A plan is rejected if it violates box or slew limit itself, is out of order, or
+has ended before it arrives: with wrong stamps it would otherwise stop a vehicle that has a sound plan.
 
 One commander at a time. A commander is identified by its epoch, which each start of a controller draws at random.
 While plans of one commander keep coming, those of all others are rejected. A new commander is accepted once two planned
@@ -44,6 +45,7 @@ class PlanVerdict(enum.StrEnum):
     LATE = "late"  # accepted after its start time: a deadline miss
     OUT_OF_ORDER = "out_of_order"
     SECOND_COMMANDER = "second_commander"
+    ENDED = "ended"  # its last knot has passed
     OUTSIDE_BOX = "outside_box"
     OUTSIDE_SLEW = "outside_slew"
 
@@ -157,6 +159,8 @@ class PlanGate:
             return PlanVerdict.OUT_OF_ORDER
         if self.commander.epoch not in (None, epoch) and self.health(t_ns) is Health.NOMINAL:
             return PlanVerdict.SECOND_COMMANDER
+        if plan.t_ns[-1] < t_ns:
+            return PlanVerdict.ENDED
         thrust, seconds = plan.thrust_N, (plan.t_ns[1:] - plan.t_ns[:-1]) * 1e-9
         low, high, slew = self._limits
         # written so that NaN is outside

@@ -179,6 +179,14 @@ def test_expected_is_a_quantile_plus_its_distance_from_the_median():
     assert delay.expected_ns() == 160 + (160 - 100)
 
 
+def test_a_receipt_after_the_end_of_the_plan_is_not_counted():
+    delay = Delay(50, 1.0, plan_ns=1000)
+    received(delay, *[1001] * 20)
+    assert delay.expected_ns() == 50
+    received(delay, *[1000] * 21)
+    assert delay.expected_ns() == 1000
+
+
 def test_measurements_outside_the_window_are_dropped():
     delay = Delay(0, 1.0)
     received(delay, 9000)

@@ -118,6 +118,18 @@ def test_a_plan_that_arrives_at_its_start_is_not_late():
     assert gate.offer(constant(S, 0.0, 0.0, 0.0), 1, 1, S + 1) is PlanVerdict.LATE
 
 
+def test_a_plan_that_has_ended_does_not_replace_the_one_in_force():
+    gate = PlanGate(VEHICLE)
+    gate.command_at(0)
+    gate.offer(constant(0, 0.0, 0.0, 30.0, knots=50), 1, 0, 0)
+    ended = constant(3 * S, 9.0, 9.0, 9.0, knots=5)  # until 4.2 s
+    assert gate.offer(ended, 1, 1, round(4.2 * S)) is PlanVerdict.LATE
+    gate.offer(constant(4 * S, 0.0, 0.0, 30.0, knots=50), 1, 2, 5 * S)
+    assert gate.offer(ended, 1, 3, round(4.2 * S) + 1) is PlanVerdict.ENDED
+    assert gate.command_at(8 * S) == (0.0, 0.0, 30.0)
+    assert gate.plans_rejected == 1
+
+
 def test_plans_out_of_order_are_rejected():
     gate = PlanGate(VEHICLE)
     verdicts = [gate.offer(constant(0, 1.0, 1.0, 1.0), 7, k, 0) for k in (4, 4, 3, 5)]
