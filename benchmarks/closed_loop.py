@@ -31,7 +31,6 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.solvers import Solver, SolverResult, make
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -82,9 +81,9 @@ class Converged:
 
 def cost(of: RunConfig, flown: Outcome) -> float:
     """Return the cost J of a flight."""
-    weights = resolve_weights(of.scenario.controller, of.vehicle).weights
-    scale = HorizonLimits.from_vehicle(of.vehicle, of.scenario.controller.period_s).thrust_scale
-    every = of.scenario.controller.period_ns // STEP_NS
+    weights = of.controller.weights
+    scale = HorizonLimits.from_vehicle(of.vehicle, of.controller.period_s).thrust_scale
+    every = of.controller.period_ns // STEP_NS
     distance, f = flown.distance_m[every - 1 :: every], flown.commands_N[every - 1 :: every] / scale
     change = np.diff(f, axis=0, prepend=0.0)
     total = weights.position_per_m2 * distance @ distance
@@ -110,7 +109,7 @@ def fly(of: RunConfig, optimum: Optimum | None) -> Flight:
         return made[-1]
 
     make_solver = make if optimum is None else make_converged
-    controller = Controller(of.vehicle, of.reference, of.scenario.controller, make_solver=make_solver)
+    controller = Controller(of.vehicle, of.reference, of.controller, make_solver=make_solver)
     outcome = Loop(run_config=of, controller=controller).fly()
     cycles = sum(one.cycles for one in made)
     share = sum(one.converged for one in made) / cycles if cycles else 0.0
@@ -137,7 +136,7 @@ class Job(NamedTuple):
 def _optimum() -> Optimum:
     """Made once by each process: it takes IPOPT some seconds."""
     here = run_config()
-    return Optimum(here.vehicle, here.scenario.controller)
+    return Optimum(here.vehicle, here.controller)
 
 
 def flight(job: Job) -> Flight:

@@ -25,13 +25,12 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.loop import Loop, run_config
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import roll_out
 from ltv_mpc.control.problem_data import pack_objective, unpack_objective
-from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES, lag_weights, substeps
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
@@ -58,8 +57,8 @@ class Watched(Controller):
 class Optimum:
     """Nonlinear problem of N stages, by multiple shooting and IPOPT."""
 
-    def __init__(self, vehicle: Vehicle, config: ControllerConfig) -> None:
-        self._p, self._weights = vehicle.coefficients(), resolve_weights(config, vehicle).weights
+    def __init__(self, vehicle: Vehicle, config: ResolvedConfig) -> None:
+        self._p, self._weights = vehicle.coefficients(), config.weights
         self._limits = HorizonLimits.from_vehicle(vehicle, STAGE_S)
         self._packed = pack_objective(config.knots, self._limits, self._weights)
         self._N = N = config.stages
@@ -192,9 +191,9 @@ def main() -> None:
         task = progress.add_task("descents", total=options.seeds)
         for seed in range(options.first_seed, options.first_seed + options.seeds):
             s = run_config(f"run.seed={seed}", *options.set)
-            controller = Watched(s.vehicle, s.reference, s.scenario.controller)
+            controller = Watched(s.vehicle, s.reference, s.controller)
             Loop(run_config=s, controller=controller).fly()
-            optimum = optimum or Optimum(s.vehicle, s.scenario.controller)
+            optimum = optimum or Optimum(s.vehicle, s.controller)
             rows += [compare(optimum, cycle) for cycle in controller.cycles[options.every :: options.every]]
             progress.advance(task)
     print(text(rows, " ".join(options.set) or "defaults"))

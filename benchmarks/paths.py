@@ -36,7 +36,7 @@ class Outcome(NamedTuple):
     solved: float
 
 
-def follow(name: str, vehicle: Vehicle, toward: tuple[float, float], horizon_s: float) -> Outcome:
+def follow(name: str, vehicle: Vehicle, toward: tuple[float, float], horizon_s: float | None) -> Outcome:
     """One path in a current (m/s, north and east)."""
     controller = Controller(vehicle, references.load(name), ControllerConfig(horizon_s=horizon_s))
     deep = np.array([0.0, 100.0])
@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", metavar="NAME", default=NAMES)
     parser.add_argument("--vehicle", default="paper")
     parser.add_argument("--current", type=float, default=0.2)
-    parser.add_argument("--horizon-s", type=float, default=ControllerConfig().horizon_s)
+    parser.add_argument("--horizon-s", type=float, help="default: the one that suits the vehicle")
     asked = parser.parse_args()
     vehicle = Vehicle.load(asked.vehicle)
     print("| path | current | off, mean | off, max | from the target, mean | time | solved |")

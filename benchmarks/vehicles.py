@@ -28,12 +28,12 @@ from benchmarks.loop import Loop, run_config
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.messages import Array, Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.thruster import revolutions
 from services.run.run_config import RunConfig
-from services.tools.vehicle_check import check
 from sim.water.column import WaterColumn
 
 SHARES = (0.2, 0.35, 0.5)
@@ -173,14 +173,13 @@ def main() -> None:
         "   off m at 0.2 0.35 0.5 V    settled s  sway m  change  failed"
     )
     for vehicle in vehicles:
-        horizon_s = options.horizon_s or check(vehicle).horizon_s
-        config = ControllerConfig(horizon_s=horizon_s, solver=options.solver)
+        config = settled(ControllerConfig(horizon_s=options.horizon_s, solver=options.solver), vehicle)
         by_share = {share: [hold(vehicle, share, seed, config) for seed in range(options.seeds)] for share in SHARES}
         every = [run for runs in by_share.values() for run in runs]
         off = "".join(f"{max(run.off_m for run in runs):8.3f}" for runs in by_share.values())
         scales = characteristic_scales(vehicle)
         print(
-            f"{vehicle.name:<14}{vehicle.dry_mass_kg:6.0f}{scales.speed_mps:7.2f}{scales.time_s:6.1f}{horizon_s:7.1f}"
+            f"{vehicle.name:<14}{vehicle.dry_mass_kg:6.0f}{scales.speed_mps:7.2f}{scales.time_s:6.1f}{config.horizon_s:7.1f}"
             f"   {off}"
             f"{max(run.settled_s for run in every):13.1f}{max(run.sway_m for run in every):8.3f}"
             f"{max(run.thrust_change for run in every):8.3f}"

@@ -20,7 +20,7 @@ from benchmarks.loop import Loop, Outcome, run_config
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.horizon_selection import proposed_horizon_s
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.messages import Applied, ControllerState, Estimate, Message, MessageFault, Plan
 from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
@@ -110,14 +110,14 @@ def abeam(seed: int) -> Measures:
 def stuck(seed: int) -> Measures:
     """Hold a point with a vehicle that is weak astern, in a current of half its top speed."""
     vehicle = Vehicle.load("weak-reverse")
-    held = vehicles.hold(vehicle, 0.5, seed, ControllerConfig(horizon_s=proposed_horizon_s(vehicle)))
+    held = vehicles.hold(vehicle, 0.5, seed)
     return {"largest distance, last 40 s (m)": held.off_m, "settled after (s)": held.settled_s}
 
 
 def drawn_vehicle(seed: int) -> Measures:
     """Hold a point with a vehicle that was drawn at random, in a current of 0.35 of its top speed."""
     vehicle = vehicles.drawn(seed)
-    held = vehicles.hold(vehicle, 0.35, seed, ControllerConfig(horizon_s=proposed_horizon_s(vehicle)))
+    held = vehicles.hold(vehicle, 0.35, seed)
     return {
         "largest distance, last 40 s (m)": held.off_m,
         "settled after (s)": held.settled_s,
@@ -131,13 +131,13 @@ def drawn_vehicle(seed: int) -> Measures:
 def light_vehicle(seed: int) -> Measures:
     """Hold a point with a vehicle that is light to the side, whose proposed horizon is lengthened to be stable."""
     vehicle = light_to_the_side(seed)
-    horizon_s = proposed_horizon_s(vehicle)
-    held = vehicles.hold(vehicle, 0.35, seed, ControllerConfig(horizon_s=horizon_s))
+    config = settled(ControllerConfig(), vehicle)
+    held = vehicles.hold(vehicle, 0.35, seed, config)
     return {
         "largest distance, last 40 s (m)": held.off_m,
         "sway, rms (m)": held.sway_m,
         "change of thrust, rms": held.thrust_change,
-        "horizon (s)": horizon_s,
+        "horizon (s)": config.horizon_s,
     }
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.peers.peer import Peer
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.solvers import SolverFactory
 from ltv_mpc.messages import Applied, Estimate, Pair, Plan, PlanOrigin, SolveStatus
@@ -22,7 +22,7 @@ class Entry:
 
     peer: type[Peer]
 
-    def config(self, episode: Episode) -> ControllerConfig:
+    def config(self, episode: Episode) -> ResolvedConfig:
         """Return the episode's settings."""
         return episode.config
 

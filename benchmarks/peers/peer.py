@@ -10,10 +10,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -27,9 +26,9 @@ class Peer:
     packages: ClassVar[tuple[str, ...]]
     settings: ClassVar[str]  # what differs from the tool's defaults, and why
 
-    def __init__(self, config: ControllerConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
         self.stages, self.knots = config.stages, config.knots
-        self.weights = resolve_weights(config, vehicle).weights
+        self.weights = config.weights
         self.limits = limits
         self.vehicle = vehicle
         self.lin: Linearisation

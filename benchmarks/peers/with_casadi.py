@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.peers import symbolic
 from benchmarks.peers.peer import Peer
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.messages import Array
@@ -40,7 +40,7 @@ class CasadiIpopt(Peer):
     packages = ("casadi",)
     settings = "multiple shooting, MUMPS, expand, warm_start_init_point with 1e-6 pushes, mu_strategy adaptive"
 
-    def __init__(self, config: ControllerConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         N, w, h = self.stages, self.weights, STAGE_NS * 1e-9
         flow = symbolic.stage(h, 1, vehicle.coefficients())

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from benchmarks.peers.peer import Peer
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import velocity_over_ground
 from ltv_mpc.control.solvers.interface import SolverResult
@@ -31,7 +31,7 @@ class CvxpyOsqp(Peer):
     packages = ("cvxpy", "osqp")
     settings = "DPP, one sparse parameter for the dynamics, warm_start=True; OSQP as cvxpy sets it"
 
-    def __init__(self, config: ControllerConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         N, w = self.stages, self.weights
         self._scale = np.concatenate([limits.state_scale, limits.thrust_scale])

@@ -15,7 +15,7 @@ import numpy as np
 from qpmpc import MPCProblem, solve_mpc
 
 from benchmarks.peers.peer import Peer
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import velocity_over_ground
 from ltv_mpc.control.solvers.interface import SolverResult
@@ -37,7 +37,7 @@ class QpmpcDaqp(Peer):
     packages = ("qpmpc", "daqp")
     settings = "dense, defaults"
 
-    def __init__(self, config: ControllerConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         w, F = self.weights, limits.thrust_scale
         position, thrust = np.sqrt(w.position_per_m2), max(np.sqrt(w.thrust), SMALL) / F

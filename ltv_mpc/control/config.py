@@ -80,7 +80,7 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the controller."""
 
-    horizon_s: Annotated[float, Meta(ge=0.3, le=120)] = 5.0
+    horizon_s: Annotated[float, Meta(ge=0.3, le=120)] | None = None  # None: as `vehicle check` proposes, resolution.py
     max_stages: Annotated[int, Meta(ge=2, le=400)] = 34  # a longer horizon has growing stages: shooting_grid.py
     period_s: Annotated[float, Meta(ge=0.02, le=60)] = 0.3
     weights: WeightSettings = WeightSettings()  # a weight that is not set follows from the vehicle
@@ -115,6 +115,18 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         return validate(settings, source=f"controller settings {path}")
 
     @property
+    def period_ns(self) -> int:
+        """Smallest time between the starts of two cycles (ns)."""
+        return round(self.period_s * 1e9)
+
+
+class ResolvedConfig(ControllerConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings for one vehicle, with the horizon and every weight set: ``resolution.settled`` makes them."""
+
+    horizon_s: Annotated[float, Meta(ge=0.3, le=120)]
+    weights: Weights
+
+    @property
     def stages(self) -> int:
         """Number of stages N: the horizon in whole stages of 0.3 s, at most ``max_stages``."""
         return min(self._reach, self.max_stages)
@@ -133,20 +145,9 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     def _reach(self) -> int:
         return max(1, round(self.horizon_s * 1e9 / STAGE_NS))
 
-    @property
-    def period_ns(self) -> int:
-        """Smallest time between the starts of two cycles (ns)."""
-        return round(self.period_s * 1e9)
-
-
-class ResolvedConfig(ControllerConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Settings for one vehicle, with every weight set; only ``scaling.resolve_weights`` makes them."""
-
-    weights: Weights = Weights()
-
 
 def validate(settings: ControllerConfig, *, source: str, table: tuple[str, ...] = ()) -> ControllerConfig:
-    """Check the relations between fields, and return the settings.
+    """Check the relations between fields that no vehicle is needed for, and return the settings.
 
     Parameters
     ----------
@@ -158,9 +159,6 @@ def validate(settings: ControllerConfig, *, source: str, table: tuple[str, ...] 
     ------
     ConfigError : two fields contradict each other.
     """
-    if settings.period_s > settings.horizon_s:
-        problem = f"must be <= horizon_s = {settings.horizon_s:g}: a plan lasts until the next one"
-        raise ConfigError(source, config.toml_key((*table, "period_s")), problem, value=settings.period_s)
     contradiction = settings.ages.problem()
     if contradiction is not None:
         name, problem = contradiction

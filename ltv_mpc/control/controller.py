@@ -32,7 +32,7 @@ from ltv_mpc.control.mode import Decision, EstimateSelector, Mode, decide
 from ltv_mpc.control.prediction import Prediction, Start, current_at_depth, profile_of
 from ltv_mpc.control.prediction_uncertainty import growth_m
 from ltv_mpc.control.problem_data import pack_constants
-from ltv_mpc.control.scaling import resolve_weights
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan
@@ -82,7 +82,7 @@ class Controller:
         ----------
         vehicle : nominal model.
         reference : what to follow, from the first estimate after its start.
-        config : settings of the controller; ``ControllerConfig()`` if None.
+        config : settings of the controller; ``ControllerConfig()`` if None. Without a horizon: the vehicle's own.
         make_solver : factory of the QP solver; by default it makes the solver that the settings name.
         stopwatch : is called with a stage's name when that stage of a cycle ends.
 
@@ -90,7 +90,7 @@ class Controller:
         ------
         ConfigError : the settings name an unknown solver, or one that does not support their motion limits.
         """
-        self.config = config = resolve_weights(config or ControllerConfig(), vehicle)
+        self.config = config = settled(config or ControllerConfig(), vehicle)
         self.vehicle = vehicle
         self.sent_commands = SentCommands(vehicle)
         """Commands in force, by time."""

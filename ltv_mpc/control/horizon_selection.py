@@ -1,13 +1,14 @@
 """Horizon selection: the horizon that suits a vehicle.
 
-`ltv-mpc vehicle check` proposes it, and `ltv-mpc controller` takes it if no settings are given.
+`ltv-mpc vehicle check` proposes it, and a controller takes it if its settings have none (``resolution.py``).
 """
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
-from ltv_mpc.control.config import STAGE_NS
+from ltv_mpc.control.config import STAGE_NS, ResolvedConfig, Weights
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.stability import is_stable
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -28,12 +29,18 @@ WEAK_ASTERN_RATIO = 0.7
 """Top speed astern over top speed ahead below which a vehicle counts as weak astern."""
 
 
-def proposed_horizon_s(vehicle: Vehicle) -> float:
-    """Return the horizon (s) for a vehicle whose performance is not computed yet."""
-    return select_horizon_s(vehicle, performance(vehicle))
+@lru_cache(maxsize=64)
+def proposed_horizon_s(vehicle: Vehicle, weights: Weights) -> float:
+    """Return the horizon (s) for a vehicle whose performance is not computed yet.
+
+    Parameters
+    ----------
+    vehicle, weights : as in ``select_horizon_s``.
+    """
+    return select_horizon_s(vehicle, weights, performance(vehicle))
 
 
-def select_horizon_s(vehicle: Vehicle, can: Performance) -> float:
+def select_horizon_s(vehicle: Vehicle, weights: Weights, can: Performance) -> float:
     """Return the horizon for a vehicle: 1.9 T, at least the time to turn and to stop, and long enough to be stable.
 
     A plan that covers both the turn and the stop can reach a point and stay there. The turn is by 90 deg; it is by 180
@@ -43,6 +50,7 @@ def select_horizon_s(vehicle: Vehicle, can: Performance) -> float:
     Parameters
     ----------
     vehicle : gives the time scale T and the closed loop.
+    weights : weights of the cost in use; the closed loop depends on them.
     can : performance of the vehicle.
 
     Returns
@@ -55,7 +63,7 @@ def select_horizon_s(vehicle: Vehicle, can: Performance) -> float:
         if _weak_astern(can):
             both += 0.5 * math.pi / _slower_rate(can)
     horizon_s = _whole(max(MIN_TIME_SCALES * characteristic_scales(vehicle).time_s, both))
-    while horizon_s < MAX_HORIZON_S and not is_stable(vehicle, horizon_s):
+    while horizon_s < MAX_HORIZON_S and not is_stable(vehicle, ResolvedConfig(weights=weights, horizon_s=horizon_s)):
         horizon_s = _whole(LENGTHENING * horizon_s)
     return horizon_s
 

@@ -26,10 +26,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
-from ltv_mpc.control.config import ControllerConfig, ResolvedConfig, Weights
+from ltv_mpc.control.config import Weights
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady_speed
@@ -110,26 +109,6 @@ def default_weights(vehicle: Vehicle) -> Weights:
         thrust=tuned.thrust,
         thrust_change=_rounded(tuned.thrust_change * time**2),
     )
-
-
-def resolve_weights(config: ControllerConfig, vehicle: Vehicle) -> ResolvedConfig:
-    """Return the settings with every weight resolved.
-
-    Parameters
-    ----------
-    config : settings; weights that they leave out get the vehicle's defaults.
-    vehicle : gives the default weights.
-
-    Returns
-    -------
-    The same settings with all weights.
-    """
-    if isinstance(config, ResolvedConfig):
-        return config
-    given = {name: value for name, value in msgspec.structs.asdict(config.weights).items() if value is not None}
-    weights = msgspec.structs.replace(default_weights(vehicle), **given)
-    rest = {field: getattr(config, field) for field in config.__struct_fields__ if field != "weights"}
-    return ResolvedConfig(**rest, weights=weights)
 
 
 def _rounded(weight: float) -> float:

@@ -21,10 +21,10 @@ import math
 
 import numpy as np
 
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import linearise, velocity_over_ground
-from ltv_mpc.control.scaling import characteristic_scales, default_weights
+from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
@@ -39,27 +39,27 @@ AUGMENTED_STATES = STATES + 2
 """Size of z = [X; U]."""
 
 
-def is_stable(vehicle: Vehicle, horizon_s: float) -> bool:
-    """Return True if no pole grows in any of ``CURRENT_RATIOS``, with the vehicle's default weights.
+def is_stable(vehicle: Vehicle, config: ResolvedConfig) -> bool:
+    """Return True if no pole grows in any of ``CURRENT_RATIOS``.
 
     Parameters
     ----------
     vehicle : vehicle to be controlled.
-    horizon_s : horizon of the plan.
+    config : weights and horizon of the controller.
 
     Returns
     -------
     True if the largest pole is at most 1.
     """
-    return all(spectral_radius(vehicle, horizon_s, share) <= 1.0 + POLE_TOLERANCE for share in CURRENT_RATIOS)
+    return all(spectral_radius(vehicle, config, share) <= 1.0 + POLE_TOLERANCE for share in CURRENT_RATIOS)
 
 
-def spectral_radius(vehicle: Vehicle, horizon_s: float, share: float) -> float:
+def spectral_radius(vehicle: Vehicle, config: ResolvedConfig, share: float) -> float:
     """Return the magnitude of the largest pole, per cycle.
 
     Parameters
     ----------
-    vehicle, horizon_s : as in ``is_stable``.
+    vehicle, config : as in ``is_stable``.
     share : current over the vehicle's top speed.
 
     Returns
@@ -68,25 +68,25 @@ def spectral_radius(vehicle: Vehicle, horizon_s: float, share: float) -> float:
     """
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            A, B, K = closed_loop(vehicle, horizon_s, share)
+            A, B, K = closed_loop(vehicle, config, share)
             return float(np.abs(np.linalg.eigvals(A - B @ K)).max())
     except np.linalg.LinAlgError:  # drag that is faster than a step makes A_k overflow
         return math.inf
 
 
-def closed_loop(vehicle: Vehicle, horizon_s: float, share: float) -> tuple[Array, Array, Array]:
+def closed_loop(vehicle: Vehicle, config: ResolvedConfig, share: float) -> tuple[Array, Array, Array]:
     """Linearise the closed loop, heading north into a current to the south.
 
     Parameters
     ----------
-    vehicle, horizon_s : as in ``is_stable``.
+    vehicle, config : as in ``is_stable``.
     share : current over the vehicle's top speed.
 
     Returns
     -------
     A_1 (10, 10), B_1 (10, 2) and K (2, 10).
     """
-    p, weights = vehicle.coefficients(), default_weights(vehicle)
+    p, weights = vehicle.coefficients(), config.weights
     X, C = steady_state(vehicle, share)
     stage_s = STAGE_NS * 1e-9
     scale = HorizonLimits.from_vehicle(vehicle, stage_s).thrust_scale
@@ -98,7 +98,7 @@ def closed_loop(vehicle: Vehicle, horizon_s: float, share: float) -> tuple[Array
 
     P = weights.terminal_position_per_m2 * position + weights.terminal_velocity_s2_per_m2 * velocity.T @ velocity
     A = B = K = np.empty(0)
-    for g in np.diff(ControllerConfig(horizon_s=horizon_s).knots)[::-1]:
+    for g in np.diff(config.knots)[::-1]:
         A, B = _stage(X, C, g * stage_s, p)
         P = P + g * weights.position_per_m2 * position
         S = change / g

@@ -32,8 +32,15 @@ def fleet(
         int, typer.Option("--processes", metavar="P", help="Number of controller processes.", min=1, max=64)
     ] = 1,
     horizon_s: Annotated[
-        float, typer.Option("--horizon-s", metavar="H", help="Horizon of each controller.", min=0.3, max=120)
-    ] = 5.0,
+        float | None,
+        typer.Option(
+            "--horizon-s",
+            metavar="H",
+            help="Horizon of each controller (s). Default: proposed by `vehicle check`.",
+            min=0.3,
+            max=120,
+        ),
+    ] = None,
     vehicle: VehicleFile = "paper",
     as_json: Json = False,
     force: Force = False,

@@ -47,7 +47,13 @@ ComputeDelay: TypeAlias = Annotated[
     str | None, short("--compute-delay-s", KEYS["--compute-delay-s"], "D", "Delay added to that of the controller.")
 ]
 Horizon: TypeAlias = Annotated[
-    str | None, short("--horizon-s", KEYS["--horizon-s"], "H", "Prediction horizon of the controller.")
+    str | None,
+    short(
+        "--horizon-s",
+        KEYS["--horizon-s"],
+        "H",
+        "Prediction horizon of the controller; default: proposed by `vehicle check`.",
+    ),
 ]
 Currents: TypeAlias = Annotated[
     str | None,

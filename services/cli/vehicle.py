@@ -102,8 +102,8 @@ def controller(
     from msgspec.structs import replace
 
     from ltv_mpc import references
-    from ltv_mpc.control.config import ControllerConfig, validate
-    from ltv_mpc.control.horizon_selection import proposed_horizon_s
+    from ltv_mpc.control.config import ControllerConfig
+    from ltv_mpc.control.resolution import settled
     from ltv_mpc.errors import ConfigError
     from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -114,11 +114,10 @@ def controller(
     control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
     if rate_hz is not None:
         control = replace(control, period_s=1.0 / rate_hz)
-    if horizon_s is None and settings is None:
-        horizon_s = proposed_horizon_s(parameters)
     if horizon_s is not None:
         control = replace(control, horizon_s=horizon_s)
-    control = validate(control, source="options --rate-hz, --horizon-s")
+    source = "options --rate-hz, --horizon-s" if settings is None else f"controller settings {settings}"
+    control = settled(control, parameters, source=source)
     from services.processes import controller as process
 
     return process.main(

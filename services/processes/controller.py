@@ -14,10 +14,10 @@ import numpy as np
 
 from ltv_mpc import references
 from ltv_mpc.config import to_toml
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.scaling import resolve_weights
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.solvers.interface import SolverResult
@@ -76,7 +76,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 def main(config: Config) -> int:
     """Run the controller node until it is stopped. Returns the exit code."""
     vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
-    settings, bus = config.settings, config.bus
+    settings, bus = settled(config.settings, vehicle), config.bus
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
     SERVICE_MANAGER.connect(os.environ)
     with contextlib.ExitStack() as stack:
@@ -141,7 +141,7 @@ def key_in(bus: BusOptions, topic: Topic) -> str:
     return f"{bus.namespace}/{topic.key}" if bus.namespace else topic.key
 
 
-def announcement(bus: BusOptions, config: ControllerConfig) -> Iterator[str]:
+def announcement(bus: BusOptions, config: ResolvedConfig) -> Iterator[str]:
     """Generate the lines printed at the start: horizon and rate, then each key read or written with rate and fields."""
     horizon = f"{config.horizon_s:g} s in {config.stages} stages"
     yield f"horizon {horizon}, {1e9 / config.period_ns:.3g} cycles per second"
@@ -205,7 +205,7 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
 
 def warm_up_solver(vehicle: Vehicle, config: ControllerConfig) -> None:
     """Compile what ``warm_up`` compiles last, so that two processes share the work."""
-    settings = resolve_weights(config, vehicle)
+    settings = settled(config, vehicle)
     solver, lin = make(vehicle, settings), Linearisation.empty(settings.stages)
     lin.flat[:] = 0.0
     solver.build(lin, np.zeros((settings.stages + 1, 2)))

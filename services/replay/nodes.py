@@ -17,9 +17,9 @@ from typing import Protocol
 import msgspec
 
 from ltv_mpc import config, references
-from ltv_mpc.control import config as control
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
@@ -31,10 +31,8 @@ from services.recording.node_settings import NoSettingsError, SettingsByStart, p
 from services.recording.reader import Recording
 from services.replay.verdict import Change
 from services.run.nodes import make_nodes
-from services.run.run_config import RunConfig, resolve
+from services.run.run_config import SCENARIO, RunConfig, resolve
 from services.run.water import load_prior, resolve_prior_path
-
-SCENARIO = "scenario.toml"
 
 SETTINGS: Mapping[str, type[ControllerConfig] | type[EstimatorConfig]] = {
     ControllerNode.name: ControllerConfig,
@@ -114,16 +112,17 @@ class SimulatedNodes:
 
     def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
         """Return the settings of controller or estimator."""
-        scenario = self.run_config.scenario
-        return scenario.controller if name == ControllerNode.name else scenario.estimator
+        run_config = self.run_config
+        return run_config.controller if name == ControllerNode.name else run_config.scenario.estimator
 
     def with_settings(self, name: str, path: Path) -> SimulatedNodes:
         """Return the nodes with the settings in ``path`` for one of them."""
         run_config, settings = self.run_config, _load(name, path)
         if isinstance(settings, EstimatorConfig):
-            run_config = dataclasses.replace(run_config, prior=load_prior(settings))
-        changed = msgspec.structs.replace(run_config.scenario, **{name: settings})
-        return SimulatedNodes(dataclasses.replace(run_config, scenario=changed))
+            changed = msgspec.structs.replace(run_config.scenario, estimator=settings)
+            return SimulatedNodes(dataclasses.replace(run_config, scenario=changed, prior=load_prior(settings)))
+        controller = settled(settings, run_config.vehicle, source=f"--with {path}")
+        return SimulatedNodes(dataclasses.replace(run_config, controller=controller))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,7 +155,7 @@ class VehicleNodes:
         """Build a new node, as at the start of its process."""
         with _unpacked(self._of(name, epoch).files, source=self.source) as place:
             folder = place / "config"
-            settings = _load(name, self.replacing.get(name, folder / f"{name}.toml"))
+            settings = self._settings(name, folder)
             if isinstance(settings, EstimatorConfig):
                 return Estimator(SensorConfig.load(str(folder / "sensors.toml")), settings, load_prior(settings))
             vehicle, reference = Vehicle.load(str(folder / "vehicle.toml")), str(folder / "reference.toml")
@@ -165,12 +164,21 @@ class VehicleNodes:
     def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
         """Return the settings of a node at its newest start."""
         with _unpacked(self._of(name, None).files, source=self.source) as place:
-            return _load(name, self.replacing.get(name, place / "config" / f"{name}.toml"))
+            return self._settings(name, place / "config")
 
     def with_settings(self, name: str, path: Path) -> VehicleNodes:
         """Return the nodes with the settings in ``path`` for one of them, at all of its starts."""
-        _load(name, path)  # raises ConfigError
-        return dataclasses.replace(self, replacing={**self.replacing, name: path})
+        changed = dataclasses.replace(self, replacing={**self.replacing, name: path})
+        changed.settings_of(name)  # raises ConfigError
+        return changed
+
+    def _settings(self, name: str, folder: Path) -> ControllerConfig | EstimatorConfig:
+        """Return the settings of a node from the files of its start in ``folder``, or from the file in their place."""
+        path = self.replacing.get(name, folder / f"{name}.toml")
+        settings = _load(name, path)
+        if isinstance(settings, EstimatorConfig):
+            return settings
+        return settled(settings, Vehicle.load(str(folder / "vehicle.toml")), source=f"controller settings {path}")
 
     def _of(self, name: str, epoch: int | None) -> NodeSettings:
         starts = self.settings[name]
@@ -227,7 +235,7 @@ def replaced(nodes: RecordedNodes, path: Path) -> tuple[str, RecordedNodes, tupl
 def _load(name: str, path: Path) -> ControllerConfig | EstimatorConfig:
     """Return the settings of controller or estimator in a file; a water prior is named relative to its folder."""
     if name == ControllerNode.name:
-        return control.validate(ControllerConfig.load(str(path)), source=f"--with {path}")
+        return ControllerConfig.load(str(path))
     return resolve_prior_path(path.parent, EstimatorConfig.load(str(path)))
 
 

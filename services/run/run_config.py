@@ -11,7 +11,8 @@ import msgspec
 
 from ltv_mpc import config, references
 from ltv_mpc.control import solvers
-from ltv_mpc.control.config import STAGE_NS
+from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.currents import WaterPrior, read_profile
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.references import Reference
@@ -21,6 +22,9 @@ from services.run.settings_files import PRIOR, controller_files, estimator_files
 from services.run.water import load_prior, resolve_prior_path
 from sim import water
 from sim.scenario import Scenario, checked, with_overrides
+
+SCENARIO = "scenario.toml"
+"""File of a run's folder with which it can be run again."""
 
 ORIGIN = "scenario"
 """Entry of a run's [made_by] with the name of its scenario."""
@@ -40,6 +44,7 @@ class RunConfig:
     name: str  # of the scenario: "descent"
     scenario: Scenario
     vehicle: Vehicle
+    controller: ResolvedConfig  # settings of the scenario, with this vehicle's horizon and weights
     sensor_config: SensorConfig
     reference: Reference
     water: water.WaterColumn
@@ -59,7 +64,8 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
     measured = Vehicle.load(scenario.vehicle)
     vehicle = measured.at_origin()  # the point of which the simulated navigation gives estimates
     sensor_config = SensorConfig.load(scenario.sensors)
-    solvers.make(vehicle, scenario.controller)  # raises ConfigError if the solver is not installed
+    controller = settled(scenario.controller, vehicle, source=f"scenario {name}", table=("controller",))
+    solvers.make(vehicle, controller)  # raises ConfigError if the solver is not installed
     reference = references.load(scenario.reference)
     prior = load_prior(scenario.estimator)
     called = _called(name, scenario)
@@ -67,12 +73,13 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
         name=called,
         scenario=scenario,
         vehicle=vehicle,
+        controller=controller,
         sensor_config=sensor_config,
         reference=reference,
         water=water.make(scenario.water, scenario.run.seed),
         prior=prior,
-        files=_files(scenario, called) | _files_at_origin(measured),
-        notes=(*_notes(scenario, prior), *reference.notes(vehicle), *_notes_on_reference_point(measured)),
+        files=_files(msgspec.structs.replace(scenario, controller=controller), called) | _files_at_origin(measured),
+        notes=(*_notes(scenario, controller, prior), *reference.notes(vehicle), *_notes_on_reference_point(measured)),
     )
 
 
@@ -85,11 +92,24 @@ def _called(name: str, scenario: Scenario) -> str:
 
 def _files(scenario: Scenario, called: str) -> dict[str, str]:
     """Return the settings files as read, with comments; files for use aboard hold nothing of the true values."""
-    measured, prior = scenario.water.file, scenario.estimator.water_prior
+    measured = scenario.water.file
     files = controller_files(scenario.vehicle, scenario.reference, scenario.controller)
     files |= estimator_files(scenario.sensors, scenario.estimator)
     if measured:
         files["config/currents.csv"] = config.read_text(Path(measured), what="currents")
+    files[SCENARIO] = scenario_text(scenario, called)
+    return files
+
+
+def scenario_text(scenario: Scenario, called: str) -> str:
+    """Return the text of a run's scenario.toml: the scenario with the files of its folder, and its provenance.
+
+    Parameters
+    ----------
+    scenario : settings of the run.
+    called : name of its scenario.
+    """
+    measured, prior = scenario.water.file, scenario.estimator.water_prior
     again = msgspec.structs.replace(
         scenario,
         vehicle="config/vehicle.toml",
@@ -99,8 +119,7 @@ def _files(scenario: Scenario, called: str) -> dict[str, str]:
         estimator=msgspec.structs.replace(scenario.estimator, water_prior=f"config/{PRIOR}" if prior else ""),
         made_by={ORIGIN: called, **provenance_table()},
     )
-    files["scenario.toml"] = config.to_toml(again)
-    return files
+    return config.to_toml(again)
 
 
 def _files_at_origin(vehicle: Vehicle) -> dict[str, str]:
@@ -115,8 +134,7 @@ def _notes_on_reference_point(vehicle: Vehicle) -> tuple[str, ...]:
     return ("[reference_point] of the vehicle is not used: the simulated estimates are those of its origin",)
 
 
-def _notes(scenario: Scenario, prior: WaterPrior | None) -> tuple[str, ...]:
-    settings = scenario.controller
+def _notes(scenario: Scenario, settings: ResolvedConfig, prior: WaterPrior | None) -> tuple[str, ...]:
     before, end = settings.knots[-2:]
     growing = f", the last of {(end - before) * STAGE_NS / 1e9:.1f} s" if end - before > 1.0 else ""
     notes = [f"horizon {settings.horizon_s:g} s: {settings.stages} stages, {settings.reach_s:.1f} s{growing}"]

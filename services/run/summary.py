@@ -36,7 +36,6 @@ def summarise(
     scenario = run_config.scenario
     measured = mode == SERVICES
     tracking, true, localisation, absolute = metrics.errors()
-    stages = scenario.controller.stages
     nothing = quantiles([])
     return Summary(
         scenario=run_config.name,
@@ -63,8 +62,8 @@ def summarise(
         health=dict(sorted(metrics.health.items())),
         restarts=restarts,
         messages=messages,
-        stages=stages,
-        horizon_s=scenario.controller.reach_s,
+        stages=run_config.controller.stages,
+        horizon_s=run_config.controller.reach_s,
     )
 
 

@@ -15,6 +15,8 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import msgspec
+
 from ltv_mpc.jit import CACHE, JIT_FUNCTIONS
 from services.supervisor.parent_death import OrphanCleanup, die_with_parent
 
@@ -85,7 +87,17 @@ def warm_up_controller(scenario: str) -> None:
     from services.run.run_config import resolve
 
     run_config = resolve(scenario)
-    controller.warm_up(run_config.vehicle, run_config.reference, run_config.scenario.controller)
+    controller.warm_up(run_config.vehicle, run_config.reference, run_config.controller)
+
+
+def compile_controller(scenario: str) -> None:
+    """Compile what ``warm_up_controller`` runs, and the proposal of a horizon, which the next run may need."""
+    from ltv_mpc.control.resolution import settled
+    from services.run.run_config import resolve
+
+    run_config = resolve(scenario)
+    settled(msgspec.structs.replace(run_config.scenario.controller, horizon_s=None), run_config.vehicle)
+    warm_up_controller(scenario)
 
 
 def warm_up_solver(scenario: str) -> None:
@@ -94,7 +106,7 @@ def warm_up_solver(scenario: str) -> None:
     from services.run.run_config import resolve
 
     run_config = resolve(scenario)
-    controller.warm_up_solver(run_config.vehicle, run_config.scenario.controller)
+    controller.warm_up_solver(run_config.vehicle, run_config.controller)
 
 
 def warm_up_others(scenario: str) -> None:
@@ -109,7 +121,7 @@ def warm_up_others(scenario: str) -> None:
 
 
 PARTS: dict[str, Callable[[str], None]] = {
-    "controller": warm_up_controller,
+    "controller": compile_controller,
     "others": warm_up_others,
     "solver": warm_up_solver,
 }

@@ -77,7 +77,7 @@ def config_of(name: str, run_config: RunConfig, context: RunContext) -> msgspec.
                 bus=bus,
                 vehicle=str(folder.config("vehicle")),
                 reference=str(folder.config("reference")),
-                settings=scenario.controller,
+                settings=run_config.controller,
                 compute_delay_s=scenario.run.compute_delay_s,
                 failed_qps=folder.path / "failed-qps",
             )

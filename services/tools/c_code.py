@@ -15,7 +15,7 @@ import msgspec
 import osqp
 from scipy.sparse import csc_matrix, triu
 
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.config import STAGE_NS, ControllerConfig, ResolvedConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.qp.sparse import STAGE_VARIABLES
 from ltv_mpc.control.solvers import Solver, make
@@ -109,7 +109,7 @@ def loaded_solver(vehicle: Vehicle, config: ControllerConfig) -> tuple[OsqpSolve
     return solver, recorded[0].lin.U[1]
 
 
-def export(folder: Path, solver: OsqpSolver, nominal: Array, config: ControllerConfig) -> Exported:
+def export(folder: Path, solver: OsqpSolver, nominal: Array, config: ResolvedConfig) -> Exported:
     """Write the code into ``folder``, over existing files; ``solver`` and ``nominal`` come from ``loaded_solver``."""
     result = solver.solve()
     qp, settings = solver.scaled_problem()

@@ -25,7 +25,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     performance: Performance
     speed_scale_mps: float
     time_scale_s: float
-    horizon_s: float  # proposed; default of `controller`
+    horizon_s: float  # proposed; default without [controller] horizon_s
     weights: Weights  # default without [controller.weights]
     warnings: list[str]
 
@@ -33,6 +33,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 def check(vehicle: Vehicle) -> Check:
     """Compute performance, scales and warnings of a vehicle."""
     can, scales = performance(vehicle), characteristic_scales(vehicle)
+    weights = default_weights(vehicle)
     return Check(
         name=vehicle.name,
         description=vehicle.description,
@@ -41,8 +42,8 @@ def check(vehicle: Vehicle) -> Check:
         performance=can,
         speed_scale_mps=scales.speed_mps,
         time_scale_s=scales.time_s,
-        horizon_s=select_horizon_s(vehicle, can),
-        weights=default_weights(vehicle),
+        horizon_s=select_horizon_s(vehicle, weights, can),
+        weights=weights,
         warnings=warnings(vehicle, can),
     )
 
@@ -71,7 +72,7 @@ def table(of: Check) -> str:
             "estimates are of the point",
             f"{point.forward_m:g} m forward, {point.starboard_m:g} m starboard, {point.down_m:g} m down of the origin",
         ),
-        ("proposed horizon", f"{of.horizon_s:g} s: --horizon-s {of.horizon_s:g}"),
+        ("proposed horizon", f"{of.horizon_s:g} s, the default of every controller"),
         ("scales of the weights", f"V {of.speed_scale_mps:.3g} m/s, T {of.time_scale_s:.3g} s"),
         ("weights", f"position {w.position_per_m2:g} /m2, at the end {w.terminal_position_per_m2:g} /m2"),
         ("", f"velocity at the end {w.terminal_velocity_s2_per_m2:g} s2/m2"),

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig, ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.scaling import resolve_weights
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.qpsolvers_backend import QpsolversBackend, installed_backends, solve_qp
@@ -42,7 +42,7 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     ConfigError
         The solver is not known or not installed, or it cannot take limits of the motion.
     """
-    config = resolve_weights(config, vehicle)
+    config = settled(config, vehicle)
     limits = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9, config.limits.max_abs)
     if config.solver in SOLVERS:
         return SOLVERS[config.solver](config, limits)

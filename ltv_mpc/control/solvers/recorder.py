@@ -10,7 +10,7 @@ from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.qp.failed_qp import FailedQp
 from ltv_mpc.control.qp.sparse import SparseQp
-from ltv_mpc.control.scaling import resolve_weights
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.messages import Array, SolveStatus
@@ -70,7 +70,7 @@ class _FailureRecordingSolver(RecordingSolver):
     def __init__(self, solver: Solver, vehicle: Vehicle, config: ControllerConfig, recorder: FailureRecorder) -> None:
         super().__init__(solver)
         self._vehicle = vehicle
-        self._config: ResolvedConfig = resolve_weights(config, vehicle)
+        self._config: ResolvedConfig = settled(config, vehicle)
         self._recorder = recorder
 
     def solve(self) -> SolverResult:

@@ -20,7 +20,7 @@ import tomli_w
 
 from ltv_mpc.errors import ConfigError
 from services.run.provenance import provenance_table
-from services.run.run_config import resolve
+from services.run.run_config import SCENARIO, resolve, scenario_text
 from services.tools.batch import results_store
 from services.tools.batch.executor import MAX_LOSSES, run_each
 from services.tools.batch.results_store import ResultsStore
@@ -79,7 +79,10 @@ class PreparedCampaign(msgspec.Struct, frozen=True, dict=True):
 
 def plan(campaign: Campaign, source: str) -> PreparedCampaign:
     """Resolve the base, lay the points, and try each value of each field once. Raises ``ConfigError``."""
-    made = PreparedCampaign(campaign, tuple(sorted(resolve(campaign.scenario).files.items())), provenance_table())
+    base = resolve(campaign.scenario)
+    # A point may change the vehicle, so the base leaves open what follows from the vehicle.
+    files = {**base.files, SCENARIO: scenario_text(base.scenario, base.name)}
+    made = PreparedCampaign(campaign, tuple(sorted(files.items())), provenance_table())
     _try(made, {}, "[set]", source)
     for table, keys in (("vary", campaign.vary), ("cross", campaign.cross)):
         for key, over in keys.items():

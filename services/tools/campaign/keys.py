@@ -21,7 +21,7 @@ from sim.scenario import Scenario
 
 Value: TypeAlias = bool | int | float | str
 
-VEHICLE, REFERENCE = "vehicle", "reference"
+VEHICLE, REFERENCE, CONTROLLER = "vehicle", "reference", "controller"
 
 
 def kind_of(key: str) -> settings_schema.Type | None:
@@ -37,7 +37,7 @@ def known() -> list[str]:
 def value_of(run_config: RunConfig, key: str) -> Value | None:
     """Return the value of a run's settings at ``key``; None if its table is left out."""
     table, _, rest = key.partition(".")
-    owners = {VEHICLE: run_config.vehicle, REFERENCE: run_config.reference}
+    owners = {VEHICLE: run_config.vehicle, REFERENCE: run_config.reference, CONTROLLER: run_config.controller}
     plain = msgspec.to_builtins(owners.get(table, run_config.scenario))
     for step in (rest if table in owners else key).split("."):
         plain = plain.get(step) if isinstance(plain, dict) else None

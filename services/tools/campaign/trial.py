@@ -22,6 +22,7 @@ import msgspec
 
 import services
 from ltv_mpc.control import solvers
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.errors import ConfigError, format_value, one_line
 from ltv_mpc.messages import PlanOrigin, SolveStatus
 from ltv_mpc.references import Reference
@@ -115,8 +116,9 @@ def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> RunC
     own = [f"{key}={_toml(value)}" for key, value in keys.of_scenario(settings).items()]
     here = resolve(str(_folder(base) / "scenario.toml"), [Override("campaign", [*own, f"run.seed={seed}"])])
     if of_vehicle := keys.of(keys.VEHICLE, settings):
-        here = replace(here, vehicle=keys.with_values(here.vehicle, Vehicle, of_vehicle, keys.VEHICLE))
-        solvers.make(here.vehicle, here.scenario.controller)
+        vehicle = keys.with_values(here.vehicle, Vehicle, of_vehicle, keys.VEHICLE)
+        here = replace(here, vehicle=vehicle, controller=settled(here.scenario.controller, vehicle, source="campaign"))
+        solvers.make(here.vehicle, here.controller)
     if of_reference := keys.of(keys.REFERENCE, settings):
         here = replace(here, reference=keys.with_values(here.reference, Reference, of_reference, keys.REFERENCE))
     return here

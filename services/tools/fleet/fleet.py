@@ -16,7 +16,7 @@ class Fleet(msgspec.Struct, frozen=True, kw_only=True):
     rate_hz: float  # estimates, and so plans, a second of each
     seconds: float  # that are measured
     warm_up_s: float  # before them
-    horizon_s: float
+    horizon_s: float | None  # None: the one that suits the vehicle
     router: str  # endpoint
 
     @property

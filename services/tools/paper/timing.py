@@ -7,6 +7,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.resolution import settled
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.reporting.figures.renderer import Run
 from services.reporting.plots.collector import STAGES
 from services.reporting.plots.table import Columns, short
@@ -16,6 +18,7 @@ from services.tools.profile.machine_description import Machine, load, machine
 from services.tools.profile.measure import Samples, SolverByName, measure
 from services.tools.profile.run import WARM_UP, Spread
 
+VEHICLE = Vehicle.load("paper")
 SHIPPED = ControllerConfig()
 SOLVER = SolverByName(SHIPPED.solver)
 """Solver of the shipped controller."""
@@ -43,7 +46,7 @@ def timed(cycles: int, *, seed: int = 0, progress: Callable[[], None]) -> Timed:
     before = load()
     found = []
     for horizon_s, paper_s in COMPUTING_S.items():
-        config = ControllerConfig(horizon_s=horizon_s)
+        config = settled(ControllerConfig(horizon_s=horizon_s), VEHICLE)
         episodes = problems.simulated(config.stages, cycles, seed)
         warm_up = problems.simulated(config.stages, 1, seed)[0]._replace(cycles=min(WARM_UP, cycles))
         (samples,) = measure(episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=progress)

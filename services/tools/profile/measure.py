@@ -20,13 +20,13 @@ import numpy as np
 import piqp
 from scipy.sparse import csc_matrix
 
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.qp.sparse import SparseQp
-from ltv_mpc.control.scaling import resolve_weights
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import Solver, SolverFactory, make
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
@@ -45,7 +45,7 @@ EXACT = 1e-10
 class Candidate(Protocol):
     """Solver to be measured."""
 
-    def config(self, episode: Episode) -> ControllerConfig:
+    def config(self, episode: Episode) -> ResolvedConfig:
         """Return the controller's settings in an episode."""
         ...
 
@@ -59,7 +59,7 @@ class SolverByName(NamedTuple):
 
     name: str
 
-    def config(self, episode: Episode) -> ControllerConfig:
+    def config(self, episode: Episode) -> ResolvedConfig:
         """Return the episode's settings with this solver."""
         return msgspec.structs.replace(episode.config, solver=self.name)
 
@@ -78,7 +78,7 @@ class Piqp(NamedTuple):
         """Return its name in tables; ``piqp`` alone is the one of qpsolvers."""
         return "PIQP native" if self.tolerance is None else f"PIQP native {self.tolerance:g}"
 
-    def config(self, episode: Episode) -> ControllerConfig:
+    def config(self, episode: Episode) -> ResolvedConfig:
         """Return the episode's settings."""
         return episode.config
 
@@ -86,7 +86,7 @@ class Piqp(NamedTuple):
         """Return a factory of PIQP workspaces."""
 
         def make_piqp(vehicle: Vehicle, config: ControllerConfig) -> Solver:
-            return PiqpYardstick(resolve_weights(config, vehicle), limits_of(episode), self.tolerance)
+            return PiqpYardstick(settled(config, vehicle), limits_of(episode), self.tolerance)
 
         return make_piqp
 
@@ -239,7 +239,7 @@ class _Exact:
 
     def __init__(self, episode: Episode) -> None:
         config = episode.config
-        self._form = SparseQp(config.knots, limits_of(episode), resolve_weights(config, episode.vehicle).weights)
+        self._form = SparseQp(config.knots, limits_of(episode), config.weights)
         self._along: tuple[bytes, bytes, bytes] | None = None
         self._commands: Array = np.empty(0)
 

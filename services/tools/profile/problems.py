@@ -20,8 +20,9 @@ import msgspec
 import numpy as np
 
 from ltv_mpc import references
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.config import STAGE_NS, ControllerConfig, ResolvedConfig
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.messages import Estimate, Message, StepRecord
 from ltv_mpc.node import Due, Node, ReceivedMessage
 from ltv_mpc.references import Point, Reference
@@ -54,7 +55,7 @@ class Episode(NamedTuple):
     kind: str  # "descent", "unknown current", "hard", or the name of a recorded run
     vehicle: Vehicle
     reference: Reference
-    config: ControllerConfig
+    config: ResolvedConfig
     cycles: int  # number of measured cycles
     feed: Feed
 
@@ -95,15 +96,19 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
     cycles : number of cycles to measure.
     """
     run_folder = _run_folder(run)
-    config = ControllerConfig.load(str(run_folder.config("controller")))
+    vehicle = Vehicle.load(str(run_folder.config("vehicle")))
+    config = msgspec.structs.replace(
+        ControllerConfig.load(str(run_folder.config("controller"))),
+        horizon_s=seconds(stages),
+        max_stages=max(stages, 2),
+        sqp_iterations=1,
+    )
     return [
         Episode(
             kind=run_folder.path.resolve().name,
-            vehicle=Vehicle.load(str(run_folder.config("vehicle"))),
+            vehicle=vehicle,
             reference=references.load(str(run_folder.config("reference"))),
-            config=msgspec.structs.replace(
-                config, horizon_s=seconds(stages), max_stages=max(stages, 2), sqp_iterations=1
-            ),
+            config=settled(config, vehicle),
             cycles=cycles,
             feed=lambda node, is_done: _replay(run_folder.recording, node, is_done),
         )
@@ -161,7 +166,7 @@ def _episode(kind: str, run_config: RunConfig, cycles: int, *, current_known: bo
             lockstep.advance(t_ns)
             t_ns += run_config.scenario.controller.period_ns
 
-    return Episode(kind, run_config.vehicle, run_config.reference, run_config.scenario.controller, cycles, feed)
+    return Episode(kind, run_config.vehicle, run_config.reference, run_config.controller, cycles, feed)
 
 
 class _WithoutCurrent:

@@ -11,6 +11,7 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, advance, references
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.problem_data import pack_constants
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import make
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.control.vertical import VerticalPlan, follow_depth
@@ -26,7 +27,7 @@ def distance(estimate: Estimate) -> float:
 
 
 def test_a_horizon_is_whole_stages_of_0_3_s():
-    assert [ControllerConfig(horizon_s=h).stages for h in (0.3, 2.5, 5.0, 10.0)] == [1, 8, 17, 33]
+    assert [settled(ControllerConfig(horizon_s=h), PAPER).stages for h in (0.3, 2.5, 5.0, 10.0)] == [1, 8, 17, 33]
     plan = Controller(PAPER, POINT).plan(Estimate.at_rest(north_m=1.0))
     assert plan.thrust_N.shape == (18, 3)
     assert plan.states.shape == (18, 6)

@@ -16,7 +16,7 @@ from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, HorizonLimit
 from ltv_mpc.control.problem_data import pack_objective, unpack_objective
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, SparseQp
-from ltv_mpc.control.scaling import resolve_weights
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import Solver, make, solve_qp
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.messages import Array, Estimate, SolveStatus
@@ -34,7 +34,7 @@ def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
 
 
 def form_of(limits: MotionLimits) -> SparseQp:
-    config = resolve_weights(settings(limits), PAPER)
+    config = settled(settings(limits), PAPER)
     return SparseQp(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3, limits.max_abs), config.weights)
 
 
@@ -146,7 +146,7 @@ def test_the_exact_flow_is_judged_by_them_too() -> None:
     """What the line search looks at costs as the QP has it: by stage lengths and scales."""
     knots = np.array([0.0, 1.0, 2.0, 4.0])
     limits = HorizonLimits.from_vehicle(PAPER, 0.3, np.array([0.2, 0.1]))
-    weights = resolve_weights(ControllerConfig(), PAPER).weights
+    weights = settled(ControllerConfig(), PAPER).weights
     free, bound = (
         unpack_objective(pack_objective(knots, of, weights)) for of in (HorizonLimits.from_vehicle(PAPER, 0.3), limits)
     )

@@ -8,11 +8,11 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, advance, references
 from ltv_mpc.control.config import ResolvedConfig, Weights, WeightSettings
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import PAPER_SCALES as FOUND_FOR
 from ltv_mpc.control.scaling import (
     characteristic_scales,
     default_weights,
-    resolve_weights,
     state_scale,
     time_ratio,
     weaker_couple,
@@ -90,10 +90,10 @@ def test_a_vehicle_of_another_size_does_the_same_on_its_own_scale() -> None:
 
 def test_a_weight_that_is_named_replaces_that_one_alone() -> None:
     surface = Vehicle.load("surface")
-    config = resolve_weights(ControllerConfig(weights=WeightSettings(thrust=0.5), horizon_s=7.2), surface)
+    config = settled(ControllerConfig(weights=WeightSettings(thrust=0.5), horizon_s=7.2), surface)
     assert config.weights == msgspec.structs.replace(default_weights(surface), thrust=0.5)
     assert config.horizon_s == 7.2
-    assert resolve_weights(config, PAPER) is config  # what is settled stays
+    assert settled(config, PAPER) is config  # what is settled stays
 
 
 def test_the_controller_uses_them_and_says_so() -> None:

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
-from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES, proposed_horizon_s
+from ltv_mpc.control.config import ResolvedConfig
+from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES
 from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.stability import is_stable, spectral_radius, steady_state
@@ -41,6 +43,11 @@ SHARE = 0.35
 CYCLE_NS = 300_000_000
 
 
+def with_horizon(vehicle: Vehicle, horizon_s: float) -> ResolvedConfig:
+    """Return settings with this horizon and the vehicle's own weights."""
+    return settled(ControllerConfig(horizon_s=horizon_s), vehicle)
+
+
 def aside(vehicle: Vehicle, horizon_s: float, cycles: int, off_m: float = 1e-4) -> np.ndarray:
     """Off its place to the side, bow-on in a current, after each cycle (m); at first ``off_m``."""
     X, C = steady_state(vehicle, SHARE)
@@ -67,13 +74,18 @@ def test_the_controllers_own_error_grows_as_the_largest_pole_says():
     """While it is so small that its plans are linear in it to their ends."""
     off = aside(LIGHT, 5.1, 55)
     assert off[54] < 1e-4
-    assert (off[54] / off[24]) ** (1 / 30) == pytest.approx(spectral_radius(LIGHT, 5.1, SHARE), rel=0.003)
+    assert (off[54] / off[24]) ** (1 / 30) == pytest.approx(
+        spectral_radius(LIGHT, with_horizon(LIGHT, 5.1), SHARE), rel=0.003
+    )
 
 
 def test_with_the_horizon_that_is_proposed_it_dies_away():
-    proposed_s, short_s = proposed_horizon_s(LIGHT), MIN_TIME_SCALES * characteristic_scales(LIGHT).time_s
-    assert is_stable(LIGHT, proposed_s)
-    assert not is_stable(LIGHT, proposed_s / 1.1)  # it is no longer than that takes
+    proposed_s, short_s = (
+        settled(ControllerConfig(), LIGHT).horizon_s,
+        MIN_TIME_SCALES * characteristic_scales(LIGHT).time_s,
+    )
+    assert is_stable(LIGHT, with_horizon(LIGHT, proposed_s))
+    assert not is_stable(LIGHT, with_horizon(LIGHT, proposed_s / 1.1))  # it is no longer than that takes
     off = aside(LIGHT, proposed_s, 120, 1e-3)
     assert off[119] < off[60] < 1e-3  # slowly: the hull hardly brakes a drift
     assert aside(LIGHT, short_s, 120, 1e-3)[90:].max() > 7e-3
@@ -83,4 +95,4 @@ def test_with_the_horizon_that_is_proposed_it_dies_away():
 def test_of_the_shipped_vehicles_all_are_stable_with_theirs(name):
     """Without linear drag to the side a drift stays as it is: its pole is 1."""
     vehicle = Vehicle.load(name)
-    assert is_stable(vehicle, proposed_horizon_s(vehicle))
+    assert is_stable(vehicle, settled(ControllerConfig(), vehicle))

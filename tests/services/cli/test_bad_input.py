@@ -128,7 +128,7 @@ CASES = [
     ("sim --set water.sd_mps=", "option --set: [water] sd_mps"),
     ("sim --set water.kind=makrov", 'option --set: [water] kind = "makrov": must be "markov" or "measured"'),
     ("sim --set controller.solver=ospq", 'solver = "ospq": '),
-    ("sim --set controller.period_s=8", "[controller] period_s = 8.0: must be <= horizon_s = 5"),
+    ("sim --set controller.period_s=20", "[controller] period_s = 20.0: must be <= horizon_s = 13.8"),
     ("sim --set estimator.cell_m=0.01", "[estimator] cell_m = 0.01: must be <= deepest_m = 70, and at least 0.14"),
     ("sim --out full", 'option --out: "full": '),
     ("sim --out rows.csv", 'option --out: "rows.csv": '),

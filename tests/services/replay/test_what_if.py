@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ltv_mpc.control.scaling import default_weights
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Estimate, Plan
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.recording.reader import Recording
 from services.replay import replay as engine
 from services.replay.verdict import Change
@@ -35,7 +37,7 @@ def test_another_weight_gives_other_plans_and_the_figures_are_those_of_the_thrus
     verdict = engine.what_if(engine.Run(locked_run.recording), settings)
     assert verdict.node == "controller"
     assert [change for change in verdict.changes if change.key == "weights.thrust"] == [
-        Change(key="weights.thrust", run=None, here=0.3)
+        Change(key="weights.thrust", run=default_weights(Vehicle.load("paper")).thrust, here=0.3)
     ]
     port, starboard, vertical = verdict.deviations
     assert (port.of, port.unit) == ("port thrust", "N")

@@ -17,7 +17,7 @@ from ltv_mpc.control.solvers.osqp_workspace import PublicWorkspace
 from ltv_mpc.messages import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, answer, motion, optimum
 
-CONFIG = ResolvedConfig()
+CONFIG = ResolvedConfig(horizon_s=5.1, weights=Weights())
 PRECISE = msgspec.structs.replace(CONFIG, tolerance=1e-12, max_iterations=6000)
 """Residuals end at 1e-6, which is rounding on rows scaled by 300."""
 

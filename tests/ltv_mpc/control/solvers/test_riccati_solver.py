@@ -15,7 +15,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, PAPER, answer, motion, optimum, unlike_any_motion
 
-CONFIG = ResolvedConfig()
+CONFIG = ResolvedConfig(horizon_s=5.1, weights=Weights())
 EXACT_N = 2e-3
 """``OFF`` is six tenths of it."""
 

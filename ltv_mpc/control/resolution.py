@@ -1,0 +1,49 @@
+"""Resolution of the controller's settings for one vehicle: what they leave out follows from the vehicle.
+
+The only place that decides a default horizon or a default weight. The weights come first (``scaling.py``); the horizon
+is then the shortest one that suits the vehicle and is stable with these weights (``horizon_selection.py``).
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from ltv_mpc.config import toml_key
+from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
+from ltv_mpc.control.horizon_selection import proposed_horizon_s
+from ltv_mpc.control.scaling import default_weights
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.vehicle.parameters import Vehicle
+
+
+def settled(
+    config: ControllerConfig, vehicle: Vehicle, *, source: str = "controller settings", table: tuple[str, ...] = ()
+) -> ResolvedConfig:
+    """Return the settings with the horizon and every weight set.
+
+    Parameters
+    ----------
+    config : settings; those that are resolved already stay the same.
+    vehicle : gives the weights and the horizon that the settings leave out.
+    source : file or option that an error names.
+    table : names of the tables that hold the settings in that file.
+
+    Returns
+    -------
+    The same settings, with a horizon and all weights.
+
+    Raises
+    ------
+    ConfigError : the period is longer than the horizon.
+    """
+    if isinstance(config, ResolvedConfig):
+        return config
+    given = {name: value for name, value in msgspec.structs.asdict(config.weights).items() if value is not None}
+    weights = msgspec.structs.replace(default_weights(vehicle), **given)
+    horizon_s = proposed_horizon_s(vehicle, weights) if config.horizon_s is None else config.horizon_s
+    if config.period_s > horizon_s:
+        proposed = ", which `ltv-mpc vehicle check` proposes" if config.horizon_s is None else ""
+        problem = f"must be <= horizon_s = {horizon_s:g}{proposed}: a plan lasts until the next one"
+        raise ConfigError(source, toml_key((*table, "period_s")), problem, value=config.period_s)
+    rest = {name: getattr(config, name) for name in config.__struct_fields__ if name not in ("weights", "horizon_s")}
+    return ResolvedConfig(**rest, weights=weights, horizon_s=horizon_s)

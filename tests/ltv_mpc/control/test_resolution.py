@@ -1,0 +1,79 @@
+"""One rule for every controller: the horizon and the weights that its settings leave out follow from the vehicle."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from ltv_mpc import Controller, ControllerConfig, Vehicle, config, references
+from ltv_mpc.control import stability
+from ltv_mpc.control.config import WeightSettings
+from ltv_mpc.control.resolution import settled
+from ltv_mpc.control.scaling import default_weights
+from ltv_mpc.errors import ConfigError
+from services.run.run_config import Override, resolve
+from services.tools.vehicle_check import check
+
+SHIPPED = ("paper", "surface", "low-yaw", "weak-reverse")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_controller_and_simulation_use_the_horizon_that_the_check_proposes(name: str) -> None:
+    vehicle = Vehicle.load(name)
+    proposed_s = check(vehicle).horizon_s
+    assert settled(ControllerConfig(), vehicle).horizon_s == proposed_s
+    assert Controller(vehicle, references.Point(north_m=0.0, east_m=0.0)).config.horizon_s == proposed_s
+    run_config = resolve("descent", [Override("test", [f"vehicle={name}"])])
+    assert run_config.controller.horizon_s == proposed_s
+    assert f"horizon {proposed_s:g} s" in run_config.notes[0]
+
+
+def test_a_given_horizon_and_a_given_weight_stay() -> None:
+    given = ControllerConfig(horizon_s=5.0, weights=WeightSettings(thrust=0.7))
+    found = settled(given, Vehicle.load("paper"))
+    assert (found.horizon_s, found.weights.thrust) == (5.0, 0.7)
+    assert found.weights.thrust_change == default_weights(Vehicle.load("paper")).thrust_change
+
+
+def test_resolved_settings_and_those_read_back_from_their_file_are_the_same(tmp_path) -> None:
+    vehicle = Vehicle.load("surface")
+    found = settled(ControllerConfig(), vehicle)
+    assert settled(found, Vehicle.load("paper")) is found
+    (tmp_path / "controller.toml").write_text(config.to_toml(found))
+    assert settled(ControllerConfig.load(str(tmp_path / "controller.toml")), Vehicle.load("paper")) == found
+
+
+def test_the_proposal_is_stable_with_the_weights_in_use(monkeypatch) -> None:
+    """The closed loop depends on the weights: the check must be asked about those that the controller has."""
+    asked = []
+    is_stable = stability.is_stable
+
+    def noted(vehicle, config):
+        asked.append(config)
+        return is_stable(vehicle, config)
+
+    monkeypatch.setattr("ltv_mpc.control.horizon_selection.is_stable", noted)
+    found = settled(ControllerConfig(weights=WeightSettings(thrust=0.123)), Vehicle.load("weak-reverse"))
+    assert [of.weights.thrust for of in asked] == [0.123] * len(asked)
+    assert asked[-1].horizon_s == found.horizon_s
+
+
+def test_a_period_longer_than_the_horizon_is_rejected_with_file_and_field() -> None:
+    vehicle, long = Vehicle.load("paper"), ControllerConfig(period_s=20.0)
+    with pytest.raises(
+        ConfigError, match=r"mine\.toml: \[controller\] period_s = 20\.0: must be <= horizon_s = 13\.8,"
+    ):
+        settled(long, vehicle, source="mine.toml", table=("controller",))
+    with pytest.raises(ConfigError, match=r"period_s = 20\.0: must be <= horizon_s = 5: a plan"):
+        settled(msgspec.structs.replace(long, horizon_s=5.0), vehicle)
+    assert settled(msgspec.structs.replace(long, horizon_s=30.0), vehicle).period_s == 20.0
+
+
+def test_a_run_writes_the_horizon_that_it_had_and_is_repeated_with_it(tmp_path) -> None:
+    files = resolve("descent").files
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    assert "horizon_s = 13.8" in files["scenario.toml"]
+    assert "horizon_s = 13.8" in files["config/controller.toml"]
+    assert resolve(str(tmp_path / "scenario.toml")).controller == resolve("descent").controller
