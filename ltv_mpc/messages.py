@@ -494,7 +494,7 @@ class Solve(Message, frozen=True, kw_only=True, eq=False):
 
 
 class Plan(Message, frozen=True, kw_only=True, eq=False):
-    """Future thrusts, piecewise linear between knots. Without another plan the actuators can follow it to its end.
+    """Future thrusts, piecewise linear between knots. Without another plan the actuators follow it for a while.
 
     ``t_ns`` (N+1,) are the knots; the plan takes effect at the first. ``thrust_N`` (N+1, 3) are the commands at the
     knots. ``states`` (N+1, 6) are the predicted n, e (m), u, v (m/s, through the water), heading (rad), yaw rate
@@ -773,7 +773,9 @@ class Applied(Message, frozen=True, kw_only=True, eq=False):
     ]
     health: Annotated[
         Health,
-        Meta(description="timeliness of the plans: degraded if two are missing, failsafe at the end of the last one"),
+        Meta(
+            description="timeliness of the plans: degraded if two are missing, failsafe after the end of the last one"
+        ),
     ] = Health.NOMINAL
 
 

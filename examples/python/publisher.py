@@ -17,13 +17,13 @@ import time
 import msgpack
 import zenoh
 
-PERIOD_S, SLEW_N_PER_S = 0.1, 100.0
+PERIOD_S, SLEW_N_PER_S, PLAN_TIMEOUT_NS = 0.1, 100.0, 5_000_000_000
 
 
 def target(plans, now):
-    """Port and starboard (N): the newest plan that has begun, linear between its knots, zero after the last one."""
-    plan = next((plan for plan in reversed(plans) if plan["t_ns"][0] <= now < plan["t_ns"][-1]), None)
-    if plan is None:
+    """Port and starboard (N): the newest plan that has begun, linear between its knots; zero after 5 s without one."""
+    plan = next((plan for plan in reversed(plans) if plan["t_ns"][0] <= now), None)
+    if plan is None or now >= min(plan["t_ns"][-1], plan["t_ns"][0] + PLAN_TIMEOUT_NS):
         return 0.0, 0.0
     i = max(k for k, knot in enumerate(plan["t_ns"]) if knot <= now)
     part = (now - plan["t_ns"][i]) / (plan["t_ns"][i + 1] - plan["t_ns"][i])

@@ -54,7 +54,7 @@ from ltv_mpc.references import Hold, Reference
 from ltv_mpc.references.follower import NO_PROGRESS, Follower, FollowerState
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
-from ltv_mpc.safety.health import NOMINAL, HealthState, worst
+from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns, worst
 from ltv_mpc.safety.reference_point_check import ReferencePointCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -92,7 +92,7 @@ class Controller:
         """
         self.config = config = settled(config or ControllerConfig(), vehicle)
         self.vehicle = vehicle
-        self.sent_commands = SentCommands(vehicle)
+        self.sent_commands = SentCommands(vehicle, config.period_ns)
         """Commands in force, by time."""
         packed = pack_constants(vehicle, config.weights, config.knots, STAGE_S, config.limits.max_abs)
         self._estimates = EstimateSelector(vehicle, config)
@@ -100,7 +100,8 @@ class Controller:
         self._prediction = Prediction(vehicle)
         self._vertical = VerticalLaw(vehicle, packed)
         self._knots_ns = np.round(config.knots * STAGE_NS).astype(np.int64)  # (N+1,), after the plan's start
-        least_ns, plan_ns = round(config.min_delay_s * 1e9), int(self._knots_ns[-1])
+        least_ns = round(config.min_delay_s * 1e9)
+        plan_ns = plan_end_ns(self._knots_ns, config.period_ns, vehicle.plan_timeout_s)
         self._delay = Delay(_first_delay_ns(config), config.delay_quantile, least_ns, plan_ns)
         self._lateral = LateralPlanner(
             vehicle,
@@ -316,7 +317,8 @@ class Controller:
         if state.current_bias is not None:
             self._bias.restore(state.current_bias, t_ns - state.t_ns)
         followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
-        self._followers[0].restore(followed, t_ns, moved_until_ns=_end_of_motion_ns(state))
+        moved_until_ns = _end_of_motion_ns(state, self.config.period_ns, self.vehicle.plan_timeout_s)
+        self._followers[0].restore(followed, t_ns, moved_until_ns=moved_until_ns)
 
     # --- parts of a cycle ---
 
@@ -466,15 +468,16 @@ def _authority(override: ThrustOverride | None) -> Authority:
     return Authority.CONTROLLER if override is None else override.authority
 
 
-def _end_of_motion_ns(state: ControllerState) -> int:
+def _end_of_motion_ns(state: ControllerState, period_ns: int, timeout_s: float) -> int:
     """Return until when (ns) the vehicle has followed the reference at most: to the end of the last plan.
 
-    The plan in the state may be older than that one, by the period of the states.
+    The plan in the state may be older than that one, by the period of the states. ``period_ns`` is that of the plans,
+    ``timeout_s`` the vehicle's ``plan_timeout_s``.
     """
     plan = state.plan
     if plan is None or plan.authority is not Authority.CONTROLLER:
         return state.schedule_t_ns
-    return int(plan.t_ns[-1]) + SAVE_PERIOD_NS
+    return plan_end_ns(plan.t_ns, period_ns, timeout_s) + SAVE_PERIOD_NS
 
 
 def _first_delay_ns(config: ControllerConfig) -> int:

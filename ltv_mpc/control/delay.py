@@ -34,7 +34,7 @@ class Delay:
         first_ns : expected before anything was measured (ns).
         quantile : h is this quantile of the measurements, 0.5 to 1.
         min_ns : lower bound of what is expected (ns).
-        plan_ns : length of a plan (ns); a longer delay until a receipt is not counted.
+        plan_ns : time for which a plan is followed (ns); a longer delay until a receipt is not counted.
         """
         self._expected_ns = max(first_ns, min_ns)
         self._quantile = quantile

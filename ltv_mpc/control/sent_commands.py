@@ -1,7 +1,8 @@
 """Commands in force by time: everything that was sent, as one piecewise linear function.
 
-A plan takes over from the one before at its own start. After its last knot the commands ramp to rest at the slew limit,
-as the actuators do without a plan: the lateral ones to zero, the vertical one to ``failsafe_vertical_N``. The
+A plan takes over from the one before at its own start. After its end the commands ramp to rest at the slew limit, as
+the actuators do without a new plan (``plan_gate.py``): the lateral ones to zero, the vertical one to
+``failsafe_vertical_N``. The
 prediction of the state at the start of a new plan uses these commands. The actuators may report another command (a plan
 came late, or this controller is new): then the report is taken as true, and from there the commands approach the plan
 at the slew limit.
@@ -13,8 +14,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array, Plan, Times, Triple
+from ltv_mpc.safety.health import plan_end_ns
 from ltv_mpc.vehicle.parameters import Vehicle
 
 HISTORY_NS = 10_000_000_000
@@ -42,10 +44,17 @@ between the knots, constant beyond them, and zero if there are no knots.
 class SentCommands:
     """Commands that the actuators follow, by time."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        """Begin before the first plan; the vehicle's slew limits and its failsafe thrust are used."""
+    def __init__(self, vehicle: Vehicle, period_ns: int = 0) -> None:
+        """Begin before the first plan.
+
+        Parameters
+        ----------
+        vehicle : its slew limits, its failsafe thrust and its ``plan_timeout_s`` are used.
+        period_ns : period of the plans (ns).
+        """
         self._slew = np.array([t.slew_N_per_s for t in vehicle.thrusters])
         self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
+        self._period_ns, self._timeout_s = period_ns, vehicle.plan_timeout_s
         self.knots: Commands = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
         """Commands from ``HISTORY_NS`` ago on, or from the estimate of the last plan on if that is older."""
 
@@ -59,7 +68,8 @@ class SentCommands:
         t, thrust = self.knots
         start_ns = int(plan.t_ns[0])
         since_ns = min(start_ns - HISTORY_NS, max(plan.estimate_t_ns - BEFORE_ESTIMATE_NS, start_ns - MAX_HISTORY_NS))
-        self.knots = supersede(t, thrust, since_ns, plan.t_ns, plan.thrust_N, self._slew, self._rest)
+        end_ns = plan_end_ns(plan.t_ns, self._period_ns, self._timeout_s)
+        self.knots = supersede(t, thrust, since_ns, plan.t_ns, plan.thrust_N, end_ns, self._slew, self._rest)
 
     def correct(self, t_ns: int, command_N: Triple) -> None:
         """Correct the commands by a report of the actuators.
@@ -117,15 +127,16 @@ class SentCommands:
 
 @jit
 def supersede(
-    t: Times, thrust: Array, since: int, plan_t: Times, plan_thrust: Array, slew: Array, rest: Array
+    t: Times, thrust: Array, since: int, plan_t: Times, plan_thrust: Array, end: int, slew: Array, rest: Array
 ) -> tuple[Times, Array]:
-    """Return the commands until the plan begins, then the plan, then its ramp to rest at the slew limit.
+    """Return the commands until the plan begins, then the plan to its end, then a ramp to rest at the slew limit.
 
     Parameters
     ----------
     t, thrust : (M,), (M, 3) commands before the plan (ns, N).
     since : time (ns) up to which older commands are dropped.
     plan_t, plan_thrust : (N+1,), (N+1, 3) the plan (ns, N).
+    end : time (ns) until which the plan is followed, after its first and at most at its last knot.
     slew : (3,) slew limits (N/s).
     rest : (3,) commands at rest (N).
 
@@ -135,9 +146,9 @@ def supersede(
     """
     first = np.searchsorted(t, since, side="right")
     until = np.searchsorted(t, plan_t[0], side="left")
-    end = len(plan_t) - 1
+    last = np.array([command_at(plan_t, plan_thrust, end, j) for j in range(3)])
     # One knot where each thruster comes to rest, in the order of time; two in one nanosecond share it.
-    seconds = np.abs(plan_thrust[end] - rest) / slew
+    seconds = np.abs(last - rest) / slew
     corners, count, latest = np.empty(3), 0, 0.0
     while True:
         soonest = np.inf
@@ -148,23 +159,25 @@ def supersede(
             break
         corners[count] = latest = soonest
         count += 1
-    past, ahead = max(until - first, 0), len(plan_t)
+    past, ahead = max(until - first, 0), np.searchsorted(plan_t, end, side="left") + 1  # with a knot at the end
     out_t = np.empty(past + ahead + count, dtype=np.int64)
     out = np.empty((len(out_t), 3))
     for i in range(past):
         out_t[i] = t[first + i]
         for j in range(3):
             out[i, j] = thrust[first + i, j]
-    for i in range(ahead):
+    for i in range(ahead - 1):
         out_t[past + i] = plan_t[i]
         for j in range(3):
             out[past + i, j] = plan_thrust[i, j]
+    out_t[past + ahead - 1] = end
+    copy_to(out[past + ahead - 1], last)
     for i in range(count):
         at = past + ahead + i
-        out_t[at] = plan_t[end] + np.int64(np.ceil(corners[i] * 1e9))
+        out_t[at] = end + np.int64(np.ceil(corners[i] * 1e9))
         for j in range(3):
             left = 1.0 - min(corners[i] / seconds[j], 1.0) if seconds[j] > 0.0 else 1.0
-            out[at, j] = rest[j] + left * (plan_thrust[end, j] - rest[j])
+            out[at, j] = rest[j] + left * (last[j] - rest[j])
     return out_t, out
 
 

@@ -18,8 +18,9 @@ missing messages, held after three, failsafe after five.
 
 Actuators, by the time since the last accepted plan and the period T of the plans:
 
-    degraded   no plan for max(2.5 T, 0.5 s), or none yet                       the last plan is followed to its end
-    failsafe   the last plan is at its end                                      thrusts ramp to rest
+    degraded   no plan for max(2.5 T, 0.5 s), or none yet                       the last plan is followed
+    failsafe   the last plan is at its last knot, or began more than            thrusts ramp to rest
+               max(2.5 T, plan_timeout_s) ago; the setting is the vehicle's
 
 A pause of the clock freezes every age. A negative age comes from a stamp in the future. Nothing can be predicted back
 from there, so an estimate that is ahead by more than ``MAX_STAMP_AHEAD_NS`` means failsafe.
@@ -32,7 +33,7 @@ from typing import Annotated, NamedTuple
 import msgspec
 from msgspec import Meta
 
-from ltv_mpc.messages import Health
+from ltv_mpc.messages import Health, Times
 
 DEGRADED_PERIODS, HOLD_PERIODS, FAILSAFE_PERIODS = 3, 4, 6
 
@@ -151,7 +152,7 @@ def plan_health(*, silent_ns: int | None, period_ns: int, left_ns: int) -> Healt
     ----------
     silent_ns : time since the last accepted plan (ns); None before the first.
     period_ns : period of the plans (ns); 0 if unknown.
-    left_ns : time to the end of the newest plan (ns); negative after it.
+    left_ns : time to the end of the newest plan, as ``plan_end_ns`` gives it (ns); negative after it.
     """
     if silent_ns is None:
         return Health.DEGRADED
@@ -163,6 +164,18 @@ def plan_health(*, silent_ns: int | None, period_ns: int, left_ns: int) -> Healt
 def plan_timeout_ns(period_ns: int) -> int:
     """Return the time (ns) after its last plan for which a commander counts as present."""
     return max(round(REPLACEMENTS_MISSING * period_ns), MIN_PLAN_TIMEOUT_NS)
+
+
+def plan_end_ns(knots_ns: Times, period_ns: int, timeout_s: float) -> int:
+    """Return the time (ns) until which the actuators follow a plan if no other one follows.
+
+    Parameters
+    ----------
+    knots_ns : (N+1,) knots of the plan (ns).
+    period_ns : period of the plans (ns); 0 if unknown.
+    timeout_s : ``plan_timeout_s`` of the vehicle (s).
+    """
+    return min(int(knots_ns[-1]), int(knots_ns[0]) + timeout_ns(REPLACEMENTS_MISSING, period_ns, timeout_s))
 
 
 def worst(*states: HealthState) -> HealthState:

@@ -1,11 +1,13 @@
 """Plan gate of the actuators: select the plan in force and compute a command that never leaves box or slew limit.
 
-Target   T(t) = the newest accepted plan that has started, linear between its knots; after its last knot the lateral
+Target   T(t) = the newest accepted plan that has started, linear between its knots; after its end the lateral
          thrusts are zero and the vertical one is the vehicle's ``failsafe_vertical_N``; zero before the first plan
+End      of a plan: its last knot, but at most max(``plan_timeout_s`` of the vehicle, 2.5 periods) after its first one
 Command  y(t) (N), port, starboard, vertical:  y(t + dt) = y(t) + clip(T(t + dt) - y(t), -slew dt, slew dt)
 
 A plan that starts at the command in force is followed exactly. The command approaches a late plan at the slew limit,
-and the end of the last plan is a ramp. A plan is rejected if it violates box or slew limit itself, is out of order, or
+and the end of the last plan is a ramp. The horizon says how far the controller looks ahead, not how long the vehicle
+may move after the controller has died. A plan is rejected if it violates box or slew limit itself, is out of order, or
 has ended before it arrives: with wrong stamps it would otherwise stop a vehicle that has a sound plan.
 
 One commander at a time. A commander is identified by its epoch, which each start of a controller draws at random.
@@ -27,7 +29,7 @@ import numpy.typing as npt
 
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array, Health, Plan, Triple
-from ltv_mpc.safety.health import plan_health
+from ltv_mpc.safety.health import plan_end_ns, plan_health
 from ltv_mpc.safety.input_monitor import Period
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -45,7 +47,7 @@ class PlanVerdict(enum.StrEnum):
     LATE = "late"  # accepted after its start time: a deadline miss
     OUT_OF_ORDER = "out_of_order"
     SECOND_COMMANDER = "second_commander"
-    ENDED = "ended"  # its last knot has passed
+    ENDED = "ended"  # its end has passed
     OUTSIDE_BOX = "outside_box"
     OUTSIDE_SLEW = "outside_slew"
 
@@ -70,8 +72,9 @@ class Commander:
         """Epoch of the commander; None before the first plan."""
         self.last_sequence: dict[int, int] = {}
         """Last accepted sequence by epoch, the most recent commander last."""
+        self.period = Period()
+        """Period of its cycles."""
         self._accepted_ns = 0
-        self._period = Period()  # of its cycles
 
     def accept(self, epoch: int, sequence: int, cycle_ns: int, t_ns: int) -> None:
         """Record an accepted plan.
@@ -83,13 +86,13 @@ class Commander:
         t_ns : time of acceptance (ns).
         """
         if epoch != self.epoch:
-            self.epoch, self._period = epoch, Period()
+            self.epoch, self.period = epoch, Period()
         self.last_sequence.pop(epoch, None)
         self.last_sequence[epoch] = sequence
         if len(self.last_sequence) > MAX_COMMANDERS:
             del self.last_sequence[next(iter(self.last_sequence))]
         self._accepted_ns = t_ns
-        self._period.add(cycle_ns)
+        self.period.add(cycle_ns)
 
     def health(self, t_ns: int, left_ns: int) -> Health:
         """Return the timeliness of the plans.
@@ -100,7 +103,7 @@ class Commander:
         left_ns : time to the end of the newest plan (ns); negative after it.
         """
         silent_ns = None if self.epoch is None else t_ns - self._accepted_ns
-        return plan_health(silent_ns=silent_ns, period_ns=self._period.median_ns, left_ns=left_ns)
+        return plan_health(silent_ns=silent_ns, period_ns=self.period.median_ns, left_ns=left_ns)
 
 
 class PlanGate:
@@ -112,6 +115,7 @@ class PlanGate:
     def __init__(self, vehicle: Vehicle) -> None:
         self._limits = np.array([[t.min_N, t.max_N, t.slew_N_per_s] for t in vehicle.thrusters]).T.copy()
         self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
+        self._timeout_s = vehicle.plan_timeout_s
         self.commander = Commander()
         """Controller whose plans are followed."""
         self._plans: list[_TimedThrust] = []  # the plan in force and those not started, by start time
@@ -136,7 +140,8 @@ class PlanGate:
             self.plans_rejected += 1
             return verdict
         self.commander.accept(epoch, sequence, plan.cycle_t_ns, t_ns)
-        start_ns, end_ns = int(plan.t_ns[0]), int(plan.t_ns[-1])
+        start_ns = int(plan.t_ns[0])
+        end_ns = self._end_ns(plan)
         timed = _TimedThrust(start_ns, end_ns, plan.t_ns.astype(np.int64), plan.thrust_N.astype(np.float64, order="C"))
         # replaces the plans that would start with it or after it; one that starts before stays in force until then
         self._plans = [p for p in self._plans if p.start_ns < start_ns] + [timed]
@@ -154,12 +159,15 @@ class PlanGate:
         """
         return self.commander.health(t_ns, self._plans[-1].end_ns - t_ns if self._plans else -1)
 
+    def _end_ns(self, plan: Plan) -> int:
+        return plan_end_ns(plan.t_ns, self.commander.period.median_ns, self._timeout_s)
+
     def _check(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> PlanVerdict:
         if sequence <= self.commander.last_sequence.get(epoch, -1):
             return PlanVerdict.OUT_OF_ORDER
         if self.commander.epoch not in (None, epoch) and self.health(t_ns) is Health.NOMINAL:
             return PlanVerdict.SECOND_COMMANDER
-        if plan.t_ns[-1] < t_ns:
+        if self._end_ns(plan) < t_ns:
             return PlanVerdict.ENDED
         thrust, seconds = plan.thrust_N, (plan.t_ns[1:] - plan.t_ns[:-1]) * 1e-9
         low, high, slew = self._limits
@@ -206,7 +214,8 @@ class PlanGate:
             until = bisect_left(times_ns, plans[1].start_ns, done) if len(plans) > 1 else len(times)
             plan = plans[0] if plans else _NONE
             here = commands[done:until]
-            _follow(y, self._t_ns, times[done:until], plan.t_ns, plan.thrust_N, self._rest, self._limits, here)
+            followed = plan.end_ns, plan.t_ns, plan.thrust_N
+            _follow(y, self._t_ns, times[done:until], followed, self._rest, self._limits, here)
             self._t_ns, done = times_ns[until - 1], until
         port, starboard, vertical = y.tolist()
         self._command = port, starboard, vertical
@@ -218,26 +227,27 @@ def _follow(
     y: Array,
     from_ns: int,
     times_ns: npt.NDArray[np.int64],
-    knots_ns: npt.NDArray[np.int64],
-    thrust: Array,
+    plan: tuple[int, npt.NDArray[np.int64], Array],
     rest: Array,
     limits: Array,
     commands: Array,
 ) -> None:
     """Move y (3,) from ``from_ns`` towards one plan, and towards rest after it, and store it at each time.
 
-    ``limits`` (3, 3): low, high and slew of each thruster. ``commands`` (K, 3) is the output.
+    ``plan``: its end (ns), knots (ns) and thrusts (N). ``limits`` (3, 3): low, high and slew of each thruster.
+    ``commands`` (K, 3) is the output.
     """
+    end_ns, knots_ns, thrust = plan
     M = len(knots_ns)
     T = np.empty(3)
     for k in range(len(times_ns)):
         t_ns = times_ns[k]
-        if M > 0 and knots_ns[0] <= t_ns <= knots_ns[M - 1]:
+        if M > 0 and knots_ns[0] <= t_ns <= end_ns:
             i = min(max(np.searchsorted(knots_ns, t_ns, side="right") - 1, 0), M - 2)
             s = (t_ns - knots_ns[i]) / (knots_ns[i + 1] - knots_ns[i])
             for j in range(3):
                 T[j] = thrust[i, j] + s * (thrust[i + 1, j] - thrust[i, j])
-        elif M > 0 and t_ns > knots_ns[M - 1]:
+        elif M > 0 and t_ns > end_ns:
             copy_to(T, rest)
         else:
             T[:] = 0.0  # no plan has started yet

@@ -17,6 +17,9 @@ from ltv_mpc.vehicle.reference_point import ORIGIN, ReferencePoint
 Positive: TypeAlias = Annotated[float, Meta(gt=0, le=1e7)]
 NonNegative: TypeAlias = Annotated[float, Meta(ge=0, le=1e7)]
 
+PLAN_TIMEOUT_S = 5.0
+"""Time for which a plan is followed without a new one, if the vehicle file does not say otherwise (s)."""
+
 
 class Translation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Surge, sway or heave: total mass (added mass included) and damping, X = -(linear + quadratic |v|) v."""
@@ -106,6 +109,8 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     net_buoyancy_N: Annotated[float, Meta(ge=-1e6, le=1e6)] = 0.0  # buoyancy minus weight; positive: the vehicle rises
     water_density_kgpm3: Annotated[float, Meta(ge=900, le=1100)]
     failsafe_vertical_N: Annotated[float, Meta(ge=-1e6, le=1e6)] = 0.0  # thrust in failsafe; positive pushes down
+    # longest time for which the actuators follow a plan without a new one, whatever the length of the plan
+    plan_timeout_s: Annotated[float, Meta(ge=0.5, le=60)] = PLAN_TIMEOUT_S
     surge: Translation
     sway: Translation
     heave: Translation | None = None

@@ -47,6 +47,7 @@ ASTERN = 0.75  # what the propeller is worth backwards
 LAG_S = 0.22
 DEAD_RPS = 1.0  # slower it does not turn at all
 MIN_N, MAX_N, SLEW_N_PER_S = -38.0, 42.0, 80.0  # as its data sheet says
+PLAN_TIMEOUT_NS = 5_000_000_000
 
 
 class Hull:
@@ -196,9 +197,9 @@ class Actuators:
 
 
 def _between(plan: dict[str, Any], t_ns: int) -> tuple[float, float]:
-    """Return the thrusts of port and starboard, linear between knots and zero after the last one."""
+    """Return the thrusts of port and starboard, linear between knots, and zero after 5 s or the last knot."""
     knots, thrust = plan["t_ns"], plan["thrust_N"]
-    if t_ns >= knots[-1]:
+    if t_ns >= min(knots[-1], knots[0] + PLAN_TIMEOUT_NS):
         return 0.0, 0.0
     i = bisect_right(knots, t_ns) - 1
     s = (t_ns - knots[i]) / (knots[i + 1] - knots[i])

@@ -10,7 +10,10 @@ from collections import deque
 import numpy as np
 
 from ltv_mpc.messages import Array, Estimate, Plan
+from ltv_mpc.safety.health import plan_end_ns
+from ltv_mpc.safety.input_monitor import Period
 from ltv_mpc.validation import rejection_reason
+from ltv_mpc.vehicle.parameters import PLAN_TIMEOUT_S
 from services.edges.ros2 import cdr
 from services.edges.ros2.odometry import OdometryError, estimate_of
 
@@ -48,6 +51,7 @@ class Edge:
     def __init__(self) -> None:
         self._clock = StampedClock()
         self._plan: Plan | None = None
+        self._period = Period()  # of the plans
         self.accepted = 0
         self.rejected = 0
         self.reason = ""  # of the last rejection
@@ -68,14 +72,19 @@ class Edge:
 
     def follow(self, plan: Plan) -> None:
         """Set the plan to execute."""
+        if self._plan is None or plan.cycle_t_ns > self._plan.cycle_t_ns:
+            self._period.add(plan.cycle_t_ns)
         self._plan = plan
 
     def thrust_N(self, now_us: int) -> Array | None:
-        """Return the plan's thrust (N), port, starboard, vertical: 0 past its end, None without a plan."""
+        """Return the plan's thrust (N), port, starboard, vertical: 0 past its end, None without a plan.
+
+        The plan ends as at any actuators, with the ``plan_timeout_s`` of a vehicle file that does not set it.
+        """
         now_ns = self._clock.read(now_us)
         if self._plan is None or now_ns is None:
             return None
-        if now_ns > int(self._plan.t_ns[-1]):
+        if now_ns > plan_end_ns(self._plan.t_ns, self._period.median_ns, PLAN_TIMEOUT_S):
             return np.zeros(3)
         return self._plan.thrust_at(now_ns)
 

@@ -13,6 +13,8 @@ from ltv_mpc import Plan, PlanOrigin, SolveStatus, Vehicle
 from ltv_mpc.control.horizon_limits import HorizonLimits, command_bounds
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Solve
+from ltv_mpc.safety.health import REPLACEMENTS_MISSING
+from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 
 PAPER = Vehicle.load("paper")
 LIMITS = HorizonLimits.from_vehicle(PAPER, 0.3)
@@ -109,6 +111,32 @@ def test_after_the_last_knot_every_thruster_ramps_to_rest_at_its_own_slew_limit(
     np.testing.assert_allclose(at[:, 0], [20, 10, 0, 0, 0], atol=1e-6)
     np.testing.assert_allclose(at[:, 1], [-10, 0, 0, 0, 0], atol=1e-6)
     np.testing.assert_allclose(at[:, 2], [30, 20, 10, -10, -10], atol=1e-6)
+
+
+@given(
+    plan_timeout_s=st.floats(0.5, 6.0),
+    period_s=st.sampled_from([0.3, 0.7, 2.1]),
+    cycles=st.integers(1, 4),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_the_commands_in_force_are_those_of_the_actuators_when_plans_stop(plan_timeout_s, period_s, cycles, seed):
+    """Plans of 6 s come at their start, and then none: the gate goes to rest, and the controller predicts it."""
+    vehicle = msgspec.structs.replace(PAPER, plan_timeout_s=plan_timeout_s, failsafe_vertical_N=-10.0)
+    period_ns = round(period_s * SECOND)
+    gate, sent = PlanGate(vehicle), SentCommands(vehicle, period_ns)
+    gate.command_at(0)
+    change = np.random.default_rng(seed).uniform(-30.0, 30.0, (21, 3))
+    for k in range(cycles):
+        start = k * period_ns
+        change[0] = gate.command_at(start)
+        one = plan(start, np.clip(np.cumsum(change, axis=0), -62.5, 62.5))
+        sent.add(one)
+        assert gate.offer(one, 1, k, start) is PlanVerdict.ACCEPTED
+    times = np.arange(start, start + 10 * SECOND, 10_000_000)
+    period_known = cycles > 1 or period_s * REPLACEMENTS_MISSING <= plan_timeout_s
+    if period_known:
+        # The gate notices an end within one of its steps, in which the command changes by 1 N at most.
+        np.testing.assert_allclose(sent.at(times), gate.commands_at(times.tolist()), atol=2.0)
 
 
 def test_two_thrusters_that_come_to_rest_together_have_one_knot():

@@ -137,14 +137,57 @@ def test_plans_out_of_order_are_rejected():
     assert gate.plans_rejected == 2
 
 
+# --- how long a plan is followed -------------------------------------------------------------------------------------
+
+LONG = 47
+"""Knots of a plan that reaches 13.8 s ahead."""
+
+
+@pytest.mark.parametrize(
+    ("timeout_s", "period_s", "end_s"), [(5.0, 0.3, 5.0), (1.5, 0.3, 1.5), (5.0, 4.0, 10.0), (20.0, 0.3, 13.8)]
+)
+def test_without_a_new_plan_the_thrusters_go_to_rest_however_long_the_plan_is(timeout_s, period_s, end_s):
+    vehicle = msgspec.structs.replace(VEHICLE, plan_timeout_s=timeout_s, failsafe_vertical_N=-20.0)
+    gate = PlanGate(vehicle)
+    last = commanded(gate, 7, 3 * round(period_s * 1e9), period_ns=round(period_s * 1e9), thrust=50.0, knots=LONG)
+    end = last + round(end_s * 1e9)
+    assert (commands(gate, last + 3 * S // 2, end) == 50.0).all()
+    assert gate.health(end) == "degraded"
+    assert gate.health(end + 1) == "failsafe"
+    np.testing.assert_allclose(gate.command_at(end + S // 10), [40.0, 40.0, 40.0])
+    assert gate.command_at(end + S) == (0.0, 0.0, -20.0)
+
+
+def test_the_period_of_a_former_commander_does_not_lengthen_a_plan():
+    gate = PlanGate(VEHICLE)
+    last = commanded(gate, 7, 20 * S, period_ns=4 * S, thrust=50.0, knots=LONG)
+    begin = last + 11 * S
+    gate.command_at(begin)
+    assert gate.offer(constant(begin, 0.0, 0.0, 0.0, knots=LONG), 9, 0, begin) is PlanVerdict.ACCEPTED
+    assert gate.health(begin + 5 * S) == "degraded"
+    assert gate.health(begin + 5 * S + 1) == "failsafe"
+
+
+def test_a_new_plan_ends_the_rest():
+    gate = PlanGate(VEHICLE)
+    gate.command_at(0)
+    gate.offer(constant(0, 50.0, 50.0, 50.0, knots=LONG), 7, 0, 0)
+    assert commands(gate, 0, 8 * S)[-1].tolist() == [0.0, 0.0, 0.0]
+    gate.offer(constant(8 * S, 20.0, 20.0, 20.0, knots=LONG), 7, 1, 8 * S)
+    assert commands(gate, 8 * S, 10 * S)[-1].tolist() == [20.0, 20.0, 20.0]
+    assert gate.health(8 * S + S // 2) == "nominal"
+
+
 # --- one commander at a time -----------------------------------------------------------------------------------------
 
 
-def commanded(gate: PlanGate, epoch: int, until_ns: int, *, period_ns: int = STAGE_NS, thrust: float = 10.0) -> int:
+def commanded(
+    gate: PlanGate, epoch: int, until_ns: int, *, period_ns: int = STAGE_NS, thrust: float = 10.0, knots: int = 18
+) -> int:
     """Send a plan each period up to ``until_ns`` and return the time of the last one."""
     for k, t in enumerate(range(0, until_ns, period_ns)):
         gate.command_at(t)
-        assert gate.offer(constant(t, thrust, thrust, thrust, knots=18), epoch, k, t) is PlanVerdict.ACCEPTED
+        assert gate.offer(constant(t, thrust, thrust, thrust, knots=knots), epoch, k, t) is PlanVerdict.ACCEPTED
     return t
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from ltv_mpc.messages import Applied
+from ltv_mpc.messages import Applied, Health
 from ltv_mpc.safety.plan_rejections import PlanRejections
 
 MS = 1_000_000
 PERIOD_NS = 300 * MS
 
 
-def report(rejected: int) -> Applied:
+def report(rejected: int, health: Health = Health.NOMINAL) -> Applied:
     return Applied(
         t_ns=0,
         thrust_N=(0.0, 0.0, 0.0),
@@ -22,6 +22,7 @@ def report(rejected: int) -> Applied:
         plan_late=False,
         plans_late=0,
         plans_rejected=rejected,
+        health=health,
     )
 
 
@@ -55,6 +56,15 @@ def test_several_rejections_in_one_report_degrade_at_once() -> None:
 
 def test_rejections_before_the_first_report_or_a_restart_of_the_count_do_not_count() -> None:
     assert states((0, 206), (100, 206), (200, 0), (300, 1)) == ["nominal"] * 4
+
+
+def test_the_end_of_the_last_plan_at_the_actuators_degrades_until_they_have_a_new_one() -> None:
+    rejections, found = PlanRejections(PERIOD_NS), []
+    for health in (Health.NOMINAL, Health.DEGRADED, Health.FAILSAFE, Health.FAILSAFE, Health.NOMINAL):
+        rejections.add(report(0, health), 0)
+        found.append(rejections.health(0))
+    assert [state.health.value for state in found] == ["nominal", "nominal", "degraded", "degraded", "nominal"]
+    assert "no plan arrives at the actuators" in found[2].why
 
 
 def test_the_reason_names_the_actuators() -> None:

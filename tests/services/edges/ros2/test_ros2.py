@@ -10,6 +10,7 @@ import sys
 import time
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -281,6 +282,15 @@ def test_a_plan_is_played_by_the_time_of_the_odometry_and_not_beyond_its_end() -
     assert edge.odometry(odometry(), 7_000_000) is not None
     for after_s, thrust in ((0.5, (5.0, -10.0, 2.5)), (1.5, (10.0, -20.0, 5.0)), (2.1, (0.0, 0.0, 0.0))):
         np.testing.assert_allclose(edge.thrust_N(7_000_000 + round(after_s * 1e6)), thrust)
+
+
+def test_a_long_plan_is_not_followed_for_more_than_five_seconds() -> None:
+    edge, t0_ns = Edge(), STAMP[0] * SECOND_NS + STAMP[1]
+    edge.odometry(odometry(), 0)
+    knots = t0_ns + SECOND_NS * np.arange(15)
+    edge.follow(msgspec.structs.replace(plan(t0_ns), t_ns=knots, thrust_N=np.full((15, 3), 10.0)))
+    assert (edge.thrust_N(4_999_000) == 10.0).all()
+    assert (edge.thrust_N(5_001_000) == 0.0).all()
 
 
 # --- the process -----------------------------------------------------------------------------------------------------
