@@ -1,6 +1,6 @@
 """Drift when plans stop: the controller dies, the link is lost, the controller is restarted.
 
-    .venv/bin/python -m benchmarks.plans_stop [--seeds N] [--vehicle NAME|FILE ...] [--picture FILE]
+    .venv/bin/python -m benchmarks.plans_stop [--seeds N] [--vehicle NAME|FILE ...]
 
 The true vehicle behind the plan gate holds a point, or drives along a line of 40 m, in a steady current of 0.35 of its
 top speed that is told with an error of 0.03 of the top speed. At 25 s (hold) or 15 s (line) plans stop: for good
@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
