@@ -25,7 +25,10 @@ PAPER_COST = (
     "controller.weights.terminal_position_per_m2=0.0",
     "controller.weights.terminal_velocity_s2_per_m2=0.0",
 )
-SHORT, LONG = ("controller.horizon_s=2.5",), ("controller.horizon_s=10.0",)
+HIGH = ("controller.effort=high",)
+SHORT, PAPER, LONG = (
+    (f"controller.horizon_s={horizon_s}", *HIGH) for horizon_s in (2.5, 5.0, 10.0)
+)  # the paper's horizons, and twice the longer one
 ONE = ("controller.sqp_iterations=1",)
 FIXES = ("run.surface_time_s=30.0",)
 REALISTIC = ('sensors="realistic"', *FIXES)
@@ -33,17 +36,20 @@ REALISTIC = ('sensors="realistic"', *FIXES)
 ROWS = {
     "no control": (*KNOWN, "controller.lateral=false"),
     "known state, 2.5 s": (*KNOWN, *SHORT),
-    "known state, 5 s": KNOWN,
-    "known state, 5 s, one QP a cycle": (*KNOWN, *ONE),
-    "known state, 5 s, 0.71 s of computing": (*KNOWN, "run.compute_delay_s=0.71"),
+    "known state, default": KNOWN,
+    "known state, 5 s": (*KNOWN, *PAPER),
+    "known state, 5 s, one QP a cycle": (*KNOWN, *PAPER, *ONE),
+    "known state, 5 s, 0.71 s of computing": (*KNOWN, *PAPER, "run.compute_delay_s=0.71"),
     "known state, 10 s": (*KNOWN, *LONG),
     "known state, the paper's cost, 2.5 s": (*KNOWN, *PAPER_COST, *SHORT),
-    "known state, the paper's cost, 5 s": (*KNOWN, *PAPER_COST),
-    "full loop, paper sensors, 1 TDCP fix": (),
-    "full loop, paper sensors, 30 TDCP fixes": FIXES,
-    "full loop, paper sensors, 30 TDCP fixes, one QP a cycle": (*FIXES, *ONE),
-    "full loop, realistic sensors, 30 TDCP fixes": REALISTIC,
-    "full loop, realistic sensors, 30 TDCP fixes, one QP a cycle": (*REALISTIC, *ONE),
+    "known state, the paper's cost, 5 s": (*KNOWN, *PAPER_COST, *PAPER),
+    "full loop, paper sensors, 1 TDCP fix, default": (),
+    "full loop, realistic sensors, 30 TDCP fixes, default": REALISTIC,
+    "full loop, paper sensors, 1 TDCP fix": PAPER,
+    "full loop, paper sensors, 30 TDCP fixes": (*FIXES, *PAPER),
+    "full loop, paper sensors, 30 TDCP fixes, one QP a cycle": (*FIXES, *PAPER, *ONE),
+    "full loop, realistic sensors, 30 TDCP fixes": (*REALISTIC, *PAPER),
+    "full loop, realistic sensors, 30 TDCP fixes, one QP a cycle": (*REALISTIC, *PAPER, *ONE),
 }
 
 COLUMNS: dict[str, Callable[[Summary], float | None]] = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -19,6 +19,10 @@ from ltv_mpc.safety.mission_policy import MissionSettings
 
 STAGE_NS = 300_000_000
 """Time between the first two knots (ns)."""
+
+
+Effort: TypeAlias = Literal["low", "normal", "high"]
+"""Thrust that a controller spends on a small error: three points of the curve in docs/notes/pareto.md."""
 
 
 class WeightSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -37,15 +41,14 @@ class Weights(WeightSettings, frozen=True, kw_only=True, forbid_unknown_fields=T
     The cost is half of a sum (``qp/sparse.py``). Each stage adds position |p - ref|^2 + thrust |U / F|^2 + change |dU /
     F|^2, with U the commands and F the largest thrusts. The end of the horizon adds terminal position |p - ref|^2 +
     terminal velocity |p' - ref'|^2, where p' is the velocity over ground. The paper's cost is the first term alone. The
-    defaults were tuned on seeds from 100 up, except the last halving of the thrust weights: it used seeds 0 to 3 of the
-    20 that are reported.
+    weights of thrust and of its change are a point of the curve of error against power (docs/notes/pareto.md).
     """
 
     position_per_m2: Annotated[float, Meta(gt=0, le=1e6)] = 1.0
     terminal_position_per_m2: Annotated[float, Meta(ge=0, le=1e6)] = 40.0
     terminal_velocity_s2_per_m2: Annotated[float, Meta(ge=0, le=1e9)] = 600.0
-    thrust: Annotated[float, Meta(ge=0, le=1e6)] = 3e-3
-    thrust_change: Annotated[float, Meta(ge=0, le=1e6)] = 1.5e-3
+    thrust: Annotated[float, Meta(ge=0, le=1e6)] = 3e-2
+    thrust_change: Annotated[float, Meta(ge=0, le=1e6)] = 1.5e-2
 
 
 class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -81,6 +84,7 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Settings of the controller."""
 
     horizon_s: Annotated[float, Meta(ge=0.3, le=120)] | None = None  # None: as `vehicle check` proposes, resolution.py
+    effort: Effort = "normal"  # which default weights of thrust: scaling.py
     max_stages: Annotated[int, Meta(ge=2, le=400)] = 34  # a longer horizon has growing stages: shooting_grid.py
     period_s: Annotated[float, Meta(ge=0.02, le=60)] = 0.3
     weights: WeightSettings = WeightSettings()  # a weight that is not set follows from the vehicle

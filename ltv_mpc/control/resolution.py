@@ -39,7 +39,7 @@ def settled(
     if isinstance(config, ResolvedConfig):
         return config
     given = {name: value for name, value in msgspec.structs.asdict(config.weights).items() if value is not None}
-    weights = msgspec.structs.replace(default_weights(vehicle), **given)
+    weights = msgspec.structs.replace(default_weights(vehicle, config.effort), **given)
     horizon_s = proposed_horizon_s(vehicle, weights) if config.horizon_s is None else config.horizon_s
     if config.period_s > horizon_s:
         proposed = ", which `ltv-mpc vehicle check` proposes" if config.horizon_s is None else ""

@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control.config import Weights
+from ltv_mpc.control.config import Effort, Weights
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady_speed
@@ -48,6 +48,10 @@ class Scales(NamedTuple):
 
 PAPER_SCALES = Scales(speed_mps=0.5, time_s=7.22042)
 """Scales of the vehicle that the weights were tuned for: the result of ``characteristic_scales``, as a test checks."""
+
+
+THRUST_WEIGHT_FACTOR: dict[Effort, float] = {"low": 10.0 / 3.0, "normal": 1.0, "high": 0.1}
+"""Factor of an effort on the weights of thrust and of its change."""
 
 
 def characteristic_scales(vehicle: Vehicle) -> Scales:
@@ -97,8 +101,15 @@ def weaker_couple(vehicle: Vehicle, p: Coefficients) -> float:
     return max(min(to_starboard, to_port), 0.05 * max(to_starboard, to_port))
 
 
-def default_weights(vehicle: Vehicle) -> Weights:
-    """Return the default weights of a vehicle: those of the paper's vehicle, scaled, with three significant digits."""
+def default_weights(vehicle: Vehicle, effort: Effort = "normal") -> Weights:
+    """Return the default weights of a vehicle: those of the paper's vehicle, scaled, with three significant digits.
+
+    Parameters
+    ----------
+    vehicle : gives the scales.
+    effort : selects the weights of thrust and of its change.
+    """
+    factor = THRUST_WEIGHT_FACTOR[effort]
     tuned, own = Weights(), characteristic_scales(vehicle)
     length, time = own.length_m / PAPER_SCALES.length_m, own.time_s / PAPER_SCALES.time_s
     # h is the same for all vehicles, so T / h is proportional to T
@@ -106,8 +117,8 @@ def default_weights(vehicle: Vehicle) -> Weights:
         position_per_m2=_rounded(tuned.position_per_m2 / length**2),
         terminal_position_per_m2=_rounded(tuned.terminal_position_per_m2 * time / length**2),
         terminal_velocity_s2_per_m2=_rounded(tuned.terminal_velocity_s2_per_m2 * time**3 / length**2),
-        thrust=tuned.thrust,
-        thrust_change=_rounded(tuned.thrust_change * time**2),
+        thrust=_rounded(factor * tuned.thrust),
+        thrust_change=_rounded(factor * tuned.thrust_change * time**2),
     )
 
 

@@ -17,7 +17,6 @@ from ltv_mpc.config import to_toml
 from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.solvers.interface import SolverResult
@@ -63,7 +62,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     bus: BusOptions
     vehicle: str = "paper"  # NAME or FILE
     reference: str = "descent"  # NAME or FILE
-    settings: ControllerConfig = ControllerConfig()
+    settings: ResolvedConfig
     compute_delay_s: float = 0.0  # added between a plan and its publication
     input_delay_s: float = 0.0  # smallest delay of an estimate, if no clock exchange measures it
     metrics_port: int | None = None  # port on loopback of the Prometheus metrics
@@ -76,7 +75,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 def main(config: Config) -> int:
     """Run the controller node until it is stopped. Returns the exit code."""
     vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
-    settings, bus = settled(config.settings, vehicle), config.bus
+    settings, bus = config.settings, config.bus
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
     SERVICE_MANAGER.connect(os.environ)
     with contextlib.ExitStack() as stack:
@@ -203,12 +202,11 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
     thrust_loss_detector.warm_up()
 
 
-def warm_up_solver(vehicle: Vehicle, config: ControllerConfig) -> None:
+def warm_up_solver(vehicle: Vehicle, config: ResolvedConfig) -> None:
     """Compile what ``warm_up`` compiles last, so that two processes share the work."""
-    settings = settled(config, vehicle)
-    solver, lin = make(vehicle, settings), Linearisation.empty(settings.stages)
+    solver, lin = make(vehicle, config), Linearisation.empty(config.stages)
     lin.flat[:] = 0.0
-    solver.build(lin, np.zeros((settings.stages + 1, 2)))
+    solver.build(lin, np.zeros((config.stages + 1, 2)))
     solver.update()
     solver.solve()
     plan = Plan(

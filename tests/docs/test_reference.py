@@ -66,7 +66,7 @@ def test_every_key_of_a_scenario_is_on_the_page_of_settings(monkeypatch: pytest.
         elif row := re.match(r"\| `(\w+)` \|", line):
             shown.add(f"{table}{row[1]}")
     assert set(settings_schema.scalar_fields(Scenario)) - {"made_by"} <= shown
-    assert "| `horizon_s` | a number >= 0.3 and \\<= 120 | `5.0` |" in page
+    assert "| `period_s` | a number >= 0.02 and \\<= 60 | `0.3` |" in page
 
 
 def test_docstrings_are_read_as_they_are_written(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,6 +25,9 @@ PAPER_COST = (
 solution.
 """
 
+EFFORT = "controller.effort=high"
+"""Effort of the comparison: the error comes before the thrust, as in the paper, which has no weight on thrust."""
+
 PERFECT_STATE = ("run.perfect_state=true",)
 """Override that replaces the localisation by the true state, to show the performance of the controller alone."""
 
@@ -45,7 +48,7 @@ class Variant(NamedTuple):
 def _variant(key: str, name: str, horizon_s: float, *, with_delay: bool, cost: tuple[str, ...] = ()) -> Variant:
     """Return a variant with control; ``with_delay`` simulates the computing time of the paper's machine."""
     delay = (f"run.compute_delay_s={COMPUTING_S[horizon_s]}",) if with_delay else ()
-    return Variant(key, name, (f"controller.horizon_s={horizon_s}", *delay, *cost))
+    return Variant(key, name, (f"controller.horizon_s={horizon_s}", EFFORT, *delay, *cost))
 
 
 RECORDED = (

@@ -35,6 +35,25 @@ def test_a_given_horizon_and_a_given_weight_stay() -> None:
     assert found.weights.thrust_change == default_weights(Vehicle.load("paper")).thrust_change
 
 
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_effort_scales_both_weights_on_thrust_alike_for_every_vehicle(name: str) -> None:
+    low, normal, high = (
+        settled(ControllerConfig(effort=effort), Vehicle.load(name)).weights for effort in ("low", "normal", "high")
+    )
+    assert low.thrust > normal.thrust > high.thrust
+    for more, less in ((low, normal), (normal, high)):
+        assert more.thrust / less.thrust == pytest.approx(more.thrust_change / less.thrust_change, rel=0.01)
+        assert more.position_per_m2 == less.position_per_m2
+
+
+def test_a_given_weight_comes_before_the_effort_and_an_unknown_effort_is_rejected(tmp_path) -> None:
+    given = ControllerConfig(effort="low", weights=WeightSettings(thrust=0.7))
+    assert settled(given, Vehicle.load("paper")).weights.thrust == 0.7
+    (tmp_path / "mine.toml").write_text('effort = "lowest"\n')
+    with pytest.raises(ConfigError, match=r"mine.toml: effort = .lowest.: must be"):
+        ControllerConfig.load(str(tmp_path / "mine.toml"))
+
+
 def test_resolved_settings_and_those_read_back_from_their_file_are_the_same(tmp_path) -> None:
     vehicle = Vehicle.load("surface")
     found = settled(ControllerConfig(), vehicle)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import socket
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from ltv_mpc import ControllerConfig, Vehicle
-from ltv_mpc.control.horizon_selection import proposed_horizon_s
+from ltv_mpc.control.resolution import settled
 from services.bus.options import BusOptions
 from services.cli.app import run
 from services.processes import controller
+
+SETTLED = settled(ControllerConfig(), Vehicle.load("paper"))
 
 
 @pytest.fixture
@@ -48,14 +51,15 @@ def test_rate_and_horizon_are_those_of_the_options_and_the_rest_of_the_file(tmp_
     assert (started[0].metrics_port, started[0].input_delay_s) == (9464, 0.05)
 
 
-def test_without_a_horizon_and_settings_it_is_the_vehicle_s_own(
-    started: list[controller.Config],
-) -> None:
+def test_without_a_horizon_it_is_the_vehicle_s_own_also_beside_a_settings_file(tmp_path, started) -> None:
+    settings = tmp_path / "settings.toml"
+    settings.write_text("max_iterations = 77\n")
     for name in ("paper", "low-yaw"):
         assert run(["controller", "--vehicle", name]) == 0
-    paper, slow = (config.settings for config in started)
-    assert paper.horizon_s == proposed_horizon_s(Vehicle.load("paper")) == 13.8
-    assert slow.horizon_s == proposed_horizon_s(Vehicle.load("low-yaw")) > paper.horizon_s
+    assert run(["controller", "--vehicle", "low-yaw", "--settings", str(settings)]) == 0
+    paper, slow, with_file = (config.settings for config in started)
+    assert paper.horizon_s == 13.8 < slow.horizon_s
+    assert (with_file.horizon_s, with_file.max_iterations) == (slow.horizon_s, 77)
     assert paper.stages == slow.stages == 34
 
 
@@ -100,12 +104,12 @@ def test_a_port_that_is_taken_is_said_and_nothing_is_started(capsys, monkeypatch
     monkeypatch.setattr(controller, "warm_up", lambda *_: pytest.fail("started"))
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        assert controller.main(controller.Config(bus=BusOptions(), metrics_port=port)) == 1
+        assert controller.main(controller.Config(bus=BusOptions(), settings=SETTLED, metrics_port=port)) == 1
     assert f"--metrics {port}: Address already in use" in capsys.readouterr().err
 
 
 def test_it_names_every_key_in_its_namespace_with_rate_and_fields() -> None:
-    lines = list(controller.announcement(BusOptions(namespace="auv/7"), ControllerConfig(period_s=0.2)))
+    lines = list(controller.announcement(BusOptions(namespace="auv/7"), msgspec.structs.replace(SETTLED, period_s=0.2)))
     told = {line.split()[1]: line for line in lines if line.startswith(("reads", "writes"))}
     assert set(told) == {
         f"auv/7/{key}"

@@ -371,8 +371,8 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_stopped_plant_end
 
 def test_a_child_that_never_starts_fails_the_run_with_the_reason_it_gave(tmp_path: Path) -> None:
     s = run_config(3.0)
-    wrong = structs.replace(s.scenario.controller, horizon_s=-1.0)
-    s = replace(s, scenario=structs.replace(s.scenario, controller=wrong))
+    wrong = structs.replace(s.controller, horizon_s=-1.0)
+    s = replace(s, controller=wrong)
     run = folder.make("test", s.files, out=tmp_path / "run")
     outcome = supervisor.run(s, run, Screen())
     assert outcome.exit_code == 1
