@@ -197,13 +197,15 @@ class Controller:
         """
         return self._prediction.state_at(estimate, t_ns, self.sent_commands).lateral[:6]
 
-    def set_thrust_shares(self, shares: Pair) -> None:
+    def set_thrust_shares(self, shares: Pair, *, in_doubt: bool = False) -> None:
         """Plan from the next cycle on with lateral thrusters that deliver a share of what they report.
 
         Parameters
         ----------
         shares : of port and starboard, above 0; 1 if sound.
+        in_doubt : the thrusters may deliver less than that, so the bias of the current does not learn from the motion.
         """
+        self._bias.thrust_in_doubt = in_doubt
         self._lateral.set_shares(shares)
         self._prediction.shares[:2] = shares
 

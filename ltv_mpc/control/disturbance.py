@@ -12,11 +12,15 @@ states. When the vehicle drifts with the water, drag is zero to first order, so 
 its variance is then bounded by the prior. Compared with an integrator of the position error this is one more state, but
 it needs no anti-windup: it acts as a feed-forward through the model, and a saturated thruster does not fill it.
 
+A thruster that delivers less than it reports looks like a current. So while a loss of thrust is in doubt
+(``thrust_loss_detector.py``), the bias is that of ``DOUBTED_ESTIMATES`` before, and it is not updated.
+
 By default it works for estimates without a current profile, and does nothing for estimates with one.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TypeAlias
 
 import msgspec
@@ -27,6 +31,7 @@ from ltv_mpc.control.prediction import Measured, Prediction, Profile, current_at
 from ltv_mpc.control.sent_commands import Commands, SentCommands
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, CurrentBiasState, CurrentProfile, Estimate, Pair
+from ltv_mpc.vehicle.dynamics import coefficients
 
 STEP_MPS = 0.005
 """Step of the finite difference dh/db (m/s)."""
@@ -39,6 +44,9 @@ DEFAULT_SD_MPS = 0.1
 
 MAX_INTERVAL_NS = 2_000_000_000
 """Longest time between two estimates that are compared: beyond it the model predicts the velocity too badly."""
+
+DOUBTED_ESTIMATES = 17
+"""Number of estimates before a loss of thrust is suspected whose updates are taken back: 5 s at 0.3 s."""
 
 
 Belief: TypeAlias = tuple[Array, Array]
@@ -67,6 +75,9 @@ class CurrentBias:
         self._noise: Noise = (settings.walk_mps_per_rts, settings.noise_mps, prior_variance)
         self._belief: Belief = (np.zeros(2), prior_variance * np.eye(2))
         self._last: Estimate | None = None
+        self._before: deque[Belief] = deque(maxlen=DOUBTED_ESTIMATES)  # the oldest first
+        self.thrust_in_doubt = False
+        """A thruster may deliver less than the controller takes it to deliver."""
 
     @property
     def belief(self) -> Belief | None:
@@ -116,12 +127,19 @@ class CurrentBias:
         last, self._last = self._last, estimate
         interval_ns = 0 if last is None else estimate.t_ns - last.t_ns
         applies = self._applies_to(estimate)
-        predicted = None
+        if self.thrust_in_doubt and self._before:
+            self._belief = self._before[0]
+            self._before.clear()
+        predicted, learns = None, False
         if last is not None and 0 < interval_ns <= MAX_INTERVAL_NS:
-            predicted = self._update(last, estimate, prediction, commands)
-        elif interval_ns > 0 and applies:
+            same = (last.current is None) is (estimate.current is None)
+            learns = applies and same and not self.thrust_in_doubt
+            predicted = self._update(last, estimate, prediction, commands, learns=learns)
+        if interval_ns > 0 and applies and not learns:
             walk, _, prior_variance = self._noise
             self._belief = self.bias_mps, _propagate(self.covariance, interval_ns, walk, prior_variance)
+        if learns:
+            self._before.append(self._belief)
         return _with_bias(estimate, self.bias_mps) if applies else estimate, predicted
 
     def _applies_to(self, estimate: Estimate) -> bool:
@@ -146,9 +164,12 @@ class CurrentBias:
         P = np.array([[north, cross], [cross, east]]) + growth * np.eye(2)
         self._belief = np.clip(np.array(state.bias_mps), -self._max_mps, self._max_mps), P
 
-    def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> Pair:
-        """Return the velocity predicted from the last estimate, and update the bias if both estimates have one."""
+    def _update(
+        self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands, *, learns: bool
+    ) -> Pair:
+        """Return the velocity predicted from the last estimate, and update the bias if it learns."""
         profile = last.current or STILL_WATER
+        later = profile if last.current is None else estimate.current or profile
         applied = self._applies_to(last)
         predicted, (bias_mps, covariance) = predict_and_update(
             self._belief if applied else NO_BIAS,
@@ -158,10 +179,11 @@ class CurrentBias:
             prediction.measured(last),
             prediction.delivered(commands),
             (profile.depth_m, profile.north_mps, profile.east_mps),
+            (later.depth_m, later.north_mps, later.east_mps),
             self._noise,
-            applied and self._applies_to(estimate),
+            learns,
         )
-        if applied and np.isfinite(bias_mps).all():
+        if learns and np.isfinite(bias_mps).all():
             self._belief = np.clip(bias_mps, -self._max_mps, self._max_mps), covariance
         return predicted
 
@@ -175,6 +197,7 @@ def predict_and_update(
     measured: Measured,
     commands: Commands,
     profile: Profile,
+    later: Profile,
     noise: Noise,
     updates: bool,
 ) -> tuple[tuple[float, float], Belief]:
@@ -186,6 +209,7 @@ def predict_and_update(
     velocity : (2,) measured velocity over ground at ``until``, north and east (m/s).
     until : time of the measurement (ns).
     vehicle, measured, commands, profile : as ``predict_state`` takes them, from the last estimate; without the bias.
+    later : profile of the newest estimate, without the bias.
     noise : of the walk, of the velocity, and the prior.
     updates : False: only predict.
 
@@ -194,7 +218,7 @@ def predict_and_update(
     Predicted velocity over ground at ``until``, north and east (m/s), and the belief after the step.
     """
     b, P = belief
-    predicted = _predicted_velocity(b, until, vehicle, measured, commands, profile)
+    predicted = _predicted_velocity(b, until, vehicle, measured, commands, profile, later)
     if not updates:
         return predicted, (b, P)
     walk, velocity_sd, prior_variance = noise
@@ -202,7 +226,7 @@ def predict_and_update(
     for j in range(2):  # one difference for each component of b
         shifted = b.copy()
         shifted[j] += STEP_MPS
-        v = _predicted_velocity(shifted, until, vehicle, measured, commands, profile)
+        v = _predicted_velocity(shifted, until, vehicle, measured, commands, profile, later)
         for i in range(2):
             H[i, j] = (v[i] - predicted[i]) / STEP_MPS
     out_b, out_P = b.copy(), _propagate(P, until - measured[0], walk, prior_variance)
@@ -229,15 +253,21 @@ def predict_and_update(
 
 @jit
 def _predicted_velocity(
-    b: Array, until: int, vehicle: Array, measured: Measured, commands: Commands, profile: Profile
+    b: Array, until: int, vehicle: Array, measured: Measured, commands: Commands, profile: Profile, later: Profile
 ) -> tuple[float, float]:
     """Return h(b): the velocity over ground, north and east (m/s), with bias b (2,); other arguments as above."""
-    depth, north, east = profile[0], profile[1] + b[0], profile[2] + b[1]
-    end = predict_state(vehicle, measured, until, commands, (depth, north, east))
-    c = current_at_depth(depth, north, east, end[11])
+    depth, north, east = profile
+    end = predict_state(vehicle, measured, until, commands, (depth, north + b[0], east + b[1]))
+    before_north, before_east = current_at_depth(depth, north, east, end[11])
+    current_north, current_east = current_at_depth(later[0], later[1], later[2], end[11])
+    dn, de = current_north - before_north, current_east - before_east
     cos, sin = np.cos(end[4]), np.sin(end[4])
+    p = coefficients(vehicle)
+    # The change of the current with time carries the vehicle: M [u', v'] = ... - m R(psi)' c'
+    u = end[2] - p.dry_mass / p.mass_surge * (cos * dn + sin * de)
+    v = end[3] - p.dry_mass / p.mass_sway * (cos * de - sin * dn)
     # v = R(psi) [u, v] + c
-    return cos * end[2] - sin * end[3] + c[0], sin * end[2] + cos * end[3] + c[1]
+    return cos * u - sin * v + current_north + b[0], sin * u + cos * v + current_east + b[1]
 
 
 @jit

@@ -180,6 +180,11 @@ class ModelMonitor:
         """Most likely lost share of the thrust: port, starboard."""
 
     @property
+    def suspects_loss(self) -> bool:
+        """True while a loss of thrust has half of the evidence that raises the alarm, and during the alarm."""
+        return self.alarm or self.evidence >= 0.5 * ALARM_NATS
+
+    @property
     def products(self) -> Array | None:
         """Behaviour of the vehicle so far, (4, 4) (``thrust_loss_detector.accumulate``), a copy; None if unknown."""
         return self._detector.products

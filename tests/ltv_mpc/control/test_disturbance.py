@@ -8,16 +8,24 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.disturbance import CurrentBias
+from ltv_mpc.control.disturbance import DOUBTED_ESTIMATES, CurrentBias
+from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.messages import Action, Plan
+from ltv_mpc.node import ReceivedMessage
+from tests.ltv_mpc.reports import report
+from tests.stepping import step
 
 PAPER = Vehicle.load("paper")
 ON = Disturbance(sd_mps=0.1)
 OFF = Disturbance(sd_mps=0.0)
 DEFAULT = Disturbance()
 WATER = np.array([0.03, -0.025])
+HURRYING = references.Line(
+    start=references.Place(north_m=0.0, east_m=0.0), end=references.Place(north_m=30.0, east_m=0.0), speed_mps=0.35
+)
 
 
 def flat(current) -> CurrentProfile:
@@ -141,6 +149,69 @@ def test_a_nan_velocity_is_ignored_and_the_bias_is_bounded():
     for i in range(50):
         tight.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
     assert tight.bias_mps[0] == 0.01
+
+
+def test_a_current_that_changes_with_time_as_the_profile_says_needs_no_bias():
+    """By hand: without thrust, 500 u' = -500 u|u| - 200 c' along the heading; c has an amplitude of 5 cm/s in 60 s."""
+    bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
+    heading, u, step_s = 0.7, 0.0, 1e-3
+    along = np.array([np.cos(heading), np.sin(heading)])
+    current = lambda t_s: 0.05 * np.sin(2.0 * np.pi * t_s / 60.0)  # noqa: E731
+    for k in range(45_000):
+        t_s = k * step_s
+        if k % 300 == 0:
+            north, east = (u + current(t_s)) * along
+            estimate = msgspec.structs.replace(
+                Estimate.at_rest(heading_rad=heading),
+                t_ns=k * 1_000_000,
+                velocity_north_mps=north,
+                velocity_east_mps=east,
+                current=flat(current(t_s) * along),
+            )
+            bias.correct(estimate, vehicle, commands)
+        u += -u * abs(u) * step_s - 0.4 * (current(t_s + step_s) - current(t_s))
+    assert abs(u) > 0.005  # the change of the current has moved it through the water
+    np.testing.assert_allclose(bias.bias_mps, 0.0, atol=1e-3)
+
+
+def test_a_thruster_in_doubt_teaches_no_current():
+    """The bias of the last seconds is taken back, and it learns again after the doubt."""
+    bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
+    estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
+    seen = []
+    for i in range(60):
+        bias.thrust_in_doubt = 40 <= i < 50
+        bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
+        seen.append(bias.bias_mps[0])
+    assert seen[39 - DOUBTED_ESTIMATES] < seen[39 - DOUBTED_ESTIMATES + 1] < seen[39]  # it was learning
+    assert set(seen[40:50]) == {seen[40 - DOUBTED_ESTIMATES]}
+    assert bias.bias_mps[0] > seen[49]
+
+
+def largest_bias(share: float) -> float:
+    """Return the largest bias (m/s) in still water, in the 12 s after port begins to deliver a share of its thrust."""
+    node = ControllerNode(PAPER, HURRYING, ControllerConfig(disturbance=ON))
+    node.arbiter.request(Action.ARM)
+    truth = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=flat(np.zeros(2)))
+    commands, vehicle, reported, largest = SentCommands(PAPER), Prediction(PAPER), np.zeros(3), 0.0
+    for k in range(80):
+        t_ns = k * 300_000_000
+        vehicle.shares[0] = share if k >= 40 else 1.0
+        applied = report(t_ns, reported, commands.at(np.array([t_ns]))[0])
+        vehicle.add_report(applied)
+        inbox = [ReceivedMessage(applied, 1, k, t_ns), ReceivedMessage(truth, 1, k, t_ns)]
+        (plan,) = (message for message in step(node, t_ns, inbox) if isinstance(message, Plan))
+        commands.add(plan)
+        end = vehicle.state_at(truth, t_ns + 300_000_000, commands)
+        truth, reported = as_estimate(end, truth), np.array([*end.X[6:] / vehicle.shares[:2], end.vertical_N])
+        learned, _ = node.controller.learned_current
+        largest = max(largest, float(np.hypot(*learned)))
+    return largest
+
+
+def test_a_thruster_that_fails_teaches_no_current():
+    assert largest_bias(1.0) < 0.005
+    assert largest_bias(0.4) < 0.045  # 0.06 where the loss teaches it
 
 
 @pytest.mark.parametrize("known", [None, flat(np.array([0.2, -0.1]))])
