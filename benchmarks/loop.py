@@ -74,6 +74,7 @@ class Loop:
 
     ``share`` (3,): of what they report, the part that port, starboard and vertical thruster really deliver.
     ``compensates`` false: the controller is told that its plans are there at once, and each comes in its delay later.
+    ``at_rest`` true: the vehicle begins at rest over ground; else it moves with the water.
     """
 
     run_config: RunConfig
@@ -82,11 +83,14 @@ class Loop:
     seen: Callable[[Estimate, Plan], None] = lambda _estimate, _plan: None
     share: Array = field(default_factory=lambda: np.ones(3))
     compensates: bool = True
+    at_rest: bool = False
 
     def fly(self) -> Outcome:
         """Make the whole run. ``seen`` receives each cycle's estimate and plan after t = 0."""
         scenario, water, controller = self.run_config.scenario, self.run_config.water, self.controller
         plant = TrueVehicle(self.run_config, self.share)
+        if self.at_rest:
+            plant.stop(scenario.start_ns)
         depths = told_depths(self.run_config)
         period_ns, delay_ns = scenario.controller.period_ns, round(scenario.run.compute_delay_s * 1e9)
         told_ns = delay_ns if self.compensates else 0
@@ -129,6 +133,13 @@ class TrueVehicle:
         self._share = share
         self._water = run_config.water
         self._body = motion.pack(vehicle, apply_mismatch(vehicle.coefficients(), start.mismatch), start.mismatch.thrust)
+
+    def stop(self, t_ns: int) -> None:
+        """Set the velocity over ground to zero."""
+        north, east = self._water.at(self.state[6], t_ns)
+        cos, sin = np.cos(self.state[4]), np.sin(self.state[4])
+        # [u, v] = R(psi)' (0 - c)
+        self.state[2:4] = -cos * north - sin * east, sin * north - cos * east
 
     def go(self, t_ns: Times, u: Array) -> Array:
         """Simulate under commands u (M+1, 3) at t_ns (M+1,); return the positions (M, 2) after each step."""
