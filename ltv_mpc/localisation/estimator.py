@@ -110,7 +110,7 @@ class Estimator:
         -------
         The messages that each step publishes.
         """
-        if len(due) == 1:  # as in a process: a search for batches would cost more than it saves
+        if len(due) == 1:  # a search for batches would cost more than it saves
             return [self._step(due[0][1])]
         outputs: list[list[Message]] = []
         while (first := len(outputs)) < len(due):

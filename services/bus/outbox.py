@@ -43,11 +43,21 @@ class Outbox:
 
     def publish(self, signal: Message) -> SentFrame:
         """Add the header to a message of a declared kind, encode it and send it."""
+        (sent,) = self.publish_all((signal,))
+        return sent
+
+    def publish_all(self, signals: Iterable[Message]) -> list[SentFrame]:
+        """Encode all messages, then send them one right after the other: Zenoh then puts them into few packets."""
+        frames = [self._encoded(signal) for signal in signals]
+        for sent, payload in frames:
+            self._publishers[sent.key].put(payload)
+        self.published += len(frames)
+        return [sent for sent, _ in frames]
+
+    def _encoded(self, signal: Message) -> tuple[SentFrame, bytes]:
         key = self._keys[type(signal)]
         sequence = self._sequence[key]
         header = Header(epoch=self.epoch, sequence=sequence, sent_monotonic_us=time.monotonic_ns() // 1000)
         payload = encode(signal, header)
         self._sequence[key] = sequence + 1
-        self.published += 1
-        self._publishers[key].put(payload)
-        return SentFrame(key, sequence, crc(payload))
+        return SentFrame(key, sequence, crc(payload)), payload

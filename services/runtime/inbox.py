@@ -20,7 +20,14 @@ class PendingInbox:
         arrival = ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns, source_of(entry.key))
         self._pairs.insert(0 if first else len(self._pairs), (arrival, entry))
 
-    def take(self) -> tuple[list[ReceivedMessage], tuple[InboxEntry, ...]]:
-        """Return and remove all messages, with their entries for the step's record."""
-        pairs, self._pairs = self._pairs, []
-        return [arrival for arrival, _ in pairs], tuple([entry for _, entry in pairs])
+    def take(self, received_until_ns: int | None = None) -> tuple[list[ReceivedMessage], tuple[InboxEntry, ...]]:
+        """Return and remove the messages, with their entries for the step's record.
+
+        ``received_until_ns``: the first message that arrived later stays, and all after it; None: none stays.
+        """
+        taken, self._pairs = self._pairs, []
+        if received_until_ns is not None:
+            later = (i for i, (arrival, _) in enumerate(taken) if arrival.received_t_ns > received_until_ns)
+            first_later = next(later, len(taken))
+            taken, self._pairs = taken[:first_later], taken[first_later:]
+        return [arrival for arrival, _ in taken], tuple([entry for _, entry in taken])

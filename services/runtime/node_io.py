@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ltv_mpc.messages import InboxEntry, Message, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus.outbox import Outbox, SentFrame
@@ -18,9 +20,9 @@ STATE_TYPES = tuple(STATES.values())
 class NodeIO:
     """Inbox, step records and outbox of one node; all of its messages have one epoch.
 
-    A replay needs the record of a step before the outputs of the step. The caller ensures this order: it calls
-    ``flush_records`` before it publishes the outputs. Until then the records wait, so that steps without outputs do not
-    publish one by one; the step loop also flushes them with each node status, within half a second.
+    A replay needs the record of a step before the outputs of the step, so ``publish_outputs`` publishes the records
+    first. Until then they wait, so that steps without outputs do not publish one by one; the step loop also flushes
+    them with each node status, within half a second.
     """
 
     def __init__(self, node: str, outbox: Outbox, saved: SavedState | None = None) -> None:
@@ -35,10 +37,13 @@ class NodeIO:
 
     def publish(self, message: Message) -> SentFrame:
         """Publish a message of the node or of its process; a state is kept first."""
-        published = shifted(message, self.shift_ns)
-        if self._saved is not None and isinstance(published, STATE_TYPES):
-            self._saved.keep(published, monotonic_us())
-        return self._outbox.publish(published)
+        return self._outbox.publish(self._published(message))
+
+    def publish_outputs(self, messages: Sequence[Message]) -> list[SentFrame]:
+        """Publish the waiting records, then the outputs of their steps. Return the frames of the outputs."""
+        records, self._records = self._records, []
+        sent = self._outbox.publish_all([*records, *map(self._published, messages)])
+        return sent[len(records) :]
 
     def restore_state(self, t_ns: int, now_us: int, *, own_clock: bool) -> None:
         """Put the state that the node continues from, if there is one, at the head of its first inbox."""
@@ -90,7 +95,9 @@ class NodeIO:
             first=first,
         )
 
-    def take_inbox(self, step: int, t_ns: int, cause: str) -> list[ReceivedMessage]:
+    def take_inbox(
+        self, step: int, t_ns: int, cause: str, *, received_until_ns: int | None = None
+    ) -> list[ReceivedMessage]:
         """Empty the inbox for a step, append the step's record, and return the messages.
 
         Parameters
@@ -98,8 +105,9 @@ class NodeIO:
         step : number of the step, from 0.
         t_ns : vehicle time that the step is for (ns).
         cause : "grid", "cycle", or the key of the message that caused the step.
+        received_until_ns : messages that arrived later stay in the inbox (ns); None: none stays.
         """
-        inbox, entries = self._inbox.take()
+        inbox, entries = self._inbox.take(received_until_ns)
         self._records.append(
             StepRecord(
                 node=self._node,
@@ -115,6 +123,11 @@ class NodeIO:
 
     def flush_records(self) -> None:
         """Publish the waiting step records, in the order of the steps."""
-        for record in self._records:
-            self._outbox.publish(record)
-        self._records.clear()
+        self.publish_outputs([])
+
+    def _published(self, message: Message) -> Message:
+        """Return a message with published times. A state is kept."""
+        published = shifted(message, self.shift_ns)
+        if self._saved is not None and isinstance(published, STATE_TYPES):
+            self._saved.keep(published, monotonic_us())
+        return published

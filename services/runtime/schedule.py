@@ -4,12 +4,16 @@
     Cycle       the last start plus the period, or the end of the last step if that is later
     OnMessage   no schedule: messages cause the steps
 
+Steps of a Grid whose period is short in wall time are carried out in batches: each waits for the last one of its batch.
 Grid and Cycle begin at the first multiple of the period that is not before the start, as in lock step.
 """
 
 from __future__ import annotations
 
 from ltv_mpc.node import Cycle, Grid, OnMessage, Schedule
+
+MAX_BATCH_US = 5_000
+"""Longest wall time for which a step waits for others, to be carried out and published together with them."""
 
 
 class StepSchedule:
@@ -36,6 +40,22 @@ class StepSchedule:
         self.next_ns += self._period_ns
         if self._may_shift:
             self.next_ns = max(self.next_ns, ended_ns)
+
+    def batch_end_ns(self, speed: float) -> int | None:
+        """Return the time of the last step that is carried out together with the next one; None if none is due.
+
+        At ``speed`` vehicle seconds per second, steps on a grid are carried out in batches of at most ``MAX_BATCH_US``.
+        A batch ends at a multiple of its length: an input that is due then is not delayed.
+        """
+        next_ns = self.next_ns
+        steps = int(MAX_BATCH_US * 1000 * speed) // self._period_ns if self.on_grid else 1
+        if next_ns is None or steps <= 1:
+            return next_ns
+        length_ns = steps * self._period_ns
+        end_ns = -(-next_ns // length_ns) * length_ns
+        return (
+            end_ns if self._end_ns is None else max(next_ns, min(end_ns, self._end_ns - self._end_ns % self._period_ns))
+        )
 
     @property
     def finished(self) -> bool:

@@ -2,23 +2,27 @@
 
     while steps remain and no stop is requested:
         wait    take inputs from the mailbox and run the deadlines, until the next step is due
-        step    node.steps(inbox) -> outputs: published at once, after the step's record
+        step    node.steps(due) -> outputs: published at once, after the records of the steps
 
-A step is due by the node's schedule (``schedule.py``), by an input that causes it, or by a command. If the inputs stop,
-nothing changes here: the controller's cycles continue by the clock, and the controller itself decides what to do when
-its estimates stop (``ltv_mpc/safety/health.py``). If the estimator process has died or hangs, the supervisor restarts
-it (``services/supervisor/failure_handler.py``).
+A step is due by the node's schedule (``schedule.py``), by an input that causes it, or by a command. Steps that are due
+within 5 ms of wall time are carried out and published together, because a wake-up costs more than a step. At the speed
+of a vehicle each step is alone, unless inputs have piled up.
+
+If the inputs stop, nothing changes here: the controller's cycles continue by the clock, and the controller itself
+decides what to do when its estimates stop (``ltv_mpc/safety/health.py``). If the estimator process has died or hangs,
+the supervisor restarts it (``services/supervisor/failure_handler.py``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from ltv_mpc.messages import ClockMode, CycleTiming, Message, Plan, RunEvent
-from ltv_mpc.node import Node
+from ltv_mpc.node import Due, Node
 from ltv_mpc.safety.source_selector import Source
-from services.bus.mailbox import Frame, Mailbox
+from services.bus.mailbox import Mailbox
 from services.bus.message_validation import MessageValidator
 from services.runtime import ports
 from services.runtime.clock import monotonic_us
@@ -27,6 +31,7 @@ from services.runtime.input_receiver import InputReceiver
 from services.runtime.node_io import NodeIO
 from services.runtime.process_time import ProcessTime
 from services.runtime.reporters import NodeReporter, Reporters
+from services.runtime.schedule import MAX_BATCH_US
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import StopRequest
@@ -72,6 +77,8 @@ class StepLoop:
         self._mailbox, self._io, self._time, self._reporters, validator = connected
         self._receiver = InputReceiver(node, self._io, self._time, self._reporters, validator)
         self._command = ""  # key of a command that the next step must not wait for
+        self._due: list[Due] = []  # steps that are carried out next
+        self._started_us = 0  # monotonic time at which the first of them was due
         self._navigated = node if isinstance(node, NavigatedNode) else None
         self._source: Source | None = None  # of the estimates in use
         self._deadlines = DeadlineQueue()
@@ -114,82 +121,105 @@ class StepLoop:
             now_us = monotonic_us()
             self._deadlines.run_due(now_us)
             due = due_us()
-            frame = self._mailbox.take((self._deadlines.next_us(due) - now_us) / 1e6)
-            if frame is not None:
-                self._take(frame)
+            taken = self._take((self._deadlines.next_us(due) - now_us) / 1e6)
             if due is None:
                 continue
-            if monotonic_us() >= (due if frame is None else max(due, entered_us) + MAX_DRAIN_US):
+            if monotonic_us() >= (max(due, entered_us) + MAX_DRAIN_US if taken else due):
                 return True
         return False
 
     def _step_due_us(self) -> int | None:
-        return monotonic_us() if self._command else self._time.next_step_us
+        return monotonic_us() if self._command else self._time.next_steps_us
 
-    def _take(self, frame: Frame) -> None:
-        trigger = self._receiver.take(frame)
-        if trigger is None:
-            return
-        if trigger.t_ns is None:
-            self._command = trigger.cause
-        else:
-            self._step(trigger.t_ns, trigger.cause, monotonic_us())
+    def _take(self, timeout_s: float) -> bool:
+        """Take the next input, if one arrives in time, and carry out the steps that inputs have caused.
+
+        These steps wait until no input is left, at most ``MAX_BATCH_US``. Return False if no input has arrived.
+        """
+        frame = self._mailbox.take(timeout_s)
+        trigger = None if frame is None else self._receiver.take(frame)
+        if trigger is not None:
+            if trigger.t_ns is None:
+                self._command = trigger.cause
+            else:
+                self._add_step(trigger.t_ns, trigger.cause, monotonic_us())
+        none_left = frame is None or not len(self._mailbox)
+        if self._due and (none_left or monotonic_us() - self._started_us >= MAX_BATCH_US):
+            self._run_steps()
+        return frame is not None
 
     def _drain(self) -> None:
         """Take the inputs that were published before the stop request and are still on their way."""
         now_us = monotonic_us()
         end_us, silent_us = now_us + FINAL_DRAIN_US, now_us + FINAL_SILENCE_US
         while now_us < min(end_us, silent_us):
-            frame = self._mailbox.take((silent_us - now_us) / 1e6)
-            if frame is not None:  # None also when the stop request itself wakes the mailbox
-                self._take(frame)
+            if self._take((silent_us - now_us) / 1e6):  # False also when the stop request itself wakes the mailbox
                 silent_us = monotonic_us() + FINAL_SILENCE_US
             now_us = monotonic_us()
+        if self._due:
+            self._run_steps()
 
-    # --- one step ----------------------------------------------------------------------------------------------------
+    # --- steps -------------------------------------------------------------------------------------------------------
 
     def _scheduled_step(self) -> None:
-        """Do the step that is due by the schedule, or the one that a command requests."""
+        """Do the steps that are due by the schedule, or the one that a command requests."""
         now_us, time = monotonic_us(), self._time
         self._stopwatch.start()
         if self._command:  # between two scheduled steps, which keep their times
             cause, self._command = self._command, ""
-            self._step(time.now_ns(now_us), cause, now_us)
+            self._add_step(time.now_ns(now_us), cause, now_us)
+            self._run_steps()
             return
         schedule = time.schedule
-        t_ns = schedule.next_ns
-        assert t_ns is not None
+        assert schedule.next_ns is not None
+        last_ns = time.batch_end_ns
+        assert last_ns is not None
         if schedule.on_grid:
             if time.master is not None:
-                time.master.on_late_step(now_us, time.clock.due_us(t_ns) or now_us, self._node.name)
-            self._step(t_ns, "grid", now_us)
+                time.master.on_late_step(now_us, time.clock.due_us(last_ns) or now_us, self._node.name)
+            while schedule.next_ns < last_ns:
+                self._add_step(schedule.next_ns, "grid", now_us, received_until_ns=schedule.next_ns)
+                schedule.advance(schedule.next_ns)
+            self._add_step(last_ns, "grid", now_us)
         else:
-            self._step(max(t_ns, time.now_ns(now_us)), "cycle", now_us)
+            self._add_step(max(schedule.next_ns, time.now_ns(now_us)), "cycle", now_us)
+        self._run_steps()
         schedule.advance(time.now_ns(monotonic_us()))
 
-    def _step(self, t_ns: int, cause: str, started_us: int) -> None:
-        """Step the node and publish its outputs. ``started_us`` is the monotonic time at which the step was due."""
-        status, report, settings = self._reporters
-        if settings is not None and status.steps == 0:
+    def _add_step(self, t_ns: int, cause: str, now_us: int, *, received_until_ns: int | None = None) -> None:
+        """Add a step to those that are carried out next, with the inputs received until ``received_until_ns``, or all.
+
+        ``now_us`` is the monotonic time at which the step was due.
+        """
+        status, _, settings = self._reporters
+        step = status.steps + len(self._due)
+        if not self._due:
+            self._started_us = now_us
+        if settings is not None and step == 0:
             settings.due_us = 0  # a recorder that receives the first step can replay the node
         if self._navigated is not None:
             self._follow_source(self._navigated.active_source, t_ns)
         self._io.shift_ns = self._time.published_shift_ns
-        if status.steps == 0:
-            now_us = monotonic_us()
+        if step == 0:
             own_clock = self._time.offset(now_us).mode is not ClockMode.SHARED
             self._io.restore_state(t_ns, now_us, own_clock=own_clock)
-        inbox = self._io.take_inbox(status.steps, t_ns, cause)
+        self._due.append((t_ns, self._io.take_inbox(step, t_ns, cause, received_until_ns=received_until_ns)))
+
+    def _run_steps(self) -> None:
+        """Carry out the steps that were added, and publish their outputs after their records."""
+        status, report, _ = self._reporters
+        due, self._due = self._due, []
+        t_ns, started_us = due[-1][0], self._started_us
         # Stage "read": reading the inbox. The controller uses the same recorded name for reading the QP's solution out,
         # and the stage timer adds both.
         self._stopwatch("read")
-        (outputs,) = self._node.steps([(t_ns, inbox)])
-        status.on_step(monotonic_us() - started_us)
+        outputs = list(chain.from_iterable(self._node.steps(due)))
+        status.on_steps(len(due), monotonic_us() - started_us)
         if not outputs:
             return
-        self._io.flush_records()
         plan = _plan_in(outputs) if self._measures_cycles else None
         if plan is not None and self._compute_delay_ns:
+            self._io.flush_records()
             self._hold(self._compute_delay_ns)
         self._publish(outputs)
         if plan is not None:
@@ -210,12 +240,12 @@ class StepLoop:
             self._io.publish(RunEvent(t_ns=t_ns, node=self._node.name, kind="source", text=text))
 
     def _publish(self, outputs: Sequence[Message]) -> None:
-        sync = self._time.sync
-        for message in outputs:
-            now_us = monotonic_us()
-            sent = self._io.publish(message)
-            if sync is not None and isinstance(message, Plan):
-                sync.on_plan_sent(sent.sequence, now_us)
+        now_us, sync = monotonic_us(), self._time.sync
+        sent = self._io.publish_outputs(outputs)
+        if sync is not None:
+            for message, frame in zip(outputs, sent, strict=True):
+                if isinstance(message, Plan):
+                    sync.on_plan_sent(frame.sequence, now_us)
 
     def _hold(self, delay_ns: int) -> None:
         """Wait on the vehicle's clock before the plan is published: the computing time of a slower machine."""

@@ -1,4 +1,4 @@
-"""Bus monitor of the supervisor: the newest message of each key, decoded only when it is read."""
+"""Bus monitor of the supervisor: the newest message of each key, decoded once, when it is first read."""
 
 from __future__ import annotations
 
@@ -66,6 +66,7 @@ class BusMonitor:
         self._events = Mailbox()
         self._kills = Mailbox()
         self._clock = VehicleClock()
+        self._decoded: dict[str, tuple[bytes, Message | None]] = {}  # by key: the payload, and its message
         for kind in (*DISPLAYED, *RESTORED):
             session.subscribe(BY_TYPE[kind].key, BY_TYPE[kind], self._plans if kind is Plan else self._newest)
         for node in nodes:
@@ -76,13 +77,18 @@ class BusMonitor:
     def newest(self, kind: type[S], node: str = "") -> S | None:
         """Return the newest message of this type; of ``node``, if every node writes it. None if there is none."""
         key = BY_TYPE[kind].key
-        frame = (self._plans if kind is Plan else self._newest).get(f"{key}/{node}" if node else key)
+        frame_key = f"{key}/{node}" if node else key
+        frame = (self._plans if kind is Plan else self._newest).get(frame_key)
         if frame is None:
             return None
-        try:
-            return decode(kind, frame.payload)[0]
-        except WireError:  # counted by the processes that read it
-            return None
+        payload, message = self._decoded.get(frame_key, (b"", None))
+        if payload is not frame.payload:
+            try:
+                message = decode(kind, frame.payload)[0]
+            except WireError:  # counted by the processes that read it
+                message = None
+            self._decoded[frame_key] = frame.payload, message
+        return message if isinstance(message, kind) else None
 
     def plan_in_force(self) -> Plan | None:
         """Return the plan that the actuators have accepted last; None if it has not been received."""

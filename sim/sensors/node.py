@@ -101,7 +101,7 @@ class Sensors:
 
         If the inertial unit measures at every truth, its samples are computed at once.
         """
-        if len(due) == 1:  # as in a process: a search for batches would cost more than it saves
+        if len(due) == 1:  # a search for batches would cost more than it saves
             return [self._step(due[0][1])]
         truths = [received.message for _, inbox in due for received in inbox if isinstance(received.message, Truth)]
         imu = self._mounted[0].sensor if self._mounted else None

@@ -33,7 +33,7 @@ from ltv_mpc.messages import (
     StepRecord,
     Truth,
 )
-from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage
+from ltv_mpc.node import Cycle, Due, Grid, Inbox, Node, OnMessage
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
@@ -250,21 +250,21 @@ def test_a_run_skips_no_step_loses_no_message_and_tells_each_step_before_its_out
     # Records: numbered without a gap, each before the outputs of its step, each entry a frame that is here.
     seen = {(frame.key, header.epoch, header.sequence): crc(frame.payload) for frame, _, header in messages}
     steps: Counter[str] = Counter()
-    newest: dict[str, int] = {}
+    recorded: set[tuple[str, int]] = set()
     for _, signal, _ in messages:
         match signal:
             case StepRecord():
                 assert signal.step == steps[signal.node]
                 steps[signal.node] += 1
-                newest[signal.node] = signal.t_ns
+                recorded.add((signal.node, signal.t_ns))
                 for entry in signal.inbox:
                     assert seen[(entry.key, entry.epoch, entry.sequence)] == entry.crc
             case Truth():
-                assert newest["plant"] == signal.t_ns
+                assert ("plant", signal.t_ns) in recorded
             case Estimate():
-                assert newest["sensors"] * 1e-9 == signal.north_m
+                assert ("sensors", round(signal.north_m * 1e9)) in recorded
             case Plan():
-                assert newest["controller"] == signal.cycle_t_ns
+                assert ("controller", signal.cycle_t_ns) in recorded
     assert steps["plant"] == steps["sensors"] == len(ticks)
     assert steps["controller"] == len(cycle_times(messages))
 
@@ -319,6 +319,66 @@ def test_arrival_across_keys_keeps_the_order_of_one_source(bus: BusOptions) -> N
                     out.publish(CompassHeading(t_ns=i, heading_rad=0.0))
         until(lambda: len(node.heard) == 900)
     assert [signal.t_ns for signal in node.heard] == list(range(900))  # type: ignore[attr-defined]
+
+
+class Batched(Listener):
+    """Node that keeps how many steps were carried out together, and that is busy with the first message."""
+
+    def __init__(self, busy: Callable[[], None]) -> None:
+        super().__init__()
+        self.batches: list[list[int]] = []
+        self._busy = busy
+
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+        self.batches.append([t_ns for t_ns, _ in due])
+        if len(self.batches) == 1:
+            self._busy()
+        return super().steps(due)
+
+
+def test_steps_of_inputs_that_have_piled_up_are_carried_out_together_and_recorded_each(bus: BusOptions) -> None:
+    def pile_up() -> None:
+        for t_ns in range(1, 21):
+            out.publish(PressureDepth(t_ns=t_ns, depth_m=0.0))
+        until(lambda: len(runner.mailbox) == 20)
+
+    node = Batched(pile_up)
+    runner = Runner(node, stop=StopRequest(), say=print)
+    frames: list[Frame] = []
+    with listening(bus) as (session, box):
+        out = Outbox(session, node="test", epoch=5, kinds=(PressureDepth,))
+        with running(bus, runner):
+            until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, frames))))
+            out.publish(PressureDepth(t_ns=0, depth_m=0.0))
+            until(lambda: len(node.heard) == 21)
+        until(lambda: finished(drained(box, frames), 1))
+    assert node.batches[0] == [0]
+    assert len(node.batches) < 21
+    assert [t_ns for batch in node.batches for t_ns in batch] == list(range(21))
+    records = [s for _, s, _ in read(frames) if isinstance(s, StepRecord)]
+    assert [(s.step, s.t_ns, len(s.inbox)) for s in records] == [(t_ns, t_ns, 1) for t_ns in range(21)]
+
+
+class BatchedPlant(Plant):
+    """Plant that keeps which steps were carried out together."""
+
+    def __init__(self) -> None:
+        self.batches: list[list[int]] = []
+
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+        self.batches.append([t_ns for t_ns, _ in due])
+        return super().steps(due)
+
+
+@pytest.mark.parametrize(("speed", "together"), [(1, 1), (10, 5)])
+def test_steps_on_a_grid_that_are_due_within_five_milliseconds_are_one_batch(
+    bus: BusOptions, speed: float, together: int
+) -> None:
+    plant = BatchedPlant()
+    frames = run(bus, [(plant, 0)], end_ns=500_000_000, speed=speed)
+    assert {len(batch) for batch in plant.batches[1:]} == {together}
+    truths = [s.t_ns for _, s, _ in read(frames) if isinstance(s, Truth)]
+    assert truths == list(range(-100_000_000, 500_000_001, TICK_NS))
 
 
 def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_them(bus: BusOptions) -> None:
