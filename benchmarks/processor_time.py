@@ -44,7 +44,7 @@ class Run(NamedTuple):
 
     times: Times
     share: dict[str, float]  # of a core, by process, while the clock runs
-    messages: int
+    messages: dict[str, int]  # recorded, by key
 
     @property
     def total_s(self) -> float:
@@ -106,13 +106,20 @@ def by_name(rows: dict[int, tuple[str, float, float]]) -> Times:
     return dict(times)
 
 
-def count(recording: Path) -> int:
-    """Return the number of recorded messages."""
+def count(recording: Path) -> dict[str, int]:
+    """Return the number of recorded messages of each key."""
     with recording.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
     assert summary.statistics is not None
-    return summary.statistics.message_count
+    return {summary.channels[i].topic: number for i, number in summary.statistics.channel_message_counts.items()}
+
+
+def differences(ours: Run, theirs: Run) -> str:
+    """Format the keys of which two runs have recorded different numbers of messages."""
+    pairs = {key: (ours.messages.get(key, 0), theirs.messages.get(key, 0)) for key in ours.messages | theirs.messages}
+    different = [f"{key} {a} {b}" for key, (a, b) in sorted(pairs.items()) if a != b]
+    return f"messages of {len(pairs)} keys; different numbers of {', '.join(different) or 'none'}"
 
 
 def ratio(ours: list[Run], theirs: list[Run]) -> str:
@@ -127,17 +134,18 @@ def ratio(ours: list[Run], theirs: list[Run]) -> str:
 def table(title: str, runs: list[Run], vehicle_s: float) -> str:
     """Format the means of the runs by process, and their sums."""
     names = sorted({name for run in runs for name in run.times})
-    rows = []
+    rows: dict[str, tuple[float, float, float]] = {}
     for name in names:
         user_s, system_s = (statistics.fmean(run.times.get(name, (0.0, 0.0))[i] for run in runs) for i in (0, 1))
         share = statistics.fmean(run.share.get(name, 0.0) for run in runs)
-        rows.append((name, user_s, system_s, share))
-    rows.append(("all", *(sum(row[i] for row in rows) for i in (1, 2, 3))))
-    rows.append(("aboard", *(sum(row[i] for row in rows if row[0] in ABOARD) for i in (1, 2, 3))))
-    messages = statistics.fmean(run.messages for run in runs)
+        rows[name] = user_s, system_s, share
+    for name, among in (("all", names), ("aboard", ABOARD)):
+        user_s, system_s, share = (sum(rows[each][i] for each in among) for i in range(3))
+        rows[name] = user_s, system_s, share
+    messages = statistics.fmean(sum(run.messages.values()) for run in runs)
     lines = [f"{title}: {vehicle_s:g} s, {messages:.0f} messages recorded, none lost", ""]
     lines += ["| process | user (s) | system (s) | each vehicle second (ms) | of a core (%) |", "|---|" + "---:|" * 4]
-    for name, user_s, system_s, share in rows:
+    for name, (user_s, system_s, share) in rows.items():
         each_ms = 1000 * (user_s + system_s) / vehicle_s
         lines.append(f"| {name} | {user_s:.2f} | {system_s:.2f} | {each_ms:.1f} | {100 * share:.1f} |")
     return "\n".join([*lines, ""])
@@ -164,6 +172,7 @@ def main() -> None:
         print(table(title, found, SURFACE_S + options.duration_s))
     if len(checkouts) == 2:
         print(ratio(*runs.values()))
+        print(differences(*(found[0] for found in runs.values())))
 
 
 if __name__ == "__main__":

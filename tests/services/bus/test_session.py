@@ -1,8 +1,9 @@
-"""Errors of Zenoh in words: what could not be done, where, and what to do."""
+"""Errors of Zenoh in words: what could not be done, where, and what to do. Zenoh's threads."""
 
 from __future__ import annotations
 
 import socket
+import sys
 from pathlib import Path
 
 import pytest
@@ -55,3 +56,16 @@ def test_what_zenoh_cannot_do_is_explained(endpoint: str, explanation: str, tmp_
 )
 def test_the_command_that_starts_the_router_listens_where_it_is_waited_for(options: BusOptions, command: str) -> None:
     assert f"; `{command}` starts one" in waiting_for_router(options)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of threads are read from /proc")
+def test_all_tasks_of_zenoh_share_one_thread(free_port: int) -> None:
+    """A wake-up of each further thread costs about as much as a message."""
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    with (
+        open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
+        open_session(BusOptions(connect=(endpoint,)), stop=StopRequest(), say=print),
+    ):
+        names = [task.read_text().strip() for task in Path("/proc/self/task").glob("*/comm")]
+    kinds = ("acc-", "app-", "net-", "rx-", "tx-")
+    assert [name for name in names if name.startswith(kinds)] == ["app-0"]
