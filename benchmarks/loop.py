@@ -18,6 +18,7 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Plan, Times
 from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from services.run.run_config import Override, RunConfig, resolve
 from sim import motion
 from sim.plant import apply_mismatch, level_to_ned
@@ -41,6 +42,7 @@ class Outcome:
     mean_abs_N: float  # commands, over time and both lateral thrusters
     saturated: float  # fraction of the time with either of them at its minimum or maximum
     origins: dict[str, int]  # plans by where they came from
+    lateral_energy_J: float  # at the propellers of port and starboard, all of the run
 
     @classmethod
     def of(
@@ -50,12 +52,14 @@ class Outcome:
         commands: Sequence[Array],
         target_m: Pair,
         origins: dict[str, int] | None = None,
+        *,
+        lateral_energy_J: float = float("nan"),
     ) -> Outcome:
         """Return the outcome of positions (M, 2) and commands (M, 2), given in pieces."""
         off, F = np.concatenate(tracks) - np.array(target_m), np.concatenate(commands)
         low, high = (np.array([getattr(t, side) for t in vehicle.thrusters[:2]]) for side in SIDES)
         at_box = ((low + 1e-6 >= F) | (high - 1e-6 <= F)).any(axis=1)
-        return cls(np.hypot(*off.T), F, float(np.abs(F).mean()), float(at_box.mean()), origins or {})
+        return cls(np.hypot(*off.T), F, float(np.abs(F).mean()), float(at_box.mean()), origins or {}, lateral_energy_J)
 
     @property
     def mean_m(self) -> float:
@@ -119,7 +123,8 @@ class Loop:
         origins = Counter(plan.origin.value for plan in plans if plan.reference_m is not None)
         target_m = plans[-1].reference_m
         assert target_m is not None  # it has begun
-        return Outcome.of(controller.vehicle, states, commands, target_m, dict(origins))
+        energy_J = plant.lateral_energy_J
+        return Outcome.of(controller.vehicle, states, commands, target_m, dict(origins), lateral_energy_J=energy_J)
 
 
 class TrueVehicle:
@@ -132,6 +137,9 @@ class TrueVehicle:
         self._revolutions = np.zeros(3)
         self._share = share
         self._water = run_config.water
+        self._vehicle = vehicle
+        self.lateral_energy_J = 0.0
+        """Propulsive energy of port and starboard so far, by the power at the end of each call of ``go``."""
         self._body = motion.pack(vehicle, apply_mismatch(vehicle.coefficients(), start.mismatch), start.mismatch.thrust)
 
     def stop(self, t_ns: int) -> None:
@@ -145,7 +153,11 @@ class TrueVehicle:
         """Simulate under commands u (M+1, 3) at t_ns (M+1,); return the positions (M, 2) after each step."""
         vehicle = motion.MotionState(self.state, self._revolutions, self.thrust)
         water = self._water.sample(int(t_ns[0] + t_ns[-1]) // 2)
-        return motion.simulate(self._body, vehicle, t_ns * 1e-9, u * self._share, water)
+        track: Array = motion.simulate(self._body, vehicle, t_ns * 1e-9, u * self._share, water)
+        power = propulsive_power_W(self._vehicle, self.thrust[None], self.state[2:3], self.state[7:8])
+        lateral_W = float("nan") if power is None else float(power[0, :2].sum())
+        self.lateral_energy_J += lateral_W * float(t_ns[-1] - t_ns[0]) * 1e-9
+        return track
 
 
 def _applied(t_ns: int, thrust: Array, command: Array, plans: Sequence[Plan], delay_ns: int) -> Applied:

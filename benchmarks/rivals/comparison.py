@@ -14,7 +14,7 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from rich.console import Console
@@ -67,13 +67,17 @@ class Job(NamedTuple):
     duration_s: float
 
 
-def one(job: Job) -> tuple[float, float, float]:
-    """Mean distance (m), mean |F| (N), largest distance (m); NaN for weights of which no gain comes."""
+Figures: TypeAlias = tuple[float, float, float, float]
+"""Mean distance (m), mean |F| (N), largest distance (m), lateral propulsive energy (J)."""
+
+
+def one(job: Job) -> Figures:
+    """Return the figures of a run; NaN for weights of which no gain comes."""
     try:
         outcome = flown(job)
     except np.linalg.LinAlgError:
-        return math.nan, math.nan, math.nan
-    return outcome.mean_m, outcome.mean_abs_N, outcome.max_m
+        return math.nan, math.nan, math.nan, math.nan
+    return outcome.mean_m, outcome.mean_abs_N, outcome.max_m, outcome.lateral_energy_J
 
 
 def flown(job: Job) -> Outcome:
@@ -91,7 +95,7 @@ def flown(job: Job) -> Outcome:
 def costs(name: str, run: Callable[[list[Job]], list[Any]], trials: Sequence[dict[str, float]]) -> list[float]:
     """Mean distance (m) of each trial over the tuning seeds."""
     jobs = [Job(name, trial, seed, TUNED_S) for trial in trials for seed in TUNED_ON]
-    means = np.array([distance for distance, _, _ in run(jobs)]).reshape(len(trials), -1)
+    means = np.array([figures[0] for figures in run(jobs)]).reshape(len(trials), -1)
     return [float(cost) for cost in means.mean(axis=1)]
 
 
@@ -121,9 +125,9 @@ def main() -> None:
         print(table(dict(store.results())))
 
 
-def _runs(progress: Progress, name: str, workers: int | None, jobs: list[Job]) -> list[tuple[float, float, float]]:
+def _runs(progress: Progress, name: str, workers: int | None, jobs: list[Job]) -> list[Figures]:
     task = progress.add_task(f"{name}: {len(jobs)} runs", total=len(jobs))
-    found: dict[int, tuple[float, float, float]] = {}
+    found: dict[int, Figures] = {}
     for place, figures in run_each(one, jobs, workers=workers):
         found[place] = figures
         progress.advance(task)
@@ -135,8 +139,9 @@ def table(kept: dict[str, Any]) -> str:
     """Return the table of means over seeds, with differences to the whole controller and their 95 % interval."""
     whole = np.array(kept[WHOLE]["runs"])
     lines = [
-        f"| mean of {len(whole)} seeds | distance (m) | more than whole (m) | largest (m) | abs F (N) | trials' best |",
-        "|---|---|---|---|---|---|",
+        f"| mean of {len(whole)} seeds | distance (m) | more than whole (m) | largest (m) | abs F (N) | energy (kJ) "
+        "| trials' best |",
+        "|---|---|---|---|---|---|---|",
     ]
     for name, of in kept.items():
         runs = np.array(of["runs"])
@@ -145,5 +150,6 @@ def table(kept: dict[str, Any]) -> str:
         history = of["history_m"]
         half = "" if not history else f"{history[len(history) // 2 - 1]:.3f}, {history[-1]:.3f} m"
         distance, force, largest = runs[:, 0].mean(), runs[:, 1].mean(), runs[:, 2].max()
-        lines.append(f"| {name} | {distance:.3f} | {said} | {largest:.2f} | {force:.1f} | {half} |")
+        energy_kJ = 1e-3 * runs[:, 3].mean()
+        lines.append(f"| {name} | {distance:.3f} | {said} | {largest:.2f} | {force:.1f} | {energy_kJ:.2f} | {half} |")
     return "\n".join(lines)

@@ -51,7 +51,7 @@ def fly(run_config: RunConfig, law: Law) -> Outcome:
             states.append(track)
             commands.append(u[1:, :2])
     assert target is not None  # a run goes beyond t = 0
-    return Outcome.of(vehicle, states, commands, target)
+    return Outcome.of(vehicle, states, commands, target, lateral_energy_J=plant.lateral_energy_J)
 
 
 def ramped(command: Array, wanted: Array, slew: Array, since_s: Array) -> Array:

@@ -51,6 +51,14 @@ class Thruster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     lag_s: Annotated[float, Meta(ge=0, le=60)]
     propeller_diameter_m: Annotated[float, Meta(gt=0, le=10)]
     max_rps: Annotated[float, Meta(gt=0, le=1000)]
+    # torque of the propeller for its energy, K_Q = first - second x advance ratio (propulsion.py); not set: unknown
+    torque_coefficient: Annotated[float, Meta(gt=0, le=1)] | None = None
+    torque_inflow_coefficient: Annotated[float, Meta(ge=0, le=1)] | None = None
+
+    def __post_init__(self) -> None:
+        """Reject one torque coefficient without the other."""
+        if (self.torque_coefficient is None) != (self.torque_inflow_coefficient is None):
+            raise ValueError("torque_coefficient and torque_inflow_coefficient: give both, or leave both out")
 
 
 class Thrusters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -18,6 +18,7 @@ def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[st
         ("true error", _error(summary["true_error_m"], "vehicle from the line")),
         ("localisation", _error(summary["localisation_error_m"], "estimate from the vehicle")),
         ("thrust", _thrust(summary["thrust"])),
+        ("energy", _energy(summary["thrust"])),
         ("compute", _delay(summary["compute_delay_s"], summary["compute_delay_wall_s"])),
         ("end to end", _delay(summary["end_to_end_delay_s"], summary["end_to_end_delay_wall_s"])),
         ("cycles", _cycles(summary)),
@@ -54,6 +55,13 @@ def _thrust(thrust: Mapping[str, float | None]) -> str:
         f" saturated {_figure(None if saturated is None else 100 * saturated, '.1f')} %,"
         f" slew {_figure(thrust['max_slew_N_per_s'], '.0f')} N/s"
     )
+
+
+def _energy(thrust: Mapping[str, float | None]) -> str:
+    relative = f"relative power {_figure(thrust.get('relative_power'), '.4f')} of full lateral thrust"
+    if (energy_J := thrust.get("propulsive_energy_J")) is None:
+        return f"{relative} (the vehicle file has no torque coefficients)"
+    return f"{energy_J:.0f} J at the propellers, lateral {_figure(thrust.get('lateral_energy_J'), '.0f')} J; {relative}"
 
 
 def _delay(vehicle: Mapping[str, float | None], wall: Mapping[str, float | None]) -> str:

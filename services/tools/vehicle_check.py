@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import msgspec
+import numpy as np
 
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon_selection import select_horizon_s
@@ -12,6 +13,7 @@ from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
 from ltv_mpc.vehicle.plausibility import warnings
+from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from ltv_mpc.vehicle.reference_point import ReferencePoint
 
 
@@ -26,8 +28,16 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     speed_scale_mps: float
     time_scale_s: float
     horizon_s: float  # proposed; default without [controller] horizon_s
+    plan_timeout_s: float  # without a new plan the thrusters go to rest after this time
+    full_power_W: float | None  # at the shafts of port and starboard, full ahead at rest; null: no torque coefficients
     weights: Weights  # default without [controller.weights]
     warnings: list[str]
+
+
+def _full_power_W(vehicle: Vehicle) -> float | None:
+    full = np.array([[thruster.max_N for thruster in vehicle.thrusters]])
+    power = propulsive_power_W(vehicle, full, np.zeros(1), np.zeros(1))
+    return None if power is None else float(power[0, :2].sum())
 
 
 def check(vehicle: Vehicle) -> Check:
@@ -43,6 +53,8 @@ def check(vehicle: Vehicle) -> Check:
         speed_scale_mps=scales.speed_mps,
         time_scale_s=scales.time_s,
         horizon_s=select_horizon_s(vehicle, weights, can),
+        plan_timeout_s=vehicle.plan_timeout_s,
+        full_power_W=_full_power_W(vehicle),
         weights=weights,
         warnings=warnings(vehicle, can),
     )
@@ -72,6 +84,11 @@ def table(of: Check) -> str:
             "estimates are of the point",
             f"{point.forward_m:g} m forward, {point.starboard_m:g} m starboard, {point.down_m:g} m down of the origin",
         ),
+        (
+            "power, full ahead at rest",
+            "no torque coefficients" if of.full_power_W is None else f"{of.full_power_W:.3g} W",
+        ),
+        ("without a new plan", f"thrusters at rest after {of.plan_timeout_s:g} s"),
         ("proposed horizon", f"{of.horizon_s:g} s, the default of every controller"),
         ("scales of the weights", f"V {of.speed_scale_mps:.3g} m/s, T {of.time_scale_s:.3g} s"),
         ("weights", f"position {w.position_per_m2:g} /m2, at the end {w.terminal_position_per_m2:g} /m2"),

@@ -23,6 +23,7 @@ import numpy as np
 
 from ltv_mpc.messages import Applied, Array, Clock, ClockState, CycleTiming, Estimate, Message, Pair, Plan, Truth
 from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.propulsion import propulsive_power_W, relative_power
 from sim.evaluation.summary import Quantiles, Spread, Thrust
 
 AT_BOX_N = 1e-6
@@ -101,6 +102,9 @@ class ThrustCommands:
     """Commands to the two lateral thrusters, as the actuators report them."""
 
     def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._velocity_mps = 0.0, 0.0  # through the water, ahead and down, at the last truth
+        self._delivered: list[tuple[float, ...]] = []  # thrust of port, starboard and vertical, velocity ahead and down
         self._box = np.array([[t.min_N, t.max_N] for t in vehicle.thrusters[:2]])  # (2, 2): thruster, bound
         self._command: list[tuple[int, float, float, float]] = []  # t, port, starboard, slew
 
@@ -108,15 +112,32 @@ class ThrustCommands:
         """Add the command in force."""
         port, starboard, _vertical = applied.command_N
         self._command.append((applied.t_ns, port, starboard, max(applied.command_slew_N_per_s[:2])))
+        self._delivered.append((*applied.thrust_N, *self._velocity_mps))
+
+    def add_truth(self, truth: Truth) -> None:
+        """Add the velocity through the water, which is the inflow of the propellers."""
+        ahead, _, down = truth.water_velocity_mps
+        self._velocity_mps = ahead, down
 
     def thrust(self) -> Thrust:
         """Return statistics of the commands in force from t = 0 on."""
         rows = np.array([row for row in self._command if row[0] >= 0]).reshape(-1, 4)
         if len(rows) < 2:
             return Thrust(
-                saturated_fraction=None, max_abs_N=None, mean_abs_N=None, travel_N=None, max_slew_N_per_s=None
+                saturated_fraction=None,
+                max_abs_N=None,
+                mean_abs_N=None,
+                travel_N=None,
+                max_slew_N_per_s=None,
+                propulsive_energy_J=None,
+                lateral_energy_J=None,
+                relative_power=None,
             )
         h, F = np.diff(rows[:, 0]), rows[:, 1:3]  # (K-1,), (K, 2)
+        delivered = np.array(self._delivered[-len(rows) :])
+        power = propulsive_power_W(self._vehicle, delivered[:, :3], delivered[:, 3], delivered[:, 4])
+        energy = None if power is None else (0.5 * (power[:-1] + power[1:]) * (h * 1e-9)[:, None]).sum(axis=0)
+        relative = relative_power(self._vehicle, delivered[:, :2])
         low, high = self._box.T
         a, b = F[:-1], F[1:]
         at_box = ((a <= low + AT_BOX_N) & (b <= low + AT_BOX_N)) | ((a >= high - AT_BOX_N) & (b >= high - AT_BOX_N))
@@ -126,6 +147,9 @@ class ThrustCommands:
             mean_abs_N=float(np.average(_mean_abs(a, b).mean(axis=1), weights=h)),
             travel_N=float(np.sum(np.abs(b - a))),
             max_slew_N_per_s=float(np.max(rows[1:, 3])),
+            propulsive_energy_J=None if energy is None else float(energy.sum()),
+            lateral_energy_J=None if energy is None else float(energy[:2].sum()),
+            relative_power=float(np.average(0.5 * (relative[:-1] + relative[1:]), weights=h)),
         )
 
 
@@ -287,6 +311,7 @@ class RunMetrics:
 
     def _add_truth(self, truth: Truth, *_: int) -> None:
         self._track.add_truth(truth)
+        self._commands.add_truth(truth)
 
     def _add_estimate(self, estimate: Estimate, *_: int) -> None:
         self._track.add_estimate(estimate)

@@ -30,6 +30,14 @@ SUMMARY: dict[str, Any] = {
 }
 
 
+def test_the_energy_is_in_joules_and_without_torque_coefficients_relative() -> None:
+    relative = THRUST | {"relative_power": 0.0123}
+    joules = relative | {"propulsive_energy_J": 4321.4, "lateral_energy_J": 210.6}
+    with_file, without = (verdict(SUMMARY | {"thrust": thrust}, Path("x")) for thrust in (joules, relative))
+    assert "4321 J at the propellers, lateral 211 J; relative power 0.0123" in with_file
+    assert "relative power 0.0123 of full lateral thrust (the vehicle file has no torque" in without
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [

@@ -180,6 +180,18 @@ def test_a_run_that_never_left_the_surface_has_no_figures(metrics: RunMetrics) -
     assert metrics.until_ns == -S
 
 
+def test_the_energy_is_that_of_revolutions_and_torque_from_zero_on(metrics: RunMetrics) -> None:
+    """Full thrust of port and of the vertical thruster for 4 s, at 0.5 m/s ahead: 101.06 W and 85.86 W."""
+    ahead = msgspec.structs.replace(truth(0, 0.0, 0.0), water_velocity_mps=(0.5, 0.1, 0.0))
+    for t_s in range(-1, 5):
+        report = msgspec.structs.replace(applied(t_s * S, 62.5, 0.0), thrust_N=(62.5, 0.0, 62.5))
+        feed(metrics, msgspec.structs.replace(ahead, t_ns=t_s * S), report)
+    thrust = metrics.thrust()
+    assert thrust.lateral_energy_J == pytest.approx(4 * 101.06, abs=0.1)
+    assert thrust.propulsive_energy_J == pytest.approx(4 * (101.06 + 85.86), abs=0.1)
+    assert thrust.relative_power == pytest.approx(0.5)
+
+
 def test_thrust_figures_are_over_time_of_the_lateral_commands_from_zero_on(metrics: RunMetrics) -> None:
     feed(
         metrics,

@@ -1,0 +1,89 @@
+"""Propulsive power: mechanical power at the propeller shafts, from revolutions and torque.
+
+    P = 2 pi n Q,   Q = K_Q0 rho d^5 |n| n - K_Q1 rho d^4 v_T |n|
+
+n revolutions per second at which the propeller gives the thrust F at the inflow v_T (``thruster.py``), d diameter.
+K_Q0 and K_Q1 are ``torque_coefficient`` and ``torque_inflow_coefficient`` of the vehicle file: the torque coefficient
+of an open-water curve is K_Q = K_Q0 - K_Q1 J, with the advance ratio J = v_T / (n d). A propeller that the water drives
+counts as P = 0: a drive feeds nothing back. Losses of motor and gearbox are not included.
+
+Where the coefficients are missing, the relative power serves: at rest in the water P grows as |F|^1.5.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.parameters import Thruster, Vehicle
+from ltv_mpc.vehicle.thruster import INFLOW_COEFFICIENT, THRUST_COEFFICIENT
+
+
+def shaft_power_W(thrust_N: Array, inflow_mps: Array, thruster: Thruster, water_density_kgpm3: float) -> Array:
+    """Return the mechanical power at the shaft of one propeller.
+
+    Parameters
+    ----------
+    thrust_N : (M,) delivered thrust (N).
+    inflow_mps : (M,) v_T, surge speed for the stern thrusters, heave speed for the vertical one (m/s).
+    thruster : diameter and torque coefficients; both are set.
+    water_density_kgpm3 : density (kg/m3).
+
+    Returns
+    -------
+    (M,) power (W), never negative.
+    """
+    assert thruster.torque_coefficient is not None
+    assert thruster.torque_inflow_coefficient is not None
+    rho, d = water_density_kgpm3, thruster.propeller_diameter_m
+    # F = a |n| n - b |n|, solved for the n that has the sign of F
+    a, b = THRUST_COEFFICIENT * rho * d**4, INFLOW_COEFFICIENT * inflow_mps * rho * d**3
+    side = np.sign(thrust_N)
+    n = np.abs(side) * (b + side * np.sqrt(b * b + 4.0 * a * np.abs(thrust_N))) / (2.0 * a)
+    # Q = K_Q0 rho d^5 |n| n - K_Q1 rho d^4 v_T |n|
+    torque_Nm = thruster.torque_coefficient * rho * d**5 * np.abs(
+        n
+    ) * n - thruster.torque_inflow_coefficient * rho * d**4 * inflow_mps * np.abs(n)
+    power: Array = np.maximum(2.0 * np.pi * n * torque_Nm, 0.0)
+    return power
+
+
+def propulsive_power_W(vehicle: Vehicle, thrust_N: Array, surge_mps: Array, heave_mps: Array) -> Array | None:
+    """Return the mechanical power at each shaft of a vehicle.
+
+    Parameters
+    ----------
+    vehicle : its thrusters and its water.
+    thrust_N : (M, 3) delivered thrust of port, starboard and vertical thruster (N).
+    surge_mps, heave_mps : (M,) velocity through the water, ahead and down (m/s).
+
+    Returns
+    -------
+    (M, 3) power (W); zero for a thruster that the vehicle does not have. None if the file has no torque coefficients.
+    """
+    fitted = [vehicle.thruster.port, vehicle.thruster.starboard]
+    if vehicle.thruster.vertical is not None:
+        fitted.append(vehicle.thruster.vertical)
+    if any(thruster.torque_coefficient is None for thruster in fitted):
+        return None
+    power = np.zeros((len(thrust_N), 3))
+    for i, (thruster, inflow) in enumerate(zip(fitted, (surge_mps, surge_mps, heave_mps), strict=False)):
+        power[:, i] = shaft_power_W(thrust_N[:, i], inflow, thruster, vehicle.water_density_kgpm3)
+    return power
+
+
+def relative_power(vehicle: Vehicle, lateral_N: Array) -> Array:
+    """Return the relative power of the lateral thrusters: sum |F|^1.5 over that of both at their largest thrust.
+
+    Parameters
+    ----------
+    vehicle : its lateral thrusters.
+    lateral_N : (M, 2) thrust of port and starboard (N).
+
+    Returns
+    -------
+    (M,) dimensionless, 0 to 1.
+    """
+    full = [max(t.max_N, -t.min_N) for t in vehicle.thrusters[:2]]
+    relative: Array = (np.abs(lateral_N) ** 1.5).sum(axis=1) / (np.array(full) ** 1.5).sum()
+    return relative
