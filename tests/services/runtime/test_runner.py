@@ -336,7 +336,7 @@ class Batched(Listener):
         return super().steps(due)
 
 
-def test_steps_of_inputs_that_have_piled_up_are_carried_out_together_and_recorded_each(bus: BusOptions) -> None:
+def test_steps_of_inputs_that_piled_up_are_carried_out_together_and_recorded_each(bus: BusOptions) -> None:
     def pile_up() -> None:
         for t_ns in range(1, 21):
             out.publish(PressureDepth(t_ns=t_ns, depth_m=0.0))
