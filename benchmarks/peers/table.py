@@ -18,7 +18,9 @@ class Line:
     name: str
     solves: str  # QP or NLP
     settings: str
-    cycle_us: Spread
+    cycle_us: Spread  # by turns; the three states of the caches are those of services/tools/profile/measure.py
+    repeated_us: Spread
+    flushed_us: Spread
     thrust_error_N: Spread
     held: dict[str, Held]  # by kind of episode
 
@@ -28,8 +30,9 @@ def markdown(
 ) -> str:
     """Format the table in Markdown; other times are multiples of the first line's."""
     kinds = list(lines[0].held)
-    head = ["", "solves", "cycle, median (ms)", "p99 (ms)", "times the first", "first thrust off, p99 (N)"]
-    head += [f"{kind}: off the line (m)" for kind in kinds] + ["mean abs F (N)", "without a solution"]
+    head = ["", "solves", "cycle, median (ms)", "p99 (ms)", "times the first: hot, turns, cold"]
+    head += ["first thrust off, p99 (N)", *(f"{kind}: off the line (m)" for kind in kinds)]
+    head += ["mean abs F (N)", "without a solution"]
     out = [f"# {title}", "", _row(head), "|" + "---|" * len(head)]
     for line in lines:
         unsolved = sum(held.unsolved for held in line.held.values())
@@ -41,7 +44,10 @@ def markdown(
                     line.solves,
                     _ms(line.cycle_us.median),
                     _ms(line.cycle_us.p99),
-                    f"{line.cycle_us.median / lines[0].cycle_us.median:.3g}",
+                    ", ".join(
+                        f"{own.median / first.median:.3g}"
+                        for own, first in zip(_cycle_times(line), _cycle_times(lines[0]), strict=True)
+                    ),
                     f"{line.thrust_error_N.p99:.2g}" if line.solves == "QP" else "",
                     *(f"{line.held[kind].off_m:.3f}" for kind in kinds),
                     thrust,
@@ -53,6 +59,11 @@ def markdown(
     out += [_row([line.name, line.settings]) for line in lines]
     out += ["", "Measured on: " + machine_line(machine, packages) + f"; commit {machine['commit']}."]
     return "\n".join(out) + "\n"
+
+
+def _cycle_times(line: Line) -> tuple[Spread, Spread, Spread]:
+    """Return the times of a cycle repeated, by turns and flushed."""
+    return line.repeated_us, line.cycle_us, line.flushed_us
 
 
 def _row(cells: Sequence[str]) -> str:

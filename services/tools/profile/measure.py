@@ -3,6 +3,12 @@
 One controller drives the loop. Before each cycle every candidate receives the driver's state, so that prediction,
 guess and linearisation are the same for all; warm starts are each solver's own. So all solve the same problems
 under the same load of the machine. Their ratios can be compared, where single times cannot.
+
+Each cycle is measured in three states of the caches:
+
+    by turns   after the other candidates' cycles
+    repeated   the same cycle again at once: code and data are in the caches
+    flushed    after ``FLUSH_BYTES`` of other memory were written: nothing is
 """
 
 from __future__ import annotations
@@ -40,6 +46,10 @@ STAGES = ("predict", "linearise", "build", "update", "solve", "read")
 
 EXACT = 1e-10
 """Absolute tolerance of the solution that thrusts are compared with: four orders below what is compared."""
+
+
+FLUSH_BYTES = 1 << 26
+"""Memory that is written to flush the caches: more than the last cache of a core's share."""
 
 
 class Candidate(Protocol):
@@ -110,7 +120,9 @@ class Samples:
 
     def __init__(self, stages: int) -> None:
         self.stages = stages  # N
-        self.cycle_us: list[float] = []
+        self.cycle_us: list[float] = []  # by turns, as stage_us
+        self.repeated_us: list[float] = []
+        self.flushed_us: list[float] = []
         self.stage_us: dict[str, list[float]] = {stage: [] for stage in STAGES}
         self.iterations: list[int] = []
         self.thrust_error_N: list[float] = []  # of the first free knot; NaN: there was no finite answer
@@ -177,6 +189,7 @@ class _Bench(ControllerNode):
         self._order = order
         self._progress = progress
         self._begun = False
+        self._other_memory = np.zeros(FLUSH_BYTES // 8)
 
     def cycle(self, estimate: Estimate, t_ns: int) -> Plan:
         """Run one cycle of every candidate and of the driver."""
@@ -185,6 +198,9 @@ class _Bench(ControllerNode):
             (controller, controller.plan(driver, estimate, t_ns))
             for controller in self._order.sample(self._controllers, len(self._controllers))
         ]
+        for controller, _ in plans:
+            self._other_memory += 1.0
+            controller.plan_flushed(driver, estimate, t_ns)
         plan = driver.plan(estimate, t_ns=t_ns)
         if plan.solve.status is not SolveStatus.NOT_RUN:
             if self._begun:  # the first cycle starts from a crude guess
@@ -206,28 +222,41 @@ class _MeasuredController:
         self._recorded: RecordingSolver
         self.controller = controller_of(candidate, episode, make_solver=self._make_recorded, stopwatch=self.timer)
         self._into = into
-        self._cycle_us = 0.0
+        self._cycle_us = self._repeated_us = self._flushed_us = 0.0
+        self._stage_us: dict[str, float] = {}
 
     def _make_recorded(self, vehicle: Vehicle, config: ControllerConfig) -> Solver:
         self._recorded = RecordingSolver(self._make_solver(vehicle, config))
         return self._recorded
 
     def plan(self, driver: Controller, estimate: Estimate, t_ns: int) -> Plan:
-        """Measure one cycle."""
+        """Measure one cycle, by turns and then repeated."""
+        plan, self._cycle_us = self._timed(driver, estimate, t_ns)
+        self._stage_us = dict(self.timer.stage_us)
+        _, self._repeated_us = self._timed(driver, estimate, t_ns)
+        return plan
+
+    def plan_flushed(self, driver: Controller, estimate: Estimate, t_ns: int) -> None:
+        """Measure the same cycle with flushed caches."""
+        _, self._flushed_us = self._timed(driver, estimate, t_ns)
+
+    def _timed(self, driver: Controller, estimate: Estimate, t_ns: int) -> tuple[Plan, float]:
+        """Run one cycle; return its plan and its time (us)."""
         controller, timer = self.controller, self.timer
         controller.restore(driver.save(t_ns), t_ns)
         started_ns = time.monotonic_ns()
         timer.start()
         plan = controller.plan(estimate, t_ns=t_ns)
-        self._cycle_us = (time.monotonic_ns() - started_ns) / 1000
-        return plan
+        return plan, (time.monotonic_ns() - started_ns) / 1000
 
     def keep(self, plan: Plan, exact: _Exact) -> None:
         """Record the cycle that produced ``plan``."""
         into = self._into
         into.cycle_us.append(self._cycle_us)
+        into.repeated_us.append(self._repeated_us)
+        into.flushed_us.append(self._flushed_us)
         for stage, sample in into.stage_us.items():
-            sample.append(self.timer.stage_us.get(stage, 0.0))
+            sample.append(self._stage_us.get(stage, 0.0))
         into.iterations.append(plan.solve.iterations)
         into.status[plan.solve.status] += 1
         error = np.abs(self._recorded.result.commands[1] - exact.commands(self._recorded)[1]).max()

@@ -49,10 +49,15 @@ class Spread(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Ratio(msgspec.Struct, frozen=True, kw_only=True):
-    """Time of a cycle relative to the reference's, at the same horizon in the same run."""
+    """Time of a cycle relative to the reference's, at the same horizon and state of the caches in the same run."""
 
     median: float
     p99: float
+
+    @classmethod
+    def of(cls, time: Spread, reference: Spread) -> Ratio:
+        """Return the ratio of two times."""
+        return cls(median=time.median / reference.median, p99=time.p99 / reference.p99)
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
@@ -62,12 +67,16 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     stages: int
     horizon_s: float
     cycles: int
-    cycle_us: Spread
+    cycle_us: Spread  # by turns, as stage_us; the three states of the caches are those of measure.py
+    repeated_us: Spread
+    flushed_us: Spread
     stage_us: dict[str, Spread]
     iterations: Spread
     thrust_error_N: Spread  # first free knot, from the exact solution of the same QP
     status: dict[str, int]
-    ratio: Ratio
+    ratio: Ratio  # by turns
+    repeated_ratio: Ratio
+    flushed_ratio: Ratio
 
 
 class Profile(msgspec.Struct, frozen=True, kw_only=True):
@@ -142,21 +151,31 @@ def run(
 
 
 def _rows(candidates: Sequence[Piqp | SolverByName], measured: Sequence[Samples]) -> list[Row]:
-    yardstick = Spread.of(measured[candidates.index(YARDSTICK)].cycle_us)
+    yardstick = measured[candidates.index(YARDSTICK)]
     return [_row(who.name, samples, yardstick) for who, samples in zip(candidates, measured, strict=True)]
 
 
-def _row(solver: str, samples: Samples, yardstick: Spread) -> Row:
-    cycle = Spread.of(samples.cycle_us)
+def _row(solver: str, samples: Samples, yardstick: Samples) -> Row:
+    cycle, repeated, flushed = _cycle_times(samples)
+    reference, reference_repeated, reference_flushed = _cycle_times(yardstick)
     return Row(
         solver=solver,
         stages=samples.stages,
         horizon_s=seconds(samples.stages),
         cycles=len(samples.cycle_us),
         cycle_us=cycle,
+        repeated_us=repeated,
+        flushed_us=flushed,
         stage_us={stage: Spread.of(times) for stage, times in samples.stage_us.items()},
         iterations=Spread.of(samples.iterations),
         thrust_error_N=Spread.of(samples.thrust_error_N),
         status={str(status): count for status, count in samples.status.most_common()},
-        ratio=Ratio(median=cycle.median / yardstick.median, p99=cycle.p99 / yardstick.p99),
+        ratio=Ratio.of(cycle, reference),
+        repeated_ratio=Ratio.of(repeated, reference_repeated),
+        flushed_ratio=Ratio.of(flushed, reference_flushed),
     )
+
+
+def _cycle_times(samples: Samples) -> tuple[Spread, Spread, Spread]:
+    """Return the times of a cycle by turns, repeated and flushed."""
+    return Spread.of(samples.cycle_us), Spread.of(samples.repeated_us), Spread.of(samples.flushed_us)

@@ -21,24 +21,28 @@ def text(profile: Profile) -> str:
             *_stages(profile.rows),
             "",
             f"cycles at each horizon: {kinds}; solvers interleaved, in a new random order each cycle",
+            "hot: the same cycle repeated at once; turns: after the other candidates; cold: after a flush of caches",
+            "a service sees cold: between two of its cycles other processes use the caches",
             "off: of the first free thrust from the exact solution of the same QP; of PIQP: whole cycle over that of"
-            " PIQP native, by its own interface",
+            " PIQP native, by its own interface, in the same column",
             machine_description.line(profile.machine),
         ]
     )
 
 
 def _cycles(rows: Sequence[Row]) -> list[str]:
+    times = f"{'hot':>7} {'turns':>7} {'cold':>7} {'p99':>7} {'max':>6}"
+    ratios = f"{'hot':>5} {'turns':>5} {'cold':>5} {'p99':>5}"
     lines = [
-        f"{'':<36} {'cycle (us)':^35}  {'of PIQP':^11}  {'iterations':^11}  {'thrust off (N)':^23}",
-        f"{NAMES} {'median':>8} {'p90':>8} {'p99':>8} {'max':>8}  {'median':>6} {'p99':>5}"
-        f"  {'median':>6} {'p99':>4}  {'median':>7} {'p99':>7} {'max':>7}  status",
+        f"{'':<36} {'cycle (us): medians, of turns':^38}  {'of PIQP':^23}  {'iterations':^11}  {'thrust off (N)':^23}",
+        f"{NAMES} {times}  {ratios}  {'median':>6} {'p99':>4}  {'median':>7} {'p99':>7} {'max':>7}  status",
     ]
     for row in rows:
-        c, i, e = row.cycle_us, row.iterations, row.thrust_error_N
+        hot, turns, cold, i, e = row.repeated_us, row.cycle_us, row.flushed_us, row.iterations, row.thrust_error_N
         lines.append(
-            f"{_names(row)} {c.median:>8.0f} {c.p90:>8.0f} {c.p99:>8.0f} {c.max:>8.0f}"
-            f"  {row.ratio.median:>6.2f} {row.ratio.p99:>5.2f}  {i.median:>6.0f} {i.p99:>4.0f}"
+            f"{_names(row)} {hot.median:>7.0f} {turns.median:>7.0f} {cold.median:>7.0f} {turns.p99:>7.0f}"
+            f" {turns.max:>6.0f}  {row.repeated_ratio.median:>5.2f} {row.ratio.median:>5.2f}"
+            f" {row.flushed_ratio.median:>5.2f} {row.ratio.p99:>5.2f}  {i.median:>6.0f} {i.p99:>4.0f}"
             f"  {_newton(e.median)} {_newton(e.p99)} {_newton(e.max)}"
             f"  {', '.join(f'{name} {count}' for name, count in row.status.items())}"
         )
@@ -47,7 +51,7 @@ def _cycles(rows: Sequence[Row]) -> list[str]:
 
 def _stages(rows: Sequence[Row]) -> list[str]:
     heads = " ".join(f"{stage:>9}" for stage in STAGES)
-    lines = [f"{'':<36} stages of a cycle, medians (us)", f"{NAMES} {heads}"]
+    lines = [f"{'':<36} stages of a cycle by turns, medians (us)", f"{NAMES} {heads}"]
     lines += [f"{_names(row)} " + " ".join(f"{row.stage_us[stage].median:>9.1f}" for stage in STAGES) for row in rows]
     return lines
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import ResolvedConfig
+from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.solvers import solve_qp
@@ -13,7 +13,7 @@ from ltv_mpc.messages import SolveStatus
 from services.tools.profile.piqp_yardstick import PiqpYardstick
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, PAPER, motion, solved
 
-CONFIG = ResolvedConfig()
+CONFIG = ResolvedConfig(horizon_s=5.0, weights=Weights())
 TURNS_SLOWLY = HorizonLimits.from_vehicle(PAPER, 0.3, np.array([np.inf, 0.15]))
 
 
