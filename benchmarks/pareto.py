@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import statistics
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,8 +21,11 @@ import msgspec
 import numpy as np
 
 from benchmarks.loop import Loop, Outcome, run_config
-from ltv_mpc.control.config import Weights
+from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.resolution import settled
+from ltv_mpc.control.scaling import THRUST_WEIGHT_FACTOR
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.tools.batch.executor import run_each
 
 HORIZONS_S = (5.1, 10.2, 13.8, 20.1)
@@ -113,12 +117,18 @@ def draw(points: list[Point], path: Path) -> None:
     for horizon_s in sorted({of.horizon_s for of in points}):
         curve = sorted((of for of in points if of.horizon_s == horizon_s), key=lambda of: of.thrust)
         panel.plot([of.power for of in curve], [1e3 * of.error_m for of in curve], "o-", label=f"{horizon_s:g} s")
-    tuned = Weights()
+    proposed = settled(ControllerConfig(), Vehicle.load("paper"))
     for of in points:
-        if (of.horizon_s, of.thrust, of.change) == (13.8, tuned.thrust, tuned.thrust_change):
-            panel.plot(of.power, 1e3 * of.error_m, "k*", markersize=16, label="default")
+        for effort, factor in THRUST_WEIGHT_FACTOR.items():
+            if of.horizon_s == proposed.horizon_s and math.isclose(of.thrust, factor * proposed.weights.thrust):
+                mark, label = ("k*", "default") if effort == "normal" else ("ks", None)
+                panel.plot(of.power, 1e3 * of.error_m, mark, markersize=14 if label else 7, label=label)
+                panel.annotate(effort, (of.power, 1e3 * of.error_m), (7, 6), textcoords="offset points")
     panel.set(xscale="log", yscale="log", xlabel="propulsive power, mean $|F|^{1.5}$ (N$^{1.5}$)")
     panel.set(ylabel="tracking error, mean (mm)", title="Error against propulsive power, by horizon")
+    panel.set_xticks(ticks := (10, 15, 20, 30, 40, 60, 80), map(str, ticks))
+    panel.set_yticks(ticks := (10, 15, 20, 30, 50, 100, 200), map(str, ticks))
+    panel.minorticks_off()
     panel.grid(visible=True, which="both", alpha=0.3)
     panel.legend(title="horizon")
     figure.savefig(path, dpi=140)
