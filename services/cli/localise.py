@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Annotated
 
@@ -46,14 +47,21 @@ def localise(
     """
     import msgspec
 
+    from ltv_mpc.errors import ConfigError
     from services.reporting.terminal import progress_bar
     from services.run import folder
     from services.tools.localise import dive_localisation as dive
     from services.tools.localise import text
 
-    with progress_bar(file.name) as progress:
-        outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m, progress=progress)
     written = None if out is None else folder.open_folder(out, force=force)
+    try:
+        with progress_bar(file.name) as progress:
+            outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m, progress=progress)
+    except ConfigError:
+        if written is not None:
+            with contextlib.suppress(OSError):  # it is not empty
+                written.rmdir()
+        raise
     plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2).decode()
     typer.echo(plain if as_json else text.text(outcome.result))
     if written is not None:
