@@ -81,7 +81,7 @@ def _route_with_roles(options: BusOptions, request: StopRequest, say: Say) -> No
 
 
 class _Report:
-    """Status of the router with the number of denials, and an event when that number has grown.
+    """Status of the router with the number of denials; an event at the first one, at 10, 100, ..., and at the end.
 
     It starts to publish after the first message of another process, so that a recorder does not miss a message.
     """
@@ -109,10 +109,9 @@ class _Report:
             return
         t_ns = self._clock.read(monotonic_us()) or 0
         total = self._denials.total
-        if total > self._reported:
+        if tenfold(total) > tenfold(self._reported) or (finished and total > self._reported):
             text = f"denied {total} attempts so far: {self._denials}"
-            if tenfold(total) > tenfold(self._reported):
-                self._say(text)
+            self._say(text)
             self._out.publish(RunEvent(t_ns=t_ns, node=ROUTER, kind="denied", text=text))
             self._reported = total
         self._out.publish(

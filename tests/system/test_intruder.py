@@ -128,6 +128,7 @@ def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(t
     # Replayed frames have the epoch of the true estimator, whose own frames may then exceed the limit of its rate.
     assert sent["refused"] <= ears.rejected("controller") <= sent["refused"] + OWN_ESTIMATES
     assert ears.rejected("plant") == 0
+    assert len(ears.denied) <= len(str(sent["denied"] + sent["connections"])) + 1  # at 1, 10, 100, ... and at the end
     assert any(re.search(r"display may not put on \S+/plan", text) for text in ears.denied)
     assert "denied" in log.read_text()
     counts = json.loads((run / "summary.json").read_text())["messages"]
