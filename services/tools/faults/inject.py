@@ -25,7 +25,7 @@ from services.bus.message_validation import MessageValidator
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import Publisher, Session, Stopped, open_session
-from services.bus.topics import BY_TYPE, TOPICS, Topic, topic_at
+from services.bus.topics import BY_TYPE, NAMED, TOPICS, Topic, expression, topic_at
 from services.bus.wire import Header, WireError, crc, decode, encode
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.runtime.console import Console
@@ -118,12 +118,12 @@ class _Side:
 
     def subscribe(self, key: str, topic: Topic) -> None:
         """Subscribe to a key."""
-        self._session.subscribe(key, topic, self)
+        self._session.subscribe(key, None if topic.message_type in NAMED else topic, self)
 
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
         """Put a received frame into the mailbox (on Zenoh's thread). Frames that this process published are skipped."""
         if self._takes(key):
-            self._mailbox.offer(topic, key, payload)
+            self._mailbox.offer(topic or topic_at(key), key, payload)
 
     def put(self, key: str, payload: bytes) -> None:
         """Publish a frame on this side."""
@@ -188,7 +188,7 @@ class Injector:
             open_session(a, stop=self._stop, say=self._say) as at_a,
             open_session(b, stop=self._stop, say=self._say) as at_b,
         ):
-            own, others = _written_by(self._node), _read_by(self._node)
+            own, others = _written_by(self._node), read_by(self._node)
             side_a = _Side(at_a, self._mailbox, lambda key: key not in own)
             side_b = _Side(at_b, self._mailbox, lambda key: key in own)
             self._sides = side_a, side_b
@@ -293,9 +293,13 @@ def _written_by(node: str) -> dict[str, Topic]:
     }
 
 
-def _read_by(node: str) -> dict[str, Topic]:
-    """Return the keys of other nodes that a node reads; a plant also reads the status of all nodes."""
-    heard = {topic.key: topic for topic in TOPICS if node in topic.read_by or ANYONE in topic.read_by}
+def read_by(node: str) -> dict[str, Topic]:
+    """Return the keys of other nodes that a node reads, of named sources too; a plant also reads the status of all."""
+    heard = {
+        (expression(topic) if topic.message_type in NAMED else topic.key): topic
+        for topic in TOPICS
+        if node in topic.read_by or ANYONE in topic.read_by
+    }
     if node == BY_TYPE[Clock].written_by:
         heard[f"{BY_TYPE[NodeStatus].key}/*"] = BY_TYPE[NodeStatus]
     own = _written_by(node)

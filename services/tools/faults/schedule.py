@@ -13,7 +13,7 @@ from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Injection, MessageFault
 from ltv_mpc.validation import bounds
-from services.bus.topics import topic_at
+from services.bus.topics import NAMED, topic_at
 
 Time = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
@@ -67,6 +67,8 @@ def problem(injection: Injection) -> tuple[str, str] | None:
     topic = topic_at(injection.key)
     if topic is None:
         return "key", "must be a key of `ltv-mpc topics`"
+    if topic.message_type in NAMED and injection.key != topic.key:
+        return "key", f"must be {topic.key}: a fault there concerns all of its sources"
     if injection.end_t_ns <= injection.start_t_ns:
         return "end_s", f"must be > start_s = {injection.start_t_ns / 1e9:g}"
     if injection.fault in SHARES and not 0 < injection.size <= 1:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Injection, MessageFault, PressureDepth
+from ltv_mpc.messages import Applied, Estimate, Injection, MessageFault, PressureDepth
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, WireError, decode, encode
 from services.tools.faults import schedule
-from services.tools.faults.inject import Interference, unlike_at_a
+from services.tools.faults.inject import Interference, read_by, unlike_at_a
 
 MS, S = 1_000_000, 1_000_000_000
 TOPIC = BY_TYPE[PressureDepth]
@@ -81,6 +81,13 @@ def test_a_fault_may_be_added_while_it_runs():
     assert way.carry(TOPIC, frame(1), S) == []
 
 
+def test_a_controller_hears_the_named_sources_of_estimates_through_the_injector():
+    heard = read_by("controller")
+    assert heard["estimate/**"] is BY_TYPE[Estimate]
+    assert "estimate" not in heard  # the expression contains it
+    assert heard["applied"] is BY_TYPE[Applied]
+
+
 def test_a_schedule_is_read_from_a_file_and_from_words(tmp_path):
     path = tmp_path / "faults.toml"
     path.write_text('[[fault]]\nharm = "delay"\nkey = "plan"\nstart_s = 3\nend_s = 4.5\nsize = 0.25\nseed = 6\n')
@@ -97,6 +104,7 @@ def test_a_schedule_is_read_from_a_file_and_from_words(tmp_path):
         ("loss,plan,3", "must be HARM,KEY,START_S,END_S"),
         ("lost,plan,3,4", "harm"),
         ("loss,plane,3,4", "key: must be a key of `ltv-mpc topics`"),
+        ("loss,estimate/gps,3,4", "key: must be estimate: a fault there concerns all of its sources"),
         ("not_a_number,command,3,4", "key: has no field that can be NaN"),
         ("loss,plan,4,4", "end_s: must be > start_s = 4"),
         ("loss,plan,3,4,1.5", "size: must be > 0 and <= 1"),
