@@ -62,6 +62,7 @@ def runs(kinds: Sequence[FaultClass], n: int, *, seed: int, several: int, seeds:
     afloat = [drawn[i] for i in order if drawn[i].target in AFLOAT]
     lasting = [drawn[i] for i in order if _lasts(drawn[i], pace)]
     others = [drawn[i] for i in order if not _lasts(drawn[i], pace) and drawn[i].target not in AFLOAT]
+    others.sort(key=lambda fault: fault.kind != "reference_point")  # its alarm outlasts it: at most one in a run
     count = max(math.ceil(n / several), len(afloat), len(lasting))
     # Dealt in turn: at most one of each that must come first or last in a run.
     return [
