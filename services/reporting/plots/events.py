@@ -18,6 +18,7 @@ from ltv_mpc.messages import (
     Plan,
     PlanOrigin,
     RunEvent,
+    Truth,
 )
 
 MAX_MARKS = 200
@@ -45,7 +46,8 @@ class Marks:
         self._origin: PlanOrigin | None = None
         self._filter = FilterStatus.NOMINAL
         self._epochs: dict[str, int] = {}
-        self._commands: dict[int, Command] = {}
+        self._commands: dict[int, tuple[Command, int]] = {}  # with the epoch of the sender, by identifier
+        self._simulator: int | None = None  # epoch of the simulated vehicle
         self._newest_ns = 0
 
     def add(self, signal: Message, epoch: int) -> None:
@@ -59,7 +61,9 @@ class Marks:
                 self._append(signal.t_ns, "estimator", f"filter {signal.status.value}{_because(signal.why)}")
                 self._filter = signal.status
             case Command():
-                self._commands[signal.command_id] = signal
+                self._commands[signal.command_id] = signal, epoch
+            case Truth():
+                self._simulator = epoch
             case Acknowledgement():
                 self._add_acknowledgement(signal)
             case NodeStatus():
@@ -81,9 +85,11 @@ class Marks:
         self._origin = plan.origin
 
     def _add_acknowledgement(self, answer: Acknowledgement) -> None:
-        command = self._commands.pop(answer.command_id, None)
+        command, epoch = self._commands.pop(answer.command_id, (None, None))
         asked = "a command" if command is None else command.action.value
-        why = "; ".join(answer.warnings) if answer.accepted else answer.why
+        # A simulated vehicle arms by force before the first estimate: what it skips is no event of the run.
+        simulated = epoch is not None and epoch == self._simulator
+        why = answer.why if not answer.accepted else "" if simulated else "; ".join(answer.warnings)
         text = f"{asked} {'accepted' if answer.accepted else 'rejected'}{_because(why)}"
         self._append(answer.t_ns, "controller", text)
 

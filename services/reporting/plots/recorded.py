@@ -64,9 +64,10 @@ class PlotData(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _When(msgspec.Struct):
-    """Time of a message: the only field that is decoded for each message."""
+    """Time and source of a message: the only fields that are decoded for each message."""
 
     t_ns: int
+    epoch: int
 
 
 class _Sieve:
@@ -96,7 +97,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
     parts = [Records(path) for path in segments(recording)]
     decode, when = msgspec.json.Decoder(dict[str, Any]).decode, msgspec.json.Decoder(_When).decode
     kinds: dict[int, type[Message] | None] = {}
-    sieves = {kind: _Sieve(period_ns, rows) for kind, period_ns in OFTEN.items()}
+    sieves: dict[tuple[type[Message], int], _Sieve] = {}  # by type and source: each source has rows of its own
     metadata: dict[str, str] = {}
     files: dict[str, str] = {}  # of the processes that published their settings
     start_ns = 0
@@ -109,11 +110,17 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
             if kind is None:
                 continue
             try:
-                if kind in sieves and not sieves[kind].passes(when(record.data).t_ns):
-                    continue
+                if kind in OFTEN:
+                    passing = when(record.data)
+                    sieve = sieves.get((kind, passing.epoch))
+                    if sieve is None:
+                        sieve = sieves[kind, passing.epoch] = _Sieve(OFTEN[kind], rows)
+                    if not sieve.passes(passing.t_ns):
+                        continue
                 plain = decode(record.data)
+                whole = plain
                 if kind is Estimate:  # the profile is the largest part, and only the last one is drawn
-                    newest, plain = plain, {**plain, "current": None}
+                    plain = {**whole, "current": None}
                 signal, header = wire.from_map(kind, plain)
             except (wire.WireError, msgspec.DecodeError):
                 continue
@@ -124,6 +131,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
                 source_epoch = signal.source_epoch
             elif kind is not Estimate or source_epoch in (0, header.epoch):  # else it is of a source not in use
                 collector.add(signal, header.epoch)
+                newest = whole if kind is Estimate else newest
             if isinstance(signal, NodeSettings):
                 files |= signal.files
         elif isinstance(record, Channel):

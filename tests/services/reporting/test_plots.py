@@ -157,6 +157,16 @@ def test_events_and_changes_are_marks() -> None:
     ]
 
 
+@pytest.mark.parametrize(("simulated", "text"), [(True, "arm accepted"), (False, "arm accepted: skipped: estimate")])
+def test_what_a_simulated_vehicle_skips_when_it_arms_is_no_mark(simulated: bool, text: str) -> None:
+    collector = Collector()
+    if simulated:
+        collector.add(synthetic_run.truth(0), EPOCH)
+    collector.add(synthetic_run.ARM, EPOCH)
+    collector.add(msgspec.structs.replace(synthetic_run.ARMED, warnings=("skipped: estimate",)), EPOCH + 1)
+    assert [mark.text for mark in collector.marks.marks] == [text]
+
+
 def test_a_table_stays_small_and_keeps_its_peaks() -> None:
     table = Table(("t", "x"), limit=50, peak="x")
     for t in range(10_000):
@@ -196,6 +206,20 @@ def test_estimates_of_a_source_that_is_not_in_use_are_not_drawn(tmp_path: Path) 
                 estimate = msgspec.structs.replace(Estimate.at_rest(north_m=north_m, depth_m=0.0), t_ns=t_ns)
                 writer.write("estimator", estimate, Header(epoch=epoch, sequence=k), t_ns)
     assert read(path).tables["track"]["north_m"] == [1.0] * 20
+
+
+def test_a_second_source_does_not_thin_the_track_of_the_one_in_use(tmp_path: Path) -> None:
+    """Its estimates come first in each period."""
+    path, used = tmp_path / "run.mcap", 5
+    with RunWriter(path, start_ns=0, metadata={}) as writer:
+        in_use = msgspec.structs.replace(CONTROLLER_STATUS, source="default", source_epoch=used)
+        writer.write("controller", in_use, Header(epoch=1, sequence=0), 0)
+        for k in range(50):
+            for epoch, later_ns in ((6, 0), (used, 10_000_000)):
+                t_ns = k * S // 10 + later_ns
+                estimate = msgspec.structs.replace(Estimate.at_rest(north_m=1.0, depth_m=0.0), t_ns=t_ns)
+                writer.write("estimator", estimate, Header(epoch=epoch, sequence=k), t_ns)
+    assert len(read(path).tables["track"]["t_s"]) >= 10
 
 
 def test_of_a_recording_that_was_cut_off_what_is_there_is_read(tmp_path: Path) -> None:
