@@ -112,9 +112,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
             try:
                 if kind in OFTEN:
                     passing = when(record.data)
-                    sieve = sieves.get((kind, passing.epoch))
-                    if sieve is None:
-                        sieve = sieves[kind, passing.epoch] = _Sieve(OFTEN[kind], rows)
+                    sieve = sieves.setdefault((kind, passing.epoch), _Sieve(OFTEN[kind], rows))
                     if not sieve.passes(passing.t_ns):
                         continue
                 plain = decode(record.data)
