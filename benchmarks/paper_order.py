@@ -59,6 +59,12 @@ FACTORS = (
     Factor("correlation length of the current (m)", 2.0, 40.0),
     Factor("yaw damping (kg m2)", 50.0, 800.0),
 )
+WEIGHT = 2
+"""Index of the weight on thrust."""
+
+DECIDING_WEIGHT = 0.02
+"""Weight on thrust that divides the sample: full thrust of one thruster then costs as much as 0.14 m off the line."""
+
 NONE = "none"
 CONTROLS: dict[str, float | None] = {NONE: None, "2.5 s": SHORT_S, "5 s": LONG_S}
 
@@ -120,22 +126,26 @@ def sample(points: int) -> list[list[float]]:
     return [[factor.at(float(part)) for factor, part in zip(FACTORS, row, strict=True)] for row in parts]
 
 
-def share(holds: Sequence[bool]) -> str:
+def share(holds: np.ndarray) -> str:
     """Return the percentage of points in which something holds, with its exact 95 % interval."""
-    interval = binomtest(sum(holds), len(holds)).proportion_ci()
+    interval = binomtest(int(holds.sum()), len(holds)).proportion_ci()
     return f"{100 * np.mean(holds):.0f} % ({100 * interval.low:.0f} to {100 * interval.high:.0f})"
 
 
 def tables(points: Sequence[list[float]], errors: Sequence[dict[str, float]]) -> str:
-    """Return the share of points in which each claim holds, in all and by thirds of each factor."""
+    """Return the share of points in which each claim holds, by the weight on thrust and by thirds of each factor."""
+    x = np.array(points)
+    heavy = x[:, WEIGHT] >= DECIDING_WEIGHT
     holds = {name: np.array([claim(e) for e in errors]) for name, claim in CLAIMS.items()}
-    rows = [f"| {name} | {share(each.tolist())} |" for name, each in holds.items()]
-    rows += ["", "| 2.5 s < none, by thirds of | lowest | middle | highest |", "|---|---|---|---|"]
+    rows = [f"| claim | all {len(x)} points | weight below {DECIDING_WEIGHT} | above |", "|---|---|---|---|"]
+    rows += [f"| {name} | {share(h)} | {share(h[~heavy])} | {share(h[heavy])} |" for name, h in holds.items()]
+    rows += ["", f"| 2.5 s < none, weight below {DECIDING_WEIGHT}, by thirds of | lowest | middle | highest |"]
+    rows += ["|---|---|---|---|"]
+    light, held = x[~heavy], holds["2.5 s < none"][~heavy]
     for i, factor in enumerate(FACTORS):
-        order = np.argsort([x[i] for x in points], kind="stable")
-        parts = [share(holds["2.5 s < none"][third].tolist()) for third in np.array_split(order, 3)]
-        rows.append(f"| {factor.name} | {' | '.join(parts)} |")
-    return "\n".join(["| claim | holds |", "|---|---|", *rows])
+        thirds = np.array_split(np.argsort(light[:, i], kind="stable"), 3)
+        rows.append(f"| {factor.name} | {' | '.join(share(held[third]) for third in thirds)} |")
+    return "\n".join(rows)
 
 
 def draw(points: Sequence[list[float]], errors: Sequence[dict[str, float]], path: Path) -> None:
@@ -147,7 +157,7 @@ def draw(points: Sequence[list[float]], errors: Sequence[dict[str, float]], path
 
     ratio = np.array([e["2.5 s"] / e[NONE] for e in errors])
     holds = np.array([CLAIMS["the paper's order"](e) for e in errors])
-    figure, axes = plt.subplots(2, 5, figsize=(15, 6), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(2, 5, figsize=(14, 6.4), sharey=True, layout="constrained")
     for i, (factor, axis) in enumerate(zip(FACTORS, axes.flat, strict=True)):
         x = np.array([point[i] for point in points])
         if factor.name == "time adrift (s)":
@@ -159,9 +169,12 @@ def draw(points: Sequence[list[float]], errors: Sequence[dict[str, float]], path
             axis.plot(x[those], ratio[those], marker, color=colour, markersize=5, label=label)
         axis.axhline(1.0, color="black", linewidth=0.8)
         axis.set(xlabel=factor.name, xscale="log" if factor.is_log else "linear", yscale="log")
-    for row in axes:
-        row[0].set_ylabel("error at 2.5 s over that without control")
-    axes[0][0].legend()
+        axis.minorticks_off()
+        ticks = [factor.at(part) for part in (0.0, 0.5, 1.0)] if factor.is_log else axis.get_xticks()[1:-1]
+        axis.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
+        axis.set_yticks([0.2, 0.5, 1.0, 2.0, 5.0], ["0.2", "0.5", "1", "2", "5"])
+    figure.supylabel("mean error at 2.5 s of horizon over that without control")
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     figure.savefig(path, dpi=100)
 
 
@@ -178,11 +191,12 @@ def main() -> None:
     for k in range(len(flown), len(points)):
         seeds = range(FIRST_SEED + k * options.seeds, FIRST_SEED + (k + 1) * options.seeds)
         means = {
-            name: float(np.mean([error_m(points[k], horizon_s, seed) for seed in seeds]))
+            name: round(float(np.mean([error_m(points[k], horizon_s, seed) for seed in seeds])), 4)
             for name, horizon_s in CONTROLS.items()
         }
-        flown.append({"settings": dict(zip((f.name for f in FACTORS), points[k], strict=True)), "error_m": means})
-        options.results.write_text(json.dumps(flown, indent=1) + "\n")
+        settings = {factor.name: float(f"{x:.4g}") for factor, x in zip(FACTORS, points[k], strict=True)}
+        flown.append({"settings": settings, "error_m": means})
+        options.results.write_text("[\n" + ",\n".join(map(json.dumps, flown)) + "\n]\n")
         print(k, {name: round(mean, 3) for name, mean in means.items()}, flush=True)
     errors = [point["error_m"] for point in flown[: len(points)]]
     print(tables(points, errors))
