@@ -173,13 +173,14 @@ class CurrentBias:
         applied = self._applies_to(last)
         predicted, (bias_mps, covariance) = predict_and_update(
             self._belief if applied else NO_BIAS,
-            np.array([estimate.velocity_north_mps, estimate.velocity_east_mps]),
-            estimate.t_ns,
+            (estimate.t_ns, np.array([estimate.velocity_north_mps, estimate.velocity_east_mps])),
             prediction.coefficients,
             prediction.measured(last),
             prediction.delivered(commands),
-            (profile.depth_m, profile.north_mps, profile.east_mps),
-            (later.depth_m, later.north_mps, later.east_mps),
+            (
+                (profile.depth_m, profile.north_mps, profile.east_mps),
+                (later.depth_m, later.north_mps, later.east_mps),
+            ),
             self._noise,
             learns,
         )
@@ -191,13 +192,11 @@ class CurrentBias:
 @jit
 def predict_and_update(
     belief: Belief,
-    velocity: Array,
-    until: int,
+    newest: tuple[int, Array],
     vehicle: Array,
     measured: Measured,
     commands: Commands,
-    profile: Profile,
-    later: Profile,
+    profiles: tuple[Profile, Profile],
     noise: Noise,
     updates: bool,
 ) -> tuple[tuple[float, float], Belief]:
@@ -206,19 +205,19 @@ def predict_and_update(
     Parameters
     ----------
     belief : before the step.
-    velocity : (2,) measured velocity over ground at ``until``, north and east (m/s).
-    until : time of the measurement (ns).
-    vehicle, measured, commands, profile : as ``predict_state`` takes them, from the last estimate; without the bias.
-    later : profile of the newest estimate, without the bias.
+    newest : time of the newest estimate (ns), and its velocity over ground (2,), north and east (m/s).
+    vehicle, measured, commands : as ``predict_state`` takes them, from the last estimate.
+    profiles : of the last and of the newest estimate, without the bias.
     noise : of the walk, of the velocity, and the prior.
     updates : False: only predict.
 
     Returns
     -------
-    Predicted velocity over ground at ``until``, north and east (m/s), and the belief after the step.
+    Predicted velocity over ground of the newest estimate, north and east (m/s), and the belief after the step.
     """
     b, P = belief
-    predicted = _predicted_velocity(b, until, vehicle, measured, commands, profile, later)
+    until, velocity = newest
+    predicted = _predicted_velocity(b, until, vehicle, measured, commands, profiles)
     if not updates:
         return predicted, (b, P)
     walk, velocity_sd, prior_variance = noise
@@ -226,7 +225,7 @@ def predict_and_update(
     for j in range(2):  # one difference for each component of b
         shifted = b.copy()
         shifted[j] += STEP_MPS
-        v = _predicted_velocity(shifted, until, vehicle, measured, commands, profile, later)
+        v = _predicted_velocity(shifted, until, vehicle, measured, commands, profiles)
         for i in range(2):
             H[i, j] = (v[i] - predicted[i]) / STEP_MPS
     out_b, out_P = b.copy(), _propagate(P, until - measured[0], walk, prior_variance)
@@ -253,10 +252,10 @@ def predict_and_update(
 
 @jit
 def _predicted_velocity(
-    b: Array, until: int, vehicle: Array, measured: Measured, commands: Commands, profile: Profile, later: Profile
+    b: Array, until: int, vehicle: Array, measured: Measured, commands: Commands, profiles: tuple[Profile, Profile]
 ) -> tuple[float, float]:
     """Return h(b): the velocity over ground, north and east (m/s), with bias b (2,); other arguments as above."""
-    depth, north, east = profile
+    (depth, north, east), later = profiles
     end = predict_state(vehicle, measured, until, commands, (depth, north + b[0], east + b[1]))
     before_north, before_east = current_at_depth(depth, north, east, end[11])
     current_north, current_east = current_at_depth(later[0], later[1], later[2], end[11])
