@@ -168,8 +168,8 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
     """Compile and load all code that a cycle can need, with the cycles of a temporary controller.
 
     Two cycles at the start of the reference; two far from it, where the line search shortens the step and the solver
-    iterates; one whose solver fails; one with an estimate that is not finite; one under manual command; and two without
-    a new estimate, in hold and in failsafe.
+    iterates; one whose solver fails; one with an estimate that is not finite; one under manual command; one after a gap
+    in the estimates; and some without a new estimate, until hold and failsafe.
     """
     fails = False
 
@@ -192,8 +192,9 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
         0: (Command(command_id=0, action=Action.ARM, force=True),),
         6: (Command(command_id=1, action=Action.MANUAL), Manual(thrust_N=(1.0, 1.0, 0.0))),
     }
-    for k, estimate in enumerate((near, near, far, far, far, broken, near)):
-        t_ns, fails = start_ns + k * config.period_ns, k == 4
+    for k, estimate in enumerate((near, near, far, far, far, broken, near, near)):
+        gap_ns = 3_000_000_000 if k == 7 else 0  # too long for the bias of the current, which then only grows uncertain
+        t_ns, fails = start_ns + k * config.period_ns + gap_ns, k == 4
         messages = (msgspec.structs.replace(estimate, t_ns=t_ns), *others.get(k, ()))
         node.steps([(t_ns, [ReceivedMessage(message, 1, k, t_ns) for message in messages])])
     for missed_s in (2.0, 12.0, 30.0):  # prediction, hold, failsafe

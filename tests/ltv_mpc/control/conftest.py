@@ -93,7 +93,7 @@ def cycles() -> list[Cycle]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(OsqpSolver, "build", remembered)
-        descend(1, 70)
-        descend(2, 70)
-        descend(3, 70, start={"north_m": 2.0, "heading_rad": 3.0})
+        config = ControllerConfig(horizon_s=5.1)  # as long as that of the solvers that get these problems
+        for seed, start in ((1, {}), (2, {}), (3, {"north_m": 2.0, "heading_rad": 3.0})):
+            descend(seed, 70, config, start)
     return seen
