@@ -86,7 +86,11 @@ class FaultySolver(RecordingSolver):
         return result
 
 
-def faulty(vehicle=SURFACES, reference=POINT, config: ControllerConfig | None = None) -> tuple[Controller, Faulty]:
+EQUAL_STAGES = ControllerConfig(horizon_s=5.1)
+"""17 stages of 0.3 s: a plan that is shifted moves by one knot a cycle."""
+
+
+def faulty(vehicle=SURFACES, reference=POINT, config: ControllerConfig = EQUAL_STAGES) -> tuple[Controller, Faulty]:
     """Return a controller, and the factory that breaks its solver."""
     factory = Faulty()
     return Controller(vehicle, reference, config, make_solver=factory), factory
