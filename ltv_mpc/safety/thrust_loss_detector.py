@@ -7,7 +7,7 @@ their noise e:
 
     phi_1, phi_2   regressors of port and starboard thrust
     phi_3          regressor of the drag
-    phi_4, phi_5   regressors of moments that the model may not contain; zero if the estimates have a current
+    phi_4, phi_5   regressors of moments that the model may not contain; zero if the vehicle is identified
 
 The unknowns l_1 = c + s, l_2 = c - s and b are the constant mismatch between vehicle and model. If mass, drag and
 thrust are each off by at most 10 %, and the two thrusters differ by at most ``THRUSTER_DIFFERENCE``, they are, in units

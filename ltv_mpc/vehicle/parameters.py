@@ -119,6 +119,7 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     failsafe_vertical_N: Annotated[float, Meta(ge=-1e6, le=1e6)] = 0.0  # thrust in failsafe; positive pushes down
     # longest time for which the actuators follow a plan without a new one, whatever the length of the plan
     plan_timeout_s: Annotated[float, Meta(ge=0.5, le=60)] = PLAN_TIMEOUT_S
+    identified: bool = False  # masses, damping and thrust are within 10 % of the true ones, for the model monitor
     surge: Translation
     sway: Translation
     heave: Translation | None = None

@@ -1,11 +1,28 @@
-"""Starboard delivers half of what it reports for a minute of the hold; a healthy and a weak lap of the square."""
+"""Starboard delivers half of what it reports for a minute of the hold; a healthy and a weak lap of the square.
+
+The healthy laps are flown with and without the current in the estimates.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 from ltv_mpc.messages import ModelCheck
 from tests.foreign_plant.flight import SQUARE, Figure, Flight, distance_m
+from tests.foreign_plant.plant import Sender
 
 SOUND = 1.0, 1.0
+
+
+class CurrentKnown(Flight):
+    """Flight whose estimates contain the current."""
+
+    def estimates(self, t_ns: int) -> Iterable[tuple[str, Sender, dict[str, Any]]]:
+        """Return the estimate with the true current."""
+        north_mps, east_mps = self.hull.current
+        current = {"depth_m": [0.0], "north_mps": [north_mps], "east_mps": [east_mps]}
+        return [("estimate", self.sender, {**self.hull.estimate(t_ns), "current": current})]
 
 
 def run() -> list[Figure]:
@@ -19,8 +36,11 @@ def run() -> list[Figure]:
     sound_m = distance_m(hold.fly(40.0)).max()
     begin_s = hold.plans[0].cycle_t_ns * 1e-9
     weak_s = [plan.cycle_t_ns * 1e-9 - begin_s for plan in hold.plans if "starboard thruster weak" in plan.health_why]
-    healthy = square(SOUND, 100.0)
-    weak = square((0.7, 1.0), 30.0)
+    healthy = square(Flight(), SOUND, 100.0)
+    known_current = CurrentKnown()
+    square(known_current, SOUND, 100.0)
+    known = [message for message in known_current.outputs if isinstance(message, ModelCheck)]
+    weak = square(Flight(), (0.7, 1.0), 30.0)
     return [
         Figure("hold at half: health degraded after", min(weak_s, default=1e3) - 30.0, 12.0, "s"),
         Figure("hold at half: distance", float(weak_m), 0.05, "m"),
@@ -28,13 +48,13 @@ def run() -> list[Figure]:
         Figure("hold: distance after the recovery", float(sound_m), 0.05, "m"),
         Figure("degraded before the loss", float(sum(t < 30.0 for t in weak_s)), 0.0, "plans"),
         Figure("square: evidence without a loss", max(check.evidence for check in healthy), 6.0, "nats"),
+        Figure("the same, hold and square, current known", max(check.evidence for check in known), 6.0, "nats"),
         Figure("square at 70 %: alarm after", first_alarm_s(weak), 10.0, "s"),
     ]
 
 
-def square(shares: tuple[float, float], seconds: float) -> list[ModelCheck]:
+def square(flight: Flight, shares: tuple[float, float], seconds: float) -> list[ModelCheck]:
     """Return the model checks of a flight along the square, from 12 s after its begin with these shares on."""
-    flight = Flight()
     flight.command(action="arm")
     flight.fly(30.0)
     flight.command(action="follow", reference_toml=SQUARE.read_text())
