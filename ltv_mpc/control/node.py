@@ -36,12 +36,13 @@ from ltv_mpc.messages import (
     MissionAction,
     ModelCheck,
     Plan,
+    RejectedFrame,
 )
 from ltv_mpc.node import Cycle, Due, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.safety.command_arbiter import MANUAL_TIMEOUT_NS, CommandArbiter
 from ltv_mpc.safety.health import NOMINAL, HealthState, report_health, worst
-from ltv_mpc.safety.input_monitor import InputMonitor
+from ltv_mpc.safety.input_monitor import SECOND_SOURCE, InputMonitor
 from ltv_mpc.safety.mission_policy import MissionPolicy
 from ltv_mpc.safety.model_monitor import ModelMonitor
 from ltv_mpc.safety.plan_rejections import PlanRejections
@@ -51,6 +52,9 @@ from ltv_mpc.vehicle.parameters import Vehicle
 CLOCK_DOUBT_NS = 10_000_000_000
 """Time for which the health is degraded after a clock step that may also be a congested link."""
 
+ACTUATORS = "applied"
+"""Input of the actuators' reports."""
+
 UNCERTAIN_CLOCK = "a publisher's clock was set back, or its link is congested"
 
 
@@ -58,10 +62,10 @@ class ControllerNode:
     """Controller of one vehicle as a node.
 
     It reads the newest ``Estimate`` and ``Manual``, and each ``Applied``, ``Command``, ``CycleTiming``, ``ClockStep``,
-    ``Battery``, ``Leak`` and ``Heartbeat``; commands after the other messages of an inbox. It writes one ``Plan`` per
-    cycle, also while disarmed: that plan ramps all thrusts to zero. It also writes an ``Acknowledgement`` for each
-    command, a ``ControllerState`` and a ``ModelCheck`` from time to time. A node that replaces another one receives the
-    newest ``ControllerState`` as its first message.
+    ``Battery``, ``Leak`` and ``Heartbeat``, and the ``RejectedFrame`` of its own process; commands after the other
+    messages of an inbox. It writes one ``Plan`` per cycle, also while disarmed: that plan ramps all thrusts to zero. It
+    also writes an ``Acknowledgement`` for each command, a ``ControllerState`` and a ``ModelCheck`` from time to time. A
+    node that replaces another one receives the newest ``ControllerState`` as its first message.
     """
 
     name = "controller"
@@ -75,6 +79,7 @@ class ControllerNode:
         Heartbeat,
         Battery,
         Leak,
+        RejectedFrame,
     )
     writes: tuple[type[Message], ...] = (Plan, Acknowledgement, ControllerState, ModelCheck)
 
@@ -172,6 +177,8 @@ class ControllerNode:
                     self.controller.add_report(applied)
                     self._model_monitor.add_report(applied)
                     self._plan_rejections.add(applied, received.received_t_ns)
+            case RejectedFrame() as rejected if rejected.key == ACTUATORS:
+                self.reports.reject(rejected.reason)
             case CycleTiming() as timing:
                 self.controller.add_timing(timing)
             case _:
@@ -213,7 +220,7 @@ class ControllerNode:
                 rejected=monitor.rejected + more,
                 **monitor.state_at(self._cycle_ns, ages)._asdict(),
             )
-            for name, monitor, more in (("estimate", self.sources.monitor, implausible), ("applied", self.reports, 0))
+            for name, monitor, more in (("estimate", self.sources.monitor, implausible), (ACTUATORS, self.reports, 0))
         )
 
     def _health_of_inputs(self, t_ns: int) -> HealthState:
@@ -227,7 +234,7 @@ class ControllerNode:
             "plans": self._plan_rejections.health(t_ns),
             "clock": self._health_of_clock(t_ns),
             "reference point": self.controller.reference_point_check.health,
-            "source": self.sources.health(t_ns),
+            "source": worst(self.sources.health(t_ns), self._health_of_report_source(t_ns)),
             "thrusters": self._health_of_thrusters(),
         }
 
@@ -238,6 +245,13 @@ class ControllerNode:
         if silent_ns is None or silent_ns <= ages.degraded_s * 1e9:
             return NOMINAL  # for any period of the reports
         return report_health(silent_ns=silent_ns, period_ns=reports.period.median_ns, ages=ages)
+
+    def _health_of_report_source(self, t_ns: int) -> HealthState:
+        """Return the health by a second source of the actuators' reports, whose frames validation rejects."""
+        why = self.reports.second_source(t_ns)
+        if not why:
+            return NOMINAL
+        return HealthState(Health.DEGRADED, f"{SECOND_SOURCE} on {ACTUATORS}{why.removeprefix(SECOND_SOURCE)}")
 
     def _health_of_clock(self, t_ns: int) -> HealthState:
         """Return the health by doubts about a publisher's clock."""

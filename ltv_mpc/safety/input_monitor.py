@@ -24,6 +24,12 @@ MAX_MEAN_OVER_MEDIAN = 2.0
 CLOCK_SET_BACK_NS = 10_000_000_000
 """Step backwards between two stamps from which the sender's clock counts as set back."""
 
+CONTESTED_NS = 1_500_000_000
+"""Time for which a second source is reported after both have published."""
+
+SECOND_SOURCE = "second source"
+"""Begin of the reason for which message validation rejects a frame of a second source."""
+
 
 class Period:
     """Spacing between successive stamps of one kind of message."""
@@ -82,6 +88,29 @@ class InputMonitor:
         self._sequence = -1
         self._stamp_ns: int | None = None
         self._received_ns = 0
+        self._second = ""  # reason of the last rejection of a second source
+        self._unanswered = False  # no message was accepted since
+        self._contested_ns: int | None = None  # last time at which both published
+
+    def reject(self, why: str) -> None:
+        """Note a message that validation has rejected before it came here; only those of a second source count.
+
+        Parameters
+        ----------
+        why : reason of the rejection.
+        """
+        if why.startswith(SECOND_SOURCE):
+            self._second, self._unanswered = why, True
+
+    def second_source(self, t_ns: int) -> str:
+        """Return the reason of the last rejection if a second source publishes beside the accepted one, else "".
+
+        Parameters
+        ----------
+        t_ns : current time (ns).
+        """
+        contested = self._contested_ns is not None and t_ns - self._contested_ns <= CONTESTED_NS
+        return self._second if contested else ""
 
     def receive(self, *, epoch: int, sequence: int, stamp_ns: int, received_ns: int) -> bool:
         """Return True if a message is accepted as the newest one.
@@ -109,6 +138,8 @@ class InputMonitor:
         if self._stamp_ns is None or older_ns != 0:
             self.period.add(stamp_ns)
         self._epoch, self._sequence, self._stamp_ns, self._received_ns = epoch, sequence, stamp_ns, received_ns
+        if self._unanswered:
+            self._unanswered, self._contested_ns = False, received_ns
         return True
 
     def restart(self) -> None:

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
 from ltv_mpc.safety.health import DEGRADED_PERIODS
-from ltv_mpc.safety.input_monitor import Period
+from ltv_mpc.safety.input_monitor import CONTESTED_NS, Period
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -46,9 +46,6 @@ MAX_GAP_NS = 10_000_000_000
 
 MAX_CANDIDATES = 64
 """Number of sources that are remembered; beyond it the one that was silent longest is forgotten."""
-
-CONTESTED_NS = 1_500_000_000
-"""Time for which a second source is reported after both have published."""
 
 
 class Source(NamedTuple):

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ltv_mpc.safety.input_monitor import SECOND_SOURCE
 from services.bus.wire import Header, WireError
 
 MAX_SKIPPED = 20
@@ -72,7 +73,7 @@ class SequenceCheck:
         self._sources[key] = source  # now the last one to be forgotten
         another = header.epoch != source.epoch
         if another and 0 <= received_us - source.received_us < silent_us:
-            raise WireError(f"second source: epoch {header.epoch} while epoch {source.epoch} publishes")
+            raise WireError(f"{SECOND_SOURCE}: epoch {header.epoch} while epoch {source.epoch} publishes")
         last = source.former.get(header.epoch, -1) if another else source.sequence
         skipped = header.sequence - last - 1
         if skipped < 0:

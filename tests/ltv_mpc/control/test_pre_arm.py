@@ -27,6 +27,7 @@ from ltv_mpc.messages import (
     Message,
     MissionAction,
     Plan,
+    RejectedFrame,
 )
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.mission_policy import MissionSettings
@@ -146,6 +147,21 @@ def idle_actuators(craft: Craft) -> tuple[Message, ...]:
     return (applied(craft, Health.FAILSAFE),)
 
 
+SECOND = RejectedFrame(
+    t_ns=0,
+    node="controller",
+    key="applied",
+    reason="second source: epoch 5 while epoch 3 publishes",
+    crc=0,
+    payload_base64="",
+)
+
+
+def second_actuators(craft: Craft) -> tuple[Message, ...]:
+    craft.step(applied(craft))
+    return SECOND, applied(craft)
+
+
 def doubtful_clock(craft: Craft) -> tuple[Message, ...]:
     return (ClockStep(t_ns=craft.t_ns, input="estimate", publisher=1, step_ns=-2 * S, certain=False),)
 
@@ -172,6 +188,7 @@ def nothing(_: Craft) -> tuple[Message, ...]:
         (impossible_estimate, {}, "plan: no valid estimate: yaw rate above what the vehicle can reach"),
         (silent_actuators, {}, "actuators: the actuators do not report"),
         (idle_actuators, {}, "actuators: they do not follow the plans (health failsafe)"),
+        (second_actuators, {}, "source: second source on applied: epoch 5 while epoch 3 publishes: stop the publisher"),
         (doubtful_clock, {}, "clock: a publisher's clock was set back, or its link is congested"),
         (low_battery, {"battery_min_V": 10, "leak": True}, "battery: battery below 10 V: charge or replace it"),
         (leak, {"battery_min_V": 10, "leak": True}, "leak: leak detected"),
@@ -186,6 +203,20 @@ def test_each_check_that_fails_is_named_with_what_to_do_and_force_skips_it(prepa
     assert said in text
     assert ("--force" in text) == (not force)
     assert ("skipped: " in text) == force
+
+
+def test_a_second_source_of_the_reports_degrades_the_health_while_it_publishes():
+    craft = Craft()
+    craft.command(Action.ARM, applied(craft))
+    for _ in range(5):
+        plan = craft.step(SECOND, applied(craft))
+    assert (plan.health, plan.health_why) == (
+        Health.DEGRADED,
+        "second source on applied: epoch 5 while epoch 3 publishes",
+    )
+    for _ in range(6):
+        plan = craft.step(applied(craft))
+    assert plan.health is Health.NOMINAL
 
 
 def test_a_reference_beyond_reach_is_refused_at_its_start():

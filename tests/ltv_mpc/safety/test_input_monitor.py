@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.safety.input_monitor import CLOCK_SET_BACK_NS, InputMonitor, Period
+from ltv_mpc.safety.input_monitor import CLOCK_SET_BACK_NS, CONTESTED_NS, InputMonitor, Period
 
 MS = 1_000_000
 
@@ -65,6 +65,17 @@ def test_a_restarted_source_continues_and_one_with_its_clock_set_back_restarts()
     assert not of.receive(epoch=9, sequence=0, stamp_ns=1000 * MS, received_ns=1000 * MS)
     assert of.receive(epoch=9, sequence=1, stamp_ns=900 * MS - CLOCK_SET_BACK_NS - 1, received_ns=1000 * MS)
     assert of.state_at(1000 * MS).period_ns == 0
+
+
+def test_a_second_source_is_named_while_both_publish():
+    why = "second source: epoch 9 while epoch 7 publishes"
+    of = received(0, 100, 200)
+    of.reject("out of order: sequence 1 after 2")
+    of.reject(why)
+    assert of.second_source(250 * MS) == ""  # the first one may have ended
+    assert of.receive(epoch=7, sequence=3, stamp_ns=300 * MS, received_ns=300 * MS)
+    assert of.second_source(300 * MS + CONTESTED_NS) == why
+    assert of.second_source(301 * MS + CONTESTED_NS) == ""
 
 
 def test_a_clock_that_jumps_ahead_and_returns_has_no_lasting_effect():
