@@ -32,8 +32,9 @@ that lasts for tau_m = ``UNMODELLED_TIME_S``:
     m_c = |M_x - M_y| (|u| + |v|) s_c                             e_n has the additional variance 2 tau_m dt m_c^2
 
 Vehicles that are not ``identified``: the model is a data sheet, wrong by more than 10 %. At low speed drag alone can
-look like half of the thrust, so the surge row does not count, and s_c is at least ``MIN_CURRENT_SD_MPS``. Fins and hull
-give moments that the model does not contain. These are two more unknowns, learned like the mismatch,
+look like half of the thrust, so the surge row does not count. A current in the estimates has the standard deviation
+s_c = ``GIVEN_CURRENT_SD_MPS``. Fins and hull give moments that the model does not contain. These are two more unknowns,
+learned like the mismatch,
 
     z_n = ... + g_1 (M_x + M_y) u v dt + g_2 (M_x + M_y) a |u| r dt,     a = (a1 + a2) / 2
 
@@ -81,8 +82,8 @@ OF_THRUST, OF_MOTION, UNMODELLED_TIME_S = 0.01, 0.02, 1.5
 these the healthy foreign craft of tests/foreign_plant, whose model is wrong in fins and Munk moment, gives 3 nats.
 """
 
-MIN_CURRENT_SD_MPS = 0.01
-"""Smallest s_c of a vehicle that is not identified: no current is known better. Without it that craft gives 8 nats."""
+GIVEN_CURRENT_SD_MPS = 0.01
+"""s_c of a current in the estimates, if the vehicle is not identified. With 0 that craft gives 8 nats."""
 
 MAX_INTERVAL_S = 1.0
 """Largest time between two estimates for which the trapezoidal integrals are accurate enough."""
@@ -312,7 +313,7 @@ class ModelMonitor:
                 s_x = 1.0 / math.sqrt(self._surge_noise(a, b, dt, thrusting=bool(i1 or i2)))
             fresh = 1.0 if b.variance[1] > NOISE_RADPS * NOISE_RADPS else 0.0
         else:
-            current_sd = max(current_sd, MIN_CURRENT_SD_MPS)
+            current_sd = GIVEN_CURRENT_SD_MPS if b.learned_sd is None else b.learned_sd
             mass, arm = p.mass_surge + p.mass_sway, 0.5 * (p.arm_port + p.arm_starboard)
             cross = half * mass * (au * av + bu * bv)
             lift = half * mass * arm * (abs(au) * a.r + abs(bu) * b.r)
