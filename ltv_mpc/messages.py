@@ -691,6 +691,9 @@ class MissionState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     operator_t_ns: Annotated[Time | None, Meta(description="last sign of an operator; null: none yet")] = None
     action: Annotated[MissionAction, Meta(description="action in force")] = MissionAction.GO_ON
     why: Annotated[str, Meta(description="cause of the action; empty if it is to go on")] = ""
+    skipped: Annotated[
+        tuple[str, ...], Meta(description="names of causes without effect: a forced `arm` skipped them")
+    ] = ()
 
 
 class ControllerState(Message, frozen=True, kw_only=True, eq=False):

@@ -13,7 +13,7 @@
 
 An action other than "go on" is latched while the vehicle is armed: it stays when its cause is gone, and only a stronger
 one replaces it. The command ``clear`` ends it if its cause is gone; ``disarm`` and ``stop`` end it in any case. A cause
-that a forced ``arm`` skipped only degrades the health until it was gone once, or the controller was restarted.
+that a forced ``arm`` skipped only degrades the health until it was gone once, also after a restart of the controller.
 
 The operator's timeout begins at the first command, message of a pilot or ``heartbeat``. Mission time begins at the
 first ``arm`` and again at each ``follow``.
@@ -112,7 +112,6 @@ class MissionPolicy:
         self._newest_battery: Battery | None = None
         self._charged_ns: int | None = None  # arrival of the last message above the thresholds
         self._leaking = False
-        self._skipped: frozenset[str] = frozenset()  # names of causes without effect
 
     def hear_operator(self, t_ns: int) -> None:
         """Note a sign of life of an operator.
@@ -160,13 +159,13 @@ class MissionPolicy:
         t_ns : time of the arming (ns).
         """
         self.disarm()
-        self._skipped = frozenset(cause.name for cause in self.causes(t_ns))
+        self._skip(tuple(cause.name for cause in self.causes(t_ns)))
         if self.state.start_t_ns is None:
             self.state = msgspec.structs.replace(self.state, start_t_ns=t_ns)
 
     def disarm(self) -> None:
         """End the action in force."""
-        self._skipped = frozenset()
+        self._skip(())
         self._set(GO_ON, "")
 
     def restart(self, t_ns: int) -> None:
@@ -188,7 +187,8 @@ class MissionPolicy:
         armed : False: no action is latched.
         """
         causes = self.causes(t_ns)
-        self._skipped &= {cause.name for cause in causes}
+        present = {cause.name for cause in causes} | self._unknown_causes()
+        self._skip(tuple(name for name in self.state.skipped if name in present))
         for cause in self._effective(causes) if armed else ():
             if WEAKEST_FIRST.index(cause.action) > WEAKEST_FIRST.index(self.state.action):
                 self._set(cause.action, cause.why)
@@ -233,7 +233,16 @@ class MissionPolicy:
             self.state = msgspec.structs.replace(self.state, action=action, why=why)
 
     def _effective(self, causes: list[Cause]) -> list[Cause]:
-        return [cause for cause in causes if cause.name not in self._skipped]
+        return [cause for cause in causes if cause.name not in self.state.skipped]
+
+    def _skip(self, names: tuple[str, ...]) -> None:
+        if names != self.state.skipped:
+            self.state = msgspec.structs.replace(self.state, skipped=names)
+
+    def _unknown_causes(self) -> set[str]:
+        """Return the causes of which nothing is known yet: since the start no message of their input has arrived."""
+        arrivals = {"battery": self._battery, "leak": self._leak}
+        return {name for name, input_ in arrivals.items() if input_.newest_ns is None}
 
     def _causes(self, t_ns: int) -> Iterator[Cause]:
         settings, start_ns = self._settings, self.state.start_t_ns

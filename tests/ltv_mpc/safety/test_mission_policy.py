@@ -133,3 +133,18 @@ def test_disarming_ends_an_action_and_what_a_forced_arming_skips_has_none():
     assert at(policy, 4) == [GO_ON]
     policy.receive(Leak(detected=True), 5 * S)
     assert at(policy, 5) == [SURFACE]
+
+
+def test_a_skipped_cause_has_no_effect_after_a_restart_until_it_was_gone_once():
+    before = armed(leak=True)
+    before.receive(Leak(detected=True), 0)
+    before.arm(1 * S)
+    after = MissionPolicy(MissionSettings(leak=True))
+    after.state = before.state
+    assert at(after, 2) == [GO_ON]  # no message yet
+    after.receive(Leak(detected=True), 3 * S)
+    assert at(after, 3) == [GO_ON]
+    after.receive(Leak(detected=False), 4 * S)
+    assert at(after, 4) == [GO_ON]
+    after.receive(Leak(detected=True), 5 * S)
+    assert at(after, 5) == [SURFACE]
