@@ -5,7 +5,8 @@
 
 P0   covariance (6, 6) of the estimate; zero if it has none
 A    derivative (2, 6) of the predicted position by the estimate
-Pb   covariance (2, 2) of the mean current since the estimate, from the estimated bias and its random walk
+Pb   covariance (2, 2) of the mean current since the estimate: of the estimated bias with its random walk, and of the
+     estimate's profile if it has standard deviations
 B    derivative (2, 2) of the predicted position by the current
 d    change (2,) of the predicted position if a thruster delivers 10 % more
 
@@ -20,9 +21,9 @@ import math
 import numpy as np
 
 from ltv_mpc.control.disturbance import CurrentBias
-from ltv_mpc.control.prediction import Prediction, predict_state, profile_of
+from ltv_mpc.control.prediction import Prediction, current_at_depth, predict_state, profile_of
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.messages import Array, Estimate
+from ltv_mpc.messages import Array, CurrentProfile, Estimate
 
 STEP = 1e-3
 """Step of the differences in m, m/s, rad and rad/s."""
@@ -45,7 +46,7 @@ def growth_m(
     estimate : where the prediction begins, with the bias in its current.
     t_ns : time of the predicted position, vehicle time (ns).
     commands : commands in force from the estimate's time on.
-    bias : estimated bias of the current; None: the current is taken to be certain.
+    bias : estimated bias of the current; None: there is none.
     """
     since_ns, state, report_ns, thrust_N = prediction.measured(estimate)
     times, commanded_N = prediction.delivered(commands)
@@ -67,12 +68,23 @@ def growth_m(
         gain[thruster] += THRUST_SD
         d = _position(gain=gain) - at
         variance += float(d @ d)
+    Pb = _current_variance(profile, estimate.depth_m) * np.eye(2)
     if bias is not None:
+        Pb += bias.covariance_of_mean((t_ns - since_ns) * 1e-9)
+    if Pb.any():
         B = np.array([_position(current=(STEP, 0.0)) - at, _position(current=(0.0, STEP)) - at]).T / STEP
-        variance += float(np.trace(B @ bias.covariance_of_mean((t_ns - since_ns) * 1e-9) @ B.T))
+        variance += float(np.trace(B @ Pb @ B.T))
     P0 = estimate.covariance
     if P0 is None:
         return math.sqrt(variance)
     A = np.array([_position(state + STEP * np.eye(len(state))[column]) - at for column in COLUMN_OF]).T / STEP
     variance += float(np.trace(A @ P0 @ A.T))
     return math.sqrt(variance) - math.sqrt(float(P0[0, 0] + P0[1, 1]))
+
+
+def _current_variance(profile: CurrentProfile, depth_m: float | None) -> float:
+    """Return the variance of either component of a profile at a depth (m^2/s^2); 0 if it is not known."""
+    if profile.sd_mps is None:
+        return 0.0
+    sd_mps, _ = current_at_depth(profile.depth_m, profile.sd_mps, profile.sd_mps, depth_m or 0.0)
+    return sd_mps * sd_mps

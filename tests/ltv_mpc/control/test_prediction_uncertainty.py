@@ -53,11 +53,10 @@ def sent(port: float = 1.0, starboard: float = 1.0) -> SentCommands:
     return commands
 
 
-def drawn(t_ns: int, covariance: np.ndarray | None, bias: CurrentBias | None) -> float:
+def drawn(t_ns: int, covariance: np.ndarray | None, current_sd: float) -> float:
     """Return the standard deviation of the predicted position over 1000 draws (m)."""
     rng = np.random.default_rng(1)
     factor = np.zeros((6, 6)) if covariance is None else np.linalg.cholesky(covariance)
-    current_sd = 0.0 if bias is None else np.sqrt(bias.covariance_of_mean(t_ns * 1e-9)[0, 0])
     places = np.empty((1000, 2))
     for k in range(1000):
         n, e, vn, ve, psi, r = factor @ rng.standard_normal(6)
@@ -86,7 +85,8 @@ def test_the_growth_is_that_of_draws(covariance, bias, seconds):
     estimate = msgspec.structs.replace(MOVING, covariance=covariance)
     growth = growth_m(Prediction(PAPER), estimate, seconds * S, sent(), bias)
     at_first = 0.0 if covariance is None else float(np.hypot(*SD[:2]))
-    assert growth == pytest.approx(drawn(seconds * S, covariance, bias) - at_first, rel=0.15)
+    current_sd = 0.0 if bias is None else float(np.sqrt(bias.covariance_of_mean(seconds)[0, 0]))
+    assert growth == pytest.approx(drawn(seconds * S, covariance, current_sd) - at_first, rel=0.15)
 
 
 @pytest.mark.parametrize("covariance", [None, CORRELATED])
@@ -100,6 +100,15 @@ def test_a_random_walk_of_the_current_adds_up():
     bias = learning(0.02)
     added = bias.covariance_of_mean(9.0) - bias.covariance
     np.testing.assert_allclose(added * 9.0**2, 0.02**2 * 9.0**3 / 3.0 * np.eye(2))
+
+
+def test_the_standard_deviation_of_a_told_current_counts_at_the_depth_of_the_vehicle():
+    zero = np.zeros(2)
+    profile = CurrentProfile(depth_m=np.array([0.0, 10.0]), north_mps=zero, east_mps=zero, sd_mps=np.array([0.0, 0.2]))
+    estimate = msgspec.structs.replace(MOVING, depth_m=5.0, current=profile)
+    growth = growth_m(Prediction(PAPER), estimate, 6 * S, sent(), None)
+    assert growth == pytest.approx(drawn(6 * S, None, 0.1), rel=0.15)
+    assert growth > 1.5 * growth_m(Prediction(PAPER), MOVING, 6 * S, sent(), None)
 
 
 def test_a_bias_that_is_not_used_adds_nothing():
