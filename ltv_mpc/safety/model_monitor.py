@@ -171,8 +171,8 @@ class ModelMonitor:
     def __init__(self, vehicle: Vehicle, noise_mps: float, settling_s: float = SETTLING_TIME_S) -> None:
         self._settling_s = settling_s
         self._p = vehicle.coefficients()
-        self._identified = vehicle.identified
-        self._noise = (self._p.mass_surge * noise_mps) ** 2
+        # M_x^2 q^2; None: the vehicle is not identified, so the surge row does not count
+        self._noise = (self._p.mass_surge * noise_mps) ** 2 if vehicle.identified else None
         self._impulse = ThrustImpulse()
         self._last: _Motion | None = None
         self._detector = ThrustLossDetector()
@@ -308,9 +308,9 @@ class ModelMonitor:
         s_x = fresh = cross = lift = 0.0
         current_sd = b.learned_sd or 0.0
         unmodelled = 0.0
-        if self._identified:
+        if self._noise is not None:
             if b.learned_sd is None:
-                s_x = 1.0 / math.sqrt(self._surge_noise(a, b, dt, thrusting=bool(i1 or i2)))
+                s_x = 1.0 / math.sqrt(self._surge_noise(self._noise, a, b, dt, thrusting=bool(i1 or i2)))
             fresh = 1.0 if b.variance[1] > NOISE_RADPS * NOISE_RADPS else 0.0
         else:
             current_sd = GIVEN_CURRENT_SD_MPS if b.learned_sd is None else b.learned_sd
@@ -334,10 +334,9 @@ class ModelMonitor:
             (0.0, fresh),
         )
 
-    def _surge_noise(self, a: _Motion, b: _Motion, dt: float, *, thrusting: bool) -> float:
-        """Return the variance of e_x (N^2 s^2) from ``a`` to ``b``, dt seconds later."""
+    def _surge_noise(self, noise: float, a: _Motion, b: _Motion, dt: float, *, thrusting: bool) -> float:
+        """Return the variance of e_x (N^2 s^2) from ``a`` to ``b``, dt seconds later; ``noise``: M_x^2 q^2."""
         mass = self._p.mass_surge
-        noise = self._noise
         if self._settling_s > 0.0:
             self._settling_s -= dt if thrusting else 0.0
             noise += (mass * SETTLING_MPS) ** 2

@@ -347,7 +347,7 @@ def with_drag(linear: float) -> Coefficients:
 
 
 @pytest.mark.parametrize(("vehicle", "alarm"), [(DATA_SHEET, False), (PAPER, True)])
-def test_more_drag_than_the_data_sheet_says_is_no_loss_unless_the_vehicle_is_identified(vehicle, alarm):
+def test_more_drag_than_on_the_data_sheet_is_no_loss_unless_identified(vehicle, alarm):
     """At low speed the true drag is several times that of the model: as if half of the thrust were missing."""
     sea = Sea(true=with_drag(100.0), vehicle=vehicle, thrust=lambda t: (10.0 + math.sin(t), 10.0 - math.sin(t)))
     sea.sail(60.0)
