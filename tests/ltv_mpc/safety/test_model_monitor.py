@@ -310,7 +310,8 @@ def test_without_a_current_a_loss_of_one_thruster_shows_in_the_turn(share, name,
     weak, sound = sorted(sea.messages[-1].thrust_loss, reverse=True)
     assert weak > 0.2
     assert sound < 0.1
-    assert sea.monitor.weak_thruster.health(PAPER).why.startswith(name)
+    if start_s > 10.0:  # before, mismatch may explain a part of it for longer than this
+        assert sea.monitor.weak_thruster.health(PAPER).why.startswith(name)
 
 
 def test_a_learned_current_that_follows_other_forces_is_no_loss():
