@@ -58,7 +58,7 @@ def test_rejections_before_the_first_report_or_a_restart_of_the_count_do_not_cou
     assert states((0, 206), (100, 206), (200, 0), (300, 1)) == ["nominal"] * 4
 
 
-def test_the_end_of_the_last_plan_at_the_actuators_degrades_until_they_have_a_new_one() -> None:
+def test_the_end_of_the_last_plan_degrades_until_there_is_a_new_one() -> None:
     rejections, found = PlanRejections(PERIOD_NS), []
     for health in (Health.NOMINAL, Health.DEGRADED, Health.FAILSAFE, Health.FAILSAFE, Health.NOMINAL):
         rejections.add(report(0, health), 0)

@@ -73,7 +73,7 @@ def test_one_torque_coefficient_without_the_other_is_refused() -> None:
         parse(table, Thruster, source="vehicle x.toml")
 
 
-def test_the_relative_power_is_one_at_full_thrust_and_grows_with_the_power_of_one_and_a_half() -> None:
+def test_the_relative_power_is_one_at_full_thrust_and_grows_as_thrust_to_1_5() -> None:
     relative = relative_power(PAPER, np.array([[62.5, -62.5], [62.5, 0.0], [15.625, 15.625], [0.0, 0.0]]))
     np.testing.assert_allclose(relative, [1.0, 0.5, 0.125, 0.0])
 
