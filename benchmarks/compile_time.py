@@ -3,7 +3,7 @@
     .venv/bin/python -P -m benchmarks.compile_time [--against CHECKOUT] [--turns N] [--functions N]
 
 The parts of ``services.supervisor.jit_cache`` are compiled one after another, each by a process of its own; they share
-one cache folder, as in a run. A second checkout is measured by turns with this one, with the same interpreter.
+one cache folder, as in a run. A second checkout is measured interleaved with this one, with the same interpreter.
 
 The time of a function includes the functions of numba that are compiled for it, and not the project's functions that
 it calls. It does include the optimisation of their machine code, which is inlined.
@@ -112,7 +112,7 @@ def table(title: str, rows: Iterable[tuple[str, tuple[float, int, int]]], most: 
 def main() -> None:
     """Measure, and print the tables of the last turn."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--against", type=Path, help="another checkout, measured by turns")
+    parser.add_argument("--against", type=Path, help="another checkout, measured interleaved")
     parser.add_argument("--turns", type=int, default=1)
     parser.add_argument("--functions", type=int, default=40, help="how many functions to list")
     options = parser.parse_args()

@@ -3,9 +3,9 @@
     .venv/bin/python -m benchmarks.processor_time [--against FOLDER] [--turns N] [--duration-s T] [--speed X]
 
 Times are user and system time of all threads, so they hold on a busy machine as well. They cover the whole command,
-from its start to its report. With ``--against`` both versions run by turns, in alternating order; the interval (95 %)
-of the ratio is bootstrapped by turns. The share of a core is measured while the clock runs, from ``SETTLED_S`` after
-the plant's start to its end. A recording must have every message: a lost one ends the measurement.
+from its start to its report. With ``--against`` both versions run interleaved, in alternating order; the interval
+(95 %) of the ratio is bootstrapped over the turns. The share of a core is measured while the clock runs, from
+``SETTLED_S`` after the plant's start to its end. A recording must have every message: a lost one ends the measurement.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Compare the time of a control cycle with that of another version of the code, by turns.
+"""Compare the time of a control cycle with that of another version of the code, interleaved.
 
     .venv/bin/python -m benchmarks.versions TREE [--solvers osqp,riccati] [--horizons 5.1,13.8] [--flushed]
 

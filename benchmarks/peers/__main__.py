@@ -31,7 +31,7 @@ OUT = Path(__file__).resolve().parents[1] / "results" / "peers.md"
 NOTES = (
     "Every tool is the solver of one and the same controller: prediction of the delay, guess, and the step along the",
     "exact flow are the same for all and are in the time. Times are of the same problems, those of a loop that the",
-    "first line drives, solved by all in an order drawn anew in each cycle. Median and p99 are by turns. Hot is the",
+    "first line drives, solved by all in an order drawn anew in each cycle. Median and p99 are interleaved. Hot is the",
     "same cycle repeated at once; cold is after a flush of the caches, as in a service. Errors are of closed loops",
     "that each tool drives itself, with the state known. QP: the controller's own convex problem, whose exact solution",
     "the first thrust is compared with. NLP: the nonlinear problem behind it, to its own local optimum.",

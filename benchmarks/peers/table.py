@@ -18,7 +18,7 @@ class Line:
     name: str
     solves: str  # QP or NLP
     settings: str
-    cycle_us: Spread  # by turns; the three states of the caches are those of services/tools/profile/measure.py
+    cycle_us: Spread  # interleaved; the three states of the caches are those of services/tools/profile/measure.py
     repeated_us: Spread
     flushed_us: Spread
     thrust_error_N: Spread
@@ -62,7 +62,7 @@ def markdown(
 
 
 def _cycle_times(line: Line) -> tuple[Spread, Spread, Spread]:
-    """Return the times of a cycle repeated, by turns and flushed."""
+    """Return the times of a cycle repeated, interleaved and flushed."""
     return line.repeated_us, line.cycle_us, line.flushed_us
 
 

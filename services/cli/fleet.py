@@ -33,13 +33,7 @@ def fleet(
     ] = 1,
     horizon_s: Annotated[
         float | None,
-        typer.Option(
-            "--horizon-s",
-            metavar="H",
-            help="Horizon of each controller (s). Default: proposed by `vehicle check`.",
-            min=0.3,
-            max=120,
-        ),
+        typer.Option("--horizon-s", metavar="H", help="Horizon (s). Default: of `vehicle check`.", min=0.3, max=120),
     ] = None,
     vehicle: VehicleFile = "paper",
     as_json: Json = False,

@@ -6,9 +6,9 @@ under the same load of the machine. Their ratios can be compared, where single t
 
 Each cycle is measured in three states of the caches:
 
-    by turns   after the other candidates' cycles
-    repeated   the same cycle again at once: code and data are in the caches
-    flushed    after ``FLUSH_BYTES`` of other memory were written: nothing is
+    interleaved  after the other candidates' cycles
+    repeated     the same cycle again at once: code and data are in the caches
+    flushed      after ``FLUSH_BYTES`` of other memory were written: nothing is
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class Samples:
 
     def __init__(self, stages: int) -> None:
         self.stages = stages  # N
-        self.cycle_us: list[float] = []  # by turns, as stage_us
+        self.cycle_us: list[float] = []  # interleaved, as stage_us
         self.repeated_us: list[float] = []
         self.flushed_us: list[float] = []
         self.stage_us: dict[str, list[float]] = {stage: [] for stage in STAGES}
@@ -230,7 +230,7 @@ class _MeasuredController:
         return self._recorded
 
     def plan(self, driver: Controller, estimate: Estimate, t_ns: int) -> Plan:
-        """Measure one cycle, by turns and then repeated."""
+        """Measure one cycle, interleaved and then repeated."""
         plan, self._cycle_us = self._timed(driver, estimate, t_ns)
         self._stage_us = dict(self.timer.stage_us)
         _, self._repeated_us = self._timed(driver, estimate, t_ns)

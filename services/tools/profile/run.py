@@ -67,14 +67,14 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     stages: int
     horizon_s: float
     cycles: int
-    cycle_us: Spread  # by turns, as stage_us; the three states of the caches are those of measure.py
+    cycle_us: Spread  # interleaved, as stage_us; the three states of the caches are those of measure.py
     repeated_us: Spread
     flushed_us: Spread
     stage_us: dict[str, Spread]
     iterations: Spread
     thrust_error_N: Spread  # first free knot, from the exact solution of the same QP
     status: dict[str, int]
-    ratio: Ratio  # by turns
+    ratio: Ratio  # interleaved
     repeated_ratio: Ratio
     flushed_ratio: Ratio
 
@@ -177,5 +177,5 @@ def _row(solver: str, samples: Samples, yardstick: Samples) -> Row:
 
 
 def _cycle_times(samples: Samples) -> tuple[Spread, Spread, Spread]:
-    """Return the times of a cycle by turns, repeated and flushed."""
+    """Return the times of a cycle interleaved, repeated and flushed."""
     return Spread.of(samples.cycle_us), Spread.of(samples.repeated_us), Spread.of(samples.flushed_us)

@@ -51,7 +51,7 @@ def _cycles(rows: Sequence[Row]) -> list[str]:
 
 def _stages(rows: Sequence[Row]) -> list[str]:
     heads = " ".join(f"{stage:>9}" for stage in STAGES)
-    lines = [f"{'':<36} stages of a cycle by turns, medians (us)", f"{NAMES} {heads}"]
+    lines = [f"{'':<36} stages of a cycle interleaved, medians (us)", f"{NAMES} {heads}"]
     lines += [f"{_names(row)} " + " ".join(f"{row.stage_us[stage].median:>9.1f}" for stage in STAGES) for row in rows]
     return lines
 
