@@ -34,12 +34,10 @@ from __future__ import annotations
 
 import enum
 import math
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.jit import jit
 from ltv_mpc.localisation.adaptive import innovation_tests
 from ltv_mpc.localisation.adaptive.front_or_gyro_test import FrontOrGyroTest
 from ltv_mpc.localisation.adaptive.glr_detector import JOINT_THRESHOLD, THRESHOLD, GlrDetector, OnsetDetection
@@ -190,12 +188,16 @@ class AdaptiveProcessNoise:
         r : (m,) innovations (m/s).
         S : (m, m) their covariance.
         """
-        uniform, shear = _contrasts(u, cell, r, S)
-        if uniform.known:
-            self._means.add(t_ns, uniform.d[:2], uniform.V[:2, :2])
-            self._vertical.add(t_ns, uniform.d[2:], uniform.V[2:, 2:])
-        if shear.known:
-            self._shears.add(t_ns, shear.d, shear.V)
+        bound = _CLIP * np.sqrt(np.diagonal(S))
+        clipped = np.clip(r, -bound, bound)
+        uniform = _contrast(u, clipped, S)
+        if uniform is not None:
+            d, V = uniform
+            self._means.add(t_ns, d[:2], V[:2, :2])
+            self._vertical.add(t_ns, d[2:], V[2:, 2:])
+        shear = _contrast((cell - cell.mean())[:, None] * u[:, :2], clipped, S)
+        if shear is not None:
+            self._shears.add(t_ns, *shear)
 
     def start_ping(self, belief: Belief) -> None:
         """Bring the GLR detector to the time of the belief, before a ping is used.
@@ -353,53 +355,15 @@ def _inflate_imu(belief: Belief) -> None:
         P[np.ix_(j, j)] += _VELOCITY_SD_MPS**2
 
 
-class _Contrast(NamedTuple):
-    """Contrasts d = D^T r, (k,), with covariance V = D^T S D, (k, k); D (m, k) is the least-squares fit, D^T X = I."""
+def _contrast(X: Array, r: Array, S: Array) -> tuple[Array, Array] | None:
+    """Return the contrasts d = D^T r, (k,), and their covariance D^T S D, (k, k), of the least-squares fit D^T X = I.
 
-    known: bool  # False if the beams span too few directions
-    d: Array
-    V: Array
-
-
-@jit
-def _contrasts(u: Array, cell: npt.NDArray[np.int64], r: Array, S: Array) -> tuple[_Contrast, _Contrast]:
-    """Fit innovations r (m,), each clipped to ``_CLIP`` standard deviations.
-
-    Return the contrasts of a uniform current, X = u (m, 3), and of a shear, X = (cell - mean) u, north and east.
+    Return None if the beams span too few directions.
     """
-    m = len(r)
-    clipped, middle = np.empty(m), cell.sum() / m
-    X, SX = np.empty((5, m)), np.zeros((5, m))
-    for i in range(m):
-        bound = _CLIP * math.sqrt(S[i, i])
-        clipped[i] = min(max(r[i], -bound), bound)
-        for a in range(3):
-            X[a, i] = u[i, a]
-        for a in range(2):
-            X[3 + a, i] = (cell[i] - middle) * u[i, a]
-    for i in range(m):
-        for a in range(5):
-            c = X[a, i]
-            for j in range(m):
-                SX[a, j] += c * S[i, j]
-    return _contrast(X[:3], SX[:3], clipped), _contrast(X[3:], SX[3:], clipped)
-
-
-@jit
-def _contrast(XT: Array, SXT: Array, r: Array) -> _Contrast:
-    """Return the least-squares contrast from X^T (k, m) and X^T S (k, m)."""
-    k = len(XT)
-    normal, Xr, XSX = np.zeros((k, k)), np.zeros(k), np.zeros((k, k))
-    for a in range(k):
-        for i in range(len(r)):
-            Xr[a] += XT[a, i] * r[i]
-        for b in range(k):
-            for i in range(len(r)):
-                normal[a, b] += XT[a, i] * XT[b, i]
-                XSX[a, b] += XT[a, i] * SXT[b, i]
-    sd = np.sqrt(np.maximum(np.diag(normal), 1e-12))
+    normal = X.T @ X
+    sd = np.sqrt(np.maximum(np.diagonal(normal), 1e-12))
     shares = np.linalg.eigvalsh(normal / np.outer(sd, sd))
-    if not shares[k - 1] < _MAX_CONDITION * shares[0]:
-        return _Contrast(False, np.zeros(k), np.zeros((k, k)))
-    G = np.linalg.inv(normal)
-    return _Contrast(True, G @ Xr, G @ XSX @ G)
+    if not shares[-1] < _MAX_CONDITION * shares[0]:
+        return None
+    D = X @ np.linalg.inv(normal)
+    return D.T @ r, D.T @ S @ D
