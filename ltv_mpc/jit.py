@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -96,8 +96,21 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
     inlined: otherwise numba counts the references to every array argument, with a locked instruction each, and checks
     every return for an error. That took a third of the time of a cycle's kernels.
     """
+    return _compiled(function, forceinline=True)
+
+
+def jit_outlined(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function as ``jit`` does, but leave it to the compiler whether to inline it.
+
+    It is for a long function that compiled functions call at several places: every copy is optimised again, which takes
+    seconds, and a call is short against what the function does.
+    """
+    return _compiled(function, forceinline=False)
+
+
+def _compiled(function: Callable[P, R], *, forceinline: bool) -> Callable[P, R]:
     JIT_FUNCTIONS.append(f"{function.__module__}.{function.__qualname__}")
-    compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", forceinline=True)
+    compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", forceinline=forceinline)
     return cast("Callable[P, R]", compiled(function))
 
 
@@ -115,3 +128,24 @@ def copy_to(to: npt.NDArray[np.float64], source: npt.NDArray[np.float64]) -> Non
     """
     for i in range(to.size):
         to.flat[i] = source.flat[i]
+
+
+@jit
+def count_up_to(values: npt.NDArray[Any], limit: float) -> int:
+    """Return how many entries of an ascending array are at most ``limit``; all of them if it is NaN.
+
+    This is ``np.searchsorted(values, limit, side="right")``, which takes ten times as long to compile.
+
+    Parameters
+    ----------
+    values : (n,) ascending.
+    limit : number of the same type.
+    """
+    low, high = 0, len(values)
+    while low < high:
+        middle = (low + high) // 2
+        if limit < values[middle]:
+            high = middle
+        else:
+            low = middle + 1
+    return low

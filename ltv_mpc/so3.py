@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array, Triple
 
 Matrix3: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
@@ -37,6 +37,34 @@ def write(M: Matrix3, R: Array) -> None:
     R[0, 0], R[0, 1], R[0, 2] = M[0], M[1], M[2]
     R[1, 0], R[1, 1], R[1, 2] = M[3], M[4], M[5]
     R[2, 0], R[2, 1], R[2, 2] = M[6], M[7], M[8]
+
+
+@jit
+def rotate(R: Array, x: Array, out: Array) -> None:
+    """Write out = R x. numba's own product takes seconds to compile in each process that fills the cache.
+
+    Parameters
+    ----------
+    R : (3, 3) array.
+    x : (3,) vector.
+    out : (3,) another array; changes.
+    """
+    for i in range(3):
+        out[i] = R[i, 0] * x[0] + R[i, 1] * x[1] + R[i, 2] * x[2]
+
+
+@jit
+def cross(a: Array, b: Array, out: Array) -> None:
+    """Write out = a x b.
+
+    Parameters
+    ----------
+    a, b : (3,) vectors.
+    out : (3,) another array; changes.
+    """
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
 
 
 @jit
@@ -108,7 +136,7 @@ def exp(x: float, y: float, z: float) -> Matrix3:
     )  # fmt: skip
 
 
-@jit
+@jit_outlined
 def strapdown(R: Matrix3, W: Triple, w: Triple, dt: float) -> Matrix3:
     """Return the attitude after dt, exp(-W dt) R exp(w dt).
 

@@ -29,7 +29,7 @@ import numpy as np
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.prediction import Measured, Prediction, Profile, current_at_depth, predict_state
 from ltv_mpc.control.sent_commands import Commands, SentCommands
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array, CurrentBiasState, CurrentProfile, Estimate, Pair
 from ltv_mpc.vehicle.dynamics import coefficients
 
@@ -250,7 +250,7 @@ def predict_and_update(
     return predicted, (out_b, out_P)
 
 
-@jit
+@jit_outlined
 def _predicted_velocity(
     b: Array, until: int, vehicle: Array, measured: Measured, commands: Commands, profiles: tuple[Profile, Profile]
 ) -> tuple[float, float]:

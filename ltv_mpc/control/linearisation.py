@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.jit import copy_to, jit
+from ltv_mpc.jit import copy_to, jit, jit_outlined
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES, advance_by, lag_table
 from ltv_mpc.vehicle.parameters import Coefficients
@@ -107,7 +107,7 @@ def unpack_linearisation(flat: Array, stages: int) -> Linearisation:
     )
 
 
-@jit
+@jit_outlined
 def propagate(X: Array, U: Array, C: Array, t: Array, stage_s: float, p: Coefficients) -> None:
     """Propagate the state along the horizon by the exact flow.
 
@@ -176,7 +176,7 @@ def linearise_rollout(lin: Linearisation, t: Array, stage_s: float, p: Coefficie
     _linearise(lin, t, stage_s, p, True)
 
 
-@jit
+@jit_outlined
 def _linearise(lin: Linearisation, t: Array, stage_s: float, p: Coefficients, rollout: bool) -> None:
     """Linearise along ``lin``; ``rollout``: along the exact flow from X[0], written into X[1:]."""
     X, U, C = lin.X, lin.U, lin.C

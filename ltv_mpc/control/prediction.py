@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from ltv_mpc.control.sent_commands import Commands, SentCommands, command_at
-from ltv_mpc.jit import copy_to, jit
+from ltv_mpc.jit import copy_to, count_up_to, jit
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_weights
@@ -195,7 +195,7 @@ def current_at_depth(depth: Array, north: Array, east: Array, z: float) -> tuple
     """
     if len(depth) == 0:
         return 0.0, 0.0
-    k = np.searchsorted(depth, z, side="right")
+    k = count_up_to(depth, z)
     if k == 0:
         return north[0], east[0]
     if k == len(depth):
@@ -209,7 +209,7 @@ def _delivered(since: int, F: Array, until: int, commands: Commands, lags: tuple
     """Return the delivered thrusts (3,) at ``until``, from F (3,) at ``since``, by the commands and the lags (s)."""
     t, thrust = commands
     out = F.copy()
-    k = np.searchsorted(t, since, side="right")
+    k = count_up_to(t, since)
     while since < until:
         end = min(t[k], until) if k < len(t) else until
         h = float(end - since) * 1e-9
@@ -257,7 +257,7 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
     X = out[:STATES]
     X[0], X[1], X[2], X[3] = estimate[0], estimate[1], cos * vn + sin * ve, cos * ve - sin * vn
     X[4], X[5], X[6], X[7] = estimate[2], estimate[3], F[0], F[1]
-    knot = np.searchsorted(t, since, side="right")
+    knot = count_up_to(t, since)
     while since < until:
         end = min(t[knot], until) if knot < len(t) else until
         pieces = max(1, -(-(end - since) // STEP_NS))

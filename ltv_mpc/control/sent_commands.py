@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ltv_mpc.jit import copy_to, jit
+from ltv_mpc.jit import copy_to, count_up_to, jit
 from ltv_mpc.messages import Array, Plan, Times, Triple
 from ltv_mpc.safety.health import plan_end_ns
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -144,12 +144,13 @@ def supersede(
     -------
     Knots (K,) in ns and commands (K, 3) in N.
     """
-    first = np.searchsorted(t, since, side="right")
-    until = np.searchsorted(t, plan_t[0], side="left")
-    last = np.array([command_at(plan_t, plan_thrust, end, j) for j in range(3)])
+    first = count_up_to(t, since)
+    until = count_up_to(t, plan_t[0] - 1)
     # One knot where each thruster comes to rest, in the order of time; two in one nanosecond share it.
-    seconds = np.abs(last - rest) / slew
-    corners, count, latest = np.empty(3), 0, 0.0
+    last, seconds, corners, count, latest = np.empty(3), np.empty(3), np.empty(3), 0, 0.0
+    for j in range(3):
+        last[j] = command_at(plan_t, plan_thrust, end, j)
+        seconds[j] = abs(last[j] - rest[j]) / slew[j]
     while True:
         soonest = np.inf
         for j in range(3):
@@ -159,7 +160,7 @@ def supersede(
             break
         corners[count] = latest = soonest
         count += 1
-    past, ahead = max(until - first, 0), np.searchsorted(plan_t, end, side="left") + 1  # with a knot at the end
+    past, ahead = max(until - first, 0), count_up_to(plan_t, end - 1) + 1  # with a knot at the end
     out_t = np.empty(past + ahead + count, dtype=np.int64)
     out = np.empty((len(out_t), 3))
     for i in range(past):
@@ -193,7 +194,7 @@ def command_at(t: Times, thrust: Array, at: int, i: int) -> float:
     """
     if len(t) == 0:
         return 0.0
-    k = np.searchsorted(t, at, side="right")
+    k = count_up_to(t, at)
     if k == 0:
         return float(thrust[0, i])
     if k == len(t):

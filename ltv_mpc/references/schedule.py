@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import count_up_to, jit
 from ltv_mpc.messages import Array, Times
 from ltv_mpc.references.limits import Limits, SurgeLimits
 from ltv_mpc.references.path import Path
@@ -155,7 +155,7 @@ def speed_profile(s: Array, limit: Array, waiting: Array, surge: SurgeLimits) ->
 def _interval(table: Array, tau: float) -> tuple[int, float, float]:
     """Return the interval of the table that contains a time, the elapsed share of it, and its length (s)."""
     M = table.shape[1]
-    i = min(max(np.searchsorted(table[0], tau, side="right") - 1, 0), M - 2)
+    i = min(max(count_up_to(table[0], tau) - 1, 0), M - 2)
     length = table[0, i + 1] - table[0, i]
     part = (tau - table[0, i]) / length if length > 0.0 else 1.0
     return i, min(max(part, 0.0), 1.0), length
@@ -274,7 +274,7 @@ def cross_track_error(table: Array, s: float, n: float, e: float, window: float)
     """
     M = table.shape[1]
     way, north, east = table[1], table[2], table[3]
-    first = max(int(np.searchsorted(way, s - window)) - 1, 0)
+    first = max(count_up_to(way, s - window) - 1, 0)
     nearest, signed = np.inf, 0.0
     for i in range(first, M - 1):
         if way[i] > s + window:

@@ -34,7 +34,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array, Pair
 
 MISMATCH = 0.1
@@ -96,6 +96,7 @@ def _mismatch_bounds() -> tuple[Array, Array]:
 
 
 LOWEST, HIGHEST = _mismatch_bounds()
+MIDDLE = LOWEST.shape[1] // 2
 _LARGEST = np.maximum(HIGHEST, -LOWEST).max(axis=1)
 _MAX_MISMATCH = np.array([_LARGEST[0] + _LARGEST[1], _LARGEST[0] + _LARGEST[1], *_LARGEST[2:]])  # of phi_1 .. phi_5
 
@@ -113,8 +114,6 @@ _MIX = np.array(
     dtype=np.float64,
 )
 """Regressors of c, s, b, g_1, g_2, d_1, d_2 (rows 1 to 7) in terms of z and the five phi (columns); row 0 is z."""
-
-_NO_LOSS, _FULL_LOSS = np.zeros(2), np.ones(2)
 
 
 class ThrustLossDetector:
@@ -169,7 +168,7 @@ class ThrustLossDetector:
         return recovery_gain(self._rows[0], self._past, np.array(loss))
 
 
-@jit
+@jit_outlined
 def _clip_row(row: Array, axis: int, explained: float, out: Array) -> None:
     """Write z and the five phi of one axis of a cycle's row (7, 2) into out (6,), with z limited.
 
@@ -183,7 +182,7 @@ def _clip_row(row: Array, axis: int, explained: float, out: Array) -> None:
     out[0] = min(max(row[0, axis], -reach), reach)
 
 
-@jit
+@jit_outlined
 def _add_products(y: Array, products: Array) -> None:
     """Add y y' to the products (6, 6)."""
     for i in range(SIZE):
@@ -201,15 +200,17 @@ def accumulate(past: Array, row: Array) -> None:
     row : (7, 2) row of the cycle, as in ``evaluate``.
     """
     out = np.empty(SIZE)
-    past *= 1.0 - 1.0 / MEMORY_CYCLES
+    for i in range(SIZE):
+        for j in range(SIZE):
+            past[i, j] *= 1.0 - 1.0 / MEMORY_CYCLES
     for axis in range(2):
         _clip_row(row, axis, 0.0, out)
         _add_products(out, past)
 
 
-@jit
-def _window_products(rows: Array, past: Array, explained: float) -> tuple[Array, Array]:
-    """Return the products (W, 6, 6) within each window, and those before each.
+@jit_outlined
+def _window_products(rows: Array, past: Array, explained: float) -> tuple[Array, Array, int]:
+    """Return the products (W, 6, 6) within each window, those before each, and the number of windows.
 
     Parameters
     ----------
@@ -224,20 +225,22 @@ def _window_products(rows: Array, past: Array, explained: float) -> tuple[Array,
         _clip_row(rows[k], 1, explained, yaw[k])
         fresh = fresh and rows[k, SIZE, 1] != 0.0
     if fresh:
-        yaw = whiten(yaw)
-    within, before = np.zeros((len(WINDOWS), SIZE, SIZE)), np.zeros((len(WINDOWS), SIZE, SIZE))
+        whiten(yaw)
+    within, before = np.empty((len(WINDOWS), SIZE, SIZE)), np.empty((len(WINDOWS), SIZE, SIZE))
     total, products = past.copy(), np.zeros((SIZE, SIZE))
     for k in range(n):
         _add_products(surge[k], total)
         _add_products(yaw[k], total)
-    window = 0
+    windows = 0
     for k in range(n):
         _add_products(surge[k], products)
         _add_products(yaw[k], products)
-        if k + 1 == WINDOWS[window]:
-            within[window], before[window] = products, total - products
-            window += 1
-    return within[:window], before[:window]
+        if k + 1 == WINDOWS[windows]:
+            for i in range(SIZE):
+                for j in range(SIZE):
+                    within[windows, i, j], before[windows, i, j] = products[i, j], total[i, j] - products[i, j]
+            windows += 1
+    return within, before, windows
 
 
 @jit
@@ -249,21 +252,21 @@ def evaluate(rows: Array, past: Array) -> tuple[float, float, float]:
     rows : (n, 7, 2) cycles (``Row``), the newest first.
     past : (6, 6) products of the cycles before, by ``accumulate``.
     """
-    within, before = _window_products(rows, past, 0.0)
+    within, before, windows = _window_products(rows, past, 0.0)
     evidence, best = 0.0, -1
-    for k in range(len(within)):
+    for k in range(windows):
         F = quadratic_form(within[k], before[k])
-        gain = 0.5 * (smallest(F, _NO_LOSS, _NO_LOSS)[0] - smallest(F, _NO_LOSS, _FULL_LOSS)[0])
+        gain = 0.5 * (smallest(F, 0.0, 0.0)[0] - smallest(F, 1.0, 1.0)[0])
         if gain > evidence:
             evidence, best = gain, k
     if best < 0:
         return 0.0, 0.0, 0.0
-    within, before = _window_products(rows, past, 1.0)  # a large loss is not an outlier
+    within, before, windows = _window_products(rows, past, 1.0)  # a large loss is not an outlier
     F = quadratic_form(within[best], before[best])
-    least, port, starboard = smallest(F, _NO_LOSS, _FULL_LOSS)
+    least, port, starboard = smallest(F, 1.0, 1.0)
     least += 2.0 * ONE_THRUSTER_NATS
     for i in range(2):
-        f, l1, l2 = smallest(F, _NO_LOSS, np.array([1.0 - i, float(i)]))
+        f, l1, l2 = smallest(F, 1.0 - i, float(i))
         if f < least:
             least, port, starboard = f, l1, l2
     return evidence, port, starboard
@@ -283,8 +286,8 @@ def recovery_gain(row: Array, past: Array, loss: Array) -> float:
     """
     F = quadratic_form(past, np.zeros((SIZE, SIZE)))
     x, low, high, y = np.zeros(7), np.zeros(7), np.zeros(7), np.empty(SIZE)
-    middle = LOWEST.shape[1] // 2
-    low[:5], high[:5] = LOWEST[:, middle], HIGHEST[:, middle]
+    for i in range(5):
+        low[i], high[i] = LOWEST[i, MIDDLE], HIGHEST[i, MIDDLE]
     constrained_minimum(F, low, high, x)
     gain = 0.0
     for axis in range(2):
@@ -295,27 +298,28 @@ def recovery_gain(row: Array, past: Array, loss: Array) -> float:
     return min(gain, MAX_GAIN_NATS)
 
 
-@jit
-def smallest(F: Array, least_loss: Array, most_loss: Array) -> tuple[float, float, float]:
+@jit_outlined
+def smallest(F: Array, port_max: float, starboard_max: float) -> tuple[float, float, float]:
     """Return the minimum of f over x and over d within bounds, and there the lost shares d of both thrusters.
 
     Parameters
     ----------
     F : (8, 8) quadratic form.
-    least_loss, most_loss : (2,) bounds of d.
+    port_max, starboard_max : upper bounds of d; the lower bounds are zero.
     """
-    x, low, high = np.zeros(7), np.empty(7), np.empty(7)
-    low[5:], high[5:], x[5:] = least_loss, most_loss, least_loss
+    x, low, high = np.zeros(7), np.zeros(7), np.empty(7)
+    high[5], high[6] = port_max, starboard_max
     least, port, starboard = np.inf, 0.0, 0.0
     for k in range(LOWEST.shape[1]):
-        low[:5], high[:5] = LOWEST[:, k], HIGHEST[:, k]
+        for i in range(5):
+            low[i], high[i] = LOWEST[i, k], HIGHEST[i, k]
         f = constrained_minimum(F, low, high, x)
         if f < least:
             least, port, starboard = f, x[5], x[6]
     return least, port, starboard
 
 
-@jit
+@jit_outlined
 def quadratic_form(window: Array, past: Array) -> Array:
     """Return F (8, 8) with f = [1, -x]' F [1, -x], x = [c, s, b, g_1, g_2, d_1, d_2].
 
@@ -324,14 +328,32 @@ def quadratic_form(window: Array, past: Array) -> Array:
     window : (6, 6) products of z and the five phi within the window.
     past : (6, 6) the same before it.
     """
-    F = _MIX @ window @ _MIX.T
-    F[:6, :6] += PAST_WEIGHT * (_MIX[:6] @ past @ _MIX[:6].T)
+    F = np.zeros((8, 8))
+    _add_mixed(F, window, 1.0, 8)
+    _add_mixed(F, past, PAST_WEIGHT, 6)
     for i in range(1, 8):
         F[i, i] += 1.0 / (PRIOR_SD * PRIOR_SD)
     return F
 
 
-@jit
+@jit_outlined
+def _add_mixed(F: Array, products: Array, weight: float, size: int) -> None:
+    """Add weight M products M' to the first rows and columns of F, with M the first rows of ``_MIX``."""
+    mixed = np.zeros((8, SIZE))  # M products
+    for i in range(size):
+        for a in range(SIZE):
+            if _MIX[i, a] != 0.0:
+                for b in range(SIZE):
+                    mixed[i, b] += _MIX[i, a] * products[a, b]
+    for i in range(size):
+        for j in range(size):
+            total = 0.0
+            for b in range(SIZE):
+                total += mixed[i, b] * _MIX[j, b]
+            F[i, j] += weight * total
+
+
+@jit_outlined
 def constrained_minimum(F: Array, low: Array, high: Array, x: Array) -> float:
     """Return the minimum of f over low <= x <= high, by coordinate descent.
 
@@ -364,18 +386,16 @@ def constrained_minimum(F: Array, low: Array, high: Array, x: Array) -> float:
     return float(f)
 
 
-@jit
-def whiten(y: Array) -> Array:
-    """Return rows (n, m) with white noise of unit variance, given rows y whose noise is w_k - w_(k+1), w white.
+@jit_outlined
+def whiten(y: Array) -> None:
+    """Turn rows (n, m) whose noise is w_k - w_(k+1), w white, into rows with white noise of unit variance, in place.
 
     It applies the inverse of the Cholesky factor of the covariance, L_kk = sqrt((k + 1) / 2 k), L_k(k-1) =
     - sqrt((k - 1) / 2 k), k = 1 .. n. The first rows do not depend on the number of rows that follow.
     """
-    out = y.copy()
     for k in range(2, len(y) + 1):
         for j in range(y.shape[1]):
-            out[k - 1, j] = (y[k - 1, j] + math.sqrt((k - 1) / (2 * k)) * out[k - 2, j]) / math.sqrt((k + 1) / (2 * k))
-    return out
+            y[k - 1, j] = (y[k - 1, j] + math.sqrt((k - 1) / (2 * k)) * y[k - 2, j]) / math.sqrt((k + 1) / (2 * k))
 
 
 def warm_up() -> None:
@@ -383,4 +403,4 @@ def warm_up() -> None:
     rows, past = np.zeros((2, SIZE + 1, 2)), np.zeros((SIZE, SIZE))
     accumulate(past, rows[1])
     evaluate(rows, past)
-    recovery_gain(rows[0], past, _NO_LOSS)
+    recovery_gain(rows[0], past, np.zeros(2))

@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ltv_mpc import so3
 from ltv_mpc.frames import rotation, rotation_exp
 from ltv_mpc.jit import jit
 from ltv_mpc.localisation.sensors.adcp import Adcp
@@ -114,17 +115,15 @@ def beams(angle_rad: float) -> Array:
 def beam_velocities(transducer: Transducer, ranges: Array, water: WaterSample) -> Array:
     """Return the error-free b_ij (m/s), (4, K), at slant ranges (K,) (m)."""
     rate, lever, R = transducer.rate_radps, transducer.lever_m, transducer.R
-    swing = np.empty(3)  # w x l
-    swing[0] = rate[1] * lever[2] - rate[2] * lever[1]
-    swing[1] = rate[2] * lever[0] - rate[0] * lever[2]
-    swing[2] = rate[0] * lever[1] - rate[1] * lever[0]
-    swing = R @ swing
+    in_body, swing, d = np.empty(3), np.empty(3), np.empty(3)
+    so3.cross(rate, lever, in_body)
+    so3.rotate(R, in_body, swing)  # R (w x l)
     v = transducer.velocity_mps
     north, east, down = v[0] + swing[0], v[1] + swing[1], v[2] + swing[2]
     depth = transducer.depth_m + R[2, 0] * lever[0] + R[2, 1] * lever[1] + R[2, 2] * lever[2]
     b = np.empty((len(transducer.beams), len(ranges)))
     for i in range(len(transducer.beams)):
-        d = R @ transducer.beams[i]
+        so3.rotate(R, transducer.beams[i], d)
         for j in range(len(ranges)):
             c = velocity_at(depth + ranges[j] * d[2], water)
             b[i, j] = d[0] * (c[0] - north) + d[1] * (c[1] - east) - d[2] * down

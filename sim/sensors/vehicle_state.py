@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc import so3
-from ltv_mpc.frames import rotation, rotation_exp
+from ltv_mpc.frames import rotation
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Triple, Truth
 
@@ -131,4 +131,6 @@ def rotations_and_rates(R1: Array, attitude: Array, h: Array) -> tuple[Array, Ar
 @jit
 def interpolated_rotation(R1: Array, phi: Array, s: float) -> Array:
     """Return R1 exp(s phi), (3, 3)."""
-    return R1 @ rotation_exp(s * phi)
+    R = np.empty((3, 3))
+    so3.write(so3.multiply(so3.read(R1), so3.exp(s * phi[0], s * phi[1], s * phi[2])), R)
+    return R

@@ -19,7 +19,7 @@ from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import count_up_to, jit
 from ltv_mpc.messages import Array, CurrentProfile, Pair
 from sim.random_streams import Stream, generator
 
@@ -178,23 +178,10 @@ class WaterColumn:
 
 
 @jit
-def _cell(depth: float, depths: Array) -> int:
-    """Return the largest k with depths[k] <= depth, or -1 above the first depth."""
-    low, high = -1, len(depths)
-    while high - low > 1:
-        middle = (low + high) // 2
-        if depths[middle] <= depth:
-            low = middle
-        else:
-            high = middle
-    return low
-
-
-@jit
 def velocity_at(depth: float, water: WaterSample) -> Pair:
     """Return the velocity (m/s), north and east, at a depth: linear interpolation in depth and in time."""
     depths, earlier, later, time_weight = water.depth_m, water.earlier, water.later, water.time_weight
-    k = _cell(depth, depths)
+    k = count_up_to(depths, depth) - 1  # the last grid point above, -1 above the first
     last = len(depths) - 1
     a, b = max(k, 0), min(k + 1, last)
     depth_weight = 0.0 if k < 0 or k >= last else (depth - depths[k]) / (depths[k + 1] - depths[k])
@@ -211,7 +198,7 @@ def velocity_at(depth: float, water: WaterSample) -> Pair:
 def gradient_at(depth: float, water: WaterSample) -> Pair:
     """Return the gradient dc/dz = (c_k+1 - c_k) / (z_k+1 - z_k) (1/s) at a depth, 0 beyond both ends."""
     depths, earlier, later, time_weight = water.depth_m, water.earlier, water.later, water.time_weight
-    k = _cell(depth, depths)
+    k = count_up_to(depths, depth) - 1  # the last grid point above, -1 above the first
     last = len(depths) - 1
     a, b = max(k, 0), min(k + 1, last)
     step = depths[b] - depths[a]

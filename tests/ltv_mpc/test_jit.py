@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import ast
+import math
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+
+import numpy as np
+import pytest
 
 from ltv_mpc import jit
 
@@ -70,3 +76,39 @@ def test_a_given_cache_folder_gets_a_subfolder_per_sources_and_children_inherit_
     assert first == str(tmp_path / "ltv-mpc" / jit.fingerprint())
     environment["NUMBA_CACHE_DIR"] = first
     assert subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip() == first
+
+
+@pytest.mark.parametrize("limit", [-1.0, 0.0, 0.5, 2.0, 3.0, 9.0, math.nan])
+@pytest.mark.parametrize("values", [[], [0.0], [0.0, 2.0, 2.0, 3.0]])
+def test_the_count_of_entries_up_to_a_limit_is_that_of_numpy(values, limit):
+    ascending = np.array(values, dtype=np.float64)
+    assert jit.count_up_to(ascending, limit) == np.searchsorted(ascending, limit, side="right")
+
+
+def slow_to_compile(function: ast.FunctionDef) -> Iterator[str]:
+    """Yield what takes numba seconds to compile, in every process that fills the cache."""
+    for node in ast.walk(function):
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
+            yield ast.unparse(node)
+        if isinstance(node, ast.Attribute) and ast.unparse(node).startswith(("np.linalg.", "np.searchsorted")):
+            yield ast.unparse(node)
+        if isinstance(node, ast.Assign) and not all(isinstance(x, ast.Constant) for x in elements(node.value)):
+            for target in node.targets:
+                if any(isinstance(x, ast.Slice) for x in ast.walk(target)):  # the text of its error is compiled
+                    yield ast.unparse(node)
+
+
+def elements(value: ast.expr) -> list[ast.expr]:
+    return value.elts if isinstance(value, ast.Tuple) else [value]
+
+
+def test_no_compiled_function_contains_what_takes_seconds_to_compile():
+    found = [
+        f"{path.relative_to(ROOT)}: {text}"
+        for path in (*(ROOT / "ltv_mpc").rglob("*.py"), *(ROOT / "sim").rglob("*.py"))
+        if path.name != "shooting_fit.py"  # it is compiled for an identification only
+        for function in ast.walk(ast.parse(path.read_text()))
+        if isinstance(function, ast.FunctionDef) and any("jit" in ast.unparse(x) for x in function.decorator_list)
+        for text in slow_to_compile(function)
+    ]
+    assert found == []

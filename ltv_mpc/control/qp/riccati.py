@@ -25,7 +25,7 @@ import numpy as np
 from ltv_mpc.control.horizon_limits import command_bounds
 from ltv_mpc.control.linearisation import Linearisation, velocity_over_ground
 from ltv_mpc.control.problem_data import Objective, stage_length
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
 
 LIMIT_ROWS = 4
@@ -108,7 +108,7 @@ def _models(lin: Linearisation) -> Array:
     return models
 
 
-@jit
+@jit_outlined
 def sweep(lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace, dU: Array) -> bool:
     """Find the deviations of the commands of least cost, by one backward and one forward sweep.
 
@@ -204,38 +204,39 @@ def _quadratic_form(Z: Array) -> None:
     """Compute P D and D' P D, row by row.
 
     The calls have constant arguments, so that the compiler knows the offsets. One function for the rows of both, with
-    the offsets as arguments, is eight times as slow.
+    the offsets as arguments, is eight times as slow. An argument that is a number, and not a product, would make numba
+    compile the function for each number.
     """
-    _PD_row(0, Z)
-    _PD_row(1, Z)
-    _PD_row(2, Z)
-    _PD_row(3, Z)
-    _PD_row(4, Z)
-    _PD_row(5, Z)
-    _PD_row(6, Z)
-    _PD_row(7, Z)
-    _PD_row(8, Z)
-    _PD_row(9, Z)
-    _DPD_row(0, Z)
-    _DPD_row(1, Z)
-    _DPD_row(2, Z)
-    _DPD_row(3, Z)
-    _DPD_row(4, Z)
-    _DPD_row(5, Z)
-    _DPD_row(6, Z)
-    _DPD_row(7, Z)
-    _DPD_row(8, Z)
-    _DPD_row(9, Z)
+    _PD_row(0 * STRIDE, Z)
+    _PD_row(1 * STRIDE, Z)
+    _PD_row(2 * STRIDE, Z)
+    _PD_row(3 * STRIDE, Z)
+    _PD_row(4 * STRIDE, Z)
+    _PD_row(5 * STRIDE, Z)
+    _PD_row(6 * STRIDE, Z)
+    _PD_row(7 * STRIDE, Z)
+    _PD_row(8 * STRIDE, Z)
+    _PD_row(9 * STRIDE, Z)
+    _DPD_row(0 * STRIDE, Z)
+    _DPD_row(1 * STRIDE, Z)
+    _DPD_row(2 * STRIDE, Z)
+    _DPD_row(3 * STRIDE, Z)
+    _DPD_row(4 * STRIDE, Z)
+    _DPD_row(5 * STRIDE, Z)
+    _DPD_row(6 * STRIDE, Z)
+    _DPD_row(7 * STRIDE, Z)
+    _DPD_row(8 * STRIDE, Z)
+    _DPD_row(9 * STRIDE, Z)
 
 
 @jit
-def _PD_row(a: int, Z: Array) -> None:
-    """Compute row a of P D."""
-    i = P + STRIDE * a
+def _PD_row(row: int, Z: Array) -> None:
+    """Compute the row of P D that begins at ``row``."""
+    i = P + row
     p0, p1, p2, p3, p4 = Z[i], Z[i + 1], Z[i + 2], Z[i + 3], Z[i + 4]
     p5, p6, p7, p8, p9 = Z[i + 5], Z[i + 6], Z[i + 7], Z[i + 8], Z[i + 9]
     for j in range(STRIDE):
-        Z[W + STRIDE * a + j] = (
+        Z[W + row + j] = (
             (p0 * Z[D + j] + p1 * Z[D + STRIDE + j])
             + (p2 * Z[D + 2 * STRIDE + j] + p3 * Z[D + 3 * STRIDE + j])
             + (p4 * Z[D + 4 * STRIDE + j] + p5 * Z[D + 5 * STRIDE + j])
@@ -245,13 +246,13 @@ def _PD_row(a: int, Z: Array) -> None:
 
 
 @jit
-def _DPD_row(a: int, Z: Array) -> None:
-    """Compute row a of D' P D."""
-    i = D + a
+def _DPD_row(row: int, Z: Array) -> None:
+    """Compute the row of D' P D that begins at ``row``."""
+    i = D + row // STRIDE
     d0, d1, d2, d3, d4 = Z[i], Z[i + STRIDE], Z[i + 2 * STRIDE], Z[i + 3 * STRIDE], Z[i + 4 * STRIDE]
     d5, d6, d7, d8, d9 = Z[i + 5 * STRIDE], Z[i + 6 * STRIDE], Z[i + 7 * STRIDE], Z[i + 8 * STRIDE], Z[i + 9 * STRIDE]
     for j in range(STRIDE):
-        Z[Q + STRIDE * a + j] = (
+        Z[Q + row + j] = (
             (d0 * Z[W + j] + d1 * Z[W + STRIDE + j])
             + (d2 * Z[W + 2 * STRIDE + j] + d3 * Z[W + 3 * STRIDE + j])
             + (d4 * Z[W + 4 * STRIDE + j] + d5 * Z[W + 5 * STRIDE + j])
@@ -314,14 +315,14 @@ def _value(law: Array, Z: Array, p: Array) -> None:
     for j in range(8):
         p[j] = Z[SLOPE + j] + Z[u + j] * law[2 * DIM] + Z[v + j] * law[2 * DIM + 1]
         Z[Q + STRIDE * j + 8], Z[Q + STRIDE * j + 9] = Z[W + 8 * STRIDE + j], Z[W + 9 * STRIDE + j]
-    _P_row(0, Z)
-    _P_row(1, Z)
-    _P_row(2, Z)
-    _P_row(3, Z)
-    _P_row(4, Z)
-    _P_row(5, Z)
-    _P_row(6, Z)
-    _P_row(7, Z)
+    _P_row(0 * STRIDE, Z)
+    _P_row(1 * STRIDE, Z)
+    _P_row(2 * STRIDE, Z)
+    _P_row(3 * STRIDE, Z)
+    _P_row(4 * STRIDE, Z)
+    _P_row(5 * STRIDE, Z)
+    _P_row(6 * STRIDE, Z)
+    _P_row(7 * STRIDE, Z)
     for j in range(8, DIM):
         p[j] = Z[P_GAP + j] + Z[u + j] * law[2 * DIM] + Z[v + j] * law[2 * DIM + 1]
         for m in range(8):
@@ -332,11 +333,12 @@ def _value(law: Array, Z: Array, p: Array) -> None:
 
 
 @jit
-def _P_row(a: int, Z: Array) -> None:
-    """Compute row a of P, for a = 0 .. 7."""
+def _P_row(row: int, Z: Array) -> None:
+    """Compute the row of P that begins at ``row``, one of the first eight."""
+    a = row // STRIDE
     g0, g1 = Z[Q + 8 * STRIDE + a], Z[Q + 9 * STRIDE + a]
     for j in range(STRIDE):
-        Z[P + STRIDE * a + j] = Z[Q + STRIDE * a + j] + g0 * Z[K + j] + g1 * Z[K + STRIDE + j]
+        Z[P + row + j] = Z[Q + row + j] + g0 * Z[K + j] + g1 * Z[K + STRIDE + j]
 
 
 @jit

@@ -42,7 +42,7 @@ from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, EntryMap, Indices, QpNumb
 from ltv_mpc.control.solvers import riccati_solver
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.control.solvers.osqp_workspace import BASE_SETTINGS, Settings, Workspace, make_workspace
-from ltv_mpc.jit import copy_to, jit
+from ltv_mpc.jit import copy_to, jit, jit_outlined
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.flow import STATES
 
@@ -294,7 +294,7 @@ def first_guess(packed: Array, lin: Linearisation, target: Array, shift: float, 
         _guess_commands(objective, lin, target, dU, y[E:])
     if not _forward_states(objective, lin, dU, x):  # such a limit is active now
         dU[:, :] = 0.0
-        y[E:] = previous
+        copy_to(y[E:], previous)
         _forward_states(objective, lin, dU, x)
     _guess_excesses(objective, lin, q, np.isnan(shift), x, y)
     # m (p'_N - ref'_N) = y: the terminal velocity's own column
@@ -327,7 +327,7 @@ def first_guess(packed: Array, lin: Linearisation, target: Array, shift: float, 
         copy_to(costate, before)
 
 
-@jit
+@jit_outlined
 def _forward_states(objective: Objective, lin: Linearisation, dU: Array, x: Array) -> bool:
     """Compute x (n,) from the commands' deviations dU (N+1, 2) by a forward sweep that closes the gaps.
 

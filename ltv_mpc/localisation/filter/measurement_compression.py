@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
 
 _RANK_TOLERANCE = 1e-12
@@ -75,7 +75,7 @@ def touched_states(
     return states[:s].copy(), local
 
 
-@jit
+@jit_outlined
 def _combine(out: Array, columns: npt.NDArray[np.int64], values: Array, count: int, rows: Array, first: int) -> None:
     """Add a sparse combination of rows, out += sum_a values_a rows[columns_a] from ``first`` on, four at a time."""
     to = out[first:]  # slices start at index 0: a loop over an index that may be negative is not vectorised
@@ -106,7 +106,7 @@ class SparseRows(NamedTuple):
     counts: npt.NDArray[np.int64]  # (m,)
 
 
-@jit
+@jit_outlined
 def sparse_rows(column: npt.NDArray[np.int64], value: Array) -> SparseRows:
     """Pack the non-zero entries of rows.
 
@@ -125,7 +125,7 @@ def sparse_rows(column: npt.NDArray[np.int64], value: Array) -> SparseRows:
     return SparseRows(columns, values, counts)
 
 
-@jit
+@jit_outlined
 def project(H: SparseRows, P: Array) -> Array:
     """Return the product H P, (m, n).
 
@@ -140,7 +140,7 @@ def project(H: SparseRows, P: Array) -> Array:
     return HP
 
 
-@jit
+@jit_outlined
 def innovation_covariance(H: SparseRows, PH: Array, variance: Array) -> Array:
     """Return the innovation covariance S = H P H^T + R, (m, m), bitwise symmetric.
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from ltv_mpc import so3
 from ltv_mpc.frames import GRAVITY_MPS2
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.localisation.sensors.imu import Imu
 from ltv_mpc.messages import Array, ImuSample, Triple
 from ltv_mpc.so3 import Matrix3
@@ -51,7 +51,7 @@ def sample_matrix(samples: Sequence[ImuSample]) -> Array:
     return np.array([(*sample.angular_rate_radps, *sample.specific_force_mps2) for sample in samples])
 
 
-@jit
+@jit_outlined
 def _transition(A: Array, C: Matrix3, a: Triple, W: Triple, dt: float, keep_g: float, keep_a: float) -> None:
     """Multiply A (15, m) by one sample's transition, A := Phi_k A.
 
@@ -182,7 +182,7 @@ def propagated_core(P: Array, Phi: Array, Q: Array) -> Array:
     return _core(_forward(P, Phi, c), Phi, Q)
 
 
-@jit
+@jit_outlined
 def _forward(P: Array, Phi: Array, n: int) -> Array:
     """Return the first n columns of Phi P_c, (15, n); P_c are the core rows of P."""
     c = Phi.shape[0]

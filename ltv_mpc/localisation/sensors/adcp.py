@@ -26,6 +26,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from msgspec import Meta
 
+from ltv_mpc import so3
 from ltv_mpc.frames import skew
 from ltv_mpc.jit import jit
 from ltv_mpc.localisation.filter.state import GYRO_BIAS, Belief, Layout
@@ -124,15 +125,15 @@ def _fill(
     Return the number of rows, of cells without a return (NaN), and of cells outside the grid.
     """
     R, l = geometry.R, geometry.lever  # noqa: E741  (the lever arm's symbol)
-    u = geometry.beams @ R.T  # beams in NED, (4, 3)
-    transducer = R @ l
-    relative = skew(geometry.rate) @ l  # w x l
-    d = np.empty(3)
+    u, transducer, relative, by_gyro_bias, d = np.empty((4, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    so3.rotate(R, l, transducer)
+    so3.cross(geometry.rate, l, relative)  # w x l
     m = without_return = outside = 0
     for i in range(4):
         b = geometry.beams[i]
+        so3.rotate(R, b, u[i])  # the beam in NED
+        so3.cross(l, b, by_gyro_bias)
         by_attitude, by_mounting = skew(u[i]), skew(b)
-        by_gyro_bias = skew(l) @ b
         swept = b[0] * relative[0] + b[1] * relative[1] + b[2] * relative[2]
         for j in range(ranges.shape[0]):
             if math.isnan(z[i, j]):

@@ -71,8 +71,8 @@ def test_the_minimum_agrees_with_another_solver(mass, most_loss):
 
 def test_whitened_rows_have_independent_noise_of_unit_variance():
     n = 7
-    difference = (np.eye(n, n + 1) - np.eye(n, n + 1, 1)) / math.sqrt(2.0)
-    through = whiten(difference)
+    through = (np.eye(n, n + 1) - np.eye(n, n + 1, 1)) / math.sqrt(2.0)
+    whiten(through)
     np.testing.assert_allclose(through @ through.T, np.eye(n), atol=1e-12)
 
 
