@@ -6,7 +6,6 @@ import msgspec
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Vehicle, config, references
-from ltv_mpc.control import stability
 from ltv_mpc.control.config import WeightSettings
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import default_weights
@@ -60,21 +59,6 @@ def test_resolved_settings_and_those_read_back_from_their_file_are_the_same(tmp_
     assert settled(found, Vehicle.load("paper")) is found
     (tmp_path / "controller.toml").write_text(config.to_toml(found))
     assert settled(ControllerConfig.load(str(tmp_path / "controller.toml")), Vehicle.load("paper")) == found
-
-
-def test_the_proposal_is_stable_with_the_weights_in_use(monkeypatch) -> None:
-    """The closed loop depends on the weights: the check must be asked about those that the controller has."""
-    asked = []
-    is_stable = stability.is_stable
-
-    def noted(vehicle, config):
-        asked.append(config)
-        return is_stable(vehicle, config)
-
-    monkeypatch.setattr("ltv_mpc.control.horizon_selection.is_stable", noted)
-    found = settled(ControllerConfig(weights=WeightSettings(thrust=0.123)), Vehicle.load("weak-reverse"))
-    assert [of.weights.thrust for of in asked] == [0.123] * len(asked)
-    assert asked[-1].horizon_s == found.horizon_s
 
 
 def test_a_period_longer_than_the_horizon_is_rejected_with_file_and_field() -> None:
