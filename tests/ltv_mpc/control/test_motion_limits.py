@@ -30,7 +30,8 @@ BOTH = MotionLimits(surge_mps=0.25, yaw_rate_radps=0.2)
 
 
 def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
-    return ControllerConfig(limits=limits, max_iterations=4000, **fields)  # type: ignore[arg-type]
+    horizon_s = N * 0.3
+    return ControllerConfig(limits=limits, max_iterations=4000, horizon_s=horizon_s, **fields)  # type: ignore[arg-type]
 
 
 def form_of(limits: MotionLimits) -> SparseQp:
@@ -192,7 +193,8 @@ def test_a_limit_of_zero_is_refused() -> None:
 
 def test_a_descent_keeps_within_them_at_a_few_iterations_more(closed_loop: Callable[..., Any]) -> None:
     def flown(limits: MotionLimits) -> tuple[Array, Array]:
-        seen = [closed_loop(seed, 300, ControllerConfig(limits=limits)) for seed in (5, 8, 11)]
+        config = ControllerConfig(limits=limits, horizon_s=5.1, effort="high")
+        seen = [closed_loop(seed, 300, config) for seed in (5, 8, 11)]
         rates = np.abs([estimate.yaw_rate_radps for estimates, _ in seen for estimate in estimates])
         return rates, np.array([plan.solve.iterations for _, plans in seen for plan in plans])
 

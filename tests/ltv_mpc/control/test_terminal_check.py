@@ -81,7 +81,7 @@ def test_a_vehicle_that_is_weak_astern_comes_round_and_holds_its_place():
     estimate = msgspec.structs.replace(Estimate.at_rest(east_m=1.2, heading_rad=EAST), current=current)
     controller = Controller(WEAK, references.Point(north_m=0.0, east_m=0.0), ControllerConfig(horizon_s=21.9))
     off, heading = [], []
-    for _ in range(round(75.0 / STAGE_S)):
+    for _ in range(round(90.0 / STAGE_S)):
         plan = controller.plan(estimate)
         assert plan.origin == "solved"
         estimate = advance(WEAK, estimate, plan, duration_s=STAGE_S)

@@ -180,7 +180,7 @@ def test_a_head_that_lies_is_refused_before_anything_is_made(tmp_path, parts, sh
 
 def test_a_cycle_that_is_not_solved_says_which_row_is_violated_and_keeps_its_problem():
     """Twelve iterations are not enough 2 m off with the heading wrong; what they came to is inside box and slew."""
-    recorder, config = FailureRecorder(), ControllerConfig(max_iterations=12, tolerance=1e-9)
+    recorder, config = FailureRecorder(), ControllerConfig(max_iterations=12, tolerance=1e-9, horizon_s=5.1)
     controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0), config, make_solver=recorder)
     assert recorder.failed is None
     plan = controller.plan(Estimate.at_rest(north_m=2.0, heading_rad=2.0))
