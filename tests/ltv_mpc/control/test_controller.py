@@ -17,6 +17,7 @@ from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.control.vertical import VerticalPlan, follow_depth
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Solve
+from ltv_mpc.safety.plan_gate import TOLERANCE_N
 
 PAPER = Vehicle.load("paper")
 POINT = references.Point(north_m=0.0, east_m=0.0)
