@@ -11,8 +11,10 @@
 - Shared memory is off: by default it applies from 3 kB and can lose a chunk on busy cores.
 - No session accepts a message larger than ``MAX_MESSAGE_BYTES``. Zenoh drops larger ones without a report, so this
   limit is above that of the message validation, which counts.
-- Zenoh's tasks share one thread. By default each kind of task has threads of its own, and each message wakes several
-  of them, which took half as much processor time again (docs/notes/processor-time.md). $ZENOH_RUNTIME is kept if set.
+- Without certificates Zenoh's tasks share one thread. By default each kind of task has threads of its own, and each
+  message wakes several of them, which took half as much processor time again (docs/notes/processor-time.md). With
+  certificates they keep their threads: a router logs each decision of its access control, and an intruder's many
+  attempts would block the links of all others. $ZENOH_RUNTIME is kept if set.
 - With certificates every link uses mutual TLS, and a listening session denies what no role allows.
 """
 
@@ -41,7 +43,7 @@ RUNTIME = "ZENOH_RUNTIME"
 """Environment variable of Zenoh's threads, which Zenoh reads when the first session opens."""
 
 _ELSEWHERE = ", ".join(f"{kind}: (handover: app)" for kind in ("acc", "net", "rx", "tx"))
-os.environ.setdefault(RUNTIME, f"({_ELSEWHERE}, app: (worker_threads: 1))")
+ONE_THREAD = f"({_ELSEWHERE}, app: (worker_threads: 1))"
 
 EXPLANATIONS = (
     ("Address already in use", "the address is in use: stop the process that listens there, or choose another port"),
@@ -193,6 +195,8 @@ def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable
     Raises ``BusError`` if the session cannot be opened, and ``Stopped`` if ``stop`` returns True meanwhile.
     """
     config = configuration(options)
+    if options.certs is None:
+        os.environ.setdefault(RUNTIME, ONE_THREAD)
     result: list[zenoh.Session | BaseException] = []
 
     def attempt() -> None:

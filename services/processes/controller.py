@@ -31,6 +31,7 @@ from ltv_mpc.messages import (
     Message,
     Plan,
     PlanOrigin,
+    RejectedFrame,
     Solve,
     SolveStatus,
 )
@@ -131,8 +132,8 @@ def main(config: Config) -> int:
         return serve(console, bus, make_runner, checkpoint)
 
 
-INTERNAL_TYPES = (ControllerState,)
-"""Messages between a supervisor and the controller that it restarts; other publishers do not need them."""
+INTERNAL_TYPES = (ControllerState, RejectedFrame)
+"""Messages that other publishers do not need: for a restarted controller, and the controller's own process."""
 
 
 def key_in(bus: BusOptions, topic: Topic) -> str:

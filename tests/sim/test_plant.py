@@ -176,9 +176,9 @@ def test_velocity_over_ground_is_that_through_water_plus_the_current_at_depth():
 @pytest.mark.parametrize("change", [0.0, 1e-3])
 def test_position_is_the_integral_of_velocity(change):
     settings = scenario(water={"change_mps_per_rts": change})
-    said = of(
-        Truth, run(plant_of(settings), 20 * S, {0: [arrival(0, [[0, 0, 0], [30, 20, 30], *[[60, 50, 60]] * 66])]})
-    )
+    plans = {0: [arrival(0, [[0, 0, 0], [30, 20, 30], *[[60, 50, 60]] * 18])]}
+    plans |= {t_ns: [arrival(t_ns, [[60, 50, 60]] * 20, sequence=t_ns // S)] for t_ns in range(4 * S, 20 * S, 4 * S)}
+    said = of(Truth, run(plant_of(settings), 20 * S, plans))
     position = np.array([x.position_m for x in said])
     velocity = np.array([x.velocity_mps for x in said])
     way = 0.005 * (velocity[1:] + velocity[:-1]).sum(axis=0)
@@ -214,6 +214,7 @@ def test_two_plants_with_one_seed_are_equal_bit_for_bit():
 
 
 def test_the_descent_takes_two_hundred_seconds_for_forty_metres():
-    plan = arrival(0, [[0, 0, 0], [0, 0, 30], [0, 0, 60], *[[0, 0, 62.5]] * 700])
-    said = of(Truth, run(plant_of(scenario()), 200 * S, {0: [plan]}))
+    plans = {0: [arrival(0, [[0, 0, 0], [0, 0, 30], [0, 0, 60], *[[0, 0, 62.5]] * 17])]}
+    plans |= {t_ns: [arrival(t_ns, [[0, 0, 62.5]] * 20, sequence=t_ns // S)] for t_ns in range(4 * S, 200 * S, 4 * S)}
+    said = of(Truth, run(plant_of(scenario()), 200 * S, plans))
     assert said[-1].position_m[2] == pytest.approx(40.0, abs=0.5)  # the start costs two seconds of it

@@ -1,9 +1,14 @@
-"""Square of 20 m at 1 m/s, from a hover with the bow into the current."""
+"""Square of 20 m at 1 m/s, from a hover with the bow into the current.
+
+With the effort "high" and the horizon of 5 s it is followed most closely; with the defaults, which are for a third of
+the thrust, the craft is up to 0.27 m beside a straight part.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ltv_mpc.control.config import ControllerConfig
 from tests.foreign_plant.flight import SQUARE, Figure, Flight
 from tests.foreign_plant.plant import STEP_S
 
@@ -15,7 +20,7 @@ NEAR_M = 3.0
 
 def run() -> list[Figure]:
     """Return the distances from the outline and the duration of the lap."""
-    flight = Flight()
+    flight = Flight(config=ControllerConfig(horizon_s=5.1, effort="high"))
     flight.command(action="arm")
     flight.fly(30.0)
     hovered = len(flight.plans)

@@ -35,7 +35,14 @@ class MessageLog:
 
 
 def descent(sensors: str) -> RunConfig:
-    settings = ("run.duration_s=50.0", "run.surface_time_s=12.0", "run.seed=8", f"sensors={sensors}")
+    settings = (
+        "run.duration_s=50.0",
+        "run.surface_time_s=12.0",
+        "run.seed=8",
+        f"sensors={sensors}",
+        "controller.horizon_s=5.1",
+        "controller.effort=high",
+    )
     return resolve("descent", [Override("test", settings)])
 
 

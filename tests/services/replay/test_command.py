@@ -54,7 +54,7 @@ def test_with_other_settings_it_says_what_would_have_changed(
     assert cli(["replay", str(locked_run.path), "--with", str(settings)]) == 0
     out = capsys.readouterr().out
     assert "its controller with" in out
-    assert "weights.thrust = 0.3, in the run null" in out
+    assert "weights.thrust = 0.3, in the run 0.03" in out
     assert "port thrust" in out
 
 
