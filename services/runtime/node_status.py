@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
-from ltv_mpc.messages import ClockState, Message, NodeStatus
+from ltv_mpc.messages import Battery, ClockState, Leak, Message, NodeStatus
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox
 from services.bus.topics import BY_TYPE, OPERATOR
@@ -28,6 +28,10 @@ MAX_TRANSIT_US = 10_000_000
 MAX_BACKLOG_US = 20_000
 """Waiting time of a message that does not yet count as falling behind. An estimate waits in two processes before a plan
 is made from it."""
+
+
+OPTIONAL: tuple[type[Message], ...] = (Battery, Leak)
+"""Inputs of instruments that a vehicle may lack: no process waits for them."""
 
 
 class Counts(Protocol):
@@ -55,12 +59,14 @@ class WaitingFor:
         """``clock_source`` names what the process waits for while it has no time.
 
         ``node_waits`` is the node's own account of what it needs. Without it, the process waits for each of ``inputs``
-        that has never arrived; an operator's inputs are not waited for.
+        that has never arrived; those of an operator and the optional ones are not waited for.
         """
         self.clock = clock
         self._clock_source = clock_source
         self._node_waits = node_waits
-        self._missing = dict.fromkeys(kind for kind in inputs if BY_TYPE[kind].written_by != OPERATOR)
+        self._missing = dict.fromkeys(
+            kind for kind in inputs if BY_TYPE[kind].written_by != OPERATOR and kind not in OPTIONAL
+        )
         self._clock_received_us: int | None = None
 
     def on_input(self, kind: type[Message]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ltv_mpc.messages import ClockState, GnssFix, NodeStatus, UsblFix
+from ltv_mpc.messages import Battery, ClockState, Estimate, GnssFix, Leak, Manual, NodeStatus, UsblFix
 from services.runtime.clock import ClockSegment, VehicleClock
 from services.runtime.node_status import (
     HURRIED_PERIOD_US,
@@ -87,3 +87,9 @@ def test_a_node_s_own_account_of_its_needs_is_published(missing: Callable[[], st
     )
     report.publish(SENT)
     assert said[0].waiting_for == says
+
+
+def test_instruments_that_a_vehicle_may_lack_are_not_waited_for() -> None:
+    clock = VehicleClock()
+    clock.set_segment(ClockSegment(0, 0, 1, 1, ClockState.RUNNING))
+    assert WaitingFor(clock, (Estimate, Battery, Leak, Manual)).text(SENT) == "estimate"
