@@ -20,8 +20,9 @@ import numpy as np
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, advance, references
 from ltv_mpc.control.config import Disturbance, MotionLimits, WeightSettings
-from ltv_mpc.messages import Applied, Plan
+from ltv_mpc.messages import Plan
 from ltv_mpc.references import Reference
+from tests.ltv_mpc.reports import report
 
 CASES, CYCLES = 100, 20
 PERIOD_S = 0.3
@@ -31,20 +32,6 @@ VEHICLES = ("paper", "low-yaw", "weak-reverse", "surface")
 PATHS = ("square", "lawnmower", "line", "spiral", "circle")
 HORIZONS = ((5.1, 34), (10.2, 34), (13.8, 34), (24.0, 34), (20.4, 68))
 """Length (s) and largest number of stages."""
-
-REPORT = Applied(
-    t_ns=0,
-    thrust_N=(0.0, 0.0, 0.0),
-    command_N=(0.0, 0.0, 0.0),
-    command_slew_N_per_s=(0.0, 0.0, 0.0),
-    plan_epoch=0,
-    plan_sequence=-1,
-    plan_cycle_t_ns=0,
-    plan_received_t_ns=0,
-    plan_late=False,
-    plans_late=0,
-    plans_rejected=0,
-)
 
 
 class Case(NamedTuple):
@@ -116,10 +103,8 @@ def thrusts(case: Case, driven_by: np.ndarray | None) -> np.ndarray:
         followed = plan if driven_by is None else msgspec.structs.replace(plan, thrust_N=driven_by[k])
         estimate = advance(case.vehicle, estimate, followed, duration_s=PERIOD_S)
         if case.reports:
-            command = tuple(controller.sent_commands.at(np.array([estimate.t_ns]))[0].tolist())
-            controller.add_report(
-                msgspec.structs.replace(REPORT, t_ns=estimate.t_ns, thrust_N=command, command_N=command)
-            )
+            command = controller.sent_commands.at(np.array([estimate.t_ns]))[0]
+            controller.add_report(report(estimate.t_ns, command))
     return np.array(found)
 
 

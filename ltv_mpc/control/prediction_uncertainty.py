@@ -35,9 +35,7 @@ COLUMN_OF = (0, 1, 4, 5, 2, 3)
 """Place of north, east, velocity north and east, heading, yaw rate in the estimate of ``prediction.Measured``."""
 
 
-def growth_m(
-    prediction: Prediction, estimate: Estimate, t_ns: int, commands: SentCommands, bias: CurrentBias | None
-) -> float:
+def growth_m(prediction: Prediction, estimate: Estimate, t_ns: int, commands: SentCommands, bias: CurrentBias) -> float:
     """Return the growth of the standard deviation of the predicted horizontal position (m).
 
     Parameters
@@ -46,7 +44,7 @@ def growth_m(
     estimate : where the prediction begins, with the bias in its current.
     t_ns : time of the predicted position, vehicle time (ns).
     commands : commands in force from the estimate's time on.
-    bias : estimated bias of the current; None: there is none.
+    bias : estimated bias of the current; it has no covariance where it does not apply.
     """
     since_ns, state, report_ns, thrust_N = prediction.measured(estimate)
     times, commanded_N = prediction.delivered(commands)
@@ -69,8 +67,7 @@ def growth_m(
         d = _position(gain=gain) - at
         variance += float(d @ d)
     Pb = _current_variance(profile, estimate.depth_m) * np.eye(2)
-    if bias is not None:
-        Pb += bias.covariance_of_mean((t_ns - since_ns) * 1e-9)
+    Pb += bias.covariance_of_mean((t_ns - since_ns) * 1e-9)
     if Pb.any():
         B = np.array([_position(current=(STEP, 0.0)) - at, _position(current=(0.0, STEP)) - at]).T / STEP
         variance += float(np.trace(B @ Pb @ B.T))

@@ -2,10 +2,9 @@
 
 A plan takes over from the one before at its own start. After its end the commands ramp to rest at the slew limit, as
 the actuators do without a new plan (``plan_gate.py``): the lateral ones to zero, the vertical one to
-``failsafe_vertical_N``. The
-prediction of the state at the start of a new plan uses these commands. The actuators may report another command (a plan
-came late, or this controller is new): then the report is taken as true, and from there the commands approach the plan
-at the slew limit.
+``failsafe_vertical_N``. The prediction of the state at the start of a new plan uses these commands. The actuators may
+report another command (a plan came late, or this controller is new): then the report is taken as true, and from there
+the commands approach the plan at the slew limit.
 """
 
 from __future__ import annotations

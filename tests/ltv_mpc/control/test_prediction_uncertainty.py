@@ -29,11 +29,14 @@ SD = np.array([0.4, 0.2, 0.02, 0.03, 0.05, 0.01])
 CORRELATED = np.diag(SD) @ (np.eye(6) + 0.4 * (np.eye(6, k=2) + np.eye(6, k=-2))) @ np.diag(SD)
 
 
-def learning(walk_mps_per_rts: float = 0.01) -> CurrentBias:
+def learning(walk_mps_per_rts: float = 0.01, sd_mps: float | None = None) -> CurrentBias:
     """Return the bias after one estimate without a current."""
-    bias = CurrentBias(Disturbance(walk_mps_per_rts=walk_mps_per_rts))
+    bias = CurrentBias(Disturbance(sd_mps=sd_mps, walk_mps_per_rts=walk_mps_per_rts))
     bias.correct(Estimate.at_rest(), Prediction(PAPER), SentCommands(PAPER))
     return bias
+
+
+NEVER = learning(sd_mps=0.0)
 
 
 def sent(port: float = 1.0, starboard: float = 1.0) -> SentCommands:
@@ -79,13 +82,13 @@ def drawn(t_ns: int, covariance: np.ndarray | None, current_sd: float) -> float:
 @pytest.mark.parametrize("seconds", [2, 6])
 @pytest.mark.parametrize(
     ("covariance", "bias"),
-    [(None, None), (CORRELATED, None), (None, learning()), (CORRELATED, learning())],
+    [(None, NEVER), (CORRELATED, NEVER), (None, learning()), (CORRELATED, learning())],
 )
 def test_the_growth_is_that_of_draws(covariance, bias, seconds):
     estimate = msgspec.structs.replace(MOVING, covariance=covariance)
     growth = growth_m(Prediction(PAPER), estimate, seconds * S, sent(), bias)
     at_first = 0.0 if covariance is None else float(np.hypot(*SD[:2]))
-    current_sd = 0.0 if bias is None else float(np.sqrt(bias.covariance_of_mean(seconds)[0, 0]))
+    current_sd = 0.0 if bias is NEVER else float(np.sqrt(bias.covariance_of_mean(seconds)[0, 0]))
     assert growth == pytest.approx(drawn(seconds * S, covariance, current_sd) - at_first, rel=0.15)
 
 
@@ -106,9 +109,9 @@ def test_the_standard_deviation_of_a_told_current_counts_at_the_depth_of_the_veh
     zero = np.zeros(2)
     profile = CurrentProfile(depth_m=np.array([0.0, 10.0]), north_mps=zero, east_mps=zero, sd_mps=np.array([0.0, 0.2]))
     estimate = msgspec.structs.replace(MOVING, depth_m=5.0, current=profile)
-    growth = growth_m(Prediction(PAPER), estimate, 6 * S, sent(), None)
+    growth = growth_m(Prediction(PAPER), estimate, 6 * S, sent(), NEVER)
     assert growth == pytest.approx(drawn(6 * S, None, 0.1), rel=0.15)
-    assert growth > 1.5 * growth_m(Prediction(PAPER), MOVING, 6 * S, sent(), None)
+    assert growth > 1.5 * growth_m(Prediction(PAPER), MOVING, 6 * S, sent(), NEVER)
 
 
 def test_a_bias_that_is_not_used_adds_nothing():
