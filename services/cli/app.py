@@ -37,7 +37,7 @@ BAD_INPUT = 2
 app = typer.Typer(
     name="ltv-mpc",
     pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
+    rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 start.register(app, "Start here")

@@ -6,9 +6,9 @@ import json
 import shlex
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias
 
 import typer
 
@@ -315,7 +315,16 @@ def _print_summary(summary: Summary, folder: RunFolder, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(plain, indent=2))
         return
+    typer.echo(verdict(plain, folder.path, _next_commands(plain, folder)))
+
+
+def _next_commands(summary: Mapping[str, Any], folder: RunFolder) -> list[str]:
+    """Return commands for the same scenario: the other mode, another horizon, and a replay."""
     program = "ltv-mpc" if shutil.which("ltv-mpc") else ".venv/bin/ltv-mpc"
-    again = f"{program} sim {shlex.quote(str(folder.scenario))}"
-    next_commands = (f"{again} --lockstep", f"{again} --horizon-s 10 --compute-delay-s 0.71", f"{program} topics")
-    typer.echo(verdict(plain, folder.path, next_commands))
+    path = folder.path
+    if (latest := path.parent / "latest").exists() and latest.samefile(path):
+        path = latest
+    again = f"{program} sim {shlex.quote(str(path / folder.scenario.name))}"
+    other_mode = again if summary["mode"] == "lockstep" else f"{again} --lockstep"
+    other_horizon_s = round(summary["horizon_s"] / 2) or 5
+    return [other_mode, f"{again} --horizon-s {other_horizon_s}", f"{program} replay {shlex.quote(str(path))}"]

@@ -33,7 +33,7 @@ ComputeDelay: TypeAlias = Annotated[
 ]
 Rate: TypeAlias = Annotated[
     float | None,
-    typer.Option("--rate-hz", metavar="R", help="Cycles a second. Default 3.33.", min=1 / 60, max=50),
+    typer.Option("--rate-hz", metavar="R", help="Cycles a second. Default 3.33.", min=0.02, max=50),
 ]
 Horizon: TypeAlias = Annotated[
     float | None,

@@ -18,6 +18,7 @@ from services.recording.info import utc
 from services.recording.node_settings import vehicle_name
 from services.recording.writer import VEHICLE_MODE
 from services.reporting import differences, static_files
+from services.reporting.assessment import assessment
 from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.collector import ROWS
@@ -103,7 +104,7 @@ def _has_data(data: PlotData, series: Series) -> bool:
 
 
 def _lines(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[str]:
-    """Return the lines below the title, one for each run."""
+    """Return the lines below the title: one for each run, and for a single one what its figures mean."""
     lines = []
     for run, data in zip(runs, plot_data, strict=True):
         words = [_vehicle(data)] if data.metadata.get("mode") == VEHICLE_MODE else [_how(run.summary, data.metadata)]
@@ -111,6 +112,8 @@ def _lines(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[str]:
             words.append('<span class="bad">the recording was cut off: the report shows its readable part</span>')
         name = f"{html.escape(run.name)}: " if len(runs) > 1 else ""
         lines.append(name + " · ".join(words))
+        if len(runs) == 1 and run.summary:
+            lines.append(html.escape(" ".join(assessment(run.summary))))
     return lines
 
 

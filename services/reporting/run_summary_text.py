@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from services.reporting.assessment import assessment
+
+WIDTH = 80
 
 MIN_SPEED_RATIO = 0.95
 """Ratio of reached to requested speed below which the summary names the reached speed."""
 
 
 def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[str] = ()) -> str:
-    """Format the summary, without a line break at the end."""
+    """Format the summary, without a line break at the end. Lock step has no rows for what only processes show."""
     rows = [
         ("run", f"{summary['scenario']}, {summary['duration_s']:.1f} s {how(summary)}, seed {summary['seed']}"),
+        ("horizon", f"{summary['horizon_s']:.1f} s in {summary['stages']} stages"),
         ("tracking", _error(summary["tracking_error_m"], "estimate from the line")),
         ("true error", _error(summary["true_error_m"], "vehicle from the line")),
         ("localisation", _error(summary["localisation_error_m"], "estimate from the vehicle")),
         ("thrust", _thrust(summary["thrust"])),
         ("energy", _energy(summary["thrust"])),
-        ("compute", _delay(summary["compute_delay_s"], summary["compute_delay_wall_s"])),
-        ("end to end", _delay(summary["end_to_end_delay_s"], summary["end_to_end_delay_wall_s"])),
         ("cycles", _cycles(summary)),
-        ("messages", _messages(summary["messages"], summary["restarts"])),
     ]
+    if summary["mode"] != "lockstep":
+        rows += [
+            ("compute", _delay(summary["compute_delay_s"], summary["compute_delay_wall_s"])),
+            ("end to end", _delay(summary["end_to_end_delay_s"], summary["end_to_end_delay_wall_s"])),
+            ("messages", _messages(summary["messages"], summary["restarts"])),
+        ]
     lines = [f"{name:<13} {text}" for name, text in rows]
+    lines.append("")
+    for sentence in assessment(summary):
+        lines += textwrap.wrap(sentence, WIDTH)
     if next_commands:
         lines += ["", "next:", *(f"  {command}" for command in next_commands)]
     return "\n".join([*lines, "", str(folder)])
@@ -58,10 +70,11 @@ def _thrust(thrust: Mapping[str, float | None]) -> str:
 
 
 def _energy(thrust: Mapping[str, float | None]) -> str:
-    relative = f"relative power {_figure(thrust.get('relative_power'), '.4f')} of full lateral thrust"
+    power = thrust.get("relative_power")
+    relative = f"{_figure(None if power is None else 100 * power, '.1f')} % of full lateral power"
     if (energy_J := thrust.get("propulsive_energy_J")) is None:
-        return f"{relative} (the vehicle file has no torque coefficients)"
-    return f"{energy_J:.0f} J at the propellers, lateral {_figure(thrust.get('lateral_energy_J'), '.0f')} J; {relative}"
+        return f"{relative}; no torque coefficients given"
+    return f"{energy_J:.0f} J (lateral thrusters {_figure(thrust.get('lateral_energy_J'), '.0f')} J), {relative}"
 
 
 def _delay(vehicle: Mapping[str, float | None], wall: Mapping[str, float | None]) -> str:
@@ -86,7 +99,7 @@ def _messages(messages: Mapping[str, int], restarts: int) -> str:
     text = f"{messages['published']} published, {messages['dropped']} dropped, {messages['rejected']} rejected"
     if denied := messages.get("denied"):
         text += f", {denied} denied"
-    return f"{text}; {restarts} restarts" if restarts else text
+    return f"{text}; restarts: {restarts}" if restarts else text
 
 
 def _figure(value: float | None, digits: str) -> str:

@@ -78,6 +78,20 @@ def test_help_imports_nothing_that_is_slow() -> None:
         assert imported(result.stderr) & slow == set()
 
 
+@pytest.mark.parametrize(
+    ("command", "word"),
+    [
+        ("controller", "[controller]"),
+        ("estimator", "[estimator]"),
+        ("qp export-c", "[controller]"),
+        ("inject", "[[fault]]"),
+    ],
+)
+def test_help_keeps_words_in_brackets(command: str, word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    cli(f"{command} --help")
+    assert word in capsys.readouterr().out
+
+
 def test_help_prints_the_key_of_each_short_spelling(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,9 +134,13 @@ def test_the_verdict_ends_with_the_folder(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert cli("sim --lockstep --duration-s 0.3 --no-control --perfect-state") == 0
-    folder = Path(capsys.readouterr().out.splitlines()[-1])
+    lines = capsys.readouterr().out.splitlines()
+    folder = Path(lines[-1])
     assert folder.parent == Path("runs")
     assert (folder / "run.mcap").is_file()
+    commands = [line.split("ltv-mpc ")[1] for line in lines if "ltv-mpc " in line]
+    again = "sim runs/latest/scenario.toml"
+    assert commands == [again, f"{again} --horizon-s 7", "replay runs/latest"]  # lock step is not proposed again
 
 
 def test_a_run_s_scenario_runs_again_to_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,11 @@ from services.recording.writer import VEHICLE_MODE, RunWriter
 from services.reporting import static_files
 from tests.services.reporting import synthetic_run
 
-SUMMARY = {"mode": "services", "speed": 10.0, "seed": 3, "cycles": 66, "true_error_m": {"mean": 0.25, "max": None}}
+SUMMARY = {
+    **{"mode": "services", "speed": 10.0, "seed": 3, "cycles": 66},
+    **{"true_error_m": {"mean": 0.25, "max": None}, "tracking_error_m": {"mean": 0.02}},
+    "localisation_error_m": {"mean": 0.24},
+}
 OTHER = {**SUMMARY, "cycles": 60, "true_error_m": {"mean": 0.5}, "restarts": 2}
 
 
@@ -47,6 +51,7 @@ def test_a_run_s_report_is_one_small_file_in_its_folder(
     assert out.splitlines()[-1] == str(report)
     assert re.search(r"true error, mean \(m\) +0\.250", out)
     text = report.read_text()
+    assert "<p>The vehicle was 0.250 m from the reference on average. Most of this is drift" in text
     assert report.stat().st_size < 8e6
     assert not re.search(r"<(script|link|img|iframe)[^>]*(src|href)=.?(http|/|\.)", text)
     (run,) = data(text)["runs"]

@@ -21,6 +21,8 @@ SUMMARY: dict[str, Any] = {
     **dict.fromkeys(("tracking_error_m", "true_error_m", "localisation_error_m"), NOTHING),
     **{f"{name}_delay_{unit}": NOTHING for name in ("compute", "end_to_end") for unit in ("s", "wall_s")},
     "thrust": THRUST,
+    "horizon_s": 13.8,
+    "stages": 34,
     "cycles": 0,
     "plan_origin": {},
     "deadline_misses": 0,
@@ -31,11 +33,11 @@ SUMMARY: dict[str, Any] = {
 
 
 def test_the_energy_is_in_joules_and_without_torque_coefficients_relative() -> None:
-    relative = THRUST | {"relative_power": 0.0123}
+    relative = THRUST | {"relative_power": 0.123}
     joules = relative | {"propulsive_energy_J": 4321.4, "lateral_energy_J": 210.6}
     with_file, without = (verdict(SUMMARY | {"thrust": thrust}, Path("x")) for thrust in (joules, relative))
-    assert "4321 J at the propellers, lateral 211 J; relative power 0.0123" in with_file
-    assert "relative power 0.0123 of full lateral thrust (the vehicle file has no torque" in without
+    assert "4321 J (lateral thrusters 211 J), 12.3 % of full lateral power" in with_file
+    assert "12.3 % of full lateral power; no torque coefficients given" in without
 
 
 @pytest.mark.parametrize(
@@ -49,6 +51,18 @@ def test_the_energy_is_in_joules_and_without_torque_coefficients_relative() -> N
 )
 def test_the_first_line_says_how_the_run_went(changed: dict[str, Any], words: str) -> None:
     assert words in verdict(SUMMARY | changed, Path("somewhere")).splitlines()[0]
+
+
+def test_every_verdict_has_its_horizon_and_fits_the_terminal() -> None:
+    lines = verdict(SUMMARY, Path("x")).splitlines()
+    assert lines[1] == "horizon       13.8 s in 34 stages"
+    assert max(map(len, lines)) <= 80
+
+
+def test_lock_step_leaves_out_what_it_cannot_measure() -> None:
+    rows = {mode: {line.split("  ")[0] for line in verdict(SUMMARY | {"mode": mode}, Path("x")).splitlines()}
+            for mode in ("services", "lockstep")}  # fmt: skip
+    assert rows["services"] - rows["lockstep"] >= {"compute", "end to end", "messages"}
 
 
 def test_a_run_that_was_cut_off_has_no_speed_to_tell() -> None:

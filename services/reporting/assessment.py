@@ -1,0 +1,74 @@
+"""Assessment of a run: what its figures mean, one sentence each, for the terminal and for the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+OFTEN_SATURATED = 0.1
+"""Share of the time at a thrust limit above which the thrusters bound the tracking error."""
+
+
+def assessment(summary: Mapping[str, Any]) -> list[str]:
+    """Return the sentences: the error and what bounds it, the thrust, the delay, and what was lost.
+
+    A figure that the summary lacks, such as the truth of a real vehicle, gives no sentence.
+    """
+    sentences = [_error(summary), _thrust(summary), _delay(summary), _losses(summary)]
+    return [sentence for sentence in sentences if sentence]
+
+
+def _error(summary: Mapping[str, Any]) -> str:
+    """Name the error and the part that is larger: the controller's or the estimator's."""
+    tracking, true, localisation = (
+        _figure(summary, f"{of}_error_m", "mean") for of in ("tracking", "true", "localisation")
+    )
+    if tracking is None:
+        return ""
+    if true is None or localisation is None:
+        return f"The estimate stayed {tracking:.3f} m from the reference on average."
+    start = f"The vehicle was {true:.3f} m from the reference on average. "
+    if localisation > tracking:
+        return start + "Most of this is drift of the estimate: better sensors reduce it, more thrust does not."
+    if (_figure(summary, "thrust", "saturated_fraction") or 0.0) > OFTEN_SATURATED:
+        return start + "Most of this is tracking, which the thrust limits bound."
+    return start + "Most of this is tracking."
+
+
+def _thrust(summary: Mapping[str, Any]) -> str:
+    saturated = _figure(summary, "thrust", "saturated_fraction")
+    if saturated is None:
+        return ""
+    if saturated == 0.0:
+        return "No lateral thruster reached its limit."
+    return f"A lateral thruster was at its limit for {100 * saturated:.1f} % of the time."
+
+
+def _delay(summary: Mapping[str, Any]) -> str:
+    """Tell the delay from estimate to effect, and how many plans came after their start."""
+    delay_s = _figure(summary, "end_to_end_delay_s", "median")
+    if summary.get("mode") == "lockstep" or delay_s is None:
+        return ""
+    late = summary["deadline_misses"]
+    plans = "No plan came" if late == 0 else f"{late} of {summary['cycles']} plans came"
+    return f"A plan took effect {delay_s:.2f} s after its estimate, and was made for that time. {plans} too late."
+
+
+def _losses(summary: Mapping[str, Any]) -> str:
+    messages = summary.get("messages")
+    if summary.get("mode") == "lockstep" or messages is None:
+        return ""
+    counts = {
+        "dropped messages": messages["dropped"],
+        "rejected messages": messages["rejected"],
+        "denied messages": messages.get("denied", 0),
+        "restarts of processes": summary["restarts"],
+    }
+    bad = ", ".join(f"{what}: {count}" for what, count in counts.items() if count)
+    return f"Not all went well: {bad}. The report lists the events." if bad else "No message was lost."
+
+
+def _figure(summary: Mapping[str, Any], group: str, name: str) -> float | None:
+    """Return a figure, or None where a summary that was cut off lacks it."""
+    value: float | None = summary.get(group, {}).get(name)
+    return value

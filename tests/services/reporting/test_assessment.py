@@ -1,0 +1,60 @@
+"""Assessment of a run: the larger part of the error is named, and a loss is never left out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from services.reporting.assessment import assessment
+
+
+def summary(tracking: float | None, true: float | None, localisation: float | None, **other: Any) -> dict[str, Any]:
+    means = {"tracking_error_m": tracking, "true_error_m": true, "localisation_error_m": localisation}
+    usual: dict[str, Any] = {
+        **{name: {"mean": mean} for name, mean in means.items()},
+        "mode": "services",
+        "thrust": {"saturated_fraction": 0.0, "mean_abs_N": 8.0, "max_abs_N": 40.0},
+        "end_to_end_delay_s": {"median": 0.21},
+        "cycles": 667,
+        "deadline_misses": 0,
+        "messages": {"published": 9, "dropped": 0, "rejected": 0},
+        "restarts": 0,
+    }
+    return usual | other
+
+
+SATURATED = {"saturated_fraction": 0.4, "mean_abs_N": 60.0, "max_abs_N": 100.0}
+
+
+@pytest.mark.parametrize(
+    ("figures", "words"),
+    [
+        (summary(0.02, 0.31, 0.30), "0.310 m from the reference on average. Most of this is drift of the estimate"),
+        (summary(0.50, 0.51, 0.02), "0.510 m from the reference on average. Most of this is tracking."),
+        (summary(0.50, 0.51, 0.02, thrust=SATURATED), "Most of this is tracking, which the thrust limits bound."),
+        (summary(0.50, None, None), "The estimate stayed 0.500 m from the reference on average."),
+    ],
+)
+def test_the_larger_part_of_the_error_is_named(figures: dict[str, Any], words: str) -> None:
+    assert words in assessment(figures)[0]
+
+
+def test_late_plans_and_losses_are_counted() -> None:
+    messages = {"published": 9, "dropped": 3, "rejected": 0, "denied": 0}
+    text = " ".join(assessment(summary(0.02, 0.3, 0.3, deadline_misses=4, messages=messages, restarts=1)))
+    assert "4 of 667 plans came too late" in text
+    assert "dropped messages: 3, restarts of processes: 1. The report" in text
+    usual = " ".join(assessment(summary(0.02, 0.3, 0.3)))
+    assert "No plan came too late. No message was lost." in usual
+
+
+def test_lock_step_says_nothing_of_delays_and_losses() -> None:
+    text = " ".join(assessment(summary(0.02, 0.3, 0.3, mode="lockstep")))
+    assert "too late" not in text
+    assert "lost" not in text
+
+
+def test_a_summary_without_figures_gives_no_sentence_about_them() -> None:
+    nothing = {"saturated_fraction": None, "mean_abs_N": None, "max_abs_N": None}
+    assert assessment(summary(None, None, None, mode="lockstep", thrust=nothing)) == []
