@@ -25,6 +25,7 @@ from services.cli.overview import overview
 from services.cli.replay import replay
 from services.cli.report import report
 from services.cli.ros2 import ros2
+from services.cli.watch import watch
 
 HELP = ((), ("--help",), ("-h",))
 COMPLETION = "_LTV_MPC_COMPLETE"
@@ -42,6 +43,7 @@ app = typer.Typer(
 )
 start.register(app, "Start here")
 app.command(rich_help_panel="Start here")(dashboard)
+app.command(rich_help_panel="Start here")(watch)
 app.command(rich_help_panel="Start here")(doctor)
 vehicle.register(app, "Your vehicle")
 app.command(rich_help_panel="Your vehicle")(ctl)

@@ -20,8 +20,8 @@ def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[st
     rows = [
         ("run", f"{summary['scenario']}, {summary['duration_s']:.1f} s {how(summary)}, seed {summary['seed']}"),
         ("horizon", f"{summary['horizon_s']:.1f} s in {summary['stages']} stages"),
-        ("tracking", _error(summary["tracking_error_m"], "estimate from the line")),
-        ("true error", _error(summary["true_error_m"], "vehicle from the line")),
+        ("tracking", _error(summary["tracking_error_m"], "estimate from the reference")),
+        ("true error", _error(summary["true_error_m"], "vehicle from the reference")),
         ("localisation", _error(summary["localisation_error_m"], "estimate from the vehicle")),
         ("thrust", _thrust(summary["thrust"])),
         ("energy", _energy(summary["thrust"])),

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+import numpy as np
 from rich.console import Console, Group
 from rich.live import Live
 from rich.markup import escape
@@ -22,15 +23,17 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from ltv_mpc.messages import ControllerStatus
 from services.reporting.tracking_error import TrackingError
 from services.supervisor.screen import LiveView, Screen
 
 Limits = Sequence[tuple[float, float]]
-"""Minimum and maximum thrust (N) of port, starboard, vertical."""
+"""Minimum and maximum thrust (N) of port, starboard, vertical; empty if they are not known."""
 
 REDRAW_S = 0.125
 LINE_S = 5.0
 BAR = 31  # width in characters, from full astern to full ahead
+THRUSTERS = ("port", "starboard", "vertical")
 ORDER = ("router", "plant", "sensors", "estimator", "controller", "recorder")
 
 
@@ -168,13 +171,14 @@ def _columns() -> tuple[ProgressColumn, ...]:
 
 def line(view: LiveView, errors: TrackingError) -> str:
     """Format the state of the run in one line."""
-    words = [f"t {_seconds(view.t_ns)} s of {_seconds(view.end_ns)}", view.phase]
-    if view.truth is not None:
-        words.append(f"depth {view.truth.position_m[2]:.1f} m")
+    end = "" if view.end_ns is None else f" of {_seconds(view.end_ns)}"
+    words = [f"t {_seconds(view.t_ns)} s{end}", view.phase]
+    if view.estimate is not None and view.estimate.depth_m is not None:
+        words.append(f"depth {view.estimate.depth_m:.1f} m")
+    if view.controller is not None and view.controller.error_m is not None:
+        words.append(f"estimate from the reference {view.controller.error_m:.3f} m")
     if errors.true_error_m is not None:
-        words.append(f"from the line {errors.true_error_m:.3f} m")
-    if errors.localisation_m is not None:
-        words.append(f"localisation {errors.localisation_m:.3f} m")
+        words.append(f"vehicle from the reference {errors.true_error_m:.3f} m")
     if view.applied is not None:
         words.append("thrust " + " ".join(f"{x:.0f}" for x in view.applied.thrust_N) + " N")
     if view.timing is not None:
@@ -202,6 +206,8 @@ def times(speed: float, asked: float) -> str:
 
 
 def _progress(view: LiveView) -> Text:
+    if view.end_ns is None:
+        return Text(f"t {_seconds(view.t_ns):>8} s  {view.phase}", no_wrap=True)
     share = (view.t_ns - view.start_ns) / max(1, view.end_ns - view.start_ns)
     done = round(30 * min(max(share, 0.0), 1.0))
     return Text(
@@ -212,29 +218,46 @@ def _progress(view: LiveView) -> Text:
 
 
 def _motion(view: LiveView, errors: TrackingError) -> list[Text]:
-    truth = view.truth
-    if truth is None:
-        return [Text("depth      -"), Text("error      -")]
-    heading_deg = math.degrees(truth.attitude_rad[2]) % 360
-    return [
-        Text(
-            f"depth   {truth.position_m[2]:8.2f} m   heading {heading_deg:5.0f} deg"
-            f"   current {math.hypot(*truth.current_mps):5.3f} m/s"
-        ),
-        Text(
-            f"error   {_metres(errors.true_error_m)} from the line"
-            f"   {_metres(errors.localisation_m)} localisation, since the start"
-        ),
-    ]
+    """Return where the vehicle is by its estimate, how far from the reference, and who controls it in which health."""
+    estimate, controller = view.estimate, view.controller
+    if estimate is None:
+        return [Text("motion  -"), Text("error   -"), Text("control -")]
+    depth = "" if estimate.depth_m is None else f"depth {estimate.depth_m:.2f} m   "
+    speed_mps = math.hypot(estimate.velocity_north_mps, estimate.velocity_east_mps)
+    words = f"{depth}heading {math.degrees(estimate.heading_rad) % 360:.0f} deg   speed {speed_mps:.3f} m/s"
+    if (current := estimate.current) is not None:
+        at = (estimate.depth_m or 0.0, current.depth_m)
+        current_mps = math.hypot(np.interp(*at, current.north_mps), np.interp(*at, current.east_mps))
+        words += f"   current {current_mps:.3f} m/s"
+    error = f"estimate from the reference {_metres(None if controller is None else controller.error_m)}"
+    if view.truth is not None:
+        error += f"   vehicle from the reference {_metres(errors.true_error_m)}"
+    lines = [f"motion  {words}", f"error   {error}", f"control {_control(controller)}"]
+    return [Text(line, no_wrap=True, overflow="ellipsis") for line in lines]
+
+
+def _control(controller: ControllerStatus | None) -> str:
+    if controller is None:
+        return "-"
+    why = f" ({controller.health_why})" if controller.health_why else ""
+    progress = "" if controller.progress is None else f"   progress {100 * controller.progress:.0f} %"
+    return f"{controller.authority}   {controller.health}{why}{progress}"
 
 
 def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
+    """Return a line for each thruster: its force, and a bar if its limits are known."""
+    if view.applied is None:
+        forces = dict.fromkeys(THRUSTERS, 0.0)
+    else:
+        forces = dict(zip(THRUSTERS, view.applied.thrust_N, strict=False))
     lines = []
-    for i, name in enumerate(("port", "starboard", "vertical")):
+    for i, (name, thrust_N) in enumerate(forces.items()):
+        if i >= len(limits):
+            lines.append(Text(f"{name:<10}{thrust_N:8.1f} N"))
+            continue
         least, most = limits[i]
-        thrust = 0.0 if view.applied is None else view.applied.thrust_N[i]
-        full = view.applied is not None and (thrust >= 0.999 * most or thrust <= 0.999 * least)
-        lines.append(Text(f"{name:<10}{thrust:8.1f} N  {bar(thrust, least, most)}", style="yellow" if full else ""))
+        full = view.applied is not None and (thrust_N >= 0.999 * most or thrust_N <= 0.999 * least)
+        lines.append(Text(f"{name:<10}{thrust_N:8.1f} N  {bar(thrust_N, least, most)}", style="yellow" if full else ""))
     return lines
 
 
@@ -277,4 +300,4 @@ def _seconds(t_ns: int, digits: int = 1) -> str:
 
 
 def _metres(distance: float | None) -> str:
-    return "       - m" if distance is None else f"{distance:8.3f} m"
+    return "- m" if distance is None else f"{distance:.3f} m"

@@ -1,7 +1,7 @@
-"""Tracking error and localisation error of a run in progress.
+"""Distance of the vehicle from the reference of a simulated run in progress.
 
-Both count from the start of the descent, as in summary.json: a satellite fix is metres off, and the reference starts
-at the estimated position. Before that start both are None.
+It counts from the start of the descent, as in summary.json: a satellite fix is metres off, and the reference starts
+at the estimated position. Before that start it is None.
 """
 
 from __future__ import annotations
@@ -13,22 +13,19 @@ from services.supervisor.screen import LiveView
 
 
 class TrackingError:
-    """Horizontal errors since the start: ``true_error_m`` from the reference, ``localisation_m`` of the estimate."""
+    """Horizontal error of the vehicle since the start: ``true_error_m``."""
 
     def __init__(self) -> None:
         self._at_start: Pair | None = None
         self.true_error_m: float | None = None
-        self.localisation_m: float | None = None
 
     def update(self, view: LiveView) -> None:
-        """Update both errors from a view of the run."""
+        """Update the error from a view of the run."""
         if view.truth is None or view.estimate is None or view.estimate.t_ns < 0:  # a fix may still move it by metres
             return
-        north, east = _difference(view.truth, view.estimate)
         if self._at_start is None:
-            self._at_start = north, east
+            self._at_start = _difference(view.truth, view.estimate)
         north0, east0 = self._at_start
-        self.localisation_m = math.hypot(north - north0, east - east0)
         if view.plan is not None and view.plan.reference_m is not None:
             north_ref, east_ref = view.plan.reference_m
             position = view.truth.position_m

@@ -11,6 +11,7 @@ from ltv_mpc.messages import (
     Clock,
     ClockState,
     ControllerState,
+    ControllerStatus,
     CycleTiming,
     Estimate,
     EstimatorState,
@@ -25,14 +26,14 @@ from services.bus.latest_cache import LatestCache
 from services.bus.mailbox import Mailbox
 from services.bus.roles import ROUTER
 from services.bus.session import Session
-from services.bus.topics import BY_TYPE, Topic
+from services.bus.topics import BY_TYPE, Topic, expression
 from services.bus.wire import WireError, decode, header_of, unpack
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 
 S = TypeVar("S", bound=Message)
 STATUS = BY_TYPE[NodeStatus].key
 
-DISPLAYED: tuple[type[Message], ...] = (Truth, Estimate, Plan, Applied, CycleTiming, Clock)
+DISPLAYED: tuple[type[Message], ...] = (Truth, Estimate, Plan, Applied, ControllerStatus, CycleTiming, Clock)
 RESTORED: tuple[type[Message], ...] = (ControllerState, EstimatorState)
 PLAN_HISTORY = 32
 """Plans that are kept, 10 s of them: one of them is in force at the actuators."""
@@ -58,7 +59,7 @@ class _RecentPlans(LatestCache):
 
 
 class BusMonitor:
-    """Subscriptions of the supervisor. ``nodes`` are the processes whose status it reads."""
+    """Subscriptions of the supervisor. ``nodes`` are the processes whose status it reads; ``*`` reads all."""
 
     def __init__(self, session: Session, nodes: Iterable[str]) -> None:
         self._newest = LatestCache()
@@ -68,14 +69,17 @@ class BusMonitor:
         self._clock = VehicleClock()
         self._decoded: dict[str, tuple[bytes, Message | None]] = {}  # by key: the payload, and its message
         for kind in (*DISPLAYED, *RESTORED):
-            session.subscribe(BY_TYPE[kind].key, BY_TYPE[kind], self._plans if kind is Plan else self._newest)
+            session.subscribe(expression(BY_TYPE[kind]), BY_TYPE[kind], self._plans if kind is Plan else self._newest)
         for node in nodes:
             session.subscribe(f"{STATUS}/{node}", BY_TYPE[NodeStatus], self._newest)
         session.subscribe(f"{BY_TYPE[RunEvent].key}/*", BY_TYPE[RunEvent], self._events)
         session.subscribe(BY_TYPE[Kill].key, BY_TYPE[Kill], self._kills)
 
     def newest(self, kind: type[S], node: str = "") -> S | None:
-        """Return the newest message of this type; of ``node``, if every node writes it. None if there is none."""
+        """Return the newest message of this type, or None.
+
+        ``node`` is the last part of its key: the process if every process writes it, the source of an estimate.
+        """
         key = BY_TYPE[kind].key
         frame_key = f"{key}/{node}" if node else key
         frame = (self._plans if kind is Plan else self._newest).get(frame_key)
@@ -103,6 +107,11 @@ class BusMonitor:
             except WireError:
                 continue
         return None
+
+    def nodes(self) -> list[str]:
+        """Return the processes that have published a status."""
+        keys = (key for key, _ in self._newest.items() if key.startswith(f"{STATUS}/"))
+        return sorted(key.removeprefix(f"{STATUS}/") for key in keys)
 
     def running(self) -> bool:
         """Return True if the vehicle clock runs."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from ltv_mpc.messages import Applied, CycleTiming, Estimate, NodeStatus, Plan, Truth
+from ltv_mpc.messages import Applied, ControllerStatus, CycleTiming, Estimate, NodeStatus, Plan, Truth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,15 +15,16 @@ class LiveView:
 
     t_ns: int  # vehicle time
     start_ns: int
-    end_ns: int
+    end_ns: int | None  # None: a vehicle, whose end is not planned
     speed: float  # of the clock, as a multiple of real time
     requested_speed: float  # greater than ``speed`` if the machine cannot keep up
     wall_s: float  # since the start of the run
-    phase: str  # starting, afloat, diving, stopping
+    phase: str  # starting, afloat, diving, paused, stopping; empty without a clock message
     truth: Truth | None = None
     estimate: Estimate | None = None
     plan: Plan | None = None
     applied: Applied | None = None
+    controller: ControllerStatus | None = None
     timing: CycleTiming | None = None
     status: Mapping[str, NodeStatus] = field(default_factory=dict)  # by process
     state: Mapping[str, str] = field(default_factory=dict)  # by process: spawned, ready, running, ended, failed

@@ -40,7 +40,7 @@ from services.supervisor.live_view import live_view
 from services.supervisor.managed_process import describe_exit, last_lines
 from services.supervisor.parent_death import OrphanCleanup
 from services.supervisor.run_events import RunEvents
-from services.supervisor.screen import Screen
+from services.supervisor.screen import LiveView, Screen
 from sim.evaluation.summary import Summary
 
 TICK_S = 0.05
@@ -287,7 +287,12 @@ class Supervisor:
         for event in monitor.new_events():
             if event.node != LAUNCHER:
                 events.show(event)
-        self._screen.update(live_view(self._run_config, monitor, self._states(monitor), now_s - self._started_s))
+        self._screen.update(self._view(monitor, now_s))
+
+    def _view(self, monitor: BusMonitor, now_s: float) -> LiveView:
+        scenario = self._run_config.scenario
+        wall_s = now_s - self._started_s
+        return live_view(monitor, self._states(monitor), wall_s, start_ns=scenario.start_ns, end_ns=scenario.end_ns)
 
     def _states(self, monitor: BusMonitor) -> dict[str, str]:
         """Return the state of each process, for the screen."""

@@ -26,7 +26,7 @@ from services.recording.reader import Recording
 from services.run.folder import RunFolder
 
 COMMANDS = (
-    *("sim", "dashboard", "doctor", "controller", "localise", "topics", "ctl", "ros2", "vehicle", "certs"),
+    *("sim", "dashboard", "watch", "doctor", "controller", "localise", "topics", "ctl", "ros2", "vehicle", "certs"),
     *("report", "replay", "log"),
     *("profile", "localisation-check", "faults", "campaign", "fleet", "qp"),
     *("router", "plant", "sensors", "estimator", "recorder", "inject"),

@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import math
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
 import pytest
 from rich.console import Console
 
-from ltv_mpc.messages import Applied, CycleTiming, Estimate, NodeStatus, Plan, PlanOrigin, Solve, SolveStatus, Truth
+from ltv_mpc.messages import (
+    Applied,
+    Authority,
+    ClockMode,
+    ControllerStatus,
+    CurrentProfile,
+    CycleTiming,
+    Estimate,
+    Health,
+    NodeStatus,
+    Plan,
+    PlanOrigin,
+    Solve,
+    SolveStatus,
+    Truth,
+)
 from services.reporting.terminal import ORDER, LiveScreen, PlainScreen, bar, run_progress_bar, screen_for
 from services.supervisor.screen import LiveView
 from tests.services.words import status
@@ -66,6 +83,28 @@ def long_status(node: str) -> NodeStatus:
     return status(node, waiting_for=waiting_for, step_us=123456.0, **counts, **lost)
 
 
+ESTIMATE = msgspec.structs.replace(
+    Estimate.at_rest(north_m=2.7, east_m=3.6, heading_rad=-math.pi / 2, depth_m=1234.5),
+    t_ns=122_750_000_000,
+    current=CurrentProfile(depth_m=np.array([1.0]), north_mps=np.array([0.03]), east_mps=np.array([0.04])),
+)
+CONTROLLER = ControllerStatus(
+    t_ns=122 * S,
+    estimate_age_ns=None,
+    applied_age_ns=None,
+    cycle_median_us=None,
+    cycle_p99_us=None,
+    received=0,
+    dropped=0,
+    rejected={},
+    clock=ClockMode.SHARED,
+    clock_error_ns=None,
+    authority=Authority.CONTROLLER,
+    health=Health.DEGRADED,
+    health_why="the estimates are too old",
+    error_m=0.021,
+    progress=0.62,
+)
 FULL = LiveView(
     t_ns=123 * S,
     start_ns=-1 * S,
@@ -75,9 +114,10 @@ FULL = LiveView(
     wall_s=99999.0,
     phase="diving",
     truth=TRUTH,
-    estimate=msgspec.structs.replace(Estimate.at_rest(north_m=2.7, east_m=3.6), t_ns=122_750_000_000),
+    estimate=ESTIMATE,
     plan=PLAN,
     applied=APPLIED,
+    controller=CONTROLLER,
     timing=TIMING,
     status={name: long_status(name) for name in ORDER},
     state=dict.fromkeys(ORDER, "running"),
@@ -85,9 +125,9 @@ FULL = LiveView(
 EMPTY = LiveView(t_ns=0, start_ns=-S, end_ns=200 * S, speed=10.0, wall_s=0.0, requested_speed=10.0, phase="starting")
 
 
-def drawn(view: LiveView) -> list[str]:
+def drawn(view: LiveView, limits: Sequence[tuple[float, float]] = LIMITS) -> list[str]:
     console = Console(width=80, height=24, file=io.StringIO())
-    screen = LiveScreen("a title that is much longer than a line of a terminal " * 3, LIMITS, console)
+    screen = LiveScreen("a title that is much longer than a line of a terminal " * 3, limits, console)
     screen.update(view)
     screen.close()
     with console.capture() as capture:
@@ -105,8 +145,9 @@ def test_the_screen_fits_80_by_24(view: LiveView) -> None:
 def test_the_screen_says_what_the_messages_hold() -> None:
     text = "\n".join(drawn(FULL))
     assert "1234.50 m" in text  # depth
-    assert "4.500 m from the line" in text  # of the estimate, since it is the first after the start
-    assert "0.000 m localisation" in text
+    assert "estimate from the reference 0.021 m" in text
+    assert "vehicle from the reference 4.500 m" in text  # of the estimate, since it is the first after the start
+    assert "control controller   degraded (the estimates are too old)   progress 62 %" in text
     assert "270 deg" in text
     assert "0.050 m/s" in text
     assert "estimate 0.25 s" in text
@@ -114,6 +155,13 @@ def test_the_screen_says_what_the_messages_hold() -> None:
     assert "late 123456" in text
     for name in (*ORDER, "port", "starboard", "vertical", "solve"):
         assert name in text
+
+
+def test_a_vehicle_without_truth_and_known_limits_has_no_bars_and_no_end() -> None:
+    lines = drawn(dataclasses.replace(FULL, truth=None, end_ns=None, phase=""), limits=())
+    assert lines[1].strip() == "t    123.0 s"
+    assert not any("vehicle from the reference" in line or "|" in line for line in lines)
+    assert any(line.split() == ["starboard", "31.2", "N"] for line in lines)
 
 
 def test_a_bar_is_full_at_the_limit_and_points_where_the_thrust_goes() -> None:
