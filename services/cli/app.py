@@ -17,6 +17,7 @@ from typer.main import get_command
 
 from services.cli import measure, processes, start, vehicle
 from services.cli.certs import certs
+from services.cli.completion import completion
 from services.cli.ctl import ctl
 from services.cli.dashboard import dashboard
 from services.cli.doctor import doctor
@@ -45,6 +46,7 @@ start.register(app, "Start here")
 app.command(rich_help_panel="Start here")(dashboard)
 app.command(rich_help_panel="Start here")(watch)
 app.command(rich_help_panel="Start here")(doctor)
+app.command(rich_help_panel="Start here")(completion)
 vehicle.register(app, "Your vehicle")
 app.command(rich_help_panel="Your vehicle")(ctl)
 app.command(rich_help_panel="Your vehicle")(ros2)

@@ -10,7 +10,7 @@ from services.cli.options import Json
 def doctor(as_json: Json = False) -> int:
     """Check this machine and print a remedy for each problem.
 
-    Exit code 1 if there is a problem; a warning is not a problem. Shell completion: ltv-mpc --install-completion.
+    Exit code 1 if there is a problem; a warning is not a problem.
     """
     import json
     from dataclasses import asdict

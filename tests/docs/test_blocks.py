@@ -252,7 +252,7 @@ def parsed(words: list[str], place: str) -> None:
 def mentioned(words: list[str], place: str) -> None:
     """Check a command in a sentence: its name and options exist; its arguments may be placeholders."""
     command = tree()
-    options = {"--help", "-h", "--install-completion", "--show-completion", "--version"}
+    options = {"--help", "-h", "--version"}
     while isinstance(command, TyperGroup) and words and not words[0].startswith("-"):
         if words[0].isupper() or words[0] == "...":
             return
