@@ -26,4 +26,5 @@ def doctor(as_json: Json = False) -> int:
             typer.echo(f"{finding.level:<8} {finding.check:<15} {finding.found}")
             if finding.remedy:
                 typer.echo(f"{'':<24} -> {finding.remedy}")
+        typer.echo("\n`ltv-mpc completion --install` adds completion of commands and options to your shell.")
     return int(any(finding.level is Level.PROBLEM for finding in found))

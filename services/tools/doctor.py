@@ -113,11 +113,6 @@ def project() -> Finding:
     return ok("project", summary)
 
 
-def completion() -> Finding:
-    """Name the command that installs the completion of commands and options."""
-    return ok("completion", "`ltv-mpc completion --install` installs it for your shell")
-
-
 def packages() -> Finding:
     """Check that the required packages are installed, of the right version, and can be imported."""
     there, wrong = [], []
@@ -274,7 +269,7 @@ def compiled() -> Finding:
 CHECKS: tuple[Callable[[], Finding], ...] = (
     *(python, project, packages, extras, names),
     *(cores, clock, open_files, space, temporary, loopback),
-    *(solver, compiled, completion),
+    *(solver, compiled),
 )
 """Checks in the order in which they are printed; those on which others depend come first."""
 
