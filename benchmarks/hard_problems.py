@@ -82,7 +82,7 @@ def draw(seed: int, name: str, *, limited: bool = True) -> tuple[ControllerConfi
     _, can, horizon_s = craft(name)
     top, turn = can.top_speed_ahead_mps or 0.0, can.turning_rate_starboard_radps or 0.0
     kind, shares = rng.integers(3), rng.uniform(0.2, 1.0, 2)
-    limits = MotionLimits(
+    limits = MotionLimits.symmetric(
         surge_mps=float(shares[0] * top) if limited and kind != 0 else None,
         yaw_rate_radps=float(shares[1] * turn) if limited and kind != 1 else None,
     )

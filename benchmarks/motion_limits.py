@@ -24,11 +24,11 @@ from services.tools.batch.executor import run_each
 
 LIMITS: tuple[tuple[str, ...], ...] = (
     (),
-    ("yaw_rate_radps=0.2",),
-    ("yaw_rate_radps=0.15",),
-    ("yaw_rate_radps=0.1",),
-    ("surge_mps=0.2",),
-    ("surge_mps=0.15",),
+    ("min_yaw_rate_radps=-0.2", "max_yaw_rate_radps=0.2"),
+    ("min_yaw_rate_radps=-0.15", "max_yaw_rate_radps=0.15"),
+    ("min_yaw_rate_radps=-0.1", "max_yaw_rate_radps=0.1"),
+    ("min_surge_mps=-0.2", "max_surge_mps=0.2"),
+    ("min_surge_mps=-0.15", "max_surge_mps=0.15"),
 )
 
 

@@ -52,7 +52,8 @@ def draw(seed: int) -> Case:
     vehicle = Vehicle.load(VEHICLES[rng.integers(len(VEHICLES))])
     solver = "riccati" if seed % 2 else "osqp"
     horizon_s, most = HORIZONS[rng.integers(len(HORIZONS))]
-    limits = MotionLimits(surge_mps=0.4, yaw_rate_radps=0.3) if solver == "osqp" and seed % 6 == 0 else MotionLimits()
+    limited = solver == "osqp" and seed % 6 == 0
+    limits = MotionLimits.symmetric(surge_mps=0.4, yaw_rate_radps=0.3) if limited else MotionLimits()
     config = ControllerConfig(
         horizon_s=horizon_s,
         max_stages=most,

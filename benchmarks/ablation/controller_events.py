@@ -283,7 +283,12 @@ def solver_fails(begins_s: float, lasts_s: float, *settings: str) -> Callable[[i
     return run
 
 
-LIMITS = "controller.limits.yaw_rate_radps=0.1", "controller.limits.surge_mps=0.1"
+LIMITS = (
+    "controller.limits.min_yaw_rate_radps=-0.1",
+    "controller.limits.max_yaw_rate_radps=0.1",
+    "controller.limits.min_surge_mps=-0.1",
+    "controller.limits.max_surge_mps=0.1",
+)
 
 
 def tight_limits(seed: int) -> Measures:

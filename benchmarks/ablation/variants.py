@@ -27,6 +27,7 @@ from ltv_mpc.control.nominal_trajectory import (
     _shift_into_limits,
 )
 from ltv_mpc.control.problem_data import (
+    is_limited,
     limited_state_count,
     stage_length,
     state_scale,
@@ -184,7 +185,7 @@ def prepare(
             costate[i] += q[k * STAGE_VARIABLES + i] / scale + weight * x[k * STAGE_VARIABLES + i] * scale
         row = E + 4 * N + 3 * k * limited_state_count(c)
         for j in range(2):
-            if np.isfinite(c.max_state[j]):
+            if is_limited(c, j):
                 costate[LIMITED_STATES[j]] += (y[row] + y[row + 1]) / c.state_scale[LIMITED_STATES[j]]
                 row += 3
         for i in range(STATES):

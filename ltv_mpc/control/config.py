@@ -65,19 +65,38 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Soft limits of the motion, [controller.limits], for both signs; not set: no limit. See ``horizon_limits.py``.
+    """Limits of the motion, [controller.limits]; not set: no limit.
 
-    The limits of thrust and slew rate are in the vehicle file.
+    Those of surge and yaw rate are soft (``horizon_limits.py``). The limits of thrust and slew rate are in the vehicle file.
     """
 
-    surge_mps: Annotated[float, Meta(gt=0, le=20)] | None = None  # surge speed through the water
-    yaw_rate_radps: Annotated[float, Meta(gt=0, le=20)] | None = None
+    min_surge_mps: Annotated[float, Meta(ge=-20, le=0)] | None = None  # through the water; 0: never astern
+    max_surge_mps: Annotated[float, Meta(gt=0, le=20)] | None = None
+    min_yaw_rate_radps: Annotated[float, Meta(ge=-20, lt=0)] | None = None  # to port
+    max_yaw_rate_radps: Annotated[float, Meta(gt=0, le=20)] | None = None  # to starboard
+
+    @classmethod
+    def symmetric(cls, *, surge_mps: float | None = None, yaw_rate_radps: float | None = None) -> MotionLimits:
+        """Return limits of the same size in both directions.
+
+        Parameters
+        ----------
+        surge_mps : largest surge speed through the water, ahead and astern (m/s); None: no limit.
+        yaw_rate_radps : largest yaw rate to either side (rad/s); None: no limit.
+        """
+        return cls(
+            min_surge_mps=None if surge_mps is None else -surge_mps,
+            max_surge_mps=surge_mps,
+            min_yaw_rate_radps=None if yaw_rate_radps is None else -yaw_rate_radps,
+            max_yaw_rate_radps=yaw_rate_radps,
+        )
 
     @property
-    def max_abs(self) -> Array:
-        """Limits (2,) of the states ``horizon_limits.LIMITED_STATES``; infinite where none is set."""
-        limits = self.surge_mps, self.yaw_rate_radps
-        return np.array([math.inf if limit is None else limit for limit in limits])
+    def state_bounds(self) -> Array:
+        """Lower and upper limits (2, 2) of the states ``horizon_limits.LIMITED_STATES``; infinite where none is set."""
+        low = [-math.inf if limit is None else limit for limit in (self.min_surge_mps, self.min_yaw_rate_radps)]
+        high = [math.inf if limit is None else limit for limit in (self.max_surge_mps, self.max_yaw_rate_radps)]
+        return np.array([low, high])
 
 
 class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -94,7 +94,7 @@ class Controller:
         self.vehicle = vehicle
         self.sent_commands = SentCommands(vehicle, config.period_ns)
         """Commands in force, by time."""
-        packed = pack_constants(vehicle, config.weights, config.knots, STAGE_S, config.limits.max_abs)
+        packed = pack_constants(vehicle, config.weights, config.knots, STAGE_S, config.limits.state_bounds)
         self._estimates = EstimateSelector(vehicle, config)
         self._bias = CurrentBias(config.disturbance)
         self._prediction = Prediction(vehicle)

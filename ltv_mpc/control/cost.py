@@ -60,7 +60,8 @@ def stage_cost(X: Array, U: Array, target: Array, k: int, o: Objective) -> float
     for i in range(2):
         here, before = U[k, i] / o.thrust_scale[i], U[k - 1, i] / o.thrust_scale[i]
         total += o.thrust * g * here * here + o.thrust_change / g * (here - before) * (here - before)
-        excess = abs(X[k, LIMITED_STATES[i]]) - o.max_state[i]
+        state = X[k, LIMITED_STATES[i]]
+        excess = max(o.low_state[i] - state, state - o.high_state[i])
         if excess > 0.0:
             total += PENALTY * g * excess / o.state_scale[LIMITED_STATES[i]]
     return float(total)

@@ -5,7 +5,7 @@ between knots, so |dF/dt| <= slew everywhere, and also at the junction of two pl
 force there. The slew limit is never violated. The box is violated only while a command that starts outside it returns
 at the slew limit (``command_bounds``).
 
-A state may be required to stay within  |x[k]| <= max_state,  k = 1 .. N. The past can make that impossible, so the
+A state may be required to stay within  low <= x[k] <= high,  k = 1 .. N. The past can make that impossible, so the
 limit is soft: an excess costs ``PENALTY`` for each unit. A penalty proportional to the excess is exact (Fletcher 1987,
 section 12.3; Kerrigan & Maciejowski 2000): once it is larger than the dual of the limit, the solution is that of the
 hard limit wherever there is one.
@@ -30,8 +30,8 @@ PENALTY = 100.0
 
 
 def unlimited() -> Array:
-    """Return infinite limits (2,) of ``LIMITED_STATES``."""
-    return np.full(len(LIMITED_STATES), np.inf)
+    """Return infinite lower and upper limits (2, 2) of ``LIMITED_STATES``."""
+    return np.array([[-np.inf], [np.inf]]) * np.ones(len(LIMITED_STATES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +46,18 @@ class HorizonLimits:
     """(2,) largest change of thrust over the first stage (N): slew limit times its length."""
     state_scale: Array
     """(6,) state that is 1 in the QP: n, e (m), u, v (m/s), psi (rad), r (rad/s)."""
-    max_state: Array = field(default_factory=unlimited)
-    """(2,) largest magnitude of ``LIMITED_STATES``; infinite where there is no limit."""
+    state_bounds: Array = field(default_factory=unlimited)
+    """(2, 2) lower and upper limits of ``LIMITED_STATES``; infinite where there is none."""
 
     @classmethod
-    def from_vehicle(cls, vehicle: Vehicle, stage_s: float, max_state: Array | None = None) -> HorizonLimits:
+    def from_vehicle(cls, vehicle: Vehicle, stage_s: float, state_bounds: Array | None = None) -> HorizonLimits:
         """Return the limits of a vehicle.
 
         Parameters
         ----------
         vehicle : gives box, slew and scales.
         stage_s : length of the first stage.
-        max_state : (2,) limits of the motion; default: none.
+        state_bounds : (2, 2) lower and upper limits of the motion; default: none.
 
         Returns
         -------
@@ -69,13 +69,14 @@ class HorizonLimits:
             np.array([t.max_N for t in lateral]),
             np.array([t.slew_N_per_s for t in lateral]) * stage_s,
             state_scale(vehicle),
-            unlimited() if max_state is None else max_state,
+            unlimited() if state_bounds is None else state_bounds,
         )
 
     @property
     def limited_states(self) -> tuple[int, ...]:
-        """Indices of the states that have a limit."""
-        return tuple(i for i, limit in zip(LIMITED_STATES, self.max_state, strict=True) if np.isfinite(limit))
+        """Indices of the states that have a lower or an upper limit."""
+        limited = np.isfinite(self.state_bounds).any(axis=0)
+        return tuple(np.array(LIMITED_STATES)[limited].tolist())
 
     @property
     def thrust_scale(self) -> Array:

@@ -108,7 +108,7 @@ class LateralPlanner:
         self._shares[:] = self.previous.shares[:] = shares
         config = self._config
         self._packed[:] = pack_constants(
-            self._weakened_vehicle(), config.weights, config.knots, STAGE_NS * 1e-9, config.limits.max_abs
+            self._weakened_vehicle(), config.weights, config.knots, STAGE_NS * 1e-9, config.limits.state_bounds
         )
         self.distrust_solver()
 

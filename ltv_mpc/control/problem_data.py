@@ -35,7 +35,8 @@ class Objective(NamedTuple):
     max_change: Array  # (2,) largest change of thrust over the first stage (N)
     thrust_scale: Array  # (2,) thrust that is 1 in the cost (N)
     state_scale: Array  # (6,) state that is 1 in the QP
-    max_state: Array  # (2,) limits of ``horizon_limits.LIMITED_STATES``, infinite where there is none
+    low_state: Array  # (2,) lower limits of ``horizon_limits.LIMITED_STATES``, -inf where there is none
+    high_state: Array  # (2,) upper limits, inf where there is none
     t: Array  # (N+1,) knots in first stages: shooting_grid.py
 
 
@@ -60,7 +61,7 @@ def pack_objective(knots: Array, limits: HorizonLimits, weights: Weights) -> Arr
 
     Returns
     -------
-    (22 + N+1,) packed objective.
+    (24 + N+1,) packed objective.
     """
     cost = (
         weights.position_per_m2,
@@ -70,11 +71,11 @@ def pack_objective(knots: Array, limits: HorizonLimits, weights: Weights) -> Arr
         weights.thrust_change,
     )
     bounds = (limits.low, limits.high, limits.max_change, limits.thrust_scale)
-    return np.concatenate([cost, *bounds, limits.state_scale, limits.max_state, [len(knots)], knots])
+    return np.concatenate([cost, *bounds, limits.state_scale, *limits.state_bounds, [len(knots)], knots])
 
 
 def pack_constants(
-    vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float, max_state: Array | None = None
+    vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float, state_bounds: Array | None = None
 ) -> Array:
     """Pack all constants of a controller into one flat array; ``unpack_constants`` is the inverse.
 
@@ -84,32 +85,33 @@ def pack_constants(
     weights : weights of the cost.
     knots : (N+1,) times of the knots in first stages.
     stage_s : length of the first stage.
-    max_state : (2,) limits of ``horizon_limits.LIMITED_STATES``; default: none.
+    state_bounds : (2, 2) lower and upper limits of ``horizon_limits.LIMITED_STATES``; default: none.
 
     Returns
     -------
-    (47 + N,) packed constants; they begin with a packed objective.
+    (49 + N,) packed constants; they begin with a packed objective.
     """
     vertical = vehicle.thrusters[2]
     rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s, time_ratio(vehicle))
-    packed = pack_objective(knots, HorizonLimits.from_vehicle(vehicle, stage_s, max_state), weights)
+    packed = pack_objective(knots, HorizonLimits.from_vehicle(vehicle, stage_s, state_bounds), weights)
     return np.concatenate([packed, vehicle.coefficients(), rest])
 
 
 @jit
 def unpack_objective(packed: Array) -> Objective:
     """Return the objective at the beginning of a packed objective or of packed constants."""
-    end = 22 + int(packed[21])
+    end = 24 + int(packed[23])
     return Objective(
         packed[0], packed[1], packed[2], packed[3], packed[4],
-        packed[5:7], packed[7:9], packed[9:11], packed[11:13], packed[13:19], packed[19:21], packed[22:end],
+        packed[5:7], packed[7:9], packed[9:11], packed[11:13], packed[13:19], packed[19:21], packed[21:23],
+        packed[24:end],
     )  # fmt: skip
 
 
 @jit
 def unpack_constants(packed: Array) -> Constants:
     """Return the constants that ``pack_constants`` packed."""
-    rest = packed[22 + int(packed[21]) :]
+    rest = packed[24 + int(packed[23]) :]
     return Constants(unpack_objective(packed), coefficients(rest[:19]), rest[19:22], rest[22], rest[23])
 
 
@@ -131,8 +133,20 @@ def stage_length(o: Objective, k: int) -> float:
 
 @jit
 def limited_state_count(o: Objective) -> int:
-    """Return the number of states that have a limit."""
-    return int(np.isfinite(o.max_state).sum())
+    """Return the number of states that have a lower or an upper limit."""
+    return int(is_limited(o, 0)) + int(is_limited(o, 1))
+
+
+@jit
+def is_limited(o: Objective, j: int) -> bool:
+    """Return True if the state ``horizon_limits.LIMITED_STATES[j]`` has a lower or an upper limit.
+
+    Parameters
+    ----------
+    o : has the limits.
+    j : 0 or 1.
+    """
+    return bool(np.isfinite(o.low_state[j]) or np.isfinite(o.high_state[j]))
 
 
 @jit

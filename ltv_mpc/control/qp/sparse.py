@@ -9,7 +9,7 @@
 and for each state x that has a limit (horizon_limits.py), with the additional cost  c g_k e_k / S  of its excess e_k
 and c = ``PENALTY``,
 
-               xbar_k + dx_k - e_k <= max_state,   xbar_k + dx_k + e_k >= -max_state,   e_k >= 0
+               xbar_k + dx_k - e_k <= high_state,   xbar_k + dx_k + e_k >= low_state,   e_k >= 0
 
 g_k = h_k / 0.3 s is the length of the stage that ends at knot k (shooting_grid.py), p = [n, e], p' the velocity over
 ground, F the thrusters' largest thrust, dX = X - Xbar. The cost of the terminal velocity separates a vehicle that stops
@@ -55,7 +55,7 @@ from ltv_mpc.control.linearisation import (
     unpack_linearisation,
     velocity_over_ground,
 )
-from ltv_mpc.control.problem_data import pack_objective, stage_length, state_scale, unpack_objective
+from ltv_mpc.control.problem_data import is_limited, pack_objective, stage_length, state_scale, unpack_objective
 from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import ConstraintRow
@@ -337,11 +337,11 @@ def fill(packed: Array, lin: Linearisation, target: Array, entries: EntryMap, to
     excess, row = N * STAGE_VARIABLES + 2, E + 4 * N
     for k in range(N):
         for j in range(2):
-            if np.isfinite(objective.max_state[j]):
+            if is_limited(objective, j):
                 i = LIMITED_STATES[j]
                 scale = objective.state_scale[i]
-                l[row], u[row] = -NO_BOUND, (objective.max_state[j] - X[k + 1, i]) / scale
-                l[row + 1], u[row + 1] = (-objective.max_state[j] - X[k + 1, i]) / scale, NO_BOUND
+                l[row], u[row] = -NO_BOUND, min((objective.high_state[j] - X[k + 1, i]) / scale, NO_BOUND)
+                l[row + 1], u[row + 1] = max((objective.low_state[j] - X[k + 1, i]) / scale, -NO_BOUND), NO_BOUND
                 l[row + 2], u[row + 2] = 0.0, NO_BOUND
                 q[excess] = PENALTY * stage_length(objective, k + 1)
                 excess, row = excess + 1, row + 3

@@ -43,7 +43,7 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
         The solver is not known or not installed, or it cannot take limits of the motion.
     """
     config = settled(config, vehicle)
-    limits = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9, config.limits.max_abs)
+    limits = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9, config.limits.state_bounds)
     if config.solver in SOLVERS:
         return SOLVERS[config.solver](config, limits)
     installed = installed_backends()

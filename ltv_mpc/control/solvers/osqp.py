@@ -34,7 +34,14 @@ from ltv_mpc.control.linearisation import (
     unpack_linearisation,
     velocity_over_ground,
 )
-from ltv_mpc.control.problem_data import Objective, limited_state_count, stage_length, state_scale, unpack_objective
+from ltv_mpc.control.problem_data import (
+    Objective,
+    is_limited,
+    limited_state_count,
+    stage_length,
+    state_scale,
+    unpack_objective,
+)
 from ltv_mpc.control.qp.failed_qp import worst_violation
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.riccati import LIMIT_ROWS
@@ -318,7 +325,7 @@ def first_guess(packed: Array, lin: Linearisation, target: Array, shift: float, 
             costate[i] += q[k * STAGE_VARIABLES + i] / scale + weight * x[k * STAGE_VARIABLES + i] * scale
         row = E + 4 * N + 3 * k * limited_state_count(objective)
         for j in range(2):
-            if np.isfinite(objective.max_state[j]):
+            if is_limited(objective, j):
                 costate[LIMITED_STATES[j]] += (y[row] + y[row + 1]) / objective.state_scale[LIMITED_STATES[j]]
                 row += 3
         for i in range(STATES):
@@ -347,8 +354,8 @@ def _forward_states(objective: Objective, lin: Linearisation, dU: Array, x: Arra
         copy_to(last, d)
         for i in range(2):
             x[k * STAGE_VARIABLES + STATES + i] = dU[k + 1, i] / objective.thrust_scale[i]
-            state = LIMITED_STATES[i]
-            within &= abs(lin.X[k + 1, state] + d[state]) <= objective.max_state[i]
+            state = lin.X[k + 1, LIMITED_STATES[i]] + d[LIMITED_STATES[i]]
+            within &= objective.low_state[i] <= state <= objective.high_state[i]
     return within
 
 
@@ -388,12 +395,14 @@ def _guess_excesses(objective: Objective, lin: Linearisation, q: Array, new: boo
     column, row = N * STAGE_VARIABLES + 2, N * (STATES + 4) + 2
     for k in range(N):
         for j in range(2):
-            if np.isfinite(objective.max_state[j]):
+            if is_limited(objective, j):
                 i = LIMITED_STATES[j]
-                state = lin.X[k + 1, i] / objective.state_scale[i] + x[k * STAGE_VARIABLES + i]
-                x[column] = max(abs(state) - objective.max_state[j] / objective.state_scale[i], 0.0)
+                scale = objective.state_scale[i]
+                state = lin.X[k + 1, i] / scale + x[k * STAGE_VARIABLES + i]
+                above = state - objective.high_state[j] / scale
+                x[column] = max(above, objective.low_state[j] / scale - state, 0.0)
                 if new and x[column] > 0.0:
-                    y[row] = q[column] if state > 0.0 else 0.0
+                    y[row] = q[column] if above > 0.0 else 0.0
                     y[row + 1] = y[row] - q[column]
                 y[row + 2] = min(y[row] - y[row + 1] - q[column], 0.0)
                 column, row = column + 1, row + 3

@@ -84,5 +84,5 @@ class _FailureRecordingSolver(RecordingSolver):
 
     @cached_property
     def _layout(self) -> SparseQp:
-        limits = HorizonLimits.from_vehicle(self._vehicle, STAGE_NS * 1e-9, self._config.limits.max_abs)
+        limits = HorizonLimits.from_vehicle(self._vehicle, STAGE_NS * 1e-9, self._config.limits.state_bounds)
         return SparseQp(self._config.knots, limits, self._config.weights)

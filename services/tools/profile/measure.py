@@ -112,7 +112,7 @@ def controller_of(
 
 def limits_of(episode: Episode) -> HorizonLimits:
     """Return the limits of the episode's vehicle between two knots."""
-    return HorizonLimits.from_vehicle(episode.vehicle, seconds(1), episode.config.limits.max_abs)
+    return HorizonLimits.from_vehicle(episode.vehicle, seconds(1), episode.config.limits.state_bounds)
 
 
 class Samples:

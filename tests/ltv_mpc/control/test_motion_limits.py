@@ -25,8 +25,9 @@ from ltv_mpc.vehicle.flow import STATES
 from tests.ltv_mpc.control.problems import PAPER, equidistant, motion, precise
 
 N = 17
-YAW = MotionLimits(yaw_rate_radps=0.15)
-BOTH = MotionLimits(surge_mps=0.25, yaw_rate_radps=0.2)
+YAW = MotionLimits.symmetric(yaw_rate_radps=0.15)
+BOTH = MotionLimits.symmetric(surge_mps=0.25, yaw_rate_radps=0.2)
+AHEAD = MotionLimits(min_surge_mps=0.0, max_yaw_rate_radps=0.15)
 
 
 def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
@@ -36,7 +37,7 @@ def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
 
 def form_of(limits: MotionLimits) -> SparseQp:
     config = settled(settings(limits), PAPER)
-    return SparseQp(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3, limits.max_abs), config.weights)
+    return SparseQp(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3, limits.state_bounds), config.weights)
 
 
 def excesses(form: SparseQp, x: Array) -> Array:
@@ -52,7 +53,7 @@ def hard(form: SparseQp, qp: QP) -> Array | None:
     return solution.x if solution.solve.status is SolveStatus.SOLVED else None
 
 
-@pytest.mark.parametrize("limits", [YAW, BOTH], ids=["yaw", "both"])
+@pytest.mark.parametrize("limits", [YAW, BOTH, AHEAD], ids=["yaw", "both", "ahead"])
 def test_the_penalty_is_exact(limits: MotionLimits) -> None:
     form, kept, bought = form_of(limits), 0, 0
     for seed in range(12):
@@ -72,7 +73,7 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
     assert bought >= 1
 
 
-@pytest.mark.parametrize("limits", [YAW, BOTH], ids=["yaw", "both"])
+@pytest.mark.parametrize("limits", [YAW, BOTH, AHEAD], ids=["yaw", "both", "ahead"])
 @pytest.mark.parametrize("solver", ["osqp", "piqp", "daqp"])
 def test_every_solver_that_takes_the_whole_qp_has_them(solver: str, limits: MotionLimits) -> None:
     form = form_of(limits)
@@ -90,7 +91,7 @@ def test_a_limit_that_is_nowhere_near_changes_nothing() -> None:
     for seed in range(4):
         lin, target = motion(seed, N)
         answers = []
-        for limits in (MotionLimits(), MotionLimits(surge_mps=20.0, yaw_rate_radps=20.0)):
+        for limits in (MotionLimits(), MotionLimits.symmetric(surge_mps=20.0, yaw_rate_radps=20.0)):
             solver = make(PAPER, settings(limits))
             solver.build(lin, target)
             solver.update()
@@ -146,7 +147,7 @@ def test_words_of_their_rows() -> None:
 def test_the_exact_flow_is_judged_by_them_too() -> None:
     """What the line search looks at costs as the QP has it: by stage lengths and scales."""
     knots = np.array([0.0, 1.0, 2.0, 4.0])
-    limits = HorizonLimits.from_vehicle(PAPER, 0.3, np.array([0.2, 0.1]))
+    limits = HorizonLimits.from_vehicle(PAPER, 0.3, np.array([[-0.4, -0.1], [0.2, 0.3]]))
     weights = settled(ControllerConfig(), PAPER).weights
     free, bound = (
         unpack_objective(pack_objective(knots, of, weights)) for of in (HorizonLimits.from_vehicle(PAPER, 0.3), limits)
@@ -154,7 +155,7 @@ def test_the_exact_flow_is_judged_by_them_too() -> None:
     X, U, C, target = np.zeros((4, 8)), np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((4, 2))
     X[:, 2], X[:, 5] = [9.0, 0.2, -0.5, 0.1], [9.0, -0.3, 0.0, 0.16]
     scale = limits.state_scale
-    foreseen = PENALTY * ((0.3 + 0.0 * 2) / scale[2] + (0.2 + 0.06 * 2) / scale[5])
+    foreseen = PENALTY * ((0.1 + 0.0 * 2) / scale[2] + (0.2 + 0.0 * 2) / scale[5])
     assert cost(X, U, C, target, bound) - cost(X, U, C, target, free) == pytest.approx(foreseen)
 
 
@@ -178,7 +179,7 @@ def turned(limits: MotionLimits, rate: float = 0.0) -> Array:
 
 
 def test_a_controller_keeps_within_them_where_it_can_and_comes_back_where_it_cannot() -> None:
-    slow = MotionLimits(yaw_rate_radps=0.1)
+    slow = MotionLimits.symmetric(yaw_rate_radps=0.1)
     assert turned(MotionLimits()).max() > 0.17
     assert turned(slow).max() < 0.102
     fast = turned(slow, rate=0.4)
@@ -187,8 +188,11 @@ def test_a_controller_keeps_within_them_where_it_can_and_comes_back_where_it_can
 
 
 def test_a_limit_of_zero_is_refused() -> None:
-    with pytest.raises(msgspec.ValidationError, match="yaw_rate_radps"):
-        msgspec.convert({"limits": {"yaw_rate_radps": 0.0}}, ControllerConfig)
+    """A lower limit of zero surge is none: a vehicle at rest keeps it."""
+    for name in ("min_yaw_rate_radps", "max_yaw_rate_radps", "max_surge_mps"):
+        with pytest.raises(msgspec.ValidationError, match=name):
+            msgspec.convert({"limits": {name: 0.0}}, ControllerConfig)
+    assert msgspec.convert({"limits": {"min_surge_mps": 0.0}}, ControllerConfig).limits.min_surge_mps == 0.0
 
 
 def test_a_descent_keeps_within_them_at_a_few_iterations_more(closed_loop: Callable[..., Any]) -> None:
@@ -199,7 +203,7 @@ def test_a_descent_keeps_within_them_at_a_few_iterations_more(closed_loop: Calla
         return rates, np.array([plan.solve.iterations for _, plans in seen for plan in plans])
 
     rates, free = flown(MotionLimits())
-    slow, iterations = flown(MotionLimits(yaw_rate_radps=0.06))
+    slow, iterations = flown(MotionLimits.symmetric(yaw_rate_radps=0.06))
     assert rates.max() > 0.12
     assert slow.max() < 0.063  # the QP knows the motion to first order
     assert np.mean(slow > 0.058) > 0.02  # and uses what it is given

@@ -130,20 +130,25 @@ def test_box_rows_lead_a_start_outside_the_box_into_it_at_the_slew_limit(lin, ta
 
 
 def test_rows_of_motion_limits_are_distances_beyond_which_an_excess_costs(lin, target):
-    max_state, limited = np.array([0.3, 0.15]), [2, 5]
-    form = SparseQp(KNOTS, replace(LIMITS, max_state=max_state), WEIGHTS)
+    limited, bounds = [2, 5], np.array([[-0.1, -0.15], [0.3, 0.2]])
+    form = SparseQp(KNOTS, replace(LIMITS, state_bounds=bounds), WEIGHTS)
     qp, z = form.build(lin, target), np.random.default_rng(9).normal(size=form.variables)
     X, _, _ = unpacked(lin, z)
-    state, limit, excess = X[1:, limited] / SCALE[limited], max_state / SCALE[limited], z[10 * N + 2 :].reshape(N, 2)
+    state, limits, excess = X[1:, limited] / SCALE[limited], bounds / SCALE[limited], z[10 * N + 2 :].reshape(N, 2)
     rows, low, high = (x[12 * N + 2 :].reshape(N, 2, 3) for x in (qp.A @ z, qp.l, qp.u))
-    np.testing.assert_allclose((high - rows)[:, :, 0], limit - state + excess)
-    np.testing.assert_allclose((rows - low)[:, :, 1:], np.stack([limit + state + excess, excess], axis=2), atol=1e-12)
+    np.testing.assert_allclose((high - rows)[:, :, 0], limits[1] - state + excess)
+    np.testing.assert_allclose(
+        (rows - low)[:, :, 1:], np.stack([state - limits[0] + excess, excess], axis=2), atol=1e-12
+    )
     np.testing.assert_array_equal(low[:, :, 0], -NO_BOUND)
     np.testing.assert_array_equal(high[:, :, 1:], NO_BOUND)
     np.testing.assert_allclose(qp.q[10 * N + 2 :].reshape(N, 2), np.outer(PENALTY * LENGTH, [1.0, 1.0]))
 
 
-@pytest.mark.parametrize("limits", [LIMITS, replace(LIMITS, max_state=np.array([0.3, 0.15]))], ids=["box", "motion"])
+ONE_SIDED = np.array([[-0.1, -0.15], [0.3, np.inf]])
+
+
+@pytest.mark.parametrize("limits", [LIMITS, replace(LIMITS, state_bounds=ONE_SIDED)], ids=["box", "motion"])
 def test_every_row_of_every_stage_has_a_name(limits):
     form = SparseQp(KNOTS, limits, WEIGHTS)
     names = [row.name for row in form.row_names]

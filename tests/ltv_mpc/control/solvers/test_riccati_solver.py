@@ -121,6 +121,6 @@ def test_duals_between_stages_are_read_linearly_and_the_last_ones_kept():
 
 
 def test_limits_of_the_motion_are_refused():
-    config = ControllerConfig(solver="riccati", limits=MotionLimits(yaw_rate_radps=0.2))
+    config = ControllerConfig(solver="riccati", limits=MotionLimits.symmetric(yaw_rate_radps=0.2))
     with pytest.raises(ConfigError, match="does not support motion limits"):
         make(PAPER, config)

@@ -229,7 +229,7 @@ def test_a_fast_wrong_answer_shows() -> None:
 
 def test_limits_of_the_motion_are_part_of_the_problem_for_all() -> None:
     episode = problems.simulated(6, 20, seed=3)[0]
-    limits = MotionLimits(yaw_rate_radps=0.02)
+    limits = MotionLimits.symmetric(yaw_rate_radps=0.02)
     slow = episode._replace(config=msgspec.structs.replace(episode.config, limits=limits, tolerance=1e-7))
     ours, theirs = measured([slow], OSQP, PIQP)
     assert max(np.median(ours.thrust_error_N), np.median(theirs.thrust_error_N)) < 1e-3
