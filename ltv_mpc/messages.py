@@ -304,6 +304,9 @@ class Estimate(Message, frozen=True, kw_only=True, eq=False):
     velocity_east_mps: VelocityEast
     depth_m: Annotated[Depth | None, Meta(description="depth below the surface; omitted by surface craft")] = None
     velocity_down_mps: Annotated[Speed | None, Meta(description="sinking speed; 0 is assumed if omitted")] = None
+    altitude_m: Annotated[SlantRange | None, Meta(description="height above the bottom; omitted if it is not seen")] = (
+        None
+    )
     covariance: Annotated[
         CovarianceMatrix | None,
         Meta(description="6 x 6 of north, east, velocity north, velocity east, heading, yaw rate"),

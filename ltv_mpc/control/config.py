@@ -67,13 +67,22 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Limits of the motion, [controller.limits]; not set: no limit.
 
-    Those of surge and yaw rate are soft (``horizon_limits.py``). The limits of thrust and slew rate are in the vehicle file.
+    Those of surge and yaw rate are soft (``horizon_limits.py``). Those of depth bound the vertical thrust, but not in
+    failsafe and not by hand (``depth_limits.py``). The limits of thrust and slew rate are in the vehicle file.
     """
 
     min_surge_mps: Annotated[float, Meta(ge=-20, le=0)] | None = None  # through the water; 0: never astern
     max_surge_mps: Annotated[float, Meta(gt=0, le=20)] | None = None
     min_yaw_rate_radps: Annotated[float, Meta(ge=-20, lt=0)] | None = None  # to port
     max_yaw_rate_radps: Annotated[float, Meta(gt=0, le=20)] | None = None  # to starboard
+    min_depth_m: Annotated[float, Meta(ge=0, le=11_000)] | None = None
+    max_depth_m: Annotated[float, Meta(gt=0, le=11_000)] | None = None
+    min_altitude_m: Annotated[float, Meta(gt=0, le=11_000)] | None = None  # above the bottom that estimates have seen
+
+    def __post_init__(self) -> None:
+        """Reject depth limits without a depth between them."""
+        if self.min_depth_m is not None and self.max_depth_m is not None and self.min_depth_m >= self.max_depth_m:
+            raise ValueError(f"min_depth_m = {self.min_depth_m:g}: must be < max_depth_m = {self.max_depth_m:g}")
 
     @classmethod
     def symmetric(cls, *, surge_mps: float | None = None, yaw_rate_radps: float | None = None) -> MotionLimits:

@@ -98,7 +98,7 @@ class Controller:
         self._estimates = EstimateSelector(vehicle, config)
         self._bias = CurrentBias(config.disturbance)
         self._prediction = Prediction(vehicle)
-        self._vertical = VerticalLaw(vehicle, packed)
+        self._vertical = VerticalLaw(vehicle, packed, config.limits)
         self._knots_ns = np.round(config.knots * STAGE_NS).astype(np.int64)  # (N+1,), after the plan's start
         least_ns = round(config.min_delay_s * 1e9)
         plan_ns = plan_end_ns(self._knots_ns, config.period_ns, vehicle.plan_timeout_s)
@@ -331,6 +331,7 @@ class Controller:
         """
         estimate = self._estimates.select(newest)
         if estimate is not None:
+            self._vertical.depth_limits.update(estimate)
             estimate, predicted_mps = self._bias.correct(estimate, self._prediction, self.sent_commands)
             self.reference_point_check.update(estimate, predicted_mps)
         own = self._estimates.health(now_ns)

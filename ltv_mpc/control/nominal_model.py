@@ -40,6 +40,9 @@ def as_estimate(end: Start, before: Estimate) -> Estimate:
     """
     n, e, u, v, psi, r = (float(x) for x in end.X[:6])
     has_depth = before.depth_m is not None
+    altitude = before.altitude_m
+    if altitude is not None and before.depth_m is not None:
+        altitude = max(altitude + before.depth_m - end.depth_m, 0.0)  # over a level bottom
     c = currents_at_depths(before.current, np.array([end.depth_m]))[0]
     cos, sin = np.cos(psi), np.sin(psi)
     return msgspec.structs.replace(
@@ -53,4 +56,5 @@ def as_estimate(end: Start, before: Estimate) -> Estimate:
         velocity_north_mps=float(cos * u - sin * v + c[0]),
         velocity_east_mps=float(sin * u + cos * v + c[1]),
         velocity_down_mps=end.sinking_mps if has_depth else None,
+        altitude_m=altitude,
     )

@@ -4,16 +4,20 @@ With depth error e = z_ref - z, rate error e' = w_ref - w, and the model's M_z, 
 
     F3 = (B - W) + (d_z + D_z |w_ref|) w_ref  +  M_z (w0^2 e + 2 zeta w0 e') + integral of M_z w0^2 / T_i e
 
-inside box and slew. On a steady ramp the feed-forward is the whole thrust; in the paper's descent it is the thruster's
-maximum. The integral stops while the command is limited (anti-windup).
+inside box, slew and depth limits (``depth_limits.py``). On a steady ramp the feed-forward is the whole thrust; in the
+paper's descent it is the thruster's maximum. The integral stops while the command is limited or the error is large
+(anti-windup); beyond a depth limit it integrates the distance to it.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from ltv_mpc.control.config import MotionLimits
+from ltv_mpc.control.depth_limits import DepthLimits, clip_to_depths
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.problem_data import unpack_constants
 from ltv_mpc.jit import jit
@@ -30,23 +34,24 @@ DAMPING = 1.0
 INTEGRAL_S = 20.0
 """T_i: several times 1 / w0, so that the integral only compensates what the feed-forward lacks."""
 
+MAX_INTEGRATED_M = 1.0
+"""Largest depth error that is integrated: a larger one is a step of the reference, not a wrong buoyancy."""
+
 MAX_INTEGRATION_S = 2.0
 """Longest time between two plans that is integrated: over a longer interruption the depth error is not constant."""
 
 
 @jit
-def follow_depth(
-    packed: Array, z: float, w: float, F: float, command: float, integral: float, z_ref: Array, w_ref: Array
-) -> tuple[Array, Array, float]:
+def follow_depth(packed: Array, at: Array, z_ref: Array, w_ref: Array, bounds: Array) -> tuple[Array, Array, float]:
     """Simulate the depth law over the horizon.
 
     Parameters
     ----------
     packed : packed constants (``problem_data.pack_constants``).
-    z, w, F : depth (m), sinking speed (m/s) and delivered thrust (N) at the first knot.
-    command : command in force at the first knot (N).
-    integral : integral term at the first knot (N).
-    z_ref, w_ref : (N+1,) reference depths (m) and sinking speeds (m/s) at the knots.
+    at : (5,) at the first knot: depth (m), sinking speed (m/s), delivered thrust, command in force and integral (N).
+    z_ref, w_ref : (N+1,) reference depths (m) and sinking speeds (m/s) at the knots. Without a reference ``z_ref`` is
+        NaN, and ``w_ref`` holds the commands to keep (N).
+    bounds : (3,) ``DepthLimits.bounds``.
 
     Returns
     -------
@@ -55,6 +60,7 @@ def follow_depth(
     constants = unpack_constants(packed)
     p, t = constants.p, constants.objective.t
     low, high, slew = constants.vertical[0], constants.vertical[1], constants.vertical[2]
+    z, w, F, command, integral = at
     N = len(z_ref) - 1
     depth, commands = np.empty(N + 1), np.empty(N + 1)
     depth[0], commands[0] = z, command
@@ -72,8 +78,13 @@ def follow_depth(
             feed = p.net_buoyancy + (p.linear_heave + p.quadratic_heave * abs(rate_ref)) * rate_ref
             pull = NATURAL_RADPS * NATURAL_RADPS * e + 2.0 * DAMPING * NATURAL_RADPS * rate
             wanted = feed + p.mass_heave * pull + integral
-            limited = min(max(wanted, low, command - slew * h), high, command + slew * h)
-            if limited == wanted:
+            if np.isnan(e):
+                wanted, e = rate_ref, 0.0
+            within = clip_to_depths(wanted, z, w, integral, bounds, p)
+            if within != wanted:
+                e = min(bounds[1] - z, 0.0) if within < wanted else max(bounds[0] - z, 0.0)
+            limited = min(max(within, low, command - slew * h), high, command + slew * h)
+            if limited == within and abs(e) <= MAX_INTEGRATED_M:
                 growth = p.mass_heave * NATURAL_RADPS * NATURAL_RADPS / INTEGRAL_S * e
                 integral += growth * h
                 if k == 0 and j == 1:
@@ -98,14 +109,17 @@ class VerticalLaw:
     The integral advances from the start of one plan to the start of the next.
     """
 
-    def __init__(self, vehicle: Vehicle, packed: Array) -> None:
+    def __init__(self, vehicle: Vehicle, packed: Array, limits: MotionLimits) -> None:
         """Begin with a zero integral.
 
         Parameters
         ----------
         vehicle : its vertical thruster's slew limit is used.
         packed : packed constants (``problem_data.pack_constants``).
+        limits : settings of the depth limits.
         """
+        self.depth_limits = DepthLimits(vehicle, limits, NATURAL_RADPS)
+        """Depths between which the law stays."""
         self._slew_N_per_s = vehicle.thrusters[2].slew_N_per_s
         self._packed = packed
         self.integral_N = 0.0
@@ -129,13 +143,10 @@ class VerticalLaw:
         """
         plan = follow_depth(
             self._packed,
-            start.depth_m,
-            start.sinking_mps,
-            start.vertical_N,
-            start.vertical_command_N,
-            self.integral_N,
+            np.array((start.depth_m, start.sinking_mps, start.vertical_N, start.vertical_command_N, self.integral_N)),
             depth_m,
             sinking_mps,
+            self.depth_limits.bounds,
         )
         return VerticalPlan(*plan)
 
@@ -172,7 +183,7 @@ class VerticalLaw:
         return VerticalPlan(np.full(len(knots), start.depth_m), thrust, 0.0)
 
     def keep(self, start: Start, thrust_N: Array) -> VerticalPlan:
-        """Keep commands that are in force already.
+        """Keep commands that are in force already, as far as the depth limits allow.
 
         Parameters
         ----------
@@ -181,8 +192,10 @@ class VerticalLaw:
 
         Returns
         -------
-        The commands; the depth is taken to stay that of the start.
+        The commands; without depth limits the depth is taken to stay that of the start.
         """
+        if self.depth_limits.is_limited and not math.isnan(start.depth_m):
+            return self.track(start, np.full(len(thrust_N), math.nan), thrust_N)
         return VerticalPlan(np.full(len(thrust_N), start.depth_m), thrust_N, 0.0)
 
     def advance_integral(self, plan: VerticalPlan, start_ns: int) -> None:

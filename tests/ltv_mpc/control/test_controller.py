@@ -237,7 +237,8 @@ def test_the_integral_compensates_a_buoyancy_error_of_the_model():
 
 def test_on_a_ramp_that_is_too_fast_the_thruster_saturates_without_windup():
     numbers = pack_constants(PAPER, Weights(), np.arange(18.0), 0.3)
-    plan = VerticalPlan(*follow_depth(numbers, 1.0, 0.2, 62.5, 62.5, 0.0, np.full(18, 9.0), np.full(18, 0.3)))
+    at, free = np.array([1.0, 0.2, 62.5, 62.5, 0.0]), np.array([-np.inf, np.inf, 0.3])
+    plan = VerticalPlan(*follow_depth(numbers, at, np.full(18, 9.0), np.full(18, 0.3), free))
     np.testing.assert_array_equal(plan.thrust_N, 62.5)
     assert plan.integral_rate_N_per_s == 0.0
 

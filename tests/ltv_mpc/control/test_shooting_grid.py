@@ -88,7 +88,8 @@ def test_the_vertical_law_acts_as_often_as_before():
 
     def depths(t):
         numbers = pack_constants(PAPER, Weights(), t, 0.3)
-        return follow_depth(numbers, 1.0, 0.0, 20.0, 20.0, 0.0, 1.5 + 0.06 * t, np.full(len(t), 0.2))
+        at, free = np.array([1.0, 0.0, 20.0, 20.0, 0.0]), np.array([-np.inf, np.inf, 0.3])
+        return follow_depth(numbers, at, 1.5 + 0.06 * t, np.full(len(t), 0.2), free)
 
     (one, thrust, rate), (other, often, as_often) = depths(coarse), depths(fine)
     at = coarse.astype(int)

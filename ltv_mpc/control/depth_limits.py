@@ -1,0 +1,115 @@
+"""Depth limits: the vertical thrust keeps between a least depth and the largest one, and above the bottom.
+
+With the settings of [controller.limits], and the bottom at depth + altitude of the newest estimate with an altitude,
+
+    z_low = min_depth_m,    z_high = min(max_depth_m, bottom - min_altitude_m)
+
+Near a limit the acceleration is bounded (exponential control barrier function, Nguyen & Sreenath 2016, with two poles
+at -l), so that the vehicle comes to rest at the limit without overshoot:
+
+    l^2 (z_low - z) - 2 l z'  <=  z''  <=  l^2 (z_high - z) - 2 l z'
+
+From a steady speed w the vehicle begins to slow down at a distance of 2 w / l. The rate l is that of the depth law, or
+smaller if the thruster brakes weakly. Where the limits contradict each other, the lower one is kept: the bottom is
+harder than the surface.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ltv_mpc.control.config import MotionLimits
+from ltv_mpc.jit import jit
+from ltv_mpc.messages import Array, Estimate
+from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+
+MIN_RATE_RADPS = 0.01
+"""Smallest rate l: of a vehicle that cannot brake."""
+
+
+class DepthLimits:
+    """Depths between which the vehicle stays; the bottom is where an estimate has seen it last."""
+
+    def __init__(self, vehicle: Vehicle, limits: MotionLimits, max_rate_radps: float) -> None:
+        """Begin without a bottom.
+
+        Parameters
+        ----------
+        vehicle : its vertical thruster brakes.
+        limits : settings of the limits.
+        max_rate_radps : largest rate l.
+        """
+        self._max_depth_m = math.inf if limits.max_depth_m is None else limits.max_depth_m
+        self._min_altitude_m = limits.min_altitude_m
+        min_depth_m = -math.inf if limits.min_depth_m is None else limits.min_depth_m
+        self.bounds = np.array([min_depth_m, self._max_depth_m, min(max_rate_radps, braking_rate_radps(vehicle))])
+        """(3,) least and largest depth (m), infinite where there is none, and rate l (rad/s)."""
+
+    @property
+    def is_limited(self) -> bool:
+        """True if there is a limit now."""
+        return bool(np.isfinite(self.bounds[:2]).any())
+
+    def update(self, estimate: Estimate) -> None:
+        """Take in the bottom; without an altitude it stays where it was seen last.
+
+        Parameters
+        ----------
+        estimate : newest plausible one.
+        """
+        if self._min_altitude_m is not None and estimate.altitude_m is not None and estimate.depth_m is not None:
+            bottom_m = estimate.depth_m + estimate.altitude_m
+            self.bounds[1] = min(self._max_depth_m, bottom_m - self._min_altitude_m)
+
+
+def braking_rate_radps(vehicle: Vehicle) -> float:
+    """Return the largest rate l for which the thruster can brake: braking acceleration over largest speed.
+
+    Slowing down from a steady speed w needs at most l w / e, so 63 % of the thrust is left for errors of the model.
+
+    Parameters
+    ----------
+    vehicle : its vertical thruster and its net buoyancy; infinite for a surface craft.
+    """
+    if vehicle.heave is None:
+        return math.inf
+    thruster, heave = vehicle.thrusters[2], vehicle.heave
+    rate = math.inf
+    for drive_N, brake_N in (
+        (thruster.max_N - vehicle.net_buoyancy_N, vehicle.net_buoyancy_N - thruster.min_N),  # down
+        (vehicle.net_buoyancy_N - thruster.min_N, thruster.max_N - vehicle.net_buoyancy_N),  # up
+    ):
+        speed_mps = _steady_speed_mps(drive_N, heave.linear_damping_kgps, heave.quadratic_damping_kgpm)
+        if speed_mps > 0.0:
+            rate = min(rate, brake_N / heave.mass_kg / speed_mps)
+    return max(rate, MIN_RATE_RADPS)
+
+
+def _steady_speed_mps(force_N: float, linear_kgps: float, quadratic_kgpm: float) -> float:
+    """Return the speed at which the drag balances a force: the root of D w^2 + d w = F."""
+    if force_N <= 0.0:
+        return 0.0
+    root = math.sqrt(linear_kgps * linear_kgps + 4.0 * quadratic_kgpm * force_N)
+    return 2.0 * force_N / (linear_kgps + root) if root > 0.0 else math.inf
+
+
+@jit
+def clip_to_depths(wanted: float, z: float, w: float, integral: float, bounds: Array, p: Coefficients) -> float:
+    """Return the thrust (N) nearest to the wanted one with which the depth stays within its limits.
+
+    Parameters
+    ----------
+    wanted : thrust of the depth law (N).
+    z, w : depth (m) and sinking speed (m/s).
+    integral : integral term of the depth law (N): what the model's buoyancy lacks.
+    bounds : ``DepthLimits.bounds``.
+    p : coefficients of the vehicle.
+    """
+    rate = bounds[2]
+    # F3 = M_z z'' + (B - W) + (d_z + D_z |w|) w
+    steady = p.net_buoyancy + (p.linear_heave + p.quadratic_heave * abs(w)) * w + integral
+    low = steady + p.mass_heave * (rate * rate * (bounds[0] - z) - 2.0 * rate * w)
+    high = steady + p.mass_heave * (rate * rate * (bounds[1] - z) - 2.0 * rate * w)
+    return float(min(max(wanted, low), high))

@@ -1,0 +1,156 @@
+"""Depth limits by closed loop: a ramp into the bottom stops above it, with the box and the slew of the thruster."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.config import parse
+from ltv_mpc.control.config import ControllerConfig, MotionLimits
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.depth_limits import MIN_RATE_RADPS, braking_rate_radps, clip_to_depths
+from ltv_mpc.control.nominal_model import advance
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Array, Authority, Estimate, Plan
+from ltv_mpc.references import Hold, Point
+from ltv_mpc.safety.command_arbiter import ThrustOverride
+from ltv_mpc.safety.health import Health, HealthState
+from ltv_mpc.vehicle.parameters import Vehicle
+
+PAPER = Vehicle.load("paper")
+DIVING = ("paper", "low-yaw", "weak-reverse")
+BOTTOM_M = 12.0
+
+
+def config(**limits: float) -> ControllerConfig:
+    return ControllerConfig(limits=MotionLimits(**limits), lateral=False, horizon_s=3.0)
+
+
+def dive(
+    controller: Controller, true: Vehicle, seconds: float, estimate: Estimate, range_m: float = math.inf
+) -> tuple[list[Estimate], list[Plan]]:
+    """Follow plans from an estimate over a bottom at ``BOTTOM_M`` that is seen within a range of the altimeter."""
+    way, plans = [estimate], []
+    for _ in range(round(seconds / 0.3)):
+        altitude = BOTTOM_M - (estimate.depth_m or 0.0)
+        estimate = msgspec.structs.replace(estimate, altitude_m=altitude if 0.0 <= altitude < range_m else None)
+        plans.append(controller.plan(estimate))
+        estimate = advance(true, estimate, plans[-1], duration_s=0.3)
+        way.append(estimate)
+    return way, plans
+
+
+def depths(way: list[Estimate]) -> Array:
+    return np.array([estimate.depth_m for estimate in way])
+
+
+def deeper(depth_m: float = 50.0, rate_mps: float = 0.2) -> Point:
+    return Point(north_m=0.0, east_m=0.0, depth_m=depth_m, descent_rate_mps=rate_mps)
+
+
+def test_the_shipped_vehicles_that_dive_are_all_tried() -> None:
+    assert not Vehicle.load("surface").can_dive
+    assert all(Vehicle.load(name).can_dive for name in DIVING)
+
+
+@pytest.mark.parametrize("rate_mps", [0.05, 0.2, 5.0], ids=["slow", "full", "step"])
+@pytest.mark.parametrize("name", DIVING)
+def test_a_ramp_into_the_bottom_stops_at_the_least_altitude(name: str, rate_mps: float) -> None:
+    vehicle = Vehicle.load(name)
+    controller = Controller(vehicle, deeper(rate_mps=rate_mps), config(min_altitude_m=3.0))
+    way, plans = dive(controller, vehicle, 300.0, Estimate.at_rest(depth_m=0.0))
+    assert depths(way).max() < BOTTOM_M - 3.0 + 0.02
+    assert depths(way)[-1] == pytest.approx(BOTTOM_M - 3.0, abs=0.02)
+    thruster = vehicle.thrusters[2]
+    for plan in plans:
+        F = plan.thrust_N[:, 2]
+        assert thruster.min_N - 1e-9 <= F.min()
+        assert F.max() <= thruster.max_N + 1e-9
+        assert np.all(np.abs(np.diff(F)) <= thruster.slew_N_per_s * np.diff(plan.t_ns) * 1e-9 + 1e-9)
+
+
+def test_without_the_limit_the_same_ramp_passes_the_bottom() -> None:
+    way, _ = dive(Controller(PAPER, deeper(), config()), PAPER, 90.0, Estimate.at_rest(depth_m=0.0))
+    assert depths(way).max() > BOTTOM_M
+
+
+def test_a_bottom_that_is_seen_late_is_not_reached() -> None:
+    """The altimeter sees 5 m; least altitude 3 m; the stopping distance at 0.2 m/s is 2 w / l = 1.3 m."""
+    controller = Controller(PAPER, deeper(), config(min_altitude_m=3.0))
+    way, _ = dive(controller, PAPER, 120.0, Estimate.at_rest(depth_m=0.0), range_m=5.0)
+    assert depths(way).max() < BOTTOM_M - 3.0 + 0.02
+
+
+@pytest.mark.parametrize("buoyancy_N", [24.0, 36.0])
+def test_a_wrong_buoyancy_costs_less_than_a_third_of_a_metre_and_is_learned(buoyancy_N: float) -> None:
+    """Its 6.5 N are 6.5 / (225 x 0.09) = 0.32 m of the law without an integral."""
+    true = msgspec.structs.replace(PAPER, net_buoyancy_N=buoyancy_N)
+    controller = Controller(PAPER, deeper(), config(max_depth_m=9.0))
+    way, _ = dive(controller, true, 300.0, Estimate.at_rest(depth_m=0.0))
+    assert depths(way).max() < 9.0 + 0.33
+    assert depths(way)[-1] < 9.0 + 0.05
+
+
+def test_an_ascent_stops_at_the_least_depth() -> None:
+    controller = Controller(PAPER, deeper(0.0, rate_mps=5.0), config(min_depth_m=2.0))
+    way, _ = dive(controller, PAPER, 120.0, Estimate.at_rest(depth_m=8.0))
+    assert depths(way).min() > 1.98
+    assert depths(way)[-1] == pytest.approx(2.0, abs=0.02)
+
+
+def test_the_bottom_is_harder_than_the_surface() -> None:
+    controller = Controller(PAPER, deeper(11.0), config(min_depth_m=10.0, min_altitude_m=3.0))
+    way, _ = dive(controller, PAPER, 200.0, Estimate.at_rest(depth_m=6.0))
+    assert depths(way)[-1] == pytest.approx(BOTTOM_M - 3.0, abs=0.02)
+
+
+def test_a_command_that_is_kept_ends_at_the_limit_too() -> None:
+    """A pilot lets go at full thrust down, and the reference has no depth."""
+    down = ThrustOverride(Authority.MANUAL, (0.0, 0.0, 62.5), 100_000_000_000, "by hand")
+    for limits, sinks in (({}, True), ({"max_depth_m": 9.0}, False)):
+        controller, estimate = Controller(PAPER, Hold(), config(**limits)), Estimate.at_rest(depth_m=0.0)
+        for _ in range(10):
+            estimate = advance(PAPER, estimate, controller.plan(estimate, override=down), duration_s=0.3)
+        way, _ = dive(controller, PAPER, 90.0, estimate)
+        assert (depths(way).max() > 9.02) == sinks
+
+
+def test_a_failsafe_is_not_limited() -> None:
+    """What the vehicle does in failsafe is in its own file; this one pushes down with all it has."""
+    sinks = msgspec.structs.replace(PAPER, failsafe_vertical_N=62.5)
+    controller = Controller(sinks, deeper(), config(max_depth_m=9.0))
+    estimate = Estimate.at_rest(depth_m=9.0)
+    plan = controller.plan(estimate, health=HealthState(Health.FAILSAFE, "leak"))
+    assert plan.thrust_N[-1, 2] == 62.5
+
+
+def test_the_rate_leaves_a_weak_thruster_the_force_to_brake() -> None:
+    assert braking_rate_radps(PAPER) > 0.3
+    assert braking_rate_radps(Vehicle.load("surface")) == math.inf
+    thrusters = PAPER.thruster
+    vertical = msgspec.structs.replace(PAPER.thrusters[2], min_N=0.0)
+    weak = msgspec.structs.replace(
+        PAPER, net_buoyancy_N=5.0, thruster=msgspec.structs.replace(thrusters, vertical=vertical)
+    )
+    # 5 N brake 225 kg from sqrt(57.5 / 800) m/s
+    assert braking_rate_radps(weak) == pytest.approx(5.0 / 225.0 / math.sqrt(57.5 / 800.0))
+    controller = Controller(weak, deeper(rate_mps=1.0), config(max_depth_m=9.0))
+    way, _ = dive(controller, weak, 200.0, Estimate.at_rest(depth_m=0.0))
+    assert depths(way).max() < 9.02
+    helpless = msgspec.structs.replace(weak, net_buoyancy_N=-5.0)
+    assert braking_rate_radps(helpless) == MIN_RATE_RADPS
+
+
+def test_far_from_its_limits_the_law_is_not_changed() -> None:
+    bounds = np.array([0.0, 100.0, 0.3])
+    assert clip_to_depths(17.0, 50.0, 0.1, 0.0, bounds, PAPER.coefficients()) == 17.0
+    free = np.array([-np.inf, np.inf, 0.3])
+    assert clip_to_depths(17.0, 50.0, 0.1, 0.0, free, PAPER.coefficients()) == 17.0
+
+
+def test_depth_limits_without_a_depth_between_them_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"min_depth_m = 9: must be < max_depth_m = 4"):
+        parse({"limits": {"min_depth_m": 9.0, "max_depth_m": 4.0}}, ControllerConfig, source="settings")
