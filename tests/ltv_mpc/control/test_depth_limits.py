@@ -110,12 +110,12 @@ def test_the_bottom_is_harder_than_the_surface() -> None:
 def test_a_command_that_is_kept_ends_at_the_limit_too() -> None:
     """A pilot lets go at full thrust down, and the reference has no depth."""
     down = ThrustOverride(Authority.MANUAL, (0.0, 0.0, 62.5), 100_000_000_000, "by hand")
-    for limits, sinks in (({}, True), ({"max_depth_m": 9.0}, False)):
+    for limits, sinks in (({}, True), ({"max_depth_m": 0.6}, False)):
         controller, estimate = Controller(PAPER, Hold(), config(**limits)), Estimate.at_rest(depth_m=0.0)
-        for _ in range(10):
+        for _ in range(5):
             estimate = advance(PAPER, estimate, controller.plan(estimate, override=down), duration_s=0.3)
-        way, _ = dive(controller, PAPER, 90.0, estimate)
-        assert (depths(way).max() > 9.02) == sinks
+        way, _ = dive(controller, PAPER, 30.0, estimate)
+        assert (depths(way).max() > 0.61) == sinks
 
 
 def test_a_failsafe_is_not_limited() -> None:
