@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ltv_mpc.control.nominal_model import advance
     from ltv_mpc.control.qp.sparse import build_qp
     from ltv_mpc.control.solvers import solve_qp
+    from ltv_mpc.geofence.fence import Fence
     from ltv_mpc.messages import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus
     from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -23,6 +24,7 @@ _HOME = {
     "ControllerConfig": "ltv_mpc.control.config",
     "CurrentProfile": "ltv_mpc.messages",
     "Estimate": "ltv_mpc.messages",
+    "Fence": "ltv_mpc.geofence.fence",
     "Plan": "ltv_mpc.messages",
     "PlanOrigin": "ltv_mpc.messages",
     "SolveStatus": "ltv_mpc.messages",
@@ -38,6 +40,7 @@ __all__ = [
     "ControllerConfig",
     "CurrentProfile",
     "Estimate",
+    "Fence",
     "Plan",
     "PlanOrigin",
     "SolveStatus",

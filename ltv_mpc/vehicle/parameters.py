@@ -6,6 +6,7 @@ The thrust of a propeller by revolutions and inflow is in ``thruster.py``, the e
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, NamedTuple, TypeAlias
 
 import msgspec
@@ -69,6 +70,18 @@ class Thrusters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     vertical: Thruster | None = None
 
 
+class Hull(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Size of the hull with all that sticks out of it, seen from above, for fences."""
+
+    length_m: Annotated[float, Meta(gt=0, le=100)]
+    beam_m: Annotated[float, Meta(gt=0, le=100)]
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the circle around the hull: its middle counts as the vehicle's origin."""
+        return 0.5 * math.hypot(self.length_m, self.beam_m)
+
+
 NO_THRUSTER = Thruster(
     arm_m=0.0, min_N=0.0, max_N=0.0, slew_N_per_s=1.0, lag_s=0.0, propeller_diameter_m=1.0, max_rps=1.0
 )
@@ -126,6 +139,7 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     yaw: Rotation
     thruster: Thrusters
     reference_point: ReferencePoint = ORIGIN  # whose position and velocity the estimates give
+    hull: Hull | None = None  # a fence needs it
 
     def __post_init__(self) -> None:
         """Reject parameters that contradict each other."""

@@ -7,11 +7,12 @@ import sys
 
 import ltv_mpc
 
-TWELVE = {
+THIRTEEN = {
     "Controller",
     "ControllerConfig",
     "CurrentProfile",
     "Estimate",
+    "Fence",
     "Plan",
     "PlanOrigin",
     "SolveStatus",
@@ -23,9 +24,9 @@ TWELVE = {
 }
 
 
-def test_the_public_names_are_these_twelve_and_each_is_there():
-    assert set(ltv_mpc.__all__) == TWELVE
-    for name in TWELVE:
+def test_the_public_names_are_these_thirteen_and_each_is_there():
+    assert set(ltv_mpc.__all__) == THIRTEEN
+    for name in THIRTEEN:
         assert getattr(ltv_mpc, name) is not None
 
 

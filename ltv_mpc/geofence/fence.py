@@ -1,0 +1,132 @@
+"""Fence: keep-in and keep-out zones in metres or degrees, read from ``fence.toml`` or GeoJSON.
+
+The vehicle has to stay inside every keep-in polygon and outside every keep-out polygon and disc. The margin of a zone
+is the distance between its boundary and the hull that is kept free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from ltv_mpc import config
+from ltv_mpc.geofence import geojson
+from ltv_mpc.geofence.ring import ring_problem
+from ltv_mpc.messages import Array
+from ltv_mpc.references.geodesy import Origin, Place, local
+
+MAX_VERTICES = 500
+"""Largest number of vertices of one polygon."""
+
+MAX_ZONES = 100
+"""Largest number of zones of one kind."""
+
+GEOJSON = (".geojson", ".json")
+"""Suffixes of a GeoJSON file; every other file is TOML."""
+
+
+class Zone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Part of a fence."""
+
+    name: Annotated[str, Meta(max_length=100)] = ""
+    margin_m: Annotated[float, Meta(ge=0, le=1000)] | None = None  # None: that of the fence
+
+
+class Polygon(Zone, frozen=True, kw_only=True, omit_defaults=True):
+    """Polygon, convex or concave; the last edge leads back to the first vertex."""
+
+    vertices: Annotated[tuple[Place, ...], Meta(min_length=3, max_length=MAX_VERTICES)]
+
+
+class Disc(Zone, frozen=True, kw_only=True, omit_defaults=True):
+    """Disc."""
+
+    centre: Place
+    radius_m: Annotated[float, Meta(gt=0, le=100_000)]
+
+
+class LocalZone(NamedTuple):
+    """Zone in the local frame."""
+
+    label: str  # table, number and name, as errors and reports name it
+    keep_in: bool
+    vertices: Array  # (K, 2) north and east (m); one for a disc
+    radius_m: float  # 0 for a polygon
+    margin_m: float
+
+
+class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Geofence of a mission."""
+
+    margin_m: Annotated[float, Meta(ge=0, le=1000)]  # of zones that have none of their own
+    origin: Origin | None = None  # position of north = east = 0, for places in degrees
+    keep_in: Annotated[tuple[Polygon, ...], Meta(max_length=MAX_ZONES)] = ()
+    keep_out: Annotated[tuple[Polygon, ...], Meta(max_length=MAX_ZONES)] = ()
+    keep_out_disc: Annotated[tuple[Disc, ...], Meta(max_length=MAX_ZONES)] = ()
+
+    def __post_init__(self) -> None:
+        """Reject places without coordinates, rings that are no simple polygon, and a fence without zones."""
+        if not (self.keep_in or self.keep_out or self.keep_out_disc):
+            raise ValueError("no zone: give at least one of [[keep_in]], [[keep_out]], [[keep_out_disc]]")
+        for zone in self.zones():
+            problem = "" if zone.radius_m > 0.0 else ring_problem(zone.vertices)
+            if problem:
+                raise ValueError(f"{zone.label}: {problem}")
+
+    @classmethod
+    def load(cls, path: str) -> Fence:
+        """Read a fence: GeoJSON if the file's suffix is .geojson or .json, else TOML. Raises ``ConfigError``.
+
+        Parameters
+        ----------
+        path : of the file.
+        """
+        source = f"fence {path}"
+        if path.endswith(GEOJSON):
+            return config.parse(geojson.read(Path(path), source), cls, source=source)
+        return config.parse(config.read_toml(Path(path), what="fence"), cls, source=source)
+
+    def save(self, path: str) -> None:
+        """Write the fence: GeoJSON if the file's suffix is .geojson or .json, else TOML. Raises ``ConfigError``.
+
+        Parameters
+        ----------
+        path : of the file. GeoJSON needs the fence's origin.
+        """
+        if path.endswith(GEOJSON):
+            text = geojson.text(msgspec.to_builtins(self), self.origin, f"fence {path}")
+        else:
+            text = config.to_toml(self)
+        Path(path).write_text(text, encoding="utf-8")
+
+    def zones(self) -> Iterator[LocalZone]:
+        """Yield the zones in the local frame: keep-in polygons, keep-out polygons, keep-out discs."""
+        for table, polygons in (("keep_in", self.keep_in), ("keep_out", self.keep_out)):
+            for k, polygon in enumerate(polygons):
+                label = _label(table, k, polygon)
+                vertices = [self._local(place, f"{label}: vertices[{i}]") for i, place in enumerate(polygon.vertices)]
+                yield LocalZone(label, table == "keep_in", np.array(vertices), 0.0, self._margin(polygon))
+        for k, disc in enumerate(self.keep_out_disc):
+            label = _label("keep_out_disc", k, disc)
+            centre = np.array([self._local(disc.centre, f"{label}: centre")])
+            yield LocalZone(label, False, centre, disc.radius_m, self._margin(disc))
+
+    def _margin(self, zone: Zone) -> float:
+        return self.margin_m if zone.margin_m is None else zone.margin_m
+
+    def _local(self, place: Place, where: str) -> tuple[float, float]:
+        if place.depth_m is not None:
+            raise ValueError(f"{where}: depth_m is not used: a zone reaches from the surface to the bottom")
+        try:
+            return local(place, self.origin)
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from None
+
+
+def _label(table: str, number: int, zone: Zone) -> str:
+    return f'{table}[{number}] "{zone.name}"' if zone.name else f"{table}[{number}]"

@@ -1,0 +1,118 @@
+"""GeoJSON (RFC 7946) of a fence: a FeatureCollection whose features have a property ``zone``.
+
+    zone             geometry           further properties
+    keep_in          Polygon            name, margin_m
+    keep_out         Polygon            name, margin_m
+    keep_out_disc    Point              name, margin_m, radius_m
+
+Coordinates are longitude and latitude (degrees). A polygon has one ring. The collection's own members ``margin_m`` and
+``origin`` are those of the fence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from ltv_mpc import config
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.references.geodesy import Origin, Place, degrees, local
+
+GEOMETRY = {"keep_in": "Polygon", "keep_out": "Polygon", "keep_out_disc": "Point"}
+"""Type of the geometry by zone."""
+
+
+def read(path: Path, source: str) -> dict[str, Any]:
+    """Return the table of a fence, as ``fence.toml`` holds it. Raises ``ConfigError``.
+
+    Parameters
+    ----------
+    path : GeoJSON file.
+    source : name of the file in errors.
+    """
+    try:
+        content = msgspec.json.decode(config.read_text(path, what="fence"))
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise ConfigError(source, "", f"is not valid JSON: {error}") from None
+    if not isinstance(content, dict) or content.get("type") != "FeatureCollection":
+        raise ConfigError(source, "type", 'must be "FeatureCollection"')
+    features = content.get("features")
+    if not isinstance(features, list):
+        raise ConfigError(source, "features", "must be a list of features")
+    table: dict[str, Any] = {key: content[key] for key in ("margin_m", "origin") if key in content}
+    for k, feature in enumerate(features):
+        zone, entry = _entry(feature, f"features[{k}]", source)
+        table.setdefault(zone, []).append(entry)
+    return table
+
+
+def _entry(feature: Any, where: str, source: str) -> tuple[str, dict[str, Any]]:
+    """Return table and entry of one feature."""
+    try:
+        properties, geometry = dict(feature["properties"]), feature["geometry"]
+        kind, coordinates = geometry["type"], geometry["coordinates"]
+    except (TypeError, KeyError, ValueError):
+        raise ConfigError(source, where, "must be a Feature with properties and a geometry") from None
+    zone = properties.pop("zone", None)
+    if zone not in GEOMETRY:
+        raise ConfigError(source, f"{where}.properties.zone", f"must be one of {', '.join(GEOMETRY)}", value=zone)
+    if kind != GEOMETRY[zone]:
+        raise ConfigError(source, f"{where}.geometry.type", f'must be "{GEOMETRY[zone]}" for {zone}', value=kind)
+    if kind == "Point":
+        return zone, {**properties, "centre": _place(coordinates, f"{where}.geometry.coordinates", source)}
+    if not isinstance(coordinates, list) or len(coordinates) != 1:
+        problem = "must be one ring: a hole is a zone of its own"
+        raise ConfigError(source, f"{where}.geometry.coordinates", problem)
+    ring = coordinates[0]
+    if not isinstance(ring, list) or len(ring) < 4 or ring[0] != ring[-1]:
+        problem = "must be a closed ring of at least 3 vertices: the last position repeats the first"
+        raise ConfigError(source, f"{where}.geometry.coordinates[0]", problem)
+    at = f"{where}.geometry.coordinates[0]"
+    places = [_place(position, f"{at}[{i}]", source) for i, position in enumerate(ring[:-1])]
+    return zone, {**properties, "vertices": places}
+
+
+def _place(position: Any, where: str, source: str) -> dict[str, float]:
+    """Return a position [longitude, latitude, ...] as a place."""
+    numbers = isinstance(position, list) and len(position) >= 2 and all(type(x) in (int, float) for x in position)
+    if not numbers:
+        raise ConfigError(source, where, "must be [longitude, latitude] in degrees", value=position)
+    return {"longitude_deg": float(position[0]), "latitude_deg": float(position[1])}
+
+
+def text(table: Mapping[str, Any], origin: Origin | None, source: str) -> str:
+    """Return the GeoJSON text of a fence. Raises ``ConfigError`` without an origin.
+
+    Parameters
+    ----------
+    table : the fence, as ``fence.toml`` holds it.
+    origin : position of north = east = 0.
+    source : name of the file in errors.
+    """
+    if origin is None:
+        raise ConfigError(source, "[origin]", "is missing: GeoJSON has positions in degrees")
+    features = []
+    for zone, kind in GEOMETRY.items():
+        for entry in table.get(zone, ()):
+            properties = {key: value for key, value in entry.items() if key not in ("vertices", "centre")}
+            if kind == "Point":
+                coordinates: Any = _position(entry["centre"], origin)
+            else:
+                ring = [_position(place, origin) for place in entry["vertices"]]
+                coordinates = [[*ring, ring[0]]]
+            geometry = {"type": kind, "coordinates": coordinates}
+            features.append({"type": "Feature", "properties": {"zone": zone, **properties}, "geometry": geometry})
+    content = {"type": "FeatureCollection", "features": features}
+    content |= {key: table[key] for key in ("margin_m", "origin") if key in table}
+    return msgspec.json.format(msgspec.json.encode(content), indent=1).decode() + "\n"
+
+
+def _position(place: Mapping[str, float], origin: Origin) -> list[float]:
+    """Return [longitude, latitude] (degrees) of a place."""
+    if "latitude_deg" in place:
+        return [place["longitude_deg"], place["latitude_deg"]]
+    latitude, longitude = degrees(*local(msgspec.convert(place, Place), origin), origin)
+    return [longitude, latitude]

@@ -1,0 +1,135 @@
+"""Zones for compiled code: arrays of fixed size, and the signed distance to a zone.
+
+Every zone is a ring of vertices with a radius around it; a disc is one vertex with its radius. Rings are oriented so
+that the allowed side is to starboard of every edge: keep-in rings run clockwise as seen from above, keep-out rings
+counter-clockwise. With the nearest point q of the ring and the outward normal m there, the clearance of a point p is
+
+    d(p) = +-|p - q| - radius          positive on the allowed side
+
+The side is that of the nearest edge. At a vertex it is that of the sum of both normals (Baerentzen & Aanaes 2005).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.geofence.ring import signed_area_m2
+from ltv_mpc.jit import jit, jit_outlined
+from ltv_mpc.messages import Array
+
+Nearest: TypeAlias = tuple[float, float, float, float, float]
+
+
+class Zones(NamedTuple):
+    """Zones of a fence; those of one zone are ``vertices[first[z]:first[z + 1]]``."""
+
+    vertices: Array  # (V, 2) north and east (m)
+    first: npt.NDArray[np.int64]  # (Z+1,)
+    radius: Array  # (Z,) around the vertices (m)
+    margin: Array  # (Z,) (m)
+    circle: Array  # (Z, 3) north, east and radius of a circle around the forbidden side (m); infinite for keep-in
+
+
+def pack_zones(fence: Fence) -> Zones:
+    """Return the zones of a fence, in the order of ``Fence.zones``."""
+    rings, first, radii, margins, circles = [], [0], [], [], []
+    for zone in fence.zones():
+        ring = zone.vertices
+        if (signed_area_m2(ring) > 0.0) != zone.keep_in:
+            ring = ring[::-1]
+        centre = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
+        around = np.inf if zone.keep_in else zone.radius_m + np.hypot(*(ring - centre).T).max()
+        rings.append(ring)
+        first.append(first[-1] + len(ring))
+        radii.append(zone.radius_m)
+        margins.append(zone.margin_m)
+        circles.append([*centre, around])
+    return Zones(np.concatenate(rings), np.array(first), np.array(radii), np.array(margins), np.array(circles))
+
+
+@jit_outlined
+def nearest(zones: Zones, z: int, north: float, east: float) -> Nearest:
+    """Return the clearance of a point from one zone (m), the outward normal and the nearest point of the boundary.
+
+    Parameters
+    ----------
+    zones : zones of the fence.
+    z : number of the zone.
+    north, east : point (m).
+
+    Returns
+    -------
+    Clearance (m), positive on the allowed side; normal north, east; boundary north, east (m).
+    """
+    begin, end = zones.first[z], zones.first[z + 1]
+    best, qn, qe, on_edge = np.inf, 0.0, 0.0, -1
+    mn, me = 0.0, 0.0  # normal of the nearest edge, or sum of those of both edges of the nearest vertex
+    for i in range(begin, end):
+        n0, e0 = zones.vertices[i, 0], zones.vertices[i, 1]
+        j = i + 1 if i + 1 < end else begin
+        tn, te = zones.vertices[j, 0] - n0, zones.vertices[j, 1] - e0
+        length = np.hypot(tn, te)
+        along = (north - n0) * tn + (east - e0) * te
+        if length > 0.0 and 0.0 < along < length * length:
+            distance = abs((north - n0) * te - (east - e0) * tn) / length
+            if distance < best:
+                best, on_edge = distance, i
+                mn, me = -te / length, tn / length
+                share = along / (length * length)
+                qn, qe = n0 + share * tn, e0 + share * te
+        distance = np.hypot(north - n0, east - e0)
+        if distance < best:
+            best, on_edge, qn, qe = distance, -1, n0, e0
+            k = i - 1 if i > begin else end - 1
+            bn, be = n0 - zones.vertices[k, 0], e0 - zones.vertices[k, 1]
+            before = np.hypot(bn, be)
+            mn = me = 0.0
+            if length > 0.0 and before > 0.0:
+                mn, me = -te / length - be / before, tn / length + bn / before
+    if end - begin == 1:  # a disc
+        side = 1.0
+    else:
+        side = 1.0 if (north - qn) * mn + (east - qe) * me >= 0.0 else -1.0
+    if on_edge < 0:
+        if best > 0.0:
+            mn, me = side * (north - qn) / best, side * (east - qe) / best
+        elif end - begin == 1:
+            mn, me = 1.0, 0.0
+        else:
+            size = np.hypot(mn, me)
+            mn, me = mn / size, me / size
+    radius = zones.radius[z]
+    return side * best - radius, mn, me, qn + radius * mn, qe + radius * me
+
+
+@jit
+def clearance(zones: Zones, z: int, north: float, east: float) -> float:
+    """Return the distance of a point from one zone (m): positive on the allowed side.
+
+    Parameters
+    ----------
+    zones : zones of the fence.
+    z : number of the zone.
+    north, east : point (m).
+    """
+    return nearest(zones, z, north, east)[0]
+
+
+@jit
+def support(zones: Zones, z: int, north: float, east: float) -> float:
+    """Return the largest m . p over the points p of a keep-out zone (m).
+
+    Parameters
+    ----------
+    zones : zones of the fence.
+    z : number of the zone.
+    north, east : unit normal m.
+    """
+    most = -np.inf
+    for i in range(zones.first[z], zones.first[z + 1]):
+        most = max(most, north * zones.vertices[i, 0] + east * zones.vertices[i, 1])
+    return float(most + zones.radius[z])

@@ -1,0 +1,154 @@
+"""Fence files: TOML and GeoJSON read and written; errors name file, field and bound."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from ltv_mpc import Fence
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.geofence.ring import ring_problem
+from ltv_mpc.messages import Array
+from tests.ltv_mpc.geofence.shapes import rings
+
+HARBOUR = """\
+margin_m = 2.0
+
+[origin]
+latitude_deg = 60.39
+longitude_deg = 5.32
+
+[[keep_in]]
+name = "basin"
+vertices = [
+  { north_m = -200.0, east_m = -200.0 }, { north_m = -200.0, east_m = 200.0 }, { north_m = 200.0, east_m = 200.0 },
+  { north_m = 0.0, east_m = 0.0 }, { north_m = 200.0, east_m = -200.0 },
+]
+
+[[keep_out]]
+margin_m = 5.0
+vertices = [
+  { latitude_deg = 60.3905, longitude_deg = 5.321 }, { latitude_deg = 60.3905, longitude_deg = 5.322 },
+  { latitude_deg = 60.3909, longitude_deg = 5.3215 },
+]
+
+[[keep_out_disc]]
+name = "buoy"
+centre = { north_m = -50.0, east_m = 20.0 }
+radius_m = 3.0
+"""
+
+
+def written(folder: Path, text: str, name: str = "fence.toml") -> str:
+    path = folder / name
+    path.write_text(text)
+    return str(path)
+
+
+def local_zones(fence: Fence) -> list[tuple[str, bool, float, float]]:
+    return [(zone.label, zone.keep_in, zone.radius_m, zone.margin_m) for zone in fence.zones()]
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".geojson"])
+def test_a_fence_comes_back_from_its_file(tmp_path: Path, suffix: str) -> None:
+    fence = Fence.load(written(tmp_path, HARBOUR))
+    again = str(tmp_path / f"again{suffix}")
+    fence.save(again)
+    read = Fence.load(again)
+    assert local_zones(read) == local_zones(fence)
+    assert local_zones(fence) == [
+        ('keep_in[0] "basin"', True, 0.0, 2.0),
+        ("keep_out[0]", False, 0.0, 5.0),
+        ('keep_out_disc[0] "buoy"', False, 3.0, 2.0),
+    ]
+    for one, other in zip(read.zones(), fence.zones(), strict=True):
+        np.testing.assert_allclose(one.vertices, other.vertices, atol=1e-6)
+    assert (read == fence) == (suffix == ".toml")
+
+
+WRONG = {
+    "margin": ("margin_m = 2.0", "margin_m = -2.0", "margin_m = -2.0: must be"),
+    "latitude": ("latitude_deg = 60.3909", "latitude_deg = 95.0", r"keep_out\[0\].vertices\[2\].latitude_deg = 95.0"),
+    "radius": ("radius_m = 3.0", "radius_m = 0.0", r"keep_out_disc\[0\].radius_m = 0.0: must be"),
+    "crossing": (
+        "{ north_m = 0.0, east_m = 0.0 }",
+        "{ north_m = 0.0, east_m = -300.0 }",
+        r'keep_in\[0\] "basin": the ring crosses itself: the edge from vertices\[2\] to vertices\[3\]',
+    ),
+    "twice": (
+        "{ north_m = 0.0, east_m = 0.0 }",
+        "{ north_m = 200.0, east_m = 200.0 }",
+        r"vertices\[2\] and vertices\[3\] are the same position",
+    ),
+    "unknown": ("radius_m = 3.0", "radius = 3.0", "radius"),
+    "depth": ("{ north_m = -50.0,", "{ depth_m = 3.0, north_m = -50.0,", "depth_m is not used"),
+    "far": ("latitude_deg = 60.3909", "latitude_deg = 61.0", r"keep_out\[0\]: vertices\[2\]: .*50 km from the origin"),
+    "origin": ("[origin]\nlatitude_deg = 60.39\nlongitude_deg = 5.32\n", "", r"need an \[origin\]"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_an_error_names_file_field_and_bound(tmp_path: Path, case: str) -> None:
+    right, wrong, message = WRONG[case]
+    assert right in HARBOUR
+    with pytest.raises(ConfigError, match=message) as error:
+        Fence.load(written(tmp_path, HARBOUR.replace(right, wrong)))
+    assert "fence.toml" in str(error.value)
+
+
+def test_a_ring_of_two_vertices_and_a_fence_without_zones_are_refused(tmp_path: Path) -> None:
+    places = "{ north_m = 0.0, east_m = 0.0 }, { north_m = 1.0, east_m = 0.0 }"
+    two = f"margin_m = 1.0\n[[keep_out]]\nvertices = [{places}]\n"
+    with pytest.raises(ConfigError, match=r"keep_out\[0\].vertices = .*: must be a list of at least 3"):
+        Fence.load(written(tmp_path, two))
+    with pytest.raises(ConfigError, match=r"no zone: give at least one of \[\[keep_in\]\]"):
+        Fence.load(written(tmp_path, "margin_m = 1.0\n"))
+    with pytest.raises(ConfigError, match='key "margin_m" is missing'):
+        Fence.load(written(tmp_path, two.partition("\n")[2]))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "is not valid JSON"),
+        ('{"type": "Feature"}', 'type: must be "FeatureCollection"'),
+        ('{"type": "FeatureCollection", "features": [{}]}', r"features\[0\]: must be a Feature"),
+        (
+            '{"type": "FeatureCollection", "features": [{"properties": {"zone": "moat"}, "geometry": '
+            '{"type": "Point", "coordinates": [5, 60]}}]}',
+            r"features\[0\].properties.zone = .moat.: must be one of keep_in, keep_out, keep_out_disc",
+        ),
+        (
+            '{"type": "FeatureCollection", "features": [{"properties": {"zone": "keep_in"}, "geometry": '
+            '{"type": "Polygon", "coordinates": [[[5, 60], [5, 61], [6, 61], [6, 60]]]}}]}',
+            r"features\[0\].geometry.coordinates\[0\]: must be a closed ring",
+        ),
+    ],
+)
+def test_an_error_of_geojson_names_the_feature(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        Fence.load(written(tmp_path, text, "fence.geojson"))
+
+
+def test_geojson_needs_an_origin(tmp_path: Path) -> None:
+    metres = "margin_m = 1.0\n[[keep_out_disc]]\ncentre = { north_m = 0.0, east_m = 0.0 }\nradius_m = 1.0\n"
+    with pytest.raises(ConfigError, match=r"\[origin\]: is missing"):
+        Fence.load(written(tmp_path, metres)).save(str(tmp_path / "fence.geojson"))
+
+
+@settings(max_examples=100, deadline=None)
+@given(rings())
+def test_a_star_is_a_simple_ring_and_two_swapped_vertices_of_five_are_not(ring: Array) -> None:
+    assert ring_problem(ring) == ""
+    bow = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
+    assert "crosses itself" in ring_problem(bow + ring[0])
+
+
+def test_a_spike_and_a_vertex_on_another_edge_are_no_simple_rings() -> None:
+    square = [[0.0, 0.0], [0.0, 4.0], [4.0, 4.0], [4.0, 0.0]]
+    assert ring_problem(np.array(square)) == ""
+    assert "meets" in ring_problem(np.array([*square, [2.0, 0.0], [2.0, 4.0]]))
+    assert "meets" in ring_problem(np.array([[0.0, 0.0], [0.0, 4.0], [0.0, 2.0], [4.0, 0.0]]))
