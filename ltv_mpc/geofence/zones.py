@@ -120,6 +120,22 @@ def clearance(zones: Zones, z: int, north: float, east: float) -> float:
 
 
 @jit
+def clearances(zones: Zones, points: Array) -> Array:
+    """Return the clearance (P, Z) in m of every point from every zone.
+
+    Parameters
+    ----------
+    zones : zones of the fence.
+    points : (P, 2) north and east (m).
+    """
+    out = np.empty((len(points), len(zones.radius)))
+    for k in range(len(points)):
+        for z in range(len(zones.radius)):
+            out[k, z] = nearest(zones, z, points[k, 0], points[k, 1])[0]
+    return out
+
+
+@jit
 def support(zones: Zones, z: int, north: float, east: float) -> float:
     """Return the largest m . p over the points p of a keep-out zone (m).
 

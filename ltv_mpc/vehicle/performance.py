@@ -72,7 +72,7 @@ def performance(vehicle: Vehicle) -> Performance:
     rate_starboard, rate_port = (
         _steady_yaw_rate(vehicle, turning_thrusts(vehicle, starboard=side)) for side in (True, False)
     )
-    stop = _stop(vehicle, top, ahead, astern)
+    stop = stopping(vehicle, top or 0.0)
     to_starboard = rate_starboard is None or rate_port is None or abs(rate_starboard) <= abs(rate_port)
     turn = turning_thrusts(vehicle, starboard=to_starboard)
     rate = rate_starboard if to_starboard else rate_port
@@ -144,6 +144,28 @@ def top_speed(vehicle: Vehicle, F: Array) -> float | None:
         return sign * rates(sign * speed, 0.0, 0.0, 0.0, F[0], F[1], 0.0, 0.0, 0.0, 0.0, p)[2]
 
     return float(brentq(acceleration, 0.0, MAX_SPEED_MPS)) if acceleration(MAX_SPEED_MPS) < 0.0 else None
+
+
+def stopping(vehicle: Vehicle, speed_mps: float) -> tuple[float, float] | None:
+    """Return distance (m) and time (s) from a steady speed to ``STOPPED_SHARE`` of it; None if it does not stop.
+
+    Parameters
+    ----------
+    vehicle : parameters of the vehicle; its straight thrusts astern are commanded.
+    speed_mps : speed ahead through the water (m/s); None is returned for 0.
+    """
+    if speed_mps <= 0.0:
+        return None
+    ahead, astern = straight_thrusts(vehicle, ahead=True), straight_thrusts(vehicle, ahead=False)
+    drag_N = (vehicle.surge.linear_damping_kgps + vehicle.surge.quadratic_damping_kgpm * speed_mps) * speed_mps
+    motion = _StillWaterMotion(vehicle)
+    motion.X[2] = speed_mps
+    motion.X[6:] = motion.U = ahead * min(drag_N / ahead.sum(), 1.0)
+    while motion.X[2] > STOPPED_SHARE * speed_mps:
+        if motion.t_s > MAX_TIME_S:
+            return None
+        motion.step(astern)
+    return float(motion.X[0]), motion.t_s
 
 
 def fastest_drag_rate_per_s(vehicle: Vehicle) -> float:
@@ -235,19 +257,6 @@ def _reaches_speed(speed: float) -> Callable[[Array], bool]:
 
 def _reaches_yaw_rate(rate: float) -> Callable[[Array], bool]:
     return lambda X: bool(abs(X[5]) >= rate)
-
-
-def _stop(vehicle: Vehicle, top: float | None, ahead: Array, astern: Array) -> tuple[float, float] | None:
-    """Return distance (m) and time (s) from top speed to ``STOPPED_SHARE`` of it, commanding ``astern``."""
-    if not top:
-        return None
-    motion = _StillWaterMotion(vehicle)
-    motion.X[2], motion.X[6:], motion.U = top, ahead, ahead
-    while motion.X[2] > STOPPED_SHARE * top:
-        if motion.t_s > MAX_TIME_S:
-            return None
-        motion.step(astern)
-    return float(motion.X[0]), motion.t_s
 
 
 def _quarter_turn(vehicle: Vehicle, starboard: bool) -> float | None:

@@ -50,16 +50,59 @@ def new(
 @vehicle.command()
 def check(
     file: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A shipped name or a TOML file.")],
+    reference: Annotated[
+        str | None,
+        typer.Option("--reference", metavar="NAME|FILE", help="Check this mission too; exit code 1 if it cannot be."),
+    ] = None,
+    fence: Annotated[
+        str | None, typer.Option("--fence", metavar="FILE", help="Zones of the mission: fence.toml or GeoJSON.")
+    ] = None,
+    current: Annotated[
+        float, typer.Option("--current", metavar="V", help="Speed of the water, from any side (m/s).", min=0, max=5)
+    ] = 0.0,
+    bottom_m: Annotated[
+        float | None, typer.Option("--bottom-m", metavar="D", help="Depth of the bottom (m).", min=0, max=11_000)
+    ] = None,
+    settings: Annotated[
+        str | None, typer.Option("--settings", metavar="FILE", help="Settings of the controller, for its depth limits.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Print performance, suitable horizon and weights, and warnings about implausible values. Warnings exit with 0."""
+    """Print performance, suitable horizon and weights, and warnings about implausible values. Warnings exit with 0.
+
+    With a reference, also what of the mission cannot be: start outside, path through a zone, corridor or margin too
+    narrow in the current, descent into the bottom.
+    """
+    from msgspec.structs import replace
+
+    from ltv_mpc.errors import ConfigError
     from ltv_mpc.vehicle.parameters import Vehicle
 
+    for name, value in (("--fence", fence), ("--current", current), ("--bottom-m", bottom_m), ("--settings", settings)):
+        if reference is None and value:
+            raise ConfigError(f"option {name}", "", "needs --reference NAME|FILE, the mission to check")
     loaded = Vehicle.load(file)
-    from services.tools import vehicle_check
+    from services.tools import mission_check, vehicle_check
 
     result = vehicle_check.check(loaded)
+    if reference is not None:
+        from ltv_mpc import Fence, references
+        from ltv_mpc.control.config import ControllerConfig
+
+        mission = mission_check.check_mission(
+            loaded,
+            references.load(reference),
+            None if fence is None else Fence.load(fence),
+            current_mps=current,
+            bottom_m=bottom_m,
+            limits=None if settings is None else ControllerConfig.load(settings).limits,
+        )
+        result = replace(result, mission=mission)
     typer.echo(_json(result) if as_json else vehicle_check.table(result))
+    if result.mission is not None and not as_json:
+        typer.echo(mission_check.table(result.mission))
+    if result.mission is not None and result.mission.problems:
+        raise typer.Exit(1)
 
 
 @vehicle.command()

@@ -15,6 +15,7 @@ from ltv_mpc.vehicle.performance import Performance, performance
 from ltv_mpc.vehicle.plausibility import warnings
 from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from ltv_mpc.vehicle.reference_point import ReferencePoint
+from services.tools.mission_check import MissionCheck
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
@@ -32,6 +33,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     full_power_W: float | None  # at the shafts of port and starboard, full ahead at rest; null: no torque coefficients
     weights: Weights  # default without [controller.weights]
     warnings: list[str]
+    mission: MissionCheck | None = None  # with --reference
 
 
 def _full_power_W(vehicle: Vehicle) -> float | None:

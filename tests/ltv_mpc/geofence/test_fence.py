@@ -107,7 +107,7 @@ def test_a_ring_of_two_vertices_and_a_fence_without_zones_are_refused(tmp_path: 
     with pytest.raises(ConfigError, match=r"no zone: give at least one of \[\[keep_in\]\]"):
         Fence.load(written(tmp_path, "margin_m = 1.0\n"))
     with pytest.raises(ConfigError, match='key "margin_m" is missing'):
-        Fence.load(written(tmp_path, two.partition("\n")[2]))
+        Fence.load(written(tmp_path, HARBOUR.replace("margin_m = 2.0", "")))
 
 
 @pytest.mark.parametrize(

@@ -142,3 +142,17 @@ def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.Captu
 def test_an_argument_that_is_no_run_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["vehicle", "identify", "nowhere"]) == 2
     assert "no such folder or file: a run's folder, its run.mcap, or latest" in capsys.readouterr().err
+
+
+def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "fence.toml").write_text(
+        'margin_m = 1.0\n[[keep_out_disc]]\nname = "buoy"\ncentre = { north_m = 0.0, east_m = 0.0 }\nradius_m = 3.0\n'
+    )
+    assert run(["vehicle", "check", "paper", "--reference", "circle", "--fence", "fence.toml", "--current", "0.1"]) == 1
+    assert 'keep_out_disc[0] "buoy"' in capsys.readouterr().out
+    assert run(["vehicle", "check", "paper", "--reference", "descent", "--bottom-m", "500", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["mission"]["problems"] == []
+    assert run(["vehicle", "check", "paper", "--fence", "fence.toml"]) == 2
+    assert "option --fence: needs --reference" in capsys.readouterr().err

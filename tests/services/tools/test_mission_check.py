@@ -1,0 +1,118 @@
+"""Check of a mission: each thing that cannot be is found, with its numbers, and nothing else is."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import pytest
+
+from ltv_mpc.control.config import MotionLimits
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.geofence.fence import Disc, Fence, Polygon
+from ltv_mpc.references import Line, Place, Point
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.tools.mission_check import MissionCheck, check_mission, table
+
+PAPER = Vehicle.load("paper")
+HULL_M = 0.5 * math.hypot(2.0, 0.65)
+NORTH = Line(start=Place(north_m=0.0, east_m=0.0), end=Place(north_m=100.0, east_m=0.0), speed_mps=0.3)
+
+
+def ring(*corners: tuple[float, float], margin_m: float | None = None) -> Polygon:
+    return Polygon(vertices=tuple(Place(north_m=n, east_m=e) for n, e in corners), margin_m=margin_m)
+
+
+def box(south: float, north: float, west: float, east: float) -> Polygon:
+    return ring((south, west), (south, east), (north, east), (north, west))
+
+
+def disc(north_m: float, east_m: float, radius_m: float) -> Disc:
+    return Disc(centre=Place(north_m=north_m, east_m=east_m), radius_m=radius_m)
+
+
+def checked(fence: Fence | None = None, **more: float) -> MissionCheck:
+    return check_mission(PAPER, NORTH, fence, **more)  # type: ignore[arg-type]
+
+
+def test_a_mission_far_from_its_zones_has_no_problems() -> None:
+    result = checked(Fence(margin_m=2.0, keep_in=(box(-50, 150, -50, 50),), keep_out_disc=(disc(50, 30, 5),)))
+    assert result.problems == []
+    assert result.length_m == pytest.approx(100.0)
+    assert [zone.zone for zone in result.zones] == ["keep_in[0]", "keep_out_disc[0]"]
+    buoy = result.zones[1]
+    assert buoy.clearance_m == pytest.approx(25.0 - HULL_M, abs=0.01)
+    assert buoy.way_m == pytest.approx(50.0, abs=0.3)
+    assert buoy.inside_m == buoy.in_margin_m == 0.0
+
+
+def test_a_start_outside_is_found() -> None:
+    [problem] = checked(Fence(margin_m=2.0, keep_in=(box(5, 150, -50, 50),))).problems
+    assert problem == f"the start is not allowed: hull {5.0 + HULL_M:.1f} m beyond the boundary of keep_in[0]"
+
+
+def test_a_path_through_a_zone_is_found_with_its_length() -> None:
+    """A disc of 5 m and the hull leave a chord of 2 sqrt((5 + hull)^2 - 3^2)."""
+    result = checked(Fence(margin_m=2.0, keep_out_disc=(disc(50, 3, 5),)))
+    assert result.zones[0].inside_m == pytest.approx(2.0 * math.sqrt((5.0 + HULL_M) ** 2 - 9.0), abs=0.5)
+    assert any("the path is not allowed for" in problem for problem in result.problems)
+
+
+def test_a_margin_that_is_entered_is_found() -> None:
+    result = checked(Fence(margin_m=2.0, keep_out_disc=(disc(50, 7, 5),)))
+    assert result.zones[0].inside_m == 0.0
+    assert result.zones[0].in_margin_m > 2.0
+    assert any("enters the margin of keep_out_disc[0]" in problem for problem in result.problems)
+
+
+def test_a_corridor_is_too_narrow_only_in_a_current() -> None:
+    walls = Fence(margin_m=0.5, keep_out=(box(40, 60, 2, 9), box(40, 60, -9, -2)))
+    still, moving = checked(walls), checked(walls, current_mps=0.25)
+    assert still.corridor_m == pytest.approx(4.0, abs=0.1)
+    assert still.needed_m == pytest.approx(2.0 * HULL_M + 1.0)
+    assert not any("corridor" in problem for problem in still.problems)
+    assert moving.drift_m is not None
+    assert moving.needed_m == pytest.approx(2.0 * HULL_M + 1.0 + moving.drift_m)
+    assert any("the corridor is 4.0 m wide" in problem for problem in moving.problems)
+
+
+def test_a_margin_shorter_than_the_stopping_distance_is_found_only_near_the_path() -> None:
+    near, far = (Fence(margin_m=0.1, keep_out_disc=(disc(50, east, 1),)) for east in (2.3, 40.0))
+    result = checked(near, current_mps=0.1)
+    assert result.stopping_m is not None
+    assert 0.1 < result.stopping_m < 2.0
+    assert any(f"takes {result.stopping_m:.1f} m, margin 0.1 m" in problem for problem in result.problems)
+    assert checked(far, current_mps=0.1).problems == []
+
+
+def test_a_current_that_is_too_strong_is_found_without_a_fence() -> None:
+    assert checked(current_mps=0.3).problems == []
+    [problem] = checked(current_mps=0.6).problems
+    assert "a current of 0.6 m/s carries the vehicle away" in problem
+
+
+def test_a_descent_into_the_bottom_is_found() -> None:
+    deep = Point(north_m=0.0, east_m=0.0, depth_m=30.0)
+    assert check_mission(PAPER, deep, None, bottom_m=40.0).problems == []
+    [problem] = check_mission(PAPER, deep, None, bottom_m=20.0).problems
+    assert "descends to 30 m, the bottom is at 20 m: no min_altitude_m stops the vehicle" in problem
+    limits = MotionLimits(min_altitude_m=3.0, max_depth_m=25.0)
+    low, deepest = check_mission(PAPER, deep, None, bottom_m=20.0, limits=limits).problems
+    assert "with min_altitude_m = 3 the vehicle stops at 17 m" in low
+    assert "max_depth_m = 25" in deepest
+
+
+def test_a_point_in_a_zone_is_found_and_a_fence_needs_a_hull() -> None:
+    fence = Fence(margin_m=1.0, keep_out_disc=(disc(0, 0, 5),))
+    point = Point(north_m=1.0, east_m=0.0)
+    assert "the start is not allowed" in check_mission(PAPER, point, fence).problems[0]
+    with pytest.raises(ConfigError, match=r"\[hull\] is missing|\[hull\]: is missing"):
+        check_mission(msgspec.structs.replace(PAPER, hull=None), point, fence)
+
+
+def test_the_text_has_the_numbers_and_the_problems() -> None:
+    text = table(checked(Fence(margin_m=2.0, keep_out_disc=(disc(50, 3, 5),)), current_mps=0.1))
+    assert text.startswith("mission: 100 m in ")
+    assert "hull from keep_out_disc[0]" in text
+    assert "problem: the path is not allowed" in text
+    assert table(checked()).endswith("no problems")
