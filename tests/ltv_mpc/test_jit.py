@@ -112,3 +112,31 @@ def test_no_compiled_function_contains_what_takes_seconds_to_compile():
         for text in slow_to_compile(function)
     ]
     assert found == []
+
+
+SECOND_PROCESS = """
+import sys, warnings
+from numba.core.errors import NumbaWarning
+warnings.simplefilter("error", NumbaWarning)  # "Cannot cache compiled function ..."
+from ltv_mpc import ControllerConfig, Vehicle, references
+from services.processes.controller import warm_up
+
+for solver in ("osqp", "riccati"):
+    warm_up(Vehicle.load("paper"), references.Hold(depth_m=3.0), ControllerConfig(solver=solver))
+print(sum(
+    sum(value.stats.cache_misses.values())
+    for name, module in list(sys.modules.items()) if name.startswith("ltv_mpc")
+    for value in vars(module).values() if hasattr(value, "stats")
+))
+"""
+
+
+def test_every_kernel_can_be_cached_and_a_second_process_compiles_nothing():
+    """The address of a C function as a constant could not be cached."""
+    for attempt in (1, 2):
+        done = subprocess.run(
+            [sys.executable, "-P", "-c", SECOND_PROCESS], capture_output=True, text=True, check=False, timeout=600
+        )
+        assert done.returncode == 0, done.stderr[-2000:]
+        if attempt == 2:
+            assert done.stdout.split()[-1] == "0"

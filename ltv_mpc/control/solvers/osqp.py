@@ -155,16 +155,7 @@ class OsqpSolver:
             rescale(self.form.entries.row, self.form.stages, self._arrays)
             of, settings = self.scaled_problem()
             self._workspace = make_workspace(of.P, of.q, of.A, of.l, of.u, settings)
-            self._workspace.warm_start(self._arrays.x, self._arrays.scaled_y)
-        else:
-            self._load(self._workspace)
-
-    def _load(self, solver: Workspace) -> None:
-        """Pass the scaled problem and the first guess to OSQP."""
-        scaled = self._arrays.scaled
-        solver.update_matrix(scaled.A)
-        solver.update_vectors(scaled.q, scaled.l, scaled.u)
-        solver.warm_start(self._arrays.x, self._arrays.scaled_y)
+        self._workspace.load(self._arrays.scaled, self._arrays.x, self._arrays.scaled_y)
 
     def solve(self) -> SolverResult:
         """Solve the problem (see ``Solver``). It ends after ``max_iterations`` or a few more, never by time."""
@@ -176,32 +167,28 @@ class OsqpSolver:
         iterations, batch = 0, 0
         while True:
             length = BATCH * 2 ** max(0, batch - CONSTANT_BATCHES) if batch else FIRST_BATCH
-            solver.set_limits(min(length, self._max_iterations), self._eps)
+            report = solver.solve(min(length, self._max_iterations), self._eps)
             batch += 1
-            status = solver.solve()
-            statistics = solver.statistics()
-            iterations += statistics.iterations
-            x, scaled_y = solver.solution()
-            at.x[:] = x
-            if not store_solution(x, scaled_y, at.row_scale, lin.U, self._scale, at.y, commands):
+            iterations += report.iterations
+            if not store_solution(solver.x, solver.y, at.row_scale, lin.U, self._scale, at.x, at.y, commands):
                 self._workspace = None
                 return self._no_solution(lin, "OSQP returned a value that is not finite; rebuilt")
-            if status is SolveStatus.SOLVED or iterations >= self._max_iterations:
+            if report.status is SolveStatus.SOLVED or iterations >= self._max_iterations:
                 break
             if rescale(self.form.entries.row, self.form.stages, self._arrays) > 0:
-                self._load(solver)
+                solver.load(at.scaled, at.x, at.scaled_y)
         self._shift = 0.0
         why = ""
-        if status is not SolveStatus.SOLVED:
-            residuals = f"primal residual {statistics.primal_residual:.1e}, dual {statistics.dual_residual:.1e}"
-            why = f"OSQP: {status.value.replace('_', ' ')} after {iterations} iterations, {residuals}"
+        if report.status is not SolveStatus.SOLVED:
+            residuals = f"primal residual {report.primal_residual:.1e}, dual {report.dual_residual:.1e}"
+            why = f"OSQP: {report.status.value.replace('_', ' ')} after {iterations} iterations, {residuals}"
             violated = worst_violation(self.problem(), self._arrays.x, self.form.row_names)
             why += f"; {violated}" if violated else ""
         solve = Solve(
-            status=status,
+            status=report.status,
             iterations=iterations,
-            primal_residual=statistics.primal_residual,
-            dual_residual=statistics.dual_residual,
+            primal_residual=report.primal_residual,
+            dual_residual=report.dual_residual,
             why=why,
         )
         return SolverResult(commands, solve)
@@ -463,16 +450,19 @@ def rescale(row: Indices, N: int, at: SolveArrays) -> int:
 
 
 @jit
-def store_solution(x: Array, scaled_y: Array, row_scale: Array, U: Array, F: Array, y: Array, commands: Array) -> bool:
-    """Compute the dual of the unscaled rows and the commands of a solution.
+def store_solution(
+    solution: Array, scaled_y: Array, row_scale: Array, U: Array, F: Array, x: Array, y: Array, commands: Array
+) -> bool:
+    """Store a solution, with the dual of the unscaled rows, and compute its commands.
 
     Parameters
     ----------
-    x : (n,) primal solution.
+    solution : (n,) primal solution.
     scaled_y : (m,) its dual, of the scaled rows.
     row_scale : (m,) factor of each row.
     U : (N+1, 2) nominal commands (N).
     F : (2,) scale of the thrusts (N).
+    x : (n,) is overwritten with the primal solution.
     y : (m,) is overwritten with the dual of the unscaled rows.
     commands : (N+1, 2) is overwritten with the commands (N).
 
@@ -482,6 +472,7 @@ def store_solution(x: Array, scaled_y: Array, row_scale: Array, U: Array, F: Arr
     """
     total = 0.0
     for i in range(len(x)):
+        x[i] = solution[i]
         total += x[i]
     for i in range(len(y)):
         y[i] = scaled_y[i] * row_scale[i]
