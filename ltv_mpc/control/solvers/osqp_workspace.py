@@ -236,8 +236,8 @@ class CompiledWorkspace(Workspace):
 
     def solve(self, iterations: int, tolerance: float) -> OsqpReport:
         """Solve the problem (see ``Workspace``)."""
-        status, *statistics = _solve(self.addresses, *self._memory, iterations, tolerance)
-        return OsqpReport(_status(status), *statistics)
+        status, took, primal, dual = _solve(self.addresses, *self._memory, iterations, tolerance)
+        return OsqpReport(_status(status), took, primal, dual)
 
 
 @jit

@@ -40,7 +40,7 @@ def problem(seed):
 
 
 def numbers(seed):
-    """What ``load`` takes of a problem."""
+    """Return what ``load`` takes of a problem."""
     _, q, A, low, high = problem(seed)
     return QpNumbers(A.data, q, low, high)
 
