@@ -25,6 +25,10 @@ Effort: TypeAlias = Literal["low", "normal", "high"]
 """Thrust that a controller spends on a small error: three points of the curve in docs/notes/pareto.md."""
 
 
+Bow: TypeAlias = Literal["first", "either"]
+"""Which end goes first on a path: the bow, or the one that costs less."""
+
+
 class WeightSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Weights of the cost, [controller.weights]. A weight that is not set follows from the vehicle: ``scaling.py``."""
 
@@ -71,6 +75,7 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     failsafe and not by hand (``depth_limits.py``). The limits of thrust and slew rate are in the vehicle file.
     """
 
+    bow: Bow | None = None  # on a path; not set: "first" for a vehicle that is weaker astern
     min_surge_mps: Annotated[float, Meta(ge=-20, le=0)] | None = None  # through the water; 0: never astern
     max_surge_mps: Annotated[float, Meta(gt=0, le=20)] | None = None
     min_yaw_rate_radps: Annotated[float, Meta(ge=-20, lt=0)] | None = None  # to port
@@ -99,6 +104,17 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             min_yaw_rate_radps=None if yaw_rate_radps is None else -yaw_rate_radps,
             max_yaw_rate_radps=yaw_rate_radps,
         )
+
+    def on(self, *, path: bool) -> MotionLimits:
+        """Return the limits on a path, where the bow may have to go first, or at a point.
+
+        Parameters
+        ----------
+        path : True on a path.
+        """
+        if path and self.bow == "first" and (self.min_surge_mps is None or self.min_surge_mps < 0.0):
+            return msgspec.structs.replace(self, min_surge_mps=0.0)
+        return self
 
     @property
     def state_bounds(self) -> Array:

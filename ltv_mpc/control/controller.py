@@ -379,6 +379,7 @@ class Controller:
         modes a ramp to the override or to zero.
         """
         if decision.mode is Mode.FOLLOW:
+            self._lateral.set_path(self.follower.is_path)
             self.follower.fill(knots, self._lateral.target)
             return self._lateral.plan(start)
         if decision.stops:

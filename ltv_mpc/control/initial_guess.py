@@ -6,7 +6,8 @@ this law does that, roughly:
 
     w = (ref - p) / T_p + ref' - c      wanted velocity through the water (m/s, NED), limited to the top speed
     psi_w = direction of w, or its opposite if the vehicle is to go astern
-    N = I_z (w0^2 (psi_w - psi) - 2 w0 r),   X = M_x (w . e(psi) - u) / T_u + drag at w . e(psi)
+    N = I_z (w0^2 (psi_w - psi) - 2 w0 r),   X = M_x (u_w - u) / T_u + drag at u_w
+    u_w = w . e(psi), within the limits of surge
 
 Yaw moment N and surge force X are distributed to port and starboard, inside box and slew. The QP refines the result.
 """
@@ -88,7 +89,7 @@ def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, ma
             wn, we = wn * fastest / size, we * fastest / size
         turn = np.arctan2(sign * we, sign * wn) - x[4]
         turn -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
-        wanted = wn * np.cos(x[4]) + we * np.sin(x[4])
+        wanted = min(max(wn * np.cos(x[4]) + we * np.sin(x[4]), o.low_state[0]), o.high_state[0])
         w0 = min(TURN_RADPS / c.time_ratio, MAX_TURN_PER_STAGE / h)
         yaw = p.inertia_yaw * (w0 * w0 * turn - 2.0 * w0 * x[5])
         surge = (

@@ -68,9 +68,10 @@ class LateralPlanner:
         self._lin = Linearisation.empty(config.stages)
         self._sqp_iterations = config.sqp_iterations
         self._fallback = Fallback(vehicle, packed, self.previous)
-        self._vehicle, self._config = vehicle, config
+        self._vehicle, self._settings = vehicle, config
+        self._config = config  # with the limits at a point, or on a path
         self._shares = np.ones(2)  # of their commands that port and starboard deliver
-        self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), config)
+        self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
         self._solver = self._make_solver()
         self._solver_is_suspect = False
         self._stopwatch = stopwatch
@@ -106,6 +107,21 @@ class LateralPlanner:
         if shares == tuple(self._shares):
             return
         self._shares[:] = self.previous.shares[:] = shares
+        self._repack()
+
+    def set_path(self, path: bool) -> None:
+        """Plan within the limits on a path or at a point; the solver is rebuilt if they change.
+
+        Parameters
+        ----------
+        path : True on a path, where the bow may have to go first.
+        """
+        limits = self._settings.limits.on(path=path)
+        if limits != self._config.limits:
+            self._config = msgspec.structs.replace(self._settings, limits=limits)
+            self._repack()
+
+    def _repack(self) -> None:
         config = self._config
         self._packed[:] = pack_constants(
             self._weakened_vehicle(), config.weights, config.knots, STAGE_NS * 1e-9, config.limits.state_bounds

@@ -111,6 +111,8 @@ def choose_nominal(packed: Array, start: Array, target: Array, old: Array, stage
     other_X, other_U = np.empty_like(X), np.empty_like(U)
     _set_initial_knot(start, other_X, other_U)
     for astern in (False, True):
+        if astern and objective.low_state[0] >= 0.0:  # the bow goes first
+            continue
         other = steering_guess(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else lowest, constants)
         if np.isinf(other) and not np.isinf(lowest):
             continue

@@ -9,7 +9,7 @@ from __future__ import annotations
 import msgspec
 
 from ltv_mpc.config import toml_key
-from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
+from ltv_mpc.control.config import Bow, ControllerConfig, ResolvedConfig
 from ltv_mpc.control.horizon_selection import proposed_horizon_s
 from ltv_mpc.control.scaling import default_weights
 from ltv_mpc.errors import ConfigError
@@ -30,7 +30,7 @@ def settled(
 
     Returns
     -------
-    The same settings, with a horizon and all weights.
+    The same settings, with a horizon, all weights, and which end goes first on a path.
 
     Raises
     ------
@@ -45,5 +45,20 @@ def settled(
         proposed = ", which `ltv-mpc vehicle check` proposes" if config.horizon_s is None else ""
         problem = f"must be <= horizon_s = {horizon_s:g}{proposed}: a plan lasts until the next one"
         raise ConfigError(source, toml_key((*table, "period_s")), problem, value=config.period_s)
-    rest = {name: getattr(config, name) for name in config.__struct_fields__ if name not in ("weights", "horizon_s")}
-    return ResolvedConfig(**rest, weights=weights, horizon_s=horizon_s)
+    limits = config.limits
+    if limits.bow is None:
+        limits = msgspec.structs.replace(limits, bow=default_bow(vehicle))
+    found = ("weights", "horizon_s", "limits")
+    rest = {name: getattr(config, name) for name in config.__struct_fields__ if name not in found}
+    return ResolvedConfig(**rest, weights=weights, horizon_s=horizon_s, limits=limits)
+
+
+def default_bow(vehicle: Vehicle) -> Bow:
+    """Return which end goes first on a path if the settings do not say it.
+
+    Parameters
+    ----------
+    vehicle : a vehicle whose two lateral thrusters push less astern than ahead goes bow first.
+    """
+    port, starboard, _ = vehicle.thrusters
+    return "first" if -(port.min_N + starboard.min_N) < port.max_N + starboard.max_N else "either"

@@ -91,6 +91,11 @@ class Follower:
         self._target: Pair = (math.nan, math.nan)
 
     @property
+    def is_path(self) -> bool:
+        """True if the reference in force moves: it is no point."""
+        return self._track is not None
+
+    @property
     def target_m(self) -> Pair | None:
         """North and east (m) of the target at the first knot of the last plan; None before the reference starts."""
         return None if self._start is None else self._target

@@ -7,8 +7,9 @@ import math
 import msgspec
 import numpy as np
 
-from ltv_mpc.control.config import Weights
+from ltv_mpc.control.config import Bow, Weights
 from ltv_mpc.control.horizon_selection import select_horizon_s
+from ltv_mpc.control.resolution import default_bow
 from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
@@ -31,6 +32,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     horizon_s: float  # proposed; default without [controller] horizon_s
     plan_timeout_s: float  # without a new plan the thrusters go to rest after this time
     full_power_W: float | None  # at the shafts of port and starboard, full ahead at rest; null: no torque coefficients
+    bow: Bow  # which end goes first on a path; default without [controller.limits] bow
     weights: Weights  # default without [controller.weights]
     warnings: list[str]
     mission: MissionCheck | None = None  # with --reference
@@ -57,6 +59,7 @@ def check(vehicle: Vehicle) -> Check:
         horizon_s=select_horizon_s(vehicle, weights, can),
         plan_timeout_s=vehicle.plan_timeout_s,
         full_power_W=_full_power_W(vehicle),
+        bow=default_bow(vehicle),
         weights=weights,
         warnings=warnings(vehicle, can),
     )
@@ -92,6 +95,7 @@ def table(of: Check) -> str:
         ),
         ("without a new plan", f"thrusters at rest after {of.plan_timeout_s:g} s"),
         ("proposed horizon", f"{of.horizon_s:g} s, the default of every controller"),
+        ("on a path", "bow first: it is weaker astern" if of.bow == "first" else "bow or stern first"),
         ("scales of the weights", f"V {of.speed_scale_mps:.3g} m/s, T {of.time_scale_s:.3g} s"),
         ("weights", f"position {w.position_per_m2:g} /m2, at the end {w.terminal_position_per_m2:g} /m2"),
         ("", f"velocity at the end {w.terminal_velocity_s2_per_m2:g} s2/m2"),
