@@ -14,7 +14,7 @@ from services.tools.profile.piqp_yardstick import PiqpYardstick
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, PAPER, motion, solved
 
 CONFIG = ResolvedConfig(horizon_s=5.0, weights=Weights())
-TURNS_SLOWLY = HorizonLimits.from_vehicle(PAPER, 0.3, np.array([np.inf, 0.15]))
+TURNS_SLOWLY = HorizonLimits.from_vehicle(PAPER, 0.3, np.array([[-np.inf, -0.15], [np.inf, 0.15]]))
 
 
 @pytest.mark.parametrize("limits", [LIMITS, LOWERED, TURNS_SLOWLY], ids=["box", "lowered box", "yaw rate"])
