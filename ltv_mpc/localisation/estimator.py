@@ -18,6 +18,7 @@ from itertools import islice
 from typing import Any
 
 from ltv_mpc.currents import WaterPrior
+from ltv_mpc.localisation.altimeter import Altimeter
 from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_of
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import Alignment
@@ -33,7 +34,7 @@ from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.localisation.sequencing import Sequencing
 from ltv_mpc.localisation.supervision import Supervision
 from ltv_mpc.localisation.warm_restart import WarmRestart
-from ltv_mpc.messages import Estimate, EstimatorState, ImuSample, LocalisationReport, Message
+from ltv_mpc.messages import BottomTrack, Estimate, EstimatorState, ImuSample, LocalisationReport, Message
 from ltv_mpc.node import Due, Inbox, OnMessage, Progress, no_progress
 
 
@@ -71,6 +72,7 @@ class Estimator:
         self._schedule = EstimateSchedule(sensor_config, config.estimate_period_ns)
         self._checkpoints = CheckpointSchedule()
         self._screening = SensorScreening()
+        self._altimeter = Altimeter(sensor_config)
         self._sequencing = Sequencing(sensor_config, self._schedule, self._account, self._publish, progress)
         self._supervision = Supervision(sensor_config, config, prior, self._sequencing, self._account)
 
@@ -190,6 +192,8 @@ class Estimator:
             self._use(earlier)
 
     def _use(self, message: ImuSample | Measurement) -> None:
+        if type(message) is BottomTrack and self.filter is not None:
+            self._altimeter.receive(message, self.filter.belief)
         self._supervision.receive(message)
         self._sequencing.apply(message)
         self._supervision.check()
@@ -198,7 +202,7 @@ class Estimator:
         """Publish the estimate of the filter's instant, and the report and the checkpoint that are due with it."""
         belief = filter_.belief
         self._schedule.is_open = False
-        self._out.append(estimate(filter_, self._depth_m))
+        self._out.append(estimate(filter_, self._depth_m, self._altimeter.altitude_m(belief)))
         if self._supervision.is_report_due(belief.t_ns):
             self._out.append(self._supervision.report(self.account))
         due = self._checkpoints.is_due(belief) and not self._supervision.is_inconsistent and is_usable(belief)

@@ -163,13 +163,14 @@ class CheckpointSchedule:
         return depth_m < SURFACED_M if self._submerged else depth_m > SUBMERGED_M
 
 
-def estimate(filter_: ErrorStateFilter, depth_m: Array) -> Estimate:
+def estimate(filter_: ErrorStateFilter, depth_m: Array, altitude_m: float | None = None) -> Estimate:
     """Return the estimate of a filter at the time of its belief.
 
     Parameters
     ----------
     filter_ : the active filter; it is not changed.
     depth_m : (G,) grid of the water (m).
+    altitude_m : height above the bottom (m); None if it is not seen.
     """
     belief = filter_.belief
     heading, yaw_rate, covariance = _angles(
@@ -191,6 +192,7 @@ def estimate(filter_: ErrorStateFilter, depth_m: Array) -> Estimate:
         velocity_east_mps=v_east,
         depth_m=down,
         velocity_down_mps=v_down,
+        altitude_m=altitude_m,
         covariance=covariance,
         current=current_model.profile(belief, depth_m),
     )

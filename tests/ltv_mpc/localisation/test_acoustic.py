@@ -98,6 +98,7 @@ def drifts(dive, inbox_of, aid=None):
             if not isinstance(said, Estimate):
                 continue
             if said.t_ns > 0 and said.t_ns % SECOND == 0:
+                assert (said.altitude_m is None) == (aid is not bottom or said.t_ns <= SECOND)
                 n, e = dive.position[dive.at(said.t_ns), :2]
                 error_m = math.hypot(said.north_m - n, said.east_m - e)
                 errors.append((error_m, math.sqrt(np.trace(said.covariance[:2, :2]))))
