@@ -36,7 +36,7 @@ class Skipped(NamedTuple):
 
     schedule: Schedule
     skipped_m: float  # length of the path that is left out
-    gaps: int  # places inside the path at which the target goes on from the exit
+    gaps: int  # places inside the path at which the target continues from the exit
 
 
 def skip_zones(schedule: Schedule, zones: Zones, need: Array) -> Skipped:

@@ -76,7 +76,7 @@ class Sensors:
                 writes.append(message)
         if scenario.run.perfect_state and (needed is None or Estimate in needed):
             estimator = scenario.estimator
-            perfect = PerfectState(estimator, water)
+            perfect = PerfectState(estimator, water, scenario.water.bottom_m)
             self._mounted.append(_Mounted(perfect, estimator.estimate_period_ns, 0))
             writes.append(Estimate)
         self.writes: tuple[type[Message], ...] = tuple(writes)

@@ -16,9 +16,12 @@ from sim.water import WaterColumn
 class PerfectState:
     """State without error, and the true current at the estimator's grid points with a standard deviation of 0."""
 
-    def __init__(self, settings: EstimatorConfig, water: WaterColumn) -> None:
-        """Set the grid: depths 0, cell, 2 cell, ... down to the first at or below the deepest."""
-        self._water = water
+    def __init__(self, settings: EstimatorConfig, water: WaterColumn, bottom_m: float | None) -> None:
+        """Set the grid: depths 0, cell, 2 cell, ... down to the first at or below the deepest.
+
+        ``bottom_m`` is the depth of the sea bed; None: out of reach.
+        """
+        self._water, self._bottom_m = water, bottom_m
         cells = math.ceil(settings.deepest_m / settings.cell_m - 1e-9)
         self._depth = settings.cell_m * np.arange(cells + 1, dtype=np.float64)
         self._sd = np.zeros(cells + 1)
@@ -26,6 +29,7 @@ class PerfectState:
     def sample(self, now: VehicleState) -> list[Estimate]:
         """Return the true state now."""
         current = self._water.over(self._depth, now.t_ns)
+        altitude_m = None if self._bottom_m is None else max(self._bottom_m - now.position_m[2], 0.0)
         return [
             Estimate(
                 t_ns=now.t_ns,
@@ -37,6 +41,7 @@ class PerfectState:
                 velocity_east_mps=now.velocity_mps[1],
                 depth_m=now.position_m[2],
                 velocity_down_mps=now.velocity_mps[2],
+                altitude_m=altitude_m,
                 current=CurrentProfile(
                     depth_m=self._depth,
                     north_mps=np.ascontiguousarray(current[:, 0]),
