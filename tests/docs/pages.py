@@ -1,4 +1,4 @@
-"""Parser of README.md and docs/**/*.md: fenced blocks, shell commands, text between backticks."""
+"""Parser of the pages (README, CONTRIBUTING, SECURITY, docs): fenced blocks, shell commands, text between backticks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
+PAGES = (
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+)
 NAMES = tuple(page.relative_to(ROOT).as_posix() for page in PAGES)
 
 FENCE = re.compile(r"^ {0,3}(```+)([^`]*)$")
