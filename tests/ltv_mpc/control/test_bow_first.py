@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
+from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.resolution import settled
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Estimate, PlanOrigin
+from ltv_mpc.references import Line, Place
 from ltv_mpc.vehicle.parameters import Vehicle
 from tests.foreign_plant.flight import SQUARE, Flight
 from tests.foreign_plant.scenarios.square import distance_from_outline_m
@@ -51,3 +55,14 @@ def test_only_a_path_forbids_to_go_astern() -> None:
     assert limits.on(path=False) is limits
     assert limits.on(path=True) == msgspec.structs.replace(limits, min_surge_mps=0.0)
     assert MotionLimits(bow="either").on(path=True).min_surge_mps is None
+
+
+def test_the_riccati_method_goes_with_either_end_and_refuses_the_bow_first() -> None:
+    """It takes no limits of the motion: every cycle on a path would end in a fallback."""
+    weak = Vehicle.load("weak-reverse")
+    config = settled(ControllerConfig(solver="riccati"), weak)
+    assert config.limits.bow == "either"
+    line = Line(start=Place(north_m=0.0, east_m=0.0), end=Place(north_m=9.0, east_m=0.0), speed_mps=0.2)
+    assert Controller(weak, line, config).plan(Estimate.at_rest()).origin is PlanOrigin.SOLVED
+    with pytest.raises(ConfigError, match=r"\[limits\] bow = .first.: is not supported by solver = .riccati."):
+        settled(ControllerConfig(solver="riccati", limits=MotionLimits(bow="first")), weak)
