@@ -29,10 +29,11 @@ help:  ## list the targets
 
 setup: .venv/compiled  ## make .venv with everything in it; quick when nothing changed
 
-sim: setup  ## run the paper's descent as processes over Zenoh
+# Compiling is left to the run: the live page's address comes first.
+sim: .venv/installed  ## run the paper's descent as processes over Zenoh
 	@$(BIN)/ltv-mpc sim --dashboard $(SIM_OPTIONS)
 
-sim-secure: setup  ## the same under mTLS and access control, with certificates made for this run
+sim-secure: .venv/installed  ## the same under mTLS and access control, with certificates made for this run
 	@certs=$$(mktemp -d) && trap 'rm -rf "$$certs"' EXIT INT TERM && $(BIN)/ltv-mpc certs new "$$certs" >/dev/null \
 		&& $(BIN)/ltv-mpc sim $(SIM_OPTIONS) --certs "$$certs"
 

@@ -52,14 +52,16 @@ def processes(scenario: Scenario) -> tuple[ProcessRow, ...]:
 
 def config_of(name: str, run_config: RunConfig, context: RunContext) -> msgspec.Struct:
     """Return the config of a process of this run. The process reads its settings from the run's own folder."""
-    # Imported here: a reader of the table alone does not need them.
-    from services.processes import controller, estimator, plant, recorder, router, sensors
+    # Imported here: a reader of the table alone does not need them, and the router does not need the others.
+    from services.processes import router
 
     scenario, folder = run_config.scenario, RunFolder(context.folder.path.absolute())
     bus = BusOptions(connect=(context.router,), namespace=context.namespace, certs=context.certs, role=name)
+    if name == "router":
+        return router.Config(bus=msgspec.structs.replace(bus, connect=(), listen=(context.router,)))
+    from services.processes import controller, estimator, plant, recorder, sensors
+
     match name:
-        case "router":
-            return router.Config(bus=msgspec.structs.replace(bus, connect=(), listen=(context.router,)))
         case "recorder":
             metadata = recorder.metadata(scenario.run.seed, run_config.files)
             return recorder.Config(bus=bus, folder=folder.path, start_ns=scenario.start_ns, metadata=metadata)

@@ -91,6 +91,11 @@ def run(
     return outcome
 
 
+def bus_options(context: process_table.RunContext) -> BusOptions:
+    """Return the options with which the supervisor connects to the run's bus."""
+    return BusOptions(connect=(context.router,), namespace=context.namespace, certs=context.certs, role=LAUNCHER)
+
+
 class Supervisor:
     """Supervisor of one run."""
 
@@ -148,9 +153,10 @@ class Supervisor:
             self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup)
             self.failures = FailureHandler(self.children)
             try:
+                context = self._open_bus(certs, on_bus)
                 self._fill_jit_cache()
                 self._load()
-                self._start(sessions, certs, on_bus)
+                self._start(sessions, context)
                 self._wait_until(lambda: self.children.run_complete, None, "")
                 in_order = True
             except RunFailed as failure:
@@ -185,6 +191,23 @@ class Supervisor:
 
     # --- starting ----------------------------------------------------------------------------------------------------
 
+    def _open_bus(self, certs: Path | None, on_bus: OnBus | None) -> process_table.RunContext:
+        """Start the router and then the live page, whose address is known before anything is compiled or loaded."""
+        context = process_table.RunContext(
+            folder=self._folder,
+            router=f"{SECURE if certs else 'tcp'}/127.0.0.1:{loopback.free_port()}",
+            namespace=f"auv/{secrets.token_hex(4)}",
+            certs=None if certs is None else certs.absolute(),
+        )
+        for row in (row for row in process_table.processes(self._run_config.scenario) if not row.needs):
+            self.children.start(row, process_table.config_of(row.name, self._run_config, context))
+        if jit_cache.is_warm():
+            self.children.start_fork_server()  # it loads meanwhile
+        self._wait_until(lambda: loopback.is_listening(context.router), "router", "does not answer")
+        if on_bus is not None:
+            on_bus(bus_options(context))
+        return context
+
     def _fill_jit_cache(self) -> None:
         """Compile all numba kernels into the cache, unless they are there already."""
         if jit_cache.is_warm():
@@ -201,8 +224,9 @@ class Supervisor:
             raise RunFailed(f"compiling {describe_exit(code)}; its last lines:", last_lines(log))
 
     def _load(self) -> None:
-        """Start the fork server and wait until it has loaded."""
-        self.children.start_fork_server()
+        """Wait until the fork server has loaded."""
+        if self.children.forks is None:
+            self.children.start_fork_server()
         for row in process_table.processes(self._run_config.scenario):
             importlib.import_module(row.module)  # for its config, while the fork server loads the same
         if (forks := self.children.forks) is None:
@@ -212,30 +236,16 @@ class Supervisor:
                 raise RunFailed(f"loading {describe_exit(code)}; its last lines:", last_lines(forks.log))
             self._tick()
 
-    def _start(self, sessions: ExitStack, certs: Path | None, on_bus: OnBus | None) -> None:
-        """Start the processes in the order of the table, each after those that it needs are ready."""
-        endpoint = f"{SECURE if certs else 'tcp'}/127.0.0.1:{loopback.free_port()}"
-        context = process_table.RunContext(
-            folder=self._folder,
-            router=endpoint,
-            namespace=f"auv/{secrets.token_hex(4)}",
-            certs=None if certs is None else certs.absolute(),
-        )
+    def _start(self, sessions: ExitStack, context: process_table.RunContext) -> None:
+        """Start the other processes in the order of the table, each after those that it needs are ready."""
         rows = process_table.processes(self._run_config.scenario)
-        configs = {row.name: process_table.config_of(row.name, self._run_config, context) for row in rows}
-        for row in (row for row in rows if not row.needs):
-            self.children.start(row, configs[row.name])
-        self._wait_until(lambda: loopback.is_listening(endpoint), "router", "does not answer")
-        options = BusOptions(connect=(endpoint,), namespace=context.namespace, certs=certs, role=LAUNCHER)
-        if on_bus is not None:
-            on_bus(options)
-        session = open_session(options, stop=self._request, say=self._screen.say)
+        session = open_session(bus_options(context), stop=self._request, say=self._screen.say)
         sessions.enter_context(session)
         self._connect(session, rows)
         for row in (row for row in rows if row.needs):
             for name in row.needs:
                 self._wait_until_ready(name)
-            self.children.start(row, configs[row.name])
+            self.children.start(row, process_table.config_of(row.name, self._run_config, context))
         for row in rows:
             if row.name != "router":
                 self._wait_until_ready(row.name)

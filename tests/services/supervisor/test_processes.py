@@ -29,7 +29,7 @@ from services.replay import replay
 from services.run import folder
 from services.run.run_config import Override, RunConfig, resolve
 from services.runtime.stopping import StopRequest
-from services.supervisor import supervisor
+from services.supervisor import jit_cache, loopback, supervisor
 from services.supervisor.screen import LiveView
 
 CLI = [sys.executable, "-P", "-m", "services.cli"]
@@ -203,6 +203,23 @@ def test_a_request_to_kill_an_unknown_process_is_refused_and_changes_nothing(tmp
     outcome = supervisor.run(s, run, screen, on_bus=bus.append)
     assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
     assert [line for line in screen.said if "kill" in line] == ['kill refused: no process "nobody\\n" in this run']
+
+
+def test_the_live_page_can_connect_before_anything_is_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    s = run_config(3.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    bus: list[BusOptions] = []
+    answers: list[bool] = []
+
+    def fill(*_: object) -> int:
+        answers.extend(loopback.is_listening(options.connect[0]) for options in bus)
+        return 3  # the run ends here
+
+    monkeypatch.setattr(jit_cache, "is_warm", lambda: False)
+    monkeypatch.setattr(jit_cache, "fill", fill)
+    outcome = supervisor.run(s, run, Screen(), on_bus=bus.append)
+    assert (outcome.exit_code, answers) == (1, [True]), outcome
+    assert not children_of(os.getpid())
 
 
 def test_a_run_whose_recording_found_no_room_is_not_complete(tmp_path: Path) -> None:
