@@ -3,7 +3,7 @@
     .venv/bin/python -P -m benchmarks.first_minute [--commit COMMIT] [--installed]
 
 The commit is cloned into a temporary folder, with an empty cache of compiled code, and ``make sim`` runs there. A
-browser's part is played by a client of the page's stream: a browser draws a sample about a second after it has it.
+browser's part is played by a client of the page's stream: a browser draws a sample a tenth of a second after it has it.
 ``--installed`` uses this checkout's environment instead of installing one. The package manager's cache is used.
 """
 
@@ -12,17 +12,18 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+import urllib.request
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
 HERE = Path(__file__).resolve().parent.parent
@@ -30,27 +31,27 @@ ADDRESS = "live page: "
 PHASES = (("making .venv", "environment"), ("installing", "packages"), ("compiling", "compiling begins"))
 """Start of a line of the output, and what has begun."""
 
-PATIENCE_S = 900.0
+
+def statuses(url: str) -> Iterator[dict[str, Any]]:
+    """Open the page, report that it is drawn, and yield each status of its stream."""
+    address = urlsplit(url).netloc
+    urllib.request.urlopen(f"http://{address}/").close()
+    with connect(f"ws://{address}/stream", origin=f"http://{address}", proxy=None, max_size=2**24) as stream:
+        stream.send(json.dumps({"number": 0, "token": "", "button": "drawn"}))
+        yield from (text["status"] for text in map(json.loads, stream) if "status" in text)
 
 
-def texts(url: str, until_s: float) -> Iterator[dict[str, Any]]:
-    """Yield the texts of the page's stream. The page may give way to the run's start, so connect again if it ends."""
-    while time.monotonic() < until_s:
-        try:
-            with connect(f"ws://{urlsplit(url).netloc}/stream", origin=f"http://{urlsplit(url).netloc}") as stream:
-                for text in stream:
-                    yield json.loads(text)
-        except (OSError, WebSocketException):
-            time.sleep(0.2)
-
-
-def wait_for_motion(url: str, until_s: float) -> bool:
-    """Return True as soon as the stream shows a vehicle that sinks while the clock runs."""
-    for text in texts(url, until_s):
-        status = text["status"]
-        if status["clock"] == "running" and (status["progress"] or 0.0) > 0.0 and status["depth_m"]:
-            return True
-    return False
+def watch(url: str, reached: Callable[[str], None]) -> None:
+    """Report the first status, each tenth of the preparation, and the first sample of a vehicle that sinks."""
+    preparation, shown = "", ""
+    for status in statuses(url):
+        preparation = status["preparation"] if status["clock"] == "silent" else ""
+        if preparation and (step := re.sub(r"\d% after \d+ s", "0 %", preparation)) != shown:
+            shown = step
+            reached(f"page: {preparation}")
+        if status["clock"] == "running" and (status["t_s"] or 0.0) > 0.0 and (status["depth_m"] or 0.0) > 0.0:
+            reached(f"first sample of the moving vehicle, {status['t_s']:.1f} s after the start of the descent")
+            return
 
 
 def main() -> None:
@@ -85,8 +86,7 @@ def main() -> None:
                     reached(waiting.pop(start))
                 if ADDRESS in line:
                     reached("address of the page")
-                    moving = wait_for_motion(line.partition(ADDRESS)[2].strip(), time.monotonic() + PATIENCE_S)
-                    reached("first sample of the moving vehicle" if moving else "no sample")
+                    watch(line.partition(ADDRESS)[2].strip(), reached)
                     break
         finally:
             os.killpg(process.pid, signal.SIGINT)

@@ -87,9 +87,6 @@ import numba.extending  # noqa: E402  (the variable above must be set first)
 from llvmlite import ir  # noqa: E402
 from numba.core import cgutils, types  # noqa: E402
 
-JIT_FUNCTIONS: list[str] = []
-"""Names of the imported functions that this process may compile."""
-
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function at its first call.
@@ -111,7 +108,6 @@ def jit_outlined(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _compiled(function: Callable[P, R], *, forceinline: bool) -> Callable[P, R]:
-    JIT_FUNCTIONS.append(f"{function.__module__}.{function.__qualname__}")
     compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", forceinline=forceinline)
     return cast("Callable[P, R]", compiled(function))
 

@@ -10,6 +10,9 @@ from hypothesis import settings
 
 import services  # noqa: F401  (sets the number of BLAS threads before numpy is imported)
 
+# isort: split
+import ltv_mpc.jit  # noqa: F401  (a command would load compiled functions as plain Python)
+
 # A first example pays for compilation, and these machines are shared.
 settings.register_profile("ltv-mpc", deadline=None, derandomize=True)
 settings.load_profile("ltv-mpc")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import shutil
 import sys
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from services.run.run_config import Override, RunConfig
     from services.runtime.stopping import StopRequest
     from sim.evaluation.summary import Summary
+
+NO_JIT = "NUMBA_DISABLE_JIT"
 
 KEYS = {
     "--speed": "run.speed",
@@ -135,6 +138,8 @@ def sim(
 
     SCENARIO is a shipped name (descent, hover) or a TOML file. Precedence: option, --set, file, default.
     """
+    if not lockstep:
+        _interpret()
     from services.run import folder
     from services.run.host_resources import check_disk_space, check_open_files
     from services.run.run_config import resolve
@@ -164,6 +169,20 @@ def sim(
             return _run_in_lockstep(run_config, run_folder, as_json)
         page = open_ or (sys.stderr.isatty() if dashboard is None else dashboard)
         return _run_processes(run_config, run_folder, as_json, certs, page=page, open_browser=open_)
+
+
+def _interpret() -> None:
+    """Load compiled functions as plain Python: this process calls few of them, and to load them takes longer.
+
+    In a fresh checkout they would be compiled before the live page's address is known.
+    """
+    before = os.environ.get(NO_JIT)
+    os.environ[NO_JIT] = "1"
+    import ltv_mpc.jit  # noqa: F401  (reads it; no effect if it is imported already)
+
+    del os.environ[NO_JIT]  # the processes of the run use compiled code
+    if before is not None:
+        os.environ[NO_JIT] = before
 
 
 def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequence[str]) -> list[Override]:
@@ -291,9 +310,11 @@ def _run_processes(
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in run_config.vehicle.thrusters]
     screen = screen_for(run_config.scenario.title, limits)
-    sidecar = Sidecar(screen.say, folder=folder.path, vehicle=folder.config("vehicle"), open_browser=open_browser)
+    sidecar = Sidecar(
+        screen.say, folder=folder.path, vehicle=folder.config("vehicle"), open_browser=open_browser, waits=not as_json
+    )
     try:
-        outcome = supervisor.run(run_config, folder, screen, certs=certs, on_bus=sidecar.start if page else None)
+        outcome = supervisor.run(run_config, folder, screen, certs=certs, page=sidecar if page else None)
     finally:
         sidecar.stop()
     if outcome.summary is None:

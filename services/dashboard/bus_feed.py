@@ -75,6 +75,7 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     ages_s: dict[str, float | None]
     processes: tuple[Process, ...]
     simulated: bool  # the true state is published
+    preparation: str  # what a run prepares before it starts its processes
 
 
 class BusFeed:
@@ -85,6 +86,8 @@ class BusFeed:
         self.collector = Collector(thrusters)
         self.run = 0
         """Number of the run. A new run on the same keys increases it; the collected data are then dropped."""
+        self.preparation = ""
+        """What a run prepares before it starts its processes; empty if unknown."""
         self._newest = LatestCache()
         self._every = Mailbox(WAITING)
         self._seen: dict[str, bytes] = {}
@@ -146,6 +149,7 @@ class BusFeed:
             ages_s=ages,
             processes=self._process_rows(paused=clock is not None and clock.state is ClockState.PAUSED),
             simulated=self._of(Truth) is not None,
+            preparation=self.preparation,
         )
 
     def t_ns(self) -> int | None:

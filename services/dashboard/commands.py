@@ -39,6 +39,7 @@ class Button(enum.StrEnum):
     KICK = "kick"
     KILL = "kill"
     HEARTBEAT = "heartbeat"  # not a button: a page with the token sends it once a second
+    DRAWN = "drawn"  # not a button: a page sends it when it has drawn all plots once
 
 
 SIMULATED = frozenset((Button.PAUSE, Button.RESUME, Button.SPEED, Button.KICK, Button.KILL))
@@ -90,8 +91,8 @@ def _done(request: ButtonRequest, session: Session, t_ns: int | None, speed: flo
             return _sent(request, session, ClockCommand(paused=False, speed=request.speed), text)
         case Button.KILL:
             return _sent(request, session, Kill(node=request.node), f"requested: kill {request.node}")
-        case Button.HEARTBEAT:
-            raise AssertionError("the page's own session publishes heartbeats")
+        case Button.HEARTBEAT | Button.DRAWN:
+            raise AssertionError("the page itself handles them")
         case Button.KICK:
             if t_ns is None:
                 return _reply(request, "no clock message and no estimate received yet: vehicle time is unknown")

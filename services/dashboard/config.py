@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import enum
+
 import msgspec
 
 from services.bus.options import BusOptions
 
 SERVER = "services.dashboard.serve"
+
+
+class View(enum.StrEnum):
+    """What a browser has done with the page."""
+
+    OPENED = "opened"
+    DRAWN = "drawn"
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
@@ -17,4 +26,6 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     port: int = 0  # 0 takes any free port
     vehicle: str | None = None  # NAME or FILE of the vehicle whose thrust limits are shown
     open_browser: bool = False
-    gives_way: bool = False  # lower the priority, so that the page takes no time from the processes of a run
+    of_a_run: bool = False
+    """True if a run serves the page: it lowers its priority, so that it takes no time from the processes of the run. It
+    reads what is being prepared, one line each, and writes when a browser opens and draws it (``View``)."""

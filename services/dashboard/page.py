@@ -13,6 +13,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 from starlette.applications import Starlette
@@ -27,6 +28,7 @@ from services.bus.options import BusOptions
 from services.dashboard.access_guard import AccessGuard, Token
 from services.dashboard.bus_feed import BusFeed
 from services.dashboard.commands import SIMULATED, Button, ButtonReply, ButtonRequest, do
+from services.dashboard.config import View
 from services.dashboard.stream import MAX_READERS, Reader, Stream
 from services.reporting import static_files
 from services.reporting.plots.catalogue import PLOTS
@@ -36,12 +38,15 @@ HERE = Path(__file__).parent / "static"
 Do = Callable[[ButtonRequest, int | None, float], ButtonReply]
 """Executes a command; called in a worker thread, because it waits for the reply."""
 
+OnView = Callable[[View], object]
+"""Is called when a browser opens the page and when it has drawn it."""
+
 REQUEST = msgspec.json.Decoder(ButtonRequest)
 MAX_COMMAND_BYTES = 1024
 """Largest command; the server closes the connection of a client that sends more."""
 
 
-def make(feed: BusFeed, token: Token, *, allowed: frozenset[str], name: str, command: Do) -> Starlette:
+def make(feed: BusFeed, token: Token, *, allowed: frozenset[str], name: str, command: Do, on_view: OnView) -> Starlette:
     """Return the application. ``name`` is the title of the page; ``allowed`` are the accepted Host headers."""
     stream = Stream(feed)
     files = {
@@ -59,6 +64,7 @@ def make(feed: BusFeed, token: Token, *, allowed: frozenset[str], name: str, com
         task.cancel()
 
     async def page(_: Request) -> Response:
+        on_view(View.OPENED)
         return FileResponse(HERE / "index.html")
 
     async def file(request: Request) -> Response:
@@ -66,7 +72,7 @@ def make(feed: BusFeed, token: Token, *, allowed: frozenset[str], name: str, com
         return Response("no such file\n", 404) if path is None else FileResponse(path)
 
     async def live(socket: WebSocket) -> None:
-        await _live(socket, stream, feed, token, name=name, command=command)
+        await _live(socket, stream, _Commands(feed, token, command, on_view), name=name)
 
     return Starlette(
         routes=[Route("/", page), Route("/page/{name}", file), WebSocketRoute("/stream", live)],
@@ -75,7 +81,16 @@ def make(feed: BusFeed, token: Token, *, allowed: frozenset[str], name: str, com
     )
 
 
-async def _live(socket: WebSocket, stream: Stream, feed: BusFeed, token: Token, *, name: str, command: Do) -> None:
+class _Commands(NamedTuple):
+    """What answers the commands of the browsers."""
+
+    feed: BusFeed
+    token: Token
+    command: Do
+    on_view: OnView
+
+
+async def _live(socket: WebSocket, stream: Stream, commands: _Commands, *, name: str) -> None:
     """Serve one browser until it disconnects."""
     await socket.accept()
     if len(stream.readers) >= MAX_READERS:
@@ -84,7 +99,7 @@ async def _live(socket: WebSocket, stream: Stream, feed: BusFeed, token: Token, 
     reader = Reader()
     await socket.send_text(msgspec.json.encode({"kind": "hello", "name": name, "plots": PLOTS}).decode())
     stream.readers.add(reader)
-    both = _send(socket, reader), _obey(socket, reader, feed, token, command)
+    both = _send(socket, reader), _obey(socket, reader, commands)
     tasks = [asyncio.create_task(one) for one in both]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -100,22 +115,26 @@ async def _send(socket: WebSocket, reader: Reader) -> None:
         await socket.send_text(await reader.get())
 
 
-async def _obey(socket: WebSocket, reader: Reader, feed: BusFeed, token: Token, command: Do) -> None:
+async def _obey(socket: WebSocket, reader: Reader, commands: _Commands) -> None:
     """Execute the commands of a browser one after the other."""
     with contextlib.suppress(WebSocketDisconnect):
         while True:
-            reply = await _reply(await socket.receive_text(), feed, token, command)
+            reply = await _reply(await socket.receive_text(), commands)
             if reply is not None:
                 reader.put(msgspec.json.encode(reply).decode())
 
 
-async def _reply(text: str, feed: BusFeed, token: Token, command: Do) -> ButtonReply | None:
-    """Return the reply to a command; None to a heartbeat."""
+async def _reply(text: str, commands: _Commands) -> ButtonReply | None:
+    """Return the reply to a command; None to a heartbeat and to the report that the page is drawn."""
+    feed = commands.feed
     try:
         asked = REQUEST.decode(text)
     except ValueError as error:  # includes the errors of msgspec
         return ButtonReply(number=0, done=False, text=f"no such command: {error}")
-    if not token.matches(asked.token):
+    if asked.button is Button.DRAWN:
+        commands.on_view(View.DRAWN)
+        return None
+    if not commands.token.matches(asked.token):
         return ButtonReply(
             number=asked.number, done=False, text="read-only: open the printed address, which carries the token"
         )
@@ -129,7 +148,7 @@ async def _reply(text: str, feed: BusFeed, token: Token, command: Do) -> ButtonR
     if asked.button is Button.KILL and asked.node not in known:
         problem = f"kill refused: {format_value(asked.node)}: must be one of {', '.join(known)}"
         return ButtonReply(number=asked.number, done=False, text=problem)
-    return await asyncio.to_thread(command, asked, feed.t_ns(), moment.requested_speed)
+    return await asyncio.to_thread(commands.command, asked, feed.t_ns(), moment.requested_speed)
 
 
 def commander(bus: BusOptions) -> Do:

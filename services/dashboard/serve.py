@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import sys
+import threading
 import webbrowser
 from contextlib import suppress
 from pathlib import Path
@@ -18,7 +19,7 @@ from services.bus.session import open_session
 from services.dashboard import page
 from services.dashboard.access_guard import LOOPBACK, Token, hosts
 from services.dashboard.bus_feed import BusFeed
-from services.dashboard.config import Config
+from services.dashboard.config import Config, View
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
@@ -46,8 +47,6 @@ def listen(host: str, port: int) -> socket.socket:
 
 def main(config: Config) -> int:
     """Serve the page until a stop is requested."""
-    if config.gives_way:
-        _give_way()
     bus, host = config.bus, config.host
     thrusters = None if config.vehicle is None else Vehicle.load(config.vehicle).thrusters[:2]
     token = Token()
@@ -57,15 +56,20 @@ def main(config: Config) -> int:
             port = bound.getsockname()[1]
             named = f"[{host}]" if ":" in host else host
             name = bus.namespace or ", ".join(bus.connects_to)
+            feed = BusFeed(session, thrusters)
             app = page.make(
-                BusFeed(session, thrusters),
+                feed,
                 token,
                 allowed=hosts({*LOOPBACK, named}, port),
                 name=name,
                 command=page.commander(bus),
+                on_view=_write if config.of_a_run else lambda _: None,
             )
             bound.listen()  # clients that connect before the server runs wait for it
-            _announce(f"http://{named}:{port}/#{token.text}", open_browser=config.open_browser)
+            if config.of_a_run:
+                _give_way()
+                threading.Thread(target=_read_preparations, args=(feed,), name="preparations", daemon=True).start()
+            _announce(f"http://{named}:{port}/#{token.text}", config)
             # a signal ends the server, which then passes it to the previous handlers
             uvicorn.Server(configuration(app)).run(sockets=[bound])
 
@@ -78,11 +82,22 @@ def _give_way() -> None:
         AUTOGROUP.write_text(str(NICE))
 
 
-def _announce(url: str, *, open_browser: bool) -> None:
-    sys.stdout.write(f"{url}\n")
+def _announce(url: str, config: Config) -> None:
+    _write(url)
+    if config.open_browser and webbrowser.open(url) and config.of_a_run:
+        _write(View.OPENED)  # it soon will
+
+
+def _write(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
     sys.stdout.flush()
-    if open_browser:
-        webbrowser.open(url)
+
+
+def _read_preparations(feed: BusFeed) -> None:
+    """Show each line of the standard input until it ends."""
+    with open(0, closefd=False) as lines:
+        for line in lines:
+            feed.preparation = line.strip()
 
 
 def configuration(app: Starlette) -> uvicorn.Config:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import msgspec
 
 from services.bus.options import BusOptions
 from services.bus.topics import OPERATOR
-from services.dashboard.config import SERVER, Config
+from services.dashboard.config import SERVER, Config, View
 from services.runtime.stopping import Say
 from services.supervisor import entry_point
 from services.supervisor.entry_point import write_config
@@ -24,13 +25,13 @@ STOP_S = 1.5
 
 
 class Sidecar:
-    """Process of the live page. ``say`` receives its address when it is ready.
+    """Process of the live page. ``say`` receives its address when it is ready; ``waits``: the clock may wait for it.
 
     Start it from the main thread: the process ends with the thread that started it.
     """
 
     def __init__(
-        self, say: Say, *, folder: Path, vehicle: Path, open_browser: bool, needs: Sequence[str] = NEEDS
+        self, say: Say, *, folder: Path, vehicle: Path, open_browser: bool, waits: bool, needs: Sequence[str] = NEEDS
     ) -> None:
         self._say = say
         self._needs = needs
@@ -38,6 +39,9 @@ class Sidecar:
         self._config = folder / "logs" / "dashboard.json"
         self._vehicle = vehicle
         self._open_browser = open_browser
+        self._waits = waits
+        self._view: str = View.DRAWN
+        self._shown = ""
         self._process: subprocess.Popen[str] | None = None
 
     def start(self, bus: BusOptions) -> None:
@@ -52,19 +56,34 @@ class Sidecar:
                 bus=msgspec.structs.replace(bus, role=OPERATOR),
                 vehicle=str(self._vehicle),
                 open_browser=self._open_browser,
-                gives_way=True,
+                of_a_run=True,
             ),
         )
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", entry_point.__name__, str(os.getpid()), SERVER, str(self._config)],
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
                 text=True,
                 start_new_session=True,
             )
         threading.Thread(target=self._receive, args=(self._process,), name="page", daemon=True).start()
+
+    def show(self, preparation: str) -> None:
+        """Show what is being prepared."""
+        if self._process is None or preparation == self._shown:
+            return
+        assert self._process.stdin is not None
+        self._shown = preparation
+        with contextlib.suppress(BrokenPipeError):  # the page has failed, which does not affect the run
+            self._process.stdin.write(f"{preparation}\n")
+            self._process.stdin.flush()
+
+    @property
+    def awaited(self) -> bool:
+        """True while a browser has opened the page but not drawn it."""
+        return self._waits and self._view == View.OPENED and self._process is not None and self._process.poll() is None
 
     @property
     def pid(self) -> int | None:
@@ -89,5 +108,6 @@ class Sidecar:
             url = output.readline().strip()
             if url:
                 self._say(f"live page: {url}")
-            for _ in output:  # discard the output of a browser, so that the pipe does not fill
-                pass
+            for line in output:  # that of a browser is among it
+                if (word := line.strip()) in tuple(View):
+                    self._view = word

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import msgspec
 
-from ltv_mpc.jit import CACHE, JIT_FUNCTIONS
+from ltv_mpc.jit import CACHE
 from services.supervisor.parent_death import OrphanCleanup, die_with_parent
 
 NOTE = "compiling, once after a change of the sources: a minute or two"
@@ -26,8 +26,8 @@ NOTE = "compiling, once after a change of the sources: a minute or two"
 MARK = "rehearsed"
 """File in the cache folder, which is named after the sources; if it exists, everything is compiled."""
 
-EXPECTED = "expected"
-"""File with the approximate number of functions to compile."""
+MACHINE_CODE_BYTES = 16_500_000
+"""Approximate size of all machine code. Its share grows as evenly as the time; that of the functions does not."""
 
 POLL_S = 0.2
 
@@ -67,12 +67,8 @@ def fill(scenario: Path, log: Path, cleanup: OrphanCleanup, wait: Callable[[floa
 
 
 def share() -> float:
-    """Return the approximate share that is compiled, 0 to 1."""
-    try:
-        expected = int((CACHE / EXPECTED).read_text())
-    except (OSError, ValueError):  # the file is not written yet
-        return 0.0
-    return min(1.0, sum(1 for _ in CACHE.rglob("*.nbi")) / expected)
+    """Return the approximate share that is compiled, 0 to 1, of this checkout alone: another's cache may be inside."""
+    return min(1.0, sum(path.stat().st_size for path in CACHE.glob("*/*.nbc")) / MACHINE_CODE_BYTES)
 
 
 def warm_up(scenario: str) -> None:
@@ -141,10 +137,6 @@ def main(arguments: Sequence[str]) -> int:
         subprocess.Popen([*command(scenario), name, str(os.getpid())], stdin=subprocess.DEVNULL) for name in PARTS
     ]
     try:
-        from services.processes import controller, estimator, plant, sensors  # noqa: F401
-
-        # An upper bound: about a tenth of the functions is for layouts and references that a run does not use.
-        (CACHE / EXPECTED).write_text(str(len(JIT_FUNCTIONS)))
         while any(child.poll() is None for child in children):
             time.sleep(POLL_S)
     finally:

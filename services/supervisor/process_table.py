@@ -52,7 +52,7 @@ def processes(scenario: Scenario) -> tuple[ProcessRow, ...]:
 
 def config_of(name: str, run_config: RunConfig, context: RunContext) -> msgspec.Struct:
     """Return the config of a process of this run. The process reads its settings from the run's own folder."""
-    # Imported here: a reader of the table alone does not need them, and the router does not need the others.
+    # Imported here: a reader of the table alone does not need them, and the router starts before the others are loaded.
     from services.processes import router
 
     scenario, folder = run_config.scenario, RunFolder(context.folder.path.absolute())

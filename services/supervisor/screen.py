@@ -1,4 +1,4 @@
-"""Interface of a run's screen, and the view that it shows: the newest message of each type, and process states."""
+"""Interfaces of a run's screen and live page, and the view that the screen shows: newest messages, process states."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from ltv_mpc.messages import Applied, ControllerStatus, CycleTiming, Estimate, NodeStatus, Plan, Truth
+from services.bus.options import BusOptions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,4 +48,21 @@ class Screen(Protocol):
 
     def close(self) -> None:
         """Leave the terminal as it was."""
+        ...
+
+
+class LivePage(Protocol):
+    """Page that shows a run in a browser, served by a process of its own."""
+
+    def start(self, bus: BusOptions) -> None:
+        """Start to serve the page. Its process waits for the router of ``bus``."""
+        ...
+
+    def show(self, preparation: str) -> None:
+        """Show what is being prepared, until the page has data."""
+        ...
+
+    @property
+    def awaited(self) -> bool:
+        """True while a browser has opened the page but not drawn it: the clock then waits for it."""
         ...

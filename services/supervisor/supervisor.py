@@ -1,6 +1,7 @@
 """Supervisor of one run: starts all processes, restarts failed ones, stops them in order, and reports the outcome.
 
-    start    router and recorder first, then the others; each must report ready          ``process_table.py``
+    prepare  router and live page, then compiled code if it is missing                   ``jit_cache.py``
+    start    the recorder, then the others; each must report ready                       ``process_table.py``
     watch    heartbeats, failures, restarts, screen, until the plant's last step         ``failure_handler.py``
     stop     nodes, then the recorder, which records all last messages, then the router  ``shutdown.py``
 
@@ -18,13 +19,12 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
 
 from ltv_mpc.errors import format_value, one_line
 from ltv_mpc.messages import NodeStatus, RunEvent
 from services.bus.options import SECURE, BusOptions
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.roles import LAUNCHER
+from services.bus.roles import LAUNCHER, ROUTER
 from services.bus.session import Session, Stopped, open_session
 from services.recording import join
 from services.run.folder import DELETED, RunFolder
@@ -40,13 +40,15 @@ from services.supervisor.live_view import live_view
 from services.supervisor.managed_process import describe_exit, last_lines
 from services.supervisor.parent_death import OrphanCleanup
 from services.supervisor.run_events import RunEvents
-from services.supervisor.screen import LiveView, Screen
+from services.supervisor.screen import LivePage, LiveView, Screen
 from sim.evaluation.summary import Summary
 
 TICK_S = 0.05
 READY_TIMEOUT_S = 60.0
 """Longest time from a process's start to its first status. The slowest process needs 2 s on busy cores, or 30 s if it
 must compile."""
+DRAWING_TIMEOUT_S = 5.0
+"""Longest time for which the clock waits for the first drawing of a page that is open in a browser."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,26 +65,23 @@ class Outcome:
     summary: Summary | None = None
 
 
-OnBus: TypeAlias = Callable[[BusOptions], None]
-"""Callback that receives the options to connect to the run's bus, as soon as its router listens."""
-
-
 def run(
     run_config: RunConfig,
     folder: RunFolder,
     screen: Screen,
     *,
     certs: Path | None = None,
-    on_bus: OnBus | None = None,
+    page: LivePage | None = None,
 ) -> Outcome:
     """Run a scenario and write its recording and summary into ``folder``.
 
     Must be called from the main thread: it receives the signals, and the kernel ties the children to it. ``certs`` is a
-    folder of checked certificates: with it all links use mutual TLS and each process has its role.
+    folder of checked certificates: with it all links use mutual TLS and each process has its role. ``page`` is started
+    as soon as the router listens.
     """
-    supervisor = Supervisor(run_config, folder, screen)
+    supervisor = Supervisor(run_config, folder, screen, page)
     try:
-        outcome = supervisor.run(certs, on_bus)
+        outcome = supervisor.run(certs)
         for line in (outcome.why, *(f"    {text}" for text in outcome.last_lines)):
             if line:
                 screen.say(line)
@@ -99,10 +98,11 @@ def bus_options(context: process_table.RunContext) -> BusOptions:
 class Supervisor:
     """Supervisor of one run."""
 
-    def __init__(self, run_config: RunConfig, folder: RunFolder, screen: Screen) -> None:
+    def __init__(self, run_config: RunConfig, folder: RunFolder, screen: Screen, page: LivePage | None) -> None:
         self._run_config = run_config
         self._folder = folder
         self._screen = screen
+        self._page = page
         self._logs = folder.path / "logs"
         self._logs.mkdir(exist_ok=True)
         self._started_s = self._ticked_s = time.monotonic()
@@ -113,10 +113,10 @@ class Supervisor:
         self._monitor: BusMonitor | None = None  # None before the connection to the bus
         self._events: RunEvents | None = None
 
-    def run(self, certs: Path | None = None, on_bus: OnBus | None = None) -> Outcome:
+    def run(self, certs: Path | None = None) -> Outcome:
         """Run from the first process to the last and write the summary, also of a run that was interrupted."""
         with stop_on_signals() as self._request:
-            outcome = self._supervise(certs, on_bus)
+            outcome = self._supervise(certs)
             return self._summarised(outcome) if self._folder.recording.exists() else outcome
 
     def _summarised(self, outcome: Outcome) -> Outcome:
@@ -146,14 +146,14 @@ class Supervisor:
         """True if every restarted process works again and all events are published."""
         return not self.failures.recovering and not (self._events is not None and self._events.pending)
 
-    def _supervise(self, certs: Path | None, on_bus: OnBus | None) -> Outcome:
+    def _supervise(self, certs: Path | None) -> Outcome:
         in_order = False
         with ExitStack() as sessions:
             self._cleanup = OrphanCleanup()
             self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup)
             self.failures = FailureHandler(self.children)
             try:
-                context = self._open_bus(certs, on_bus)
+                context = self._open_bus(certs)
                 self._fill_jit_cache()
                 self._load()
                 self._start(sessions, context)
@@ -191,21 +191,18 @@ class Supervisor:
 
     # --- starting ----------------------------------------------------------------------------------------------------
 
-    def _open_bus(self, certs: Path | None, on_bus: OnBus | None) -> process_table.RunContext:
-        """Start the router and then the live page, whose address is known before anything is compiled or loaded."""
+    def _open_bus(self, certs: Path | None) -> process_table.RunContext:
+        """Start the router and then the live page, before anything is compiled or loaded."""
         context = process_table.RunContext(
             folder=self._folder,
             router=f"{SECURE if certs else 'tcp'}/127.0.0.1:{loopback.free_port()}",
             namespace=f"auv/{secrets.token_hex(4)}",
             certs=None if certs is None else certs.absolute(),
         )
-        for row in (row for row in process_table.processes(self._run_config.scenario) if not row.needs):
-            self.children.start(row, process_table.config_of(row.name, self._run_config, context))
-        if jit_cache.is_warm():
-            self.children.start_fork_server()  # it loads meanwhile
-        self._wait_until(lambda: loopback.is_listening(context.router), "router", "does not answer")
-        if on_bus is not None:
-            on_bus(bus_options(context))
+        self._start_process(process_table.PROCESSES[0], context)
+        self._wait_until(lambda: loopback.is_listening(context.router), ROUTER, "does not answer")
+        if self._page is not None:
+            self._page.start(bus_options(context))
         return context
 
     def _fill_jit_cache(self) -> None:
@@ -213,20 +210,23 @@ class Supervisor:
         if jit_cache.is_warm():
             return
         self._screen.say(jit_cache.NOTE)
-        log = self._logs / "compiling.log"
+        log, begun_s = self._logs / "compiling.log", time.monotonic()
 
         def wait(share: float) -> None:
             self._tick()
             self._screen.wait("compiling", share)
+            if self._page is not None:
+                self._page.show(f"{jit_cache.NOTE}; {share:.0%} after {time.monotonic() - begun_s:.0f} s")
 
         code = jit_cache.fill(self._folder.scenario, log, self._cleanup, wait)
         if code != DONE:
             raise RunFailed(f"compiling {describe_exit(code)}; its last lines:", last_lines(log))
 
     def _load(self) -> None:
-        """Wait until the fork server has loaded."""
-        if self.children.forks is None:
-            self.children.start_fork_server()
+        """Start the fork server and wait until it has loaded."""
+        if self._page is not None:
+            self._page.show("starting the processes")
+        self.children.start_fork_server()
         for row in process_table.processes(self._run_config.scenario):
             importlib.import_module(row.module)  # for its config, while the fork server loads the same
         if (forks := self.children.forks) is None:
@@ -237,19 +237,30 @@ class Supervisor:
             self._tick()
 
     def _start(self, sessions: ExitStack, context: process_table.RunContext) -> None:
-        """Start the other processes in the order of the table, each after those that it needs are ready."""
+        """Start the processes in the order of the table, each after those that it needs are ready."""
         rows = process_table.processes(self._run_config.scenario)
         session = open_session(bus_options(context), stop=self._request, say=self._screen.say)
         sessions.enter_context(session)
         self._connect(session, rows)
-        for row in (row for row in rows if row.needs):
+        others = rows[1:]  # the router runs
+        for row in others:
             for name in row.needs:
                 self._wait_until_ready(name)
-            self.children.start(row, process_table.config_of(row.name, self._run_config, context))
-        for row in rows:
-            if row.name != "router":
-                self._wait_until_ready(row.name)
+            if row is others[-1]:
+                self._wait_for_drawing()  # the clock starts when the last process is ready
+            self._start_process(row, context)
+        for row in others:
+            self._wait_until_ready(row.name)
         self.failures.all_ready = True
+
+    def _start_process(self, row: process_table.ProcessRow, context: process_table.RunContext) -> None:
+        self.children.start(row, process_table.config_of(row.name, self._run_config, context))
+
+    def _wait_for_drawing(self) -> None:
+        """Wait until the page is drawn, so that who has opened it sees the first seconds."""
+        until = time.monotonic() + DRAWING_TIMEOUT_S
+        while self._page is not None and self._page.awaited and time.monotonic() < until:
+            self._tick()
 
     def _connect(self, session: Session, rows: Sequence[process_table.ProcessRow]) -> None:
         outbox = Outbox(session, node=LAUNCHER, epoch=new_epoch(), kinds=(RunEvent,))

@@ -14,6 +14,7 @@
   const run = { name: "", colour: null, tables: {}, values: {}, marks: [] };
   const rows = new Map(); // of the processes, by name
   let plots = [], places = new Map(), status = null, socket = null, receivedAt = 0, beatAt = 0, number = 0, dirty = false, next = 0;
+  let drawn = false; // every plot, once
 
   // --- the stream ---------------------------------------------------------------------------------------------------
 
@@ -81,8 +82,16 @@
       const plot = plots[next];
       next = (next + 1) % plots.length;
       Plots.draw(places.get(plot.name), plot, [run], Plots.times([run]));
+      if (next === 0 && !drawn) reportDrawn();
     }
     setTimeout(draw, DRAW_MS);
+  }
+
+  // The clock of a run waits for it.
+  function reportDrawn() {
+    if (socket.readyState !== WebSocket.OPEN) return;
+    drawn = true;
+    socket.send(JSON.stringify({ number: 0, token, button: "drawn" }));
   }
 
   function show(state, text) {
@@ -227,7 +236,7 @@
   setInterval(() => {
     if (socket.readyState !== WebSocket.OPEN) return;
     if (Date.now() - receivedAt > SILENT_MS) show("lost", "no data");
-    else if (status && status.clock === "silent") show("", "connected; no data yet");
+    else if (status && status.clock === "silent") show("", status.preparation || "connected; no data yet");
     else if (ended()) show("", "the run has ended");
     else show("live", "live");
   }, 500);

@@ -35,6 +35,7 @@ from services.bus.wire import decode
 from services.dashboard import page, serve
 from services.dashboard.access_guard import LOOPBACK, Token, hosts
 from services.dashboard.bus_feed import BusFeed
+from services.dashboard.config import View
 from services.reporting.plots.recorded import thrusters
 from services.runtime.clock import fraction_of, monotonic_us
 from tests.services.reporting import synthetic_run
@@ -158,9 +159,16 @@ class Served:
     """Running page and the vehicle behind it."""
 
     def __init__(
-        self, vehicle: SyntheticVehicle, feed: BusFeed, token: Token, port: int, server: uvicorn.Server
+        self,
+        vehicle: SyntheticVehicle,
+        feed: BusFeed,
+        token: Token,
+        port: int,
+        server: uvicorn.Server,
+        views: list[View],
     ) -> None:
         self.vehicle = vehicle
+        self.views = views
         self.feed = feed
         self.token = token.text
         self.port = port
@@ -195,14 +203,22 @@ def served(router_port: int) -> Iterator[Served]:
         place.listen()
         port = place.getsockname()[1]
         token, feed = Token(), BusFeed(ashore, thrusters({"config/vehicle.toml": synthetic_run.VEHICLE}))
-        app = page.make(feed, token, allowed=hosts(LOOPBACK, port), name="synthetic", command=page.commander(reached))
+        views: list[View] = []
+        app = page.make(
+            feed,
+            token,
+            allowed=hosts(LOOPBACK, port),
+            name="synthetic",
+            command=page.commander(reached),
+            on_view=views.append,
+        )
         vehicle = SyntheticVehicle(aboard)
         server = uvicorn.Server(serve.configuration(app))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [place]}, daemon=True)
         thread.start()
         try:
             until(lambda: server.started)
-            yield Served(vehicle, feed, token, port, server)
+            yield Served(vehicle, feed, token, port, server, views)
         finally:
             server.should_exit = True
             thread.join(10)
