@@ -98,7 +98,7 @@ def bus_options(context: process_table.RunContext) -> BusOptions:
 class Supervisor:
     """Supervisor of one run."""
 
-    def __init__(self, run_config: RunConfig, folder: RunFolder, screen: Screen, page: LivePage | None) -> None:
+    def __init__(self, run_config: RunConfig, folder: RunFolder, screen: Screen, page: LivePage | None = None) -> None:
         self._run_config = run_config
         self._folder = folder
         self._screen = screen

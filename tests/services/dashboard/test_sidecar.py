@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import http.client
+import json
 import os
+import urllib.request
 from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import urlsplit
+
+import pytest
+from websockets.sync.client import connect
 
 from services.bus.options import BusOptions
 from services.bus.session import open_session
@@ -17,13 +22,14 @@ from tests.services.dashboard.synthetic_vehicle import until
 from tests.services.reporting import synthetic_run
 
 
-def page_of(folder: Path, needs: Sequence[str] = NEEDS) -> tuple[Sidecar, list[str]]:
+def page_of(folder: Path, needs: Sequence[str] = NEEDS, *, waits: bool = True) -> tuple[Sidecar, list[str]]:
     said: list[str] = []
     (folder / "logs").mkdir()
     vehicle = folder / VEHICLE_FILE
     vehicle.parent.mkdir()
     vehicle.write_text(synthetic_run.VEHICLE)
-    return Sidecar(said.append, folder=folder, vehicle=vehicle, open_browser=False, needs=needs), said
+    page = Sidecar(said.append, folder=folder, vehicle=vehicle, open_browser=False, waits=waits, needs=needs)
+    return page, said
 
 
 def gives_way(pid: int) -> None:
@@ -53,6 +59,31 @@ def test_the_address_is_said_and_the_page_ends_with_the_run(tmp_path: Path, free
             page.stop()
     page.stop()  # of one that has ended
     assert (tmp_path / "logs" / "dashboard.log").read_text() == ""
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_the_page_shows_the_preparation_and_is_awaited_from_opened_to_drawn(
+    tmp_path: Path, free_port: int, waits: bool
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    page, said = page_of(tmp_path, waits=waits)
+    with open_session(BusOptions(listen=(endpoint,)), stop=lambda: False, say=said.append):
+        page.start(BusOptions(connect=(endpoint,), namespace="a/run"))
+        try:
+            page.show("compiling: 43 %")
+            until(lambda: said, within_s=60.0)
+            host = urlsplit(said[0].removeprefix("live page: ")).netloc
+            assert not page.awaited
+            urllib.request.urlopen(f"http://{host}/").close()
+            until(lambda: page.awaited is waits)
+            with connect(f"ws://{host}/stream", origin=f"http://{host}", proxy=None, max_size=2**24) as stream:
+                until(lambda: "compiling: 43 %" in stream.recv(10))
+                stream.send(json.dumps({"number": 0, "token": "", "button": "drawn"}))
+                until(lambda: not page.awaited)
+        finally:
+            page.stop()
+        page.show("starting")  # of one that has ended
+        assert not page.awaited
 
 
 def test_without_the_extra_the_run_reports_it_and_continues(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,27 @@ class Screen:
 
     def close(self) -> None:
         self.closed = True
+
+
+class Page:
+    """Live page that a browser has opened. It is drawn ``drawn_s`` after the clock could have started."""
+
+    def __init__(self, drawn_s: float = 0.0) -> None:
+        self.bus: list[BusOptions] = []
+        self.shown: list[str] = []
+        self.asked_s: list[float] = []
+        self._drawn_s = drawn_s
+
+    def start(self, bus: BusOptions) -> None:
+        self.bus.append(bus)
+
+    def show(self, preparation: str) -> None:
+        self.shown.append(preparation)
+
+    @property
+    def awaited(self) -> bool:
+        self.asked_s.append(time.monotonic())
+        return self.asked_s[-1] - self.asked_s[0] < self._drawn_s
 
 
 def run_config(duration_s: float, speed: float = 10.0) -> RunConfig:
@@ -193,33 +215,70 @@ def test_the_death_of_the_orphan_cleanup_changes_nothing(tmp_path: Path) -> None
 def test_a_request_to_kill_an_unknown_process_is_refused_and_changes_nothing(tmp_path: Path) -> None:
     s = run_config(3.0)
     run = folder.make("test", s.files, out=tmp_path / "run")
-    bus: list[BusOptions] = []
+    page = Page()
 
     def ask() -> None:
-        with open_session(structs.replace(bus[0], role=OPERATOR), stop=StopRequest(), say=print) as session:
+        with open_session(structs.replace(page.bus[0], role=OPERATOR), stop=StopRequest(), say=print) as session:
             Outbox(session, node=OPERATOR, epoch=1, kinds=(Kill,)).publish(Kill(node="nobody\n"))
 
     screen = Screen(ask)
-    outcome = supervisor.run(s, run, screen, on_bus=bus.append)
+    outcome = supervisor.run(s, run, screen, page=page)
     assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
     assert [line for line in screen.said if "kill" in line] == ['kill refused: no process "nobody\\n" in this run']
 
 
-def test_the_live_page_can_connect_before_anything_is_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_can_connect_before_anything_is_compiled_and_shows_the_share(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     s = run_config(3.0)
     run = folder.make("test", s.files, out=tmp_path / "run")
-    bus: list[BusOptions] = []
-    answers: list[bool] = []
+    page = Page()
 
-    def fill(*_: object) -> int:
-        answers.extend(loopback.is_listening(options.connect[0]) for options in bus)
+    def fill(_scenario: object, _log: object, _cleanup: object, wait: Callable[[float], None]) -> int:
+        assert loopback.is_listening(page.bus[0].connect[0])
+        wait(0.43)
         return 3  # the run ends here
 
     monkeypatch.setattr(jit_cache, "is_warm", lambda: False)
     monkeypatch.setattr(jit_cache, "fill", fill)
-    outcome = supervisor.run(s, run, Screen(), on_bus=bus.append)
-    assert (outcome.exit_code, answers) == (1, [True]), outcome
+    outcome = supervisor.run(s, run, Screen(), page=page)
+    assert outcome.exit_code == 1
+    assert [text for text in page.shown if "43% after 0 s" in text], page.shown
     assert not children_of(os.getpid())
+
+
+def test_on_an_empty_cache_nothing_is_compiled_before_the_run_says_so(tmp_path: Path) -> None:
+    """Otherwise the address of the live page would come later: the launcher proposes the horizon in plain Python."""
+    process = subprocess.Popen(
+        [*CLI, "sim", "--out", str(tmp_path / "run")],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert process.stderr is not None
+        lines = list(takewhile(lambda line: line.strip() != jit_cache.NOTE, process.stderr))
+        assert process.poll() is None
+        assert not list((tmp_path / "cache").rglob("*.nbc"))
+        assert any(line.startswith("horizon 13.8 s") for line in lines), lines
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE_S) == 130
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("drawn_s", [1.0, 1000.0], ids=["drawn", "never-drawn"])
+def test_the_clock_waits_for_an_open_page_but_not_for_ever(tmp_path: Path, drawn_s: float) -> None:
+    s = run_config(1.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    screen, page = Screen(), Page(drawn_s)
+    outcome = supervisor.run(s, run, screen, page=page)
+    assert (outcome.completed, outcome.why) == (True, ""), (outcome, screen.said)
+    waited_s = page.asked_s[-1] - page.asked_s[0]
+    limit_s = min(drawn_s, supervisor.DRAWING_TIMEOUT_S)
+    assert 0.8 * limit_s < waited_s < limit_s + 2.0
+    assert {view.phase for view in screen.views[: len(page.asked_s)]} == {"starting"}
+    assert page.shown == ["starting the processes"]
 
 
 def test_a_run_whose_recording_found_no_room_is_not_complete(tmp_path: Path) -> None:
