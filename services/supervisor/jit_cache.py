@@ -26,7 +26,7 @@ NOTE = "compiling, once after a change of the sources: a minute or two"
 MARK = "rehearsed"
 """File in the cache folder, which is named after the sources; if it exists, everything is compiled."""
 
-MACHINE_CODE_BYTES = 16_500_000
+MACHINE_CODE_BYTES = 15_500_000
 """Approximate size of all machine code. Its share grows as evenly as the time; that of the functions does not."""
 
 POLL_S = 0.2
