@@ -71,12 +71,15 @@ def test_an_override_is_commanded_as_it_is():
     assert plan.thrust_N.max() <= 62.5
 
 
+ORIGIN = references.Point(north_m=0.0, east_m=0.0, depth_m=2.0)
+STILL = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
+OFF = msgspec.structs.replace(START, current=STILL)
+
+
 def node_after(state: ControllerState, **settings: object) -> tuple[ControllerNode, Plan]:
     """Return a node that was restored from a state, and its first plan."""
-    node = ControllerNode(PAPER, references.Hold(depth_m=2.0), ControllerConfig(**settings))
-    still = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
-    estimate = msgspec.structs.replace(START, current=still)
-    inbox = [ReceivedMessage(message, 1, k, 0) for k, message in enumerate((state, estimate))]
+    node = ControllerNode(PAPER, ORIGIN, ControllerConfig(**settings))
+    inbox = [ReceivedMessage(message, 1, k, 0) for k, message in enumerate((state, OFF))]
     (plan,) = [message for message in step(node, 0, inbox) if isinstance(message, Plan)]
     return node, plan
 
@@ -91,3 +94,13 @@ def test_a_restored_controller_continues_with_the_share_and_tells_it():
 def test_the_settings_can_leave_it_at_the_alarm():
     _, plan = node_after(ControllerState(t_ns=0, thrust_shares=(0.6, 1.0)), reduce_weak_thruster=False)
     assert plan.health is Health.NOMINAL
+
+
+@pytest.mark.parametrize(("reduces", "shares"), [(True, (0.6, 1.0)), (False, (1.0, 1.0))])
+def test_a_node_plans_with_the_share_that_it_was_given(reduces, shares):
+    state = ControllerState(t_ns=0, thrust_shares=(0.6, 1.0), authority=Authority.CONTROLLER)
+    _, plan = node_after(state, reduce_weak_thruster=reduces)
+    alone = Controller(PAPER, ORIGIN, ControllerConfig())
+    alone.set_thrust_shares(shares)
+    np.testing.assert_array_equal(plan.thrust_N, alone.plan(OFF, t_ns=0).thrust_N)
+    assert np.abs(plan.thrust_N[:, :2]).max() > 10.0

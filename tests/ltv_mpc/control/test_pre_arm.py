@@ -178,6 +178,15 @@ def nothing(_: Craft) -> tuple[Message, ...]:
     return ()
 
 
+def test_a_weak_thruster_is_a_warning_that_does_not_block():
+    craft = Craft()
+    craft.step(ControllerState(t_ns=0, thrust_shares=(0.4, 1.0)), applied(craft))
+    assert craft.command(Action.ARM, applied(craft)) == ""
+    (warning,) = craft.answer.warnings
+    assert warning.startswith("warning: thrusters: port ")
+    assert warning.endswith(": inspect the propeller")
+
+
 @pytest.mark.parametrize("force", [False, True])
 @pytest.mark.parametrize(
     ("prepare", "mission", "said"),

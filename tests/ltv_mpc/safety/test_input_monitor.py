@@ -70,8 +70,8 @@ def test_a_restarted_source_continues_and_one_with_its_clock_set_back_restarts()
 def test_a_second_source_is_named_while_both_publish():
     why = "second source: epoch 9 while epoch 7 publishes"
     of = received(0, 100, 200)
-    of.reject("out of order: sequence 1 after 2")
     of.reject(why)
+    of.reject("out of order: sequence 1 after 2")
     assert of.second_source(250 * MS) == ""  # the first one may have ended
     assert of.receive(epoch=7, sequence=3, stamp_ns=300 * MS, received_ns=300 * MS)
     assert of.second_source(300 * MS + CONTESTED_NS) == why
