@@ -1,8 +1,10 @@
 """Defaults against those before them, paired by seed: error, propulsive power, saturation.
 
     .venv/bin/python -m benchmarks.defaults [--seeds FIRST:END] [--full] [--vehicles NAME|FILE ...] [--efforts ...]
+                                            [--against KEY=VALUE ...]
 
-Before: 5 s of horizon and a tenth of today's weights on thrust, ``effort = "high"``, for every vehicle. Descents in the
+Before: 5 s of horizon and a tenth of today's weights on thrust, ``effort = "high"``, for every vehicle; or the defaults
+with the settings of --against, such as ``controller.sqp_iterations=1``. Descents in the
 paper's water with the state known; with ``--full`` with realistic sensors and 30 fixes. A craft that does not dive
 keeps its point for the same time, in a current that changes by 1 cm/s per square root of a second. P is the mean of
 |F|^1.5; with ``--full`` it is the mean |F| to the power of 1.5. Intervals hold 95 % of the means of as many seeds.
@@ -30,6 +32,7 @@ class Job(NamedTuple):
     name: str  # "before", or an effort
     full: bool
     seed: int
+    before: tuple[str, ...] = BEFORE
 
 
 class Figures(NamedTuple):
@@ -43,7 +46,7 @@ class Figures(NamedTuple):
 
 def one(job: Job) -> Figures:
     """Return the figures of one run."""
-    own = BEFORE if job.name == "before" else (f"controller.effort={job.name}",)
+    own = job.before if job.name == "before" else (f"controller.effort={job.name}",)
     dives = Vehicle.load(job.vehicle).can_dive
     settings = (f"run.seed={job.seed}", f"vehicle={job.vehicle}", *own, *(() if dives else (CHANGING,)))
     if not job.full:
@@ -76,16 +79,25 @@ def main() -> None:
     parser.add_argument("--vehicles", nargs="+", default=["paper"])
     parser.add_argument("--efforts", nargs="+", default=["normal"])
     parser.add_argument("--full", action="store_true", help="with the estimator and realistic sensors")
+    parser.add_argument("--against", nargs="+", default=BEFORE, help="settings of the first row of each vehicle")
     parser.add_argument("--workers", type=int)
     options = parser.parse_args()
     first, end = map(int, options.seeds.split(":"))
-    names = ["before", *options.efforts]
-    jobs = [Job(v, name, options.full, seed) for v in options.vehicles for seed in range(first, end) for name in names]
+    names, before = ["before", *options.efforts], tuple(options.against)
+    jobs = [
+        Job(vehicle, name, options.full, seed, before)
+        for vehicle in options.vehicles
+        for seed in range(first, end)
+        for name in names
+    ]
     found = {jobs[place]: figures for place, figures in run_each(one, jobs, workers=options.workers)}
     title = f"mean of {end - first} seeds | error (m) | worst seed | change, paired | P | ratio | abs F (N)"
     print(f"| {title} | saturated (%) | worst seed |\n|{'---|' * 9}")
     for vehicle in options.vehicles:
-        runs = {name: [found[Job(vehicle, name, options.full, seed)] for seed in range(first, end)] for name in names}
+        runs = {
+            name: [found[Job(vehicle, name, options.full, seed, before)] for seed in range(first, end)]
+            for name in names
+        }
         for name in names:
             print(row(vehicle, name, runs[name], runs["before"]))
 
