@@ -10,13 +10,13 @@ Impulses over dt from one estimate to the next, for the thrusts F that the actua
 with d_x(u) = (d_x + D_x |u|) u and d_psi(r) likewise. If the thrusters deliver (1 - l_i) of the reported thrust, and
 the drag is (1 + b) times that of the model, in units of the true mass:
 
-    z_x = l_1 I_1    + l_2 I_2    + b d_x dt   + e_x,    e_x ~ N(0, M_x^2 (q^2 + P_v0 - P_v1 + 2 P_v1 dt/tau))
+    z_x = l_1 I_1    + l_2 I_2    + b d_x dt   + e_x,    e_x ~ N(0, M_x^2 (q^2 + s^2))
     z_n = a1 l_1 I_1 - a2 l_2 I_2 + b d_psi dt + e_n,    e_n ~ N(0, I_z^2 (p^2 + P_r0 + P_r1))
 
-q and p are the noise of the change of velocity and yaw rate. A correction of the velocity by the filter shows as a fall
-of its variance P_v. The remaining velocity error varies within P_v, with time constant tau. The noise P_r of the yaw
-rate is new in each estimate and enters two successive e_n with opposite signs. So the sum of e_n over a window contains
-only the noise of its first and its last estimate (``thrust_loss_detector.whiten``).
+q and p are the noise of the change of velocity and yaw rate, and s^2 is the variance of the error of the estimated
+change of velocity (``velocity_change_variance``). The noise P_r of the yaw rate is new in each estimate and enters two
+successive e_n with opposite signs. So the sum of e_n over a window contains only the noise of its first and its last
+estimate (``thrust_loss_detector.whiten``).
 
 The alarm is raised at ``ALARM_NATS`` of evidence that l has grown, beyond what 10 % of mismatch and the behaviour so
 far explain (``thrust_loss_detector.py``). While the alarm is on, the behaviour so far is not updated.
@@ -50,7 +50,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control.disturbance import Belief
+from ltv_mpc.control.disturbance import Belief, velocity_change_variance, velocity_variance
 from ltv_mpc.control.prediction import current_at_depth
 from ltv_mpc.messages import Applied, Array, Estimate, ModelCheck, Pair
 from ltv_mpc.safety.thrust_impulse import ThrustImpulse
@@ -66,12 +66,6 @@ alarm in 200 runs with the largest mismatch.
 QUIET_CYCLES = 10
 """Successive cycles with evidence below half of ``ALARM_NATS`` after which the alarm ends. A loss that is still in a
 window can keep the evidence above this.
-"""
-
-VELOCITY_ERROR_TIME_S = 3.0
-"""tau. With realistic sensors the velocity error is 1 cm/s while the filter learns the biases of the profiler. With a
-constant velocity error in the noise model, this gave a false alarm in 12 of 24 runs with mismatch, in their first half
-minute.
 """
 
 NOISE_RADPS = 2e-4
@@ -259,7 +253,7 @@ class ModelMonitor:
         else:
             return None
         P = e.covariance
-        variance = (0.0, 0.0) if P is None else (0.5 * float(P[2, 2] + P[3, 3]), float(P[5, 5]))
+        variance = velocity_variance(e), 0.0 if P is None else float(P[5, 5])
         return _Motion(
             e.t_ns,
             (e.velocity_north_mps, e.velocity_east_mps),
@@ -340,8 +334,7 @@ class ModelMonitor:
         if self._settling_s > 0.0:
             self._settling_s -= dt if thrusting else 0.0
             noise += (mass * SETTLING_MPS) ** 2
-        corrected = max(a.variance[0] - b.variance[0], 0.0) + 2.0 * b.variance[0] * dt / VELOCITY_ERROR_TIME_S
-        return noise + mass * mass * corrected
+        return noise + mass * mass * velocity_change_variance(a.variance[0], b.variance[0], dt)
 
     def _message(self, t_ns: int) -> ModelCheck:
         force, moment = self._residual.publish(t_ns)

@@ -137,6 +137,28 @@ def test_over_a_long_interval_the_bias_becomes_less_certain():
     np.testing.assert_allclose(bias.covariance - before, 9e-4 * np.eye(2), rtol=1e-6, atol=1e-12)
 
 
+def test_the_noise_of_a_navigation_filter_is_not_taken_for_a_current():
+    """The velocity error has 1 cm/s rms and varies over some seconds, as the covariance says."""
+    rng, error = np.random.default_rng(5), np.zeros(2)
+    knowing, sure, commands, vehicle = CurrentBias(ON), CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
+    largest = {knowing: 0.0, sure: 0.0}
+    for k in range(300):
+        error = 0.9 * error + 0.01 * np.sqrt(1 - 0.9**2) * rng.standard_normal(2)
+        estimate = msgspec.structs.replace(
+            Estimate.at_rest(),
+            t_ns=k * 300_000_000,
+            velocity_north_mps=WATER[0] + error[0],
+            velocity_east_mps=WATER[1] + error[1],
+            current=flat(WATER),
+        )
+        certain = np.diag([1.0, 1.0, 1e-4, 1e-4, 1e-4, 1e-6])
+        knowing.correct(msgspec.structs.replace(estimate, covariance=certain), vehicle, commands)
+        sure.correct(estimate, vehicle, commands)
+        for bias in largest:
+            largest[bias] = max(largest[bias], float(np.hypot(*bias.bias_mps)))
+    assert largest[knowing] < 0.5 * largest[sure]
+
+
 def test_a_nan_velocity_is_ignored_and_the_bias_is_bounded():
     bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
     first = Estimate.at_rest()

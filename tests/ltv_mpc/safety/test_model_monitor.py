@@ -243,6 +243,27 @@ def test_a_velocity_error_that_varies_within_its_variance_is_no_loss():
     assert any(message.alarm for message in sure.messages)
 
 
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_yaw_rate_that_is_as_uncertain_as_it_is_wrong_is_no_loss(side):
+    """Every second yaw rate is off by 0.02 rad/s, as if the port thruster were weak from it on, or up to it."""
+
+    def altered(estimate: Estimate, *, known: bool = True) -> Estimate:
+        t = estimate.t_ns * 1e-9
+        wrong = 0.02 * side * np.sign(surging(t + 0.15 * side)[0]) * (estimate.t_ns // (CYCLE * PERIOD_NS) % 2)
+        variance = 1e-10 + (wrong * wrong if known else 0.0)
+        return msgspec.structs.replace(
+            estimate,
+            yaw_rate_radps=estimate.yaw_rate_radps + wrong,
+            covariance=np.diag([1.0, 1.0, 1e-8, 1e-8, 1e-6, variance]),
+        )
+
+    sea, sure = Sea(), Sea()
+    sea.sail(12.0, altered=altered)
+    assert not any(message.alarm for message in sea.messages)
+    sure.sail(12.0, altered=lambda e: altered(e, known=False))
+    assert any(message.alarm for message in sure.messages)
+
+
 def test_a_restored_monitor_knows_the_behaviour_of_the_vehicle():
     """The vehicle was stronger than its model and loses 30 %: compared with its model alone, it loses 23 %."""
     before = off_by(1.1, 0.9, 0.9)
