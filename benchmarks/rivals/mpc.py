@@ -27,10 +27,6 @@ SPANS = {
 }
 
 
-SETTINGS = ("controller.horizon_s=5.0", "controller.effort=high", "controller.sqp_iterations=1")
-"""Of the controller that is compared: the paper's horizon, the error before the thrust, one QP a cycle."""
-
-
 class Variant(NamedTuple):
     """Controller without some of its parts."""
 
@@ -44,7 +40,7 @@ class Variant(NamedTuple):
     def settings(self) -> tuple[str, ...]:
         """KEY=VALUE on top of the scenario."""
         disturbance = () if self.estimates_water else ("controller.disturbance.sd_mps=0.0",)
-        return (f"run.compute_delay_s={self.delay_s}", *SETTINGS, *disturbance)
+        return (f"run.compute_delay_s={self.delay_s}", *disturbance)
 
     @property
     def told(self) -> Told:
