@@ -4,10 +4,10 @@
                                             [--against KEY=VALUE ...]
 
 Before: 5 s of horizon and a tenth of today's weights on thrust, ``effort = "high"``, for every vehicle; or the defaults
-with the settings of --against, such as ``controller.sqp_iterations=1``. Descents in the
-paper's water with the state known; with ``--full`` with realistic sensors and 30 fixes. A craft that does not dive
-keeps its point for the same time, in a current that changes by 1 cm/s per square root of a second. P is the mean of
-|F|^1.5; with ``--full`` it is the mean |F| to the power of 1.5. Intervals hold 95 % of the means of as many seeds.
+with the settings of --against, such as ``controller.sqp_iterations=1``. Descents in the paper's water with the state
+known; with ``--full`` with realistic sensors and 30 fixes. A craft that does not dive keeps its point for the same
+time, in a current that changes by 1 cm/s per square root of a second. P is the mean of |F|^1.5; with ``--full`` it is
+the mean |F| to the power of 1.5. Intervals hold 95 % of the means of as many seeds.
 """
 
 from __future__ import annotations

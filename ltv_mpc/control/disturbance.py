@@ -9,9 +9,10 @@ v (2,) from one estimate to the next, through the drag on the motion relative to
 
 Here h is the exact flow from the last estimate through the commands that were sent: an extended Kalman filter with two
 states. s^2 is the variance of the error of the estimated change (``velocity_change_variance``), so that the noise of a
-navigation filter is not taken for a current. When the vehicle drifts with the water, drag is zero to first order, so dh/db vanishes and b is unobservable;
-its variance is then bounded by the prior. Compared with an integrator of the position error this is one more state, but
-it needs no anti-windup: it acts as a feed-forward through the model, and a saturated thruster does not fill it.
+navigation filter is not taken for a current. When the vehicle drifts with the water, drag is zero to first order, so
+dh/db vanishes and b is unobservable; its variance is then bounded by the prior. Compared with an integrator of the
+position error this is one more state, but it needs no anti-windup: it acts as a feed-forward through the model, and a
+saturated thruster does not fill it.
 
 A thruster that delivers less than it reports looks like a current. So while a loss of thrust is in doubt
 (``thrust_loss_detector.py``), the bias is that of ``DOUBTED_ESTIMATES`` before, and it is not updated.
@@ -70,14 +71,14 @@ any direction.
 
 
 def velocity_variance(estimate: Estimate) -> float:
-    """Return the variance of either component of the velocity over ground (m^2/s^2); 0 if it is not known.
+    """Return the variance of either component of the velocity over ground (m^2/s^2); 0 if unknown or negative.
 
     Parameters
     ----------
     estimate : with or without a covariance.
     """
     P = estimate.covariance
-    return 0.0 if P is None else 0.5 * float(P[2, 2] + P[3, 3])
+    return 0.0 if P is None else max(0.5 * float(P[2, 2] + P[3, 3]), 0.0)
 
 
 def velocity_change_variance(before: float, after: float, seconds: float) -> float:

@@ -159,6 +159,14 @@ def test_the_noise_of_a_navigation_filter_is_not_taken_for_a_current():
     assert largest[knowing] < 0.5 * largest[sure]
 
 
+def test_a_negative_variance_of_the_velocity_does_not_stop_the_controller():
+    bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
+    for k in range(3):
+        estimate = msgspec.structs.replace(Estimate.at_rest(), t_ns=k * 300_000_000, covariance=-np.eye(6))
+        bias.correct(estimate, vehicle, commands)
+    assert np.isfinite(bias.covariance).all()
+
+
 def test_a_nan_velocity_is_ignored_and_the_bias_is_bounded():
     bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
     first = Estimate.at_rest()
