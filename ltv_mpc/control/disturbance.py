@@ -46,9 +46,9 @@ DEFAULT_SD_MPS = 0.1
 """Prior standard deviation of the bias if the estimates have no current profile (m/s)."""
 
 VELOCITY_ERROR_TIME_S = 3.0
-"""tau: time constant of the error of an estimated velocity. With realistic sensors this error is 1 cm/s while the filter
-learns the biases of the profiler. With a constant error in the noise model, the thrust-loss detector gave a false alarm
-in 12 of 24 runs with mismatch, in their first half minute.
+"""tau: time constant of the error of an estimated velocity. With realistic sensors this error is 1 cm/s while the
+filter learns the biases of the profiler. With a constant error in the noise model, the thrust-loss detector gave a
+false alarm in 12 of 24 runs with mismatch, in their first half minute.
 """
 
 MAX_INTERVAL_NS = 2_000_000_000

@@ -46,7 +46,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 PREFIX = "mpc_"
 
 MAX_ITERATIONS = 500_000
-"""Limit of iterations of the exported code, nearly four times that of the hardest problem of docs/notes/exported-c.md."""
+"""Limit of iterations of the exported code, four times that of the hardest problem in docs/notes/exported-c.md."""
 
 PRECISION = 0.1
 """Tolerance of the exported code over the controller's, whose first guess is better than its tolerance."""
