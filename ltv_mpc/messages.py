@@ -526,6 +526,9 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
     reference_depth_m: Annotated[
         Depth | None, Meta(description="depth at which the reference ends; null if it has no depth")
     ] = None
+    depth_limit_m: Annotated[
+        Depth | None, Meta(description="depth limit that keeps the vehicle from the depth of the reference; null: none")
+    ] = None
     progress: Annotated[Share | None, Meta(description="share of the path that the target has completed")] = None
     cross_track_m: Annotated[
         Position | None, Meta(description="distance from the path at the first knot, positive to starboard")

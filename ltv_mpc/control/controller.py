@@ -404,6 +404,7 @@ class Controller:
         if not math.isfinite(np.vdot(vertical.thrust_N, vertical.thrust_N)):
             raise ArithmeticError("a thrust is not finite")
         follower, follows = self.follower, decision.follows
+        depth_m = follower.depth_m if follows else None
         progress = follower.progress if follows else NO_PROGRESS
         return Plan(
             cycle_t_ns=now_ns,
@@ -419,7 +420,8 @@ class Controller:
             estimate_t_ns=decision.estimate_t_ns,
             expected_delay_ns=delay_ns,
             reference_m=follower.target_m if follows else None,
-            reference_depth_m=follower.depth_m if follows else None,
+            reference_depth_m=depth_m,
+            depth_limit_m=None if depth_m is None else self._vertical.depth_limits.limit_before(depth_m),
             progress=progress.share,
             cross_track_m=progress.cross_track_m,
             remaining_m=progress.remaining_m,

@@ -52,6 +52,18 @@ class DepthLimits:
         """True if there is a limit now."""
         return bool(np.isfinite(self.bounds[:2]).any())
 
+    def limit_before(self, depth_m: float) -> float | None:
+        """Return the limit (m) that keeps the vehicle from a depth; None if the depth lies within the limits.
+
+        Parameters
+        ----------
+        depth_m : wanted depth (m).
+        """
+        least, largest, _ = self.bounds.tolist()
+        if depth_m > largest:
+            return float(largest)
+        return float(least) if depth_m < least else None
+
     def update(self, estimate: Estimate) -> None:
         """Take in the bottom; without an altitude it stays where it was seen last.
 

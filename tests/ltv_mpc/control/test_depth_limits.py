@@ -64,6 +64,7 @@ def test_a_ramp_into_the_bottom_stops_at_the_least_altitude(name: str, rate_mps:
     way, plans = dive(controller, vehicle, 300.0, Estimate.at_rest(depth_m=0.0))
     assert depths(way).max() < BOTTOM_M - 3.0 + 0.02
     assert depths(way)[-1] == pytest.approx(BOTTOM_M - 3.0, abs=0.02)
+    assert [plan.depth_limit_m for plan in plans] == pytest.approx([BOTTOM_M - 3.0] * len(plans))
     thruster = vehicle.thrusters[2]
     for plan in plans:
         F = plan.thrust_N[:, 2]
@@ -73,8 +74,9 @@ def test_a_ramp_into_the_bottom_stops_at_the_least_altitude(name: str, rate_mps:
 
 
 def test_without_the_limit_the_same_ramp_passes_the_bottom() -> None:
-    way, _ = dive(Controller(PAPER, deeper(), config()), PAPER, 90.0, Estimate.at_rest(depth_m=0.0))
+    way, plans = dive(Controller(PAPER, deeper(), config()), PAPER, 90.0, Estimate.at_rest(depth_m=0.0))
     assert depths(way).max() > BOTTOM_M
+    assert all(plan.depth_limit_m is None for plan in plans)
 
 
 def test_a_bottom_that_is_seen_late_is_not_reached() -> None:
@@ -104,6 +106,7 @@ def test_an_ascent_stops_at_the_least_depth() -> None:
 def test_the_bottom_is_harder_than_the_surface() -> None:
     controller = Controller(PAPER, deeper(11.0), config(min_depth_m=10.0, min_altitude_m=3.0))
     way, _ = dive(controller, PAPER, 200.0, Estimate.at_rest(depth_m=6.0))
+    assert depths(way).max() < BOTTOM_M - 3.0 + 0.02
     assert depths(way)[-1] == pytest.approx(BOTTOM_M - 3.0, abs=0.02)
 
 
@@ -128,19 +131,22 @@ def test_a_failsafe_is_not_limited() -> None:
 
 
 def test_the_rate_leaves_a_weak_thruster_the_force_to_brake() -> None:
+    """2 t brake with their buoyancy alone, from 0.57 m/s."""
     assert braking_rate_radps(PAPER) > 0.3
     assert braking_rate_radps(Vehicle.load("surface")) == math.inf
-    thrusters = PAPER.thruster
+    assert PAPER.heave is not None
     vertical = msgspec.structs.replace(PAPER.thrusters[2], min_N=0.0)
-    weak = msgspec.structs.replace(
-        PAPER, net_buoyancy_N=5.0, thruster=msgspec.structs.replace(thrusters, vertical=vertical)
+    heavy = msgspec.structs.replace(
+        PAPER,
+        thruster=msgspec.structs.replace(PAPER.thruster, vertical=vertical),
+        heave=msgspec.structs.replace(PAPER.heave, mass_kg=2000.0, quadratic_damping_kgpm=100.0),
     )
-    # 5 N brake 225 kg from sqrt(57.5 / 800) m/s
-    assert braking_rate_radps(weak) == pytest.approx(5.0 / 225.0 / math.sqrt(57.5 / 800.0))
-    controller = Controller(weak, deeper(rate_mps=1.0), config(max_depth_m=9.0))
-    way, _ = dive(controller, weak, 200.0, Estimate.at_rest(depth_m=0.0))
-    assert depths(way).max() < 9.02
-    helpless = msgspec.structs.replace(weak, net_buoyancy_N=-5.0)
+    assert braking_rate_radps(heavy) == pytest.approx(30.5 / 2000.0 / math.sqrt(32.0 / 100.0))
+    way, _ = dive(
+        Controller(heavy, deeper(200.0, 1.0), config(max_depth_m=60.0)), heavy, 300.0, Estimate.at_rest(depth_m=0.0)
+    )
+    assert 58.0 < depths(way).max() < 60.02
+    helpless = msgspec.structs.replace(heavy, net_buoyancy_N=-5.0)
     assert braking_rate_radps(helpless) == MIN_RATE_RADPS
 
 
