@@ -52,11 +52,12 @@ class ReferencePoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             velocity_north_mps=estimate.velocity_north_mps - r * north_ahead,
             velocity_east_mps=estimate.velocity_east_mps - r * east_ahead,
             depth_m=None if estimate.depth_m is None else estimate.depth_m - self.down_m,
+            altitude_m=None if estimate.altitude_m is None else max(estimate.altitude_m + self.down_m, 0.0),
             covariance=None if estimate.covariance is None else self._covariance(estimate, estimate.covariance),
         )
 
     def of_plan(self, plan: Plan) -> Plan:
-        """Return the plan with its positions and velocities at the reference point: states, target and its depth.
+        """Return the plan with its positions and velocities at the reference point: states, target, depths.
 
         Parameters
         ----------
@@ -70,7 +71,7 @@ class ReferencePoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         states[:, 1] += sin * self.forward_m + cos * self.starboard_m
         states[:, SURGE] -= r * self.starboard_m
         states[:, SWAY] += r * self.forward_m
-        target, depth_m = plan.reference_m, plan.reference_depth_m
+        target, depth_m, limit_m = plan.reference_m, plan.reference_depth_m, plan.depth_limit_m
         if target is not None:
             north, east = self._arm(float(states[0, HEADING]))[0]
             target = target[0] + north, target[1] + east
@@ -79,6 +80,7 @@ class ReferencePoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             states=states,
             reference_m=target,
             reference_depth_m=None if depth_m is None else depth_m + self.down_m,
+            depth_limit_m=None if limit_m is None else limit_m + self.down_m,
         )
 
     def _arm(self, heading_rad: float) -> tuple[Pair, Pair]:

@@ -44,6 +44,9 @@ def test_position_and_velocity_of_a_point_become_those_of_the_origin(states: tup
     found = POINT.to_origin(measured)
     np.testing.assert_allclose(states_of(found), origin, atol=1e-6)
     assert found.depth_m == pytest.approx(10.0 - 0.7)
+    seen = POINT.to_origin(msgspec.structs.replace(measured, altitude_m=3.0))
+    assert seen.altitude_m == pytest.approx(3.0 + 0.7)  # the bottom stays where it is
+    assert found.altitude_m is None
 
 
 def test_its_covariance_is_transformed_by_the_derivative_of_the_conversion() -> None:
@@ -99,6 +102,7 @@ def test_the_target_of_a_plan_is_where_the_point_belongs() -> None:
     """The vehicle looks east: ahead is east, to port is north."""
     states = np.zeros((2, 6))
     states[:, 4] = math.pi / 2
-    plan = POINT.of_plan(plan_of(states, reference_m=(20.0, 30.0), reference_depth_m=5.0))
+    plan = POINT.of_plan(plan_of(states, reference_m=(20.0, 30.0), reference_depth_m=5.0, depth_limit_m=4.0))
     assert plan.reference_m == pytest.approx((20.3, 30.5))
     assert plan.reference_depth_m == pytest.approx(5.7)
+    assert plan.depth_limit_m == pytest.approx(4.7)
