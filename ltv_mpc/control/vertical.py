@@ -5,8 +5,8 @@ With depth error e = z_ref - z, rate error e' = w_ref - w, and the model's M_z, 
     F3 = (B - W) + (d_z + D_z |w_ref|) w_ref  +  M_z (w0^2 e + 2 zeta w0 e') + integral of M_z w0^2 / T_i e
 
 inside box, slew and depth limits (``depth_limits.py``). On a steady ramp the feed-forward is the whole thrust; in the
-paper's descent it is the thruster's maximum. The integral stops while the command is limited or the error is large
-(anti-windup); beyond a depth limit it integrates the distance to it.
+paper's descent it is the thruster's maximum. The integral stops while the command is limited, and while a large
+error is being closed (anti-windup); beyond a depth limit it integrates the distance to it.
 """
 
 from __future__ import annotations
@@ -34,8 +34,10 @@ DAMPING = 1.0
 INTEGRAL_S = 20.0
 """T_i: several times 1 / w0, so that the integral only compensates what the feed-forward lacks."""
 
-MAX_INTEGRATED_M = 1.0
-"""Largest depth error that is integrated: a larger one is a step of the reference, not a wrong buoyancy."""
+MAX_STEP_M = 1.0
+"""Depth error above which it is integrated only if it lasts: a step of the reference is closed within 2 T_i, the error
+of a wrong buoyancy is not.
+"""
 
 MAX_INTEGRATION_S = 2.0
 """Longest time between two plans that is integrated: over a longer interruption the depth error is not constant."""
@@ -84,7 +86,8 @@ def follow_depth(packed: Array, at: Array, z_ref: Array, w_ref: Array, bounds: A
             if within != wanted:
                 e = min(bounds[1] - z, 0.0) if within < wanted else max(bounds[0] - z, 0.0)
             limited = min(max(within, low, command - slew * h), high, command + slew * h)
-            if limited == within and abs(e) <= MAX_INTEGRATED_M:
+            lasting = abs(e) <= MAX_STEP_M or abs(e) > 2.0 * INTEGRAL_S * abs(rate)
+            if limited == within and lasting:
                 growth = p.mass_heave * NATURAL_RADPS * NATURAL_RADPS / INTEGRAL_S * e
                 integral += growth * h
                 if k == 0 and j == 1:

@@ -235,6 +235,12 @@ def test_the_integral_compensates_a_buoyancy_error_of_the_model():
     assert sink(8.0, 0.15, 300, heavier)[-1].depth_m == pytest.approx(8.0, abs=0.02)
 
 
+def test_a_buoyancy_that_is_wrong_by_three_kilograms_is_learned_too():
+    """Without an integral its 30 N leave 30 / (225 x 0.09) = 1.5 m."""
+    heavier = msgspec.structs.replace(PAPER, net_buoyancy_N=0.5)
+    assert sink(8.0, 0.15, 400, heavier)[-1].depth_m == pytest.approx(8.0, abs=0.05)
+
+
 def test_on_a_ramp_that_is_too_fast_the_thruster_saturates_without_windup():
     numbers = pack_constants(PAPER, Weights(), np.arange(18.0), 0.3)
     at, free = np.array([1.0, 0.2, 62.5, 62.5, 0.0]), np.array([-np.inf, np.inf, 0.3])
