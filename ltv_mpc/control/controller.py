@@ -207,7 +207,7 @@ class Controller:
         """
         self._bias.thrust_in_doubt = in_doubt
         self._lateral.set_shares(shares)
-        self._prediction.shares[:2] = shares
+        self._prediction.set_shares(shares)
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest plausible estimate, and by the prediction in the last cycle.

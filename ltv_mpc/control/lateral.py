@@ -71,6 +71,7 @@ class LateralPlanner:
         self._vehicle, self._settings = vehicle, config
         self._config = config  # with the limits at a point, or on a path
         self._shares = np.ones(2)  # of their commands that port and starboard deliver
+        self._is_sound = True  # both shares are 1
         self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
         self._solver = self._make_solver()
         self._solver_is_suspect = False
@@ -107,6 +108,7 @@ class LateralPlanner:
         if shares == tuple(self._shares):
             return
         self._shares[:] = self.previous.shares[:] = shares
+        self._is_sound = shares == (1.0, 1.0)
         self._repack()
 
     def set_path(self, path: bool) -> None:
@@ -205,7 +207,7 @@ class LateralPlanner:
 
     def _as_commands(self, plan: LateralPlan) -> LateralPlan:
         """Return a plan of delivered thrusts with the commands that lead to them."""
-        if (self._shares == 1.0).all():
+        if self._is_sound:
             return plan
         port, starboard, _ = self._vehicle.thrusters
         # The quotient may exceed the box by rounding.

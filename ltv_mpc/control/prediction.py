@@ -16,7 +16,7 @@ import numpy as np
 
 from ltv_mpc.control.sent_commands import Commands, SentCommands, command_at
 from ltv_mpc.jit import copy_to, count_up_to, jit
-from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate
+from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_weights
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -102,11 +102,19 @@ class Prediction:
         """Begin without a report of the actuators."""
         self.coefficients = np.array(vehicle.coefficients())
         """(19,) coefficients of the vehicle."""
-        self.shares = np.ones(3)
-        """(3,) share of its reported thrust that each thruster delivers: port, starboard, vertical."""
+        self._shares: Array | None = None  # (3,) of their reported thrust that the thrusters deliver; None: all of it
         self._no_report = Report(NEVER, np.zeros(3))
         self._report = self._no_report  # the newest that is not newer than the estimate in use
         self._later_reports: deque[Report] = deque(maxlen=MAX_REPORTS)
+
+    def set_shares(self, shares: Pair) -> None:
+        """Predict with lateral thrusters that deliver a share of their reported thrust.
+
+        Parameters
+        ----------
+        shares : of port and starboard; 1 if sound.
+        """
+        self._shares = None if shares == (1.0, 1.0) else np.array([*shares, 1.0])
 
     def add_report(self, applied: Applied) -> None:
         """Take in the thrusts that the actuators deliver.
@@ -162,7 +170,7 @@ class Prediction:
                 estimate.velocity_down_mps or 0.0,
             )
         )
-        return estimate.t_ns, flat, report.t_ns, report.thrust_N * self.shares
+        return estimate.t_ns, flat, report.t_ns, self._share_of(report.thrust_N)
 
     def delivered(self, commands: SentCommands) -> Commands:
         """Return the commands times the share of them that each thruster delivers.
@@ -172,7 +180,11 @@ class Prediction:
         commands : as sent.
         """
         t, thrust = commands.knots
-        return t, thrust * self.shares
+        return t, self._share_of(thrust)
+
+    def _share_of(self, thrust: Array) -> Array:
+        """Return the thrusts (..., 3) times the shares; the same array if all are 1."""
+        return thrust if self._shares is None else thrust * self._shares
 
 
 def profile_of(estimate: Estimate) -> CurrentProfile:

@@ -226,7 +226,7 @@ def largest_bias(share: float) -> float:
     commands, vehicle, reported, largest = SentCommands(PAPER), Prediction(PAPER), np.zeros(3), 0.0
     for k in range(80):
         t_ns = k * 300_000_000
-        vehicle.shares[0] = share if k >= 40 else 1.0
+        vehicle.set_shares((share if k >= 40 else 1.0, 1.0))
         applied = report(t_ns, reported, commands.at(np.array([t_ns]))[0])
         vehicle.add_report(applied)
         inbox = [ReceivedMessage(applied, 1, k, t_ns), ReceivedMessage(truth, 1, k, t_ns)]
