@@ -28,8 +28,8 @@ def register(app: typer.Typer, panel: str) -> None:
 def profile(
     horizons: Annotated[
         str,
-        typer.Option("--horizons", metavar="STAGES,...", help="Stages of 0.3 s: 17 is 5.1 s, 34 is 10.2 s."),
-    ] = "17,34",
+        typer.Option("--horizons", metavar="STAGES,...", help="Stages of 0.3 s (17: 5.1 s); default: the vehicle's."),
+    ] = "default,17",
     solvers: Annotated[
         str, typer.Option("--solvers", metavar="NAME,...", help="Installed solvers. PIQP is always measured too.")
     ] = "osqp,riccati",
@@ -72,7 +72,8 @@ def profile(
     ]
     named = latency.parse_solvers(solvers, by_horizon[0][0])
     written = None if out is None else folder.open_folder(out, force=force)
-    names = ", ".join(f"{N} stages ({problems.seconds(N):.1f} s)" for N in stages)
+    configs = [episodes[0].config for episodes in by_horizon]
+    names = ", ".join(f"{config.stages} stages ({problems.length_s(config):.1f} s)" for config in configs)
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"{cycles} cycles at {names}", total=cycles * len(stages))
         measured = latency.run(by_horizon, named, seed=seed, progress=lambda: progress.advance(task))

@@ -40,7 +40,7 @@ from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.runtime.stage_timer import StageTimer
 from services.tools.profile.piqp_yardstick import PiqpYardstick
-from services.tools.profile.problems import Episode, seconds
+from services.tools.profile.problems import Episode, length_s, seconds
 
 STAGES = ("predict", "linearise", "build", "update", "solve", "read")
 
@@ -118,8 +118,9 @@ def limits_of(episode: Episode) -> HorizonLimits:
 class Samples:
     """Measurements of one candidate at one horizon, one entry for each cycle."""
 
-    def __init__(self, stages: int) -> None:
-        self.stages = stages  # N
+    def __init__(self, config: ResolvedConfig) -> None:
+        self.stages = config.stages  # N
+        self.horizon_s = length_s(config)
         self.cycle_us: list[float] = []  # interleaved, as stage_us
         self.repeated_us: list[float] = []
         self.flushed_us: list[float] = []
@@ -138,9 +139,8 @@ def measure(
     progress: Callable[[], None],
 ) -> list[Samples]:
     """Measure each candidate over all episodes of one horizon; ``progress`` is called after each cycle."""
-    stages = warm_up.config.stages
-    _run(warm_up, candidates, [Samples(stages) for _ in candidates], order, lambda: None)
-    samples = [Samples(stages) for _ in candidates]
+    _run(warm_up, candidates, [Samples(warm_up.config) for _ in candidates], order, lambda: None)
+    samples = [Samples(episodes[0].config) for _ in candidates]
     for episode in episodes:
         _run(episode, candidates, samples, order, progress)
     return samples

@@ -40,7 +40,7 @@ def draw(measured: Measured, out: Path) -> None:
     """Write the plot: a panel for each horizon, and one for the growth with N if there are several."""
     plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
     lines = _lines(measured)
-    horizons = sorted({line.row.stages for line in lines})
+    horizons = sorted({line.row.horizon_s for line in lines})
     panels = len(horizons) + (len(horizons) > 1)
     columns = 2 if panels == 4 else min(panels, COLUMNS)
     rows = -(-panels // columns)
@@ -48,8 +48,8 @@ def draw(measured: Measured, out: Path) -> None:
         rows, columns, figsize=(0.8 + 3.6 * columns, 1.0 + 3.2 * rows), layout="constrained", squeeze=False
     )
     axes = grid.ravel()
-    for panel, stages in zip(axes, horizons, strict=False):
-        _distribution(panel, [line for line in lines if line.row.stages == stages])
+    for panel, horizon_s in zip(axes, horizons, strict=False):
+        _distribution(panel, [line for line in lines if line.row.horizon_s == horizon_s])
     if len(horizons) > 1:
         _growth(axes[panels - 1], lines)
     for unused in axes[panels:]:

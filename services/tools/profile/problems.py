@@ -45,6 +45,9 @@ HARD_CYCLES = 40
 TARGET_NORTH_M, MAX_HEADING_RAD = 2.0, 3.0
 """Distance north to the point of a hard episode (m), and the largest initial heading to either side of north (rad)."""
 
+DEFAULT = 0
+"""In the place of a number of stages: the horizon that the controller has without settings, with stages that grow."""
+
 Feed = Callable[[Node, Callable[[], bool]], None]
 """Callback that steps the given node in the controller's place until the given test is True or no input is left."""
 
@@ -65,7 +68,7 @@ def simulated(stages: int, cycles: int, seed: int) -> list[Episode]:
 
     Parameters
     ----------
-    stages : horizon of the controller.
+    stages : horizon of the controller; ``DEFAULT``: without settings.
     cycles : total number of cycles.
     seed : seed of the first episode of each kind; the next episodes count up from it.
     """
@@ -87,7 +90,7 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
     """Return the first ``cycles`` cycles of a recorded run as one episode, at a horizon of ``stages``.
 
     The vehicle, the reference and the controller are those of the run's ``config/``, but the controller has this
-    horizon and solves one QP a cycle. Raises ``ConfigError``.
+    horizon, or with ``DEFAULT`` its own, and solves one QP a cycle. Raises ``ConfigError``.
 
     Parameters
     ----------
@@ -97,12 +100,9 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
     """
     run_folder = _run_folder(run)
     vehicle = Vehicle.load(str(run_folder.config("vehicle")))
-    config = msgspec.structs.replace(
-        ControllerConfig.load(str(run_folder.config("controller"))),
-        horizon_s=seconds(stages),
-        max_stages=max(stages, 2),
-        sqp_iterations=1,
-    )
+    config = msgspec.structs.replace(ControllerConfig.load(str(run_folder.config("controller"))), sqp_iterations=1)
+    if stages != DEFAULT:
+        config = msgspec.structs.replace(config, horizon_s=seconds(stages), max_stages=max(stages, 2))
     return [
         Episode(
             kind=run_folder.path.resolve().name,
@@ -118,6 +118,11 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
 def seconds(stages: int) -> float:
     """Return the length (s) of a horizon of this number of stages."""
     return stages * STAGE_NS / 1e9
+
+
+def length_s(config: ResolvedConfig) -> float:
+    """Return the length of a controller's horizon (s)."""
+    return float(config.knots[-1]) * seconds(1)
 
 
 # --- simulated -------------------------------------------------------------------------------------------------------
@@ -148,8 +153,9 @@ def _hard(stages: int, cycles: int, seed: int) -> Episode:
 
 
 def _run_config(stages: int, seed: int, *settings: str) -> RunConfig:
-    horizon = (f"controller.horizon_s={seconds(stages)!r}", f"controller.max_stages={max(stages, 2)}")
-    common = ("run.perfect_state=true", "controller.sqp_iterations=1", *horizon)
+    common = ["run.perfect_state=true", "controller.sqp_iterations=1"]
+    if stages != DEFAULT:
+        common += [f"controller.horizon_s={seconds(stages)!r}", f"controller.max_stages={max(stages, 2)}"]
     return resolve(
         "descent", [Override("option --seed", [f"run.seed={seed}"]), Override("profile", [*common, *settings])]
     )

@@ -98,12 +98,12 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def parse_horizons(text: str) -> list[int]:
-    """Parse ``17,34`` as numbers of stages. Raises ``ConfigError``."""
+    """Parse ``default,17,34`` as numbers of stages; "default" is ``problems.DEFAULT``. Raises ``ConfigError``."""
     parts = [part.strip() for part in text.split(",")]
     stages = [int(part) if part.isdecimal() and len(part) < 6 else 0 for part in parts]
     for part, number in zip(parts, stages, strict=True):
-        if not 1 <= number <= MOST_STAGES:
-            problem = f"must be numbers of stages of {seconds(1):g} s, 1 to {MOST_STAGES}, as in 17,34"
+        if part != "default" and not 1 <= number <= MOST_STAGES:
+            problem = f"must be numbers of stages of {seconds(1):g} s, 1 to {MOST_STAGES}, or default, as in default,17"
             raise ConfigError("option --horizons", "", problem, value=part)
     return list(dict.fromkeys(stages))
 
@@ -161,7 +161,7 @@ def _row(solver: str, samples: Samples, yardstick: Samples) -> Row:
     return Row(
         solver=solver,
         stages=samples.stages,
-        horizon_s=seconds(samples.stages),
+        horizon_s=samples.horizon_s,
         cycles=len(samples.cycle_us),
         cycle_us=cycle,
         repeated_us=repeated,

@@ -13,13 +13,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import MotionLimits
+from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, SolveStatus
 from ltv_mpc.node import Cycle, Inbox, Node
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
 from services.recording.reader import Recording
 from services.run import folder
@@ -179,7 +181,7 @@ def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--horizons", "5,x"], 'option --horizons: "x": must be numbers of stages of 0.3 s, 1 to 400, as in 17,34'),
+        (["--horizons", "5,x"], 'option --horizons: "x": must be numbers of stages of 0.3 s, 1 to 400, or default'),
         (["--horizons", "17,,"], "option --horizons"),
         (["--horizons", "401"], 'option --horizons: "401"'),
         (["--horizons", "0"], 'option --horizons: "0"'),
@@ -293,6 +295,14 @@ def test_the_cycles_are_shared_out_among_the_kinds() -> None:
     assert sum(hard) == 350
     assert max(hard) == problems.HARD_CYCLES
     assert {episode.config.stages for episode in episodes} == {17}
+
+
+def test_default_is_the_horizon_that_the_controller_has_without_settings() -> None:
+    (stages,) = profile.parse_horizons("default")
+    own = settled(ControllerConfig(), Vehicle.load("paper"))
+    for episode in problems.simulated(stages, 8, seed=0):
+        np.testing.assert_array_equal(episode.config.knots, own.knots)
+        assert problems.length_s(episode.config) == pytest.approx(own.horizon_s)
 
 
 def test_hard_episodes_begin_2_m_off_with_headings_up_to_3_rad_from_the_way_there() -> None:
