@@ -226,14 +226,15 @@ def largest_bias(share: float) -> float:
     commands, vehicle, reported, largest = SentCommands(PAPER), Prediction(PAPER), np.zeros(3), 0.0
     for k in range(80):
         t_ns = k * 300_000_000
-        vehicle.set_shares((share if k >= 40 else 1.0, 1.0))
+        shares = (share if k >= 40 else 1.0, 1.0)
+        vehicle.set_shares(shares)
         applied = report(t_ns, reported, commands.at(np.array([t_ns]))[0])
         vehicle.add_report(applied)
         inbox = [ReceivedMessage(applied, 1, k, t_ns), ReceivedMessage(truth, 1, k, t_ns)]
         (plan,) = (message for message in step(node, t_ns, inbox) if isinstance(message, Plan))
         commands.add(plan)
         end = vehicle.state_at(truth, t_ns + 300_000_000, commands)
-        truth, reported = as_estimate(end, truth), np.array([*end.X[6:] / vehicle.shares[:2], end.vertical_N])
+        truth, reported = as_estimate(end, truth), np.array([*end.X[6:] / shares, end.vertical_N])
         learned, _ = node.controller.learned_current
         largest = max(largest, float(np.hypot(*learned)))
     return largest
