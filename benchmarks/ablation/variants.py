@@ -160,14 +160,11 @@ def prepare(
     x, y, q = at.x, at.y, at.problem.q
     _shift_limits(y, E, c.t, shift)
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
-    dU, kept = np.zeros((N + 1, 2)), y[E:].copy()
-    if guesses and not kept[4 * N :].any():
+    dU = np.zeros((N + 1, 2))
+    if guesses:
         _guess_commands(c, lin, target, dU, y[E:])
-    if not _forward_states(c, lin, dU, x):
-        dU[:, :] = 0.0
-        y[E:] = kept
-        _forward_states(c, lin, dU, x)
-    _guess_excesses(c, lin, q, np.isnan(shift), x, y)
+    _forward_states(c, lin, dU, x)
+    _guess_excesses(c, lin, q, x, y)
     costate = np.zeros(STATES)
     for i in range(2):
         w = velocity[i] - target[N, i]

@@ -1,11 +1,11 @@
 """Riccati recursion on the QP: it solves the problem exactly where no inequality is left.
 
-    minimise   the QP's cost (``sparse.py``)  +  sum over k = 1..N, i of   1/2 w g^2 + l g,   g = [z_k, z_k - z_(k-1)]
-    subject to the dynamics,   z_k = dU_k / F (2,)
+    minimise   the QP's cost (``sparse.py``)  +  sum over k = 1..N, i of   1/2 w g^2 + l g
+    subject to the dynamics,   g_k = [z_k, z_k - z_(k-1), a_1' dX_k, .. a_M' dX_k],   z_k = dU_k / F (2,)
 
-A method that treats box and slew (solvers/riccati_solver.py) turns them into the quadratic terms ``weight`` w and the
-linear terms ``linear`` l (N, 4). g are their rows, in the order [box of port, of starboard, slew of port, of
-starboard].
+g are the rows of a stage's limits: box of port, of starboard, slew of port, of starboard, then M soft limits of the
+state with their normals a. A method that treats limits (solvers/riccati_solver.py) turns them into the quadratic terms
+``weight`` w and the linear terms ``linear`` l, both (N, R) with R = 4 + M.
 
 The state of the recursion at knot k is s = [dX_k, dU_k] (10,), and its input is mu = dU_(k+1):
 
@@ -22,14 +22,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control.horizon_limits import command_bounds
+from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, command_bounds
 from ltv_mpc.control.linearisation import Linearisation, velocity_over_ground
-from ltv_mpc.control.problem_data import Objective, stage_length
+from ltv_mpc.control.problem_data import Objective, is_limited, limited_state_count, stage_length
 from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
 
-LIMIT_ROWS = 4
-"""Rows g of a stage."""
+HARD_ROWS = 4
+"""Rows of box and slew; they are the first of a stage."""
+
+NORMAL = 6
+"""Size of a soft row's normal: n, e, u, v, psi, r."""
 
 DIM = 10
 """Size of s = [u, v, psi, r, F1, F2, U1, U2, n, e]. As many numbers determine s_(k+1), except that n and e are
@@ -53,11 +56,13 @@ class SweepWorkspace(NamedTuple):
     """Workspace of the sweeps of one problem: constants, inputs and results."""
 
     models: Array  # (N, 10, 12) derivative of each s_(k+1)
-    low: Array  # (N, 4) lower bounds of g
-    high: Array  # (N, 4) upper bounds of g
-    weight: Array  # (N, 4) w, input of a sweep
-    linear: Array  # (N, 4) l, input of a sweep
-    g: Array  # (N, 4) result of the last sweep
+    normal: Array  # (N, M, 6) a of the soft rows
+    low: Array  # (N, R) lower bounds of g, -inf where there is none
+    high: Array  # (N, R) upper bounds of g, inf where there is none
+    cap: Array  # (N, R) largest dual: cost of an excess that is 1; inf if the row is hard
+    weight: Array  # (N, R) w, input of a sweep
+    linear: Array  # (N, R) l, input of a sweep
+    g: Array  # (N, R) result of the last sweep
     laws: Array  # (N, LAW) its feedback laws
     Z: Array  # (SCRATCH,) scratch
 
@@ -75,8 +80,10 @@ def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
     -------
     The workspace; weight, linear, g and laws are undefined.
     """
-    N = lin.U.shape[0] - 1
-    low, high = np.empty((N, LIMIT_ROWS)), np.empty((N, LIMIT_ROWS))
+    N, M = lin.U.shape[0] - 1, limited_state_count(o)
+    R = HARD_ROWS + M
+    normal, cap = np.zeros((N, M, NORMAL)), np.full((N, R), np.inf)
+    low, high = np.empty((N, R)), np.empty((N, R))
     for k in range(N):
         reach = stage_length(o, k + 1)
         for i in range(2):
@@ -85,8 +92,19 @@ def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
             lower, upper = command_bounds(lin.U[0, i], o.t[k + 1] * o.max_change[i], o.low[i], o.high[i])
             low[k, i], high[k, i] = (lower - here) / F, (upper - here) / F
             low[k, 2 + i], high[k, 2 + i] = (-change - step) / F, (change - step) / F
-    weight, linear, g = np.empty((N, LIMIT_ROWS)), np.empty((N, LIMIT_ROWS)), np.empty((N, LIMIT_ROWS))
-    return SweepWorkspace(_models(lin), low, high, weight, linear, g, np.empty((N, LAW)), np.empty(SCRATCH))
+        m = 0
+        for j in range(len(LIMITED_STATES)):
+            if is_limited(o, j):
+                i = LIMITED_STATES[j]
+                scale, row = o.state_scale[i], HARD_ROWS + m
+                normal[k, m, i] = 1.0 / scale
+                low[k, row] = (o.low_state[j] - lin.X[k + 1, i]) / scale
+                high[k, row] = (o.high_state[j] - lin.X[k + 1, i]) / scale
+                cap[k, row] = PENALTY * reach
+                m += 1
+    weight, linear, g = np.empty((N, R)), np.empty((N, R)), np.empty((N, R))
+    laws, Z = np.empty((N, LAW)), np.empty(SCRATCH)
+    return SweepWorkspace(_models(lin), normal, low, high, cap, weight, linear, g, laws, Z)
 
 
 @jit
@@ -126,7 +144,7 @@ def sweep(lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace,
     """
     if not _backward(lin, target, o, work):
         return False
-    _forward(lin, work.models, work.laws, dU)
+    _forward(lin, work, dU)
     N = dU.shape[0] - 1
     for k in range(N):
         for i in range(2):
@@ -145,6 +163,7 @@ def _backward(lin: Linearisation, target: Array, o: Objective, work: SweepWorksp
     _add_terminal_cost(lin, target, o, Z, p)
     for k in range(N - 1, -1, -1):
         _add_stage_cost(lin, target, o, k + 1, Z, p)
+        _add_soft_rows(work, k, Z, p)
         model = work.models[k].ravel()
         for i in range(DIM * STRIDE):
             Z[D + i] = model[i]
@@ -194,9 +213,29 @@ def _add_stage_cost(lin: Linearisation, target: Array, o: Objective, k: int, Z: 
 
 
 @jit
+def _add_soft_rows(work: SweepWorkspace, k: int, Z: Array, p: Array) -> None:
+    """Add the terms of the soft rows at knot k + 1 to P and p."""
+    for m in range(work.normal.shape[1]):
+        a, weight, linear = work.normal[k, m], work.weight[k, HARD_ROWS + m], work.linear[k, HARD_ROWS + m]
+        if weight == 0.0 and linear == 0.0:
+            continue
+        for i in range(NORMAL):
+            if a[i] != 0.0:
+                p[_entry(i)] += linear * a[i]
+                for j in range(NORMAL):
+                    Z[P + STRIDE * _entry(i) + _entry(j)] += weight * a[i] * a[j]
+
+
+@jit
 def _state(a: int) -> int:
     """Return the index in X of entry a of s, which is not a command."""
     return 2 + a if a < 6 else a - 8
+
+
+@jit
+def _entry(i: int) -> int:
+    """Return the index in s of state i of X: the inverse of ``_state``."""
+    return i - 2 if i > 1 else i + 8
 
 
 @jit
@@ -342,8 +381,9 @@ def _P_row(row: int, Z: Array) -> None:
 
 
 @jit
-def _forward(lin: Linearisation, models: Array, laws: Array, dU: Array) -> None:
-    """Compute the deviations of the commands dU (N+1, 2) under the feedback laws."""
+def _forward(lin: Linearisation, work: SweepWorkspace, dU: Array) -> None:
+    """Compute the deviations of the commands dU (N+1, 2) under the feedback laws, and the soft rows of g."""
+    models, laws = work.models, work.laws
     s, after = np.zeros(DIM), np.empty(DIM)
     dU[0, 0] = dU[0, 1] = 0.0
     for k in range(laws.shape[0]):
@@ -363,3 +403,8 @@ def _forward(lin: Linearisation, models: Array, laws: Array, dU: Array) -> None:
             after[a] = total + models[k, a, 8] * dU[k + 1, 0] + models[k, a, 9] * dU[k + 1, 1]
         for a in range(DIM):
             s[a] = after[a]
+        for m in range(work.normal.shape[1]):
+            total = 0.0
+            for i in range(NORMAL):
+                total += work.normal[k, m, i] * s[_entry(i)]
+            work.g[k, HARD_ROWS + m] = total

@@ -7,11 +7,10 @@ and rho stays 1. The duals of the previous solve show beforehand which limits ar
 each batch of iterations: if the active set has changed, the rows are scaled again. A changes in every cycle anyway, so
 this needs no additional factorisation.
 
-First guess: commands and duals of box and slew from the Riccati method (riccati_solver.py), which nearly always are
+First guess: commands and duals of all limits from the Riccati method (riccati_solver.py), which nearly always are
 those of the solution. A forward sweep gives the states that they lead to, with the gaps closed; a backward sweep gives
 the duals of the dynamics (costates). OSQP then confirms the solution after one iteration. Where the Riccati method does
-not apply (an active limit of the motion, a cost without a weight on thrust), the guess is the nominal trajectory with
-the duals of the previous solve.
+not apply (a cost without a weight on thrust), the guess is the nominal trajectory with the duals of the previous solve.
 
 Over-relaxation is off: with step sizes this unequal the plain iteration is faster.
 """
@@ -44,7 +43,7 @@ from ltv_mpc.control.problem_data import (
 )
 from ltv_mpc.control.qp.failed_qp import worst_violation
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.riccati import LIMIT_ROWS
+from ltv_mpc.control.qp.riccati import HARD_ROWS
 from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, EntryMap, Indices, QpNumbers, SparseQp, fill
 from ltv_mpc.control.solvers import riccati_solver
 from ltv_mpc.control.solvers.interface import SolverResult
@@ -283,14 +282,10 @@ def first_guess(packed: Array, lin: Linearisation, target: Array, shift: float, 
     E = N * STATES + 2
     _shift_limits(y, E, objective.t, shift)
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
-    dU, previous = np.zeros((N + 1, 2)), y[E:].copy()
-    if not previous[4 * N :].any():  # no limit of the motion was active; the Riccati sweeps ignore these limits
-        _guess_commands(objective, lin, target, dU, y[E:])
-    if not _forward_states(objective, lin, dU, x):  # such a limit is active now
-        dU[:, :] = 0.0
-        copy_to(y[E:], previous)
-        _forward_states(objective, lin, dU, x)
-    _guess_excesses(objective, lin, q, np.isnan(shift), x, y)
+    dU = np.zeros((N + 1, 2))
+    _guess_commands(objective, lin, target, dU, y[E:])
+    _forward_states(objective, lin, dU, x)
+    _guess_excesses(objective, lin, q, x, y)
     # m (p'_N - ref'_N) = y: the terminal velocity's own column
     costate = np.zeros(STATES)
     for i in range(2):
@@ -322,12 +317,9 @@ def first_guess(packed: Array, lin: Linearisation, target: Array, shift: float, 
 
 
 @jit_outlined
-def _forward_states(objective: Objective, lin: Linearisation, dU: Array, x: Array) -> bool:
-    """Compute x (n,) from the commands' deviations dU (N+1, 2) by a forward sweep that closes the gaps.
-
-    Returns True if the states are within the limits of the motion.
-    """
-    N, within = dU.shape[0] - 1, True
+def _forward_states(objective: Objective, lin: Linearisation, dU: Array, x: Array) -> None:
+    """Compute x (n,) from the commands' deviations dU (N+1, 2) by a forward sweep that closes the gaps."""
+    N = dU.shape[0] - 1
     x[:] = 0.0
     # d_(k+1) = A d_k + B0 dU_k + B1 dU_(k+1) + Phi_k - Xbar_(k+1)
     d, last = np.zeros(STATES), np.zeros(STATES)
@@ -341,28 +333,31 @@ def _forward_states(objective: Objective, lin: Linearisation, dU: Array, x: Arra
         copy_to(last, d)
         for i in range(2):
             x[k * STAGE_VARIABLES + STATES + i] = dU[k + 1, i] / objective.thrust_scale[i]
-            state = lin.X[k + 1, LIMITED_STATES[i]] + d[LIMITED_STATES[i]]
-            within &= objective.low_state[i] <= state <= objective.high_state[i]
-    return within
 
 
 @jit
 def _guess_commands(objective: Objective, lin: Linearisation, target: Array, dU: Array, y: Array) -> None:
-    """Compute the commands' deviations dU (N+1, 2) and the duals y of slew and box by the Riccati method.
+    """Compute the commands' deviations dU (N+1, 2) and the duals y of all limits by the Riccati method.
 
     Its active set starts from the duals of the last solve.
     """
-    N = dU.shape[0] - 1
-    rows = np.empty((N, LIMIT_ROWS))
+    N, L = dU.shape[0] - 1, limited_state_count(objective)
+    rows = np.empty((N, HARD_ROWS + L))
     for k in range(N):
         for i in range(2):
             rows[k, i], rows[k, 2 + i] = _known(y[2 * (N + k) + i]), _known(y[2 * k + i])
+        for m in range(L):
+            upper = 4 * N + 3 * (k * L + m)
+            rows[k, HARD_ROWS + m] = _known(y[upper]) + _known(y[upper + 1])
     outcome, _, _ = riccati_solver.solve(lin, target, objective, riccati_solver.MAX_SWEEPS, rows, dU)
     if outcome == riccati_solver.FAILED:  # the cost does not determine the commands: y stays
         return
     for k in range(N):
         for i in range(2):
             y[2 * (N + k) + i], y[2 * k + i] = rows[k, i], rows[k, 2 + i]
+        for m in range(L):
+            upper, dual = 4 * N + 3 * (k * L + m), rows[k, HARD_ROWS + m]
+            y[upper], y[upper + 1] = max(dual, 0.0), min(dual, 0.0)
 
 
 @jit
@@ -372,11 +367,10 @@ def _known(dual: float) -> float:
 
 
 @jit
-def _guess_excesses(objective: Objective, lin: Linearisation, q: Array, new: bool, x: Array, y: Array) -> None:
+def _guess_excesses(objective: Objective, lin: Linearisation, q: Array, x: Array, y: Array) -> None:
     """Compute the excesses of the limited states, and their duals from those of the limits.
 
-    0 = q - y_upper + y_lower + y_excess. A ``new`` problem has no duals of the limits yet: a state beyond its limit is
-    expected to stay there.
+    0 = q - y_upper + y_lower + y_excess.
     """
     N = len(objective.t) - 1
     column, row = N * STAGE_VARIABLES + 2, N * (STATES + 4) + 2
@@ -388,9 +382,6 @@ def _guess_excesses(objective: Objective, lin: Linearisation, q: Array, new: boo
                 state = lin.X[k + 1, i] / scale + x[k * STAGE_VARIABLES + i]
                 above = state - objective.high_state[j] / scale
                 x[column] = max(above, objective.low_state[j] / scale - state, 0.0)
-                if new and x[column] > 0.0:
-                    y[row] = q[column] if above > 0.0 else 0.0
-                    y[row + 1] = y[row] - q[column]
                 y[row + 2] = min(y[row] - y[row + 1] - q[column], 0.0)
                 column, row = column + 1, row + 3
 

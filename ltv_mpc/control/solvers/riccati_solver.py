@@ -1,16 +1,20 @@
 """Riccati solver: it finds the active limits, and solves the rest by Riccati sweeps (qp/riccati.py).
 
-It has two methods, the second for problems in which the first does not converge:
+Each limit is a row  low <= g <= high.  The dual y of a hard row (box, slew) has no bound. A soft row may be exceeded at
+a cost of ``cap`` for each unit, so that  -cap <= y <= cap:  at the bound the row is exceeded. Two methods find y, the
+second where the first does not converge:
 
     active set       Limits whose dual y was not zero in the last solve are held by a large weight: w = RHO,
                      l = y - RHO b for each such row g = b. Then y + RHO (g - b) is its dual. A row whose dual has the
                      wrong sign is released, a violated row is added, and the sweep is repeated (a primal-dual active
-                     set method: Hintermueller, Ito & Kunisch 2002; with the multipliers of Hestenes 1969). If the last
-                     cycle's set is still right, one sweep is enough.
-    interior point   Every row has slacks t > 0 and duals nu > 0 on both sides, w = nu / t, l = sigma mu / t + nu - w b,
-                     and steps that keep them positive while their products go to zero (Rao, Wright & Rawlings 1998).
-                     It takes five to fifteen sweeps from any start. When it names the same active rows twice, the
-                     active-set method finishes the solve, exactly.
+                     set method: Hintermueller, Ito & Kunisch 2002; with the multipliers of Hestenes 1969). A soft row
+                     whose dual would be larger than its cap is exceeded: w = 0, l = +-cap. If the last cycle's set is
+                     still right, one sweep is enough.
+    interior point   On both sides of a row let r be the distance beyond the bound, nu > 0 the dual, t > 0 a slack and
+                     e >= 0 the excess: r = e - t. Newton steps towards  t nu = sigma mu  and  e (cap - nu) = sigma mu
+                     give each side a weight, and keep its numbers positive while both products go to zero (Rao, Wright
+                     & Rawlings 1998). It takes five to fifteen sweeps from any start. When it names the same active
+                     rows twice, the active-set method finishes the solve, exactly.
 
 The result is exact to 1e-5 of a thruster's largest thrust. The method is the solver ``riccati``; OSQP takes its result
 as a first guess, and has only to check its residuals.
@@ -21,8 +25,9 @@ Arguments of the kernels in this file:
     target   (N+1, 2) as in ``Solver.build``
     o        weights, limits and scales
     work     workspace of the sweeps
-    active   (N, 4) sign of each row's dual, 0 if the row is not held; order of rows as in qp/riccati.py
-    y        (N, 4) duals of box and slew
+    active   (N, R) sign of each row's dual, times ``BEYOND`` if the row is exceeded, 0 if the row is not active; order
+             of rows as in qp/riccati.py
+    y        (N, R) duals of the rows
     dU       (N+1, 2) deviations of the commands from the nominal ones (N); overwritten
 """
 
@@ -38,14 +43,16 @@ from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, describe_non_finite, unpack_linearisation
 from ltv_mpc.control.problem_data import Objective, pack_objective, unpack_objective
-from ltv_mpc.control.qp.riccati import LIMIT_ROWS, SweepWorkspace, sweep, sweep_workspace
+from ltv_mpc.control.qp.riccati import HARD_ROWS, SweepWorkspace, sweep, sweep_workspace
 from ltv_mpc.control.solvers.interface import SolverResult
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Solve, SolveStatus
 
 RHO = 1e6
 """Weight of a row that is held, against a curvature of about 1: its error is the change of its dual / RHO."""
+
+BEYOND = 2.0
+"""Magnitude of ``active`` for a soft row that is exceeded: its dual is its cap."""
 
 VIOLATION_TOLERANCE = 1e-7
 """Smallest violation that counts, over the largest thrust. Rounding, times RHO, is a hundred times smaller."""
@@ -82,7 +89,7 @@ FAILED, NOT_CONVERGED, CONVERGED = -1, 0, 1
 
 
 class RiccatiSolver:
-    """Riccati method as a solver of the controller; it cannot take limits of the motion."""
+    """Riccati method as a solver of the controller."""
 
     def __init__(self, config: ResolvedConfig, limits: HorizonLimits) -> None:
         """Allocate the duals, which are the warm start.
@@ -90,25 +97,17 @@ class RiccatiSolver:
         Parameters
         ----------
         config : number of stages, knots, weights and limit of iterations.
-        limits : limits of the thrusters; none of the motion.
-
-        Raises
-        ------
-        ConfigError
-            The motion has limits, which this method cannot take.
+        limits : limits of thrusters and motion.
         """
-        if limits.limited_states:
-            problem = "does not support motion limits: use osqp or a solver of qpsolvers"
-            raise ConfigError("controller settings", "solver", problem, value=config.solver)
         self._max_sweeps = config.max_iterations
         self._packed = pack_objective(config.knots, limits, config.weights)
-        self._duals = np.zeros((config.stages, LIMIT_ROWS))
+        self._duals = np.zeros((config.stages, HARD_ROWS + len(limits.limited_states)))
         self._shift = math.nan
         self._lin: Linearisation | None = None
         self._target = np.zeros((config.stages + 1, 2))
 
     def shift_warm_start(self, stages: float) -> None:
-        """Move the duals of box and slew with the plan; the last ones are held."""
+        """Move the duals with the plan; the last ones are held."""
         self._shift = stages
 
     def reset_warm_start(self) -> None:
@@ -156,7 +155,7 @@ def solve_packed(
     flat : ``Linearisation.flat``.
     target, max_sweeps : as in ``solve``.
     stages : by how many first stages the knots of the earlier problem lie earlier; NaN if there is none.
-    y : (N, 4) duals of the earlier problem; overwritten with those of this one.
+    y : (N, R) duals of the earlier problem; overwritten with those of this one.
     commands : (N+1, 2) is overwritten with the commands (N).
 
     Returns
@@ -178,7 +177,7 @@ def shift_duals(y: Array, t: Array, stages: float) -> None:
 
     Parameters
     ----------
-    y : (N, 4) duals; overwritten.
+    y : (N, R) duals; overwritten.
     t : (N+1,) knots in first stages.
     stages : by how many first stages the new knots lie later; NaN: set the duals to zero.
     """
@@ -192,19 +191,20 @@ def shift_duals(y: Array, t: Array, stages: float) -> None:
 def solve(
     lin: Linearisation, target: Array, o: Objective, max_sweeps: int, y: Array, dU: Array
 ) -> tuple[int, int, float]:
-    """Solve the QP without its limits of the motion.
+    """Solve the QP.
 
     Parameters
     ----------
     lin, target, o, dU : as at the head of this file.
     max_sweeps : limit of sweeps; the solve can take two more.
-    y : (N, 4) duals of the last solve, whose signs are the first active set; overwritten with those of this one.
+    y : (N, R) duals of the last solve, which show the first active set; overwritten with those of this one.
 
     Returns
     -------
-    FAILED, NOT_CONVERGED or CONVERGED; number of sweeps; largest violation of a row, over the largest thrust.
+    FAILED, NOT_CONVERGED or CONVERGED; number of sweeps; largest violation of box and slew, over the largest thrust.
     """
-    work, active = sweep_workspace(lin, o), np.sign(y)
+    work = sweep_workspace(lin, o)
+    active = _active_rows(y, work.cap)
     outcome, sweeps = _active_set(lin, target, o, work, active, FIRST_SWEEPS, y, dU)
     if outcome == NOT_CONVERGED:
         outcome, more = _interior_point(lin, target, o, work, active, max_sweeps - sweeps, y, dU)
@@ -215,9 +215,20 @@ def solve(
         return outcome, sweeps, 0.0
     violation = 0.0
     for k in range(y.shape[0]):
-        for i in range(LIMIT_ROWS):
+        for i in range(HARD_ROWS):
             violation = max(violation, work.g[k, i] - work.high[k, i], work.low[k, i] - work.g[k, i])
     return outcome, sweeps, violation
+
+
+@jit
+def _active_rows(y: Array, cap: Array) -> Array:
+    """Return which rows the duals show to be active: ``active``."""
+    active = np.sign(y)
+    for k in range(y.shape[0]):
+        for i in range(HARD_ROWS, y.shape[1]):
+            if abs(y[k, i]) >= cap[k, i] - DUAL_SIGN_TOLERANCE:
+                active[k, i] *= BEYOND
+    return active
 
 
 @jit
@@ -232,45 +243,64 @@ def _active_set(
     dU: Array,
 ) -> tuple[int, int]:
     """Solve by the active-set method; return its outcome and the number of sweeps."""
-    N, low, high = active.shape[0], work.low, work.high
-    weight, linear, g = work.weight, work.linear, work.g
     for sweeps in range(1, max_sweeps + 1):
-        for k in range(N):
-            for i in range(LIMIT_ROWS):
-                held = active[k, i]
-                if held == 0.0:
-                    weight[k, i] = linear[k, i] = 0.0
-                else:
-                    weight[k, i] = RHO
-                    linear[k, i] = y[k, i] - RHO * (high[k, i] if held > 0.0 else low[k, i])
+        _hold(work, active, y)
         if not sweep(lin, target, o, work, dU):
             return FAILED, sweeps
-        changed = False
-        for k in range(N):
-            for i in range(LIMIT_ROWS):
-                held, dual = active[k, i], weight[k, i] * g[k, i] + linear[k, i]
-                if held != 0.0 and dual * held >= -DUAL_SIGN_TOLERANCE:
-                    changed |= abs(dual - y[k, i]) > RHO * HELD_ROW_TOLERANCE
-                    y[k, i] = dual
-                    continue
-                y[k, i] = now = 0.0
-                if g[k, i] > high[k, i] + VIOLATION_TOLERANCE:
-                    now = 1.0
-                elif g[k, i] < low[k, i] - VIOLATION_TOLERANCE:
-                    now = -1.0
-                if now != held:
-                    active[k, i], changed = now, True
-        if not changed:
+        if not _update_active(work, active, y):
             return CONVERGED, sweeps
     return NOT_CONVERGED, max_sweeps
 
 
-class _Barrier(NamedTuple):
-    """Slacks and duals of the upper bounds (0) and of the lower ones (1), and their steps."""
+@jit
+def _hold(work: SweepWorkspace, active: Array, y: Array) -> None:
+    """Set the terms of the next sweep of the active-set method."""
+    for k in range(active.shape[0]):
+        for i in range(active.shape[1]):
+            sign = active[k, i]
+            work.weight[k, i] = work.linear[k, i] = 0.0
+            if abs(sign) == 1.0:
+                work.weight[k, i] = RHO
+                work.linear[k, i] = y[k, i] - RHO * (work.high[k, i] if sign > 0.0 else work.low[k, i])
+            elif sign != 0.0:
+                work.linear[k, i] = np.sign(sign) * work.cap[k, i]
 
-    t: Array  # (2, N, 4)
-    nu: Array
+
+@jit
+def _update_active(work: SweepWorkspace, active: Array, y: Array) -> bool:
+    """Update the active rows and their duals after a sweep; return True if they are not those of the solution yet."""
+    changed = False
+    for k in range(active.shape[0]):
+        for i in range(active.shape[1]):
+            held, cap, g = active[k, i], work.cap[k, i], work.g[k, i]
+            low, high = work.low[k, i] - VIOLATION_TOLERANCE, work.high[k, i] + VIOLATION_TOLERANCE
+            dual = work.weight[k, i] * g + work.linear[k, i]
+            now = held
+            if abs(held) == 1.0 and dual * held >= -DUAL_SIGN_TOLERANCE:
+                if abs(dual) > cap + DUAL_SIGN_TOLERANCE:
+                    now, dual = BEYOND * held, held * cap
+                else:
+                    changed |= abs(dual - y[k, i]) > RHO * HELD_ROW_TOLERANCE
+            elif abs(held) == BEYOND:
+                if (held > 0.0 and g < high) or (held < 0.0 and g > low):
+                    now = np.sign(held)
+            else:
+                now = 1.0 if g > high else -1.0 if g < low else 0.0
+                dual = 0.0
+            y[k, i] = dual
+            if now != held:
+                active[k, i], changed = now, True
+    return changed
+
+
+class _Barrier(NamedTuple):
+    """Numbers of the upper bounds (0) and of the lower ones (1), and their steps; nu = 0 where there is no bound."""
+
+    t: Array  # (2, N, R) slacks
+    e: Array  # excesses, 0 for a hard row
+    nu: Array  # duals
     dt: Array
+    de: Array
     dnu: Array
 
 
@@ -287,7 +317,7 @@ def _interior_point(
 ) -> tuple[int, int]:
     """Solve by the interior-point method until the active set is known; return the outcome and the number of sweeps."""
     barrier = _initial_barrier(work)
-    sweeps, mu = 0, _mean_product(barrier)
+    sweeps, mu = 0, _mean_product(barrier, work)
     while sweeps < max_sweeps:
         aim = SIGMA * mu
         _set_barrier_terms(barrier, aim, work)
@@ -295,8 +325,9 @@ def _interior_point(
         if not sweep(lin, target, o, work, dU):
             return FAILED, sweeps
         primal, dual = _find_step(barrier, aim, work)
-        same = _take_step(barrier, primal, dual, active)
-        mu = _mean_product(barrier)
+        _take_step(barrier, primal, dual)
+        same = _name_active(barrier, work, active)
+        mu = _mean_product(barrier, work)
         if not np.isfinite(mu):
             return FAILED, sweeps
         if mu < MU_IDENTIFIED and (same or mu < MU_CONVERGED):
@@ -313,64 +344,91 @@ def _interior_point(
 
 @jit
 def _initial_barrier(work: SweepWorkspace) -> _Barrier:
-    """Return the slacks and duals at which the interior point starts."""
-    N, low, high = work.low.shape[0], work.low, work.high
-    t, nu = np.empty((2, N, LIMIT_ROWS)), np.empty((2, N, LIMIT_ROWS))
-    dt, dnu = np.empty((2, N, LIMIT_ROWS)), np.empty((2, N, LIMIT_ROWS))
+    """Return the numbers at which the interior point starts."""
+    N, R = work.low.shape
+    t, e, nu = np.ones((2, N, R)), np.zeros((2, N, R)), np.zeros((2, N, R))
+    dt, de, dnu = np.zeros((2, N, R)), np.zeros((2, N, R)), np.zeros((2, N, R))
     for k in range(N):
-        for i in range(LIMIT_ROWS):
-            t[0, k, i], t[1, k, i] = max(high[k, i], INITIAL_SLACK), max(-low[k, i], INITIAL_SLACK)
-            nu[0, k, i] = nu[1, k, i] = INITIAL_DUAL
-    return _Barrier(t, nu, dt, dnu)
+        for i in range(R):
+            for side in range(2):
+                within = work.high[k, i] if side == 0 else -work.low[k, i]
+                if np.isinf(within):
+                    continue
+                t[side, k, i], nu[side, k, i] = max(within, INITIAL_SLACK), INITIAL_DUAL
+                if i >= HARD_ROWS:
+                    e[side, k, i] = INITIAL_SLACK * INITIAL_DUAL / (work.cap[k, i] - INITIAL_DUAL)
+    return _Barrier(t, e, nu, dt, de, dnu)
 
 
 @jit
 def _set_barrier_terms(barrier: _Barrier, aim: float, work: SweepWorkspace) -> None:
-    """Set weight and linear of the next sweep: w = nu / t, l = aim / t + nu - w b, of both sides of each row."""
-    t, nu, low, high = barrier.t, barrier.nu, work.low, work.high
-    for k in range(t.shape[1]):
-        for i in range(LIMIT_ROWS):
-            above, below = nu[0, k, i] / t[0, k, i], nu[1, k, i] / t[1, k, i]
-            work.weight[k, i] = above + below
-            work.linear[k, i] = aim / t[0, k, i] + nu[0, k, i] - above * high[k, i]
-            work.linear[k, i] -= aim / t[1, k, i] + nu[1, k, i] + below * low[k, i]
+    """Set weight and linear of the next sweep, of both sides of each row."""
+    t, e, nu, cap = barrier.t, barrier.e, barrier.nu, work.cap
+    for k in range(cap.shape[0]):
+        for i in range(cap.shape[1]):
+            weight = linear = 0.0
+            for side in range(2):
+                sign, bound = (1.0, work.high[k, i]) if side == 0 else (-1.0, work.low[k, i])
+                x, room = nu[side, k, i], cap[k, i] - nu[side, k, i]
+                if np.isinf(bound):
+                    continue
+                w = 1.0 / (t[side, k, i] / x + e[side, k, i] / room)
+                weight += w
+                linear += sign * (x + w * (aim / x - aim / room)) - w * bound
+            work.weight[k, i], work.linear[k, i] = weight, linear
 
 
 @jit
 def _find_step(barrier: _Barrier, aim: float, work: SweepWorkspace) -> tuple[float, float]:
-    """Compute the steps of slacks and duals; return the fractions of them that keep both positive."""
-    low, high, g = work.low, work.high, work.g
+    """Compute the steps; return the fractions of slacks' and duals' steps that keep all numbers positive."""
+    cap, g = work.cap, work.g
     primal = dual = 1.0
-    for k in range(g.shape[0]):
-        for i in range(LIMIT_ROWS):
+    for k in range(cap.shape[0]):
+        for i in range(cap.shape[1]):
             for side in range(2):
-                t, nu = barrier.t[side, k, i], barrier.nu[side, k, i]
-                # t + dt is the distance to the bound, and (t + dt)(nu + dnu) = aim to first order
-                distance = high[k, i] - g[k, i] if side == 0 else g[k, i] - low[k, i]
-                dt, dnu = distance - t, (aim - nu * (distance - t)) / t - nu
-                barrier.dt[side, k, i], barrier.dnu[side, k, i] = dt, dnu
+                t, e, nu = barrier.t[side, k, i], barrier.e[side, k, i], barrier.nu[side, k, i]
+                room = cap[k, i] - nu
+                beyond = g[k, i] - work.high[k, i] if side == 0 else work.low[k, i] - g[k, i]
+                if np.isinf(beyond):  # no bound
+                    continue
+                # e + de - (t + dt) = beyond, and both products are the aim to first order
+                dnu = (beyond + aim / nu - aim / room) / (t / nu + e / room)
+                dt, de = aim / nu - t - t * dnu / nu, aim / room - e + e * dnu / room
+                barrier.dt[side, k, i], barrier.de[side, k, i], barrier.dnu[side, k, i] = dt, de, dnu
                 if dt < 0.0:
                     primal = min(primal, -TO_BOUNDARY * t / dt)
+                if de < 0.0:
+                    primal = min(primal, -TO_BOUNDARY * e / de)
                 if dnu < 0.0:
                     dual = min(dual, -TO_BOUNDARY * nu / dnu)
+                else:
+                    dual = min(dual, TO_BOUNDARY * room / dnu)
     return primal, dual
 
 
 @jit
-def _take_step(barrier: _Barrier, primal: float, dual: float, active: Array) -> bool:
-    """Take the step, and update the active rows; return True if they are the same as before."""
-    t, nu = barrier.t, barrier.nu
+def _take_step(barrier: _Barrier, primal: float, dual: float) -> None:
+    """Take the step."""
+    for side in range(2):
+        for k in range(barrier.t.shape[1]):
+            for i in range(barrier.t.shape[2]):
+                barrier.t[side, k, i] += primal * barrier.dt[side, k, i]
+                barrier.e[side, k, i] += primal * barrier.de[side, k, i]
+                barrier.nu[side, k, i] += dual * barrier.dnu[side, k, i]
+
+
+@jit
+def _name_active(barrier: _Barrier, work: SweepWorkspace, active: Array) -> bool:
+    """Update the active rows; return True if they are the same as before."""
+    t, e, nu = barrier.t, barrier.e, barrier.nu
     same = True
     for k in range(active.shape[0]):
-        for i in range(LIMIT_ROWS):
-            for side in range(2):
-                t[side, k, i] += primal * barrier.dt[side, k, i]
-                nu[side, k, i] += dual * barrier.dnu[side, k, i]
+        for i in range(active.shape[1]):
             now = 0.0
             if nu[0, k, i] > t[0, k, i]:
-                now = 1.0
+                now = BEYOND if e[0, k, i] > work.cap[k, i] - nu[0, k, i] else 1.0
             elif nu[1, k, i] > t[1, k, i]:
-                now = -1.0
+                now = -BEYOND if e[1, k, i] > work.cap[k, i] - nu[1, k, i] else -1.0
             if now != active[k, i]:
                 active[k, i], same = now, False
     return same
@@ -378,19 +436,22 @@ def _take_step(barrier: _Barrier, primal: float, dual: float, active: Array) -> 
 
 @jit
 def _duals(nu: Array, y: Array) -> None:
-    """Compute y (N, 4) from the duals of both sides."""
+    """Compute y (N, R) from the duals of both sides."""
     for k in range(y.shape[0]):
-        for i in range(LIMIT_ROWS):
+        for i in range(y.shape[1]):
             y[k, i] = nu[0, k, i] - nu[1, k, i]
 
 
 @jit
-def _mean_product(barrier: _Barrier) -> float:
-    """Return mu, the mean product of slack and dual."""
-    t, nu = barrier.t, barrier.nu
+def _mean_product(barrier: _Barrier, work: SweepWorkspace) -> float:
+    """Return mu, the mean product of slack and dual, and of excess and what its dual is below its cap."""
+    t, e, nu = barrier.t, barrier.e, barrier.nu
+    N, R = work.cap.shape
     total = 0.0
     for side in range(2):
-        for k in range(t.shape[1]):
-            for i in range(LIMIT_ROWS):
+        for k in range(N):
+            for i in range(R):
                 total += t[side, k, i] * nu[side, k, i]
-    return total / t.size
+                if i >= HARD_ROWS:
+                    total += e[side, k, i] * (work.cap[k, i] - nu[side, k, i])
+    return total / (2 * N * (2 * R - HARD_ROWS))
