@@ -13,8 +13,10 @@ second where the first does not converge:
     interior point   On both sides of a row let r be the distance beyond the bound, nu > 0 the dual, t > 0 a slack and
                      e >= 0 the excess: r = e - t. Newton steps towards  t nu = sigma mu  and  e (cap - nu) = sigma mu
                      give each side a weight, and keep its numbers positive while both products go to zero (Rao, Wright
-                     & Rawlings 1998). It takes five to fifteen sweeps from any start. When it names the same active
-                     rows twice, the active-set method finishes the solve, exactly.
+                     & Rawlings 1998). ``DUAL_REGULARISATION`` bounds the weights, which would otherwise grow until
+                     rounding ends the progress; it does not move the solution (a proximal method of multipliers:
+                     Friedlander & Orban 2012). It takes five to twenty sweeps from any start. When it names the same
+                     active rows twice, the active-set method finishes the solve, exactly.
 
 The result is exact to 1e-5 of a thruster's largest thrust. The method is the solver ``riccati``; OSQP takes its result
 as a first guess, and has only to check its residuals.
@@ -66,16 +68,23 @@ HELD_ROW_TOLERANCE = 1e-5
 FIRST_SWEEPS, LATER_SWEEPS = 2, 2
 """Limits of the active-set sweeps: with the last solve's rows, and with those that the interior point names."""
 
-SIGMA = 0.1
-"""Centring parameter: a step aims at this part of the mean product of slack and dual."""
+MIN_SIGMA = 0.02
+"""Smallest centring parameter sigma: a step aims at this part of the mean product mu of slack and dual. After a step of
+the length s it is (1 - s)^2, because a short step shows a point far from the central path.
+"""
 
-INITIAL_SLACK, INITIAL_DUAL = 0.3, 0.3
-"""Smallest slack, and dual, at which the interior point starts."""
+INITIAL_SLACK, INITIAL_DUAL = 1.0, 30.0
+"""Smallest slack, and dual, at which the interior point starts. Duals reach 500, and a start below them is what makes
+steps short.
+"""
 
-MU_IDENTIFIED, MU_CONVERGED = 1e-3, 1e-10
-"""Mean product of slack and dual below which they show which rows are active, and below which the point is the solution
-itself, to rounding. The second ends a solve in which a limit is just reached with a dual of zero: no set is right
-there.
+DUAL_REGULARISATION = 1e-7
+"""A dual that a step changes by d counts as a violation of this times d: the largest weight is its inverse."""
+
+MU_IDENTIFIED, MU_CONVERGED, WHOLE_STEP = 1e-3, 1e-11, 0.9
+"""Mean product of slack and dual below which they show which rows are active; below which the point is the solution
+itself, to rounding; and smallest step for the latter. It ends a solve in which a limit is just reached with a dual of
+zero: no set is right there.
 """
 
 TO_BOUNDARY = 0.995
@@ -317,9 +326,9 @@ def _interior_point(
 ) -> tuple[int, int]:
     """Solve by the interior-point method until the active set is known; return the outcome and the number of sweeps."""
     barrier = _initial_barrier(work)
-    sweeps, mu = 0, _mean_product(barrier, work)
+    sweeps, step, mu = 0, 1.0, _mean_product(barrier, work)
     while sweeps < max_sweeps:
-        aim = SIGMA * mu
+        aim = max(MIN_SIGMA, (1.0 - step) ** 2) * mu
         _set_barrier_terms(barrier, aim, work)
         sweeps += 1
         if not sweep(lin, target, o, work, dU):
@@ -327,12 +336,13 @@ def _interior_point(
         primal, dual = _find_step(barrier, aim, work)
         _take_step(barrier, primal, dual)
         same = _name_active(barrier, work, active)
-        mu = _mean_product(barrier, work)
+        step, mu = min(primal, dual), _mean_product(barrier, work)
         if not np.isfinite(mu):
             return FAILED, sweeps
-        if mu < MU_IDENTIFIED and (same or mu < MU_CONVERGED):
+        converged = mu < MU_CONVERGED and step > WHOLE_STEP
+        if converged or (mu < MU_IDENTIFIED and same):
             _duals(barrier.nu, y)
-            if mu < MU_CONVERGED:
+            if converged:
                 return CONVERGED, sweeps
             outcome, more = _active_set(lin, target, o, work, active, LATER_SWEEPS, y, dU)
             sweeps += more
@@ -354,9 +364,10 @@ def _initial_barrier(work: SweepWorkspace) -> _Barrier:
                 within = work.high[k, i] if side == 0 else -work.low[k, i]
                 if np.isinf(within):
                     continue
-                t[side, k, i], nu[side, k, i] = max(within, INITIAL_SLACK), INITIAL_DUAL
+                cap = work.cap[k, i]
+                t[side, k, i], nu[side, k, i] = max(within, INITIAL_SLACK), min(INITIAL_DUAL, 0.5 * cap)
                 if i >= HARD_ROWS:
-                    e[side, k, i] = INITIAL_SLACK * INITIAL_DUAL / (work.cap[k, i] - INITIAL_DUAL)
+                    e[side, k, i] = INITIAL_SLACK * nu[side, k, i] / (cap - nu[side, k, i])
     return _Barrier(t, e, nu, dt, de, dnu)
 
 
@@ -372,7 +383,7 @@ def _set_barrier_terms(barrier: _Barrier, aim: float, work: SweepWorkspace) -> N
                 x, room = nu[side, k, i], cap[k, i] - nu[side, k, i]
                 if np.isinf(bound):
                     continue
-                w = 1.0 / (t[side, k, i] / x + e[side, k, i] / room)
+                w = 1.0 / (t[side, k, i] / x + e[side, k, i] / room + DUAL_REGULARISATION)
                 weight += w
                 linear += sign * (x + w * (aim / x - aim / room)) - w * bound
             work.weight[k, i], work.linear[k, i] = weight, linear
@@ -391,8 +402,8 @@ def _find_step(barrier: _Barrier, aim: float, work: SweepWorkspace) -> tuple[flo
                 beyond = g[k, i] - work.high[k, i] if side == 0 else work.low[k, i] - g[k, i]
                 if np.isinf(beyond):  # no bound
                     continue
-                # e + de - (t + dt) = beyond, and both products are the aim to first order
-                dnu = (beyond + aim / nu - aim / room) / (t / nu + e / room)
+                # e + de - (t + dt) = beyond - regularisation dnu, and both products are the aim to first order
+                dnu = (beyond + aim / nu - aim / room) / (t / nu + e / room + DUAL_REGULARISATION)
                 dt, de = aim / nu - t - t * dnu / nu, aim / room - e + e * dnu / room
                 barrier.dt[side, k, i], barrier.de[side, k, i], barrier.dnu[side, k, i] = dt, de, dnu
                 if dt < 0.0:
@@ -454,4 +465,4 @@ def _mean_product(barrier: _Barrier, work: SweepWorkspace) -> float:
                 total += t[side, k, i] * nu[side, k, i]
                 if i >= HARD_ROWS:
                     total += e[side, k, i] * (work.cap[k, i] - nu[side, k, i])
-    return total / (2 * N * (2 * R - HARD_ROWS))
+    return float(total / (2 * N * (2 * R - HARD_ROWS)))

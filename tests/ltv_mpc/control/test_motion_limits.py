@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -15,13 +16,13 @@ from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, HorizonLimits
 from ltv_mpc.control.problem_data import pack_objective, unpack_objective
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, SparseQp
+from ltv_mpc.control.qp.residuals import residuals
+from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.solvers import Solver, make, solve_qp
+from ltv_mpc.control.solvers import Solver, make, riccati_solver, solve_qp
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Point
-from ltv_mpc.vehicle.flow import STATES
 from tests.ltv_mpc.control.problems import PAPER, equidistant, motion, precise
 
 N = 17
@@ -74,8 +75,8 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
 
 
 @pytest.mark.parametrize("limits", [YAW, BOTH, AHEAD], ids=["yaw", "both", "ahead"])
-@pytest.mark.parametrize("solver", ["osqp", "piqp", "daqp"])
-def test_every_solver_that_takes_the_whole_qp_has_them(solver: str, limits: MotionLimits) -> None:
+@pytest.mark.parametrize("solver", ["osqp", "riccati", "piqp", "daqp"])
+def test_every_solver_has_them(solver: str, limits: MotionLimits) -> None:
     form = form_of(limits)
     for seed in (1, 2, 3, 5, 7):
         lin, target = motion(seed, N)
@@ -100,38 +101,61 @@ def test_a_limit_that_is_nowhere_near_changes_nothing() -> None:
         np.testing.assert_allclose(answers[1].commands, answers[0].commands, atol=0.01)
 
 
+@pytest.mark.parametrize("limits", [YAW, BOTH, AHEAD], ids=["yaw", "both", "ahead"])
+def test_the_first_guess_of_osqp_is_the_solution(limits: MotionLimits) -> None:
+    """The Riccati method finds the active limits of the motion, which of them are exceeded, and all multipliers."""
+    beyond = 0
+    for seed in range(12):
+        lin, target = motion(seed, N)
+        solver = make(PAPER, settings(limits))
+        solver.build(lin, target)
+        assert isinstance(solver, OsqpSolver)
+        x, y = solver.point()
+        left = residuals(solver.problem(), x, y)
+        assert max(left.stationarity, left.primal, left.complementarity) < 1e-3
+        beyond += bool((excesses(solver.form, x) > 1e-3).any())
+    assert beyond >= 1
+
+
+def test_multipliers_are_the_slope_of_the_least_cost() -> None:
+    """What the optimum of an independent solver gains if a limit yields: finite differences."""
+    form, seen = form_of(BOTH), set()
+    for seed in range(12):
+        lin, target = motion(seed, N)
+        qp, y = form.build(lin, target), np.zeros((N, 4 + len(LIMITED_STATES)))
+        riccati_solver.solve_packed(form.packed, lin.flat, target, math.nan, 60, y, np.zeros((N + 1, 2)))
+        soft = np.argwhere((np.abs(y[:, 4:]) > 1e-2) & (np.abs(y[:, 4:]) < PENALTY - 1e-2))
+        for k, m in soft[:3]:
+            dual = y[k, 4 + m]
+            row = form.equalities + 4 * N + 3 * (2 * k + m) + (dual < 0.0)
+            bounds = qp.u if dual > 0.0 else qp.l
+            bound, costs = bounds[row], []
+            for step in (-1e-4, 1e-4):
+                bounds[row] = bound + step
+                x = precise(qp)
+                costs.append(0.5 * x @ (qp.P @ x) + qp.q @ x)
+            bounds[row] = bound
+            assert (costs[0] - costs[1]) / 2e-4 == pytest.approx(dual, rel=0.02, abs=1e-3)
+            seen.add((int(m), bool(dual > 0.0)))
+    assert len(seen) >= 3  # both states, both signs of one
+
+
 def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
-    """Duals of the limits and their excesses are carried over with the others, from knot to knot."""
+    """Duals of the limits and their excesses are carried over with the others."""
     for seed in (1, 2, 5):
         lin, target = motion(seed, N)
         solver = make(PAPER, settings(BOTH))
+        assert isinstance(solver, OsqpSolver)
         solver.build(lin, target)
         solver.update()
-        first = solver.solve()
-        assert isinstance(solver, OsqpSolver)
-        form, (x, y) = solver.form, solver.point()
+        assert solver.solve().solve.status is SolveStatus.SOLVED
+        solution = solver.point()
         solver.shift_warm_start(0.0)
         solver.build(lin, target)
-        limits = form.equalities + 4 * N
-        duals = solver.point()[1][limits:].reshape(-1, 3)
+        duals = solver.point()[1][solver.form.equalities + 4 * N :].reshape(-1, 3)
         np.testing.assert_allclose(duals[:, 2], np.minimum(duals[:, 0] - duals[:, 1] - PENALTY, 0.0))
-        guess, qp = solver.point(), solver.problem()
-        gradient = qp.P @ guess[0] + qp.q + qp.A.T @ guess[1]
-        thrusts = np.zeros(form.variables, dtype=bool)
-        # the solver has only these to find
-        thrusts[: N * STAGE_VARIABLES].reshape(N, STAGE_VARIABLES)[:, STATES:] = True
-        beyond = np.flatnonzero(guess[0] * (np.arange(form.variables) >= N * STAGE_VARIABLES + 2))
-        thrusts[beyond] = True
-        np.testing.assert_allclose(gradient[~thrusts], 0.0, atol=1e-9)
-        quiet = excesses(form, x).ravel() < 1e-9
-        np.testing.assert_allclose(duals[quiet, :2], y[limits:].reshape(-1, 3)[quiet, :2])
-        solver.shift_warm_start(1.0)
-        solver.build(lin, target)
-        later = solver.point()[1][limits:].reshape(N, -1)
-        bound_by_none = (later[:, 1::3] > -PENALTY + 1e-9) & (later[:, 0::3] < PENALTY - 1e-9)
-        same = bound_by_none[:-1]
-        np.testing.assert_allclose(later[:-1, 0::3][same], y[limits:].reshape(N, -1)[1:, 0::3][same])
-        assert first.solve.status is SolveStatus.SOLVED
+        for again, before in zip(solver.point(), solution, strict=True):
+            np.testing.assert_allclose(again, before, atol=1e-4)
 
 
 def test_words_of_their_rows() -> None:

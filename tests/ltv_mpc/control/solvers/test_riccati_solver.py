@@ -8,12 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import ControllerConfig, MotionLimits, ResolvedConfig, Weights
-from ltv_mpc.control.solvers import make, riccati_solver
+from ltv_mpc.control.config import ResolvedConfig, Weights
+from ltv_mpc.control.solvers import riccati_solver
 from ltv_mpc.control.solvers.riccati_solver import RiccatiSolver
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import SolveStatus
-from tests.ltv_mpc.control.problems import LIMITS, LOWERED, PAPER, answer, motion, optimum, unlike_any_motion
+from tests.ltv_mpc.control.problems import LIMITS, LOWERED, answer, motion, optimum, unlike_any_motion
 
 CONFIG = ResolvedConfig(horizon_s=5.1, weights=Weights())
 EXACT_N = 2e-3
@@ -118,9 +117,3 @@ def test_duals_between_stages_are_read_linearly_and_the_last_ones_kept():
         np.testing.assert_allclose(y, np.array([np.interp(at, range(N), rows[:, i]) for i in range(4)]).T)
     riccati_solver.shift_duals(y, np.arange(N + 1.0), math.nan)
     np.testing.assert_array_equal(y, 0.0)
-
-
-def test_limits_of_the_motion_are_refused():
-    config = ControllerConfig(solver="riccati", limits=MotionLimits.symmetric(yaw_rate_radps=0.2))
-    with pytest.raises(ConfigError, match="does not support motion limits"):
-        make(PAPER, config)

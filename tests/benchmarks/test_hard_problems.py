@@ -1,0 +1,19 @@
+"""Cycles of hard problems with motion limits, all of which are solved."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.hard_problems import Job, one
+from ltv_mpc.messages import SolveStatus
+
+STALLED = (17, 21, 25, 28, 35, 39)
+"""Problems in which an interior point that starts with small duals makes no progress."""
+
+
+@pytest.mark.parametrize("solver", ["osqp", "riccati"])
+def test_problems_far_from_the_point_are_solved(solver: str) -> None:
+    for seed in STALLED:
+        solved = one(Job(seed, solver, None))
+        assert set(solved.status) == {SolveStatus.SOLVED}, seed
+        assert max(solved.iterations) <= 60, seed
