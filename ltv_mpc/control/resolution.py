@@ -34,7 +34,7 @@ def settled(
 
     Raises
     ------
-    ConfigError : the period is longer than the horizon, or the solver cannot keep the bow first.
+    ConfigError : the period is longer than the horizon.
     """
     if isinstance(config, ResolvedConfig):
         return config
@@ -46,12 +46,8 @@ def settled(
         problem = f"must be <= horizon_s = {horizon_s:g}{proposed}: a plan lasts until the next one"
         raise ConfigError(source, toml_key((*table, "period_s")), problem, value=config.period_s)
     limits = config.limits
-    takes_limits = config.solver != "riccati"
     if limits.bow is None:
-        limits = msgspec.structs.replace(limits, bow=default_bow(vehicle) if takes_limits else "either")
-    elif limits.bow == "first" and not takes_limits:
-        problem = 'is not supported by solver = "riccati": use osqp or a solver of qpsolvers'
-        raise ConfigError(source, toml_key((*table, "limits", "bow")), problem, value="first")
+        limits = msgspec.structs.replace(limits, bow=default_bow(vehicle))
     found = ("weights", "horizon_s", "limits")
     rest = {name: getattr(config, name) for name in config.__struct_fields__ if name not in found}
     return ResolvedConfig(**rest, weights=weights, horizon_s=horizon_s, limits=limits)

@@ -11,9 +11,8 @@ import pytest
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Estimate, PlanOrigin
-from ltv_mpc.references import Line, Place
+from ltv_mpc.references import Line, Place, Point
 from ltv_mpc.vehicle.parameters import Vehicle
 from tests.foreign_plant.flight import SQUARE, Flight
 from tests.foreign_plant.scenarios.square import distance_from_outline_m
@@ -57,12 +56,13 @@ def test_only_a_path_forbids_to_go_astern() -> None:
     assert MotionLimits(bow="either").on(path=True).min_surge_mps is None
 
 
-def test_the_riccati_method_goes_with_either_end_and_refuses_the_bow_first() -> None:
-    """It takes no limits of the motion: every cycle on a path would end in a fallback."""
+@pytest.mark.parametrize("solver", ["osqp", "riccati"])
+def test_a_path_and_a_point_are_planned_by_turns(solver: str) -> None:
+    """The limit of surge comes and goes with the reference, and the solver with it."""
     weak = Vehicle.load("weak-reverse")
-    config = settled(ControllerConfig(solver="riccati"), weak)
-    assert config.limits.bow == "either"
     line = Line(start=Place(north_m=0.0, east_m=0.0), end=Place(north_m=9.0, east_m=0.0), speed_mps=0.2)
-    assert Controller(weak, line, config).plan(Estimate.at_rest()).origin is PlanOrigin.SOLVED
-    with pytest.raises(ConfigError, match=r"\[limits\] bow = .first.: is not supported by solver = .riccati."):
-        settled(ControllerConfig(solver="riccati", limits=MotionLimits(bow="first")), weak)
+    controller, estimate = Controller(weak, line, ControllerConfig(solver=solver)), Estimate.at_rest()
+    for k, reference in enumerate((line, Point(north_m=2.0, east_m=0.0), line)):
+        controller.follow(reference)
+        plan = controller.plan(msgspec.structs.replace(estimate, t_ns=k * 300_000_000))
+        assert plan.origin is PlanOrigin.SOLVED, plan.why
