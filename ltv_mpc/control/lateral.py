@@ -70,8 +70,7 @@ class LateralPlanner:
         self._fallback = Fallback(vehicle, packed, self.previous)
         self._vehicle, self._settings = vehicle, config
         self._config = config  # with the limits at a point, or on a path
-        self._shares = np.ones(2)  # of their commands that port and starboard deliver
-        self._is_sound = True  # both shares are 1
+        self._shares: Pair = (1.0, 1.0)  # of their commands that port and starboard deliver
         self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
         self._solver = self._make_solver()
         self._solver_is_suspect = False
@@ -105,10 +104,10 @@ class LateralPlanner:
         ----------
         shares : of port and starboard, above 0.
         """
-        if shares == tuple(self._shares):
+        if shares == self._shares:
             return
-        self._shares[:] = self.previous.shares[:] = shares
-        self._is_sound = shares == (1.0, 1.0)
+        self._shares = shares
+        self.previous.shares[:] = shares
         self._repack()
 
     def set_path(self, path: bool) -> None:
@@ -207,7 +206,7 @@ class LateralPlanner:
 
     def _as_commands(self, plan: LateralPlan) -> LateralPlan:
         """Return a plan of delivered thrusts with the commands that lead to them."""
-        if self._is_sound:
+        if self._shares == (1.0, 1.0):
             return plan
         port, starboard, _ = self._vehicle.thrusters
         # The quotient may exceed the box by rounding.
@@ -221,7 +220,7 @@ class LateralPlanner:
             msgspec.structs.replace(
                 of, min_N=of.min_N * share, max_N=of.max_N * share, slew_N_per_s=of.slew_N_per_s * share
             )
-            for of, share in zip(self._vehicle.thrusters[:2], self._shares.tolist(), strict=True)
+            for of, share in zip(self._vehicle.thrusters[:2], self._shares, strict=True)
         )
         thruster = msgspec.structs.replace(self._vehicle.thruster, port=port, starboard=starboard)
         return msgspec.structs.replace(self._vehicle, thruster=thruster)
