@@ -17,6 +17,7 @@ import pytest
 
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Kill
 from services.cli import app
+from services.dashboard.config import View
 from services.reporting.plots.catalogue import PLOTS
 from services.supervisor import loopback
 from tests.services.dashboard.synthetic_vehicle import Served, served, until
@@ -144,6 +145,7 @@ def test_the_live_page_shows_every_plot(browser: Any, live: Served, size: tuple[
         page.goto(f"{live.url}#{live.token}")
         drawn(page)
         until(lambda: page.inner_text("#link") == "live")
+        until(lambda: live.views[-2:] == [View.OPENED, View.DRAWN])
         assert page.locator("#processes tr").count() == 5
         assert "clock running, 10×" in " ".join(page.inner_text("#figures").split())
         assert page.locator("#events tr").count() > 0

@@ -34,7 +34,7 @@ def page_of(folder: Path, needs: Sequence[str] = NEEDS, *, waits: bool = True) -
 
 def gives_way(pid: int) -> None:
     """Check the low priority of the process, within its session and against other sessions."""
-    assert os.getpriority(os.PRIO_PROCESS, pid) == NICE
+    assert os.getpriority(os.PRIO_PROCESS, pid) == os.getpriority(os.PRIO_PROCESS, 0) + NICE
     if (group := Path(f"/proc/{pid}/autogroup")).exists():
         assert group.read_text().split()[-2:] == ["nice", str(NICE)]
 
