@@ -101,8 +101,12 @@ class BusFeed:
             session.subscribe(expression(topic), topic, inlet)
 
     def beat(self) -> None:
-        """Publish a heartbeat: an operator has the page open."""
-        self._heartbeats.publish(Heartbeat())
+        """Publish a heartbeat: an operator has the page open.
+
+        Nobody reads it before a process has published its status, and a recorder that starts later would report a loss.
+        """
+        if self._processes:
+            self._heartbeats.publish(Heartbeat())
 
     def update(self) -> None:
         """Process the messages received since the last call."""

@@ -187,6 +187,7 @@ def test_who_sends_a_flood_is_cut_off(page: Served) -> None:
 
 def test_a_page_with_the_token_is_a_sign_of_an_operator(page: Served) -> None:
     heartbeat = {"number": 0, "button": "heartbeat"}
+    until(lambda: page.feed.status().processes)
     with stream(page) as socket:
         socket.send(json.dumps(heartbeat | {"token": ""}))
         assert next_text(socket, "reply")["text"].startswith("read-only")
