@@ -92,9 +92,12 @@ class Sidecar:
 
     def stop(self) -> None:
         """Stop the process; kill it after ``STOP_S``."""
-        process = self._process
+        process, self._process = self._process, None
         if process is None:
             return
+        assert process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # the page has failed
+            process.stdin.close()
         process.terminate()
         try:
             process.wait(STOP_S)
