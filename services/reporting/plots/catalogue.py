@@ -145,7 +145,7 @@ LATENCY = Plot(
     title="Delays, and the cycle by stage",
     x=TIME,
     y=Axis(label="time (ms)", log=True),
-    empty="no times; lock step measures none",
+    empty="no times; none are measured in lock step",
     note="Each point is the slowest of several cycles. Stages in wall time, delays between processes in vehicle time.",
     series=(
         Series(label="deadline", table="latency", x="t_s", y="deadline_ms", colour=palette.LIMIT, style=Style.DOTTED),
