@@ -103,7 +103,7 @@ def main() -> None:
     horizon = [] if options.horizon_s is None else ["--horizon-s", str(options.horizon_s)]
     with tempfile.TemporaryDirectory() as folder:
         settings = Path(folder) / "settings.toml"
-        settings.write_text(f'[controller]\nsolver = "{options.solver}"\nperiod_s = {PERIOD_S}\n')
+        settings.write_text(f'solver = "{options.solver}"\nperiod_s = {PERIOD_S}\n')
         command = (*CLI, "controller", "--connect", endpoint, "--settings", str(settings), *horizon)
         with (
             started(*CLI, "router", "--listen", endpoint),
