@@ -62,10 +62,10 @@ VIOLATION_TOLERANCE = 1e-7
 DUAL_SIGN_TOLERANCE = 1e-7
 """Smallest dual of the wrong sign that counts, in units of the cost."""
 
-HELD_ROW_TOLERANCE = 1e-5
-"""Largest error of a row that is held, over the largest thrust."""
+HELD_ROW_TOLERANCE = 1e-7
+"""Largest error of a row that is held. OSQP moves away from a guess with larger ones, and returns slowly."""
 
-FIRST_SWEEPS, LATER_SWEEPS = 2, 2
+FIRST_SWEEPS, LATER_SWEEPS = 3, 3
 """Limits of the active-set sweeps: with the last solve's rows, and with those that the interior point names."""
 
 MIN_SIGMA = 0.02
