@@ -12,7 +12,7 @@ SERVER = "services.dashboard.serve"
 
 
 class View(enum.StrEnum):
-    """What a browser has done with the page."""
+    """State of the page in a browser."""
 
     OPENED = "opened"
     DRAWN = "drawn"

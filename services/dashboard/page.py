@@ -82,7 +82,7 @@ def make(feed: BusFeed, token: Token, *, allowed: frozenset[str], name: str, com
 
 
 class _Commands(NamedTuple):
-    """What answers the commands of the browsers."""
+    """Objects that answer the commands of the browsers."""
 
     feed: BusFeed
     token: Token
