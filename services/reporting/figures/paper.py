@@ -19,7 +19,7 @@ from services.reporting.plots import catalogue
 from services.reporting.plots.description import Axis, Plot
 
 NONE, PAPER_SHORT, PAPER_LONG = "none", "paper-2.5s", "paper-5s"
-OURS_SHORT, OURS_LONG = "ours-2.5s", "ours-5s"
+OURS_SHORT, OURS_LONG, DEFAULT = "ours-2.5s", "ours-5s", "default"
 """Groups of runs with one recorded run each."""
 
 SYNTHETIC, MEASURED = "synthetic", "measured"

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 COLUMN_IN = 3.4
 """Width of a column of a two-column paper (in)."""
 
-PAGE_IN = 9.0
-"""Width of the figure in the README (in)."""
+PAGE_IN = 6.8
+"""Width of the figure in the README (in); its letters can be read at half of the width of a page."""
 
 DPI = 200
 

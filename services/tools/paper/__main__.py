@@ -149,7 +149,7 @@ def draw(options: Options, runs: Mapping[str, Sequence[Run]], measured: Sequence
     """Draw every figure as PNG and SVG, and the README's picture."""
     for sheet in paper.sheets(measured):
         paper.write(sheet, runs, [options.out / f"{sheet.name}.png", options.runs / f"{sheet.name}.svg"])
-    shown = [run for key in (paper.NONE, paper.OURS_SHORT, paper.OURS_LONG) for run in runs[key]]
+    shown = [run for key in (paper.NONE, paper.OURS_SHORT, paper.OURS_LONG, paper.DEFAULT) for run in runs[key]]
     readme.write(shown, options.readme)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from services.reporting.figures.paper import NONE, OURS_LONG, OURS_SHORT, PAPER_LONG, PAPER_SHORT
+from services.reporting.figures.paper import DEFAULT, NONE, OURS_LONG, OURS_SHORT, PAPER_LONG, PAPER_SHORT
 
 SCENARIO = "descent"
 
@@ -57,6 +57,7 @@ RECORDED = (
     _variant(PAPER_LONG, "the paper's cost and delay", LONG_S, with_delay=True, cost=PAPER_COST),
     _variant(OURS_SHORT, "this project's cost", SHORT_S, with_delay=False),
     _variant(OURS_LONG, "this project's cost", LONG_S, with_delay=False),
+    Variant(DEFAULT, "this project's defaults", ()),
 )
 """Variants that are recorded for the figures, with localisation; each is one run."""
 

@@ -132,11 +132,12 @@ def test_a_legend_covers_no_line(dive: Run) -> None:
     assert box.x1 <= picture.bbox.x1
 
 
-def test_the_readme_s_picture_has_the_spread_around_the_error(dive: Run) -> None:
-    axes = drawn(readme.WITH_SPREAD, from_zero(dive))
-    (band,) = axes.patches
-    top = band.get_path().vertices[:, 1].max()
-    assert top == pytest.approx(2 * np.sqrt(synthetic_run.GROWTH_M2_PER_S * 20), abs=1e-3)
+def test_the_readme_s_picture_has_one_distance_a_run(dive: Run) -> None:
+    runs = [from_zero(dive), from_zero(dive)._replace(name="another")]
+    axes = drawn(readme.TRUE_DISTANCE, *runs)
+    assert said(axes) == [run.name for run in runs]
+    for line in axes.get_lines():
+        np.testing.assert_array_equal(line.get_ydata(), runs[0].tables["true_distance"]["distance_m"])
 
 
 def test_every_sheet_of_the_paper_draws_a_description_of_the_catalogue() -> None:

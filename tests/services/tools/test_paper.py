@@ -91,11 +91,11 @@ def test_each_run_is_made_as_its_row_says(made: Path) -> None:
     by_name = {table.name: table for table in figures.tables}
     for table, variants in ((by_name["descents"], RECORDED), (by_name["seeds"], AVERAGED)):
         assert [row[0] for row in table.rows] == [variant.name for variant in variants]
-    none, paper_short, paper_long, ours_short, ours_long = by_name["descents"].rows
+    none, paper_short, paper_long, ours_short, ours_long, default = by_name["descents"].rows
     assert none[1:3] == (None, None)
     assert none[-2:] == (0.0, 0.0)
     assert [row[1:3] for row in (paper_short, paper_long)] == [(2.4, 0.4), (5.1, 0.71)]
-    assert [row[1:3] for row in (ours_short, ours_long)] == [(2.4, 0.0), (5.1, 0.0)]
+    assert [row[1:3] for row in (ours_short, ours_long, default)] == [(2.4, 0.0), (5.1, 0.0), (13.8, 0.0)]
     cost = (made / "runs" / paper.PAPER_LONG / "config" / "controller.toml").read_text()
     assert re.search(r"^terminal_position_per_m2 = 0.0$", cost, flags=re.M)
     assert re.search(r"^terminal_velocity_s2_per_m2 = 0.0$", cost, flags=re.M)
