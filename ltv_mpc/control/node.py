@@ -305,10 +305,11 @@ class ControllerNode:
 
     def _set_thrust_shares(self) -> None:
         """Plan with the share that a weak thruster delivers, unless the settings turn this off."""
-        monitor = self._model_monitor
-        reduced = self.controller.config.reduce_weak_thruster and monitor.weak_thruster.is_weak
-        shares = monitor.weak_thruster.shares if reduced else (1.0, 1.0)
-        self.controller.set_thrust_shares(shares, in_doubt=monitor.suspects_loss and not reduced)
+        monitor, weak = self._model_monitor, self._model_monitor.weak_thruster
+        reduced = self.controller.config.reduce_weak_thruster and weak.is_weak
+        known = reduced and not weak.may_be_weaker
+        shares = weak.shares if reduced else (1.0, 1.0)
+        self.controller.set_thrust_shares(shares, in_doubt=monitor.suspects_loss and not known)
 
     # --- saved state ---
 

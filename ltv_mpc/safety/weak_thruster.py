@@ -69,6 +69,11 @@ class WeakThruster:
         return self.shares != (1.0, 1.0)
 
     @property
+    def may_be_weaker(self) -> bool:
+        """True if the weak thruster has the smallest share: it may deliver less, or nothing."""
+        return min(self.shares) <= MIN_SHARE
+
+    @property
     def loss(self) -> Pair:
         """Lost shares of port and starboard in force."""
         return 1.0 - self.shares[0], 1.0 - self.shares[1]

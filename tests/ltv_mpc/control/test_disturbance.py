@@ -243,6 +243,7 @@ def largest_bias(share: float) -> float:
 def test_a_thruster_that_fails_teaches_no_current():
     assert largest_bias(1.0) < 0.005
     assert largest_bias(0.4) < 0.045  # 0.06 where the loss teaches it
+    assert largest_bias(0.02) < 0.075  # 0.099 where it learns while the thruster has the smallest share
 
 
 @pytest.mark.parametrize("known", [None, flat(np.array([0.2, -0.1]))])

@@ -40,6 +40,11 @@ def test_a_dead_thruster_keeps_a_share_that_can_show_its_recovery():
     assert after((1.0, 0.0)).shares == (MIN_SHARE, 1.0)
 
 
+@pytest.mark.parametrize(("loss", "may_be_weaker"), [(0.0, False), (0.6, False), (0.8, True), (1.0, True)])
+def test_with_the_smallest_share_a_thruster_may_be_weaker(loss, may_be_weaker):
+    assert after((loss, 0.0)).may_be_weaker is may_be_weaker
+
+
 def test_the_share_follows_in_steps_and_not_the_noise():
     weak = after((0.4, 0.0))
     for loss, share in ((0.36, 0.6), (0.44, 0.6), (0.52, 0.5), (0.46, 0.5), (0.7, 0.3)):
