@@ -103,7 +103,6 @@ class Supervisor:
         self._folder = folder
         self._screen = screen
         self._page = page
-        self._logs = folder.path / "logs"
         self._logs.mkdir(exist_ok=True)
         self._started_s = self._ticked_s = time.monotonic()
         self._cleanup: OrphanCleanup
@@ -140,6 +139,10 @@ class Supervisor:
             why = f"{self._folder.path}: the results cannot be written: {error.strerror}"
             return replace(outcome, completed=False, exit_code=outcome.exit_code or FAILED, why=outcome.why or why)
         return outcome
+
+    @property
+    def _logs(self) -> Path:
+        return self._folder.path / "logs"
 
     @property
     def recovered(self) -> bool:

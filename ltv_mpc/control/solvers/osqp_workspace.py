@@ -16,6 +16,7 @@ import functools
 import signal
 import weakref
 from collections.abc import Mapping
+from importlib import metadata
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -28,6 +29,9 @@ from ltv_mpc.jit import call_c, jit
 from ltv_mpc.messages import Array, SolveStatus
 
 Settings = Mapping[str, float | int | bool]
+
+KNOWN = "1.1."
+"""Version of OSQP whose structures in memory are known."""
 
 INT, FLOAT = ctypes.c_int32, ctypes.c_double
 """``OSQPInt`` and ``OSQPFloat``."""
@@ -301,6 +305,8 @@ class PublicWorkspace(Workspace):
 @functools.cache
 def c_functions_work() -> bool:
     """Return True if the C functions have this interface and the wrapper's results: tested once, on a small QP."""
+    if not metadata.version("osqp").startswith(KNOWN):  # its structures may have another layout in memory
+        return False
     try:
         ours, public = _exercise(CompiledWorkspace), _exercise(PublicWorkspace)
         return all(np.array_equal(a, b) for a, b in zip(ours, public, strict=True))

@@ -18,7 +18,7 @@ second where the first does not converge:
                      Friedlander & Orban 2012). It takes five to twenty sweeps from any start. When it names the same
                      active rows twice, the active-set method finishes the solve, exactly.
 
-The result is exact to 1e-5 of a thruster's largest thrust. The method is the solver ``riccati``; OSQP takes its result
+The result is exact to 1e-7 of a thruster's largest thrust. The method is the solver ``riccati``; OSQP takes its result
 as a first guess, and has only to check its residuals.
 
 Arguments of the kernels in this file:

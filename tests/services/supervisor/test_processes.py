@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from msgspec import structs
@@ -239,8 +240,8 @@ def test_the_page_can_connect_before_anything_is_compiled_and_shows_the_share(
         wait(0.43)
         return 3  # the run ends here
 
-    monkeypatch.setattr(jit_cache, "is_warm", lambda: False)
-    monkeypatch.setattr(jit_cache, "fill", fill)
+    empty_cache = SimpleNamespace(is_warm=lambda: False, fill=fill, NOTE=jit_cache.NOTE)
+    monkeypatch.setattr(supervisor, "jit_cache", empty_cache)
     outcome = supervisor.run(s, run, Screen(), page=page)
     assert outcome.exit_code == 1
     assert [text for text in page.shown if "43% after 0 s" in text], page.shown
