@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from benchmarks import hard, model_alarm, unknown_current, vehicles
+from benchmarks import hard_scenarios, model_alarm, unknown_current, vehicles
 from benchmarks.ablation.mechanism import Measures
 from benchmarks.loop import Loop, Outcome, run_config
 from ltv_mpc import references
@@ -88,12 +88,12 @@ def descent(*settings: str) -> Callable[[int], Measures]:
 
 def far_off(seed: int) -> Measures:
     """Start 5 m off the line with a heading that differs from seed to seed."""
-    return fly(hard.far_off((), seed))
+    return fly(hard_scenarios.far_off((), seed))
 
 
 def turned(seed: int) -> Measures:
     """Start 1 m off the line, the stern where the current wants the bow."""
-    return fly(hard.turned((), seed))
+    return fly(hard_scenarios.turned((), seed))
 
 
 def abeam(seed: int) -> Measures:
@@ -104,7 +104,7 @@ def abeam(seed: int) -> Measures:
     place = f"plant.north_m={off_m * math.cos(side)}", f"plant.east_m={off_m * math.sin(side)}"
     s = run_config(f"run.seed={seed}", "run.duration_s=60.0", f"plant.heading_rad={heading}", *place)
     depth = s.water.depth_m
-    return fly(replace(s, reference=hard.line(), water=type(s.water)(depth, np.zeros((len(depth), 2)))))
+    return fly(replace(s, reference=hard_scenarios.line(), water=type(s.water)(depth, np.zeros((len(depth), 2)))))
 
 
 def stuck(seed: int) -> Measures:
@@ -345,7 +345,7 @@ def nominal_cycles(*settings: str) -> Callable[[int], Measures]:
 
 def hard_cycles(seed: int) -> Measures:
     """Return a timed start 5 m off the line."""
-    return cycle_time(hard.far_off(("run.duration_s=60.0",), seed))
+    return cycle_time(hard_scenarios.far_off(("run.duration_s=60.0",), seed))
 
 
 # --- vertical ---
@@ -568,7 +568,7 @@ def far_off_locked(seed: int, **others: Any) -> Locked:
     """Return a run that starts 5 m off the line with any heading: thrusts are large for ten seconds."""
     heading = f"plant.heading_rad={(seed % 20) * 0.3 - 2.8:.1f}"
     start = heading, "plant.north_m=3.0", "plant.east_m=-4.0"
-    return Locked(seed=seed, settings=start, reference=hard.line(), duration_s=40.0, **others)
+    return Locked(seed=seed, settings=start, reference=hard_scenarios.line(), duration_s=40.0, **others)
 
 
 def taken_over(*, with_plan: bool) -> Callable[[int], Measures]:

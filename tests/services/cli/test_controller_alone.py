@@ -132,7 +132,7 @@ def test_it_names_every_key_in_its_namespace_with_rate_and_fields() -> None:
     assert " 10 /s " in estimate
     needed, optional = estimate.split("[")
     assert needed.endswith("t_ns, north_m, east_m, heading_rad, yaw_rate_radps, velocity_north_mps, velocity_east_mps ")
-    assert optional == "depth_m, velocity_down_mps, covariance, current]"
+    assert optional == "depth_m, velocity_down_mps, altitude_m, covariance, current]"
     assert told["auv/7/plan"].startswith("writes")
     assert " 5 /s " in told["auv/7/plan"]
     assert " on events " in told["auv/7/command"]

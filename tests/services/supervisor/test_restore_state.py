@@ -32,7 +32,7 @@ class Ether:
         self._inlets: dict[str, Callable[[Topic | None, str, bytes], None]] = {}
 
     def subscribe(self, key: str, _topic: Topic | None, inlet: BusMonitor) -> None:
-        self._inlets[key.removesuffix("/*")] = inlet.offer  # type: ignore[attr-defined]
+        self._inlets[key.removesuffix("/**").removesuffix("/*")] = inlet.offer  # type: ignore[attr-defined]
 
     def put(self, signal: Message, *, epoch: int = 1, sequence: int = 0, node: str = "") -> None:
         key = BY_TYPE[type(signal)].key + (f"/{node}" if node else "")
