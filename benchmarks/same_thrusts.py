@@ -127,7 +127,8 @@ def main() -> int:
         beyond, largest = beyond + int((apart > TOLERANCE_N).sum()), max(largest, float(apart.max()))
         if apart.max() > TOLERANCE_N:
             at = int(np.argmax(apart > TOLERANCE_N))
-            kind = f"{case.config.solver}, {case.config.stages} stages"
+            limits = ", motion limits" if case.config.limits != MotionLimits() else ""
+            kind = f"{case.vehicle.name}, {case.config.solver}, {case.config.horizon_s:g} s{limits}"
             print(f"case {seed} ({kind}): {apart.max():.3g} N, first in cycle {at}")
     if options.save is not None:
         np.savez(options.save, **found)
