@@ -185,3 +185,21 @@ def test_without_the_token_the_page_is_read_only_and_it_connects_again_by_itself
         until(lambda: page.inner_text("#link").startswith("not connected"))
         until(lambda: page.inner_text("#link") == "live")
         drawn(page)
+
+
+def test_after_the_end_of_a_run_the_page_says_so_and_does_not_connect_again(browser: Any, live: Served) -> None:
+    with tab(browser, SCREEN, own=live.url) as page:
+        page.goto(f"{live.url}#{live.token}")
+        until(lambda: page.locator("#buttons button:enabled").count() > 0)
+        live.vehicle.finished = True
+        try:
+            until(lambda: page.inner_text("#link") == "the run has ended")
+            live.cut()
+            until(lambda: page.inner_text("#link").startswith("finished"))
+            assert page.locator("#buttons button:enabled").count() == 0
+            opened: list[str] = []
+            page.on("websocket", lambda socket: opened.append(socket.url))
+            page.wait_for_timeout(1500)  # longer than the page waits before it connects again
+            assert opened == []
+        finally:
+            live.vehicle.finished = False

@@ -22,8 +22,12 @@
     socket = new WebSocket(`ws://${location.host}/stream`);
     socket.onmessage = (event) => receive(JSON.parse(event.data));
     socket.onclose = () => {
-      show("lost", ended() ? "the run has ended" : "not connected; trying again");
       if (status) controls();
+      if (ended()) {
+        show("", "finished: the report is in the run's folder");
+        return;
+      }
+      show("lost", "not connected; trying again");
       setTimeout(connect, AGAIN_MS);
     };
   }
@@ -188,7 +192,7 @@
   // --- commands -----------------------------------------------------------------------------------------------------
 
   function controls() {
-    const live = token !== "" && socket.readyState === WebSocket.OPEN;
+    const live = token !== "" && socket.readyState === WebSocket.OPEN && rows.size > 0 && !ended();
     for (const control of document.querySelectorAll("#buttons button, #buttons select")) control.disabled = !live;
     document.querySelector(".simulated").hidden = !status.simulated;
     const paused = status.clock === "paused";

@@ -63,6 +63,8 @@ class SyntheticVehicle:
     def __init__(self, session: Session) -> None:
         self.received: list[Message] = []
         self.clock_epoch = EPOCH
+        self.finished = False
+        """True once the plant has finished, as at the end of a run."""
         self._box = Mailbox()
         for kind in (Command, ClockCommand, Disturbance, Heartbeat, Kill):
             session.subscribe(BY_TYPE[kind].key, BY_TYPE[kind], self._box)
@@ -121,7 +123,8 @@ class SyntheticVehicle:
             self._obey()
             if turn % 10 == 1:
                 for node in NODES:
-                    self.publish(node, status(node, t_ns=self._now_ns()))
+                    finished = self.finished and node == "plant"
+                    self.publish(node, status(node, t_ns=self._now_ns(), finished=finished))
             self.publish("plant", self._clock)
             while waiting[2] <= self._now_ns():
                 if not isinstance(waiting[1], Clock):
