@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from services.cli.bus import with_bus
+from services.cli.options import ShownVehicle
 
 if TYPE_CHECKING:
     from services.bus.options import BusOptions
@@ -25,10 +26,7 @@ def dashboard(
         ),
     ] = "127.0.0.1",
     open_: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
-    vehicle: Annotated[
-        str | None,
-        typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle whose thrust limits are shown. Default: none."),
-    ] = None,
+    vehicle: ShownVehicle = None,
     *,
     bus: BusOptions,
 ) -> int:

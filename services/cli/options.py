@@ -13,6 +13,10 @@ import typer
 VehicleFile: TypeAlias = Annotated[
     str, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle: a shipped name or a TOML file.")
 ]
+ShownVehicle: TypeAlias = Annotated[
+    str | None,
+    typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle whose thrust limits are shown. Default: none."),
+]
 SensorsFile: TypeAlias = Annotated[
     str, typer.Option("--sensors", metavar="NAME|FILE", help="Sensors: a shipped name or a TOML file.")
 ]

@@ -341,9 +341,11 @@ def _print_summary(summary: Summary, folder: RunFolder, as_json: bool) -> None:
 
 def _next_commands(summary: Mapping[str, Any], folder: RunFolder) -> list[str]:
     """Return commands for the same scenario: the other mode, another horizon, and a replay."""
+    from services.run.folder import LATEST
+
     program = "ltv-mpc" if shutil.which("ltv-mpc") else ".venv/bin/ltv-mpc"
     path = folder.path
-    if (latest := path.parent / "latest").exists() and latest.samefile(path):
+    if (latest := path.parent / LATEST).exists() and latest.samefile(path):
         path = latest
     again = f"{program} sim {shlex.quote(str(path / folder.scenario.name))}"
     other_mode = again if summary["mode"] == "lockstep" else f"{again} --lockstep"

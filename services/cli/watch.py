@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from services.cli.bus import with_bus
+from services.cli.options import ShownVehicle
 
 if TYPE_CHECKING:
     from services.bus.options import BusOptions
@@ -14,10 +13,7 @@ if TYPE_CHECKING:
 
 @with_bus("display")
 def watch(
-    vehicle: Annotated[
-        str | None,
-        typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle whose thrust limits are shown. Default: none."),
-    ] = None,
+    vehicle: ShownVehicle = None,
     *,
     bus: BusOptions,
 ) -> int:

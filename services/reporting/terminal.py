@@ -246,18 +246,16 @@ def _control(controller: ControllerStatus | None) -> str:
 
 def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
     """Return a line for each thruster: its force, and a bar if its limits are known."""
-    if view.applied is None:
-        forces = dict.fromkeys(THRUSTERS, 0.0)
-    else:
-        forces = dict(zip(THRUSTERS, view.applied.thrust_N, strict=False))
+    thrusts_N = (0.0, 0.0, 0.0) if view.applied is None else view.applied.thrust_N
     lines = []
-    for i, (name, thrust_N) in enumerate(forces.items()):
-        if i >= len(limits):
-            lines.append(Text(f"{name:<10}{thrust_N:8.1f} N"))
-            continue
-        least, most = limits[i]
-        full = view.applied is not None and (thrust_N >= 0.999 * most or thrust_N <= 0.999 * least)
-        lines.append(Text(f"{name:<10}{thrust_N:8.1f} N  {bar(thrust_N, least, most)}", style="yellow" if full else ""))
+    for i, (name, thrust_N) in enumerate(zip(THRUSTERS, thrusts_N, strict=True)):
+        text, style = f"{name:<10}{thrust_N:8.1f} N", ""
+        if limits:
+            least, most = limits[i]
+            text += f"  {bar(thrust_N, least, most)}"
+            if view.applied is not None and (thrust_N >= 0.999 * most or thrust_N <= 0.999 * least):
+                style = "yellow"
+        lines.append(Text(text, style=style))
     return lines
 
 

@@ -15,7 +15,6 @@ from rich.console import Console
 from ltv_mpc.messages import (
     Applied,
     Authority,
-    ClockMode,
     ControllerStatus,
     CurrentProfile,
     CycleTiming,
@@ -30,6 +29,7 @@ from ltv_mpc.messages import (
 )
 from services.reporting.terminal import ORDER, LiveScreen, PlainScreen, bar, run_progress_bar, screen_for
 from services.supervisor.screen import LiveView
+from tests.services.bus.messages import EXAMPLES
 from tests.services.words import status
 
 LIMITS = [(-62.5, 62.5)] * 3
@@ -88,17 +88,8 @@ ESTIMATE = msgspec.structs.replace(
     t_ns=122_750_000_000,
     current=CurrentProfile(depth_m=np.array([1.0]), north_mps=np.array([0.03]), east_mps=np.array([0.04])),
 )
-CONTROLLER = ControllerStatus(
-    t_ns=122 * S,
-    estimate_age_ns=None,
-    applied_age_ns=None,
-    cycle_median_us=None,
-    cycle_p99_us=None,
-    received=0,
-    dropped=0,
-    rejected={},
-    clock=ClockMode.SHARED,
-    clock_error_ns=None,
+CONTROLLER = msgspec.structs.replace(
+    next(message for message in EXAMPLES if isinstance(message, ControllerStatus)),
     authority=Authority.CONTROLLER,
     health=Health.DEGRADED,
     health_why="the estimates are too old",
