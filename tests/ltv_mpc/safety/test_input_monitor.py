@@ -43,6 +43,18 @@ def test_alive_is_by_arrival_and_valid_by_stamp():
     assert prompt.state_at(950 * MS).age_ns == 50 * MS
 
 
+def test_a_message_that_is_stamped_ahead_of_time_is_not_valid():
+    ahead = received(*range(0, 1000, 100), delay_ms=-800)
+    assert ahead.state_at(100 * MS)[:3] == (True, False, True)
+
+
+def test_a_stamp_that_another_source_repeats_does_not_shorten_the_period():
+    of = received(0, 100, 200)
+    for epoch in range(8, 11):
+        assert of.receive(epoch=epoch, sequence=0, stamp_ns=200 * MS, received_ns=210 * MS)
+    assert of.state_at(300 * MS).period_ns == 100 * MS
+
+
 def test_the_rate_is_false_if_more_than_half_of_the_messages_are_missing():
     assert received(0, 100, 200, 300, 400, 500, 900).state_at(900 * MS).rate
     assert not received(0, 100, 200, 300, 400, 500, 2000).state_at(2000 * MS).rate
