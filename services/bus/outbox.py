@@ -9,8 +9,11 @@ from typing import NamedTuple
 
 from ltv_mpc.messages import Message
 from services.bus.session import Publisher, Session
-from services.bus.topics import key_of
+from services.bus.topics import BATCHED, key_of
 from services.bus.wire import Header, crc, encode
+
+MAX_FRAME_BYTES = 16_384
+"""Largest frame of several messages, well below one packet of Zenoh (64 KiB)."""
 
 
 def new_epoch() -> int:
@@ -18,8 +21,8 @@ def new_epoch() -> int:
     return secrets.randbits(48) or 1
 
 
-class SentFrame(NamedTuple):
-    """Identification of a published frame."""
+class SentMessage(NamedTuple):
+    """Identification of a published message; ``crc`` is that of its own payload."""
 
     key: str
     sequence: int
@@ -41,23 +44,35 @@ class Outbox:
         self._publishers: dict[str, Publisher] = {key: session.publisher(key) for key in self._keys.values()}
         self._sequence = dict.fromkeys(self._publishers, 0)
 
-    def publish(self, signal: Message) -> SentFrame:
+    def publish(self, signal: Message) -> SentMessage:
         """Add the header to a message of a declared kind, encode it and send it."""
         (sent,) = self.publish_all((signal,))
         return sent
 
-    def publish_all(self, signals: Iterable[Message]) -> list[SentFrame]:
-        """Encode all messages, then send them one right after the other: Zenoh then puts them into few packets."""
-        frames = [self._encoded(signal) for signal in signals]
-        for sent, payload in frames:
-            self._publishers[sent.key].put(payload)
-        self.published += len(frames)
-        return [sent for sent, _ in frames]
+    def publish_all(self, signals: Iterable[Message]) -> list[SentMessage]:
+        """Encode all messages, then send them at once: Zenoh then puts their frames into few packets.
 
-    def _encoded(self, signal: Message) -> tuple[SentFrame, bytes]:
+        Messages of a ``BATCHED`` type share frames, which are sent at the place of the last of their messages.
+        """
+        sent_messages: list[SentMessage] = []
+        frames: dict[tuple[str, int], bytes] = {}  # by key and sequence number of the last message
+        for signal in signals:
+            sent, payload = self._encoded(signal)
+            sent_messages.append(sent)
+            if type(signal) in BATCHED:
+                before = sent.key, sent.sequence - 1
+                if before in frames and len(frames[before]) + len(payload) <= MAX_FRAME_BYTES:
+                    payload = frames.pop(before) + payload
+            frames[sent.key, sent.sequence] = payload
+        for (key, _), frame in frames.items():
+            self._publishers[key].put(frame)
+        self.published += len(sent_messages)
+        return sent_messages
+
+    def _encoded(self, signal: Message) -> tuple[SentMessage, bytes]:
         key = self._keys[type(signal)]
         sequence = self._sequence[key]
         header = Header(epoch=self.epoch, sequence=sequence, sent_monotonic_us=time.monotonic_ns() // 1000)
         payload = encode(signal, header)
         self._sequence[key] = sequence + 1
-        return SentFrame(key, sequence, crc(payload)), payload
+        return SentMessage(key, sequence, crc(payload)), payload

@@ -2,7 +2,7 @@
 
 A line ``{{name}}`` in the prose is replaced by a table: ``{{topics}}``, ``{{header}}``, ``{{fields KEY}}`` (the
 message on that key), ``{{part NAME}}`` (a struct inside a message), ``{{rest}}`` (all messages that the prose does
-not name).
+not name). Three names stand for limits inside a sentence.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from inspect import cleandoc
 
 from ltv_mpc import messages
 from services.bus.schema import Field, Schema, fields, schema
-from services.bus.topics import BY_KEY, TOPICS, Topic
-from services.bus.wire import MAX_PAYLOAD_BYTES, Header
+from services.bus.topics import BATCHED, BY_KEY, TOPICS, Topic
+from services.bus.wire import MAX_FRAME_MESSAGES, MAX_PAYLOAD_BYTES, Header
 
 PAGE = "protocol.md"
 SCHEMAS = "schemas"
@@ -54,6 +54,10 @@ def _table(name: str, of: str, rest: Iterable[Topic]) -> str:
         case "part":
             kind = getattr(messages, of)
             return f"{_about(kind)}\n\n{_fields(fields(kind))}"
+        case "batched":
+            return ", ".join(f"`{_key(topic)}`" for topic in TOPICS if topic.message_type in BATCHED)
+        case "many":
+            return str(MAX_FRAME_MESSAGES)
         case "most":
             return f"{MAX_PAYLOAD_BYTES:,}"
     raise ValueError(f"{name}: no such table")

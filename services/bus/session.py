@@ -33,8 +33,8 @@ import zenoh
 from ltv_mpc.errors import ConfigError
 from services.bus import roles, security
 from services.bus.options import BusOptions
-from services.bus.topics import Topic, topic_at
-from services.bus.wire import MAX_PAYLOAD_BYTES
+from services.bus.topics import BATCHED, Topic, topic_at
+from services.bus.wire import MAX_PAYLOAD_BYTES, split
 
 MAX_MESSAGE_BYTES = 2 * MAX_PAYLOAD_BYTES
 """Largest message that a session accepts."""
@@ -167,12 +167,14 @@ class Session:
         )
 
     def subscribe(self, key: str, topic: Topic | None, receiver: FrameReceiver) -> None:
-        """Offer what arrives on ``key`` to the receiver; ``topic`` None: looked up by the key of each message."""
+        """Offer each message that arrives on ``key`` to the receiver; ``topic`` None: looked up by the frame's key."""
         offer = receiver.offer
 
         def on_sample(sample: zenoh.Sample) -> None:
             name = str(sample.key_expr)
-            offer(topic or topic_at(name), name, sample.payload.to_bytes())
+            of, payload = topic or topic_at(name), sample.payload.to_bytes()
+            for message in split(payload) if of is not None and of.message_type in BATCHED else (payload,):
+                offer(of, name, message)
 
         self._subscribers.append(
             self._session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))

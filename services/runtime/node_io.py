@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ltv_mpc.messages import InboxEntry, Message, StepRecord
 from ltv_mpc.node import ReceivedMessage
-from services.bus.outbox import Outbox, SentFrame
+from services.bus.outbox import Outbox, SentMessage
 from services.bus.time_shift import shifted
 from services.bus.topics import STATES
 from services.bus.wire import Header, crc
@@ -35,11 +35,11 @@ class NodeIO:
         self.shift_ns = 0
         """Published time minus vehicle time. The step loop sets it between two steps."""
 
-    def publish(self, message: Message) -> SentFrame:
+    def publish(self, message: Message) -> SentMessage:
         """Publish a message of the node or of its process; a state is kept first."""
         return self._outbox.publish(self._published(message))
 
-    def publish_outputs(self, messages: Sequence[Message]) -> list[SentFrame]:
+    def publish_outputs(self, messages: Sequence[Message]) -> list[SentMessage]:
         """Publish the waiting records, then the outputs of their steps. Return the frames of the outputs."""
         records, self._records = self._records, []
         sent = self._outbox.publish_all([*records, *map(self._published, messages)])

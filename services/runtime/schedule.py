@@ -4,7 +4,7 @@
     Cycle       the last start plus the period, or the end of the last step if that is later
     OnMessage   no schedule: messages cause the steps
 
-Steps of a Grid whose period is short in wall time are carried out in batches: each waits for the last one of its batch.
+Steps of a Grid are carried out in batches of ``BATCH_NS``: each waits for the last one of its batch.
 Grid and Cycle begin at the first multiple of the period that is not before the start, as in lock step.
 """
 
@@ -12,8 +12,9 @@ from __future__ import annotations
 
 from ltv_mpc.node import Cycle, Grid, OnMessage, Schedule
 
-MAX_BATCH_US = 5_000
-"""Longest wall time for which a step waits for others, to be carried out and published together with them."""
+BATCH_NS = 50_000_000
+"""Vehicle time of the steps on a grid that are carried out and published together. The estimator's period is a multiple
+of it, so no estimate waits for the end of a batch."""
 
 
 class StepSchedule:
@@ -44,11 +45,11 @@ class StepSchedule:
     def batch_end_ns(self, speed: float) -> int | None:
         """Return the time of the last step that is carried out together with the next one; None if none is due.
 
-        At ``speed`` vehicle seconds per second, steps on a grid are carried out in batches of at most ``MAX_BATCH_US``.
-        A batch ends at a multiple of its length: an input that is due then is not delayed.
+        Steps on a grid are carried out in batches of ``BATCH_NS``; below real time, of as much wall time. ``speed``:
+        vehicle seconds per second. A batch ends at a multiple of its length: an input that is due then is not delayed.
         """
         next_ns = self.next_ns
-        steps = int(MAX_BATCH_US * 1000 * speed) // self._period_ns if self.on_grid else 1
+        steps = int(BATCH_NS * min(1.0, speed)) // self._period_ns if self.on_grid else 1
         if next_ns is None or steps <= 1:
             return next_ns
         length_ns = steps * self._period_ns

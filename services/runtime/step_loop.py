@@ -4,9 +4,9 @@
         wait    take inputs from the mailbox and run the deadlines, until the next step is due
         step    node.steps(due) -> outputs: published at once, after the records of the steps
 
-A step is due by the node's schedule (``schedule.py``), by an input that causes it, or by a command. Steps that are due
-within 5 ms of wall time are carried out and published together, because a wake-up costs more than a step. At the speed
-of a vehicle each step is alone, unless inputs have piled up.
+A step is due by the node's schedule (``schedule.py``), by an input that causes it, or by a command. Steps on a grid are
+carried out and published in batches, and so are those of inputs that arrive together, because a wake-up costs more than
+a step.
 
 If the inputs stop, nothing changes here: the controller's cycles continue by the clock, and the controller itself
 decides what to do when its estimates stop (``ltv_mpc/safety/health.py``). If the estimator process has died or hangs,
@@ -31,11 +31,13 @@ from services.runtime.input_receiver import InputReceiver
 from services.runtime.node_io import NodeIO
 from services.runtime.process_time import ProcessTime
 from services.runtime.reporters import NodeReporter, Reporters
-from services.runtime.schedule import MAX_BATCH_US
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import StopRequest
 from services.runtime.supervisor_link import SUPERVISOR_LINK
+
+MAX_BATCH_US = 5_000
+"""Longest time for which a step that an input causes waits for those of further inputs."""
 
 MAX_DRAIN_US = 20_000
 """Longest time that taking inputs may delay a due step, so that a message flood cannot starve the controller."""

@@ -370,8 +370,8 @@ class BatchedPlant(Plant):
         return super().steps(due)
 
 
-@pytest.mark.parametrize(("speed", "together"), [(1, 1), (10, 5)])
-def test_steps_on_a_grid_that_are_due_within_five_milliseconds_are_one_batch(
+@pytest.mark.parametrize(("speed", "together"), [(0.2, 1), (1, 5), (10, 5)])
+def test_steps_on_a_grid_are_carried_out_in_batches_of_fifty_milliseconds(
     bus: BusOptions, speed: float, together: int
 ) -> None:
     plant = BatchedPlant()
