@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ltv_mpc.control.qp.sparse import build_qp
     from ltv_mpc.control.solvers import solve_qp
     from ltv_mpc.geofence.fence import Fence
-    from ltv_mpc.messages import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus
+    from ltv_mpc.messages import CurrentProfile, Estimate, Obstacle, Obstacles, Plan, PlanOrigin, SolveStatus
     from ltv_mpc.vehicle.parameters import Vehicle
 
 _HOME = {
@@ -25,6 +25,8 @@ _HOME = {
     "CurrentProfile": "ltv_mpc.messages",
     "Estimate": "ltv_mpc.messages",
     "Fence": "ltv_mpc.geofence.fence",
+    "Obstacle": "ltv_mpc.messages",
+    "Obstacles": "ltv_mpc.messages",
     "Plan": "ltv_mpc.messages",
     "PlanOrigin": "ltv_mpc.messages",
     "SolveStatus": "ltv_mpc.messages",
@@ -41,6 +43,8 @@ __all__ = [
     "CurrentProfile",
     "Estimate",
     "Fence",
+    "Obstacle",
+    "Obstacles",
     "Plan",
     "PlanOrigin",
     "SolveStatus",

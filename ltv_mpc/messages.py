@@ -486,6 +486,22 @@ class Authority(enum.StrEnum):
     STOPPED = "stopped"
 
 
+class Obstacle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Moving obstacle: it is predicted at constant velocity, and its uncertainty grows with its age."""
+
+    id: Annotated[Identifier, Meta(description="a later report with this id replaces this one")]
+    t_ns: ValidityTime
+    north_m: North
+    east_m: East
+    velocity_north_mps: VelocityNorth
+    velocity_east_mps: VelocityEast
+    radius_m: Annotated[float, Meta(gt=0.0, le=10_000.0, description="of a circle around it", extra={"unit": "m"})]
+    covariance_m2: Annotated[
+        tuple[Covariance, Covariance, Covariance],
+        Meta(description="of its position: north-north, north-east, east-east"),
+    ] = (0.0, 0.0, 0.0)
+
+
 class Solve(Message, frozen=True, kw_only=True, eq=False):
     """Result of one solve; residuals are those of the scaled problem."""
 
@@ -494,6 +510,25 @@ class Solve(Message, frozen=True, kw_only=True, eq=False):
     primal_residual: Annotated[Residual, Meta(description="primal residual of the scaled problem")] = 0.0
     dual_residual: Annotated[Residual, Meta(description="dual residual of the scaled problem")] = 0.0
     why: Annotated[str, Meta(description="reason of a failure; empty if there is none")] = ""
+
+
+class FenceReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Zones of the fence and obstacles beside a plan. Distances are between the hull and the boundary."""
+
+    clearance_m: Annotated[
+        Position | None, Meta(description="least distance from a zone or obstacle over the plan; negative: inside")
+    ]
+    nearest: Annotated[str, Meta(description="label of that zone or obstacle; empty if there is none")] = ""
+    active: Annotated[tuple[str, ...], Meta(description="zones and obstacles that bound the plan")] = ()
+    in_margin: Annotated[tuple[str, ...], Meta(description="those whose margin the hull is in at the first knot")] = ()
+    inside: Annotated[tuple[str, ...], Meta(description="those that the hull is in at the first knot")] = ()
+    exceeded: Annotated[Count, Meta(description="rows of the QP whose clearance the plan does not keep")] = 0
+    skipped_m: Annotated[Length, Meta(description="length of the path that is left out: zones and margins")] = 0.0
+    time_to_zone_ns: Annotated[
+        Duration | None,
+        Meta(description="from the first knot until the hull is in a zone or obstacle; null: not within the plan"),
+    ] = None
+    dropped: Annotated[tuple[Identifier, ...], Meta(description="obstacles dropped in this cycle: too old")] = ()
 
 
 class Plan(Message, frozen=True, kw_only=True, eq=False):
@@ -534,6 +569,9 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
         Position | None, Meta(description="distance from the path at the first knot, positive to starboard")
     ] = None
     remaining_m: Annotated[Length | None, Meta(description="length of the path ahead of the target")] = None
+    fence: Annotated[
+        FenceReport | None, Meta(description="zones and obstacles beside the plan; null: no fence and no obstacle")
+    ] = None
 
     def thrust_at(self, t_ns: int) -> Array:
         """Return the commanded thrust (3,) in N at ``t_ns``: linear between knots, constant beyond both ends.
@@ -560,6 +598,28 @@ class Acknowledgement(Message, frozen=True, kw_only=True, eq=False):
     warnings: Annotated[
         tuple[str, ...], Meta(description="of an accepted command: what it skipped, could not check or does not end")
     ] = ()
+
+
+class ZoneInForce(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Zone of the fence in force, in the local frame."""
+
+    label: Annotated[str, Meta(max_length=200, description="table and number in the fence file, and its name")]
+    keep_in: Annotated[bool, Meta(description="the vehicle has to stay inside; false: outside")]
+    vertices_m: Annotated[
+        tuple[tuple[Position, Position], ...],
+        Meta(min_length=1, max_length=500, description="north, east of the vertices; of a disc: its centre"),
+    ]
+    radius_m: Annotated[Length, Meta(description="radius of a disc; 0 for a polygon")]
+    margin_m: Annotated[Length, Meta(description="distance between boundary and hull that is kept free")]
+
+
+class FenceInForce(Message, frozen=True, kw_only=True, eq=False):
+    """Fence that the controller keeps, and the obstacles that it knows. Without zones there is no fence."""
+
+    t_ns: PublicationTime
+    hull_radius_m: Annotated[Length, Meta(description="radius of the circle around the hull")]
+    zones: Annotated[tuple[ZoneInForce, ...], Meta(max_length=300, description="zones of the fence")] = ()
+    obstacles: Annotated[tuple[Obstacle, ...], Meta(max_length=64, description="obstacles not dropped yet")] = ()
 
 
 class CycleTiming(Message, frozen=True, kw_only=True, eq=False):
@@ -834,6 +894,13 @@ class Command(Message, frozen=True, kw_only=True, eq=False):
         SourceChoice,
         Meta(description="for source: its name, `default` for the plain key; empty: the order of the settings"),
     ] = ""
+
+
+class Obstacles(Message, frozen=True, kw_only=True, eq=False):
+    """Reports of obstacles, of any source (AIS, sonar). An obstacle that is not reported again is dropped when old."""
+
+    t_ns: PublicationTime
+    obstacles: Annotated[tuple[Obstacle, ...], Meta(max_length=64, description="some or all obstacles")]
 
 
 class Heartbeat(Message, frozen=True, kw_only=True, eq=False):

@@ -27,6 +27,7 @@ from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import Belief, CurrentBias
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
+from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.lateral import MAX_WHY_CHARS, LateralPlanner
 from ltv_mpc.control.mode import Decision, EstimateSelector, Mode, decide
 from ltv_mpc.control.prediction import Prediction, Start, current_at_depth, profile_of
@@ -36,6 +37,7 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan
+from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import (
     Applied,
     Array,
@@ -43,7 +45,9 @@ from ltv_mpc.messages import (
     ControllerState,
     CycleTiming,
     Estimate,
+    FenceInForce,
     Health,
+    Obstacles,
     Pair,
     Plan,
     PlanOrigin,
@@ -111,6 +115,7 @@ class Controller:
             make_solver=make_solver,
             stopwatch=stopwatch,
         )
+        self._fencing = Fencing(vehicle)
         self._stopwatch = stopwatch
         self._followers = [Follower(reference, vehicle)]  # of the reference, and of the hold while it is paused
 
@@ -161,6 +166,41 @@ class Controller:
     def reference_has_begun(self) -> bool:
         """True if the reference is in force, or was before ``pause``."""
         return self._followers[0].target_m is not None
+
+    def set_fence(self, fence: Fence | None) -> None:
+        """Keep another fence from the next cycle on. If it is rejected, the one in force stays.
+
+        Parameters
+        ----------
+        fence : keep-in and keep-out zones; None: no fence.
+
+        Raises
+        ------
+        ConfigError : the vehicle's file has no [hull].
+        """
+        self._fencing.set_fence(fence)
+
+    def add_obstacles(self, obstacles: Obstacles) -> None:
+        """Avoid obstacles from the next cycle on, until their reports are too old.
+
+        Parameters
+        ----------
+        obstacles : reports of some or all obstacles.
+
+        Raises
+        ------
+        ConfigError : the vehicle's file has no [hull].
+        """
+        self._fencing.add_obstacles(obstacles)
+
+    def fence_in_force(self, t_ns: int) -> FenceInForce:
+        """Return the fence that is kept, and the obstacles that are known.
+
+        Parameters
+        ----------
+        t_ns : time of the message, vehicle time (ns).
+        """
+        return self._fencing.in_force(t_ns)
 
     def add_report(self, applied: Applied) -> None:
         """Add a report of the actuators: it corrects the expected delay, the commands in force and the thrusts.

@@ -7,12 +7,14 @@ import sys
 
 import ltv_mpc
 
-THIRTEEN = {
+FIFTEEN = {
     "Controller",
     "ControllerConfig",
     "CurrentProfile",
     "Estimate",
     "Fence",
+    "Obstacle",
+    "Obstacles",
     "Plan",
     "PlanOrigin",
     "SolveStatus",
@@ -24,9 +26,9 @@ THIRTEEN = {
 }
 
 
-def test_the_public_names_are_these_thirteen_and_each_is_there():
-    assert set(ltv_mpc.__all__) == THIRTEEN
-    for name in THIRTEEN:
+def test_the_public_names_are_these_fifteen_and_each_is_there():
+    assert set(ltv_mpc.__all__) == FIFTEEN
+    for name in FIFTEEN:
         assert getattr(ltv_mpc, name) is not None
 
 

@@ -1,0 +1,91 @@
+"""Moving obstacles: reports by id, predicted at constant velocity with growing uncertainty, and dropped when old.
+
+    p(t) = p + (t - t0) v,     radius(t) = radius + k sd(t),     sd(t)^2 = P + (q (t - t0))^2
+
+with the time t0 of the report, the largest variance P of its position in any direction, k = ``SD_FACTOR`` and
+q = ``GROWTH_MPS``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ltv_mpc.messages import Array, Obstacle, Obstacles
+
+GROWTH_MPS = 0.05
+"""Growth q of the standard deviation of a predicted position (m/s)."""
+
+MAX_AGE_NS = 60_000_000_000
+"""Age at which an obstacle is dropped: six reports of a source that reports every 10 s are missing."""
+
+MAX_OBSTACLES = 64
+"""Largest number of obstacles; of more, those with the oldest reports are dropped."""
+
+DISC = 7
+"""Numbers of an obstacle for compiled code."""
+
+
+class ObstacleTable:
+    """Newest report of every obstacle."""
+
+    def __init__(self) -> None:
+        """Begin without obstacles."""
+        self._by_id: dict[int, Obstacle] = {}
+
+    def __len__(self) -> int:
+        """Return the number of obstacles."""
+        return len(self._by_id)
+
+    @property
+    def reports(self) -> tuple[Obstacle, ...]:
+        """Newest report of every obstacle."""
+        return tuple(self._by_id.values())
+
+    def add(self, obstacles: Obstacles) -> None:
+        """Take reports; one that is older than the known report of the same obstacle is ignored.
+
+        Parameters
+        ----------
+        obstacles : some or all obstacles.
+        """
+        for report in obstacles.obstacles:
+            known = self._by_id.get(report.id)
+            if known is None or report.t_ns >= known.t_ns:
+                self._by_id[report.id] = report
+        newest_first = sorted(self._by_id.values(), key=lambda report: -report.t_ns)
+        self._by_id = {report.id: report for report in newest_first[:MAX_OBSTACLES]}
+
+    def drop_old(self, t_ns: int) -> tuple[int, ...]:
+        """Drop the obstacles that have not been reported for ``MAX_AGE_NS``; return their ids.
+
+        Parameters
+        ----------
+        t_ns : now, vehicle time (ns).
+        """
+        old = tuple(report.id for report in self._by_id.values() if t_ns - report.t_ns > MAX_AGE_NS)
+        for number in old:
+            del self._by_id[number]
+        return old
+
+    def discs(self, t_ns: int) -> Array:
+        """Return the obstacles for compiled code (O, ``DISC``).
+
+        Parameters
+        ----------
+        t_ns : time of the first knot (ns).
+
+        Returns
+        -------
+        Of each: north, east (m) at that time, velocity (m/s), radius (m), P (m2), age (s).
+        """
+        rows = np.empty((len(self._by_id), DISC))
+        for row, report in zip(rows, self._by_id.values(), strict=True):
+            age_s = (t_ns - report.t_ns) * 1e-9
+            vn, ve = report.velocity_north_mps, report.velocity_east_mps
+            nn, ne, ee = report.covariance_m2
+            variance = 0.5 * (nn + ee) + math.sqrt(0.25 * (nn - ee) ** 2 + ne * ne)
+            place = report.north_m + age_s * vn, report.east_m + age_s * ve
+            row[:] = *place, vn, ve, report.radius_m, max(variance, 0.0), max(age_s, 0.0)
+        return rows

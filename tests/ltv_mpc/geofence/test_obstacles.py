@@ -1,0 +1,49 @@
+"""Table of obstacles: which reports are in force, where they are predicted, when they are dropped."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltv_mpc.geofence.obstacles import MAX_AGE_NS, ObstacleTable
+from ltv_mpc.messages import Obstacle, Obstacles
+
+
+def report(number: int, t_s: float, north_m: float = 0.0, **more) -> Obstacle:
+    return Obstacle(
+        id=number,
+        t_ns=round(t_s * 1e9),
+        north_m=north_m,
+        east_m=1.0,
+        velocity_north_mps=0.5,
+        velocity_east_mps=-1.0,
+        radius_m=3.0,
+        **more,
+    )
+
+
+def table(*reports: Obstacle) -> ObstacleTable:
+    out = ObstacleTable()
+    for each in reports:
+        out.add(Obstacles(t_ns=each.t_ns, obstacles=(each,)))
+    return out
+
+
+def test_an_obstacle_moves_at_constant_velocity_from_its_newest_report():
+    of = table(report(1, 10.0, 100.0), report(1, 8.0, 0.0), report(2, 9.0, 50.0))
+    rows = of.discs(14_000_000_000)
+    assert sorted(rows[:, 0]) == [52.5, 102.0]
+    assert rows[rows[:, 0] == 102.0][0] == pytest.approx([102.0, -3.0, 0.5, -1.0, 3.0, 0.0, 4.0])
+
+
+def test_its_variance_is_the_largest_in_any_direction():
+    covariance = np.array([[2.0, 1.5], [1.5, 3.0]])
+    rows = table(report(1, 0.0, covariance_m2=(2.0, 1.5, 3.0))).discs(0)
+    assert rows[0, 5] == pytest.approx(np.linalg.eigvalsh(covariance)[-1])
+
+
+def test_an_old_obstacle_is_dropped_and_named():
+    of = table(report(1, 0.0), report(2, 1.0))
+    assert of.drop_old(MAX_AGE_NS) == ()
+    assert of.drop_old(MAX_AGE_NS + 1) == (1,)
+    assert [each.id for each in of.reports] == [2]
