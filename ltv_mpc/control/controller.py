@@ -27,7 +27,6 @@ from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import Belief, CurrentBias
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
-from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.lateral import MAX_WHY_CHARS, LateralPlanner
 from ltv_mpc.control.mode import Decision, EstimateSelector, Mode, decide
 from ltv_mpc.control.prediction import Prediction, Start, current_at_depth, profile_of
@@ -115,7 +114,6 @@ class Controller:
             make_solver=make_solver,
             stopwatch=stopwatch,
         )
-        self._fencing = Fencing(vehicle)
         self._stopwatch = stopwatch
         self._followers = [Follower(reference, vehicle)]  # of the reference, and of the hold while it is paused
 
@@ -178,7 +176,7 @@ class Controller:
         ------
         ConfigError : the vehicle's file has no [hull].
         """
-        self._fencing.set_fence(fence)
+        self._lateral.fencing.set_fence(fence)
 
     def add_obstacles(self, obstacles: Obstacles) -> None:
         """Avoid obstacles from the next cycle on, until their reports are too old.
@@ -191,7 +189,7 @@ class Controller:
         ------
         ConfigError : the vehicle's file has no [hull].
         """
-        self._fencing.add_obstacles(obstacles)
+        self._lateral.fencing.add_obstacles(obstacles)
 
     def fence_in_force(self, t_ns: int) -> FenceInForce:
         """Return the fence that is kept, and the obstacles that are known.
@@ -200,7 +198,7 @@ class Controller:
         ----------
         t_ns : time of the message, vehicle time (ns).
         """
-        return self._fencing.in_force(t_ns)
+        return self._lateral.fencing.in_force(t_ns)
 
     def add_report(self, applied: Applied) -> None:
         """Add a report of the actuators: it corrects the expected delay, the commands in force and the thrusts.

@@ -22,6 +22,7 @@ import numpy as np
 from ltv_mpc.control import line_search, nominal_trajectory
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
+from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
 from ltv_mpc.control.problem_data import pack_constants
@@ -64,9 +65,10 @@ class LateralPlanner:
         self.target = np.zeros((config.stages + 1, 2))
         """Target positions at knots 1 .. N (m), then the target velocity at the last one (m/s): ``Solver.build``."""
         self.previous = PreviousPlan(knots_ns)
+        self.fencing = Fencing(vehicle)
+        """Fence and obstacles in force."""
         self._packed = packed
         self._lin = Linearisation.empty(config.stages)
-        self._sqp_iterations = config.sqp_iterations
         self._fallback = Fallback(vehicle, packed, self.previous)
         self._vehicle, self._settings = vehicle, config
         self._config = config  # with the limits at a point, or on a path
@@ -165,7 +167,7 @@ class LateralPlanner:
         lin, packed, target = self._lin, self._packed, self.target
         self._linearise(start)
         X, U = self._fallback.empty()
-        for left in range(self._sqp_iterations, 0, -1):
+        for left in range(self._settings.sqp_iterations, 0, -1):
             self._stopwatch("linearise")
             self._solver.build(lin, target)
             self._stopwatch("build")
