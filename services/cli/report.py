@@ -93,15 +93,16 @@ def after_run(recording: Path, summary: dict[str, Any]) -> str:
     from services.reporting import report as page
     from services.reporting.static_files import NoPlotly
     from services.reporting.terminal import reading_progress
+    from services.run import folder
 
-    target = recording.with_name(page.NAME)
+    target = recording.with_name(folder.REPORT)
     try:
-        with reading_progress(page.NAME):
+        with reading_progress(folder.REPORT):
             page.write([page.Run(name=recording.parent.name, recording=recording, summary=summary)], target)
     except NoPlotly as missing:
-        return f"no {page.NAME}: {missing}: pip install plotly (extra viz)"
+        return f"no {folder.REPORT}: {missing}: pip install plotly (extra viz)"
     except (ConfigError, OSError) as error:
-        return f"no {page.NAME}: {error}"
+        return f"no {folder.REPORT}: {error}"
     return f"report: {target}"
 
 
@@ -145,14 +146,13 @@ def _target(recordings: Sequence[Path], out: Path | None, *, force: bool) -> Pat
     from datetime import UTC, datetime
 
     from ltv_mpc.errors import ConfigError
-    from services.reporting.report import NAME
     from services.run import folder
 
     if out is None and len(recordings) == 1:
-        return recordings[0].with_name(NAME)
+        return recordings[0].with_name(folder.REPORT)
     if out is None:  # not by folder.make, which creates the folder of a run and links `latest` to it
         out = folder.ROOT / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-report"
-    target = out if out.suffix == ".html" else out / NAME
+    target = out if out.suffix == ".html" else out / folder.REPORT
     if target.exists() and not force:
         raise ConfigError("option --out", "", "exists: name another, or add --force", value=str(target))
     target.parent.mkdir(parents=True, exist_ok=True)

@@ -304,14 +304,25 @@ def _compile(folder: RunFolder, request: StopRequest) -> int | None:
 def _run_processes(
     run_config: RunConfig, folder: RunFolder, as_json: bool, certs: Path | None, *, page: bool, open_browser: bool
 ) -> int:
+    from services.dashboard.config import About
     from services.dashboard.sidecar import Sidecar
     from services.reporting.terminal import screen_for
     from services.supervisor import supervisor
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in run_config.vehicle.thrusters]
     screen = screen_for(run_config.scenario.title, limits)
+    about = About(
+        name=f"{run_config.scenario.title} · {run_config.vehicle.name}",
+        report=str(folder.report),
+        again=_again(folder.path, folder),
+    )
     sidecar = Sidecar(
-        screen.say, folder=folder.path, vehicle=folder.config("vehicle"), open_browser=open_browser, waits=not as_json
+        screen.say,
+        folder=folder.path,
+        vehicle=folder.config("vehicle"),
+        about=about,
+        open_browser=open_browser,
+        waits=not as_json,
     )
     try:
         outcome = supervisor.run(run_config, folder, screen, certs=certs, page=sidecar if page else None)
@@ -343,11 +354,19 @@ def _next_commands(summary: Mapping[str, Any], folder: RunFolder) -> list[str]:
     """Return commands for the same scenario: the other mode, another horizon, and a replay."""
     from services.run.folder import LATEST
 
-    program = "ltv-mpc" if shutil.which("ltv-mpc") else ".venv/bin/ltv-mpc"
     path = folder.path
     if (latest := path.parent / LATEST).exists() and latest.samefile(path):
         path = latest
-    again = f"{program} sim {shlex.quote(str(path / folder.scenario.name))}"
+    again = _again(path, folder)
     other_mode = again if summary["mode"] == "lockstep" else f"{again} --lockstep"
     other_horizon_s = round(summary["horizon_s"] / 2) or 5
-    return [other_mode, f"{again} --horizon-s {other_horizon_s}", f"{program} replay {shlex.quote(str(path))}"]
+    return [other_mode, f"{again} --horizon-s {other_horizon_s}", f"{_program()} replay {shlex.quote(str(path))}"]
+
+
+def _again(path: Path, folder: RunFolder) -> str:
+    """Return the command that runs the scenario in the run's folder ``path`` again."""
+    return f"{_program()} sim {shlex.quote(str(path / folder.scenario.name))}"
+
+
+def _program() -> str:
+    return "ltv-mpc" if shutil.which("ltv-mpc") else ".venv/bin/ltv-mpc"

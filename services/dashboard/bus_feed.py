@@ -20,12 +20,13 @@ from ltv_mpc.messages import (
     Heartbeat,
     LocalisationReport,
     Message,
+    NodeSettings,
     NodeStatus,
     Plan,
     RunEvent,
     Truth,
 )
-from ltv_mpc.vehicle.parameters import Thruster
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.latest_cache import LatestCache, LatestFrame
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox, new_epoch
@@ -58,6 +59,8 @@ class Process(msgspec.Struct, frozen=True, kw_only=True):
 class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     """Status shown by the page. Ages are vehicle time from the validity of a message to now."""
 
+    run: int  # number of the run
+    name: str  # of the vehicle, or of the bus
     t_s: float | None
     clock: str  # waiting, running, paused; "own" without a clock message, "silent" without any time
     speed: float  # of the clock, times real time
@@ -68,7 +71,8 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     source: str  # of the estimates that the controller uses
     origin: str
     why: str
-    error_m: float | None
+    error_m: float | None  # estimate from the reference
+    true_error_m: float | None  # vehicle from the reference, since the start; None without a known truth
     depth_m: float | None
     heading_rad: float | None
     progress: float | None
@@ -79,11 +83,15 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BusFeed:
-    """Receiver of the messages of ``session``. Call ``update`` about ten times a second, from one thread."""
+    """Receiver of the messages of ``session``. Call ``update`` about ten times a second, from one thread.
 
-    def __init__(self, session: Session, thrusters: tuple[Thruster, Thruster] | None) -> None:
-        self._thrusters = thrusters
-        self.collector = Collector(thrusters)
+    ``fallback_name`` is the name of the bus, for a vehicle that publishes no settings.
+    """
+
+    def __init__(self, session: Session, vehicle: Vehicle | None, *, fallback_name: str = "") -> None:
+        self._vehicle = vehicle
+        self._fallback_name = fallback_name
+        self.collector = Collector(vehicle)
         self.run = 0
         """Number of the run. A new run on the same keys increases it; the collected data are then dropped."""
         self.preparation = ""
@@ -95,7 +103,7 @@ class BusFeed:
         self._processes: dict[str, tuple[NodeStatus, float]] = {}
         self._clock = VehicleClock()
         self._heartbeats = Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(Heartbeat,))
-        for kind in (*NEWEST, *EVERY, NodeStatus):
+        for kind in (*NEWEST, *EVERY, NodeStatus, NodeSettings):
             topic = BY_TYPE[kind]
             inlet = self._every if kind in EVERY else self._newest
             session.subscribe(expression(topic), topic, inlet)
@@ -125,7 +133,7 @@ class BusFeed:
     def status(self) -> PageStatus:
         """Return the current status."""
         clock, controller = self._of(Clock), self._of(ControllerStatus)
-        plan, estimate, applied = self.collector.plan, self.collector.estimate, self._of(Applied)
+        plan, estimate, applied = self.collector.newest.plan, self.collector.newest.estimate, self._of(Applied)
         t_ns = self.t_ns()
         ages = {
             "estimate": _age(t_ns, None if estimate is None else estimate.t_ns),
@@ -135,7 +143,10 @@ class BusFeed:
         if (localisation := self._of(LocalisationReport)) is not None:
             ages |= {report.sensor: _age(t_ns, report.last_t_ns) for report in localisation.sensors}
         state = "silent" if clock is None else clock.state.value
+        known = self.collector.vehicle
         return PageStatus(
+            run=self.run,
+            name=self._fallback_name if known is None else f"vehicle {known.name}",
             t_s=None if t_ns is None else self.collector.seconds(t_ns),
             clock="own" if clock is None and t_ns is not None else state,
             speed=1.0 if clock is None else clock.speed_num / clock.speed_den,
@@ -147,6 +158,7 @@ class BusFeed:
             origin="" if plan is None else plan.origin.value,
             why="" if plan is None else plan.why,
             error_m=None if controller is None else controller.error_m,
+            true_error_m=self.collector.true_error_m,
             depth_m=None if estimate is None else estimate.depth_m,
             heading_rad=None if estimate is None else estimate.heading_rad,
             progress=None if controller is None else controller.progress,
@@ -159,7 +171,7 @@ class BusFeed:
     def t_ns(self) -> int | None:
         """Return the vehicle time now (ns); without a clock, the time of the newest estimate."""
         reading = self._clock.read(monotonic_us())
-        estimate = self.collector.estimate
+        estimate = self.collector.newest.estimate
         return estimate.t_ns if reading is None and estimate is not None else reading
 
     def _receive(self, signal: Message, header: Header, came_s: float) -> None:
@@ -182,7 +194,7 @@ class BusFeed:
 
     def _reset(self) -> None:
         self.run += 1
-        self.collector = Collector(self._thrusters)
+        self.collector = Collector(self._vehicle)
         self._clock = VehicleClock()
         self._signals.clear()
         self._processes.clear()

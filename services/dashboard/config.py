@@ -18,6 +18,14 @@ class View(enum.StrEnum):
     DRAWN = "drawn"
 
 
+class About(msgspec.Struct, frozen=True, kw_only=True):
+    """Title of the page, and of a run the report and the command that repeats it."""
+
+    name: str = ""  # title: scenario and vehicle; empty: the vehicle that publishes its settings
+    report: str = ""  # file of the report
+    again: str = ""  # command that runs the scenario again
+
+
 class Config(msgspec.Struct, frozen=True, kw_only=True):
     """Configuration of the dashboard process."""
 
@@ -26,6 +34,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     port: int = 0  # 0 takes any free port
     vehicle: str | None = None  # NAME or FILE of the vehicle whose thrust limits are shown
     open_browser: bool = False
+    about: About = About()
     of_a_run: bool = False
     """True if a run serves the page: it lowers its priority, so that it takes no time from the processes of the run. It
     reads what is being prepared, one line each, and writes when a browser opens and draws it (``View``)."""

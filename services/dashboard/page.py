@@ -28,9 +28,10 @@ from services.bus.options import BusOptions
 from services.dashboard.access_guard import AccessGuard, Token
 from services.dashboard.bus_feed import BusFeed
 from services.dashboard.commands import SIMULATED, Button, ButtonReply, ButtonRequest, do
-from services.dashboard.config import View
+from services.dashboard.config import About, View
 from services.dashboard.stream import MAX_READERS, Reader, Stream
 from services.reporting import static_files
+from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS
 
 HERE = Path(__file__).parent / "static"
@@ -46,8 +47,10 @@ MAX_COMMAND_BYTES = 1024
 """Largest command; the server closes the connection of a client that sends more."""
 
 
-def make(feed: BusFeed, token: Token, *, allowed: frozenset[str], name: str, command: Do, on_view: OnView) -> Starlette:
-    """Return the application. ``name`` is the title of the page; ``allowed`` are the accepted Host headers."""
+def make(
+    feed: BusFeed, token: Token, *, allowed: frozenset[str], about: About, command: Do, on_view: OnView
+) -> Starlette:
+    """Return the application. ``allowed`` are the accepted Host headers."""
     stream = Stream(feed)
     files = {
         "live.js": HERE / "live.js",
@@ -72,7 +75,7 @@ def make(feed: BusFeed, token: Token, *, allowed: frozenset[str], name: str, com
         return Response("no such file\n", 404) if path is None else FileResponse(path)
 
     async def live(socket: WebSocket) -> None:
-        await _live(socket, stream, _Commands(feed, token, command, on_view), name=name)
+        await _live(socket, stream, _Commands(feed, token, command, on_view), about)
 
     return Starlette(
         routes=[Route("/", page), Route("/page/{name}", file), WebSocketRoute("/stream", live)],
@@ -90,14 +93,15 @@ class _Commands(NamedTuple):
     on_view: OnView
 
 
-async def _live(socket: WebSocket, stream: Stream, commands: _Commands, *, name: str) -> None:
+async def _live(socket: WebSocket, stream: Stream, commands: _Commands, about: About) -> None:
     """Serve one browser until it disconnects."""
     await socket.accept()
     if len(stream.readers) >= MAX_READERS:
         await socket.close(1013, f"{MAX_READERS} pages are open already, which is the limit")
         return
     reader = Reader()
-    await socket.send_text(msgspec.json.encode({"kind": "hello", "name": name, "plots": PLOTS}).decode())
+    hello = {"kind": "hello", "about": about, "plots": PLOTS, "dark": palette.DARK}
+    await socket.send_text(msgspec.json.encode(hello).decode())
     stream.readers.add(reader)
     both = _send(socket, reader), _obey(socket, reader, commands)
     tasks = [asyncio.create_task(one) for one in both]

@@ -48,20 +48,19 @@ def listen(host: str, port: int) -> socket.socket:
 def main(config: Config) -> int:
     """Serve the page until a stop is requested."""
     bus, host = config.bus, config.host
-    thrusters = None if config.vehicle is None else Vehicle.load(config.vehicle).thrusters[:2]
+    vehicle = None if config.vehicle is None else Vehicle.load(config.vehicle)
     token = Token()
 
     def work(request: StopRequest, say: Say) -> None:
         with listen(host, config.port) as bound, open_session(bus, stop=request, say=say) as session:
             port = bound.getsockname()[1]
             named = f"[{host}]" if ":" in host else host
-            name = bus.namespace or ", ".join(bus.connects_to)
-            feed = BusFeed(session, thrusters)
+            feed = BusFeed(session, vehicle, fallback_name=bus.namespace or ", ".join(bus.connects_to))
             app = page.make(
                 feed,
                 token,
                 allowed=hosts({*LOOPBACK, named}, port),
-                name=name,
+                about=config.about,
                 command=page.commander(bus),
                 on_view=_write if config.of_a_run else lambda _: None,
             )

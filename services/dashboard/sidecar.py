@@ -15,7 +15,7 @@ import msgspec
 
 from services.bus.options import BusOptions
 from services.bus.topics import OPERATOR
-from services.dashboard.config import SERVER, Config, View
+from services.dashboard.config import SERVER, About, Config, View
 from services.runtime.stopping import Say
 from services.supervisor import entry_point
 from services.supervisor.entry_point import write_config
@@ -31,13 +31,22 @@ class Sidecar:
     """
 
     def __init__(
-        self, say: Say, *, folder: Path, vehicle: Path, open_browser: bool, waits: bool, needs: Sequence[str] = NEEDS
+        self,
+        say: Say,
+        *,
+        folder: Path,
+        vehicle: Path,
+        about: About,
+        open_browser: bool,
+        waits: bool,
+        needs: Sequence[str] = NEEDS,
     ) -> None:
         self._say = say
         self._needs = needs
         self._log = folder / "logs" / "dashboard.log"
         self._config = folder / "logs" / "dashboard.json"
         self._vehicle = vehicle
+        self._about = about
         self._open_browser = open_browser
         self._waits = waits
         self._view: str = View.DRAWN
@@ -55,6 +64,7 @@ class Sidecar:
             Config(
                 bus=msgspec.structs.replace(bus, role=OPERATOR),
                 vehicle=str(self._vehicle),
+                about=self._about,
                 open_browser=self._open_browser,
                 of_a_run=True,
             ),

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import tomllib
 from collections.abc import Iterable, Mapping
 from itertools import chain
 from typing import TypeAlias
 
 import msgspec
 
-from ltv_mpc.config import loads
+from ltv_mpc.config import loads, parse
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import NodeSettings
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError, from_map
 from services.recording.reader import Recording
@@ -50,3 +53,11 @@ def vehicle_name(files: Mapping[str, str]) -> str:
     except (ValueError, RecursionError):
         return "unknown"
     return name if isinstance(name, str) and name.isprintable() else "unknown"
+
+
+def vehicle_of(files: Mapping[str, str]) -> Vehicle | None:
+    """Return the vehicle of these settings files; None if there is none, or one that another version wrote."""
+    try:
+        return parse(tomllib.loads(files[VEHICLE]), Vehicle, source=VEHICLE) if VEHICLE in files else None
+    except (tomllib.TOMLDecodeError, ConfigError):
+        return None

@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from ltv_mpc.config import loads
 from services.recording.info import utc
 from services.recording.node_settings import vehicle_name
 from services.recording.writer import VEHICLE_MODE
@@ -26,8 +27,6 @@ from services.reporting.plots.description import NO_DATA, Plot, Series
 from services.reporting.plots.recorded import PlotData, read
 from services.reporting.run_summary_text import how
 from services.run.folder import draft_of
-
-NAME = "report.html"
 
 MAX_RUNS = 40
 ROWS_OF_ALL = 4 * ROWS
@@ -80,7 +79,8 @@ def _data(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> str:
         }
         for i, (run, data) in enumerate(zip(runs, plot_data, strict=True))
     ]
-    text = msgspec.json.encode({"plots": plots_with_data(plot_data), "runs": shown}).decode()
+    content = {"plots": plots_with_data(plot_data), "runs": shown, "dark": palette.DARK}
+    text = msgspec.json.encode(content).decode()
     return text.replace("<", "\\u003c")
 
 
@@ -119,9 +119,18 @@ def _lines(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[str]:
 
 def _how(summary: Mapping[str, Any], metadata: Mapping[str, str]) -> str:
     """Describe the mode of the run and its seed; beside a vehicle its name and the start by its clock."""
-    ran = how({"mode": metadata.get("mode"), **summary})
+    ran = ", ".join(filter(None, (_scenario(metadata), how({"mode": metadata.get("mode"), **summary}))))
     seed = summary.get("seed", metadata.get("seed"))
     return html.escape(f"{ran}, seed {seed}" if seed is not None else ran)
+
+
+def _scenario(metadata: Mapping[str, str]) -> str:
+    """Return the title of the scenario and the name of the vehicle; empty if the recording does not hold them."""
+    try:
+        title = loads(metadata.get(SCENARIO, "")).get("title", "")
+    except (ValueError, RecursionError):
+        title = ""
+    return ", ".join(filter(None, (str(title), f"vehicle {name}" if (name := vehicle_name(metadata)) else "")))
 
 
 def _vehicle(data: PlotData) -> str:
@@ -149,7 +158,8 @@ def _file(title: str, text: str) -> str:
 
 def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
     """Return the table of figures; several runs have a column each, then the differences to the first."""
-    head = "".join(f'<th class="number">{html.escape(run.name)}</th>' for run in runs) if len(runs) > 1 else "<th></th>"
+    names = [html.escape(run.name) for run in runs] if len(runs) > 1 else ["value"]
+    head = "".join(f'<th class="number">{name}</th>' for name in names)
     if len(runs) > 1:
         head += "".join(f'<th class="number">{html.escape(run.name)} − first</th>' for run in runs[1:])
     body = "".join(
@@ -160,8 +170,10 @@ def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
         for row in figures
     )
     wide = " wide" if len(runs) > 1 else ""
-    table = f'<div class="scroll"><table id="figures"><tr><th></th>{head}</tr>{body}</table></div>'
-    return f'<section class="panel{wide}"><h2>Results</h2>{table}</section>'
+    head = f"<thead><tr><th>figure</th>{head}</tr></thead>"
+    table = f'<table id="figures" class="sortable">{head}<tbody>{body}</tbody></table>'
+    table = f'<div class="scroll" tabindex="0" role="region" aria-label="Results">{table}</div>'
+    return f'<section class="panel{wide}"><h3>Results</h3>{table}</section>'
 
 
 def _events(run: Run, data: PlotData, *, several: bool) -> str:
@@ -176,8 +188,9 @@ def _events(run: Run, data: PlotData, *, several: bool) -> str:
         body = '<tr><td></td><td></td><td class="quiet">no events</td></tr>'
     title = f"Events of {html.escape(run.name)}" if several else "Events"
     head = '<tr><th class="number">time (s)</th><th>process</th><th>what happened</th></tr>'
-    table = f'<div class="scroll events"><table>{head}{body}</table></div>'
-    return f'<section class="panel"><h2>{title}</h2>{table}</section>'
+    table = f'<table class="sortable"><thead>{head}</thead><tbody>{body}</tbody></table>'
+    table = f'<div class="scroll events" tabindex="0" role="region" aria-label="{title}">{table}</div>'
+    return f'<section class="panel"><h3>{title}</h3>{table}</section>'
 
 
 def _number(value: float | None, digits: int, *, signed: bool = False) -> str:

@@ -30,6 +30,7 @@ ROOT = Path("runs")
 LATEST = "latest"
 DELETED = "the folder was deleted during the run"
 RECORDING = "run.mcap"
+REPORT = "report.html"
 RESULTS = ("summary.json", "currents.csv", "report.html")
 """Files that are beside the recording once a run has ended."""
 
@@ -49,6 +50,11 @@ class RunFolder:
     def summary(self) -> Path:
         """Path of the results, summary.json."""
         return self.path / "summary.json"
+
+    @property
+    def report(self) -> Path:
+        """Path of the report, report.html."""
+        return self.path / REPORT
 
     @property
     def currents(self) -> Path:

@@ -6,6 +6,7 @@ Needs chromium or chrome on PATH. Without one these tests skip; with REQUIRE_BRO
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,7 +24,9 @@ from services.supervisor import loopback
 from tests.services.dashboard.synthetic_vehicle import Served, served, until
 
 SCREEN, PHONE = (1280, 800), (390, 844)
-SIZES = [pytest.param(SCREEN, id="screen"), pytest.param(PHONE, id="phone")]
+TABLET = (768, 1024)
+SIZES = [pytest.param(SCREEN, id="screen"), pytest.param(TABLET, id="tablet"), pytest.param(PHONE, id="phone")]
+SCHEMES = ["light", "dark"]
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 PATIENCE_MS = 30_000
 
@@ -37,7 +40,7 @@ OUTSIDE = """() => {
   const wide = document.documentElement.clientWidth;
   return [...document.querySelectorAll("h1, h2, .legend li, td, th, button, dd")]
     .filter(one => one.getClientRects().length && one.getBoundingClientRect().right > wide + 1)
-    .filter(one => !one.closest(".scroll, .table"))
+    .filter(one => !one.closest(".scroll, .table, details:not([open])"))
     .map(one => one.textContent.trim());
 }"""
 """Words that do not fit the width."""
@@ -62,9 +65,9 @@ def browser() -> Iterator[Any]:
 
 
 @contextmanager
-def tab(browser: Any, size: tuple[int, int], *, own: str) -> Iterator[Any]:
+def tab(browser: Any, size: tuple[int, int], *, own: str, scheme: str = "light") -> Iterator[Any]:
     """Open a page that fails on any console message and on any request to a host other than ``own``."""
-    page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
     page.set_default_timeout(PATIENCE_MS)
     wrong: list[str] = []
     page.on("console", lambda message: wrong.append(f"{message.type}: {message.text}"))
@@ -91,6 +94,26 @@ def drawn(page: Any, *, but: tuple[str, ...] = ()) -> None:
             assert page.locator(f"#plot-{plot.name} .ytitle").text_content() == plot.y.label
 
 
+UNTIMED = ("latency", "stages")
+"""Plots of what lock step does not measure."""
+
+
+def background(page: Any) -> str:
+    """Return "light" or "dark", by the background of the page and of a plot."""
+    page_rgb, plot_rgb = (
+        page.evaluate(f"getComputedStyle(document.querySelector('{what}')).{key}")
+        for what, key in (("body", "backgroundColor"), ("#plot-depth .bglayer rect, #plot-depth .bg", "fill"))
+    )
+    shades = {sum(map(int, re.findall(r"\d+", rgb)[:3])) > 384 for rgb in (page_rgb, plot_rgb)}
+    assert len(shades) == 1
+    return "light" if shades.pop() else "dark"
+
+
+def bottom(page: Any, what: str) -> float:
+    edge: float = page.evaluate(f"document.querySelector('{what}').getBoundingClientRect().bottom")
+    return edge
+
+
 # --- the report ------------------------------------------------------------------------------------------------------
 
 
@@ -106,12 +129,17 @@ def reports(browser: object, tmp_path_factory: pytest.TempPathFactory) -> tuple[
     return folder / "ten" / "report.html", both / "report.html"
 
 
+@pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("size", SIZES)
-def test_a_run_s_report_shows_every_plot(browser: Any, reports: tuple[Path, Path], size: tuple[int, int]) -> None:
-    with tab(browser, size, own=reports[0].as_uri()) as page:
+def test_a_run_s_report_shows_every_plot(
+    browser: Any, reports: tuple[Path, Path], size: tuple[int, int], scheme: str
+) -> None:
+    with tab(browser, size, own=reports[0].as_uri(), scheme=scheme) as page:
         page.goto(reports[0].as_uri())
-        drawn(page, but=("latency",))
-        assert "in lock step" in page.locator("#plot-latency").text_content()  # where nothing takes any time
+        drawn(page, but=UNTIMED)
+        for name in UNTIMED:
+            assert "in lock step" in page.locator(f"#plot-{name}").text_content()  # where nothing takes any time
+        assert background(page) == scheme
         assert page.locator("#figures tr").count() > 10
         assert "arm accepted" in page.inner_text(".events")
         fits(page, size)
@@ -120,7 +148,7 @@ def test_a_run_s_report_shows_every_plot(browser: Any, reports: tuple[Path, Path
 def test_the_report_of_two_runs_shows_both(browser: Any, reports: tuple[Path, Path]) -> None:
     with tab(browser, SCREEN, own=reports[1].as_uri()) as page:
         page.goto(reports[1].as_uri())
-        drawn(page, but=("latency",))
+        drawn(page, but=tuple(one.name for one in PLOTS if not any(series.compared for series in one.series)) + UNTIMED)
         assert page.locator("#runs li").all_inner_texts() == ["ten", "two"]
         colours = page.evaluate("[...document.querySelectorAll('#plot-track .js-line')].map(one => one.style.stroke)")
         assert len(set(colours)) == 2
@@ -139,19 +167,24 @@ def live(browser: object) -> Iterator[Served]:  # noqa: ARG001  (skips first)
         yield made
 
 
+@pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("size", SIZES)
-def test_the_live_page_shows_every_plot(browser: Any, live: Served, size: tuple[int, int]) -> None:
-    with tab(browser, size, own=live.url) as page:
+def test_the_live_page_shows_every_plot(browser: Any, live: Served, size: tuple[int, int], scheme: str) -> None:
+    with tab(browser, size, own=live.url, scheme=scheme) as page:
         page.goto(f"{live.url}#{live.token}")
         drawn(page)
+        assert background(page) == scheme
+        assert page.inner_text("#name") == "synthetic descent · paper"
         until(lambda: page.inner_text("#link") == "live")
         until(lambda: live.views[-2:] == [View.OPENED, View.DRAWN])
         assert page.locator("#processes tr").count() == 5
-        assert "clock running, 10×" in " ".join(page.inner_text("#figures").split())
+        words = " ".join(page.inner_text("#figures").split())
+        assert "clock running, 10×" in words
+        assert "vehicle from the reference" in words
         assert page.locator("#events tr").count() > 0
         fits(page, size)
-        if size == SCREEN:  # all of it at one look
-            assert page.evaluate("document.documentElement.scrollHeight") <= size[1]
+        if size == SCREEN:  # the first look tells whether it is safe, and begins to tell whether it is on its line
+            assert bottom(page, "#panel-status") < bottom(page, "#panel-tracking") <= size[1]
 
 
 def test_the_buttons_do_what_they_say(browser: Any, live: Served) -> None:
@@ -175,6 +208,39 @@ def test_the_buttons_do_what_they_say(browser: Any, live: Served) -> None:
     assert [one.paused for one in others] == [True, False]  # at the speed that the clock says, which here never changes
 
 
+def test_the_reader_can_look_back_and_return(browser: Any, live: Served) -> None:
+    """At an earlier moment the hull lies at the start of the track, and time plots mark the moment."""
+    with tab(browser, SCREEN, own=live.url) as page:
+        page.goto(f"{live.url}#{live.token}")
+        drawn(page)
+        until(
+            lambda: (
+                page.evaluate("Number(document.querySelector('#moment').max - document.querySelector('#moment').min)")
+                > 20
+            )
+        )
+        hull = "Math.max(...document.querySelector('#plot-track').data.find(one => one.series.table === 'hull').y)"
+        now = page.evaluate(hull)
+        page.focus("#moment")
+        page.keyboard.press("Home")
+        until(lambda: page.evaluate(hull) < now - 0.1 * 20 + 0.5)
+        assert page.inner_text("#at").startswith("t = ")
+        until(lambda: page.evaluate("document.querySelector('#plot-depth').layout.shapes.length") == 1)
+        page.click("#now")
+        until(lambda: page.evaluate(hull) > now)
+        assert page.inner_text("#at") == "now"
+
+
+def test_the_view_from_above_follows_the_vehicle_or_shows_the_whole_track(browser: Any, live: Served) -> None:
+    with tab(browser, SCREEN, own=live.url) as page:
+        page.goto(f"{live.url}#{live.token}")
+        drawn(page)
+        width = "(() => { const [a, b] = document.querySelector('#plot-track').layout.yaxis.range; return b - a })()"
+        page.click("#panel-track button:text-is('whole track')")
+        until(lambda: page.locator("#panel-track button:text-is('follow')").count() == 1)
+        until(lambda: page.evaluate(width) > 6)
+
+
 def test_without_the_token_the_page_is_read_only_and_it_connects_again_by_itself(browser: Any, live: Served) -> None:
     with tab(browser, SCREEN, own=live.url) as page:
         page.goto(live.url)
@@ -193,9 +259,11 @@ def test_after_the_end_of_a_run_the_page_says_so_and_does_not_connect_again(brow
         until(lambda: page.locator("#buttons button:enabled").count() > 0)
         live.vehicle.finished = True
         try:
-            until(lambda: page.inner_text("#link") == "the run has ended")
+            until(lambda: page.inner_text("#link") == "finished")
+            assert "/runs/one/report.html" in page.inner_text("#finished")
+            assert "ltv-mpc sim one" in page.inner_text("#finished")
             live.cut()
-            until(lambda: page.inner_text("#link").startswith("finished"))
+            until(lambda: page.inner_text("#link") == "finished")
             assert page.locator("#buttons button:enabled").count() == 0
             opened: list[str] = []
             page.on("websocket", lambda socket: opened.append(socket.url))

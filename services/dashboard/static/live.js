@@ -4,17 +4,23 @@
   const AGAIN_MS = 1000; // between two attempts to connect
   const BEAT_MS = 1000; // between two heartbeats of the operator
   const SILENT_MS = 3000; // without a text the page says "no data"
-  const DRAW_MS = 60; // between two plots: all seven in less than 0.5 s, with idle time between them
+  const DRAW_MS = 50; // between two plots, with idle time between them
+  const UNSEEN_ROUNDS = 8; // plots outside the window are drawn in one of so many rounds
+  const MAX_MOMENTS = 600; // states to look back at; with twice as many, every second one is dropped
   const SPEEDS = [0.5, 1, 2, 5, 10, 20];
   const MAX_AGE_S = { estimate: 0.5, plan: 1.0, actuators: 1.0 }; // vehicle seconds
   const RESTARTED = ["estimator", "controller", "recorder"]; // a run continues without them for a short time
 
+  const { element } = Plots;
   const token = location.hash.slice(1);
   const byId = (id) => document.getElementById(id);
   const run = { name: "", colour: null, tables: {}, values: {}, marks: [] };
   const rows = new Map(); // of the processes, by name
-  let plots = [], places = new Map(), status = null, socket = null, receivedAt = 0, beatAt = 0, number = 0, dirty = false, next = 0;
+  let about = {}, plots = [], panels = new Map(), status = null, socket = null, receivedAt = 0, beatAt = 0, number = 0;
+  let dirty = false, next = 0, round = 0;
   let drawn = false; // every plot, once
+  let moments = [], stride = 1, ticks = 0, past = null; // states to look back at; the one that is shown, null: now
+  const seen = new Set(); // plots in the window
 
   // --- the stream ---------------------------------------------------------------------------------------------------
 
@@ -24,7 +30,7 @@
     socket.onclose = () => {
       if (status) controls();
       if (ended()) {
-        show("", "finished: the report is in the run's folder");
+        show("", "finished");
         return;
       }
       show("lost", "not connected; trying again");
@@ -41,12 +47,17 @@
   }
 
   function hello(text) {
-    run.name = text.name;
-    byId("name").textContent = text.name;
-    document.title = `${text.name} · ltv-mpc`;
-    if (places.size > 0) return; // connected again
+    about = text.about;
+    if (panels.size > 0) return; // connected again
     plots = text.plots;
-    places = Plots.frames(byId("plots"), plots, false);
+    const redraw = () => { dirty = true; };
+    Plots.useColours(text.dark, redraw);
+    panels = Plots.frames(byId("plots"), plots, { follow: true, onChange: redraw });
+    const watch = new IntersectionObserver((entries) => {
+      for (const { target, isIntersecting } of entries) seen[isIntersecting ? "add" : "delete"](target);
+      redraw();
+    });
+    for (const panel of panels.values()) watch.observe(panel.section);
   }
 
   function update(text) {
@@ -56,6 +67,7 @@
       byId("events").replaceChildren();
       byId("processes").replaceChildren();
       rows.clear();
+      if (status !== null && text.run !== status.run) moments = [];
     }
     for (const [name, columns] of Object.entries(text.rows)) {
       const old = text.replaced.includes(name) ? undefined : run.tables[name];
@@ -66,7 +78,10 @@
     run.marks = run.marks.concat(text.marks);
     byId("events").prepend(...text.marks.map(eventRow).reverse());
     status = text.status;
-    showStatus();
+    keep({ status, tables: text.tables });
+    if (past === null) showStatus(status);
+    showName();
+    controls();
     dirty = true;
   }
 
@@ -76,17 +91,69 @@
     return all;
   }
 
+  // --- looking back -------------------------------------------------------------------------------------------------
+
+  function keep(moment) {
+    const t_s = moment.status.t_s;
+    const last = moments.length ? moments[moments.length - 1].status.t_s : -Infinity;
+    if (t_s === null || t_s <= last || ticks++ % stride !== 0) return;
+    moments.push(moment);
+    if (moments.length >= 2 * MAX_MOMENTS) {
+      moments = moments.filter((_, i) => i % 2 === 0);
+      stride *= 2;
+    }
+    const slider = byId("moment");
+    slider.disabled = moments.length < 2;
+    slider.min = moments[0].status.t_s;
+    slider.max = t_s;
+    if (past === null) slider.value = t_s;
+  }
+
+  function lookBack(t_s) {
+    past = t_s === null ? null : moments.findLast((moment) => moment.status.t_s <= t_s) || moments[0];
+    byId("at").textContent = past === null ? "now" : `t = ${past.status.t_s.toFixed(1)} s`;
+    byId("now").disabled = past === null;
+    if (past === null) byId("moment").value = byId("moment").max;
+    showStatus((past || { status }).status);
+    dirty = true;
+  }
+
+  // Return the run as it was at the moment that is shown: newest state of then, tracks until then.
+  function shown(plot) {
+    if (past === null) return run;
+    const tables = { ...run.tables, ...past.tables };
+    if (!plot.over_time) {
+      for (const [name, columns] of Object.entries(tables)) {
+        if (!columns.t_s) continue;
+        const end = columns.t_s.findIndex((t) => t > past.status.t_s);
+        if (end < 0) continue;
+        tables[name] = Object.fromEntries(Object.entries(columns).map(([column, cells]) => [column, cells.slice(0, end)]));
+      }
+    }
+    return { ...run, tables };
+  }
+
   // --- display ------------------------------------------------------------------------------------------------------
 
-  // Draw one plot at a time, so that the page stays responsive.
+  // Draw one plot at a time, so that the page stays responsive; those outside the window less often.
   function draw() {
     const idle = plots.length === 0 || document.hidden || (!dirty && next === 0);
     if (!idle) {
-      if (next === 0) dirty = false;
-      const plot = plots[next];
-      next = (next + 1) % plots.length;
-      Plots.draw(places.get(plot.name), plot, [run], Plots.times([run]));
-      if (next === 0 && !drawn) reportDrawn();
+      if (next === 0) {
+        dirty = false;
+        round += 1;
+      }
+      const everything = !drawn || round % UNSEEN_ROUNDS === 0;
+      while (next < plots.length && !everything && !seen.has(panels.get(plots[next].name).section)) next += 1;
+      if (next < plots.length) {
+        const plot = plots[next];
+        Plots.draw(panels.get(plot.name), plot, [shown(plot)], Plots.times([run]), { at_s: past && past.status.t_s });
+      }
+      next += 1;
+      if (next >= plots.length) {
+        next = 0;
+        if (!drawn) reportDrawn();
+      }
     }
     setTimeout(draw, DRAW_MS);
   }
@@ -104,44 +171,55 @@
     link.textContent = text;
   }
 
+  function showName() {
+    const name = about.name || status.name;
+    if (byId("name").textContent === name || !name) return;
+    byId("name").textContent = name;
+    document.title = `${name} · ltv-mpc`;
+  }
+
   /** "10×", or "3.1× of 10×" on a machine that cannot do more. */
   const times = ({ speed, requested_speed: asked }) =>
     (speed === asked ? `${asked}×` : `${Number(speed.toPrecision(3))}× of ${asked}×`);
 
-  const number_ = (value, digits) => (value === null ? "–" : value.toFixed(digits));
+  const figure = (value, digits, unit) => (value === null ? "–" : `${value.toFixed(digits)} ${unit}`);
 
-  function showStatus() {
-    const degrees = status.heading_rad === null ? null : (((status.heading_rad * 180) / Math.PI) % 360 + 360) % 360;
-    const rows = [
-      ["t", `${number_(status.t_s, 1)} s`],
-      ["clock", status.clock === "own" ? "its own" : `${status.clock}, ${times(status)}`],
-      ["command authority", status.authority || "–"],
-      ["health", status.health_why ? `${status.health}: ${status.health_why}` : status.health || "–"],
-      ["estimates from", status.source || "–"],
-      ["plan", status.origin || "–"],
-      ["depth", `${number_(status.depth_m, 1)} m`],
-      ["heading", `${number_(degrees, 0)}°`],
-      ["from reference", `${number_(status.error_m, 2)} m`],
+  function showStatus(now) {
+    if (now === null) return;
+    const degrees = now.heading_rad === null ? null : (((now.heading_rad * 180) / Math.PI) % 360 + 360) % 360;
+    const health = now.health === "" ? "" : now.health === "nominal" ? "good" : "bad";
+    const since = run.values.since_s === undefined ? "" : ` since t = ${run.values.since_s} s`;
+    const entries = [
+      ["health", now.health_why ? `${now.health}: ${now.health_why}` : now.health || "–", health],
+      ["command authority", now.authority || "–"],
+      ["plan", now.why ? `${now.origin}: ${now.why}` : now.origin || "–"],
+      ["estimate from the reference", figure(now.error_m, 3, "m")],
+      ...(now.simulated ? [["vehicle from the reference", figure(now.true_error_m, 3, "m") + since]] : []),
+      ["depth", figure(now.depth_m, 1, "m")],
+      ["heading", degrees === null ? "–" : `${degrees.toFixed(0)}°`],
+      ["time", figure(now.t_s, 1, "s")],
+      ["clock", now.clock === "own" ? "its own" : `${now.clock}, ${times(now)}`],
+      ["estimates from", now.source || "–"],
+      ...(now.progress === null ? [] : [["progress", `${(100 * now.progress).toFixed(0)} %`]]),
     ];
-    if (status.progress !== null) rows.push(["done", `${(100 * status.progress).toFixed(0)} %`]);
-    byId("figures").replaceChildren(...rows.map(([name, value]) => {
+    byId("figures").replaceChildren(...entries.map(([name, value, mood]) => {
       const row = document.createElement("div");
-      row.append(element("dt", name), element("dd", value));
+      row.append(element("dt", name), element("dd", value, mood));
       return row;
     }));
-    status.processes.forEach(showProcess);
-    byId("ages").replaceChildren(...ages());
-    controls();
+    now.processes.forEach(showProcess);
+    byId("ages").replaceChildren(element("span", "age of last message:"), ...ages(now));
   }
 
   // Of a simulation: its processes have published their last status.
   const ended = () => status !== null && status.processes.some((one) => one.name === "plant" && one.state === "finished");
 
-  function element(tag, text, name) {
-    const made = document.createElement(tag);
-    made.textContent = text;
-    if (name) made.className = name;
-    return made;
+  function showEnd() {
+    byId("finished").hidden = !ended();
+    if (!ended() || byId("report").hasChildNodes()) return;
+    const report = about.report ? ["Report: ", element("code", about.report)] : ["The report is in the run's folder."];
+    byId("report").append(...report);
+    if (about.again) byId("again").append("Run it again: ", element("code", about.again));
   }
 
   function eventRow(mark) {
@@ -182,8 +260,8 @@
     return button;
   }
 
-  function ages() {
-    return Object.entries(status.ages_s).map(([name, age]) => {
+  function ages(now) {
+    return Object.entries(now.ages_s).map(([name, age]) => {
       const late = age !== null && MAX_AGE_S[name] !== undefined && age > MAX_AGE_S[name];
       return element("span", `${name} ${age === null ? "–" : `${age.toFixed(2)} s`}`, late ? "late" : "");
     });
@@ -231,6 +309,8 @@
     const button = event.target.closest("button");
     if (button) send("kill", { node: button.dataset.kill });
   });
+  byId("moment").addEventListener("input", (event) => lookBack(Number(event.target.value)));
+  byId("now").addEventListener("click", () => lookBack(null));
   byId("speed").append(...SPEEDS.map((speed) => new Option(`${speed}×`, speed)));
   byId("speed").addEventListener("change", (event) => {
     send("speed", { speed: Number(event.target.value) });
@@ -238,10 +318,11 @@
   });
 
   setInterval(() => {
+    showEnd();
     if (socket.readyState !== WebSocket.OPEN) return;
     if (Date.now() - receivedAt > SILENT_MS) show("lost", "no data");
     else if (status && status.clock === "silent") show("", status.preparation || "connected; no data yet");
-    else if (ended()) show("", "the run has ended");
+    else if (ended()) show("", "finished");
     else show("live", "live");
   }, 500);
   connect();

@@ -26,7 +26,7 @@ SYNTHETIC, MEASURED = "synthetic", "measured"
 """Groups of current profiles, in table ``profile`` like those of a run."""
 
 STRUCTURE, TIMING = "structure", "timing"
-"""Groups with one run each, which holds the tables of ``water.structure`` or of ``catalogue.LATENCY``."""
+"""Groups with one run each, which holds the tables of ``water.structure`` or of ``catalogue.STAGES``."""
 
 THE_PAPER, OURS = "the paper's cost and delays", "this project's"
 
@@ -71,7 +71,7 @@ def sheets(measured: Sequence[str]) -> tuple[Sheet, ...]:
         Sheet("localisation", 3.6, _both(catalogue.ERRORS, (PAPER_LONG,), (OURS_LONG,))),
         Sheet("current", 2.8, (Panel("estimated at the end, with 2 sigma", catalogue.CURRENT, (OURS_LONG,)),)),
         Sheet("depth", 2.0, (Panel("", catalogue.DEPTH, (OURS_LONG,)),)),
-        Sheet("timing", 2.4, (Panel("cycles of this project, 5.1 s of horizon", catalogue.LATENCY, (TIMING,)),)),
+        Sheet("timing", 2.4, (Panel("cycles of this project, 5.1 s of horizon", catalogue.STAGES, (TIMING,)),)),
     )
 
 

@@ -28,6 +28,7 @@ from services.reporting.plots.table import Columns
 Dash: TypeAlias = tuple[float, Sequence[float]] | None
 
 LINES: dict[Style, Dash] = {Style.LINE: None, Style.DASHED: (0, (5, 2)), Style.DOTTED: (0, (1, 1.2))}
+MARKERS = {Style.CROSS: "+", Style.DOT: "o", Style.RING: "o"}
 COMPARED: tuple[Dash, ...] = (None, (0, (4, 1.5)), (0, (1, 1.2)))
 """Dash patterns of the first, second and third compared series, if several runs are overlaid."""
 
@@ -40,6 +41,8 @@ MARGIN, TIME_MARGIN, LOG_MARGIN = 0.05, 0.01, 0.15
 """Margins as a share of the axis span; on a logarithmic axis in decades."""
 
 TIME = "t_s"
+GAP_S, GAP_STEPS = 1.0, 5.0
+"""A line ends where data are missing for longer than both: seconds, and mean steps; as in plots.js."""
 
 
 class Run(NamedTuple):
@@ -77,6 +80,9 @@ def draw(axes: Axes, plot: Plot, runs: Sequence[Run], *, title: str | None = Non
         return
     _limit(axes, "x", plot.x, np.concatenate(drawn.x), TIME_MARGIN if plot.over_time else MARGIN)
     _limit(axes, "y", plot.y, np.concatenate(drawn.y), MARGIN)
+    if plot.y.rows:
+        axes.set_yticks(range(len(plot.y.rows)), plot.y.rows)
+        axes.set_ylim(len(plot.y.rows) - 0.5, -0.5)
     if plot.equal:
         axes.set_aspect("equal", adjustable="datalim")
 
@@ -145,8 +151,11 @@ def _line(axes: Axes, run: Run, series: Series, drawn: _Drawn) -> Line2D | None:
     if not _known(x, y).any():
         return None
     drawn.add(x, y)
-    if series.style is Style.CROSS:
-        (line,) = axes.plot(x, y, "+", color=series.colour, markersize=7, markeredgewidth=1.4, label=series.label)
+    if (marker := MARKERS.get(series.style)) is not None:
+        face = "none" if series.style is Style.RING else series.colour
+        (line,) = axes.plot(
+            x, y, marker, color=series.colour, markersize=7, mfc=face, markeredgewidth=1.4, label=series.label
+        )
     else:
         style = LINES[series.style]
         (line,) = axes.plot(x, y, color=series.colour, linestyle=style, linewidth=WIDTH, label=series.label)
@@ -217,8 +226,17 @@ def _from_its_start(x: Array) -> Array:
 
 
 def _column(run: Run, table: str, name: str) -> Array:
-    """Return a column (K,) with NaN for gaps; empty if the run does not have it."""
-    cells: Iterable[float | None] = run.tables.get(table, {}).get(name, ())
+    """Return a column (K,) with NaN for missing values and where data are missing; empty if the run lacks it."""
+    columns = run.tables.get(table, {})
+    values = _floats(columns.get(name, ()))
+    times = _floats(columns.get(TIME, ()))
+    if len(times) < 3:
+        return values
+    longest_s = max(GAP_S, GAP_STEPS * float(times[-1] - times[0]) / (len(times) - 1))
+    return np.insert(values, np.flatnonzero(np.diff(times) > longest_s) + 1, math.nan)
+
+
+def _floats(cells: Iterable[float | None]) -> Array:
     return np.array([math.nan if cell is None else cell for cell in cells], dtype=np.float64)
 
 

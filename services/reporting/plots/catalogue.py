@@ -3,26 +3,41 @@
 from __future__ import annotations
 
 from services.reporting.plots import palette
-from services.reporting.plots.description import Axis, Level, Plot, Series, Style
+from services.reporting.plots.collector import NIS
+from services.reporting.plots.delays import STAGES as ROWS_OF_STAGES
+from services.reporting.plots.description import Axis, Group, Level, Plot, Series, Style
+from services.reporting.plots.vehicle_from_above import CURRENT_MPS
 
 TIME = Axis(label="time (s)")
+NO_TIMES = "no times; none are measured in lock step"
 
 TRACK = Plot(
     name="track",
-    title="Horizontal track",
+    title="View from above",
     x=Axis(label="east (m)", min_span=1.0),
     y=Axis(label="north (m)", min_span=1.0),
     over_time=False,
     equal=True,
     from_start=True,
-    note="The true track is shifted to start at the estimate at t = 0, so the error of the satellite fix is removed.",
+    group=Group.LINE,
+    drifts=True,
+    follow=("hull", "target", "horizon", "current_arrow"),
+    note=(
+        "The true track is shifted to start at the estimate at t = 0, so the error of the satellite fix is removed. "
+        f"An arrow as long as the hull is the full thrust, or a current of {CURRENT_MPS:g} m/s."
+    ),
     series=(
         Series(label="reference", table="reference", x="east_m", y="north_m", colour=palette.REFERENCE),
         Series(label="2 sigma", table="ellipse", x="east_m", y="north_m", colour=palette.ESTIMATE, style=Style.DOTTED),
         Series(label="true", table="truth", x="east_m", y="north_m", colour=palette.TRUTH, compared=True),
         Series(label="estimate", table="track", x="east_m", y="north_m", colour=palette.ESTIMATE),
-        Series(label="predicted", table="horizon", x="east_m", y="north_m", colour=palette.PLAN, style=Style.DASHED),
+        Series(label="plan", table="horizon", x="east_m", y="north_m", colour=palette.PLAN, style=Style.DASHED),
         Series(label="target", table="target", x="east_m", y="north_m", colour=palette.REFERENCE, style=Style.CROSS),
+        # Overlays: a table of lines in metres and a series here; None in the table separates two lines.
+        Series(label="hull", table="hull", x="east_m", y="north_m", colour=palette.ESTIMATE),
+        Series(label="port thrust", table="port_arrow", x="east_m", y="north_m", colour=palette.PORT),
+        Series(label="starboard thrust", table="starboard_arrow", x="east_m", y="north_m", colour=palette.STARBOARD),
+        Series(label="current", table="current_arrow", x="east_m", y="north_m", colour=palette.CURRENT),
     ),
 )
 
@@ -31,6 +46,7 @@ DEPTH = Plot(
     title="Depth",
     x=TIME,
     y=Axis(label="depth (m)", downwards=True, min_span=1.0),
+    group=Group.LINE,
     series=(
         Series(
             label="reference", table="reference", x="t_s", y="depth_m", colour=palette.REFERENCE, style=Style.DOTTED
@@ -46,6 +62,8 @@ ERRORS = Plot(
     x=TIME,
     y=Axis(label="error (m)", min_span=0.1),
     note="Error gained since t = 0. Without a known truth: two standard deviations of the position.",
+    group=Group.LINE,
+    drifts=True,
     series=(
         Series(
             label="2 sigma",
@@ -66,8 +84,10 @@ TRACKING = Plot(
     title="Distance from the reference",
     x=TIME,
     y=Axis(label="distance (m)", min_span=0.1),
+    group=Group.LINE,
+    drifts=True,
     series=(
-        Series(label="true", table="true_distance", x="t_s", y="distance_m", colour=palette.TRUTH, compared=True),
+        Series(label="vehicle", table="true_distance", x="t_s", y="distance_m", colour=palette.TRUTH, compared=True),
         Series(label="estimate", table="distance", x="t_s", y="distance_m", colour=palette.ESTIMATE, compared=True),
     ),
 )
@@ -140,42 +160,127 @@ CURRENT = Plot(
     ),
 )
 
-LATENCY = Plot(
-    name="latency",
-    title="Delays, and the cycle by stage",
+VERTICAL = Plot(
+    name="vertical",
+    title="Vertical thrust",
     x=TIME,
-    y=Axis(label="time (ms)", log=True),
-    empty="no times; none are measured in lock step",
-    note="Each point is the slowest of several cycles. Stages in wall time, delays between processes in vehicle time.",
+    y=Axis(label="thrust (N), down", min_span=10.0),
+    empty="no vertical thruster",
     series=(
-        Series(label="deadline", table="latency", x="t_s", y="deadline_ms", colour=palette.LIMIT, style=Style.DOTTED),
-        *(
-            Series(label=label, table="latency", x="t_s", y=column, colour=colour)
-            for label, column, colour in zip(
-                ("predict", "linearise", "build", "solve", "publish"),
-                ("predict_ms", "linearise_ms", "build_ms", "solve_ms", "publish_ms"),
-                palette.STAGES,
-                strict=True,
-            )
-        ),
-        Series(
-            label="age of estimate",
-            table="latency",
-            x="t_s",
-            y="estimate_age_ms",
-            colour=palette.ESTIMATE,
-            style=Style.DASHED,
-        ),
-        Series(
-            label="cycle to actuators",
-            table="delivery",
-            x="t_s",
-            y="plan_ms",
-            colour=palette.PLAN,
-            style=Style.DASHED,
-        ),
-        Series(label="cycle", table="latency", x="t_s", y="cycle_ms", colour=palette.TRUTH, compared=True),
+        Series(label="delivered", table="thrust", x="t_s", y="vertical_N", colour=palette.OTHER, compared=True),
+        Series(label="planned", table="ahead", x="t_s", y="vertical_N", colour=palette.PLAN, style=Style.DASHED),
+    ),
+    levels=(
+        Level(label="limits", value="vertical_min_N", colour=palette.LIMIT),
+        Level(label="limits", value="vertical_max_N", colour=palette.LIMIT),
     ),
 )
 
-PLOTS = (TRACK, ERRORS, THRUST, CURRENT, DEPTH, TRACKING, LATENCY)
+HEADING = Plot(
+    name="heading",
+    title="Heading",
+    x=TIME,
+    y=Axis(label="heading (deg)", min_span=5.0),
+    group=Group.LINE,
+    note="The reference of an underactuated vehicle has no heading: the controller plans one.",
+    series=(
+        Series(label="true", table="truth", x="t_s", y="heading_deg", colour=palette.TRUTH, compared=True),
+        Series(label="estimate", table="track", x="t_s", y="heading_deg", colour=palette.ESTIMATE, style=Style.DASHED),
+        Series(label="planned", table="ahead", x="t_s", y="heading_deg", colour=palette.PLAN, style=Style.DASHED),
+    ),
+)
+
+YAW_RATE = Plot(
+    name="yaw_rate",
+    title="Yaw rate",
+    x=TIME,
+    y=Axis(label="yaw rate (deg/s)", min_span=1.0),
+    series=(
+        Series(label="true", table="truth", x="t_s", y="yaw_rate_dps", colour=palette.TRUTH, compared=True),
+        Series(label="estimate", table="track", x="t_s", y="yaw_rate_dps", colour=palette.ESTIMATE, style=Style.DASHED),
+        Series(label="planned", table="ahead", x="t_s", y="yaw_rate_dps", colour=palette.PLAN, style=Style.DASHED),
+    ),
+)
+
+NIS_BY_SENSOR = Plot(
+    name="nis",
+    title="Innovations by sensor (NIS)",
+    x=TIME,
+    y=Axis(label="NIS per degree of freedom", log=True),
+    empty="no report of an estimator",
+    note=(
+        "Mean normalised innovation squared: 1 if the filter knows its own uncertainty. The band holds 95 % of such "
+        "means."
+    ),
+    series=tuple(
+        series
+        for i, (sensor, table) in enumerate(NIS.items())
+        for series in (
+            Series(
+                label="",
+                table=table,
+                x="t_s",
+                y="low",
+                y_high="high",
+                colour=palette.RUNS[i % len(palette.RUNS)],
+                style=Style.BAND,
+            ),
+            Series(label=sensor, table=table, x="t_s", y="nis", colour=palette.RUNS[i % len(palette.RUNS)]),
+        )
+    ),
+)
+
+ENERGY = Plot(
+    name="energy",
+    title="Propulsive energy",
+    x=TIME,
+    y=Axis(label="energy (J)", min_span=10.0),
+    empty="the vehicle file has no torque coefficients",
+    note="Mechanical energy at the shafts since t = 0.",
+    series=(
+        Series(label="all thrusters", table="energy", x="t_s", y="all_J", colour=palette.OTHER, compared=True),
+        Series(
+            label="lateral thrusters",
+            table="energy",
+            x="t_s",
+            y="lateral_J",
+            colour=palette.OTHER,
+            style=Style.DASHED,
+            compared=True,
+        ),
+    ),
+)
+
+LATENCY = Plot(
+    name="latency",
+    title="Cycle time and its deadline",
+    x=TIME,
+    y=Axis(label="wall time (ms)", log=True),
+    empty=NO_TIMES,
+    note="Each point is the slowest of several cycles.",
+    series=(
+        Series(label="deadline", table="latency", x="t_s", y="deadline_ms", colour=palette.LIMIT, style=Style.DOTTED),
+        Series(label="cycle", table="latency", x="t_s", y="cycle_ms", colour=palette.OTHER, compared=True),
+    ),
+)
+
+STAGES = Plot(
+    name="stages",
+    title="Delays by stage",
+    x=Axis(label="time (ms)", log=True),
+    y=Axis(label="stage", downwards=True, rows=ROWS_OF_STAGES),
+    over_time=False,
+    empty=NO_TIMES,
+    note="Percentiles of all cycles so far. Wall time; the delays between processes in vehicle time.",
+    series=(
+        Series(label="median", table="stages", x="median_ms", y="row", colour=palette.OTHER, style=Style.DOT),
+        Series(label="99 %", table="stages", x="p99_ms", y="row", colour=palette.OTHER, style=Style.RING),
+        Series(label="longest", table="stages", x="max_ms", y="row", colour=palette.LIMIT, style=Style.CROSS),
+    ),
+)
+
+PLOTS = (
+    *(TRACK, TRACKING, DEPTH, ERRORS, HEADING),
+    *(THRUST, CURRENT, YAW_RATE, VERTICAL, NIS_BY_SENSOR, ENERGY, LATENCY, STAGES),
+)
+"""Every plot of a run, in the order in which a reader asks: is it on its line, and why or why not."""

@@ -10,12 +10,25 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from ltv_mpc.messages import Applied, Array, Clock, CurrentProfile, CycleTiming, Estimate, Message, Plan, Truth
-from ltv_mpc.vehicle.parameters import Thruster
+from ltv_mpc.messages import (
+    Applied,
+    Clock,
+    CycleTiming,
+    Estimate,
+    LocalisationReport,
+    Message,
+    NodeSettings,
+    Plan,
+    Truth,
+)
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.recording.node_settings import VEHICLE, vehicle_of
+from services.reporting.plots.delays import Delays
+from services.reporting.plots.distances import Distances
+from services.reporting.plots.energy import Energy
 from services.reporting.plots.events import Marks
-from services.reporting.plots.table import Columns, Table, short
+from services.reporting.plots.newest import SIGMAS, NewestState
+from services.reporting.plots.table import Columns, Table
 from services.reporting.plots.truth import TrueTrack, principal
 
 MAX_PLAIN_NS = 1_000_000_000_000_000
@@ -24,42 +37,47 @@ MAX_PLAIN_NS = 1_000_000_000_000_000
 ROWS = 1_500
 """Row limit of a table; about the width of a screen in pixels."""
 
+MOTION = ("t_s", "north_m", "east_m", "depth_m", "heading_deg", "yaw_rate_dps")
+CORRECTING = ("gnss", "tdcp", "adcp", "pressure", "compass", "bottom_track", "lbl", "usbl")
+"""Sensors that correct the filter, as in the registry of the sensors, which takes half a second to import."""
+NIS = {sensor: f"nis_{sensor}" for sensor in CORRECTING}
+"""Tables of the normalised innovations, by sensor."""
+
 HISTORY = {
-    "track": ("t_s", "north_m", "east_m", "depth_m"),
-    "truth": ("t_s", "north_m", "east_m", "depth_m"),
+    "track": MOTION,
+    "truth": MOTION,
     "reference": ("t_s", "north_m", "east_m", "depth_m"),
     "errors": ("t_s", "north_m", "east_m", "minus_2_sigma_m", "plus_2_sigma_m"),
     "distance": ("t_s", "distance_m"),
     "true_distance": ("t_s", "distance_m"),
-    "thrust": ("t_s", "port_N", "starboard_N"),
+    "thrust": ("t_s", "port_N", "starboard_N", "vertical_N"),
+    "energy": ("t_s", "all_J", "lateral_J"),
+    **dict.fromkeys(NIS.values(), ("t_s", "nis", "low", "high")),
     "true_current": ("depth_m", "north_mps", "east_mps"),
-    "latency": (
-        *("t_s", "cycle_ms", "predict_ms", "linearise_ms", "build_ms", "solve_ms", "publish_ms", "deadline_ms"),
-        "estimate_age_ms",
-    ),
-    "delivery": ("t_s", "plan_ms"),
+    "latency": ("t_s", "cycle_ms", "deadline_ms"),
 }
-PEAKS = {"latency": "cycle_ms", "delivery": "plan_ms"}
+PEAKS = {"latency": "cycle_ms"}
 
-STAGES = (("read", "predict"), ("linearise",), ("build", "update"), ("solve",), ("publish",))
-"""Stages of a cycle; those of one tuple are plotted as their sum."""
+LEAST_NIS = 0.01
+"""Lower end of the band of few innovations, for a logarithmic axis."""
+
+LATE_S = 1.0
+"""Vehicle time of the first estimate (s) after which the data do not begin with the run."""
 
 ESTIMATES_NS = 100_000_000
-ELLIPSE = 48  # points
-SIGMAS = 2.0
 
 
 class Collector:
     """Builder of plot tables; takes messages in the order of their publication.
 
-    ``thrusters`` are port and starboard, whose limits are plotted; None if they are unknown. ``origin_ns`` is the
-    vehicle time at which plotted times are zero; None: the time of the first message, if it is large as a time since
-    1970 is, otherwise 0.
+    ``vehicle`` gives limits, hull and energy; None: that of the first settings which a process publishes. ``origin_ns``
+    is the vehicle time at which plotted times are zero; None: the time of the first message, if it is large as a time
+    since 1970 is, otherwise 0.
     """
 
     def __init__(
         self,
-        thrusters: tuple[Thruster, Thruster] | None = None,
+        vehicle: Vehicle | None = None,
         *,
         rows: int = ROWS,
         origin_ns: int | None = None,
@@ -68,38 +86,38 @@ class Collector:
         self.tables = {name: Table(columns, limit=rows, peak=PEAKS.get(name, "")) for name, columns in HISTORY.items()}
         self.marks = Marks(self.seconds)
         self.values: dict[str, float] = {}
-        self.set_limits(thrusters)
+        self.vehicle: Vehicle | None = None
+        self.set_vehicle(vehicle)
+        self.newest = NewestState()
         self._true = TrueTrack()
-        self._speed = 1.0
-        self._estimate: Estimate | None = None
-        self._plan: Plan | None = None
-        self.profile: CurrentProfile | None = None
-        """Estimated current, from the newest estimate that has one."""
-        self._targets: list[tuple[int, float, float]] = []  # t_ns, north, east of the last two plans
-        self._waiting: list[tuple[Table, int, float, float]] = []  # positions that wait for the next target
+        self._distances = Distances(self.tables, self.seconds)
+        self._delays = Delays(self.tables["latency"], self.seconds)
+        self._energy = Energy()
+        self._heading_deg = 0.0  # of the newest estimate, without jumps
         self._handlers: dict[type[Message], Callable[[Any], None]] = {
             Truth: self._add_truth,
             Estimate: self._add_estimate,
             Plan: self._add_plan,
             Applied: self._add_applied,
-            CycleTiming: self._add_timing,
-            Clock: self._add_clock,
+            CycleTiming: lambda timing: self._delays.add_timing(timing, self.newest.plan),
+            Clock: self._delays.add_clock,
+            LocalisationReport: self._add_report,
+            NodeSettings: self._add_settings,
         }
 
     @property
-    def estimate(self) -> Estimate | None:
-        """Newest estimate."""
-        return self._estimate
+    def true_error_m(self) -> float | None:
+        """Newest distance of the vehicle from the reference; None without a known truth."""
+        return self._distances.true_m
 
-    @property
-    def plan(self) -> Plan | None:
-        """Newest plan."""
-        return self._plan
-
-    def set_limits(self, thrusters: tuple[Thruster, Thruster] | None) -> None:
-        """Set the thrust limits that are plotted, of port and starboard; None: no change."""
-        for side, thruster in zip(("port", "starboard"), thrusters or (), strict=False):
-            self.values |= {f"{side}_min_N": thruster.min_N, f"{side}_max_N": thruster.max_N}
+    def set_vehicle(self, vehicle: Vehicle | None) -> None:
+        """Set the vehicle if none is known yet."""
+        if self.vehicle is not None or vehicle is None:
+            return
+        self.vehicle = vehicle
+        for side, thruster in zip(("port", "starboard", "vertical"), vehicle.thrusters, strict=True):
+            if thruster.max_N > 0.0:
+                self.values |= {f"{side}_min_N": thruster.min_N, f"{side}_max_N": thruster.max_N}
 
     def seconds(self, t_ns: int) -> float:
         """Return a vehicle time as it is plotted (s)."""
@@ -116,11 +134,10 @@ class Collector:
 
     def current_tables(self) -> dict[str, Columns]:
         """Return the tables of the newest state."""
-        return {
-            **_of_plan(self._plan, self.seconds),
-            "ellipse": self._ellipse(),
-            "profile": _profile(self.profile),
-        }
+        estimate = self.newest.estimate
+        covariance = None if estimate is None else self._true.covariance(estimate)
+        tables = self.newest.tables(self.vehicle, covariance, self.seconds, self._unwrapped_deg)
+        return {**tables, "stages": self._delays.stages()}
 
     def all_tables(self) -> dict[str, Columns]:
         """Return every table with all rows."""
@@ -136,20 +153,26 @@ class Collector:
         position = self._true.position(truth)
         if position is None:
             return
-        self.tables["truth"].add(self.seconds(truth.t_ns), *position, truth.position_m[2])
+        turning = self._unwrapped_deg(truth.attitude_rad[2]), math.degrees(truth.yaw_rate_radps)
+        self.tables["truth"].add(self.seconds(truth.t_ns), *position, truth.position_m[2], *turning)
         self.tables["true_current"].add(truth.position_m[2], *truth.current_mps)
-        self._wait_for_target("true_distance", truth.t_ns, *position)
+        self._distances.add_position("true_distance", truth.t_ns, *position)
 
     def _add_estimate(self, estimate: Estimate) -> None:
-        last = self._estimate
+        last = self.newest.estimate
         if last is not None and 0 <= estimate.t_ns - last.t_ns < ESTIMATES_NS:
             return
-        self._estimate = estimate
-        self.profile = estimate.current or self.profile
+        self.newest.estimate = estimate
+        self.newest.profile = estimate.current or self.newest.profile
         for truth in self._true.begin(estimate):
             self._show_truth(truth)
-        self.tables["track"].add(self.seconds(estimate.t_ns), estimate.north_m, estimate.east_m, estimate.depth_m)
-        self._wait_for_target("distance", estimate.t_ns, estimate.north_m, estimate.east_m)
+        if self._true.start_error is not None and self._true.start_ns > LATE_S * 1e9:
+            self.values["since_s"] = round(self.seconds(self._true.start_ns), 1)
+        position = estimate.north_m, estimate.east_m, estimate.depth_m
+        self._heading_deg = self._unwrapped_deg(estimate.heading_rad)
+        turning = self._heading_deg, math.degrees(estimate.yaw_rate_radps)
+        self.tables["track"].add(self.seconds(estimate.t_ns), *position, *turning)
+        self._distances.add_position("distance", estimate.t_ns, estimate.north_m, estimate.east_m)
         error = self._true.error(estimate)
         if error is None and self._true.known:
             return
@@ -160,104 +183,40 @@ class Collector:
         )
 
     def _add_plan(self, plan: Plan) -> None:
-        self._plan = plan
-        if plan.reference_m is None:
-            return
-        t_ns = int(plan.t_ns[0])
-        if not self._targets:  # there was no reference before
-            self._waiting = [one for one in self._waiting if one[1] >= plan.cycle_t_ns]
-        self.tables["reference"].add(self.seconds(t_ns), *plan.reference_m, plan.reference_depth_m)
-        last = self._targets[-1] if self._targets and plan.progress is not None else (t_ns, *plan.reference_m)
-        self._targets = [last, (t_ns, *plan.reference_m)]
-        waiting, self._waiting = self._waiting, []
-        for table, then_ns, north, east in waiting:
-            if then_ns > t_ns and plan.progress is not None:
-                self._waiting.append((table, then_ns, north, east))
-            else:
-                table.add(self.seconds(then_ns), math.hypot(*self._from_target(then_ns, north, east)))
+        if plan is not self.newest.plan:
+            self.newest.plan = plan
+            self._distances.add_plan(plan)
 
     def _add_applied(self, applied: Applied) -> None:
-        self.tables["thrust"].add(self.seconds(applied.t_ns), *applied.thrust_N[:2])
-        delay_ms = (applied.plan_received_t_ns - applied.plan_cycle_t_ns) / 1e6
-        if len(self.tables["latency"]) and applied.plan_sequence >= 0 and delay_ms > 0.0:
-            self.tables["delivery"].add(self.seconds(applied.t_ns), delay_ms)
+        self.newest.applied = applied
+        self._delays.add_applied(applied)
+        self.tables["thrust"].add(self.seconds(applied.t_ns), *applied.thrust_N)
+        if self.vehicle is not None:
+            self._energy.add(applied, self.vehicle, self._true.newest, self.newest.estimate)
+            if self._energy.joules is not None:
+                self.tables["energy"].add(self.seconds(applied.t_ns), *self._energy.joules)
 
-    def _add_timing(self, timing: CycleTiming) -> None:
-        cycle_ms = (timing.compute_wall_ns or timing.compute_ns) / 1e6
-        if not cycle_ms:  # lock-step runs measure no time
-            return
-        plan = self._plan
-        deadline_ms = None
-        if plan is not None and plan.cycle_t_ns == timing.t_ns:
-            deadline_ms = (int(plan.t_ns[0]) - plan.cycle_t_ns) / 1e6 / self._speed
-        us = [sum(timing.stage_us.get(name, 0.0) for name in names) for names in STAGES]
-        # a logarithmic axis cannot show zero
-        self.tables["latency"].add(
-            self.seconds(timing.t_ns),
-            cycle_ms,
-            *((one / 1e3) or None for one in us),
-            deadline_ms or None,
-            max(timing.estimate_age_ns / 1e6, 0.0) or None,
-        )
+    def _add_report(self, report: LocalisationReport) -> None:
+        for sensor in report.sensors:
+            count = sensor.used + sensor.rejected.get("gate", 0)
+            if sensor.nis is not None and count and sensor.sensor in NIS:
+                self.tables[NIS[sensor.sensor]].add(self.seconds(report.t_ns), sensor.nis, *consistent_nis(count))
 
-    def _add_clock(self, clock: Clock) -> None:
-        self._speed = clock.speed_num / clock.speed_den
+    def _add_settings(self, settings: NodeSettings) -> None:
+        if self.vehicle is None and VEHICLE in settings.files:
+            self.set_vehicle(vehicle_of(settings.files))
 
-    # --- the reference -----------------------------------------------------------------------------------------------
-
-    def _wait_for_target(self, table: str, t_ns: int, north_m: float, east_m: float) -> None:
-        """Queue a position until a plan with a later target gives the reference at that time."""
-        self._waiting.append((self.tables[table], t_ns, north_m, east_m))
-        del self._waiting[:-1000]  # bounds the memory if no plans arrive
-
-    def _from_target(self, t_ns: int, north_m: float, east_m: float) -> tuple[float, float]:
-        """Return the offset (m) from the reference, interpolated linearly between the targets of two plans."""
-        (t0, north0, east0), (t1, north1, east1) = self._targets
-        s = min(max((t_ns - t0) / (t1 - t0), 0.0), 1.0) if t1 > t0 else 1.0
-        return north_m - north0 - s * (north1 - north0), east_m - east0 - s * (east1 - east0)
-
-    def _ellipse(self) -> Columns:
-        """Return the 2-sigma ellipse of the estimated position."""
-        estimate = self._estimate
-        covariance = None if estimate is None else self._true.covariance(estimate)
-        if estimate is None or covariance is None:
-            return {"north_m": [], "east_m": []}
-        sigma, axes = principal(covariance)
-        angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE + 1)
-        outline: Array = SIGMAS * axes @ (sigma[:, None] * np.array([np.cos(angle), np.sin(angle)]))  # (2, ELLIPSE+1)
-        return {
-            "north_m": [short(x + estimate.north_m) for x in outline[0]],
-            "east_m": [short(x + estimate.east_m) for x in outline[1]],
-        }
+    def _unwrapped_deg(self, heading_rad: float) -> float:
+        """Return the heading (deg) that is nearest to that of the newest estimate, so that a turn has no jump."""
+        heading_deg = math.degrees(heading_rad)
+        return heading_deg + 360.0 * round((self._heading_deg - heading_deg) / 360.0)
 
 
-def _of_plan(plan: Plan | None, seconds: Callable[[int], float]) -> dict[str, Columns]:
-    if plan is None:
-        nothing: Columns = {}
-        return {"horizon": nothing, "ahead": nothing, "target": nothing}
-    horizon: Columns = {
-        "north_m": [short(x) for x in plan.states[:, 0]],
-        "east_m": [short(x) for x in plan.states[:, 1]],
-    }
-    ahead: Columns = {
-        "t_s": [short(seconds(t)) for t in plan.t_ns.tolist()],
-        "port_N": [short(x) for x in plan.thrust_N[:, 0]],
-        "starboard_N": [short(x) for x in plan.thrust_N[:, 1]],
-    }
-    target: Columns = {}
-    if plan.reference_m is not None:
-        target = {"north_m": [short(plan.reference_m[0])], "east_m": [short(plan.reference_m[1])]}
-    return {"horizon": horizon, "ahead": ahead, "target": target}
+def consistent_nis(count: int) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of ``count`` consistent innovations squared, each of one degree of freedom.
 
-
-def _profile(profile: CurrentProfile | None) -> Columns:
-    """Return the table of a current profile with its 2-sigma band, one row for each depth."""
-    if profile is None:
-        return {}
-    columns: Columns = {"depth_m": [short(x) for x in profile.depth_m]}
-    for name, velocity in (("north", profile.north_mps), ("east", profile.east_mps)):
-        columns[f"{name}_mps"] = [short(x) for x in velocity]
-        if profile.sd_mps is not None:
-            columns[f"{name}_low_mps"] = [short(x) for x in velocity - SIGMAS * profile.sd_mps]
-            columns[f"{name}_high_mps"] = [short(x) for x in velocity + SIGMAS * profile.sd_mps]
-    return columns
+    Wilson and Hilferty (1931): the cube root of chi-squared / n is nearly normal, mean 1 - 2 / 9n, variance 2 / 9n.
+    """
+    variance = 2.0 / (9.0 * count)
+    low, high = (1.0 - variance + sign * 1.96 * math.sqrt(variance) for sign in (-1.0, 1.0))
+    return max(low**3, LEAST_NIS), high**3

@@ -20,7 +20,16 @@ class Style(enum.StrEnum):
     DASHED = "dashed"
     DOTTED = "dotted"
     CROSS = "cross"  # current position of something
+    DOT = "dot"
+    RING = "ring"
     BAND = "band"  # filled between x and x_high, or y and y_high
+
+
+class Group(enum.StrEnum):
+    """Question that a plot helps to answer; the page and the report show them in this order."""
+
+    LINE = "Is it on its line?"
+    WHY = "Why, or why not?"
 
 
 class Series(msgspec.Struct, frozen=True, kw_only=True):
@@ -52,6 +61,7 @@ class Axis(msgspec.Struct, frozen=True, kw_only=True):
     downwards: bool = False  # larger values are lower, as for a depth
     log: bool = False
     min_span: float | None = None  # smallest range shown, so that noise does not look like motion
+    rows: tuple[str, ...] = ()  # names of the values 0, 1, ...
 
 
 class Plot(msgspec.Struct, frozen=True, kw_only=True):
@@ -68,3 +78,6 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
     from_start: bool = False  # data before t = 0 are hidden as soon as there are later ones
     empty: str = NO_DATA  # text shown without data
     note: str = ""  # explanation shown with the title
+    group: Group = Group.WHY
+    drifts: bool = False  # counts from the first message: a plot that began late says from when
+    follow: tuple[str, ...] = ()  # tables around which the view can follow the vehicle

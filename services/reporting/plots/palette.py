@@ -1,4 +1,9 @@
-"""Plot colours by meaning: the colour-blind safe palette of Okabe and Ito, dark enough for a white background."""
+"""Plot colours by meaning, on a light and on a dark background.
+
+A colour means the same in every panel of page, report and figures: true black, estimate blue, reference grey, port
+orange, starboard green. In a plot of several runs a colour of ``RUNS`` means a run. The hues are
+those of Okabe and Ito, which remain different for the three kinds of colour blindness.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +13,31 @@ REFERENCE = "#767676"
 PLAN = "#cc5fa0"
 PORT = "#d55e00"
 STARBOARD = "#009e73"
-NORTH = "#0072b2"
-EAST = "#d55e00"
-LIMIT = "#767676"
+NORTH = "#7b3294"
+EAST = "#9a6f00"
+CURRENT = "#00798c"
+LIMIT = "#8c1d18"
 MARK = "#a0522d"
-
-STAGES = ("#56b4e9", "#009e73", "#b8860b", "#d55e00", "#cc5fa0")
-"""Colours of the stages of a cycle, in their order."""
+OTHER = "#455a64"
+"""Quantities without a colour of their own: vertical thrust, energy, times."""
 
 RUNS = ("#0072b2", "#d55e00", "#009e73", "#cc5fa0", "#b8860b", "#56b4e9", "#1b1b1b", "#767676")
-"""Colours of several runs in one plot; they repeat after the eighth."""
+"""Colours of several runs, or of several sensors, in one plot; they repeat after the eighth."""
+
+DARK = {
+    TRUTH: "#f2f2f2",
+    ESTIMATE: "#56b4e9",
+    REFERENCE: "#9aa0a6",
+    PLAN: "#ee96c8",
+    PORT: "#ff8f3f",
+    STARBOARD: "#2bc795",
+    NORTH: "#c792ea",
+    EAST: "#e0b040",
+    CURRENT: "#4fc3d6",
+    LIMIT: "#f28b82",
+    MARK: "#dd9a6c",
+    OTHER: "#a7bcc7",
+    "#b8860b": "#e3c04f",
+    "#56b4e9": "#9ad4f5",
+}
+"""Colour on a dark background for each of the colours above."""

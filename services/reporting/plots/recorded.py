@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tomllib
-from collections.abc import Mapping
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -13,8 +11,6 @@ import msgspec
 from mcap.records import Channel, Metadata
 from mcap.records import Message as McapMessage
 
-from ltv_mpc.config import parse
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import (
     Acknowledgement,
     Applied,
@@ -31,9 +27,8 @@ from ltv_mpc.messages import (
     RunEvent,
     Truth,
 )
-from ltv_mpc.vehicle.parameters import Thruster, Vehicle
 from services.bus import topics, wire
-from services.recording.node_settings import VEHICLE
+from services.recording.node_settings import vehicle_of
 from services.recording.records import Records, start_of
 from services.recording.recover import segments
 from services.recording.writer import RUN, VEHICLE_MODE
@@ -124,7 +119,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
                 continue
             if collector is None:
                 start_ns = record.log_time + start_of(metadata) if metadata.get("mode") == VEHICLE_MODE else 0
-                collector = Collector(rows=rows, origin_ns=start_ns)
+                collector = Collector(vehicle_of(metadata), rows=rows, origin_ns=start_ns)
             if isinstance(signal, ControllerStatus):
                 source_epoch = signal.source_epoch
             elif kind is not Estimate or source_epoch in (0, header.epoch):  # else it is of a source not in use
@@ -140,10 +135,10 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
             metadata = record.metadata
     metadata = {**files, **metadata}
     collector = collector or Collector(rows=rows)
-    collector.set_limits(thrusters(metadata))
+    collector.set_vehicle(vehicle_of(metadata))
     if newest is not None:
         with contextlib.suppress(wire.WireError):
-            collector.profile = wire.from_map(Estimate, newest)[0].current
+            collector.newest.profile = wire.from_map(Estimate, newest)[0].current
     return PlotData(
         tables=collector.all_tables(),
         values=collector.values,
@@ -153,15 +148,3 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
         cut=not all(part.whole for part in parts),
         metadata=metadata,
     )
-
-
-def thrusters(metadata: Mapping[str, str]) -> tuple[Thruster, Thruster] | None:
-    """Return port and starboard thruster of the recorded vehicle; None if the recording does not hold its file."""
-    text = metadata.get(VEHICLE)
-    if text is None:
-        return None
-    try:
-        vehicle = parse(tomllib.loads(text), Vehicle, source=VEHICLE)
-    except (tomllib.TOMLDecodeError, ConfigError):  # written by another version: plots have no thrust limits
-        return None
-    return vehicle.thruster.port, vehicle.thruster.starboard

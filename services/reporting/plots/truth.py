@@ -22,6 +22,7 @@ class TrueTrack:
 
     def __init__(self) -> None:
         self.start_error: Pair | None = None  # estimate minus truth
+        self.start_ns = 0  # time of the start error
         self._start_covariance: Array | None = None
         self._truths: deque[Truth] = deque(maxlen=MAX_TRUTHS)
 
@@ -29,6 +30,11 @@ class TrueTrack:
     def known(self) -> bool:
         """True if a true state was received, as in a simulation."""
         return bool(self._truths)
+
+    @property
+    def newest(self) -> Truth | None:
+        """Newest true state; None if there is none."""
+        return self._truths[-1] if self._truths else None
 
     def add(self, truth: Truth) -> bool:
         """Add a true state and return True, or ignore it if the last one is less than ``PERIOD_NS`` old."""
@@ -44,7 +50,7 @@ class TrueTrack:
         """Store the start error at the first estimate with t >= 0; return the true states since then, else []."""
         if self.start_error is not None or not self._truths or estimate.t_ns < 0:
             return []
-        self.start_error = self._difference(estimate)
+        self.start_error, self.start_ns = self._difference(estimate), estimate.t_ns
         self._start_covariance = estimate.covariance
         return [truth for truth in self._truths if truth.t_ns >= estimate.t_ns]
 

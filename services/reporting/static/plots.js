@@ -7,64 +7,107 @@
 const Plots = (() => {
   const DASHES = { line: "solid", dashed: "dash", dotted: "dot" };
   const COMPARED_DASHES = ["solid", "dash", "dot"];
-  const GRID = "#e6e8eb";
-  const INK = "#2b2f33";
+  const SYMBOLS = { cross: "cross-thin", dot: "circle", ring: "circle-open" };
   const MARK = "#a0522d"; // the same colour as in palette.py
   const CONFIG = { displayModeBar: false, responsive: true, displaylogo: false };
+  const GAP_S = 1, GAP_STEPS = 5; // a line ends where data are missing for longer than both
+
+  const darkness = window.matchMedia("(prefers-color-scheme: dark)");
+  let darkColours = {}; // of palette.py, by the light one
+  const colour = (hex) => (darkness.matches && darkColours[hex]) || hex;
+  const theme = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
   const column = (run, series, name) => (run.tables[series.table] || {})[name] || [];
+  const missing = (value) => value === null || value === undefined;
+
+  function element(tag, text, name) {
+    const made = document.createElement(tag);
+    made.textContent = text;
+    if (name) made.className = name;
+    return made;
+  }
 
   function transparent(hex, alpha) {
     const part = (i) => parseInt(hex.slice(i, i + 2), 16);
     return `rgba(${part(1)}, ${part(3)}, ${part(5)}, ${alpha})`;
   }
 
+  // --- data of a series ---------------------------------------------------------------------------------------------
+
+  // Return the rows after which data are missing: later than GAP_S and GAP_STEPS mean steps.
+  function gaps(times) {
+    const known = times.length > 2 ? (times[times.length - 1] - times[0]) / (times.length - 1) : 0;
+    const longest = Math.max(GAP_S, GAP_STEPS * known);
+    const rows = [];
+    for (let i = 1; i < times.length; i++) if (times[i] - times[i - 1] > longest) rows.push(i);
+    return rows;
+  }
+
+  // Insert a gap into a line at each of these rows.
+  function broken(values, rows) {
+    if (rows.length === 0) return values;
+    const made = values.slice();
+    for (const row of rows.slice().reverse()) made.splice(row, 0, null);
+    return made;
+  }
+
   function band(run, series) {
-    const low = [], high = [];
     const x = column(run, series, series.x), y = column(run, series, series.y);
     const xHigh = series.x_high ? column(run, series, series.x_high) : x;
     const yHigh = series.y_high ? column(run, series, series.y_high) : y;
+    const ends = new Set(gaps(column(run, series, "t_s")));
+    const outline = { x: [], y: [] };
+    let low = [], high = [];
+    const close = () => {
+      for (const [px, py] of low.concat(high.reverse())) { outline.x.push(px); outline.y.push(py); }
+      if (low.length) { outline.x.push(null); outline.y.push(null); }
+      low = [];
+      high = [];
+    };
     for (let i = 0; i < x.length; i++) {
-      if ([x[i], y[i], xHigh[i], yHigh[i]].some((value) => value === null || value === undefined)) continue;
+      if (ends.has(i)) close();
+      if ([x[i], y[i], xHigh[i], yHigh[i]].some(missing)) continue;
       low.push([x[i], y[i]]);
       high.push([xHigh[i], yHigh[i]]);
     }
-    const outline = low.concat(high.reverse());
+    close();
     return {
-      type: "scatter", mode: "lines", fill: "toself", hoverinfo: "skip", line: { width: 0 },
-      x: outline.map((point) => point[0]), y: outline.map((point) => point[1]),
-      fillcolor: transparent(series.colour, 0.16),
+      type: "scatter", mode: "lines", fill: "toself", hoverinfo: "skip", line: { width: 0 }, ...outline, series,
+      fillcolor: transparent(colour(series.colour), 0.16), showlegend: false,
     };
   }
 
   // Return the first row at t >= 0; 0 if there is none yet.
-  function start(run, series) {
-    return Math.max(0, column(run, series, "t_s").findIndex((t) => t >= 0));
-  }
+  const start = (times) => Math.max(0, times.findIndex((t) => t >= 0));
 
-  function drawn(plot, run, series) {
-    const first = plot.from_start ? start(run, series) : 0;
+  function line(plot, run, series) {
+    const times = column(run, series, "t_s");
+    const first = plot.from_start ? start(times) : 0;
+    const cells = (name) => column(run, series, name).slice(first);
+    const ends = series.style in DASHES ? gaps(times.slice(first)) : [];
     const trace = {
-      type: "scatter", name: series.label,
-      x: column(run, series, series.x).slice(first), y: column(run, series, series.y).slice(first),
+      type: "scatter", name: series.label, x: broken(cells(series.x), ends), y: broken(cells(series.y), ends), series,
       hovertemplate: "%{x:.4~g}, %{y:.4~g}",
     };
-    if (series.style === "cross") {
-      const marker = { symbol: "cross-thin", size: 11, line: { width: 2, color: series.colour } };
+    if (series.style in SYMBOLS) {
+      const stroke = { width: 2, color: colour(series.colour) };
+      const marker = { symbol: SYMBOLS[series.style], size: series.style === "cross" ? 11 : 9, color: stroke.color, line: stroke };
       return { ...trace, mode: "markers", marker };
     }
-    return { ...trace, mode: "lines", line: { color: series.colour, dash: DASHES[series.style], width: 1.6 } };
+    return { ...trace, mode: "lines", line: { color: colour(series.colour), dash: DASHES[series.style], width: 1.6 } };
   }
 
   function level(run, one, ends) {
     const value = run.values[one.value];
     if (value === undefined || ends === null) return [];
-    return [{ type: "scatter", mode: "lines", name: one.label, x: ends, y: [value, value],
-      line: { color: one.colour, dash: "dot", width: 1.2 }, hovertemplate: "%{y:.4~g}" }];
+    return [{ type: "scatter", mode: "lines", name: one.label, x: ends, y: [value, value], series: { ...one, style: "dotted" },
+      line: { color: colour(one.colour), dash: "dot", width: 1.2 }, hovertemplate: "%{y:.4~g}" }];
   }
 
+  const hasData = (trace) => trace.y.some((value) => !missing(value));
+
   function ofOneRun(plot, run) {
-    const series = plot.series.map((one) => (one.style === "band" ? band(run, one) : drawn(plot, run, one)));
+    const series = plot.series.map((one) => (one.style === "band" ? band(run, one) : line(plot, run, one))).filter(hasData);
     const ends = extent(series, "x");
     return plot.levels.flatMap((one) => level(run, one, ends)).concat(series);
   }
@@ -80,32 +123,34 @@ const Plots = (() => {
   function ofSeveral(plot, runs) {
     const compared = plot.series.filter((series) => series.compared);
     return runs.flatMap((run) => compared.map((series, i) => {
-      const trace = drawn(plot, run, series);
+      const trace = line(plot, run, series);
       if (plot.equal) fromItsStart(trace);
-      trace.line = { color: run.colour, dash: COMPARED_DASHES[i % COMPARED_DASHES.length], width: 1.5 };
+      trace.line = { color: colour(run.colour), dash: COMPARED_DASHES[i % COMPARED_DASHES.length], width: 1.5 };
       trace.name = `${run.name}: ${series.label}`;
       trace.hovertemplate = `%{x:.4~g}, %{y:.4~g}<extra>${run.name}: ${series.label}</extra>`;
       return trace;
-    }));
+    })).filter(hasData);
   }
 
+  // Events: a line across the plot, and a mark at its top that shows the text.
   function marks(run) {
-    const x = [], y = [], text = [];
-    for (const mark of run.marks) {
-      const words = `${mark.t_s.toFixed(1)} s  ${mark.node}: ${mark.text}`;
-      x.push(mark.t_s, mark.t_s, null);
-      y.push(0, 1, null);
-      text.push(words, words, "");
-    }
-    return { type: "scatter", mode: "lines", name: "events", x, y, text, yaxis: "y2", hovertemplate: "%{text}<extra></extra>",
-      line: { color: transparent(MARK, 0.3), width: 1 } };
+    const x = run.marks.flatMap((mark) => [mark.t_s, mark.t_s, null]), y = run.marks.flatMap(() => [0, 1, null]);
+    const text = run.marks.map((mark) => `${mark.t_s.toFixed(1)} s  ${mark.node}: ${mark.text}`);
+    const shared = { type: "scatter", yaxis: "y2", showlegend: false };
+    return [
+      { ...shared, mode: "lines", x, y, hoverinfo: "skip", line: { color: transparent(colour(MARK), 0.35), width: 1 } },
+      { ...shared, mode: "markers", x: run.marks.map((mark) => mark.t_s), y: run.marks.map(() => 0.98), text,
+        hovertemplate: "%{text}<extra>event</extra>", marker: { symbol: "triangle-down", size: 8, color: colour(MARK) } },
+    ];
   }
+
+  // --- axes ---------------------------------------------------------------------------------------------------------
 
   function extent(traces, axis) {
     let least = Infinity, most = -Infinity;
     for (const trace of traces) {
       for (const value of trace[axis]) {
-        if (value === null || value === undefined) continue; // a gap
+        if (missing(value)) continue; // a gap
         if (value < least) least = value;
         if (value > most) most = value;
       }
@@ -118,20 +163,23 @@ const Plots = (() => {
     const ends = extent(traces, name);
     if (ends === null) return [0, 1];
     let [least, most] = ends;
-    if (axis.log) return [Math.log10(least) - 0.15, Math.log10(most) + 0.15];
-    const missing = Math.max(0, (axis.min_span || 1e-6) - (most - least)) / 2;
-    const margin = (name === "x" && axis.label.startsWith("time") ? 0.01 : 0.05) * (most - least + 2 * missing);
-    least -= missing + margin;
-    most += missing + margin;
+    if (axis.rows && axis.rows.length) return [axis.rows.length - 0.5, -0.5];
+    if (axis.log) return [Math.log10(Math.max(least, 1e-9)) - 0.15, Math.log10(Math.max(most, 1e-9)) + 0.15];
+    const lacking = Math.max(0, (axis.min_span || 1e-6) - (most - least)) / 2;
+    const margin = (name === "x" && axis.label.startsWith("time") ? 0.01 : 0.05) * (most - least + 2 * lacking);
+    least -= lacking + margin;
+    most += lacking + margin;
     return axis.downwards ? [most, least] : [least, most];
   }
 
   function axisLayout(axis, traces, name) {
+    const line = theme("--axis");
+    const rows = axis.rows && axis.rows.length ? { tickvals: axis.rows.map((_, i) => i), ticktext: axis.rows } : {};
     return {
       title: { text: axis.label, standoff: 4, font: { size: 11 } }, range: range(axis, traces, name),
-      type: axis.log ? "log" : "linear", gridcolor: GRID, zeroline: false, linecolor: "#c9cdd2", showline: true,
-      ticks: "outside", ticklen: 3, tickcolor: "#c9cdd2", nticks: 6, automargin: true,
-      ...(axis.log ? { dtick: 1, tickformat: "~g" } : {}),
+      type: axis.log ? "log" : "linear", gridcolor: theme("--grid"), zeroline: false, linecolor: line, showline: true,
+      ticks: "outside", ticklen: 3, tickcolor: line, nticks: 6, automargin: true,
+      ...(axis.log ? { dtick: 1, tickformat: "~g" } : {}), ...rows,
     };
   }
 
@@ -141,78 +189,177 @@ const Plots = (() => {
     return range({ label: "time" }, columns, "x");
   }
 
-  function layout(plot, traces, times, empty) {
-    const x = axisLayout(plot.x, traces, "x");
-    const y = axisLayout(plot.y, traces, "y");
+  // View: {follow: around the vehicle, at_s: a moment that time plots mark, ranges: of the axes, in place of their own}.
+  function layout(plot, traces, timeRange, view) {
+    const around = view.follow ? traces.filter((trace) => plot.follow.includes(trace.series.table)) : [];
+    const x = axisLayout(plot.x, around.length ? around : traces, "x");
+    const y = axisLayout(plot.y, around.length ? around : traces, "y");
+    if (view.ranges) [x.range, y.range] = view.ranges;
+    const empty = traces.length === 0;
     const made = {
-      margin: { l: 46, r: 8, t: 6, b: 34 }, showlegend: false, hovermode: "closest", uirevision: "kept",
-      font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", size: 11, color: INK },
-      paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "#ffffff",
-      xaxis: plot.over_time ? { ...x, range: times } : x, yaxis: plot.equal ? { ...y, scaleanchor: "x", scaleratio: 1 } : y,
+      margin: { l: 46, r: 8, t: 6, b: 34 }, showlegend: false, hovermode: "closest", uirevision: `${Boolean(view.follow)}`,
+      font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", size: 11, color: theme("--ink") },
+      paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: theme("--paper"),
+      xaxis: plot.over_time ? { ...x, range: timeRange } : x, yaxis: plot.equal ? { ...y, scaleanchor: "x", scaleratio: 1 } : y,
       annotations: empty ? [{ text: plot.empty, xref: "paper", yref: "paper", x: 0.5, y: 0.5, showarrow: false,
-        font: { size: 12, color: "#767676" } }] : [],
+        font: { size: 12, color: theme("--quiet") } }] : [],
+      shapes: plot.over_time && !missing(view.at_s) ? [{ type: "line", yref: "paper", y0: 0, y1: 1, x0: view.at_s, x1: view.at_s,
+        line: { color: theme("--accent"), width: 2 } }] : [],
     };
     if (plot.over_time) made.yaxis2 = { overlaying: "y", range: [0, 1], visible: false, fixedrange: true };
     return made;
   }
 
-  function draw(place, plot, runs, timeRange) {
+  // Draw a plot of one or several runs in its panel.
+  function draw(panel, plot, runs, timeRange, view = {}) {
     const several = runs.length > 1;
     const traces = several ? ofSeveral(plot, runs) : ofOneRun(plot, runs[0]);
-    const shown = traces.filter((trace) => trace.y.some((value) => value !== null));
-    const made = layout(plot, shown, timeRange, shown.length === 0);
-    if (plot.over_time && !several) shown.push(marks(runs[0]));
-    return Plotly.react(place, shown, made, CONFIG);
+    const made = layout(plot, traces, timeRange, { ...view, follow: panel.follow });
+    const events = plot.over_time && !several && runs[0].marks.length > 0;
+    showLegend(panel.legend, several ? comparedChips(plot) : chips(plot, traces, events, runs[0]));
+    return Plotly.react(panel.place, events ? traces.concat(marks(runs[0])) : traces, made, CONFIG);
   }
 
-  function chip(label, colour, style) {
+  // Return the range of both axes of a plot over several runs, to draw each by itself on equal axes.
+  function ranges(plot, runs) {
+    const traces = runs.flatMap((run) => ofOneRun(plot, run));
+    return [plot.over_time ? times(runs) : range(plot.x, traces, "x"), range(plot.y, traces, "y")];
+  }
+
+  // --- legend -------------------------------------------------------------------------------------------------------
+
+  function chip(label, hex, style) {
     const item = document.createElement("li");
-    const line = document.createElement("span");
-    line.className = `line ${style}`;
-    line.style.color = colour;
-    item.append(line, document.createTextNode(label));
+    const sample = document.createElement("span");
+    sample.className = `line ${style}`;
+    sample.style.color = colour(hex);
+    item.append(sample, document.createTextNode(label));
     return item;
   }
 
-  // Return the legend of a plot. With several runs it explains the dashes; one common legend explains the colours.
-  function legend(plot, several) {
-    const list = document.createElement("ul");
-    list.className = "legend";
-    if (several) {
-      const compared = plot.series.filter((series) => series.compared);
-      const styles = ["line", "dashed", "dotted"];
-      if (plot.equal) list.append(document.createTextNode("each run from its own start"));
-      if (compared.length > 1) list.append(...compared.map((one, i) => chip(one.label, INK, styles[i % 3])));
-      return list;
-    }
-    for (const series of plot.series.filter((one) => one.label)) list.append(chip(series.label, series.colour, series.style));
-    const labels = new Set();
-    for (const one of plot.levels) {
-      if (!labels.has(one.label)) list.append(chip(one.label, one.colour, "dotted"));
-      labels.add(one.label);
-    }
-    return list;
+  // Return the entries of a legend: what is drawn, once each.
+  function chips(plot, traces, events, run) {
+    const entries = new Map();
+    for (const { series } of traces) if (series.label) entries.set(series.label, [series.label, series.colour, series.style]);
+    const ordered = [...plot.series, ...plot.levels].filter((one) => entries.has(one.label)).map((one) => entries.get(one.label));
+    const made = [...new Map(ordered.map((entry) => [entry[0], entry])).values()];
+    if (events) made.push(["event", MARK, "mark"]);
+    if (plot.drifts && run.values.since_s !== undefined) made.push([`since t = ${run.values.since_s} s`, null, ""]);
+    return made;
   }
 
-  // Add a section for each plot to `parent` and return the elements to draw in, by name.
-  function frames(parent, plots, several) {
-    const places = new Map();
+  // With several runs a legend explains the dashes; one common legend explains the colours.
+  function comparedChips(plot) {
+    const compared = plot.series.filter((series) => series.compared);
+    const styles = ["line", "dashed", "dotted"];
+    const made = plot.equal ? [["each run from its own start", null, ""]] : [];
+    return compared.length > 1 ? made.concat(compared.map((one, i) => [one.label, theme("--ink"), styles[i % 3]])) : made;
+  }
+
+  function showLegend(list, entries) {
+    const key = JSON.stringify([entries, darkness.matches]);
+    if (list.dataset.key === key) return;
+    list.dataset.key = key;
+    list.replaceChildren(...entries.map(([label, hex, style]) => (hex === null ? element("li", label) : chip(label, hex, style))));
+  }
+
+  // --- panels -------------------------------------------------------------------------------------------------------
+
+  function save(panel, plot, format) {
+    const file = `${document.title.replace(/[^\w.-]+/g, "-")}-${plot.name}`;
+    if (format === "csv") {
+      const columns = panel.place.data.filter((trace) => trace.series)
+        .flatMap(({ series, x, y }) => [[`${series.label || series.table} ${plot.x.label}`, x], [`${series.label || series.table} ${plot.y.label}`, y]]);
+      const rows = Math.max(0, ...columns.map(([, cells]) => cells.length));
+      const lines = [columns.map(([name]) => `"${name}"`).join(",")];
+      for (let i = 0; i < rows; i++) lines.push(columns.map(([, cells]) => cells[i] ?? "").join(","));
+      const link = document.createElement("a");
+      link.href = URL.createObjectURL(new Blob([`${lines.join("\n")}\n`], { type: "text/csv" }));
+      link.download = `${file}.csv`;
+      link.click();
+      URL.revokeObjectURL(link.href);
+      return;
+    }
+    const { data, layout: shown } = panel.place;
+    const figure = { data, layout: { ...shown, title: { text: plot.title, font: { size: 14 } }, showlegend: true,
+      legend: { orientation: "h", y: 1.02, yanchor: "bottom" }, margin: { l: 60, r: 20, t: 90, b: 50 }, paper_bgcolor: theme("--paper") } };
+    Plotly.downloadImage(figure, { format, filename: file, width: 900, height: plot.equal ? 900 : 500, scale: format === "png" ? 2 : 1 });
+  }
+
+  // Return the menu of a panel: what the plot shows, and files of it.
+  function menu(panel, plot) {
+    const made = element("details", "", "menu");
+    const label = element("summary", "⋯");
+    label.setAttribute("aria-label", `About "${plot.title}", and save it`);
+    made.append(label);
+    const content = element("div", "");
+    if (plot.note) content.append(element("p", plot.note));
+    for (const format of ["png", "svg", "csv"]) {
+      const button = element("button", format.toUpperCase(), "small");
+      button.type = "button";
+      button.setAttribute("aria-label", `Save "${plot.title}" as ${format.toUpperCase()}`);
+      button.addEventListener("click", () => save(panel, plot, format));
+      content.append(button);
+    }
+    made.append(content);
+    return made;
+  }
+
+  function followButton(panel, onChange) {
+    const button = element("button", "", "small");
+    const show = () => { button.textContent = panel.follow ? "whole track" : "follow"; };
+    button.type = "button";
+    button.addEventListener("click", () => {
+      panel.follow = !panel.follow;
+      show();
+      onChange();
+    });
+    show();
+    return button;
+  }
+
+  // Add a panel to `parent` and return it: {section, legend, place, follow}.
+  function panelOf(parent, plot, title, id) {
+    const section = element("section", "", "panel");
+    section.id = `panel-${id}`;
+    const panel = { section, legend: element("ul", "", "legend"), place: element("div", "", "plot"), follow: false };
+    panel.place.id = `plot-${id}`;
+    panel.place.setAttribute("role", "img");
+    panel.place.setAttribute("aria-label", `Plot: ${title}, ${plot.y.label} over ${plot.x.label}`);
+    panel.head = element("div", "", "head");
+    panel.head.append(element("h3", title), menu(panel, plot));
+    section.append(panel.head, panel.legend, panel.place);
+    // A legend that needs another line leaves the plot less height.
+    new ResizeObserver(() => { if (panel.place.data) Plotly.Plots.resize(panel.place); }).observe(panel.place);
+    parent.append(section);
+    return panel;
+  }
+
+  // Add a heading for each question and a panel for each plot to `parent`; return the panels by name.
+  function frames(parent, plots, { follow = false, onChange = () => {} } = {}) {
+    const panels = new Map(), grids = new Map();
     for (const plot of plots) {
-      const section = document.createElement("section");
-      section.className = "panel";
-      section.id = `panel-${plot.name}`;
-      const title = document.createElement("h2");
-      title.textContent = plot.title;
-      if (plot.note) title.title = plot.note;
-      const place = document.createElement("div");
-      place.className = "plot";
-      place.id = `plot-${plot.name}`;
-      section.append(title, legend(plot, several), place);
-      parent.append(section);
-      places.set(plot.name, place);
+      if (!grids.has(plot.group)) {
+        const part = element("section", "", "part");
+        grids.set(plot.group, element("div", "", "grid"));
+        part.append(element("h2", plot.group), grids.get(plot.group));
+        parent.append(part);
+      }
+      const panel = panelOf(grids.get(plot.group), plot, plot.title, plot.name);
+      if (plot.follow.length) {
+        panel.follow = follow;
+        panel.head.lastChild.before(followButton(panel, onChange));
+      }
+      panels.set(plot.name, panel);
     }
-    return places;
+    return panels;
   }
 
-  return { frames, draw, chip, times, MARK };
+  // Set the colours of a dark background; call `redraw` when the reader's system changes.
+  function useColours(dark, redraw) {
+    darkColours = dark;
+    darkness.addEventListener("change", redraw);
+  }
+
+  return { frames, panelOf, draw, chip, times, ranges, useColours, element, MARK };
 })();

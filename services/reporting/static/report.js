@@ -1,13 +1,67 @@
-// The report: every plot once, from the data in the page itself.
+// The report: every plot once, from the data in the page itself; of several runs, one plot of each beside the others.
 "use strict";
 (() => {
-  const { plots, runs } = JSON.parse(document.getElementById("data").textContent);
+  const { plots, runs, dark } = JSON.parse(document.getElementById("data").textContent);
   const several = runs.length > 1;
-  const places = Plots.frames(document.getElementById("plots"), plots, several);
-  const heading = several
-    ? runs.map((run) => Plots.chip(run.name, run.colour, "line"))
-    : [Plots.chip("event", Plots.MARK, "mark")];
-  document.getElementById("runs").append(...heading);
+  const parent = document.getElementById("plots");
   const times = Plots.times(runs);
-  for (const plot of plots) Plots.draw(places.get(plot.name), plot, runs, times);
+  const together = several ? plots.filter((plot) => plot.series.some((series) => series.compared)) : plots;
+  const panels = Plots.frames(parent, together, { onChange: draw });
+
+  function draw() {
+    for (const plot of together) Plots.draw(panels.get(plot.name), plot, runs, times);
+    if (several) document.getElementById("runs").replaceChildren(...runs.map((run) => Plots.chip(run.name, run.colour, "line")));
+  }
+
+  // Small multiples: the chosen plot of each run by itself, all on equal axes.
+  function sideBySide() {
+    const part = Plots.element("section", "", "part");
+    const choice = document.createElement("select");
+    choice.id = "multiples-of";
+    choice.append(...plots.map((plot) => new Option(plot.title, plot.name)));
+    const label = Plots.element("label", "Each run by itself: ");
+    label.append(choice);
+    const head = Plots.element("h2", "");
+    head.append(label);
+    const grid = Plots.element("div", "", "grid multiples");
+    part.append(head, grid);
+    parent.after(part);
+    const show = () => {
+      const plot = plots.find((one) => one.name === choice.value);
+      const ranges = Plots.ranges(plot, runs);
+      grid.replaceChildren();
+      runs.forEach((run, i) => {
+        const panel = Plots.panelOf(grid, plot, run.name, `${plot.name}-${i}`);
+        Plots.draw(panel, plot, [run], ranges[0], { ranges });
+      });
+    };
+    choice.addEventListener("change", show);
+    show();
+  }
+
+  // A press on a heading sorts the table by its column, up and then down.
+  function sortable(table) {
+    const heads = [...table.querySelectorAll("th")];
+    heads.forEach((head, column) => {
+      if (!head.textContent) return;
+      const button = Plots.element("button", head.textContent, "sort");
+      button.type = "button";
+      head.replaceChildren(button);
+      button.addEventListener("click", () => {
+        const down = head.getAttribute("aria-sort") === "ascending";
+        heads.forEach((one) => one.removeAttribute("aria-sort"));
+        head.setAttribute("aria-sort", down ? "descending" : "ascending");
+        const body = table.tBodies[table.tBodies.length - 1];
+        const key = (row) => row.cells[column].textContent.replace("−", "-");
+        const compare = (a, b) => (Number.isNaN(Number(key(a)) + Number(key(b)))
+          ? key(a).localeCompare(key(b)) : Number(key(a)) - Number(key(b)));
+        body.append(...[...body.rows].sort((a, b) => (down ? -1 : 1) * compare(a, b)));
+      });
+    });
+  }
+
+  Plots.useColours(dark, draw);
+  draw();
+  if (several) sideBySide();
+  document.querySelectorAll("table.sortable").forEach(sortable);
 })();

@@ -10,8 +10,8 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.reporting.figures.renderer import Run
-from services.reporting.plots.collector import STAGES
-from services.reporting.plots.table import Columns, short
+from services.reporting.plots.delays import CYCLE, PARTS, percentile_rows
+from services.reporting.plots.percentiles import Percentiles
 from services.tools.paper.settings import COMPUTING_S, LONG_S
 from services.tools.profile import problems
 from services.tools.profile.machine_description import Machine, load, machine
@@ -55,14 +55,15 @@ def timed(cycles: int, *, seed: int = 0, progress: Callable[[], None]) -> Timed:
 
 
 def run(of: Timed) -> Run:
-    """Return the cycles of the longer horizon, one after the other, in the form that figures draw."""
+    """Return the percentiles of the cycles of the longer horizon, in the form that figures draw."""
     (long,) = (cycle for cycle in of.cycles if cycle.horizon_s == LONG_S)
     samples = long.samples
-    columns: Columns = {
-        "t_s": [short(i * SHIPPED.period_s) for i in range(len(samples.cycle_us))],
-        "cycle_ms": [short(us / 1e3) for us in samples.cycle_us],
-    }
-    for stage, names in zip(("predict", "linearise", "build", "solve"), STAGES, strict=False):
+    stages = {CYCLE: Percentiles()}
+    for us in samples.cycle_us:
+        stages[CYCLE].add(us / 1e3)
+    for stage, names in PARTS.items():
         laps = [samples.stage_us[name] for name in names if name in samples.stage_us]
-        columns[f"{stage}_ms"] = [short(sum(lap) / 1e3) or None for lap in zip(*laps, strict=True)]
-    return Run("timing", {"latency": columns})
+        stages[stage] = Percentiles()
+        for lap in zip(*laps, strict=True):
+            stages[stage].add(sum(lap) / 1e3)
+    return Run("timing", {"stages": percentile_rows(stages)})

@@ -21,6 +21,7 @@ from ltv_mpc.messages import (
     Estimate,
     Heartbeat,
     Kill,
+    LocalisationReport,
     Message,
     NodeStatus,
     Plan,
@@ -35,8 +36,8 @@ from services.bus.wire import decode
 from services.dashboard import page, serve
 from services.dashboard.access_guard import LOOPBACK, Token, hosts
 from services.dashboard.bus_feed import BusFeed
-from services.dashboard.config import View
-from services.reporting.plots.recorded import thrusters
+from services.dashboard.config import About, View
+from services.recording.node_settings import vehicle_of
 from services.runtime.clock import fraction_of, monotonic_us
 from tests.services.reporting import synthetic_run
 from tests.services.reporting.synthetic_run import EPOCH, S
@@ -72,7 +73,7 @@ class SyntheticVehicle:
             node: Outbox(session, node=node, epoch=EPOCH, kinds=kinds)
             for node, kinds in (
                 ("plant", (Truth, Clock, type(synthetic_run.applied(0)), type(synthetic_run.EVENT), NodeStatus)),
-                ("estimator", (Estimate, NodeStatus)),
+                ("estimator", (Estimate, LocalisationReport, NodeStatus)),
                 ("controller", (Plan, type(synthetic_run.timing(0)), Acknowledgement, NodeStatus)),
                 ("operator", (Command,)),
                 ("sensors", (NodeStatus,)),
@@ -205,13 +206,13 @@ def served(router_port: int) -> Iterator[Served]:
     with opened(router), opened(reached) as aboard, opened(reached) as ashore, serve.listen("127.0.0.1", 0) as place:
         place.listen()
         port = place.getsockname()[1]
-        token, feed = Token(), BusFeed(ashore, thrusters({"config/vehicle.toml": synthetic_run.VEHICLE}))
+        token, feed = Token(), BusFeed(ashore, vehicle_of({"config/vehicle.toml": synthetic_run.VEHICLE}))
         views: list[View] = []
         app = page.make(
             feed,
             token,
             allowed=hosts(LOOPBACK, port),
-            name="synthetic",
+            about=About(name="synthetic descent · paper", report="/runs/one/report.html", again="ltv-mpc sim one"),
             command=page.commander(reached),
             on_view=views.append,
         )

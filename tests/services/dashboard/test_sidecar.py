@@ -15,9 +15,10 @@ from websockets.sync.client import connect
 
 from services.bus.options import BusOptions
 from services.bus.session import open_session
+from services.dashboard.config import About
 from services.dashboard.serve import NICE
 from services.dashboard.sidecar import NEEDS, Sidecar
-from services.reporting.plots.recorded import VEHICLE as VEHICLE_FILE
+from services.recording.node_settings import VEHICLE as VEHICLE_FILE
 from tests.services.dashboard.synthetic_vehicle import until
 from tests.services.reporting import synthetic_run
 
@@ -28,7 +29,15 @@ def page_of(folder: Path, needs: Sequence[str] = NEEDS, *, waits: bool = True) -
     vehicle = folder / VEHICLE_FILE
     vehicle.parent.mkdir()
     vehicle.write_text(synthetic_run.VEHICLE)
-    page = Sidecar(said.append, folder=folder, vehicle=vehicle, open_browser=False, waits=waits, needs=needs)
+    page = Sidecar(
+        said.append,
+        folder=folder,
+        vehicle=vehicle,
+        about=About(),
+        open_browser=False,
+        waits=waits,
+        needs=needs,
+    )
     return page, said
 
 

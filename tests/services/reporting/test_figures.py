@@ -144,7 +144,7 @@ def test_every_sheet_of_the_paper_draws_a_description_of_the_catalogue() -> None
     known = {plot.name for plot in PLOTS} | {"structure"}
     sheets = paper.sheets(["a measured one"])
     assert len({one.name for one in sheets}) == len(sheets)
-    assert {panel.plot.name for one in sheets for panel in one.panels} == known
+    assert {panel.plot.name for one in sheets for panel in one.panels} <= known
     for plot in (paper.DISTANCE, paper.PROFILES):
         (own,) = (one for one in PLOTS if one.name == plot.name)
         assert msgspec.structs.replace(plot, y=own.y, empty=own.empty) == own
