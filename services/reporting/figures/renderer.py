@@ -154,7 +154,7 @@ def _line(axes: Axes, run: Run, series: Series, drawn: _Drawn) -> Line2D | None:
     if (marker := MARKERS.get(series.style)) is not None:
         face = "none" if series.style is Style.RING else series.colour
         (line,) = axes.plot(
-            x, y, marker, color=series.colour, markersize=7, mfc=face, markeredgewidth=1.4, label=series.label
+            x, y, marker, color=series.colour, markersize=7, mfc=face, markeredgewidth=1.8, label=series.label
         )
     else:
         style = LINES[series.style]
