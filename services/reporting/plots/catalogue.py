@@ -274,7 +274,7 @@ STAGES = Plot(
     note="Percentiles of all cycles so far. Wall time; the delays between processes in vehicle time.",
     series=(
         Series(label="median", table="stages", x="median_ms", y="row", colour=palette.OTHER, style=Style.DOT),
-        Series(label="99 %", table="stages", x="p99_ms", y="row", colour=palette.OTHER, style=Style.RING),
+        Series(label="99 %", table="stages", x="p99_ms", y="row", colour=palette.RARE, style=Style.RING),
         Series(label="longest", table="stages", x="max_ms", y="row", colour=palette.LIMIT, style=Style.CROSS),
     ),
 )

@@ -18,6 +18,7 @@ EAST = "#9a6f00"
 CURRENT = "#00798c"
 LIMIT = "#8c1d18"
 MARK = "#a0522d"
+RARE = "#b36b00"
 OTHER = "#455a64"
 """Quantities without a colour of their own: vertical thrust, energy, times."""
 
@@ -36,6 +37,7 @@ DARK = {
     CURRENT: "#4fc3d6",
     LIMIT: "#f28b82",
     MARK: "#dd9a6c",
+    RARE: "#f0b45c",
     OTHER: "#a7bcc7",
     "#b8860b": "#e3c04f",
     "#56b4e9": "#9ad4f5",
