@@ -22,6 +22,7 @@ class Frame(NamedTuple):
     key: str
     payload: bytes
     received_monotonic_us: int
+    attachment: bytes = b""  # of a message of another system
 
 
 class Mailbox:
@@ -32,12 +33,12 @@ class Mailbox:
         self._queue: queue.SimpleQueue[Frame | None] = queue.SimpleQueue()
         self.overflowed = 0
 
-    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
+    def offer(self, topic: Topic | None, key: str, payload: bytes, attachment: bytes = b"") -> None:
         """Append a frame; called on Zenoh's thread."""
         if self._queue.qsize() >= self._capacity:
             self.overflowed += 1
             return
-        self._queue.put(Frame(topic, key, payload, time.monotonic_ns() // 1000))
+        self._queue.put(Frame(topic, key, payload, time.monotonic_ns() // 1000, attachment))
 
     def wake(self) -> None:
         """Make a waiting ``take`` return at once; may be called from a signal handler."""

@@ -33,6 +33,7 @@ class BusOptions(msgspec.Struct, frozen=True, kw_only=True):
     namespace: str = ""  # put before every key: one per vehicle or run
     certs: Path | None = None  # folder of certificates; every link then uses mutual TLS
     role: str = ""  # role of this process, whose certificate it uses
+    timestamps: bool = False  # Zenoh stamps each message, as nodes of rmw_zenoh do; latched topics need it
 
     @property
     def acts_as(self) -> Mode:

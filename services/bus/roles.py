@@ -2,7 +2,8 @@
 
 A role is the common name of a certificate. The writer of a row may publish on its key and the readers may subscribe.
 The router denies everything else; a certificate without a role may do nothing. A source of estimates with a name has a
-role of its own, ``estimator-<name>``, which may publish on ``estimate/<name>``.
+role of its own, ``estimator-<name>``, which may publish on ``estimate/<name>``. An edge may do part of what estimator
+and operator may. ``ros-<domain>`` is the role of all nodes of a ROS 2 domain, and of the edge on their side.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from ltv_mpc.messages import Estimate, NodeStatus, Truth
+from ltv_mpc.messages import Acknowledgement, Command, ControllerStatus, Estimate, NodeStatus, Plan, Truth
 from services.bus.topics import BY_TYPE, OPERATOR, TOPICS, Topic, expression
 
 ANYONE = "*"
@@ -28,12 +29,21 @@ SOURCE_PREFIX = f"{BY_TYPE[Estimate].written_by}-"
 """Start of the role of a named source."""
 
 
+EDGES = ("ros2",)
+"""Roles of the edges, which replace the estimator and command as operators do."""
+
+EDGE_WRITES, EDGE_READS = (Estimate, Command), (Plan, Acknowledgement, ControllerStatus, Estimate)
+
+ROS_PREFIX = "ros-"
+"""Start of the role of the nodes of a ROS 2 domain."""
+
+
 def _named(topics: Iterable[Topic]) -> tuple[str, ...]:
     named = (name for topic in topics for name in (topic.written_by, *topic.read_by) if name != ANYONE)
     return tuple(dict.fromkeys(named))
 
 
-ROLES = tuple(dict.fromkeys((ROUTER, *_named(TOPICS), *SEES_EVERYTHING)))
+ROLES = tuple(dict.fromkeys((ROUTER, *_named(TOPICS), *SEES_EVERYTHING, *EDGES)))
 """All roles, the router's first."""
 
 
@@ -42,10 +52,11 @@ def writes(role: str) -> tuple[str, ...]:
     acts_as = (role, OPERATOR) if role == SIMULATED else (role,)
     if role.startswith(SOURCE_PREFIX):
         return (f"{BY_TYPE[Estimate].key}/{role.removeprefix(SOURCE_PREFIX)}",)
+    own = EDGE_WRITES if role in EDGES else ()
     return tuple(
         f"{topic.key}/{role}" if topic.written_by == ANYONE else topic.key
         for topic in TOPICS
-        if topic.written_by in (ANYONE, *acts_as)
+        if topic.written_by in (ANYONE, *acts_as) or topic.message_type in own
     )
 
 
@@ -57,16 +68,18 @@ def reads(role: str) -> tuple[str, ...]:
 
 
 def _reads(role: str, topic: Topic) -> bool:
+    if role in EDGES:
+        return topic.message_type in EDGE_READS
     return role in topic.read_by or ANYONE in topic.read_by or (role == SIMULATED and topic.message_type is NodeStatus)
 
 
-def access_control(namespace: str, sources: Iterable[str] = ()) -> dict[str, Any]:
+def access_control(namespace: str, others: Iterable[str] = ()) -> dict[str, Any]:
     """Return Zenoh's ``access_control`` for a router: default deny, one subject a role, by the common name.
 
-    With a ``namespace`` the rights hold in that one only; without, in every namespace. ``sources`` are the roles of the
-    named sources. The router is no subject: its own messages use no link.
+    With a ``namespace`` the rights hold in that one only; without, in every namespace. ``others`` are the roles of
+    named sources and of ROS 2 domains. The router is no subject: its own messages use no link.
     """
-    subjects = [role for role in (*ROLES, *sources) if role != ROUTER]
+    subjects = [role for role in (*ROLES, *others) if role != ROUTER]
     rules = [rule for role in subjects for rule in _rules(role, namespace)]
     policies = [{"subjects": [role], "rules": [rule["id"] for rule in _rules(role, namespace)]} for role in subjects]
     return {
@@ -94,6 +107,8 @@ def _rules(role: str, namespace: str) -> list[dict[str, Any]]:
             "key_exprs": [_within(namespace, key) for key in keys],
         }
 
+    if role.startswith(ROS_PREFIX):
+        return _ros_rules(role)
     rules = [rule("learns of subscribers", ["declare_subscriber"], "egress", ["**"])]
     if writable := writes(role):
         rules.append(rule("puts", ["put"], "ingress", writable))
@@ -106,3 +121,34 @@ def _rules(role: str, namespace: str) -> list[dict[str, Any]]:
 def _within(namespace: str, key: str) -> str:
     prefix = namespace or "**"
     return key if prefix == key else f"{prefix}/{key}"
+
+
+ROS_MESSAGES = (
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
+"""All kinds of messages: nodes find each other by liveliness tokens; services and latched topics are queries."""
+
+
+def _ros_rules(role: str) -> list[dict[str, Any]]:
+    """Return the rule of the nodes of one ROS 2 domain: everything on its keys, nothing elsewhere.
+
+    Its keys are in no namespace. A ``**`` does not match a part that begins with ``@``, which latched topics have.
+    """
+    domain = role.removeprefix(ROS_PREFIX)
+    return [
+        {
+            "id": f"{role} is a node",
+            "permission": "allow",
+            "messages": list(ROS_MESSAGES),
+            "flows": ["ingress", "egress"],
+            "key_exprs": [f"{domain}/**", f"{domain}/**/@adv/**", f"@ros2_lv/{domain}/**"],
+        }
+    ]

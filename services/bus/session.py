@@ -26,9 +26,10 @@ import re
 import threading
 from collections.abc import Callable
 from types import TracebackType
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import zenoh
+import zenoh.ext
 
 from ltv_mpc.errors import ConfigError
 from services.bus import roles, security
@@ -100,14 +101,20 @@ def configuration(options: BusOptions) -> zenoh.Config:
             _insert(config, "listen/endpoints", list(options.listen))
         if options.namespace:
             _insert(config, "namespace", options.namespace)
+        if options.timestamps:
+            _insert(config, "timestamping/enabled", True)
         _insert(config, "transport/shared_memory/enabled", False)
         _insert(config, "transport/link/tx/queue/size/data", 16)
         _insert(config, "transport/link/rx/max_message_size", MAX_MESSAGE_BYTES)
         if options.certs is not None:
             _insert(config, "transport/link/tls", security.tls(security.credentials(options.certs, options.role)))
             if options.acts_as == "router" or options.listen:
-                sources = security.roles_in(options.certs, roles.SOURCE_PREFIX)
-                _insert(config, "access_control", roles.access_control(options.namespace, sources))
+                others = [
+                    role
+                    for prefix in (roles.SOURCE_PREFIX, roles.ROS_PREFIX)
+                    for role in security.roles_in(options.certs, prefix)
+                ]
+                _insert(config, "access_control", roles.access_control(options.namespace, others))
     except zenoh.ZError as error:
         raise _refusal(options, error) from None
     return config
@@ -141,11 +148,27 @@ class FrameReceiver(Protocol):
         ...
 
 
+class Put(Protocol):
+    """Function that publishes a payload, with an attachment for the messages of other systems."""
+
+    def __call__(self, payload: bytes, *, attachment: bytes | None = None) -> None: ...
+
+
 class Publisher:
     """Publisher of one key."""
 
-    def __init__(self, publisher: zenoh.Publisher) -> None:
-        self.put: Callable[[bytes], None] = publisher.put
+    def __init__(self, publisher: zenoh.Publisher | zenoh.ext.AdvancedPublisher) -> None:
+        self.put: Put = publisher.put
+
+
+ForeignReceiver: TypeAlias = Callable[[bytes, bytes], None]
+"""Receiver of a message of another system: payload and attachment, on Zenoh's thread."""
+
+Reply: TypeAlias = Callable[[bytes, bytes | None], None]
+"""Function that replies to a query with a payload and an attachment."""
+
+QueryReceiver: TypeAlias = Callable[[bytes, bytes, Reply], None]
+"""Receiver of a query: payload, attachment, and the function that replies."""
 
 
 class Session:
@@ -153,7 +176,7 @@ class Session:
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
-        self._subscribers: list[zenoh.Subscriber[None]] = []
+        self._subscribers: list[zenoh.Subscriber[None] | zenoh.Queryable[None] | zenoh.LivelinessToken] = []
 
     def publisher(self, key: str) -> Publisher:
         """Declare a publisher on ``key``."""
@@ -180,6 +203,52 @@ class Session:
             self._session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
         )
 
+    # --- for edges: what ROS 2 over Zenoh needs ---
+
+    @property
+    def identifier(self) -> str:
+        """Zenoh's identifier of this session."""
+        return str(self._session.info.zid())
+
+    def latched_publisher(self, key: str) -> Publisher:
+        """Declare a publisher on ``key`` whose last message a later subscriber can query."""
+        return Publisher(
+            zenoh.ext.declare_advanced_publisher(
+                self._session,
+                key,
+                congestion_control=zenoh.CongestionControl.DROP,
+                cache=zenoh.ext.CacheConfig(max_samples=1),
+                publisher_detection=True,
+            )
+        )
+
+    def receive(self, key: str, receiver: ForeignReceiver) -> None:
+        """Pass what arrives on ``key`` to the receiver, with its attachment."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            receiver(sample.payload.to_bytes(), _bytes(sample.attachment))
+
+        self._subscribers.append(
+            self._session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
+        )
+
+    def serve(self, key: str, receiver: QueryReceiver) -> None:
+        """Pass the queries of ``key`` to the receiver."""
+
+        def on_query(query: zenoh.Query) -> None:
+            def reply(payload: bytes, attachment: bytes | None) -> None:
+                query.reply(query.key_expr, payload, attachment=attachment)
+                query.drop()  # type: ignore[no-untyped-call]
+
+            receiver(_bytes(query.payload), _bytes(query.attachment), reply)
+
+        callback = zenoh.handlers.Callback(on_query, indirect=False)
+        self._subscribers.append(self._session.declare_queryable(key, callback, complete=True))
+
+    def declare_token(self, key: str) -> None:
+        """Declare a liveliness token, which ends with the session."""
+        self._subscribers.append(self._session.liveliness().declare_token(key))
+
     def __enter__(self) -> Session:
         return self
 
@@ -189,6 +258,10 @@ class Session:
         for subscriber in self._subscribers:
             subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh leaves both without a type
         self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _bytes(data: zenoh.ZBytes | None) -> bytes:
+    return b"" if data is None else data.to_bytes()
 
 
 def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable[[str], None]) -> Session:

@@ -38,18 +38,22 @@ def new(
             help="Source of estimates on estimate/NAME, role estimator-NAME; repeatable.",
         ),
     ] = None,
+    ros_domain: Annotated[
+        list[int] | None,
+        typer.Option("--ros-domain", metavar="D", help="ROS 2 domain, role ros-D; repeatable.", min=0, max=232),
+    ] = None,
     days: Annotated[int, typer.Option("--days", metavar="N", help="Validity in days.", min=1, max=36_500)] = 365,
     force: Force = False,
 ) -> int:
     """Create a certificate authority, and a key and certificate for every role.
 
     Copy to each host only ca.pem and the two files of each role that runs there, and to the router's host the .pem, not
-    the .key, of each named source: it learns from them which sources there are.
+    the .key, of each named source and each ROS 2 domain: it learns from them which there are.
     """
     import re
 
     from ltv_mpc.errors import ConfigError
-    from services.bus.roles import ROLES, SOURCE_PREFIX
+    from services.bus.roles import ROLES, ROS_PREFIX, SOURCE_PREFIX
     from services.bus.topics import is_source_name
 
     for name in host or ():
@@ -69,7 +73,11 @@ def new(
             raise
         problem = "needs the package cryptography: pip install cryptography (extra secure)"
         raise ConfigError("ltv-mpc certs new", "", problem) from None
-    roles = list(dict.fromkeys((*ROLES, *(SOURCE_PREFIX + name for name in source or ()))))
+    named = (
+        *(SOURCE_PREFIX + name for name in source or ()),
+        *(f"{ROS_PREFIX}{domain}" for domain in ros_domain or ()),
+    )
+    roles = list(dict.fromkeys((*ROLES, *named)))
     certificates.make(folder, roles, hosts=host or (), days=days)
     typer.echo(f"certificates of {len(roles)} roles, valid for {days} days: {', '.join(roles)}", err=True)
     typer.echo(str(folder))

@@ -1,4 +1,4 @@
-"""Command ``ros2``: bridge to ROS 2."""
+"""Command ``ros2``: edge to ROS 2."""
 
 from __future__ import annotations
 
@@ -9,56 +9,114 @@ import typer
 from services.cli.bus import check_namespace, with_bus
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from services.bus.options import BusOptions
+    from services.edges.ros2.topics import Row
+
+NOT_INSTALLED = "needs the package rosbags: pip install rosbags (extra ros2)"
+DDS, RMW_ZENOH = "ros2dds", "rmw_zenoh"
 
 
-@with_bus(without=["certs"])
+@with_bus("ros2")
 def ros2(
-    odometry: Annotated[
-        str, typer.Option("--odometry", metavar="TOPIC", help="Topic of nav_msgs/Odometry, ENU and FLU.")
-    ] = "/odometry",
-    thrusts: Annotated[
+    middleware: Annotated[
         str,
         typer.Option(
-            "--thrusts",
-            metavar="PORT,STARBOARD,VERTICAL",
-            help="Topics of std_msgs/Float64, one for each thruster (N).",
+            "--middleware", metavar=f"{DDS}|{RMW_ZENOH}", help="zenoh-bridge-ros2dds, or ROS 2 nodes with rmw_zenoh."
         ),
-    ] = "/thrusters/port/thrust,/thrusters/starboard/thrust,/thrusters/vertical/thrust",
+    ] = DDS,
+    domain_id: Annotated[
+        int, typer.Option("--domain-id", metavar="D", help="ROS_DOMAIN_ID, for rmw_zenoh.", min=0, max=232)
+    ] = 0,
+    topic: Annotated[
+        list[str] | None,
+        typer.Option("--topic", metavar="NAME=/TOPIC", help="Other topic for a row of docs/ros2.md; repeatable."),
+    ] = None,
+    array: Annotated[
+        str,
+        typer.Option("--array", metavar="ORDER", help="One Float64MultiArray, such as port,starboard."),
+    ] = "",
+    scale: Annotated[float, typer.Option("--scale", metavar="S", help="Factor of that array, per N.")] = 1.0,
+    vehicle: Annotated[
+        str, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle, for its arms and its reference point.")
+    ] = "paper",
+    speed_mps: Annotated[
+        float, typer.Option("--speed-mps", metavar="V", help="Speed on a route (m/s).", min=0.01, max=20.0)
+    ] = 0.5,
     ros_namespace: Annotated[
         str, typer.Option("--ros-namespace", metavar="NAME", help="Namespace of the bridge, the prefix of its keys.")
     ] = "",
     rate_hz: Annotated[
-        float, typer.Option("--rate-hz", metavar="R", help="Rate of the forces (Hz).", min=1.0, max=200.0)
+        float, typer.Option("--rate-hz", metavar="R", help="Rate of the thrusts (Hz).", min=1.0, max=200.0)
     ] = 20.0,
     *,
     bus: BusOptions,
 ) -> int:
-    """Connect to ROS 2: odometry in, thrusts out.
+    """Connect to ROS 2: odometry and goals in, thrusts out.
 
-    Uses zenoh-bridge-ros2dds. Reads plan and the odometry topic; writes estimate and the topics of the thrusters. It
-    replaces the estimator.
+    Reads plan, controller/status and topics; writes estimate, command and topics. It replaces the estimator.
     """
-    import re
+    from msgspec import structs
 
     from ltv_mpc.errors import ConfigError
+    from ltv_mpc.vehicle.parameters import Vehicle
+    from services.bus.session import configuration
 
-    names = tuple(thrusts.split(","))
-    if len(names) != 3 or len({*names, odometry}) != 4:
-        raise ConfigError("option --thrusts", "", "must be three topics, PORT,STARBOARD,VERTICAL", value=thrusts)
-    for option, name in (("--odometry", odometry), *(("--thrusts", name) for name in names)):
-        if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", name):
-            raise ConfigError(
-                f"option {option}", "", "must be the full name of a topic, such as /auv/odometry", value=name
-            )
-    check_namespace(ros_namespace, "--ros-namespace")
+    _check(middleware, bus)
     try:
-        from services.processes import ros2 as node
+        from services.edges.ros2.conversions import Settings
+        from services.processes import ros2 as process
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith("rosbags"):
             raise
-        problem = "needs the package rosbags: pip install rosbags (extra ros2)"
-        raise ConfigError("ltv-mpc ros2", "", problem) from None
-    port, starboard, vertical = names
-    topics = node.Topics(odometry=odometry, thrusts=(port, starboard, vertical))
-    return node.main(topics, bus, ros_namespace=ros_namespace, rate_hz=rate_hz)
+        raise ConfigError("ltv-mpc ros2", "", NOT_INSTALLED) from None
+    check_namespace(ros_namespace, "--ros-namespace")
+    ros = structs.replace(bus, namespace=ros_namespace, role=f"ros-{domain_id}", timestamps=True)
+    configuration(ros)  # its certificate is checked before anything starts
+    config = process.Config(
+        bus=bus,
+        ros=ros,
+        rows=_rows(topic or (), array, scale),
+        domain_id=domain_id if middleware == RMW_ZENOH else None,
+        edge=Settings(vehicle=Vehicle.load(vehicle), speed_mps=speed_mps, array=array, scale=scale),
+        rate_hz=rate_hz,
+    )
+    return process.main(config)
+
+
+def _check(middleware: str, bus: BusOptions) -> None:
+    """Raise ``ConfigError`` for an unknown middleware, or one that cannot use certificates."""
+    from ltv_mpc.errors import ConfigError
+
+    if middleware not in (DDS, RMW_ZENOH):
+        raise ConfigError("option --middleware", "", f"must be {DDS} or {RMW_ZENOH}", value=middleware)
+    if bus.certs is not None and middleware == DDS:
+        problem = f"only with --middleware {RMW_ZENOH}: the keys of the bridge have no domain, and so no role"
+        raise ConfigError("option --certs", "", problem)
+
+
+def _rows(topics: Iterable[str], array: str, scale: float) -> tuple[Row, ...]:
+    """Return the rows in use, with the topics of --topic. Raises ``ConfigError``."""
+    import math
+
+    from ltv_mpc.errors import ConfigError
+    from services.edges.ros2.middleware import is_topic
+    from services.edges.ros2.topics import BY_NAME, rows
+
+    names = {}
+    for given in topics:
+        name, _, of = given.partition("=")
+        if name not in BY_NAME or not is_topic(of):
+            problem = f"must be NAME=/TOPIC, NAME one of {', '.join(BY_NAME)}"
+            raise ConfigError("option --topic", "", problem, value=given)
+        names[name] = of
+    used = rows(names, array=bool(array))
+    if twice := sorted({row.topic for row in used if sum(row.topic == other.topic for other in used) > 1}):
+        raise ConfigError("option --topic", "", "used for several rows", value=", ".join(twice))
+    order = array.split(",") if array else []
+    if not set(order) <= {"port", "starboard", "vertical"} or len(set(order)) < len(order):
+        raise ConfigError("option --array", "", "must be names of port, starboard, vertical", value=array)
+    if not (math.isfinite(scale) and scale != 0.0):
+        raise ConfigError("option --scale", "", "must be a number other than 0", value=str(scale))
+    return used

@@ -1,1 +1,1 @@
-"""Bridges between this bus and other message buses."""
+"""Edges: converters between this bus and the messages of other systems. They know no network, clock or thread."""

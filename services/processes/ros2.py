@@ -1,135 +1,121 @@
-"""ROS 2 process: reads odometry and plans, writes estimates and a force for each thruster."""
+"""ROS 2 process: the edge to ROS 2 on two sessions, one of this bus and one of the ROS side."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Sequence
 
 import msgspec
 
-from ltv_mpc.messages import Estimate, NodeStatus, Plan
-from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import MessageValidator
+from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
-from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import Publisher, open_session
-from services.bus.topics import BY_TYPE
-from services.bus.wire import WireError
-from services.edges.ros2 import cdr
-from services.edges.ros2.edge import Edge
-from services.runtime.clock import monotonic_us
+from services.bus.outbox import new_epoch
+from services.bus.session import ForeignReceiver, Publisher, QueryReceiver, Reply, Session, open_session
+from services.edges.edge import Outgoing, Refused
+from services.edges.ros2.conversions import Settings
+from services.edges.ros2.edge import MAX_REQUESTS, Ros2Edge
+from services.edges.ros2.middleware import Attachment, Bridge, RmwZenoh, gid_of
+from services.edges.ros2.topics import IN, OUT, Row
+from services.processes.edge_loop import EdgeLoop
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 
-NAME = "ros2"
-STATUS_US = 500_000
+
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """Settings of the process."""
+
+    bus: BusOptions
+    ros: BusOptions  # of the other side: the same router, with its own namespace and role
+    rows: Sequence[Row]
+    domain_id: int | None = None  # None: zenoh-plugin-ros2dds, which has no domain in its keys
+    edge: Settings
+    rate_hz: float = 20.0
 
 
-class Topics(msgspec.Struct, frozen=True, kw_only=True):
-    """Names of the ROS topics. Over the bridge the key of a topic is its name without the first slash."""
-
-    odometry: str
-    thrusts: tuple[str, str, str]  # port, starboard, vertical
+def main(config: Config) -> int:
+    """Translate until a stop is requested. Return the exit code."""
+    return run_until_stopped(Console(Ros2Edge.name), lambda request, say: _run(config, request, say))
 
 
-def main(topics: Topics, bus: BusOptions, *, ros_namespace: str, rate_hz: float) -> int:
-    """Translate until a stop is requested. ``ros_namespace`` is the bridge's prefix of all its keys."""
-    period_us = round(1e6 / rate_hz)
-    return run_until_stopped(
-        Console(NAME), lambda request, say: _run(topics, bus, ros_namespace, period_us, request, say)
-    )
-
-
-def _run(topics: Topics, bus: BusOptions, ros_namespace: str, period_us: int, request: StopRequest, say: Say) -> None:
+def _run(config: Config, request: StopRequest, say: Say) -> None:
     mailbox = Mailbox()
     request.on_request(mailbox.wake)
-    theirs = msgspec.structs.replace(bus, namespace=ros_namespace)
+    middleware = Bridge() if config.domain_id is None else RmwZenoh(config.domain_id)
     with (
-        open_session(bus, stop=request, say=say) as session,
-        open_session(theirs, stop=request, say=say) as ros,
+        open_session(config.bus, stop=request, say=say) as session,
+        open_session(config.ros, stop=request, say=say) as ros,
     ):
-        outbox = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(Estimate, NodeStatus))
-        loop = _Loop(outbox, [ros.publisher(key_of(name)) for name in topics.thrusts], say)
-        session.subscribe(BY_TYPE[Plan].key, BY_TYPE[Plan], mailbox)
-        ros.subscribe(key_of(topics.odometry), None, mailbox)
-        say(f"reads {topics.odometry} (nav_msgs/Odometry); writes {', '.join(topics.thrusts)} (std_msgs/Float64, N)")
-        due_us = status_us = monotonic_us()
-        while not request():
-            now_us = monotonic_us()
-            if now_us >= due_us:
-                loop.play(now_us)
-                due_us = max(due_us + period_us, now_us)
-            if now_us >= status_us:
-                loop.publish_status()
-                status_us = now_us + STATUS_US
-            if (frame := mailbox.take((min(due_us, status_us) - now_us) / 1e6)) is not None:
-                loop.take(frame)
-        loop.release()
-        loop.publish_status(finished=True)
+        epoch = new_epoch()
+        edge = Ros2Edge(epoch, config.edge)
+        link = RosLink(ros, middleware, tuple(config.rows), mailbox)
+        loop = EdgeLoop(edge, session, mailbox, epoch, say)
+        for frame in edge.start():
+            link.send(frame)
+        for direction, verb in ((IN, "reads"), (OUT, "writes")):
+            say(f"{verb} {', '.join(row.topic for row in config.rows if row.direction is direction)}")
+        loop.run(link, round(1e6 / config.rate_hz), request)
 
 
-def key_of(topic: str) -> str:
-    """Return the key that zenoh-plugin-ros2dds uses for a ROS topic."""
-    return topic.removeprefix("/")
+class RosLink:
+    """Publishers, subscribers, services and liveliness tokens of the edge on the ROS side."""
+
+    def __init__(
+        self, session: Session, middleware: Bridge | RmwZenoh, rows: tuple[Row, ...], mailbox: Mailbox
+    ) -> None:
+        self._attaches = middleware.attaches
+        self._publishers: dict[str, Publisher] = {}
+        self._gids: dict[str, bytes] = {}
+        self._sequences: dict[str, int] = {}
+        self._replies: dict[str, tuple[Reply, bytes]] = {}
+        self._mailbox = mailbox
+        self._requests = 0
+        tokens = middleware.tokens(rows, session.identifier)
+        for at, row in enumerate(rows, start=1):
+            key = middleware.key(row)
+            if row.direction is OUT:
+                declare = session.latched_publisher if row.latched and self._attaches else session.publisher
+                self._publishers[row.name] = declare(key)
+                self._gids[row.name] = gid_of(tokens[at]) if tokens else b""
+            elif row.direction is IN:
+                session.receive(key, self._receiver(row.name))
+            else:
+                session.serve(key, self._server(row.name))
+        for token in tokens:
+            session.declare_token(token)
+
+    def send(self, frame: Outgoing) -> None:
+        """Publish on the topic of a row, or reply to a request."""
+        if frame.channel in self._replies:
+            reply, attachment = self._replies.pop(frame.channel)
+            reply(frame.payload, _answer(attachment))
+        elif (publisher := self._publishers.get(frame.channel)) is not None:
+            publisher.put(frame.payload, attachment=self._attachment(frame.channel))
+
+    def _attachment(self, name: str) -> bytes | None:
+        if not self._attaches:
+            return None
+        sequence = self._sequences[name] = self._sequences.get(name, 0) + 1
+        return Attachment(sequence, time.time_ns(), self._gids[name]).pack()
+
+    def _receiver(self, name: str) -> ForeignReceiver:
+        return lambda payload, attachment: self._mailbox.offer(None, name, payload, attachment)
+
+    def _server(self, name: str) -> QueryReceiver:
+        def on_query(payload: bytes, attachment: bytes, reply: Reply) -> None:
+            if len(self._replies) >= MAX_REQUESTS:
+                return  # the client waits until its time-out
+            self._requests += 1
+            channel = f"{name}?{self._requests}"
+            self._replies[channel] = reply, attachment
+            self._mailbox.offer(None, channel, payload, attachment)
+
+        return on_query
 
 
-class _Loop:
-    """Handling of each received frame, and of each period."""
-
-    def __init__(self, outbox: Outbox, thrusters: Sequence[Publisher], say: Say) -> None:
-        self._outbox = outbox
-        self._thrusters = thrusters
-        self._say = say
-        self._last_reason = ""
-        self._validator = MessageValidator()
-        self._edge = Edge()
-
-    def take(self, frame: Frame) -> None:
-        """Handle a plan from the bus or odometry from ROS."""
-        if frame.topic is not BY_TYPE[Plan]:
-            estimate = self._edge.odometry(frame.payload, frame.received_monotonic_us)
-            if estimate is not None:
-                self._outbox.publish(estimate)
-            return
-        try:
-            plan, _ = self._validator.validate(frame)
-        except WireError:  # counted by the validator
-            return
-        if isinstance(plan, Plan):
-            self._edge.follow(plan)
-
-    def play(self, now_us: int) -> None:
-        """Publish the force of each thruster at this instant."""
-        thrust_N = self._edge.thrust_N(now_us)
-        if thrust_N is not None:
-            self._put(thrust_N)
-
-    def release(self) -> None:
-        """Publish zero force, as the last message."""
-        self._put((0.0, 0.0, 0.0))
-
-    def publish_status(self, *, finished: bool = False) -> None:
-        """Publish the node's status, and print each new reason for rejected odometry once."""
-        edge = self._edge
-        if edge.rejected and edge.reason != self._last_reason:
-            self._say(f"odometry rejected, {edge.rejected} so far: {edge.reason}")
-            self._last_reason = edge.reason
-        self._outbox.publish(
-            NodeStatus(
-                node=NAME,
-                t_ns=0,
-                ready=True,
-                waiting_for="" if edge.accepted or finished else "odometry",
-                steps=edge.accepted,
-                published=self._outbox.published + 1,  # this one included
-                received=edge.accepted + self._validator.received,
-                dropped=self._validator.dropped,
-                rejected=edge.rejected + self._validator.rejected,
-                step_us=0.0,
-                finished=finished,
-            )
-        )
-
-    def _put(self, thrust_N: Iterable[float]) -> None:
-        for publisher, force_N in zip(self._thrusters, thrust_N, strict=True):
-            publisher.put(cdr.float64(float(force_N)))
+def _answer(attachment: bytes) -> bytes | None:
+    """Return the attachment of a response: that of the request, with the time of the response."""
+    try:
+        return Attachment.unpack(attachment)._replace(t_ns=time.time_ns()).pack()
+    except Refused:
+        return None

@@ -55,7 +55,12 @@ from services.bus import topics
 from services.bus.mailbox import Frame
 from services.bus.message_validation import MessageValidator
 from services.bus.wire import MAX_PAYLOAD_BYTES, WireError, header_of, to_map, unpack
-from services.edges.ros2.edge import Edge
+from services.edges.edge import Outgoing, Received
+from services.edges.ros2 import cdr, conversions
+from services.edges.ros2.conversions import Settings as Ros2Settings
+from services.edges.ros2.edge import Ros2Edge
+from services.edges.ros2.middleware import Attachment
+from services.edges.ros2.topics import BY_NAME, OUT, SERVICE, TABLE
 from services.recording import export, info, perfetto
 from services.recording.reader import Recording
 from services.recording.recover import recover, segments
@@ -221,28 +226,75 @@ def recorder() -> Target:
 
 
 def ros2() -> Target:
-    """Target: the edge to ROS 2, from CDR to an estimate."""
-    seeds = [odometry(), odometry(order=">", position=(1.0, 2.0, -3.0), frame="a" * 40, pose_covariance=np.eye(6))]
-    edge = Edge()
+    """Target: the edge to ROS 2, all topics and services: a frame gives messages that are sound, or is counted."""
+    edge = Ros2Edge(1, Ros2Settings(vehicle=Vehicle.load("paper")))
+    seeds = {row.name: cdr.encode(ros2_example(row.ros_type)) for row in TABLE if row.direction is not OUT}
+    seeds["odometry"] = odometry(position=(1.0, 2.0, -3.0), frame="a" * 40, pose_covariance=np.eye(6))
     doubles = (math.nan, math.inf, -math.inf, 1e308, 5e-324, 1e10, -1.0)
+    names = sorted(seeds)
 
     def spoiled(rng: Random, data: bytes) -> bytes:
+        if len(data) < 12:
+            return data[:-1]
         at = 4 + 8 * rng.randrange((len(data) - 4) // 8)
-        value = np.array([rng.choice(doubles)]).astype("<f8" if data[1] else ">f8").tobytes()
-        return data[:at] + value + data[at + 8 :]
+        return data[:at] + np.array([rng.choice(doubles)]).astype("<f8").tobytes() + data[at + 8 :]
 
     def frame(rng: Random) -> bytes:
-        seed = rng.choice(seeds)
+        number = rng.randrange(len(names))
+        seed = seeds[names[number]]
         length = rng.choice((0, 0xFFFFFFFF, 0x7FFFFFFF, 65535)).to_bytes(4, "little")
-        return mutate.one_of(
+        attachment = Attachment(rng.randrange(1 << 60), 0, bytes(16)).pack()
+        payload = mutate.one_of(
             rng,
             (4, lambda: spoiled(rng, seed)),
             (4, lambda: mutate.raw(rng, seed)),
             (1, lambda: seed[:12] + length + seed[16:]),
             (1, lambda: rng.randbytes(rng.randrange(900))),
         )
+        attachment = mutate.one_of(rng, (4, bytes), (2, lambda: attachment), (1, lambda: mutate.raw(rng, attachment)))
+        return bytes([number, len(attachment) & 255]) + attachment[:255] + payload
 
-    return Target("ros2 odometry", 2, frame, lambda data: edge.odometry(data, 0), signal_is_sound)
+    def take(data: bytes) -> Any:
+        name = names[data[0] % len(names)]
+        attachment, payload = data[2 : 2 + data[1]], data[2 + data[1] :]
+        channel = f"{name}?1" if BY_NAME[name].direction is SERVICE else name
+        before = edge.accepted, edge.refused
+        outputs = edge.receive(Received(channel, payload, attachment, 0))
+        assert edge.accepted + edge.refused == sum(before) + 1
+        for late in edge.step(4_000_000):  # so that requests do not pile up
+            assert isinstance(late, Outgoing)
+        return [output for output in outputs if not isinstance(output, Outgoing)] if edge.accepted > before[0] else None
+
+    def check(messages: Any) -> None:
+        for message in messages:
+            signal_is_sound(message)
+
+    return Target("ros2", 2, frame, take, check)
+
+
+def ros2_example(ros_type: str) -> Any:
+    """Return a message with zeros, empty texts and one element in each list; of a service its request."""
+    if "/srv/" in ros_type:
+        return cdr.make(f"{ros_type}_Request", **({"data": True} if ros_type.endswith("SetBool") else {}))
+    header = conversions.header(1, "odom")
+    turn = cdr.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+    pose = cdr.make(
+        "geometry_msgs/msg/Pose", position=cdr.make("geometry_msgs/msg/Point", x=1.0, y=2.0, z=-3.0), orientation=turn
+    )
+    vector = cdr.make("geometry_msgs/msg/Vector3", x=0.1, y=0.2, z=0.3)
+    twist = cdr.make("geometry_msgs/msg/Twist", linear=vector, angular=vector)
+    covariance = np.eye(6).ravel()
+    with_pose = cdr.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance)
+    with_twist = cdr.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance)
+    fields = {
+        "nav_msgs/msg/Odometry": {"child_frame_id": "base_link", "pose": with_pose, "twist": with_twist},
+        "geometry_msgs/msg/PoseWithCovarianceStamped": {"pose": with_pose},
+        "geometry_msgs/msg/TwistWithCovarianceStamped": {"twist": with_twist},
+        "geometry_msgs/msg/TwistStamped": {"twist": twist},
+        "geometry_msgs/msg/PoseStamped": {"pose": pose},
+        "nav_msgs/msg/Path": {"poses": [cdr.make("geometry_msgs/msg/PoseStamped", header=header, pose=pose)] * 3},
+    }
+    return cdr.make(ros_type, header=header, **fields[ros_type])
 
 
 def vehicle_clock() -> Target:

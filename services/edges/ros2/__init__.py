@@ -1,1 +1,1 @@
-"""Bridge to ROS 2 over Zenoh, with messages as zenoh-plugin-ros2dds carries them. It needs the extra ``ros2``."""
+"""Edge to ROS 2 over Zenoh, through zenoh-plugin-ros2dds or beside rmw_zenoh. It needs the extra ``ros2``."""

@@ -1,93 +1,169 @@
-"""Conversion between ROS 2 and this bus: odometry to an estimate, and a plan to a force for each thruster.
-
-It reads no clock: the caller passes ``now_us``, the host's monotonic clock.
-"""
+"""Edge to ROS 2: odometry to an estimate, goals and services to commands, and plans to thrusts and views."""
 
 from __future__ import annotations
 
-from collections import deque
+from collections.abc import Iterable
+from typing import Any
 
-import numpy as np
+from ltv_mpc.messages import (
+    Acknowledgement,
+    Action,
+    Command,
+    ControllerStatus,
+    CurrentProfile,
+    Estimate,
+    Message,
+    Plan,
+)
+from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
+from services.edges.ros2 import cdr, conversions
+from services.edges.ros2.conversions import Settings
+from services.edges.ros2.middleware import Attachment
+from services.edges.ros2.odometry import estimate_of
+from services.edges.ros2.topics import ACTIONS, BY_NAME, SERVICE
 
-from ltv_mpc.messages import Array, Estimate, Plan
-from ltv_mpc.safety.health import plan_end_ns
-from ltv_mpc.safety.input_monitor import Period
-from ltv_mpc.validation import rejection_reason
-from ltv_mpc.vehicle.parameters import PLAN_TIMEOUT_S
-from services.edges.ros2 import cdr
-from services.edges.ros2.odometry import OdometryError, estimate_of
+CURRENT_US = 30_000_000
+"""Time for which a current is added to the estimates."""
 
-WINDOW_US = 30_000_000
+WATER_US = 1_000_000
+REPLY_US = 3_000_000
+"""Longest wait for the controller's reply to the command of a service."""
 
-
-class StampedClock:
-    """Clock of the odometry's stamps, from the least delayed message of the last 30 s.
-
-        time = monotonic + max (stamp - arrival)
-
-    It is slow by the delay of that message: a fraction of a millisecond on one host.
-    """
-
-    def __init__(self) -> None:
-        self._best: deque[tuple[int, int]] = deque()  # arrival (us), stamp - arrival (ns); decreasing
-
-    def update(self, stamp_ns: int, now_us: int) -> None:
-        """Add a message that arrived at ``now_us`` with this stamp."""
-        offset_ns = stamp_ns - now_us * 1000
-        while self._best and self._best[-1][1] <= offset_ns:
-            self._best.pop()
-        self._best.append((now_us, offset_ns))
-        while self._best[0][0] < now_us - WINDOW_US:
-            self._best.popleft()
-
-    def read(self, now_us: int) -> int | None:
-        """Return the time (ns) at ``now_us``; None before the first message."""
-        return now_us * 1000 + self._best[0][1] if self._best else None
+MAX_REQUESTS = 100
+ZERO = (0.0, 0.0, 0.0)
 
 
-class Edge:
-    """Converter with counts: ``accepted`` odometry became an estimate, ``rejected`` odometry did not."""
+class Ros2Edge(Edge):
+    """Edge to ROS 2. The channel of a frame is the name of a row; that of a request has a number behind a ``?``."""
 
-    def __init__(self) -> None:
-        self._clock = StampedClock()
-        self._plan: Plan | None = None
-        self._period = Period()  # of the plans
-        self.accepted = 0
-        self.rejected = 0
-        self.reason = ""  # of the last rejection
+    name = "ros2"
+    reads = (Plan, Acknowledgement, ControllerStatus, Estimate)
+    writes = (Estimate, Command)
 
-    def odometry(self, payload: bytes, now_us: int) -> Estimate | None:
-        """Return the estimate of an odometry message, or None if it is rejected."""
-        try:
-            estimate = estimate_of(cdr.odometry(payload))
-        except (cdr.CdrError, OdometryError) as error:
-            self._reject(str(error))
+    def __init__(self, epoch: int, settings: Settings) -> None:
+        super().__init__(epoch)
+        self._settings = settings
+        self._twist: Any = None
+        self._odometry = False  # its source publishes odometry, and so no poses
+        self._current: tuple[CurrentProfile, int] | None = None  # with the arrival
+        self._requests: dict[int, tuple[str, int]] = {}  # by command: channel of the reply, arrival
+        self._followed = 0  # newest command of a goal or a route
+        self._numbers = LossCounter()
+        self._water_us = 0
+
+    def start(self) -> list[Outgoing]:
+        """Return the first frames: the static transform."""
+        return [_frame("tf_static", conversions.reference_point_of(self._settings))]
+
+    def receive(self, frame: Received) -> list[Output]:
+        """Convert a message or a request; a refused request has a reply with the reason."""
+        outputs = super().receive(frame)
+        if not outputs and BY_NAME[frame.channel.partition("?")[0]].direction is SERVICE:
+            return [_reply(frame.channel, False, f"refused: {self.reason}")]
+        return outputs
+
+    def convert(self, frame: Received) -> Iterable[Output]:
+        """Convert a message or a request."""
+        name, _, request = frame.channel.partition("?")
+        row = BY_NAME[name]
+        if frame.attachment:
+            attachment = Attachment.unpack(frame.attachment)
+            if row.direction is not SERVICE and not self._numbers.add((name, attachment.gid), attachment.sequence):
+                raise Refused("duplicate")
+            self.lost = self._numbers.lost
+        if row.direction is SERVICE:
+            return [self._command(name, request, frame)]
+        message = cdr.decode(frame.payload, row.ros_type)
+        match name:
+            case "odometry":
+                estimate = estimate_of(message, self._current_at(frame.now_us))
+                self._odometry = True
+                return [estimate]
+            case "pose" if self._odometry:
+                raise Refused("pose: the odometry is in use")
+            case "pose":
+                return [estimate_of(conversions.odometry_of(message, self._twist), self._current_at(frame.now_us))]
+            case "twist":
+                self._twist = message
+                return []
+            case "current":
+                self._current = conversions.current_of(message), frame.now_us
+                return []
+            case "goal":
+                return [self._follow([message.pose], message.header)]
+            case _:
+                return [self._follow([pose.pose for pose in message.poses], message.header)]
+
+    def take(self, message: Message, now_us: int) -> Iterable[Output]:
+        """Convert a message of this bus."""
+        super().take(message, now_us)
+        match message:
+            case Plan():
+                return [_frame("path", conversions.path_of(message, self._settings))]
+            case Acknowledgement() if message.command_id in self._requests:
+                channel, _ = self._requests.pop(message.command_id)
+                return [_reply(channel, message.accepted, message.why or message.authority.value)]
+            case Acknowledgement(accepted=False) if message.command_id == self._followed:
+                self.refuse(f"goal: the controller rejects it: {message.why}")
+            case ControllerStatus():
+                t_ns = self.clock.read(now_us) or 0
+                refused = dict(self.refused_by_reason)
+                return [_frame("diagnostics", conversions.diagnostics_of(message, refused, t_ns, self._settings))]
+            case Estimate(current=CurrentProfile() as profile) if now_us >= self._water_us + WATER_US:
+                self._water_us = now_us
+                return [_frame("water", conversions.cloud_of(message, profile, self._settings))]
+        return []
+
+    def step(self, now_us: int) -> Iterable[Output]:
+        """Return the thrusts, zero past the plan's end, and the replies that the controller did not give in time."""
+        late = [(key, channel) for key, (channel, at_us) in self._requests.items() if now_us > at_us + REPLY_US]
+        outputs = [_reply(channel, False, "no reply from the controller within 3 s") for _, channel in late]
+        for key, _ in late:
+            del self._requests[key]
+        t_ns = self.clock.read(now_us)
+        if t_ns is not None and self.plans.has_plan:
+            thrust_N = self.plans.thrust_N(t_ns)
+            outputs += self._thrusts(ZERO if thrust_N is None else thrust_N, t_ns)
+        return outputs
+
+    def release(self, now_us: int) -> Iterable[Outgoing]:
+        """Return zero thrusts."""
+        return self._thrusts(ZERO, self.clock.read(now_us) or 0)
+
+    def _thrusts(self, thrust_N: Any, t_ns: int) -> list[Outgoing]:
+        messages = conversions.thrust_messages(thrust_N, t_ns, self._settings)
+        return [_frame(name, message) for name, message in messages.items()]
+
+    def _current_at(self, now_us: int) -> CurrentProfile | None:
+        if self._current is None or now_us > self._current[1] + CURRENT_US:
             return None
-        if (reason := rejection_reason(estimate)) is not None:
-            self._reject(reason)
-            return None
-        self.accepted += 1
-        self._clock.update(estimate.t_ns, now_us)
-        return estimate
+        return self._current[0]
 
-    def follow(self, plan: Plan) -> None:
-        """Set the plan to execute."""
-        if self._plan is None or plan.cycle_t_ns > self._plan.cycle_t_ns:
-            self._period.add(plan.cycle_t_ns)
-        self._plan = plan
+    def _follow(self, poses: list[Any], header: Any) -> Command:
+        text = conversions.reference_of(poses, header, self._settings)
+        self._followed = self.command_id()
+        return Command(command_id=self._followed, action=Action.FOLLOW, reference_toml=text)
 
-    def thrust_N(self, now_us: int) -> Array | None:
-        """Return the plan's thrust (N), port, starboard, vertical: 0 past its end, None without a plan.
+    def _command(self, name: str, request: str, frame: Received) -> Output:
+        """Return the command of a request, or the refusal as a reply."""
+        channel = f"{name}?{request}"
+        message = cdr.decode(frame.payload, f"{BY_NAME[name].ros_type}_Request")
+        action = ACTIONS.get((name, bool(getattr(message, "data", True))))
+        if action is None:
+            return _reply(channel, False, f"{name} false has no meaning: follow another reference")
+        if len(self._requests) >= MAX_REQUESTS:
+            raise Refused(f"request: {MAX_REQUESTS} others wait for a reply")
+        command = Command(command_id=self.command_id(), action=action)
+        self._requests[command.command_id] = channel, frame.now_us
+        return command
 
-        The plan ends as at any actuators, with the ``plan_timeout_s`` of a vehicle file that does not set it.
-        """
-        now_ns = self._clock.read(now_us)
-        if self._plan is None or now_ns is None:
-            return None
-        if now_ns > plan_end_ns(self._plan.t_ns, self._period.median_ns, PLAN_TIMEOUT_S):
-            return np.zeros(3)
-        return self._plan.thrust_at(now_ns)
 
-    def _reject(self, reason: str) -> None:
-        self.rejected += 1
-        self.reason = reason
+def _frame(name: str, message: Any) -> Outgoing:
+    return Outgoing(name, cdr.encode(message))
+
+
+def _reply(channel: str, success: bool, text: str) -> Outgoing:
+    """Return the response of a service; both types of services have the same one."""
+    name = channel.partition("?")[0]
+    response = cdr.make(f"{BY_NAME[name].ros_type}_Response", success=success, message=text)
+    return Outgoing(channel, cdr.encode(response))

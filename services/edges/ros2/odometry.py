@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from ltv_mpc.frames import wrap_angle
-from ltv_mpc.messages import Array, Estimate
+from ltv_mpc.messages import Array, CurrentProfile, Estimate
+from services.edges.edge import Refused
 
 OTHER_CONVENTIONS = ("ned", "frd")
 """Suffixes by which REP 103 marks frames that are not ENU or FLU, as in ``odom_ned``."""
@@ -34,21 +35,21 @@ UNIT = 1e-3
 """Largest deviation of a quaternion's length from 1."""
 
 
-class OdometryError(ValueError):
-    """Odometry that cannot be used; the text is the reason."""
+def estimate_of(message: Any, current: CurrentProfile | None = None) -> Estimate:
+    """Return the estimate of an odometry message, at the message's stamp. Raises ``Refused``.
 
-
-def estimate_of(message: Any) -> Estimate:
-    """Return the estimate of an odometry message, at the message's stamp. Raises ``OdometryError``."""
-    for name in (message.header.frame_id, message.child_frame_id):
-        if name.lower().rpartition("_")[2] in OTHER_CONVENTIONS:
-            raise OdometryError(f"frame {name}: must be ENU, its child FLU (REP 103)")
+    Parameters
+    ----------
+    message : odometry, or anything with the same fields.
+    current : velocity of the water to add to the estimate.
+    """
+    check_frames(message.header.frame_id, message.child_frame_id)
     pose, twist = message.pose, message.twist
     R = rotation(pose.pose.orientation)
-    position = _vector("position", pose.pose.position)
-    velocity, rate = R @ _vector("linear", twist.twist.linear), R @ _vector("angular", twist.twist.angular)
+    position = vector("position", pose.pose.position)
+    velocity, rate = R @ vector("linear", twist.twist.linear), R @ vector("angular", twist.twist.angular)
     return Estimate(
-        t_ns=int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec),
+        t_ns=stamp_ns(message.header),
         north_m=float(position[1]),
         east_m=float(position[0]),
         depth_m=float(-position[2]),
@@ -58,15 +59,28 @@ def estimate_of(message: Any) -> Estimate:
         velocity_east_mps=float(velocity[0]),
         velocity_down_mps=float(-velocity[2]),
         covariance=_covariance(R, velocity, rate, _matrix("pose", pose.covariance), _matrix("twist", twist.covariance)),
+        current=current,
     )
 
 
+def check_frames(*names: str) -> None:
+    """Raise ``Refused`` if the name of a frame says that it is not ENU or FLU."""
+    for name in names:
+        if name.lower().rpartition("_")[2] in OTHER_CONVENTIONS:
+            raise Refused(f"frame {name}: must be ENU, its child FLU (REP 103)")
+
+
+def stamp_ns(header: Any) -> int:
+    """Return the stamp of a header (ns)."""
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
 def rotation(quaternion: Any) -> Array:
-    """Return R of a quaternion (x, y, z, w), body to world, shape (3, 3). Raises ``OdometryError`` if it is invalid."""
+    """Return R of a quaternion (x, y, z, w), body to world, shape (3, 3). Raises ``Refused`` if it is invalid."""
     x, y, z, w = (float(value) for value in (quaternion.x, quaternion.y, quaternion.z, quaternion.w))
     length = math.sqrt(x * x + y * y + z * z + w * w)
     if not abs(length - 1.0) <= UNIT:  # also true for NaN
-        raise OdometryError(f"orientation: a quaternion of length {length:.3g}, not 1")
+        raise Refused(f"orientation: a quaternion of length {length:.3g}, not 1")
     x, y, z, w = x / length, y / length, z / length, w / length
     return np.array(
         [
@@ -77,7 +91,8 @@ def rotation(quaternion: Any) -> Array:
     )
 
 
-def _vector(name: str, message: Any) -> Array:
+def vector(name: str, message: Any) -> Array:
+    """Return x, y, z of a message, shape (3,). Raises ``Refused`` if one is not finite."""
     return _bounded(name, np.array([message.x, message.y, message.z], dtype=np.float64))
 
 
@@ -88,7 +103,7 @@ def _matrix(name: str, covariance: Any) -> Array:
 def _bounded(name: str, values: Array) -> Array:
     """Return finite values within LARGEST; the bounds of a vehicle are checked by the message validation."""
     if not np.abs(values).max() <= LARGEST:  # also true for NaN
-        raise OdometryError(f"{name}: a value is not a number, or larger than {LARGEST:g}")
+        raise Refused(f"{name}: a value is not a number, or larger than {LARGEST:g}")
     return values
 
 

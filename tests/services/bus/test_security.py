@@ -21,7 +21,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from ltv_mpc.errors import ConfigError
 from services.bus import certificates
 from services.bus.options import BusOptions
-from services.bus.roles import ROLES, access_control, reads, writes
+from services.bus.roles import EDGES, ROLES, access_control, reads, writes
 from services.bus.security import credentials
 from services.bus.session import configuration
 from services.bus.topics import TOPICS
@@ -148,7 +148,8 @@ def test_the_sole_writer_of_a_topic_is_the_only_role_that_may_put_on_it() -> Non
             continue
         may = {role for role in ROLES if topic.key in writes(role)}
         armed_by_the_simulation = {"plant"} if topic.written_by == "operator" else set()
-        assert may == {topic.written_by} | armed_by_the_simulation, topic.key
+        edges = set(EDGES) if topic.key in ("estimate", "command") else set()
+        assert may == {topic.written_by} | armed_by_the_simulation | edges, topic.key
 
 
 def test_the_truth_is_for_the_sensors_and_those_who_watch() -> None:
@@ -213,7 +214,7 @@ def test_a_router_denies_by_default_and_grants_within_its_namespace() -> None:
     assert all(key.startswith("auv/7/") for _, _, _, key in granted)
     assert {message for _, message, _, _ in granted} == {"put", "declare_subscriber"}
     everywhere = access_control("")
-    assert ["**/plan" in rule["key_exprs"] for rule in everywhere["rules"]].count(True) == 3
+    assert ["**/plan" in rule["key_exprs"] for rule in everywhere["rules"]].count(True) == 3 + 2 * len(EDGES)
     assert [subject["cert_common_names"] for subject in control["subjects"]] == [[role] for role in ROLES[1:]]
 
 

@@ -10,25 +10,29 @@ import sys
 import time
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.messages import Estimate, Plan, PlanOrigin, Solve, SolveStatus
+from ltv_mpc.messages import Estimate
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, decode, encode
 from services.cli.app import run
+from services.edges.edge import Received, Refused
 from services.edges.ros2 import cdr
-from services.edges.ros2.edge import Edge, StampedClock
-from services.edges.ros2.odometry import OdometryError, estimate_of
+from services.edges.ros2.conversions import Settings
+from services.edges.ros2.edge import Ros2Edge
+from services.edges.ros2.odometry import estimate_of
 from services.runtime.stopping import StopRequest
+from tests.services.edges.plans import plan
 
 SECOND_NS = 1_000_000_000
+ODOMETRY = "nav_msgs/msg/Odometry"
 STAMP = (1_700_000_000, 250_000_000)
 
 
@@ -86,14 +90,22 @@ def odometry(
 
 
 def estimate(**fields: Any) -> Estimate:
-    return estimate_of(cdr.odometry(odometry(**fields)))
+    return estimate_of(cdr.decode(odometry(**fields), ODOMETRY))
+
+
+def new_edge(**settings: Any) -> Ros2Edge:
+    return Ros2Edge(1, Settings(vehicle=Vehicle.load("paper"), **settings))
+
+
+def received(payload: bytes, channel: str = "odometry", now_us: int = 0, attachment: bytes = b"") -> Received:
+    return Received(channel, payload, attachment, now_us)
 
 
 # --- bytes -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_force_is_a_float64_message_byte_for_byte() -> None:
-    assert cdr.float64(-62.5) == bytes.fromhex("00010000" + "0000000000404fc0")
+    assert cdr.encode(cdr.make("std_msgs/msg/Float64", data=-62.5)) == bytes.fromhex("00010000" + "0000000000404fc0")
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -116,16 +128,16 @@ def test_whatever_the_bytes_are_they_are_a_message_or_an_error_with_a_reason() -
         for _ in range(rng.integers(0, 4)):
             if broken:
                 broken[rng.integers(0, len(broken))] = rng.integers(0, 256)
-        edge = Edge()
-        if edge.odometry(bytes(broken), 0) is None:
-            assert (edge.rejected, edge.accepted) == (1, 0)
+        edge = new_edge()
+        if not edge.receive(received(bytes(broken))):
+            assert (edge.refused, edge.accepted) == (1, 0)
             assert edge.reason
 
 
-@pytest.mark.parametrize("payload", [b"", b"\0\1\0\0", b"\0\7\0\0" + bytes(720), odometry()[:-9], bytes(70_000)])
+@pytest.mark.parametrize("payload", [b"", b"\0\1\0\0", b"\0\7\0\0" + bytes(720), odometry()[:-9], bytes(300_000)])
 def test_what_is_no_odometry_is_refused(payload: bytes) -> None:
-    with pytest.raises(cdr.CdrError):
-        cdr.odometry(payload)
+    with pytest.raises(Refused):
+        cdr.decode(payload, ODOMETRY)
 
 
 # --- frames ----------------------------------------------------------------------------------------------------------
@@ -238,7 +250,7 @@ def test_a_covariance_of_zeros_is_one_that_nobody_knows() -> None:
     ],
 )
 def test_what_is_no_attitude_another_frame_or_no_number_is_refused(fields: dict[str, Any], reason: str) -> None:
-    with pytest.raises(OdometryError, match=reason):
+    with pytest.raises(Refused, match=reason):
         estimate(**fields)
 
 
@@ -246,51 +258,9 @@ def test_what_is_no_attitude_another_frame_or_no_number_is_refused(fields: dict[
     "fields", [{"position": (math.nan, 0.0, 0.0)}, {"linear": (math.inf, 0.0, 0.0)}, {"linear": (1e9, 0.0, 0.0)}]
 )
 def test_what_no_vehicle_can_do_becomes_no_estimate(fields: dict[str, Any]) -> None:
-    edge = Edge()
-    assert edge.odometry(odometry(**fields), 0) is None
-    assert edge.rejected == 1
-
-
-# --- time and thrust -------------------------------------------------------------------------------------------------
-
-
-def plan(t0_ns: int) -> Plan:
-    return Plan(
-        cycle_t_ns=t0_ns,
-        t_ns=np.array([t0_ns, t0_ns + SECOND_NS, t0_ns + 2 * SECOND_NS]),
-        thrust_N=np.array([[0.0, 0.0, 0.0], [10.0, -20.0, 5.0], [10.0, -20.0, 5.0]]),
-        states=np.zeros((3, 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-    )
-
-
-def test_the_time_is_that_of_the_least_delayed_of_the_last_messages() -> None:
-    clock = StampedClock()
-    assert clock.read(0) is None
-    for k, delay_us in enumerate((400, 100, 900)):
-        clock.update(5 * SECOND_NS + k * 1_000_000, k * 1_000 + delay_us)
-    assert clock.read(10_000) == 5 * SECOND_NS + 10_000_000 - 100_000
-    clock.update(36 * SECOND_NS, 31_000_000 + 5_000)  # the others are older than 30 s
-    assert clock.read(31_005_000) == 36 * SECOND_NS
-
-
-def test_a_plan_is_played_by_the_time_of_the_odometry_and_not_beyond_its_end() -> None:
-    edge = Edge()
-    edge.follow(plan(STAMP[0] * SECOND_NS + STAMP[1]))
-    assert edge.thrust_N(7_000_000) is None  # what time it is nobody has said
-    assert edge.odometry(odometry(), 7_000_000) is not None
-    for after_s, thrust in ((0.5, (5.0, -10.0, 2.5)), (1.5, (10.0, -20.0, 5.0)), (2.1, (0.0, 0.0, 0.0))):
-        np.testing.assert_allclose(edge.thrust_N(7_000_000 + round(after_s * 1e6)), thrust)
-
-
-def test_a_long_plan_is_not_followed_for_more_than_five_seconds() -> None:
-    edge, t0_ns = Edge(), STAMP[0] * SECOND_NS + STAMP[1]
-    edge.odometry(odometry(), 0)
-    knots = t0_ns + SECOND_NS * np.arange(15)
-    edge.follow(msgspec.structs.replace(plan(t0_ns), t_ns=knots, thrust_N=np.full((15, 3), 10.0)))
-    assert (edge.thrust_N(4_999_000) == 10.0).all()
-    assert (edge.thrust_N(5_001_000) == 0.0).all()
+    edge = new_edge()
+    assert edge.receive(received(odometry(**fields))) == []
+    assert edge.refused == 1
 
 
 # --- the process -----------------------------------------------------------------------------------------------------
@@ -299,10 +269,13 @@ def test_a_long_plan_is_not_followed_for_more_than_five_seconds() -> None:
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("ros2 --thrusts /a,/b", "must be three topics"),
-        ("ros2 --thrusts /a,/b,/b", "must be three topics"),
-        ("ros2 --odometry odom", "must be the full name of a topic"),
-        ("ros2 --odometry /odom/**", "must be the full name of a topic"),
+        ("ros2 --topic odometry=odom", "must be NAME=/TOPIC"),
+        ("ros2 --topic odometry=/odom/**", "must be NAME=/TOPIC"),
+        ("ros2 --topic odom=/odom", "NAME one of odometry, pose"),
+        ("ros2 --topic port=/t --topic starboard=/t", "used for several rows"),
+        ("ros2 --array port,left", "must be names of port"),
+        ("ros2 --scale 0", "must be a number other than 0"),
+        ("ros2 --middleware fastdds", "must be ros2dds or rmw_zenoh"),
         ("ros2 --ros-namespace a//b", "must be names joined by /"),
     ],
 )

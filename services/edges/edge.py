@@ -1,0 +1,237 @@
+"""Interface of all edges: what every converter to another system does in the same way.
+
+Frames   World NED and body FRD on this side. An edge converts in the function that reads or writes a foreign message.
+Units    SI and radians on this side, thrusts in N in the order port, starboard, vertical.
+Time     Vehicle time is the clock of the foreign stamps. ``StampedClock`` reads it at an instant of the host.
+Refusal  A foreign frame becomes messages, or it is refused with a reason. Both are counted; no frame raises.
+Status   ``accepted``, ``lost`` and ``refused``, which the process publishes as its ``NodeStatus``.
+
+An edge is a pure step, as a node is: the caller passes ``now_us``, the monotonic time of the host, and sends what
+the edge returns. ``docs/edges.md`` builds an edge with it.
+"""
+
+from __future__ import annotations
+
+import abc
+import re
+from collections import Counter, deque
+from collections.abc import Iterable
+from typing import ClassVar, NamedTuple, TypeAlias
+
+from ltv_mpc.messages import Array, Estimate, Message, Plan
+from ltv_mpc.safety.health import plan_end_ns
+from ltv_mpc.safety.input_monitor import Period
+from ltv_mpc.validation import rejection_reason
+from ltv_mpc.vehicle.parameters import PLAN_TIMEOUT_S
+
+WINDOW_US = 30_000_000
+
+VALUES = re.compile(r"[:=(0-9]")
+"""Start of the values in a reason. The text before it is the kind of reason, by which refusals are counted."""
+
+MAX_REASONS = 100
+"""Largest number of kinds of reasons that are counted separately."""
+
+
+class Refused(ValueError):
+    """Foreign frame that cannot be used; the text is the reason."""
+
+
+class Received(NamedTuple):
+    """Foreign frame: the channel on which it arrived, its bytes, what the transport added to it, and its arrival."""
+
+    channel: str
+    payload: bytes
+    attachment: bytes
+    now_us: int
+
+
+class Outgoing(NamedTuple):
+    """Foreign frame to send on a channel."""
+
+    channel: str
+    payload: bytes
+
+
+Output: TypeAlias = Message | Outgoing
+"""What an edge returns: a message for this bus, or a frame for the other side."""
+
+
+class StampedClock:
+    """Clock of foreign stamps, from the least delayed message of the last 30 s.
+
+        time = monotonic + max (stamp - arrival)
+
+    It is slow by the delay of that message: a fraction of a millisecond on one host.
+    """
+
+    def __init__(self) -> None:
+        self._best: deque[tuple[int, int]] = deque()  # arrival (us), stamp - arrival (ns); decreasing
+
+    def update(self, stamp_ns: int, now_us: int) -> None:
+        """Add a message that arrived at ``now_us`` with this stamp."""
+        offset_ns = stamp_ns - now_us * 1000
+        while self._best and self._best[-1][1] <= offset_ns:
+            self._best.pop()
+        self._best.append((now_us, offset_ns))
+        while self._best[0][0] < now_us - WINDOW_US:
+            self._best.popleft()
+
+    def read(self, now_us: int) -> int | None:
+        """Return the time (ns) at ``now_us``; None before the first message."""
+        return now_us * 1000 + self._best[0][1] if self._best else None
+
+    def reset(self) -> None:
+        """Forget all stamps: the foreign clock has restarted."""
+        self._best.clear()
+
+
+class PlanFollower:
+    """Thrust of the newest plan at an instant."""
+
+    def __init__(self) -> None:
+        self._plan: Plan | None = None
+        self._period = Period()  # of the plans
+
+    def follow(self, plan: Plan) -> None:
+        """Set the plan to execute."""
+        if self._plan is None or plan.cycle_t_ns > self._plan.cycle_t_ns:
+            self._period.add(plan.cycle_t_ns)
+        self._plan = plan
+
+    def thrust_N(self, t_ns: int | None) -> Array | None:
+        """Return the thrust (3,) in N at vehicle time ``t_ns``; None without a plan or a time, and past the plan's end.
+
+        The plan ends as at any actuators, with the ``plan_timeout_s`` of a vehicle file that does not set it.
+        """
+        if self._plan is None or t_ns is None:
+            return None
+        if t_ns > plan_end_ns(self._plan.t_ns, self._period.median_ns, PLAN_TIMEOUT_S):
+            return None
+        return self._plan.thrust_at(t_ns)
+
+    @property
+    def has_plan(self) -> bool:
+        """True after the first plan."""
+        return self._plan is not None
+
+
+class Edge(abc.ABC):
+    """Converter between this bus and another system. A subclass names what it reads and writes, and converts."""
+
+    name: ClassVar[str]
+    reads: ClassVar[tuple[type[Message], ...]]
+    """Types of this bus that ``take`` handles."""
+    writes: ClassVar[tuple[type[Message], ...]]
+    """Types of this bus that the edge returns."""
+
+    def __init__(self, epoch: int) -> None:
+        """``epoch``: random number of this start, from which the identifiers of commands are counted."""
+        self.clock = StampedClock()
+        self.plans = PlanFollower()
+        self.accepted = 0  # foreign frames
+        self.lost = 0  # foreign frames that were sent and have not arrived, as far as their numbers show
+        self.refused_by_reason: Counter[str] = Counter()
+        self.reason = ""  # of the last refusal
+        self._command_id = epoch
+
+    @property
+    def refused(self) -> int:
+        """Number of refused foreign frames."""
+        return self.refused_by_reason.total()
+
+    @property
+    def waiting_for(self) -> str:
+        """Input that the edge needs before it can do its work; empty if it needs none."""
+        return "" if self.accepted else "estimates"
+
+    def receive(self, frame: Received) -> list[Output]:
+        """Convert a foreign frame. A frame that cannot be used is counted, and nothing is returned."""
+        try:
+            outputs = list(self.convert(frame))
+            for output in outputs:
+                if not isinstance(output, Outgoing) and (reason := rejection_reason(output)) is not None:
+                    raise Refused(reason)
+        except Refused as refusal:
+            self.refuse(str(refusal))
+            return []
+        self.accepted += 1
+        for output in outputs:
+            if isinstance(output, Estimate):
+                self.clock.update(output.t_ns, frame.now_us)
+        return outputs
+
+    def refuse(self, reason: str) -> None:
+        """Count a refused foreign frame."""
+        self.reason = reason
+        kind = VALUES.split(reason, maxsplit=1)[0].strip()
+        known = kind in self.refused_by_reason or len(self.refused_by_reason) < MAX_REASONS
+        self.refused_by_reason[kind if known else "other"] += 1
+
+    def command_id(self) -> int:
+        """Return a new identifier for a ``Command``."""
+        self._command_id += 1
+        return self._command_id
+
+    def take(self, message: Message, now_us: int) -> Iterable[Output]:  # noqa: ARG002 (of overriding methods)
+        """Handle a message of this bus, of a type in ``reads``."""
+        if isinstance(message, Plan):
+            self.plans.follow(message)
+        return ()
+
+    @abc.abstractmethod
+    def convert(self, frame: Received) -> Iterable[Output]:
+        """Convert a foreign frame. Raises ``Refused``, and nothing else."""
+
+    @abc.abstractmethod
+    def step(self, now_us: int) -> Iterable[Output]:
+        """Return what is due in this period, the thrusts above all."""
+
+    @abc.abstractmethod
+    def release(self, now_us: int) -> Iterable[Outgoing]:
+        """Return the last frames, after which the edge sends nothing: the thrusters stop."""
+
+
+class LossCounter:
+    """Count of the lost frames of each sender, from the numbers that it gives to its frames.
+
+    A frame that arrives late was counted as lost and is no longer. A large step is a restart of the sender.
+    """
+
+    def __init__(self, modulus: int = 1 << 63) -> None:
+        """``modulus``: the numbers begin again at 0 when they reach it."""
+        self._modulus = modulus
+        self._limit = min(modulus // 2, 1000)  # largest step that counts as loss
+        self._newest: dict[object, int] = {}  # counted on where the numbers begin again
+        self._missing: dict[object, set[int]] = {}
+        self._given_up = 0
+
+    @property
+    def lost(self) -> int:
+        """Number of lost frames so far."""
+        return self._given_up + sum(map(len, self._missing.values()))
+
+    def add(self, sender: object, number: int) -> bool:
+        """Add a received frame. Return False if it is a duplicate."""
+        if sender not in self._newest:
+            if len(self._newest) >= MAX_REASONS:  # senders that nobody expects
+                return True
+            self._newest[sender], self._missing[sender] = number, set()
+            return True
+        newest, missing = self._newest[sender], self._missing[sender]
+        half = self._modulus // 2
+        step = (number - newest + half) % self._modulus - half
+        at = newest + step
+        if abs(step) > self._limit:
+            self._newest[sender] = at
+        elif step > 0:
+            missing.update(range(newest + 1, at))
+            self._newest[sender] = at
+            old = {one for one in missing if one < at - self._limit // 2}
+            missing -= old
+            self._given_up += len(old)
+        elif at in missing:
+            missing.remove(at)
+        else:
+            return False
+        return True

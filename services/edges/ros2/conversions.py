@@ -1,0 +1,208 @@
+"""Conversion of the other ROS 2 messages: commands and water in; thrusts, plan, status and water out.
+
+ENU and FLU (REP 103) there, NED and FRD here: x = east, y = north, z = -depth, yaw = pi/2 - heading, and about the
+body's upward axis the moments of thrusters are negative. Stamps are vehicle time, whose clock the odometry sets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ltv_mpc.messages import Array, ControllerStatus, CurrentProfile, Estimate, Health, Plan
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.edges.edge import Refused
+from services.edges.ros2.cdr import make
+from services.edges.ros2.odometry import check_frames, stamp_ns, vector
+
+MAX_POSES = 500
+"""Longest path: a reference has at most 64 KiB."""
+
+PAIR_NS = 200_000_000
+"""Largest time between a pose and the twist that makes an estimate with it."""
+
+MILLION = 1_000_000_000
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """Settings of the edge to ROS 2."""
+
+    vehicle: Vehicle
+    speed_mps: float = 0.5  # on a path, which has no speed of its own
+    array: str = ""  # order of one Float64MultiArray, such as "port,starboard"; empty: a Float64 for each thruster
+    scale: float = 1.0  # of that array, per N
+    frame: str = "odom"
+    child_frame: str = "base_link"
+
+
+# --- in --------------------------------------------------------------------------------------------------------------
+
+
+def odometry_of(pose: Any, twist: Any) -> Any:
+    """Return odometry of a PoseWithCovarianceStamped and the TwistWithCovarianceStamped nearest to it."""
+    if twist is None or abs(stamp_ns(pose.header) - stamp_ns(twist.header)) > PAIR_NS:
+        raise Refused("pose without a twist: none within 0.2 s of its stamp")
+    return SimpleNamespace(header=pose.header, child_frame_id=twist.header.frame_id, pose=pose.pose, twist=twist.twist)
+
+
+def current_of(message: Any) -> CurrentProfile:
+    """Return the velocity of the water over ground of a TwistStamped in ENU, the same at all depths."""
+    check_frames(message.header.frame_id)
+    east, north, _ = vector("linear", message.twist.linear)
+    return CurrentProfile(depth_m=np.array([0.0]), north_mps=np.array([north]), east_mps=np.array([east]))
+
+
+def reference_of(poses: Sequence[Any], header: Any, settings: Settings) -> str:
+    """Return the reference file of a path, or of a point if it has one pose."""
+    check_frames(header.frame_id)
+    if not 1 <= len(poses) <= MAX_POSES:
+        raise Refused(f"path: {len(poses)} poses, must be 1 to {MAX_POSES}")
+    places = [_place(vector("position", pose.position), settings) for pose in poses]
+    if len(places) == 1:
+        return 'kind = "point"\n' + "\n".join(f"{name} = {value!r}" for name, value in places[0].items())
+    rows = ",\n".join("{" + ", ".join(f"{name} = {value!r}" for name, value in of.items()) + "}" for of in places)
+    return f'kind = "waypoints"\nspeed_mps = {settings.speed_mps!r}\nwaypoints = [\n{rows}\n]'
+
+
+def _place(position: Array, settings: Settings) -> dict[str, float]:
+    place = {"north_m": float(position[1]), "east_m": float(position[0])}
+    return place | ({"depth_m": max(float(-position[2]), 0.0)} if settings.vehicle.can_dive else {})
+
+
+# --- out -------------------------------------------------------------------------------------------------------------
+
+
+def header(t_ns: int, frame: str) -> Any:
+    """Return a std_msgs/Header."""
+    sec, nanosec = divmod(t_ns, MILLION)
+    stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+    return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+
+def thrust_messages(thrust_N: Array, t_ns: int, settings: Settings) -> dict[str, Any]:
+    """Return the messages of a thrust (3,) in N by the name of their topics."""
+    port, starboard, vertical = (float(force) for force in thrust_N)
+    named = {"port": port, "starboard": starboard, "vertical": vertical}
+    of = settings.vehicle.thruster
+    wrench = make(
+        "geometry_msgs/msg/Wrench",
+        force=_vector3(port + starboard, 0.0, -vertical),
+        torque=_vector3(0.0, 0.0, of.starboard.arm_m * starboard - of.port.arm_m * port),
+    )
+    if settings.array:
+        data = np.array([named[name] * settings.scale for name in settings.array.split(",")])
+        dimension = make("std_msgs/msg/MultiArrayDimension", label=settings.array, size=len(data), stride=len(data))
+        layout = make("std_msgs/msg/MultiArrayLayout", dim=[dimension], data_offset=0)
+        messages = {"thrusts": make("std_msgs/msg/Float64MultiArray", layout=layout, data=data)}
+    else:
+        messages = {name: make("std_msgs/msg/Float64", data=force) for name, force in named.items()}
+    stamped = make("geometry_msgs/msg/WrenchStamped", header=header(t_ns, settings.child_frame), wrench=wrench)
+    return messages | {"wrench": stamped}
+
+
+def path_of(plan: Plan, settings: Settings) -> Any:
+    """Return the predicted positions and headings of a plan as nav_msgs/Path, at the depth 0."""
+    poses = [
+        make(
+            "geometry_msgs/msg/PoseStamped",
+            header=header(int(t_ns), settings.frame),
+            pose=make(
+                "geometry_msgs/msg/Pose",
+                position=make("geometry_msgs/msg/Point", x=float(state[1]), y=float(state[0]), z=0.0),
+                orientation=_level(math.pi / 2.0 - float(state[4])),
+            ),
+        )
+        for t_ns, state in zip(plan.t_ns, plan.states, strict=True)
+    ]
+    return make("nav_msgs/msg/Path", header=header(int(plan.t_ns[0]), settings.frame), poses=poses)
+
+
+LEVELS = {Health.NOMINAL: 0, Health.DEGRADED: 1, Health.HOLD: 1, Health.FAILSAFE: 2}
+"""Level of a DiagnosticStatus (OK, WARN, ERROR) of each health."""
+
+
+def diagnostics_of(status: ControllerStatus, refused: dict[str, int], t_ns: int, settings: Settings) -> Any:
+    """Return the status of the controller and of this edge as diagnostic_msgs/DiagnosticArray."""
+    controller = {
+        "authority": status.authority.value,
+        "error_m": status.error_m,
+        "progress": status.progress,
+        "cycle_p99_us": status.cycle_p99_us,
+        "estimate_age_ns": status.estimate_age_ns,
+        "mission_action": status.mission_action.value,
+        "dropped": status.dropped,
+    }
+    rows = [
+        _status("controller", LEVELS[status.health], status.health_why or status.health.value, controller, settings),
+        _status("ros2", 1 if refused else 0, "frames refused" if refused else "no frame refused", refused, settings),
+    ]
+    return make("diagnostic_msgs/msg/DiagnosticArray", header=header(t_ns, ""), status=rows)
+
+
+def _status(name: str, level: int, text: str, values: dict[str, Any], settings: Settings) -> Any:
+    return make(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=level,
+        name=f"ltv_mpc: {name}",
+        message=text,
+        hardware_id=settings.vehicle.name,
+        values=[make("diagnostic_msgs/msg/KeyValue", key=key, value=str(value)) for key, value in values.items()],
+    )
+
+
+CURRENT_FIELDS = ("x", "y", "z", "east_mps", "north_mps", "sd_mps")
+
+
+def cloud_of(estimate: Estimate, profile: CurrentProfile, settings: Settings) -> Any:
+    """Return the velocity of the water below the vehicle as PointCloud2, a point for each depth."""
+    points = np.full((len(profile.depth_m), len(CURRENT_FIELDS)), np.nan, dtype="<f4")
+    points[:, 0], points[:, 1], points[:, 2] = estimate.east_m, estimate.north_m, -profile.depth_m
+    points[:, 3], points[:, 4] = profile.east_mps, profile.north_mps
+    if profile.sd_mps is not None:
+        points[:, 5] = profile.sd_mps
+    fields = [
+        make("sensor_msgs/msg/PointField", name=name, offset=4 * at, datatype=7, count=1)
+        for at, name in enumerate(CURRENT_FIELDS)
+    ]
+    return make(
+        "sensor_msgs/msg/PointCloud2",
+        header=header(estimate.t_ns, settings.frame),
+        height=1,
+        width=len(points),
+        fields=fields,
+        is_bigendian=False,
+        point_step=points.strides[0],
+        row_step=points.nbytes,
+        data=np.frombuffer(points.tobytes(), dtype=np.uint8),
+        is_dense=profile.sd_mps is not None,
+    )
+
+
+def reference_point_of(settings: Settings) -> Any:
+    """Return the static transform from the reference point, which the odometry gives, to the vehicle's origin."""
+    at = settings.vehicle.reference_point
+    stamped = make(
+        "geometry_msgs/msg/TransformStamped",
+        header=header(0, settings.child_frame),
+        child_frame_id=f"{settings.child_frame}_origin",
+        transform=make(
+            "geometry_msgs/msg/Transform",
+            translation=_vector3(-at.forward_m, at.starboard_m, at.down_m),
+            rotation=_level(0.0),
+        ),
+    )
+    return make("tf2_msgs/msg/TFMessage", transforms=[stamped])
+
+
+def _vector3(x: float, y: float, z: float) -> Any:
+    return make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def _level(yaw_rad: float) -> Any:
+    """Return the quaternion of a level attitude."""
+    return make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(yaw_rad / 2.0), w=math.cos(yaw_rad / 2.0))

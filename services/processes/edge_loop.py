@@ -1,0 +1,96 @@
+"""Loop of a process that runs an edge: frames of both sides in, the edge's outputs out, its status every 0.5 s."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Protocol
+
+from ltv_mpc.messages import NodeStatus
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.message_validation import MessageValidator
+from services.bus.outbox import Outbox
+from services.bus.session import Session
+from services.bus.topics import BY_TYPE, expression
+from services.bus.wire import WireError
+from services.edges.edge import Edge, Outgoing, Output, Received
+from services.runtime.clock import monotonic_us
+from services.runtime.console import tenfold
+from services.runtime.stopping import Say, StopRequest
+
+STATUS_US = 500_000
+
+
+class Link(Protocol):
+    """Connection to the other side. What it receives it offers to the mailbox of the loop, without a topic."""
+
+    def send(self, frame: Outgoing) -> None:
+        """Send a frame; one that cannot be sent is dropped."""
+        ...
+
+
+class EdgeLoop:
+    """Loop of one edge between a session of this bus and a link."""
+
+    def __init__(self, edge: Edge, session: Session, mailbox: Mailbox, epoch: int, say: Say) -> None:
+        self._edge, self._mailbox, self._say = edge, mailbox, say
+        self._outbox = Outbox(session, node=edge.name, epoch=epoch, kinds=(*edge.writes, NodeStatus))
+        self._validator = MessageValidator()
+        self._epoch = epoch
+        self._reported = 0
+        for kind in edge.reads:
+            session.subscribe(expression(BY_TYPE[kind]), BY_TYPE[kind], mailbox)
+
+    def run(self, link: Link, period_us: int, stop: StopRequest) -> None:
+        """Run until a stop is requested, then let the edge release the thrusters."""
+        due_us = status_us = monotonic_us()
+        while not stop():
+            now_us = monotonic_us()
+            if now_us >= due_us:
+                self._put(self._edge.step(now_us), link)
+                due_us = max(due_us + period_us, now_us)
+            if now_us >= status_us:
+                self.publish_status()
+                status_us = now_us + STATUS_US
+            if (frame := self._mailbox.take((min(due_us, status_us) - now_us) / 1e6)) is not None:
+                self._put(self._outputs(frame), link)
+        self._put(self._edge.release(monotonic_us()), link)
+        self.publish_status(finished=True)
+
+    def _outputs(self, frame: Frame) -> Iterable[Output]:
+        at_us = frame.received_monotonic_us
+        if frame.topic is None:
+            return self._edge.receive(Received(frame.key, frame.payload, frame.attachment, at_us))
+        try:
+            message, header = self._validator.validate(frame)
+        except WireError:  # counted by the validator
+            return ()
+        return () if header.epoch == self._epoch else self._edge.take(message, at_us)
+
+    def _put(self, outputs: Iterable[Output], link: Link) -> None:
+        for output in outputs:
+            if isinstance(output, Outgoing):
+                link.send(output)
+            else:
+                self._outbox.publish(output)
+
+    def publish_status(self, *, finished: bool = False) -> None:
+        """Publish the status of the edge; print the last reason at the 1st, 10th, 100th refusal."""
+        edge = self._edge
+        if tenfold(edge.refused) > self._reported:
+            self._reported = tenfold(edge.refused)
+            self._say(f"refused, {edge.refused} so far: {edge.reason}")
+        self._outbox.publish(
+            NodeStatus(
+                node=edge.name,
+                t_ns=0,
+                ready=True,
+                waiting_for="" if finished else edge.waiting_for,
+                steps=edge.accepted,
+                published=self._outbox.published + 1,  # this one included
+                received=edge.accepted + self._validator.received,
+                dropped=edge.lost + self._validator.dropped,
+                rejected=edge.refused + self._validator.rejected,
+                step_us=0.0,
+                finished=finished,
+            )
+        )

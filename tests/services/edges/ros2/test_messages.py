@@ -1,0 +1,313 @@
+"""Edge to ROS 2: goals, current, poses and requests in; thrusts, path, diagnostics, water and transform out."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import config, references
+from ltv_mpc.messages import (
+    Acknowledgement,
+    Action,
+    Authority,
+    ClockMode,
+    Command,
+    ControllerStatus,
+    CurrentProfile,
+    Estimate,
+    Health,
+)
+from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.reference_point import ReferencePoint
+from services.edges.edge import Outgoing, Received
+from services.edges.ros2 import cdr
+from services.edges.ros2.conversions import Settings
+from services.edges.ros2.edge import Ros2Edge
+from services.edges.ros2.middleware import Attachment
+from services.edges.ros2.topics import BY_NAME
+from tests.services.edges.plans import SECOND_NS, plan
+from tests.services.edges.ros2.test_ros2 import odometry
+
+PAPER = Vehicle.load("paper")
+T_NS = 1_700_000_000_250_000_000
+
+
+def edge_with(**settings: Any) -> Ros2Edge:
+    return Ros2Edge(1, Settings(vehicle=PAPER, **settings))
+
+
+def stamped(at_s: float = 0.0, frame: str = "odom") -> Any:
+    sec, nanosec = divmod(T_NS + round(at_s * 1e9), SECOND_NS)
+    time = cdr.make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+    return cdr.make("std_msgs/msg/Header", stamp=time, frame_id=frame)
+
+
+def vector(kind: str, x: float, y: float, z: float) -> Any:
+    return cdr.make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
+
+
+def pose(x: float, y: float, z: float, yaw: float = 0.0) -> Any:
+    turn = cdr.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
+    return cdr.make("geometry_msgs/msg/Pose", position=vector("Point", x, y, z), orientation=turn)
+
+
+def twist(x: float, y: float, z: float) -> Any:
+    return cdr.make(
+        "geometry_msgs/msg/Twist", linear=vector("Vector3", x, y, z), angular=vector("Vector3", 0.0, 0.0, 0.1)
+    )
+
+
+def give(edge: Ros2Edge, channel: str, message: Any, now_us: int = 0, attachment: bytes = b"") -> list[Any]:
+    return edge.receive(Received(channel, cdr.encode(message), attachment, now_us))
+
+
+def read_reference(command: Command) -> references.Reference:
+    """Read the reference of a command as the controller does."""
+    reference: references.Reference = config.parse(
+        config.loads(command.reference_toml), references.Reference, source="reference"
+    )
+    return reference
+
+
+def read(frames: Any, name: str) -> Any:
+    (payload,) = (frame.payload for frame in frames if isinstance(frame, Outgoing) and frame.channel == name)
+    return cdr.decode(payload, BY_NAME[name].ros_type)
+
+
+# --- in --------------------------------------------------------------------------------------------------------------
+
+
+def with_pose(at_s: float = 0.0) -> Any:
+    inner = cdr.make(
+        "geometry_msgs/msg/PoseWithCovariance", pose=pose(3.0, 4.0, -5.0, math.pi / 2), covariance=np.zeros(36)
+    )
+    return cdr.make("geometry_msgs/msg/PoseWithCovarianceStamped", header=stamped(at_s), pose=inner)
+
+
+def with_twist(at_s: float = 0.0) -> Any:
+    inner = cdr.make("geometry_msgs/msg/TwistWithCovariance", twist=twist(1.0, 0.0, 0.0), covariance=np.zeros(36))
+    header = stamped(at_s, "base_link")
+    return cdr.make("geometry_msgs/msg/TwistWithCovarianceStamped", header=header, twist=inner)
+
+
+def test_a_pose_and_its_twist_are_an_estimate() -> None:
+    edge = edge_with()
+    assert give(edge, "pose", with_pose()) == []  # without a twist it is refused
+    assert edge.refused == 1
+    assert give(edge, "twist", with_twist(-0.1)) == []
+    (estimate,) = give(edge, "pose", with_pose())
+    assert (estimate.north_m, estimate.east_m, estimate.depth_m, estimate.t_ns) == (4.0, 3.0, 5.0, T_NS)
+    assert estimate.velocity_north_mps == pytest.approx(1.0)
+    assert give(edge, "pose", with_pose(0.2)) == []  # the twist is 0.3 s old
+    assert edge.refused == 2
+
+
+def test_poses_beside_odometry_are_refused() -> None:
+    edge = edge_with()
+    assert edge.receive(Received("odometry", odometry(), b"", 0))
+    give(edge, "twist", with_twist())
+    assert give(edge, "pose", with_pose()) == []
+    assert edge.reason == "pose: the odometry is in use"
+
+
+def test_the_current_is_added_to_the_estimates_for_thirty_seconds() -> None:
+    edge = edge_with()
+    water = cdr.make("geometry_msgs/msg/TwistStamped", header=stamped(), twist=twist(0.3, -0.1, 0.0))
+    assert give(edge, "current", water) == []
+    (estimate,) = edge.receive(Received("odometry", odometry(), b"", 29_000_000))
+    assert (estimate.current.east_mps[0], estimate.current.north_mps[0]) == (0.3, -0.1)
+    (estimate,) = edge.receive(Received("odometry", odometry(), b"", 31_000_000))
+    assert estimate.current is None
+
+
+def test_a_goal_is_a_point_and_a_route_is_waypoints_that_a_controller_can_read() -> None:
+    edge = edge_with(speed_mps=0.7)
+    goal = cdr.make("geometry_msgs/msg/PoseStamped", header=stamped(), pose=pose(3.0, 4.0, -5.0))
+    (command,) = give(edge, "goal", goal)
+    assert command.action is Action.FOLLOW
+    point = read_reference(command)
+    assert isinstance(point, references.Point)
+    assert (point.north_m, point.east_m, point.depth_m) == (4.0, 3.0, 5.0)
+    poses = [
+        cdr.make("geometry_msgs/msg/PoseStamped", header=stamped(), pose=pose(x, 2.0 * x, -1.0)) for x in (0.0, 9.0)
+    ]
+    (command,) = give(edge, "route", cdr.make("nav_msgs/msg/Path", header=stamped(), poses=poses))
+    route = read_reference(command)
+    assert isinstance(route, references.Waypoints)
+    assert route.speed_mps == 0.7
+    assert [(place.north_m, place.east_m, place.depth_m) for place in route.waypoints] == [
+        (0.0, 0.0, 1.0),
+        (18.0, 9.0, 1.0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("poses", "frame", "reason"),
+    [
+        (0, "map", "0 poses"),
+        (501, "map", "501 poses"),
+        (2, "map_ned", "must be ENU"),
+    ],
+)
+def test_routes_that_cannot_be_followed_are_refused(poses: int, frame: str, reason: str) -> None:
+    edge = edge_with()
+    one = cdr.make("geometry_msgs/msg/PoseStamped", header=stamped(), pose=pose(1.0, 2.0, 0.0))
+    assert give(edge, "route", cdr.make("nav_msgs/msg/Path", header=stamped(0.0, frame), poses=[one] * poses)) == []
+    assert reason in edge.reason
+
+
+def test_a_goal_that_the_controller_rejects_is_counted() -> None:
+    edge = edge_with()
+    goal = cdr.make("geometry_msgs/msg/PoseStamped", header=stamped(), pose=pose(3.0, 4.0, -5.0))
+    (command,) = give(edge, "goal", goal)
+    list(edge.take(acknowledged(command, accepted=False, why="outside the fence"), 0))
+    assert "outside the fence" in edge.reason
+
+
+def acknowledged(command: Command, *, accepted: bool = True, why: str = "") -> Acknowledgement:
+    return Acknowledgement(
+        t_ns=0, command_id=command.command_id, accepted=accepted, authority=Authority.CONTROLLER, why=why
+    )
+
+
+@pytest.mark.parametrize(
+    ("service", "data", "action"),
+    [
+        ("arm", True, Action.ARM),
+        ("arm", False, Action.DISARM),
+        ("hold", True, Action.HOLD),
+        ("stop", None, Action.STOP),
+        ("disarm", None, Action.DISARM),
+        ("release", None, Action.RELEASE),
+    ],
+)
+def test_a_service_is_a_command_and_its_reply_that_of_the_controller(
+    service: str, data: bool | None, action: Action
+) -> None:
+    edge = edge_with()
+    ros_type = BY_NAME[service].ros_type
+    request = cdr.make(f"{ros_type}_Request", **({} if data is None else {"data": data}))
+    (command,) = give(edge, f"{service}?7", request)
+    assert command.action is action
+    (reply,) = edge.take(acknowledged(command), 0)
+    assert reply.channel == f"{service}?7"
+    response = cdr.decode(reply.payload, f"{ros_type}_Response")
+    assert (response.success, response.message) == (True, "controller")
+
+
+def test_a_request_without_an_answer_or_a_meaning_or_with_broken_bytes_is_answered() -> None:
+    edge = edge_with()
+    on = cdr.make("std_srvs/srv/SetBool_Request", data=True)
+    off = cdr.make("std_srvs/srv/SetBool_Request", data=False)
+    (reply,) = give(edge, "hold?1", off)
+    assert "has no meaning" in cdr.decode(reply.payload, "std_srvs/srv/SetBool_Response").message
+    give(edge, "arm?2", on, now_us=0)
+    assert list(edge.step(2_900_000)) == []
+    (reply,) = edge.step(3_100_000)
+    assert reply.channel == "arm?2"
+    response = cdr.decode(reply.payload, "std_srvs/srv/SetBool_Response")
+    assert (response.success, response.message) == (False, "no reply from the controller within 3 s")
+    (reply,) = edge.receive(Received("arm?3", b"\0\1", b"", 0))
+    assert not cdr.decode(reply.payload, "std_srvs/srv/SetBool_Response").success
+    assert edge.refused == 1
+
+
+def test_numbers_of_publishers_show_what_was_lost_and_what_comes_twice() -> None:
+    edge = edge_with()
+    for number in (1, 2, 5, 5):
+        edge.receive(Received("odometry", odometry(), Attachment(number, 0, bytes(16)).pack(), 0))
+    assert (edge.lost, edge.accepted, edge.refused, edge.reason) == (2, 3, 1, "duplicate")
+    edge.receive(Received("odometry", odometry(), b"short", 0))
+    assert edge.reason == "attachment: 5 bytes, must be 33"
+
+
+# --- out -------------------------------------------------------------------------------------------------------------
+
+
+def playing(**settings: Any) -> Ros2Edge:
+    edge = edge_with(**settings)
+    edge.receive(Received("odometry", odometry(), b"", 0))
+    list(edge.take(plan(T_NS), 0))
+    return edge
+
+
+def test_thrusts_follow_the_plan_and_end_with_it() -> None:
+    edge = playing()
+    frames = list(edge.step(500_000))
+    assert [read(frames, name).data for name in ("port", "starboard", "vertical")] == [5.0, -10.0, 2.5]
+    wrench = read(frames, "wrench").wrench
+    arm = PAPER.thruster.port.arm_m
+    assert (wrench.force.x, wrench.force.z) == (-5.0, -2.5)
+    assert wrench.torque.z == pytest.approx(
+        -15.0 * arm
+    )  # port ahead of starboard turns to starboard: about up, negative
+    assert read(edge.step(2_100_000), "port").data == 0.0
+    assert read(edge.release(0), "starboard").data == 0.0
+
+
+def test_one_array_has_the_thrusts_in_the_order_and_scale_that_are_set() -> None:
+    frames = list(playing(array="starboard,port", scale=0.1).step(500_000))
+    array = read(frames, "thrusts")
+    assert array.data.tolist() == [-1.0, 0.5]
+    assert array.layout.dim[0].label == "starboard,port"
+    assert {frame.channel for frame in frames if isinstance(frame, Outgoing)} == {"thrusts", "wrench"}
+
+
+def test_the_predicted_path_is_in_enu() -> None:
+    edge = edge_with()
+    path = read(edge.take(plan(T_NS), 0), "path")
+    assert [(p.pose.position.x, p.pose.position.y) for p in path.poses] == [(2.0, 1.0)] * 3
+    turn = path.poses[0].pose.orientation
+    assert 2 * math.atan2(turn.z, turn.w) == pytest.approx(math.pi / 2 - 0.5)
+    assert path.poses[1].header.stamp.sec == path.poses[0].header.stamp.sec + 1
+
+
+def test_the_status_of_controller_and_edge_is_diagnostics() -> None:
+    edge = edge_with()
+    edge.refuse("no odometry: x")
+    status = ControllerStatus(
+        t_ns=0,
+        estimate_age_ns=None,
+        applied_age_ns=None,
+        cycle_median_us=None,
+        cycle_p99_us=None,
+        received=0,
+        dropped=0,
+        rejected={},
+        clock=ClockMode.SHARED,
+        clock_error_ns=None,
+        authority=Authority.DISARMED,
+        health=Health.FAILSAFE,
+        health_why="no estimate",
+        error_m=None,
+    )
+    controller, own = read(edge.take(status, 0), "diagnostics").status
+    assert (controller.level, controller.message) == (2, "no estimate")
+    assert (own.level, own.values[0].key, own.values[0].value) == (1, "no odometry", "1")
+
+
+def test_the_water_is_a_cloud_once_a_second() -> None:
+    profile = CurrentProfile(
+        depth_m=np.array([0.0, 10.0]), north_mps=np.array([0.1, 0.2]), east_mps=np.array([0.3, 0.4])
+    )
+    estimate = msgspec.structs.replace(Estimate.at_rest(north_m=1.0, east_m=2.0), t_ns=T_NS, current=profile)
+    edge = edge_with()
+    cloud = read(edge.take(estimate, 2_000_000), "water")
+    points = cloud.data.view("<f4").reshape(cloud.width, -1)
+    np.testing.assert_allclose(points[:, :5], [[2, 1, 0, 0.3, 0.1], [2, 1, -10, 0.4, 0.2]])
+    assert np.isnan(points[:, 5]).all()
+    assert list(edge.take(estimate, 2_900_000)) == []
+
+
+def test_the_transform_leads_from_the_reference_point_to_the_origin() -> None:
+    vehicle = msgspec.structs.replace(
+        PAPER, reference_point=ReferencePoint(forward_m=0.5, starboard_m=0.2, down_m=-0.1)
+    )
+    (transform,) = read(Ros2Edge(1, Settings(vehicle=vehicle)).start(), "tf_static").transforms
+    at = transform.transform.translation
+    assert (transform.header.frame_id, transform.child_frame_id) == ("base_link", "base_link_origin")
+    assert (at.x, at.y, at.z) == (-0.5, 0.2, -0.1)

@@ -1,0 +1,106 @@
+"""Interface of edges: time base, thrust of a plan, losses, counts of refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.messages import Estimate
+from services.edges.edge import Edge, LossCounter, Outgoing, Output, PlanFollower, Received, Refused, StampedClock
+from tests.services.edges.plans import SECOND_NS, plan
+
+
+def test_the_time_is_that_of_the_least_delayed_of_the_last_messages() -> None:
+    clock = StampedClock()
+    assert clock.read(0) is None
+    for k, delay_us in enumerate((400, 100, 900)):
+        clock.update(5 * SECOND_NS + k * 1_000_000, k * 1_000 + delay_us)
+    assert clock.read(10_000) == 5 * SECOND_NS + 10_000_000 - 100_000
+    clock.update(36 * SECOND_NS, 31_000_000 + 5_000)  # the others are older than 30 s
+    assert clock.read(31_005_000) == 36 * SECOND_NS
+
+
+def test_a_plan_is_executed_by_vehicle_time_and_not_beyond_its_end() -> None:
+    plans = PlanFollower()
+    assert plans.thrust_N(7) is None
+    plans.follow(plan(7 * SECOND_NS))
+    assert plans.thrust_N(None) is None
+    for at_s, thrust in ((7.5, (5.0, -10.0, 2.5)), (8.5, (10.0, -20.0, 5.0))):
+        np.testing.assert_allclose(plans.thrust_N(round(at_s * SECOND_NS)), thrust)
+    assert plans.thrust_N(round(9.1 * SECOND_NS)) is None
+
+
+def test_a_long_plan_is_not_followed_for_more_than_five_seconds() -> None:
+    plans = PlanFollower()
+    knots = SECOND_NS * np.arange(15)
+    plans.follow(msgspec.structs.replace(plan(0), t_ns=knots, thrust_N=np.full((15, 3), 10.0)))
+    assert plans.thrust_N(4_999_000_000) is not None
+    assert plans.thrust_N(5_001_000_000) is None
+
+
+@pytest.mark.parametrize(
+    ("numbers", "lost", "new"),
+    [
+        ((3, 4, 5), 0, (True, True, True)),
+        ((3, 6, 7), 2, (True, True, True)),
+        ((3, 6, 4), 1, (True, True, True)),  # late, and so not lost
+        ((3, 4, 4, 3), 0, (True, True, False, False)),  # duplicates
+        ((254, 255, 1), 1, (True, True, True)),  # begins again at 0
+    ],
+)
+def test_lost_late_and_duplicate_frames_are_told_apart(
+    numbers: tuple[int, ...], lost: int, new: tuple[bool, ...]
+) -> None:
+    counter = LossCounter(256)
+    assert tuple(counter.add("sender", number) for number in numbers) == new
+    assert counter.lost == lost
+
+
+def test_a_sender_that_starts_again_has_lost_nothing() -> None:
+    counter = LossCounter()
+    for number in (70_000, 70_001, 1, 2, 4):
+        counter.add("sender", number)
+    assert counter.lost == 1
+
+
+class Text(Edge):
+    name = "text"
+    reads = ()
+    writes = (Estimate,)
+
+    def convert(self, frame: Received) -> Iterable[Output]:
+        try:
+            north, *_ = map(float, frame.payload.split())
+        except ValueError:
+            raise Refused(f"no number: {frame.payload!r}") from None
+        return [msgspec.structs.replace(Estimate.at_rest(north_m=north), t_ns=SECOND_NS)]
+
+    def step(self, now_us: int) -> Iterable[Output]:  # noqa: ARG002
+        return ()
+
+    def release(self, now_us: int) -> Iterable[Outgoing]:  # noqa: ARG002
+        return ()
+
+
+def test_a_frame_becomes_messages_or_is_refused_and_both_are_counted() -> None:
+    edge = Text(epoch=1)
+    (estimate,) = edge.receive(Received("", b"3.5 4", b"", 1_000))
+    assert isinstance(estimate, Estimate)
+    assert estimate.north_m == 3.5
+    assert edge.clock.read(1_000) == SECOND_NS
+    for payload in (b"", b"x", b"y", b"1e9", b"nan"):  # 1e9 m is beyond the bounds of the message
+        assert edge.receive(Received("", payload, b"", 0)) == []
+    assert (edge.accepted, edge.refused) == (1, 5)
+    assert edge.refused_by_reason["no number"] == 3
+    assert "north_m" in edge.reason
+
+
+def test_reasons_that_a_sender_can_choose_do_not_take_memory_without_end() -> None:
+    edge = Text(epoch=1)
+    for number in range(1000):
+        edge.refuse(f"kind {chr(0x100 + number)}: x")
+    assert edge.refused == 1000
+    assert len(edge.refused_by_reason) <= 101
