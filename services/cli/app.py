@@ -20,6 +20,7 @@ from services.cli.certs import certs
 from services.cli.completion import completion
 from services.cli.ctl import ctl
 from services.cli.dashboard import dashboard
+from services.cli.dive import dive
 from services.cli.doctor import doctor
 from services.cli.log import log
 from services.cli.overview import overview
@@ -50,6 +51,7 @@ app.command(rich_help_panel="Start here")(completion)
 vehicle.register(app, "Your vehicle")
 app.command(rich_help_panel="Your vehicle")(ctl)
 app.command(rich_help_panel="Your vehicle")(ros2)
+app.add_typer(dive, name="dive", rich_help_panel="Your vehicle")
 app.add_typer(certs, name="certs", rich_help_panel="Your vehicle")
 app.command(rich_help_panel="A run")(report)
 app.command(rich_help_panel="A run")(replay)

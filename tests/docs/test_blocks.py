@@ -44,6 +44,7 @@ NOT_RUN = (
     (r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|inject|ros2|dashboard)\b", UNTIL_STOPPED),
     (r"ltv-mpc ctl\b", "needs a running controller; tests/services/cli/test_ctl.py has one"),
     (r"ltv-mpc faults\b", f"{MINUTES} tests/services/faults"),
+    (r"ltv-mpc dive plan\b", f"{MINUTES} tests/services/tools/dive_plan"),
     (r"ltv-mpc campaign\b", f"{MINUTES} tests/services/campaign"),
     (r"ltv-mpc profile\b", f"{MINUTES} tests/services/tools/profile/test_run.py"),
     (r"ltv-mpc vehicle identify\b", "needs a rich run; tests/services/cli/test_vehicle_file.py has one"),

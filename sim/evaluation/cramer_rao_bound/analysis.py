@@ -67,6 +67,7 @@ def bound(
     surface_time_s: float,
     known: Collection[str] = (),
     without: Collection[str] = (),
+    calibration_s: float = 0.0,
 ) -> Bound:
     """Compute the bound along a trajectory.
 
@@ -82,6 +83,7 @@ def bound(
     surface_time_s : time at the surface before t = 0 (s).
     known : errors that are taken as known (keys of ``model.NAMES``).
     without : sensors that are missing (``"gnss"``, ``"tdcp"``, ``"adcp"``, ``"pressure"``, ``"compass"``).
+    calibration_s : time (s) for which biases and mounting are calibrated before the first fix.
 
     Raises
     ------
@@ -90,7 +92,7 @@ def bound(
     LinAlgError
         If the remaining sensors do not determine the errors.
     """
-    model = ErrorModel(sensor_config, config, known)
+    model = ErrorModel(sensor_config, config, known, calibration_s)
     events = schedule(sensor_config, [*at_s, 0.0], surface_time_s, without)
     if min(at_s) < events[0].t_s - TOGETHER_S:
         raise ValueError(

@@ -54,6 +54,9 @@ HEAVE_SD_MPS = 0.1
 _ANYWHERE = 1e-8
 """Information about initially unknown errors (1/m2, 1/rad2)."""
 
+CALIBRATION_SPEED_MPS = 0.5
+"""Speed at which the mounting of the ADCP is calibrated."""
+
 
 class Trajectory(NamedTuple):
     """True motion at 10 Hz or faster, linear between samples."""
@@ -85,9 +88,18 @@ def at(trajectory: Trajectory, t_s: float) -> Instant:
 class ErrorModel:
     """Error model of a sensor configuration. ``size`` is n; ``free`` (n,) marks the errors that exist."""
 
-    def __init__(self, sensor_config: SensorConfig, config: EstimatorConfig, known: Collection[str] = ()) -> None:
-        """Set up the model; ``known`` are keys of ``NAMES``, ``KeyError`` for another."""
-        self._sensor_config, self._config = sensor_config, config
+    def __init__(
+        self,
+        sensor_config: SensorConfig,
+        config: EstimatorConfig,
+        known: Collection[str] = (),
+        calibration_s: float = 0.0,
+    ) -> None:
+        """Set up the model; ``known`` are keys of ``NAMES``, ``KeyError`` for another.
+
+        ``calibration_s`` is the time (s) of a calibration that ends before the first fix.
+        """
+        self._sensor_config, self._config, self._calibration_s = sensor_config, config, calibration_s
         self._earth = earth_rate(sensor_config.latitude_rad) if sensor_config.imu.senses_earth_rate else np.zeros(3)
         self.nodes = math.ceil(config.deepest_m / config.cell_m - 1e-9) + 1
         self.size = WATER + 2 * self.nodes
@@ -120,7 +132,7 @@ class ErrorModel:
         """Return the prior information, (n, n); 0 about the clones, which do not exist yet."""
         J = np.zeros((self.size, self.size))
         drawn = np.flatnonzero(self._sd)
-        J[drawn, drawn] = 1.0 / self._sd[drawn] ** 2
+        J[drawn, drawn] = 1.0 / self._initial_sd()[drawn] ** 2
         i = np.arange(9)
         J[i, i] = _ANYWHERE
         J[5, 5] = 1.0 / HEAVE_SD_MPS**2
@@ -131,6 +143,32 @@ class ErrorModel:
         for start in (WATER, WATER + self.nodes):
             J[start : start + self.nodes, start : start + self.nodes] = np.linalg.inv(P)
         return J
+
+    def _initial_sd(self) -> Array:
+        """Return the sd of the biases and of the mounting at the first fix, (n,), after the calibration.
+
+        In it each sensor is compared with an error-free reference for T seconds; r^2 is its white noise times its
+        period. Constants: 1/P = 1/sd^2 + T/r^2. Gauss-Markov biases: P' = -2 P/tau + q - P^2/r^2, q = 2 sd^2/tau, so
+        (P - P+) / (P - P-) = exp(-2 s T) (sd^2 - P+) / (sd^2 - P-),  P+- = r^2 (-1/tau +- s),  s^2 = 1/tau^2 + q/r^2.
+        """
+        T, sd = self._calibration_s, self._sd.copy()
+        if T == 0.0:
+            return sd
+        imu, compass, adcp = self._sensor_config.imu, self._sensor_config.compass, self._sensor_config.adcp
+        for states, r, tau in (
+            (GYRO_BIAS, imu.angle_random_walk_rad_per_rts, imu.gyro_bias_tau_s),
+            (ACCELEROMETER_BIAS, imu.velocity_random_walk_mps_per_rts, imu.accelerometer_bias_tau_s),
+            (COMPASS_BIAS, compass.heading_sd_rad * math.sqrt(compass.period_ns * 1e-9), compass.bias_tau_s),
+        ):
+            before = self._sd[states] ** 2
+            s = np.sqrt(1.0 / tau**2 + 2.0 * before / (tau * r**2))
+            high, low = r**2 * (-1.0 / tau + s), r**2 * (-1.0 / tau - s)
+            k = np.exp(-2.0 * s * T) * (before - high) / (before - low)
+            sd[states] = np.sqrt((high - k * low) / (1.0 - k))
+        noise = adcp.beam_noise_sd_mps * math.sqrt(adcp.period_ns * 1e-9 / T)
+        for states, left in ((BEAM_BIAS, noise), (NEAR_BIAS, noise), (MOUNTING, noise / CALIBRATION_SPEED_MPS)):
+            sd[states] *= left / np.hypot(left, sd[states])
+        return sd
 
     def growth(self, a: Instant, b: Instant, dt: float) -> tuple[Array, Array]:
         """Return Phi and Q of the moving errors from ``a`` to ``b`` over ``dt`` (s), (16, 16) each."""

@@ -38,6 +38,7 @@ COMMANDS = (
         "ctl",
         "ros2",
         "vehicle",
+        "dive",
         "certs",
     ),
     *("report", "replay", "log"),

@@ -1,0 +1,119 @@
+"""Command ``dive plan``: expected drift of a dive before it is made."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.cli.options import Force, Json, SensorsFile
+
+dive = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
+
+MAX_FIXES = 3600
+MAX_LISTED = 8
+"""Largest number of fixes, and of different numbers of fixes in one plan."""
+
+
+@dive.callback()
+def _dive() -> None:
+    """Plan a dive: expected drift and its error budget."""
+
+
+@dive.command(name="plan")
+def plan_(
+    sensors: SensorsFile = "paper",
+    duration_s: Annotated[
+        float | None,
+        typer.Option(
+            "--duration-s",
+            metavar="T",
+            help="Length of the dive (s). Default: 200 s; for a path until it is complete, at most 3600 s.",
+            min=10,
+            max=36_000,
+        ),
+    ] = None,
+    depth_m: Annotated[
+        float | None,
+        typer.Option("--depth-m", metavar="D", help="Depth at the end of a vertical descent (m). Default: 40.", min=1),
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option("--reference", metavar="NAME|FILE", help="Reference to follow instead of a vertical descent."),
+    ] = None,
+    fixes: Annotated[
+        str,
+        typer.Option(
+            "--fixes", metavar="N,...", help="Satellite fixes before the dive. Budget and gains are for the first."
+        ),
+    ] = "1,10,30,120",
+    limit_m: Annotated[
+        float | None,
+        typer.Option("--limit-m", metavar="L", help="Drift of one axis (m) whose time is wanted.", min=0.001),
+    ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option("--against", metavar="RUN", help="Compare with a recorded run: its folder, run.mcap, or latest."),
+    ] = None,
+    runs: Annotated[
+        int, typer.Option("--runs", metavar="N", help="Number of simulated dives per number of fixes.", min=1, max=100)
+    ] = 4,
+    seed: Annotated[int, typer.Option("--seed", metavar="FIRST", help="First seed.", min=0, max=2**53 - 1)] = 0,
+    as_json: Json = False,
+    force: Force = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Also write dive-plan.json and .png into this folder.")
+    ] = None,
+) -> int:
+    """Plan a dive: expected drift over time, its error budget, and what would reduce it.
+
+    Simulates the dive a few times and computes the posterior Cramer-Rao bound along each track, the smallest drift that
+    these sensors allow.
+    """
+    import msgspec
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from ltv_mpc.errors import ConfigError
+    from services.run import folder
+    from services.tools.dive_plan import plan, report
+
+    if reference is not None and depth_m is not None:
+        raise ConfigError("option --depth-m", "", "has no effect with --reference, which has a depth of its own")
+    numbers = _numbers(fixes)
+    wanted = plan.Dive(sensors, reference, duration_s, 40.0 if depth_m is None else depth_m, max(numbers), seed)
+    wanted.run_config()
+    recorded = None if against is None else report.recorded_drift(folder.find(against))
+    written = None if out is None else folder.open_folder(out, force=force)
+    with Progress(console=Console(stderr=True)) as progress:
+        task = progress.add_task(f"dives with {sensors} sensors", total=plan.count_of_results(numbers, runs))
+        result = plan.plan(
+            wanted,
+            fixes=numbers,
+            runs=runs,
+            limit_m=limit_m,
+            progress=lambda count: progress.advance(task, count),
+        )
+    result = msgspec.structs.replace(result, against=recorded)
+    plain = msgspec.json.format(msgspec.json.encode(result), indent=2).decode()
+    typer.echo(plain if as_json else report.text(result))
+    if written is not None:
+        (written / "dive-plan.json").write_text(plain + "\n", encoding="utf-8")
+        try:
+            report.draw(result, written / "dive-plan.png")
+        except ImportError:
+            typer.echo("no picture: matplotlib is not installed: pip install matplotlib (extra viz)", err=True)
+        typer.echo(str(written), err=as_json)
+    return 0
+
+
+def _numbers(text: str) -> list[int]:
+    """Return the numbers of fixes. Raises ``ConfigError``."""
+    from ltv_mpc.errors import ConfigError
+
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() and 1 <= int(part) <= MAX_FIXES for part in parts) or len(parts) > MAX_LISTED:
+        problem = f"must be at most {MAX_LISTED} whole numbers from 1 to {MAX_FIXES}, as in 1,10,30"
+        raise ConfigError("option --fixes", "", problem, value=text)
+    return [int(part) for part in parts]

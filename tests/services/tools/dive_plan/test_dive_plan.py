@@ -1,0 +1,163 @@
+"""Plan of a dive: agreement with the localisation check, error budget, gains, recorded runs, and the command."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.messages import Truth
+from services.cli.app import run
+from services.run.folder import RunFolder
+from services.tools.batch.job import Job
+from services.tools.dive_plan import plan, report
+from services.tools.dive_plan.plan import Dive, DivePlan, RecordedDrift
+from services.tools.localisation_check.probe import descend
+from sim.evaluation.cramer_rao_bound.model import ACCELEROMETER_BIAS, BEAM_BIAS, GYRO_BIAS, MOUNTING, ErrorModel
+
+DURATION_S, DEPTH_M = 10.0, 2.0
+SENSORS = ("paper", "realistic", "examples/sensors/own_adcp.toml", "examples/sensors/600_khz.toml")
+
+
+@pytest.fixture(scope="module")
+def planned() -> DivePlan:
+    dive = Dive("realistic", None, DURATION_S, DEPTH_M, 1, seed=3)
+    return plan.plan(dive, fixes=[1, 4], runs=1, limit_m=0.05, progress=lambda _count: None)
+
+
+@pytest.mark.parametrize("sensors", SENSORS)
+def test_the_drift_is_the_bound_of_the_localisation_check(sensors: str) -> None:
+    flight = plan.fly(Dive(sensors, "descent", DURATION_S, DEPTH_M, 2, seed=5))
+    settings = (f"sensors={sensors}", "run.seed=5", "run.surface_time_s=2", f"run.duration_s={DURATION_S}")
+    record = descend(Job("descent", settings))
+    assert flight.drift_m[-1] == pytest.approx(math.sqrt(record.bound_drift_m2.mean()), rel=0.01)
+
+
+def test_the_shares_of_all_sources_add_up_to_the_variance(planned: DivePlan) -> None:
+    assert sum(planned.budget.values()) == pytest.approx(1.0, abs=0.02)
+    assert min(planned.budget.values()) > -5e-3
+    assert planned.budget["ADCP noise"] > 0.1
+
+
+def test_each_change_reduces_the_drift_and_more_fixes_do(planned: DivePlan) -> None:
+    end_m = planned.drift_m[0][-1]
+    assert len(planned.gains_m) == plan.GAINS
+    assert all(drift < 1.001 * end_m for change, drift in planned.gains_m.items() if "turn" not in change)
+    assert planned.gains_m["half the ADCP noise"] < 0.97 * end_m
+    assert planned.gains_m["60 s longer afloat"] < planned.gains_m["one more satellite fix"] < end_m
+    assert planned.drift_m[1][-1] < end_m
+    assert planned.radius_95_m[0] == pytest.approx(2.4477 * end_m, rel=1e-4)
+    assert planned.depth_m == pytest.approx(DEPTH_M, abs=0.5)  # it starts at rest
+
+
+def test_a_limit_is_reached_between_two_instants() -> None:
+    assert plan.reached_s([10.0, 20.0], [1.0, 3.0], 2.0) == 15.0
+    assert plan.reached_s([10.0, 20.0], [1.0, 3.0], 0.5) == 5.0
+    assert plan.reached_s([10.0, 20.0], [1.0, 3.0], 4.0) is None
+
+
+def test_a_calibration_leaves_what_noise_and_drift_of_a_bias_leave() -> None:
+    """Constants by averaging; Gauss-Markov biases by integration of the scalar Riccati equation."""
+    sensors, seconds = SensorConfig.load("realistic"), 600.0
+    sensors = replace(sensors, imu=replace(sensors.imu, gyro_bias_tau_s=300.0))
+    J = np.diag(ErrorModel(sensors, EstimatorConfig(), calibration_s=seconds).prior())
+    for states, sd, r, tau in (
+        (GYRO_BIAS, sensors.imu.gyro_bias_sd_radps, sensors.imu.angle_random_walk_rad_per_rts, 300.0),
+        (
+            ACCELEROMETER_BIAS,
+            sensors.imu.accelerometer_bias_sd_mps2,
+            sensors.imu.velocity_random_walk_mps_per_rts,
+            sensors.imu.accelerometer_bias_tau_s,
+        ),
+    ):
+        information, steps = sd**-2, 100_000
+        for _ in range(steps):
+            information += seconds / steps * (2.0 * information * (1.0 - sd**2 * information) / tau + r**-2)
+        assert J[states] == pytest.approx(information, rel=2e-3)
+    left = sensors.adcp.beam_noise_sd_mps**2 * sensors.adcp.period_ns * 1e-9 / seconds
+    assert J[BEAM_BIAS] == pytest.approx(1.0 / sensors.adcp.beam_bias_sd_mps**2 + 1.0 / left)
+    assert (J[MOUNTING] > 1.0 / sensors.adcp.mounting_known_to_rad**2).all()
+
+
+def test_a_path_ends_the_dive_where_it_is_complete(tmp_path: Path) -> None:
+    path = tmp_path / "leg.toml"
+    path.write_text(
+        'kind = "line"\nstart_s = 0.0\nspeed_mps = 0.4\ndepth_m = 1.0\n'
+        "start = {north_m = 0.0, east_m = 0.0}\nend = {north_m = 3.0, east_m = 0.0}\n"
+    )
+    # from where the estimate is at t = 0, metres off, to the line, and along it
+    flight = plan.fly(Dive("paper", str(path), None, DEPTH_M, 1, seed=0))
+    assert 8.0 < flight.case.at_s[-1] < 200.0
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    folder = tmp_path_factory.mktemp("runs") / "recorded"
+    assert run(["sim", "--lockstep", "--duration-s", "4", "--out", str(folder)]) == 0
+    return RunFolder(folder)
+
+
+def test_the_drift_of_a_recorded_run_is_its_localisation_error(recorded: RunFolder) -> None:
+    found = report.recorded_drift(recorded.recording)
+    final = json.loads(recorded.summary.read_text())["localisation_error_m"]["final"]
+    assert (found.kind, found.t_s) == ("true", [1.0, 2.0, 3.0, 4.0])
+    assert found.drift_m[-1] == pytest.approx(final / math.sqrt(2.0), rel=1e-6)
+
+
+def test_without_a_truth_the_filter_s_own_sigma_is_laid_over_the_plan(
+    recorded: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class WithoutTruth(report.Recording):
+        def __iter__(self):  # type: ignore[no-untyped-def]
+            return (message for message in super().__iter__() if message.kind is not Truth)
+
+    monkeypatch.setattr(report, "Recording", WithoutTruth)
+    found = report.recorded_drift(recorded.recording)
+    assert found.kind == "reported"
+    assert all(drift >= 0.0 for drift in found.drift_m)
+
+
+def test_text_and_picture_show_the_plan(planned: DivePlan, tmp_path: Path) -> None:
+    shown = replace(planned, against=RecordedDrift(t_s=[5.0, 10.0], drift_m=[0.02, 0.04], kind="true"))
+    text = report.text(shown)
+    assert f"{planned.drift_m[0][-1]:.2f}" in text
+    assert "4 fixes" in text
+    assert "error of the run at 10 s: 0.04 m an axis" in text
+    report.draw(shown, tmp_path / "plan.png")
+    assert (tmp_path / "plan.png").stat().st_size > 20_000
+
+
+def test_the_command_prints_json_and_writes_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = "dive plan --duration-s 10 --depth-m 2 --fixes 1 --runs 1 --json --out"
+    assert run([*line.split(), str(tmp_path / "out")]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["fixes"] == [1]
+    assert json.loads((tmp_path / "out" / "dive-plan.json").read_text()) == printed
+    assert (tmp_path / "out" / "dive-plan.png").stat().st_size > 20_000
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--reference square --depth-m 5", "--depth-m"),
+        ("--fixes 1,x", "--fixes"),
+        ("--fixes 0", "from 1 to 3600"),
+        ("--sensors perfect", "perfect"),
+        ("--reference nowhere", "nowhere"),
+        ("--against no-such-run", "no-such-run"),
+        ("--duration-s 5", "--duration-s"),
+        ("--depth-m 480", "largest depth"),
+    ],
+)
+def test_bad_input_is_refused_before_a_dive_is_simulated(
+    options: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["dive", "plan", *options.split(), "--out", str(tmp_path / "out")]) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
