@@ -23,7 +23,7 @@ x = [c, s, b, g_1, g_2]. They count with a reduced weight, because their noise i
     evidence = max over windows of (min over x of f(x, 0) - min over x, d of f(x, d)) / 2       nats
 
 This is a generalised likelihood ratio for a change. At first only the bounds of x are known; a few seconds of thrust
-inform more than these bounds (docs/faults.md). The likelihood ratio of single cycles shows a recovery.
+inform more than these bounds (docs/thrusters.md). The likelihood ratio of single cycles shows a recovery.
 Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); here the unknowns are two losses d and five mismatches x.
 """
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import typer
 
@@ -16,6 +16,45 @@ MAX_LISTED = 8
 """Largest number of fixes, and of different numbers of fixes in one plan."""
 
 
+Duration: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        "--duration-s",
+        metavar="T",
+        help="Length of the dive (s). Default: 200 s; for a path until it is complete, at most 3600 s.",
+        min=10,
+        max=36_000,
+    ),
+]
+Depth: TypeAlias = Annotated[
+    float | None,
+    typer.Option("--depth-m", metavar="D", help="Depth at the end of a vertical descent (m). Default: 40.", min=1),
+]
+PathFile: TypeAlias = Annotated[
+    str | None,
+    typer.Option("--reference", metavar="NAME|FILE", help="Reference to follow instead of a vertical descent."),
+]
+Fixes: TypeAlias = Annotated[
+    str,
+    typer.Option("--fixes", metavar="N,...", help="Satellite fixes before the dive. Budget and gains: of the first."),
+]
+Limit: TypeAlias = Annotated[
+    float | None,
+    typer.Option("--limit-m", metavar="L", help="Drift of one axis (m) whose time is wanted.", min=0.001),
+]
+Against: TypeAlias = Annotated[
+    str | None,
+    typer.Option("--against", metavar="RUN", help="Compare with a recorded run: its folder, run.mcap, or latest."),
+]
+Runs: TypeAlias = Annotated[
+    int,
+    typer.Option("--runs", metavar="N", help="Number of simulated dives per number of fixes.", min=1, max=100),
+]
+PlanFolder: TypeAlias = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Also write dive-plan.json and .png into this folder.")
+]
+
+
 @dive.callback()
 def _dive() -> None:
     """Plan a dive: expected drift and its error budget."""
@@ -24,47 +63,16 @@ def _dive() -> None:
 @dive.command(name="plan")
 def plan_(
     sensors: SensorsFile = "paper",
-    duration_s: Annotated[
-        float | None,
-        typer.Option(
-            "--duration-s",
-            metavar="T",
-            help="Length of the dive (s). Default: 200 s; for a path until it is complete, at most 3600 s.",
-            min=10,
-            max=36_000,
-        ),
-    ] = None,
-    depth_m: Annotated[
-        float | None,
-        typer.Option("--depth-m", metavar="D", help="Depth at the end of a vertical descent (m). Default: 40.", min=1),
-    ] = None,
-    reference: Annotated[
-        str | None,
-        typer.Option("--reference", metavar="NAME|FILE", help="Reference to follow instead of a vertical descent."),
-    ] = None,
-    fixes: Annotated[
-        str,
-        typer.Option(
-            "--fixes", metavar="N,...", help="Satellite fixes before the dive. Budget and gains are for the first."
-        ),
-    ] = "1,10,30,120",
-    limit_m: Annotated[
-        float | None,
-        typer.Option("--limit-m", metavar="L", help="Drift of one axis (m) whose time is wanted.", min=0.001),
-    ] = None,
-    against: Annotated[
-        str | None,
-        typer.Option("--against", metavar="RUN", help="Compare with a recorded run: its folder, run.mcap, or latest."),
-    ] = None,
-    runs: Annotated[
-        int, typer.Option("--runs", metavar="N", help="Number of simulated dives per number of fixes.", min=1, max=100)
-    ] = 4,
-    seed: Annotated[int, typer.Option("--seed", metavar="FIRST", help="First seed.", min=0, max=2**53 - 1)] = 0,
+    duration_s: Duration = None,
+    depth_m: Depth = None,
+    reference: PathFile = None,
+    fixes: Fixes = "1,10,30,120",
+    limit_m: Limit = None,
+    against: Against = None,
+    runs: Runs = 4,
     as_json: Json = False,
     force: Force = False,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Also write dive-plan.json and .png into this folder.")
-    ] = None,
+    out: PlanFolder = None,
 ) -> int:
     """Plan a dive: expected drift over time, its error budget, and what would reduce it.
 
@@ -76,15 +84,16 @@ def plan_(
     from rich.progress import Progress
 
     from ltv_mpc.errors import ConfigError
+    from services.recording.reader import Recording
     from services.run import folder
     from services.tools.dive_plan import plan, report
 
     if reference is not None and depth_m is not None:
         raise ConfigError("option --depth-m", "", "has no effect with --reference, which has a depth of its own")
     numbers = _numbers(fixes)
-    wanted = plan.Dive(sensors, reference, duration_s, 40.0 if depth_m is None else depth_m, max(numbers), seed)
+    wanted = plan.Dive(sensors, reference, duration_s, 40.0 if depth_m is None else depth_m, max(numbers), 0)
     wanted.run_config()
-    recorded = None if against is None else report.recorded_drift(folder.find(against))
+    recorded = None if against is None else report.recorded_drift(Recording(folder.find(against)))
     written = None if out is None else folder.open_folder(out, force=force)
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"dives with {sensors} sensors", total=plan.count_of_results(numbers, runs))

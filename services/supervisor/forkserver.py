@@ -1,7 +1,7 @@
 """Fork server: a process that has loaded what the processes of a run need, and forks them. Both its ends are here.
 
 It makes starts and restarts quicker, because a forked process need not import and load compiled code: a failed
-estimator or controller must be back within 2 s (docs/faults.md), which spawning often misses. Measured times are in
+estimator or controller must be back within 2 s (docs/restarts.md), which spawning often misses. Measured times are in
 docs/notes/process-start.md. The server is the same after a fork, so the second restart is as quick as the first.
 
     request   module, config and log (JSON), with the child's standard input and heartbeat pipe (descriptors)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate, Truth
-from services.recording.reader import Recording
+from services.recording.reader import RecordedMessage
 from services.tools.dive_plan.plan import POINTS, DivePlan, RecordedDrift
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ SHOWN_SHARE = 5e-4
 DASHES = ("-", "--", "-.", ":")
 
 
-def recorded_drift(recording: Path) -> RecordedDrift:
+def recorded_drift(messages: Iterable[RecordedMessage]) -> RecordedDrift:
     """Return the drift of a recorded run at whole seconds. Raises ``ConfigError`` if it has no estimates after t = 0.
 
     With the truth of a simulation it is the error; otherwise it is sigma by the filter's own covariance P of the
@@ -37,7 +37,7 @@ def recorded_drift(recording: Path) -> RecordedDrift:
     truth: dict[int, Array] = {}
     estimate: dict[int, Array] = {}
     variance: dict[int, float] = {}
-    for message in Recording(recording):
+    for message in messages:
         t_ns = message.plain.get("t_ns")
         if message.kind not in (Truth, Estimate) or not isinstance(t_ns, int) or t_ns < 0 or t_ns % SECOND_NS:
             continue
@@ -60,7 +60,7 @@ def recorded_drift(recording: Path) -> RecordedDrift:
                 errors = [math.sqrt(max(variance[t] - variance[first], 0.0)) for t in after]
             return RecordedDrift(t_s=[t * 1e-9 for t in after], drift_m=errors, kind=kind)
     problem = "has no two estimates with a covariance or a truth at whole seconds from t = 0 on"
-    raise ConfigError(f"recording {recording}", "", problem)
+    raise ConfigError("option --against", "", problem)
 
 
 def text(of: DivePlan) -> str:

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Truth
 from services.cli.app import run
+from services.recording.reader import Recording
 from services.run.folder import RunFolder
 from services.tools.batch.job import Job
 from services.tools.dive_plan import plan, report
@@ -104,23 +106,19 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 
 def test_the_drift_of_a_recorded_run_is_its_localisation_error(recorded: RunFolder) -> None:
-    found = report.recorded_drift(recorded.recording)
+    found = report.recorded_drift(Recording(recorded.recording))
     final = json.loads(recorded.summary.read_text())["localisation_error_m"]["final"]
     assert (found.kind, found.t_s) == ("true", [1.0, 2.0, 3.0, 4.0])
     assert found.drift_m[-1] == pytest.approx(final / math.sqrt(2.0), rel=1e-6)
 
 
-def test_without_a_truth_the_filter_s_own_sigma_is_laid_over_the_plan(
-    recorded: RunFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class WithoutTruth(report.Recording):
-        def __iter__(self):  # type: ignore[no-untyped-def]
-            return (message for message in super().__iter__() if message.kind is not Truth)
-
-    monkeypatch.setattr(report, "Recording", WithoutTruth)
-    found = report.recorded_drift(recorded.recording)
-    assert found.kind == "reported"
+def test_without_a_truth_the_filter_s_own_sigma_is_laid_over_the_plan(recorded: RunFolder) -> None:
+    messages = [message for message in Recording(recorded.recording) if message.kind is not Truth]
+    found = report.recorded_drift(messages)
+    assert (found.kind, found.t_s) == ("reported", [1.0, 2.0, 3.0, 4.0])
     assert all(drift >= 0.0 for drift in found.drift_m)
+    with pytest.raises(ConfigError, match="--against"):
+        report.recorded_drift([])
 
 
 def test_text_and_picture_show_the_plan(planned: DivePlan, tmp_path: Path) -> None:
