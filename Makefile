@@ -2,7 +2,7 @@
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup sim sim-secure test figures docs package bench map fuzz protocol link mutants clean
+.PHONY: help setup sim sim-secure test figures docs package release bench map fuzz protocol link mutants clean
 
 # Passed through to `ltv-mpc sim`; empty: the scenario's own value.
 SCENARIO =
@@ -13,6 +13,8 @@ OUT =
 FILES =
 # Not empty: the live page opens in a browser.
 OPEN =
+# Of `make release`: 0.1.0
+VERSION =
 
 SIM_OPTIONS = $(if $(SCENARIO),'$(SCENARIO)') $(if $(SPEED),--speed '$(SPEED)') $(if $(SEED),--seed '$(SEED)') \
 	$(if $(DURATION),--duration-s '$(DURATION)') $(if $(OUT),--out '$(OUT)') $(if $(OPEN),--open)
@@ -37,10 +39,11 @@ sim-secure: .venv/installed  ## the same under mTLS and access control, with cer
 	@certs=$$(mktemp -d) && trap 'rm -rf "$$certs"' EXIT INT TERM && $(BIN)/ltv-mpc certs new "$$certs" >/dev/null \
 		&& $(BIN)/ltv-mpc sim $(SIM_OPTIONS) --certs "$$certs"
 
-test: setup  ## lint, types, import contracts, all tests
+test: setup  ## lint, spelling, types, import contracts, all tests
 	@$(BIN)/python -P -m tests.warm & warm=$$!; trap 'kill $$warm 2>/dev/null' EXIT; set -ex; \
 	$(BIN)/ruff check .; \
 	$(BIN)/ruff format --check .; \
+	$(BIN)/codespell; \
 	$(BIN)/mypy; \
 	$(BIN)/lint-imports; \
 	wait $$warm; trap - EXIT; \
@@ -69,6 +72,14 @@ docs: .venv/docs  ## the site in build/docs, from docs/ and the docstrings; ever
 
 package: .venv/installed  ## the wheel in dist/, tried in an empty environment of each Python that is here
 	$(BIN)/python -m tests.package.trial
+
+# The wheel gets its version before the tag exists; the tag comes last, when everything has passed.
+release: setup  ## check VERSION and changelog, run test, docs and package, and tag; nothing is uploaded
+	$(BIN)/python -P .ci/release.py check '$(VERSION)'
+	$(MAKE) test docs
+	rm -rf dist
+	SETUPTOOLS_SCM_PRETEND_VERSION='$(VERSION)' $(MAKE) package
+	$(BIN)/python -P .ci/release.py tag '$(VERSION)'
 
 protocol: setup  ## docs/protocol.md and docs/schemas/, from the table of what travels
 	$(BIN)/ltv-mpc topics --write docs
