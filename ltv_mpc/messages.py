@@ -1052,18 +1052,24 @@ class InboxEntry(msgspec.Struct, frozen=True, array_like=False, kw_only=True, fo
     ] = 0
 
 
-class StepRecord(Message, frozen=True, kw_only=True, eq=False):
-    """Record of one step of a node, published before the outputs of the step. An exact replay needs it."""
+class RecordedStep(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One step of a node: all that it received."""
 
-    node: Publisher
-    epoch: Annotated[Identifier, Meta(description="epoch of the node, as in its headers")]
-    step: Annotated[Count, Meta(description="number of the step, from 0")]
     t_ns: Annotated[Time, Meta(description="time of the step")]
     cause: Annotated[str, Meta(description="grid, cycle, or the key of the message that caused the step")]
     inbox: Annotated[tuple[InboxEntry, ...], Meta(description="messages that the step received, in order")]
     shift_ns: Annotated[
         Time, Meta(description="time of the actuators minus vehicle time, added to the times in the outputs")
     ] = 0
+
+
+class StepRecord(Message, frozen=True, kw_only=True, eq=False):
+    """Record of consecutive steps of a node, published before their outputs. An exact replay needs it."""
+
+    node: Publisher
+    epoch: Annotated[Identifier, Meta(description="epoch of the node, as in its headers")]
+    step: Annotated[Count, Meta(description="number of the first step; the node's first one has number 0")]
+    steps: Annotated[tuple[RecordedStep, ...], Meta(description="the steps, in order")]
 
 
 # --- written by the clock master -------------------------------------------------------------------------------------

@@ -136,7 +136,7 @@ BY_KEY = {topic.key: topic for topic in TOPICS}
 NAMED: frozenset[type[Message]] = frozenset({Estimate})
 """Types that several sources may publish, each on a key of its own: the key of the table, a slash, and its name."""
 
-BATCHED: frozenset[type[Message]] = frozenset({Truth, ImuSample, StepRecord})
+BATCHED: frozenset[type[Message]] = frozenset({Truth, ImuSample})
 """Types of which a frame may hold several messages, one after the other; on all other keys a frame holds one."""
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")

@@ -69,13 +69,17 @@ class _Entry(msgspec.Struct):
     received_t_ns: Ns
 
 
+class _Step(msgspec.Struct):
+    t_ns: Ns
+    cause: str
+    inbox: list[_Entry]
+
+
 class _Record(msgspec.Struct):
     node: str
     epoch: Count
     step: Count
-    t_ns: Ns
-    cause: str
-    inbox: list[_Entry]
+    steps: list[_Step]
 
 
 class _Timing(msgspec.Struct):
@@ -166,7 +170,7 @@ class _TraceData:
         self.events: list[_Event] = []
         self.unreadable = 0
         self._nodes_of: dict[int, set[str]] = {}
-        self._open: dict[str, tuple[_Record, int]] = {}  # the newest step by process, and its last output
+        self._open: dict[str, tuple[_Record, int]] = {}  # the newest steps by process, and their last output
 
     def add(self, raw: RawMessage) -> None:
         try:
@@ -233,16 +237,17 @@ class _TraceData:
 
     def _close(self, node: str) -> None:
         record, end_ns = self._open.pop(node, (None, 0))
-        if record is None or not end_ns or node == "controller":
+        if record is None or not record.steps or not end_ns or node == "controller":
             return  # a step without outputs, or one of the controller, whose cycles tell more
-        caused = record.cause not in ("grid", "cycle") and record.inbox
-        begin_ns = record.inbox[-1].received_t_ns if caused else record.t_ns
+        step, number = record.steps[-1], record.step + len(record.steps) - 1
+        caused = step.cause not in ("grid", "cycle") and step.inbox
+        begin_ns = step.inbox[-1].received_t_ns if caused else step.t_ns
         before = self.steps.setdefault(node, [])
-        args = {"step": record.step, "cause": record.cause, "validity_s": record.t_ns / 1e9}
+        args = {"step": number, "cause": step.cause, "validity_s": step.t_ns / 1e9}
         if before and begin_ns < before[-1].end_ns:  # it waited for the step before
             args["waited_ms"] = (before[-1].end_ns - begin_ns) / 1e6
             begin_ns = before[-1].end_ns
-        before.append(_Slice(begin_ns, max(end_ns, begin_ns + MIN_SLICE_NS), record.cause, args))
+        before.append(_Slice(begin_ns, max(end_ns, begin_ns + MIN_SLICE_NS), step.cause, args))
 
     def _applied(self, applied: _Applied) -> None:
         self.thrusts.append(applied)

@@ -16,7 +16,7 @@ from ltv_mpc.messages import Message
 from services.bus import wire
 from services.bus.topics import key_of
 from services.recording.reader import StoredMessage
-from services.replay.epoch import Record
+from services.replay.epoch import Step
 from services.replay.frames import Header
 from services.replay.verdict import MAX_FIELDS, Difference, FieldDifference, Gap
 
@@ -116,27 +116,27 @@ class Comparison:
         next_ones = [sequence == self._next.get(key, 0) for key, sequence in first.items()]
         return any(next_ones) and not all(next_ones)
 
-    def add_replayed(self, record: Record, signals: Sequence[Message]) -> None:
+    def add_replayed(self, step: Step, signals: Sequence[Message]) -> None:
         """Add the outputs of a replayed step."""
         self.counts.replayed += 1
-        self._last = record.step, record.t_ns
-        for entry in record.inbox:
-            if entry.epoch == record.epoch:  # from the node's own process: the state that it started from
+        self._last = step.number, step.t_ns
+        for entry in step.inbox:
+            if entry.epoch == step.epoch:  # from the node's own process: the state that it started from
                 self._next[entry.key] = entry.sequence + 1
                 self._recorded.pop((entry.key, entry.sequence), None)
         for signal in signals:
             key = key_of(type(signal), self._node)
             sequence = self._next.get(key, 0)
             self._next[key] = sequence + 1
-            self._replayed[key, sequence] = _Output(record.step, record.t_ns, signal)
+            self._replayed[key, sequence] = _Output(step.number, step.t_ns, signal)
             for stored, header in self._recorded.pop((key, sequence), ()):
                 self._compare((key, sequence), stored, header)
 
-    def step_failed(self, record: Record, error: Exception) -> None:
+    def step_failed(self, step: Step, error: Exception) -> None:
         """Add a replayed step that raised. The recorded one did not, because the node survived it."""
         self.counts.replayed += 1
         what = f"the replay raised {type(error).__name__}: {error}"
-        self.counts.add_difference(_Output(record.step, record.t_ns, Message()), "", -1, what)
+        self.counts.add_difference(_Output(step.number, step.t_ns, Message()), "", -1, what)
 
     def add_recorded(self, stored: StoredMessage, header: Header) -> None:
         """Add a recorded output of the epoch."""

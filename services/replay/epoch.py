@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import msgspec
 
-from ltv_mpc.messages import InboxEntry, Message
+from ltv_mpc.messages import InboxEntry, Message, RecordedStep
 from ltv_mpc.node import Node
 from services.bus.time_shift import shifted
 from services.bus.wire import WireError
@@ -29,9 +29,17 @@ class Record(msgspec.Struct, frozen=True):
 
     epoch: int
     step: int
+    steps: tuple[RecordedStep, ...]
+
+
+class Step(NamedTuple):
+    """Step of an epoch, as recorded."""
+
+    epoch: int
+    number: int
     t_ns: int
     inbox: tuple[InboxEntry, ...]
-    shift_ns: int = 0
+    shift_ns: int
 
 
 class Outcome(Protocol):
@@ -42,11 +50,11 @@ class Outcome(Protocol):
         """True if the file has outputs of later steps than were replayed."""
         ...
 
-    def add_replayed(self, record: Record, signals: Sequence[Message]) -> None:
+    def add_replayed(self, step: Step, signals: Sequence[Message]) -> None:
         """Add the outputs of a replayed step."""
         ...
 
-    def step_failed(self, record: Record, error: Exception) -> None:
+    def step_failed(self, step: Step, error: Exception) -> None:
         """Add a replayed step that raised. The recorded one did not, because the node survived it."""
         ...
 
@@ -75,38 +83,41 @@ class Epoch:
         self._make = make
         self._node: Node | None = None
         self._frames = frames
-        self._records: dict[int, tuple[int, Record]] = {}  # waiting for their turn, with their positions in the file
+        self._steps: dict[int, tuple[int, Step]] = {}  # waiting for their turn, with the positions of their records
         self._next = 0
 
     @property
     def waits(self) -> bool:
-        """True while records wait for their turn."""
-        return bool(self._records)
+        """True while steps wait for their turn."""
+        return bool(self._steps)
 
     def take(self, record: Record, at: int) -> None:
         """Add a record of the file. A duplicate counts once."""
         self.last_at = at
-        self.steps_run = max(self.steps_run, record.step + 1)
-        if self.gap is None and record.step >= self._next:
-            self._records.setdefault(record.step, (at, record))
+        self.steps_run = max(self.steps_run, record.step + len(record.steps))
+        if self.gap is None:
+            for number, step in enumerate(record.steps, record.step):
+                if number >= self._next:
+                    of = Step(record.epoch, number, step.t_ns, step.inbox, step.shift_ns)
+                    self._steps.setdefault(number, (at, of))
             self.advance(at)
 
     def advance(self, at: int | None) -> None:
         """Replay every step whose inputs are there. ``at``: position in the file; None: the file is read to its end."""
-        while self._records and self.gap is None:
-            since, record = self._records.get(self._next, (None, None))
-            if record is None or since is None:
+        while self._steps and self.gap is None:
+            since, step = self._steps.get(self._next, (None, None))
+            if step is None or since is None:
                 missing = f"the record of step {self._next}" if self._next else FIRST_STEP
-                since, record = next(iter(self._records.values()))
+                since, step = next(iter(self._steps.values()))
             else:
-                inbox = [self._frames.find(entry) for entry in record.inbox]
+                inbox = [self._frames.find(entry) for entry in step.inbox]
                 if None not in inbox:
-                    self._step(record, inbox)  # type: ignore[arg-type]
+                    self._step(step, inbox)  # type: ignore[arg-type]
                     continue
-                missing = _name(record.inbox[inbox.index(None)])
+                missing = _name(step.inbox[inbox.index(None)])
             if at is not None and at - since <= REACH:
                 return
-            self._stop(f"{missing} is not in the file", record.t_ns)
+            self._stop(f"{missing} is not in the file", step.t_ns)
 
     def close(self) -> None:
         """Finish: the file has been read, or a newer epoch started long ago."""
@@ -120,34 +131,34 @@ class Epoch:
         self.outcome.close(self.gap)
         self._node = None
 
-    def _step(self, record: Record, inbox: Sequence[StoredMessage]) -> None:
-        del self._records[record.step]
+    def _step(self, step: Step, inbox: Sequence[StoredMessage]) -> None:
+        del self._steps[step.number]
         try:
-            arrivals = list(map(received_message, inbox, record.inbox))
+            arrivals = list(map(received_message, inbox, step.inbox))
         except WireError as error:
-            self._stop(f"this version does not know the message: {error}", record.t_ns)
+            self._stop(f"this version does not know the message: {error}", step.t_ns)
             return
-        for entry in record.inbox:
+        for entry in step.inbox:
             self._frames.discard_through(entry)
         if self._node is None:
             try:
                 self._node = self._make()
             except NoSettingsError as error:
-                self._stop(str(error), record.t_ns)
+                self._stop(str(error), step.t_ns)
                 return
         self._next += 1
         try:
-            (signals,) = self._node.steps([(record.t_ns, arrivals)])
+            (signals,) = self._node.steps([(step.t_ns, arrivals)])
         except Exception as error:
-            self.outcome.step_failed(record, error)
-            self._stop(f"the replayed step {record.step} raised {type(error).__name__}", record.t_ns)
+            self.outcome.step_failed(step, error)
+            self._stop(f"the replayed step {step.number} raised {type(error).__name__}", step.t_ns)
             return
-        self.outcome.add_replayed(record, [shifted(signal, record.shift_ns) for signal in signals])
+        self.outcome.add_replayed(step, [shifted(signal, step.shift_ns) for signal in signals])
 
     def _stop(self, why: str, t_ns: int | None) -> None:
         steps = self.steps_run - self._next
         self.gap = Gap(epoch=self.number, first_step=self._next, steps=steps, t_ns=t_ns, why=why)
-        self._records.clear()
+        self._steps.clear()
         self._node = None
         self.outcome.stop()
 

@@ -20,7 +20,7 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.messages import Array, Estimate, Message, Plan
 from services.bus import wire
 from services.recording.reader import StoredMessage
-from services.replay.epoch import Record
+from services.replay.epoch import Step
 from services.replay.frames import Header
 from services.replay.verdict import Deviation, Gap, Shares
 
@@ -167,15 +167,15 @@ class WhatIfEpoch:
         """False: outputs without a counterpart are skipped."""
         return False
 
-    def add_replayed(self, record: Record, signals: Sequence[Message]) -> None:  # noqa: ARG002
+    def add_replayed(self, step: Step, signals: Sequence[Message]) -> None:  # noqa: ARG002
         """Add the outputs of a replayed step."""
         self._comparison.steps += 1
         for signal in signals:
             self._comparison.add(self._epoch, signal, replayed=True)
 
-    def step_failed(self, record: Record, error: Exception) -> None:
+    def step_failed(self, step: Step, error: Exception) -> None:
         """Raise: other settings must not break a node."""
-        raise RuntimeError(f"step {record.step} at {record.t_ns / 1e9:.3f} s") from error
+        raise RuntimeError(f"step {step.number} at {step.t_ns / 1e9:.3f} s") from error
 
     def add_recorded(self, stored: StoredMessage, header: Header) -> None:  # noqa: ARG002
         """Add a recorded output of the epoch."""

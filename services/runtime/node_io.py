@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ltv_mpc.messages import InboxEntry, Message, StepRecord
+from ltv_mpc.messages import InboxEntry, Message, RecordedStep, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus.outbox import Outbox, SentMessage
 from services.bus.time_shift import shifted
@@ -14,15 +14,17 @@ from services.runtime.clock import monotonic_us
 from services.runtime.inbox import PendingInbox
 from services.runtime.saved_state import SavedState
 
+MAX_RECORDED_STEPS = 1000
+"""Largest number of steps in a record: a frame has a largest size."""
+
 STATE_TYPES = tuple(STATES.values())
 
 
 class NodeIO:
     """Inbox, step records and outbox of one node; all of its messages have one epoch.
 
-    A replay needs the record of a step before the outputs of the step, so ``publish_outputs`` publishes the records
-    first. Until then they wait, so that steps without outputs do not publish one by one; the step loop also flushes
-    them with each node status, within half a second.
+    A replay needs the record of a step before the outputs of the step, so ``publish_outputs`` publishes the record of
+    the steps since the last one first. The step loop also publishes it with each node status, within half a second.
     """
 
     def __init__(self, node: str, outbox: Outbox, saved: SavedState | None = None) -> None:
@@ -31,7 +33,8 @@ class NodeIO:
         self._outbox = outbox
         self._saved = saved
         self._inbox = PendingInbox()
-        self._records: list[StepRecord] = []
+        self._steps: list[RecordedStep] = []  # without a record so far
+        self._recorded = 0  # steps with a record
         self.shift_ns = 0
         """Published time minus vehicle time. The step loop sets it between two steps."""
 
@@ -40,10 +43,19 @@ class NodeIO:
         return self._outbox.publish(self._published(message))
 
     def publish_outputs(self, messages: Sequence[Message]) -> list[SentMessage]:
-        """Publish the waiting records, then the outputs of their steps. Return the frames of the outputs."""
-        records, self._records = self._records, []
+        """Publish the record of the steps without one, then the outputs of these steps. Return the sent outputs."""
+        records = self._take_record()
         sent = self._outbox.publish_all([*records, *map(self._published, messages)])
         return sent[len(records) :]
+
+    def _take_record(self) -> tuple[StepRecord, ...]:
+        """Return the record of the steps without one; an empty tuple if there is no such step."""
+        steps, self._steps = tuple(self._steps), []
+        if not steps:
+            return ()
+        record = StepRecord(node=self._node, epoch=self._outbox.epoch, step=self._recorded, steps=steps)
+        self._recorded += len(steps)
+        return (record,)
 
     def restore_state(self, t_ns: int, now_us: int, *, own_clock: bool) -> None:
         """Put the state that the node continues from, if there is one, at the head of its first inbox."""
@@ -95,34 +107,23 @@ class NodeIO:
             first=first,
         )
 
-    def take_inbox(
-        self, step: int, t_ns: int, cause: str, *, received_until_ns: int | None = None
-    ) -> list[ReceivedMessage]:
-        """Empty the inbox for a step, append the step's record, and return the messages.
+    def take_inbox(self, t_ns: int, cause: str, *, received_until_ns: int | None = None) -> list[ReceivedMessage]:
+        """Empty the inbox for a step, keep the step for the next record, and return the messages.
 
         Parameters
         ----------
-        step : number of the step, from 0.
         t_ns : vehicle time that the step is for (ns).
         cause : "grid", "cycle", or the key of the message that caused the step.
         received_until_ns : messages that arrived later stay in the inbox (ns); None: none stays.
         """
         inbox, entries = self._inbox.take(received_until_ns)
-        self._records.append(
-            StepRecord(
-                node=self._node,
-                epoch=self._outbox.epoch,
-                step=step,
-                t_ns=t_ns,
-                cause=cause,
-                inbox=entries,
-                shift_ns=self.shift_ns,
-            )
-        )
+        self._steps.append(RecordedStep(t_ns=t_ns, cause=cause, inbox=entries, shift_ns=self.shift_ns))
+        if len(self._steps) == MAX_RECORDED_STEPS:
+            self.publish_record()
         return inbox
 
-    def flush_records(self) -> None:
-        """Publish the waiting step records, in the order of the steps."""
+    def publish_record(self) -> None:
+        """Publish the record of the steps without one."""
         self.publish_outputs([])
 
     def _published(self, message: Message) -> Message:

@@ -97,8 +97,8 @@ class StepLoop:
         self._drain()
 
     def finish(self) -> None:
-        """Publish the waiting step records and the last status."""
-        self._io.flush_records()
+        """Publish the record of the last steps and the last status."""
+        self._io.publish_record()
         self._reporters.process.publish(monotonic_us(), finished=True)
 
     # --- waiting -----------------------------------------------------------------------------------------------------
@@ -205,7 +205,7 @@ class StepLoop:
         if step == 0:
             own_clock = self._time.offset(now_us).mode is not ClockMode.SHARED
             self._io.restore_state(t_ns, now_us, own_clock=own_clock)
-        self._due.append((t_ns, self._io.take_inbox(step, t_ns, cause, received_until_ns=received_until_ns)))
+        self._due.append((t_ns, self._io.take_inbox(t_ns, cause, received_until_ns=received_until_ns)))
 
     def _run_steps(self) -> None:
         """Carry out the steps that were added, and publish their outputs after their records."""
@@ -221,7 +221,7 @@ class StepLoop:
             return
         plan = _plan_in(outputs) if self._measures_cycles else None
         if plan is not None and self._compute_delay_ns:
-            self._io.flush_records()
+            self._io.publish_record()
             self._hold(self._compute_delay_ns)
         self._publish(outputs)
         if plan is not None:
@@ -272,8 +272,8 @@ class StepLoop:
     # --- reporting ---------------------------------------------------------------------------------------------------
 
     def _publish_status(self, now_us: int) -> None:
-        """Publish the waiting step records, then the status of the process."""
-        self._io.flush_records()
+        """Publish the record of the last steps, then the status of the process."""
+        self._io.publish_record()
         master = self._time.master
         self._reporters.process.publish(now_us, others=master.waiting_for if master else "")
 

@@ -8,7 +8,7 @@ import gc
 from collections.abc import Callable
 from functools import cache
 
-from ltv_mpc.messages import Estimate, InboxEntry, Message, RejectedFrame, StepRecord
+from ltv_mpc.messages import Estimate, InboxEntry, Message, RecordedStep, RejectedFrame, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus import topics, wire
 from services.bus.mailbox import Frame
@@ -142,9 +142,13 @@ class _Log:
             node=node,
             epoch=EPOCH,
             step=step.number,
-            t_ns=step.t_ns,
-            cause=cause if isinstance(cause, str) else _key(step.inbox[-1].message, node),
-            inbox=tuple(_entry(message, node) for message in step.inbox),
+            steps=(
+                RecordedStep(
+                    t_ns=step.t_ns,
+                    cause=cause if isinstance(cause, str) else _key(step.inbox[-1].message, node),
+                    inbox=tuple(_entry(message, node) for message in step.inbox),
+                ),
+            ),
         )
         self._writer.write(node, record, _header(step.number), step.at_ns)
 

@@ -74,7 +74,7 @@ class Ears:
             self.own.add(header.epoch)
             self.status[said.node] = said
         elif isinstance(said, StepRecord) and said.node in ("plant", "controller"):
-            self.taken += [(entry.key, entry.epoch, entry.sequence) for entry in said.inbox]
+            self.taken += [(entry.key, entry.epoch, entry.sequence) for step in said.steps for entry in step.inbox]
         elif isinstance(said, RunEvent) and said.node == "router":
             self.denied.append(said.text)
         return True

@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
-from ltv_mpc.messages import Estimate, NodeStatus, Plan, RejectedFrame, StepRecord, Truth
+from ltv_mpc.messages import Estimate, NodeStatus, Plan, RecordedStep, RejectedFrame, StepRecord, Truth
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.topics import BY_TYPE
@@ -57,7 +57,7 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
     last: dict[int, NodeStatus] = {}
     messages: Counter[int] = Counter()
     sources: dict[tuple[str, int], SequenceGaps] = {}
-    steps: list[StepRecord] = []
+    steps: list[tuple[str, RecordedStep]] = []
     stamps: dict[tuple[int, int], int] = {}
     until_ns = unreadable = 0
     for message in Recording(path):
@@ -74,7 +74,7 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
             messages[header.epoch] += 1
         match signal:
             case StepRecord() if signal.node in (CONTROLLER, PLANT):
-                steps.append(signal)
+                steps += [(signal.node, step) for step in signal.steps]
             case NodeStatus():
                 statuses.append(signal)
                 if signal.finished:
@@ -87,13 +87,13 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
                 pass
         node = signal.node if isinstance(signal, RejectedFrame) else CONTROLLER
         log.published(node, ReceivedMessage(signal, header.epoch, header.sequence, t_ns))
-    for step in steps:
-        if step.node == CONTROLLER:
+    for node, step in steps:
+        if node == CONTROLLER:
             log.cycles.append(step.t_ns)
             log.received_estimates += [
                 (entry.received_t_ns, stamps[entry.epoch, entry.sequence])
                 for entry in step.inbox
                 if entry.key == ESTIMATE and (entry.epoch, entry.sequence) in stamps
             ]
-    taken = frozenset(Taken(entry.key, entry.epoch, entry.sequence) for step in steps for entry in step.inbox)
+    taken = frozenset(Taken(entry.key, entry.epoch, entry.sequence) for _, step in steps for entry in step.inbox)
     return Recorded(log, taken, sent, statuses, last, messages, unreadable, until_ns)

@@ -220,12 +220,15 @@ def _steps(recording: Path, node: Node) -> Iterable[Due]:
         if recorded_message.kind is StepRecord and recorded_message.plain["node"] == node.name:
             record, _ = recorded_message.typed()
             assert isinstance(record, StepRecord)
-            inbox = [
-                ReceivedMessage(received.pop(name), entry.epoch, entry.sequence, entry.received_t_ns)
-                for entry in record.inbox
-                if (name := (entry.key, entry.epoch, entry.sequence)) in received
-            ]
-            yield record.t_ns, inbox
+            for step in record.steps:
+                yield (
+                    step.t_ns,
+                    [
+                        ReceivedMessage(received.pop(name), entry.epoch, entry.sequence, entry.received_t_ns)
+                        for entry in step.inbox
+                        if (name := (entry.key, entry.epoch, entry.sequence)) in received
+                    ],
+                )
         elif recorded_message.kind in reads:
             message, header = recorded_message.typed()
             received[recorded_message.key, header.epoch, header.sequence] = message

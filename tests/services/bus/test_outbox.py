@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from ltv_mpc.messages import ImuSample, Message, PressureDepth, StepRecord
+from ltv_mpc.messages import ImuSample, Message, PressureDepth
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.outbox import MAX_FRAME_BYTES, Outbox
@@ -17,7 +17,7 @@ from services.bus.wire import crc, decode, split
 from services.runtime.stopping import StopRequest
 
 ZERO = (0.0, 0.0, 0.0)
-KINDS = (ImuSample, PressureDepth, StepRecord)
+KINDS = (ImuSample, PressureDepth)
 
 
 class Wire:
@@ -41,10 +41,6 @@ def sample(t_ns: int) -> ImuSample:
     return ImuSample(t_ns=t_ns, interval_ns=1, angular_rate_radps=ZERO, specific_force_mps2=ZERO)
 
 
-def record(step: int) -> StepRecord:
-    return StepRecord(node="sensors", epoch=7, step=step, t_ns=step, cause="world/truth", inbox=())
-
-
 def depth(t_ns: int) -> PressureDepth:
     return PressureDepth(t_ns=t_ns, depth_m=1.0)
 
@@ -61,15 +57,14 @@ def published(messages: Sequence[Message]) -> list[tuple[str, list[bytes]]]:
 
 
 def test_messages_of_one_key_share_a_frame_at_the_place_of_the_last() -> None:
-    """So a ping between two samples is there before the later one, and the records before the outputs of the steps."""
-    frames = published([record(0), record(1), sample(1), depth(2), sample(3), depth(4)])
+    """So a ping between two samples is there before the later one."""
+    frames = published([sample(1), depth(2), sample(3), depth(4)])
     assert [(key, len(payloads)) for key, payloads in frames] == [
-        ("record/sensors", 2),
         ("sensor/depth", 1),
         ("sensor/imu", 2),
         ("sensor/depth", 1),
     ]
-    decoded = [decode(ImuSample, payload) for payload in frames[2][1]]
+    decoded = [decode(ImuSample, payload) for payload in frames[1][1]]
     assert [(message.t_ns, header.sequence) for message, header in decoded] == [(1, 0), (3, 1)]
 
 

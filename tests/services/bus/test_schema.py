@@ -21,6 +21,7 @@ from ltv_mpc.messages import (
     Message,
     Plan,
     PlanOrigin,
+    RecordedStep,
     Solve,
     SolveStatus,
     StepRecord,
@@ -53,9 +54,13 @@ RECORD = StepRecord(
     node="plant",
     epoch=1,
     step=2,
-    t_ns=0,
-    cause="grid",
-    inbox=(InboxEntry(key="plan", epoch=1, sequence=0, crc=4_000_000_000, received_t_ns=0),),
+    steps=(
+        RecordedStep(
+            t_ns=0,
+            cause="grid",
+            inbox=(InboxEntry(key="plan", epoch=1, sequence=0, crc=4_000_000_000, received_t_ns=0),),
+        ),
+    ),
 )
 
 

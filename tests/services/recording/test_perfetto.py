@@ -12,7 +12,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import Applied, CycleTiming, Estimate, InboxEntry, Message, Plan, RunEvent, StepRecord
+from ltv_mpc.messages import (
+    Applied,
+    CycleTiming,
+    Estimate,
+    InboxEntry,
+    Message,
+    Plan,
+    RecordedStep,
+    RunEvent,
+    StepRecord,
+)
 from services.recording import perfetto
 from services.run import folder
 from services.run.run_config import Override, resolve
@@ -90,7 +100,8 @@ def cycle(k: int) -> list[tuple[str, Message, int, int, int]]:
     """
     t = k * 300 * MS
     entry = InboxEntry(key="sensor/imu", epoch=1, sequence=k, crc=0, received_t_ns=t - 30 * MS)
-    step = StepRecord(node="estimator", epoch=ESTIMATOR, step=k, t_ns=t - 100 * MS, cause="sensor/imu", inbox=(entry,))
+    caused = RecordedStep(t_ns=t - 100 * MS, cause="sensor/imu", inbox=(entry,))
+    step = StepRecord(node="estimator", epoch=ESTIMATOR, step=k, steps=(caused,))
     plan = example(
         Plan,
         cycle_t_ns=t,

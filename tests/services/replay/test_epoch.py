@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from ltv_mpc.messages import InboxEntry, Message, PressureDepth
+from ltv_mpc.messages import InboxEntry, Message, PressureDepth, RecordedStep
 from ltv_mpc.node import Grid, Inbox
 from services.bus import wire
 from services.recording.reader import StoredMessage
@@ -61,10 +61,10 @@ def test_a_step_that_raises_only_in_the_replay_is_a_difference_and_ends_its_epoc
     frames, outcome = Frames(), Comparison("sensors", 7)
     frames.add(*depth(0), 0)
     epoch = Epoch(7, Fragile, frames, outcome)
-    epoch.take(Record(epoch=7, step=0, t_ns=0, inbox=()), 1)
+    epoch.take(Record(epoch=7, step=0, steps=(RecordedStep(t_ns=0, cause="grid", inbox=()),)), 1)
     outcome.add_recorded(*depth(0))
-    epoch.take(Record(epoch=7, step=1, t_ns=1, inbox=(entry(*depth(0)),)), 2)
-    epoch.take(Record(epoch=7, step=2, t_ns=2, inbox=()), 3)
+    raising = RecordedStep(t_ns=1, cause="grid", inbox=(entry(*depth(0)),))
+    epoch.take(Record(epoch=7, step=1, steps=(raising, RecordedStep(t_ns=2, cause="grid", inbox=()))), 2)
     epoch.close()
     assert (outcome.counts.compared, outcome.counts.identical) == (2, 1)
     assert outcome.counts.first_difference is not None
@@ -79,7 +79,7 @@ def test_a_step_that_raises_only_in_the_replay_is_a_difference_and_ends_its_epoc
 def test_a_missing_input_is_waited_for_up_to_the_largest_distance() -> None:
     frames, outcome = Frames(), Comparison("sensors", 7)
     epoch = Epoch(7, Fragile, frames, outcome)
-    epoch.take(Record(epoch=7, step=0, t_ns=0, inbox=(entry(*depth(0)),)), 0)
+    epoch.take(Record(epoch=7, step=0, steps=(RecordedStep(t_ns=0, cause="grid", inbox=(entry(*depth(0)),)),)), 0)
     epoch.advance(REACH)
     assert epoch.gap is None
     epoch.advance(REACH + 1)
@@ -96,7 +96,7 @@ def killed(*heard: tuple[StoredMessage, Header]) -> tuple[Epoch, Comparison]:
     """Return an epoch with one recorded step, and outputs after which the file has nothing more of the node."""
     outcome = Comparison("sensors", 7)
     epoch = Epoch(7, Fragile, Frames(), outcome)
-    epoch.take(Record(epoch=7, step=0, t_ns=0, inbox=()), 0)
+    epoch.take(Record(epoch=7, step=0, steps=(RecordedStep(t_ns=0, cause="grid", inbox=()),)), 0)
     for of in heard:
         outcome.add_recorded(*of)
     epoch.close()

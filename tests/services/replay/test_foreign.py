@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.messages import Action, Command, Estimate, InboxEntry, Message, StepRecord
+from ltv_mpc.messages import Action, Command, Estimate, InboxEntry, Message, RecordedStep, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus import wire
 from services.bus.time_shift import shifted
@@ -117,10 +117,7 @@ def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording
                 node=node.name,
                 epoch=own,
                 step=step,
-                t_ns=t_ns,
-                cause="cycle",
-                inbox=tuple(entries),
-                shift_ns=shift_ns,
+                steps=(RecordedStep(t_ns=t_ns, cause="cycle", inbox=tuple(entries), shift_ns=shift_ns),),
             )
             (outputs,) = node.steps([(t_ns, arrivals)])
             made += len(outputs)

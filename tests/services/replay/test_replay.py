@@ -171,9 +171,10 @@ def test_after_a_gap_a_node_is_compared_again_from_its_next_start(recording: Pat
 
     def second(stored: StoredMessage, plain: Plain) -> Plain:
         plain = plain | {"epoch": 2}
-        if "inbox" in plain:
-            frames = ((entry, crc_of[entry["key"], entry["sequence"]]) for entry in plain["inbox"])
-            plain["inbox"] = [entry | {"epoch": 2, "crc": crc} for entry, crc in frames]
+        if stored.kind is StepRecord:
+            (recorded,) = plain["steps"]
+            frames = ((entry, crc_of[entry["key"], entry["sequence"]]) for entry in recorded["inbox"])
+            plain["steps"] = [recorded | {"inbox": [entry | {"epoch": 2, "crc": crc} for entry, crc in frames]}]
         crc_of[stored.key, plain["sequence"]] = wire.crc(wire.pack(plain))
         return plain
 

@@ -244,7 +244,7 @@ def test_a_late_recorder_counts_no_loss_and_reports_what_cannot_be_replayed(tmp_
         put(depth(1001, monotonic_us()))
         put(depth(1003, monotonic_us()))
         for step in (70, 71):
-            out.publish(StepRecord(node="controller", epoch=EPOCH, step=step, t_ns=0, cause="cycle", inbox=()))
+            out.publish(StepRecord(node="controller", epoch=EPOCH, step=step, steps=()))
 
     said: list[str] = []
     record(tmp_path / "run.mcap", free_port, say, start_ns=None, said=said.append)

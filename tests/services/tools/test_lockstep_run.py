@@ -16,7 +16,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from ltv_mpc.messages import AdcpPing, CycleTiming, Estimate, ImuSample, StepRecord
+from ltv_mpc.messages import AdcpPing, CycleTiming, Estimate, ImuSample, RecordedStep, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus import topics, wire
 from services.cli.app import run
@@ -123,8 +123,9 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
             continue
         record, _ = message.typed()
         assert isinstance(record, StepRecord)
+        (recorded_step,) = record.steps
         steps[record.node] += 1
-        outputs = step(nodes[record.node], record.t_ns, list(inbox(record, frames)))
+        outputs = step(nodes[record.node], recorded_step.t_ns, list(inbox(recorded_step, frames)))
         for output in outputs:
             key = topics.key_of(type(output), record.node)
             sequence = made.get(key, 0)
@@ -139,8 +140,8 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
     assert steps["plant"] == steps["sensors"] == 701
 
 
-def inbox(record: StepRecord, frames: dict[tuple[str, int, int], RecordedMessage]) -> Iterator[ReceivedMessage]:
-    for entry in record.inbox:
+def inbox(recorded: RecordedStep, frames: dict[tuple[str, int, int], RecordedMessage]) -> Iterator[ReceivedMessage]:
+    for entry in recorded.inbox:
         signal, header = frames[entry.key, entry.epoch, entry.sequence].typed()
         assert wire.crc(wire.encode(signal, header)) == entry.crc
         yield ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns)
@@ -165,9 +166,11 @@ def test_what_caused_a_step_is_the_key_of_the_last_entry_of_its_inbox(
     causes: dict[str, set[str]] = {}
     for message in Recording(place.recording):
         if message.kind is StepRecord:
-            causes.setdefault(message.plain["node"], set()).add(message.plain["cause"])
-            if message.plain["cause"] not in ("grid", "cycle"):
-                assert message.plain["inbox"][-1]["key"] == message.plain["cause"]
+            (recorded_step,) = message.plain["steps"]
+            cause = recorded_step["cause"]
+            causes.setdefault(message.plain["node"], set()).add(cause)
+            if cause not in ("grid", "cycle"):
+                assert recorded_step["inbox"][-1]["key"] == cause
     assert causes["plant"] == {"grid"}
     assert causes["controller"] == {"cycle"}
     assert causes["sensors"] == {"world/truth"}
