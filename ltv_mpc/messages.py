@@ -779,6 +779,7 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
     reference_start: Annotated[
         ReferenceStart | None, Meta(description="start of the reference; null before it is in force")
     ] = None
+    fence_toml: Annotated[ReferenceText, Meta(description="fence in force, as a fence file holds it; empty: none")] = ""
     arm_continues: Annotated[
         bool, Meta(description="the next arm continues the reference: a restart, and no operator, has disarmed")
     ] = False
@@ -878,6 +879,7 @@ class Action(enum.StrEnum):
     FOLLOW = "follow"  # another reference
     HOLD = "hold"  # hold the current position
     SOURCE = "source"  # use the estimates of one source
+    FENCE = "fence"  # another fence, or none
     CLEAR = "clear"  # end the action of the mission policy, if its cause is gone
 
 
@@ -889,6 +891,9 @@ class Command(Message, frozen=True, kw_only=True, eq=False):
     ]
     action: Annotated[Action, Meta(description="requested action")]
     reference_toml: Annotated[ReferenceText, Meta(description="for follow: contents of a reference file, TOML")] = ""
+    fence_toml: Annotated[
+        ReferenceText, Meta(description="for fence: contents of a fence file, TOML; empty: no fence from now on")
+    ] = ""
     force: Annotated[bool, Meta(description="for arm: arm although pre-arm checks fail")] = False
     source: Annotated[
         SourceChoice,

@@ -96,6 +96,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     vehicle: str = "paper"  # NAME or FILE
     sensors: str = "paper"  # NAME or FILE
     reference: str = "descent"  # NAME or FILE
+    fence: str = ""  # FILE; empty: none
     run: Run = Run()
     water: Water = Water()
     plant: Plant = Plant()
@@ -120,6 +121,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
                 vehicle=_beside(here, scenario.vehicle),
                 sensors=_beside(here, scenario.sensors),
                 reference=_beside(here, scenario.reference),
+                fence=str(here / scenario.fence) if scenario.fence else "",
                 water=msgspec.structs.replace(water, file=str(here / water.file) if water.file else ""),
             ),
             source=source,

@@ -165,6 +165,11 @@ class Controller:
         """True if the reference is in force, or was before ``pause``."""
         return self._followers[0].target_m is not None
 
+    @property
+    def fence(self) -> Fence | None:
+        """Fence in force."""
+        return self._fencing.fence
+
     def set_fence(self, fence: Fence | None) -> None:
         """Keep another fence from the next cycle on. If it is rejected, the one in force stays.
 

@@ -1,7 +1,7 @@
 """Controller node: one control cycle per period on the newest estimate, under the current authority.
 
-It publishes its state at each change of authority, reference or forced source, and every ``SAVE_PERIOD_NS``. From that
-state and the plan in force another controller node can continue.
+It publishes its state at each change of authority, reference, fence or forced source, and every ``SAVE_PERIOD_NS``.
+From that state and the plan in force another controller node can continue.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ import msgspec
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import SAVE_PERIOD_NS, Controller
 from ltv_mpc.control.estimate_sources import EstimateSources
+from ltv_mpc.control.fence_publisher import FencePublisher
 from ltv_mpc.control.operator_commands import OperatorCommands
 from ltv_mpc.control.pre_arm import Failure, failures
 from ltv_mpc.control.solvers import SolverFactory, make
+from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import (
     Acknowledgement,
     Action,
@@ -27,6 +29,7 @@ from ltv_mpc.messages import (
     ControllerState,
     CycleTiming,
     Estimate,
+    FenceInForce,
     Health,
     Heartbeat,
     InputReport,
@@ -35,6 +38,7 @@ from ltv_mpc.messages import (
     Message,
     MissionAction,
     ModelCheck,
+    Obstacles,
     Plan,
     RejectedFrame,
 )
@@ -62,10 +66,11 @@ class ControllerNode:
     """Controller of one vehicle as a node.
 
     It reads the newest ``Estimate`` and ``Manual``, and each ``Applied``, ``Command``, ``CycleTiming``, ``ClockStep``,
-    ``Battery``, ``Leak`` and ``Heartbeat``, and the ``RejectedFrame`` of its own process; commands after the other
-    messages of an inbox. It writes one ``Plan`` per cycle, also while disarmed: that plan ramps all thrusts to zero. It
-    also writes an ``Acknowledgement`` for each command, a ``ControllerState`` and a ``ModelCheck`` from time to time. A
-    node that replaces another one receives the newest ``ControllerState`` as its first message.
+    ``Battery``, ``Leak``, ``Obstacles`` and ``Heartbeat``, and the ``RejectedFrame`` of its own process; commands after
+    the other messages of an inbox. It writes one ``Plan`` per cycle, also while disarmed: that plan ramps all thrusts
+    to zero. It also writes an ``Acknowledgement`` for each command, and from time to time a ``ControllerState``, a
+    ``ModelCheck`` and, with a fence or obstacles, a ``FenceInForce``. A node that replaces another one receives the
+    newest ``ControllerState`` as its first message.
     """
 
     name = "controller"
@@ -79,9 +84,10 @@ class ControllerNode:
         Heartbeat,
         Battery,
         Leak,
+        Obstacles,
         RejectedFrame,
     )
-    writes: tuple[type[Message], ...] = (Plan, Acknowledgement, ControllerState, ModelCheck)
+    writes: tuple[type[Message], ...] = (Plan, Acknowledgement, ControllerState, ModelCheck, FenceInForce)
 
     def __init__(
         self,
@@ -89,6 +95,7 @@ class ControllerNode:
         reference: Reference,
         config: ControllerConfig,
         *,
+        fence: Fence | None = None,
         make_solver: SolverFactory = make,
         stopwatch: Stopwatch = no_stopwatch,
     ) -> None:
@@ -97,9 +104,11 @@ class ControllerNode:
         Parameters
         ----------
         vehicle, reference, config, make_solver, stopwatch : as ``Controller`` takes them.
+        fence : as ``Controller.set_fence`` takes it.
         """
         self.schedule = Cycle(config.period_ns)
         self.controller = Controller(vehicle, reference, config, make_solver=make_solver, stopwatch=stopwatch)
+        self.controller.set_fence(fence)
         self.arbiter = CommandArbiter(vehicle)
         self.sources = EstimateSources(self.controller, config.sources)
         """Sources of the estimates: the active one and the rejected ones."""
@@ -112,6 +121,7 @@ class ControllerNode:
         self._cycle_ns = 0  # time of the last cycle
         self._clock_doubt: ClockStep | None = None  # the last step, if it is not certain
         self._saved: ControllerState | None = None  # state that was published last
+        self._fence = FencePublisher(self.controller)
 
     @property
     def mission(self) -> MissionPolicy:
@@ -155,9 +165,9 @@ class ControllerNode:
         self._apply_mission_policy(t_ns)
         # The plan and the state come first: a command that is acknowledged is in force, and saved.
         plans = [] if self.sources.newest is None else [self.cycle(self.sources.newest, t_ns)]
-        due_state, check = self._due_state(t_ns), self._check_model()
-        states, checks = ([] if report is None else [report] for report in (due_state, check))
-        return [*plans, *states, *acknowledged, *checks]
+        reports: list[Message | None] = [self._due_state(t_ns), self._fence.due(t_ns), self._check_model()]
+        states, fences, checks = ([] if report is None else [report] for report in reports)
+        return [*plans, *states, *acknowledged, *fences, *checks]
 
     def receive(self, received: ReceivedMessage) -> None:
         """Take in a message about the vehicle's motion or the time of a cycle.
@@ -181,6 +191,8 @@ class ControllerNode:
                 self.reports.reject(rejected.reason)
             case CycleTiming() as timing:
                 self.controller.add_timing(timing)
+            case Obstacles() as obstacles:
+                self._fence.receive(obstacles)
             case _:
                 pass
 
@@ -233,6 +245,7 @@ class ControllerNode:
             "actuators": self._health_of_reports(t_ns),
             "plans": self._plan_rejections.health(t_ns),
             "clock": self._health_of_clock(t_ns),
+            "obstacles": self._fence.health,
             "reference point": self.controller.reference_point_check.health,
             "source": worst(self.sources.health(t_ns), self._health_of_report_source(t_ns)),
             "thrusters": self._health_of_thrusters(),
@@ -267,8 +280,10 @@ class ControllerNode:
     def _pre_arm_failures(self) -> list[Failure]:
         """Return the pre-arm checks that fail now."""
         t_ns = self._cycle_ns
+        trial = Controller(self.controller.vehicle, self._commands.reference, self.controller.config)
+        trial.set_fence(self.controller.fence)
         return failures(
-            Controller(self.controller.vehicle, self._commands.reference, self.controller.config),
+            trial,
             estimate=self.sources.newest,
             applied=self._applied,
             reports={report.input: report for report in self.inputs()},
@@ -318,6 +333,8 @@ class ControllerNode:
         self.arbiter.authority = state.authority
         if state.reference_toml and state.reference_toml != self._commands.reference_toml:
             self._commands.follow(state.reference_toml)
+        if state.fence_toml != self._commands.fence_toml:
+            self._commands.set_fence(state.fence_toml)
         self._commands.arm_continues = state.arm_continues
         if state.model_products is not None:
             self._model_monitor.restore(state.model_products)
@@ -330,13 +347,14 @@ class ControllerNode:
             self.sources.newest = state.estimate
 
     def _due_state(self, t_ns: int) -> ControllerState | None:
-        """Return the state if it is due: at each change of authority, reference or source, every SAVE_PERIOD_NS."""
+        """Return the state if it is due: at each change of what an operator chooses, and every SAVE_PERIOD_NS."""
         before, toml = self._saved, self._commands.reference_toml
         if before is not None and (
             0 <= t_ns - before.t_ns < SAVE_PERIOD_NS
             and before.authority is self.arbiter.authority
             and before.arm_continues is self._commands.arm_continues
             and before.reference_toml is toml
+            and before.fence_toml is self._commands.fence_toml
             and before.source == self.sources.selector.forced
             and (before.reference_start is None) != self.controller.reference_has_begun
             and before.mission.action is self.mission.state.action
@@ -346,6 +364,7 @@ class ControllerNode:
             self.controller.save(t_ns),
             authority=self.arbiter.authority,
             reference_toml=toml,
+            fence_toml=self._commands.fence_toml,
             arm_continues=self._commands.arm_continues,
             model_products=self._model_monitor.products,
             thrust_shares=self._model_monitor.weak_thruster.shares,

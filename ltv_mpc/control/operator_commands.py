@@ -1,26 +1,28 @@
-"""Operator commands: who commands the thrusters, which reference is followed, and the end of a mission."""
+"""Operator commands: who commands the thrusters, which reference and which fence hold, and the end of a mission."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from ltv_mpc import config as settings
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.estimate_sources import EstimateSources
 from ltv_mpc.control.pre_arm import Failure
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Acknowledgement, Action, Authority, Command, Estimate, MissionAction
 from ltv_mpc.references import Hold, Reference, Timed
 from ltv_mpc.safety.command_arbiter import CommandArbiter, CommandResult
 from ltv_mpc.safety.mission_policy import MissionPolicy
 
 MAX_TOML_CHARS = 65_536
-"""Longest reference in a saved state, as message validation allows. A longer one was read from a file, and a new
-process reads the same file."""
+"""Longest reference or fence in a saved state, as message validation allows. A longer one was read from a file, and
+a new process reads the same file."""
 
 
 class OperatorCommands:
-    """Execution of an operator's commands, and the reference that they chose."""
+    """Execution of an operator's commands, and the reference and the fence that they chose."""
 
     def __init__(
         self, controller: Controller, arbiter: CommandArbiter, sources: EstimateSources, reference: Reference
@@ -41,8 +43,10 @@ class OperatorCommands:
         """Policy that ends the mission."""
         self.reference = reference
         """Reference that is followed."""
-        self.reference_toml = reference_toml(reference)
+        self.reference_toml = toml_text(reference)
         """The same, as a reference file holds it; empty if it is longer than MAX_TOML_CHARS."""
+        self.fence_toml = "" if controller.fence is None else toml_text(controller.fence)
+        """Fence in force, as a fence file holds it; empty without one, or if it is longer than MAX_TOML_CHARS."""
         self.arm_continues = False
         """The next arm continues the reference, because a restart and no operator has disarmed."""
 
@@ -86,16 +90,34 @@ class OperatorCommands:
         -------
         The authority, and the reason if the text was rejected.
         """
-        try:
-            reference: Reference = settings.parse(settings.loads(toml), Reference, source="reference")  # type: ignore[arg-type]
-        except ConfigError as error:
-            return self._reject(str(error))
-        except (ValueError, RecursionError) as error:
-            return self._reject(f"reference: is not valid TOML: {error}")
+        reference = _parsed(toml, Reference, "reference")
+        if isinstance(reference, str):
+            return self._reject(reference)
         if isinstance(reference, Timed) and reference.file:
             return self._reject("reference: file: a message cannot name a file: give rows instead")
         self._set_reference(reference, toml)
         return self._arbiter.request(Action.FOLLOW)
+
+    def set_fence(self, toml: str) -> CommandResult:
+        """Keep the fence that a TOML text describes; if it is rejected, the one in force stays.
+
+        Parameters
+        ----------
+        toml : text of a fence file; empty: no fence.
+
+        Returns
+        -------
+        The authority, and the reason if the text was rejected.
+        """
+        fence = _parsed(toml, Fence, "fence") if toml else None
+        if isinstance(fence, str):
+            return self._reject(fence)
+        try:
+            self._controller.set_fence(fence)
+        except ConfigError as error:
+            return self._reject(str(error))
+        self.fence_toml = toml
+        return self._arbiter.request(Action.FENCE)
 
     def _arm(self, failures: list[Failure], t_ns: int, warnings: list[str], *, force: bool) -> CommandResult:
         """Arm if no pre-arm check fails, or by force; append to ``warnings`` what was skipped."""
@@ -117,6 +139,8 @@ class OperatorCommands:
                 if not result.why:
                     self.mission.restart(t_ns)
                 return result
+            case Action.FENCE:
+                return self.set_fence(command.fence_toml)
             case Action.HOLD:
                 return self._hold(self._sources.newest)
             case Action.SOURCE:
@@ -137,7 +161,7 @@ class OperatorCommands:
                 "no estimate received yet, so the current position is unknown: retry after the first estimate"
             )
         hold = Hold.at_depth_of(estimate)
-        self._set_reference(hold, reference_toml(hold))
+        self._set_reference(hold, toml_text(hold))
         return self._arbiter.request(Action.HOLD)
 
     def _reject(self, why: str) -> CommandResult:
@@ -150,7 +174,17 @@ class OperatorCommands:
         self._controller.follow(reference)
 
 
-def reference_toml(reference: Reference) -> str:
-    """Return a reference as a reference file holds it; empty if that is longer than MAX_TOML_CHARS."""
-    text = settings.to_toml(reference)
+def toml_text(settled: Reference | Fence) -> str:
+    """Return a reference or a fence as its file holds it; empty if that is longer than MAX_TOML_CHARS."""
+    text = settings.to_toml(settled)
     return text if len(text) <= MAX_TOML_CHARS else ""
+
+
+def _parsed(toml: str, kind: Any, source: str) -> Any:
+    """Return what a TOML text describes, or the reason why it describes nothing."""
+    try:
+        return settings.parse(settings.loads(toml), kind, source=source)
+    except ConfigError as error:
+        return str(error)
+    except (ValueError, RecursionError) as error:
+        return f"{source}: is not valid TOML: {error}"

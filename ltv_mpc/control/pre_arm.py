@@ -35,6 +35,7 @@ REMEDIES: Mapping[str, str] = {
     "source": "stop the publisher that does not belong there",
     "thrusters": "inspect the propeller",
     "reference point": "declare [reference_point] in the vehicle file",
+    "obstacles": "add [hull] to the vehicle file, or stop the publisher of `obstacles`",
     "clock": "wait for 10 s, and check the publisher's clock",
     "mission time": "send `follow` for a new mission",
     "battery": "charge or replace it",

@@ -38,6 +38,7 @@ NEXT: Mapping[Action, Mapping[Authority, Authority]] = {
     Action.FOLLOW: {state: state for state in Authority},
     Action.HOLD: {state: state for state in Authority},
     Action.SOURCE: {state: state for state in Authority},
+    Action.FENCE: {state: state for state in Authority},
     Action.CLEAR: {state: state for state in Authority},
 }
 """Next state by action and present state. An action is rejected in a state for which it has no entry."""

@@ -13,6 +13,11 @@ if TYPE_CHECKING:
 
 HEARTBEAT = "heartbeat"
 
+NO_FENCE = "none"
+
+NEEDED = {"follow": "a reference, NAME or FILE,", "fence": f"a fence, FILE or `{NO_FENCE}`,"}
+"""What an action needs."""
+
 
 @with_bus("operator")
 def ctl(
@@ -20,14 +25,15 @@ def ctl(
         str,
         typer.Argument(
             metavar="ACTION",
-            help="One of arm, disarm, stop, manual, release, follow, hold, clear, source, heartbeat.",
+            help="One of arm, disarm, stop, manual, release, follow, hold, fence, clear, source, heartbeat.",
         ),
     ],
     file: Annotated[
         str | None,
         typer.Argument(
             metavar="[NAME|FILE]",
-            help="Reference for follow: a shipped name or a TOML file. Source of estimates for source: its name, "
+            help="Reference for follow: a shipped name or a TOML file. Fence for fence: a TOML or GeoJSON file, or "
+            "`none`. Source of estimates for source: its name, "
             "`default` for the plain key; without it, the order of the settings again.",
         ),
     ] = None,
@@ -45,6 +51,7 @@ def ctl(
     from ltv_mpc import references
     from ltv_mpc.config import to_toml
     from ltv_mpc.errors import ConfigError, format_value
+    from ltv_mpc.geofence.fence import Fence
     from ltv_mpc.messages import Action
     from ltv_mpc.node import DEFAULT_SOURCE
     from ltv_mpc.settings_schema import closest_name
@@ -56,10 +63,11 @@ def ctl(
         raise ConfigError("argument ACTION", "", f"must be one of {', '.join(known)}{near}", value=action)
     if force and action != Action.ARM:
         raise ConfigError("option --force", "", "only arm takes it", value=action)
-    if action == Action.FOLLOW and file is None:
-        raise ConfigError("argument ACTION", "", "needs a reference, NAME or FILE, after it", value=action)
-    if action not in (Action.FOLLOW, Action.SOURCE) and file is not None:
-        raise ConfigError("argument ACTION", "", "takes no file or name: only follow and source do", value=action)
+    if action in NEEDED and file is None:
+        raise ConfigError("argument ACTION", "", f"needs {NEEDED[action]} after it", value=action)
+    if action not in (*NEEDED, Action.SOURCE) and file is not None:
+        problem = "takes no file or name: only follow, fence and source do"
+        raise ConfigError("argument ACTION", "", problem, value=action)
     from services.processes import operator as node
 
     if action == HEARTBEAT:
@@ -67,6 +75,8 @@ def ctl(
     fields: dict[str, Any] = {"force": force}
     if action == Action.FOLLOW:
         fields["reference_toml"] = to_toml(references.load(file or ""))
+    elif action == Action.FENCE:
+        fields["fence_toml"] = "" if file == NO_FENCE else to_toml(Fence.load(file or ""))
     elif file is not None:
         from services.bus.topics import is_source_name
 

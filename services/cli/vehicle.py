@@ -63,6 +63,10 @@ FailedQps: TypeAlias = Annotated[
     Path | None,
     typer.Option("--failed-qps", metavar="DIR", help="Store QPs that were not solved here, for `ltv-mpc qp show`."),
 ]
+FenceFile: TypeAlias = Annotated[
+    Path | None,
+    typer.Option("--fence", metavar="FILE", help="Keep-in and keep-out zones: TOML or GeoJSON, docs/fences.md."),
+]
 State: TypeAlias = Annotated[
     Path | None,
     typer.Option("--state", metavar="DIR", help="Keep a checkpoint here, and continue from it after a restart."),
@@ -81,6 +85,7 @@ def controller(
     vehicle: VehicleFile = "paper",
     reference: ReferenceFile = "descent",
     settings: SettingsFile = None,
+    fence: FenceFile = None,
     compute_delay_s: ComputeDelay = 0.0,
     rate_hz: Rate = None,
     horizon_s: Horizon = None,
@@ -103,14 +108,18 @@ def controller(
 
     from ltv_mpc import references
     from ltv_mpc.control.config import ControllerConfig
+    from ltv_mpc.control.fencing import Fencing
     from ltv_mpc.control.resolution import settled
     from ltv_mpc.errors import ConfigError
+    from ltv_mpc.geofence.fence import Fence
     from ltv_mpc.vehicle.parameters import Vehicle
 
     if resume_armed and state is None:
         raise ConfigError("option --resume-armed", "", "needs --state DIR, the folder of the checkpoint")
     parameters = Vehicle.load(vehicle)
     references.load(reference)
+    if fence is not None:
+        Fencing(parameters).set_fence(Fence.load(str(fence)))
     control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
     if rate_hz is not None:
         control = replace(control, period_s=1.0 / rate_hz)
@@ -125,6 +134,7 @@ def controller(
             bus=bus,
             vehicle=vehicle,
             reference=reference,
+            fence="" if fence is None else str(fence),
             settings=control,
             compute_delay_s=compute_delay_s,
             input_delay_s=input_delay_s,

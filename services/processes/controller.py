@@ -21,6 +21,7 @@ from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
+from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import (
     Action,
     Command,
@@ -63,6 +64,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     bus: BusOptions
     vehicle: str = "paper"  # NAME or FILE
     reference: str = "descent"  # NAME or FILE
+    fence: str = ""  # FILE; empty: none
     settings: ResolvedConfig
     compute_delay_s: float = 0.0  # added between a plan and its publication
     input_delay_s: float = 0.0  # smallest delay of an estimate, if no clock exchange measures it
@@ -76,6 +78,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 def main(config: Config) -> int:
     """Run the controller node until it is stopped. Returns the exit code."""
     vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
+    fence = Fence.load(config.fence) if config.fence else None
     settings, bus = config.settings, config.bus
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
     SERVICE_MANAGER.connect(os.environ)
@@ -95,10 +98,11 @@ def main(config: Config) -> int:
         warm_up(vehicle, reference, settings)
         SERVICE_MANAGER.status("waiting for the router")
         node_stages = StageTimer()
-        published = node_settings(ControllerNode.name, controller_files(config.vehicle, config.reference, settings))
+        files = controller_files(config.vehicle, config.reference, config.fence, settings)
+        published = node_settings(ControllerNode.name, files)
         recorder = FailureRecorder()
         make_solver = make if config.failed_qps is None else recorder
-        node = ControllerNode(vehicle, reference, settings, make_solver=make_solver, stopwatch=node_stages)
+        node = ControllerNode(vehicle, reference, settings, fence=fence, make_solver=make_solver, stopwatch=node_stages)
         estimates_on = key_in(bus, BY_TYPE[Estimate])
         stack.callback(console.close)
 

@@ -21,6 +21,7 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -159,7 +160,9 @@ class VehicleNodes:
             if isinstance(settings, EstimatorConfig):
                 return Estimator(SensorConfig.load(str(folder / "sensors.toml")), settings, load_prior(settings))
             vehicle, reference = Vehicle.load(str(folder / "vehicle.toml")), str(folder / "reference.toml")
-            return ControllerNode(vehicle, references.load(reference), settings)
+            fence = folder / "fence.toml"
+            kept = Fence.load(str(fence)) if fence.exists() else None
+            return ControllerNode(vehicle, references.load(reference), settings, fence=kept)
 
     def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
         """Return the settings of a node at its newest start."""

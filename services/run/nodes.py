@@ -20,7 +20,13 @@ def make_nodes(run_config: RunConfig, *, unread: bool = True, make_solver: Solve
     scenario = run_config.scenario
     plant = Plant(scenario, run_config.vehicle, run_config.water)
     aboard: list[Node] = [
-        ControllerNode(run_config.vehicle, run_config.reference, run_config.controller, make_solver=make_solver)
+        ControllerNode(
+            run_config.vehicle,
+            run_config.reference,
+            run_config.controller,
+            fence=run_config.fence,
+            make_solver=make_solver,
+        )
     ]
     if not scenario.run.perfect_state:  # else the sensors themselves write the estimate
         aboard.insert(0, Estimator(run_config.sensor_config, scenario.estimator, run_config.prior))

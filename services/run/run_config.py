@@ -12,13 +12,15 @@ import msgspec
 from ltv_mpc import config, references
 from ltv_mpc.control import solvers
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
+from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.currents import WaterPrior, read_profile
+from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.provenance import provenance_table
-from services.run.settings_files import PRIOR, controller_files, estimator_files
+from services.run.settings_files import FENCE, PRIOR, controller_files, estimator_files
 from services.run.water import load_prior, resolve_prior_path
 from sim import water
 from sim.scenario import Scenario, checked, with_overrides
@@ -47,6 +49,7 @@ class RunConfig:
     controller: ResolvedConfig  # settings of the scenario, with this vehicle's horizon and weights
     sensor_config: SensorConfig
     reference: Reference
+    fence: Fence | None
     water: water.WaterColumn
     prior: WaterPrior | None  # water prior of the estimator; None: only the prior of the settings
     files: Mapping[str, str]  # texts by path in the run's folder, with which it can be run again
@@ -67,6 +70,8 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
     controller = settled(scenario.controller, vehicle, source=f"scenario {name}", table=("controller",))
     solvers.make(vehicle, controller)  # raises ConfigError if the solver is not installed
     reference = references.load(scenario.reference)
+    fence = Fence.load(scenario.fence) if scenario.fence else None
+    Fencing(vehicle).set_fence(fence)  # raises ConfigError if the vehicle has no [hull]
     prior = load_prior(scenario.estimator)
     called = _called(name, scenario)
     return RunConfig(
@@ -76,6 +81,7 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
         controller=controller,
         sensor_config=sensor_config,
         reference=reference,
+        fence=fence,
         water=water.make(scenario.water, scenario.run.seed),
         prior=prior,
         files=_files(msgspec.structs.replace(scenario, controller=controller), called) | _files_at_origin(measured),
@@ -93,7 +99,7 @@ def _called(name: str, scenario: Scenario) -> str:
 def _files(scenario: Scenario, called: str) -> dict[str, str]:
     """Return the settings files as read, with comments; files for use aboard hold nothing of the true values."""
     measured = scenario.water.file
-    files = controller_files(scenario.vehicle, scenario.reference, scenario.controller)
+    files = controller_files(scenario.vehicle, scenario.reference, scenario.fence, scenario.controller)
     files |= estimator_files(scenario.sensors, scenario.estimator)
     if measured:
         files["config/currents.csv"] = config.read_text(Path(measured), what="currents")
@@ -115,6 +121,7 @@ def scenario_text(scenario: Scenario, called: str) -> str:
         vehicle="config/vehicle.toml",
         sensors="config/sensors.toml",
         reference="config/reference.toml",
+        fence=FENCE if scenario.fence else "",
         water=msgspec.structs.replace(scenario.water, file="config/currents.csv" if measured else ""),
         estimator=msgspec.structs.replace(scenario.estimator, water_prior=f"config/{PRIOR}" if prior else ""),
         made_by={ORIGIN: called, **provenance_table()},

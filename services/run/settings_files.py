@@ -15,6 +15,7 @@ import msgspec
 
 from ltv_mpc import config, references
 from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import NodeSettings
 from services.run.provenance import provenance_table
 
@@ -31,17 +32,27 @@ MAX_CHARACTERS = 262_144
 TOO_LARGE = f"its settings have more than {MAX_CHARACTERS} characters: a recording of this process cannot be replayed"
 
 
-def controller_files(vehicle: str, reference: str, settings: ControllerConfig) -> dict[str, str]:
-    """Return the files of a controller; ``vehicle`` and ``reference`` are NAME or FILE. Raises ``ConfigError``."""
+FENCE = "config/fence.toml"
+"""File of the fence in a run's folder, if there is one."""
+
+
+def controller_files(vehicle: str, reference: str, fence: str, settings: ControllerConfig) -> dict[str, str]:
+    """Return the files of a controller. Raises ``ConfigError``.
+
+    ``vehicle`` and ``reference`` are NAME or FILE, ``fence`` is a FILE or empty.
+    """
     reference_text = _text(reference, what="reference", package="ltv_mpc.references.files")
     found = references.load(reference)
     if isinstance(found, references.Timed):
         reference_text = config.to_toml(found)  # with the rows of the file that it names
-    return {
+    files = {
         "config/vehicle.toml": _text(vehicle, what="vehicle", package="ltv_mpc.vehicle.files"),
         "config/reference.toml": reference_text,
         "config/controller.toml": config.to_toml(settings),
     }
+    if fence:
+        files[FENCE] = config.to_toml(Fence.load(fence))
+    return files
 
 
 def estimator_files(sensors: str, settings: EstimatorConfig) -> dict[str, str]:

@@ -1,21 +1,40 @@
-"""Changes of a controller's state, each reported once: health, authority, source, clocks, rejected messages and plans.
+"""Changes of a controller's state, each reported once: health, authority, source, fence, clocks, rejected messages.
 
 state    reported when it changes, and once at the start: health with its reason, authority, source of the estimates
-event    reported each time: a step of a publisher's clock
+event    reported each time: a step of a publisher's clock, a zone or margin that the hull enters or leaves
 count    reported at the first one, then at 10, 100, ...: rejected messages by reason, plans that the actuators
 rejected, plans that arrived late
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
-from ltv_mpc.messages import Applied, Authority, ClockStep, ControllerStatus, Health, Message, Plan
+from ltv_mpc.messages import Applied, Authority, ClockStep, ControllerStatus, FenceReport, Health, Message, Plan
 from services.runtime.console import Level, Tell, tenfold
 from services.runtime.process_time import step_text
 
 LEVELS = {Health.NOMINAL: Level.INFO, Health.DEGRADED: Level.WARNING}
 """Level of a health; all others are errors."""
+
+
+NO_FENCE = FenceReport(clearance_m=None)
+
+
+def fence_changes(before: FenceReport, after: FenceReport) -> Iterator[tuple[Level, str]]:
+    """Yield what has changed beside the hull from one plan to the next: zones and margins entered or left."""
+    for what, entered, old, new in (
+        ("zone", Level.ERROR, before.inside, after.inside),
+        ("margin", Level.WARNING, before.in_margin, after.in_margin),
+    ):
+        for label in new:
+            if label not in old:
+                yield entered, f"{what} entered: {label}"
+        for label in old:
+            if label not in new:
+                yield Level.INFO, f"{what} left: {label}"
+    for number in after.dropped:
+        yield Level.WARNING, f"obstacle {number} dropped: its last report is too old"
 
 
 class ControllerChanges:
@@ -24,6 +43,7 @@ class ControllerChanges:
     def __init__(self, tell: Tell) -> None:
         self._tell = tell
         self._states: dict[str, object] = {}  # newest, by kind
+        self._fence = NO_FENCE
         self._reported_at: dict[str, int] = {}  # counts that were reported last, by their text
         self._reported: Mapping[str, int] | None = None  # counts in the newest report of the actuators
         self._since_start: dict[str, int] = {}  # what these counts have grown by
@@ -34,6 +54,10 @@ class ControllerChanges:
             case Plan():
                 self._health(message.cycle_t_ns, message.health, message.health_why)
                 self._authority(message.cycle_t_ns, message.authority)
+                after = message.fence or NO_FENCE
+                for level, text in fence_changes(self._fence, after):
+                    self._tell(level, "fence", text, t_ns=message.cycle_t_ns, fields={})
+                self._fence = after
             case Applied():
                 self._actuators(message)
             case ClockStep():

@@ -11,7 +11,7 @@ from ltv_mpc.messages import Applied, ClockStep, ControllerStatus, Message, Miss
 from ltv_mpc.safety.health import HealthState
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
-from services.runtime.controller_changes import ControllerChanges
+from services.runtime.controller_changes import NO_FENCE, ControllerChanges, fence_changes
 from services.runtime.saved_state import SavedState
 
 PERIOD_US = 1_000_000
@@ -43,6 +43,7 @@ class ControllerStatusReporter:
         self._applied_ns: int | None = None
         self._clock_steps = 0
         self._mission_action = MissionAction.GO_ON
+        self._fence = NO_FENCE
         self._cycles: deque[tuple[int, int]] = deque()  # end and duration of each (us)
         self.due_us = 0
 
@@ -59,19 +60,22 @@ class ControllerStatusReporter:
                 pass
 
     def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> list[RunEvent]:
-        """Record a step whose outputs were published; return an event if the mission policy has changed its action."""
+        """Record a step whose outputs were published; return an event for each change of mission policy and fence."""
         plan = next((message for message in outputs if isinstance(message, Plan)), None)
-        if plan is not None:
-            self._plan = plan
-            if self._changes is not None:
-                self._changes.on_message(plan)
-            self._cycles.append((now_us, took_us))
-        mission, before = self._node.mission.state, self._mission_action
-        if plan is None or mission.action is before:
+        if plan is None:
             return []
-        self._mission_action = mission.action
-        text = f"mission: {mission.action.value}{f': {mission.why}' if mission.why else ''}"
-        return [RunEvent(t_ns=plan.cycle_t_ns, node=self._node.name, kind="mission", text=text)]
+        self._plan = plan
+        if self._changes is not None:
+            self._changes.on_message(plan)
+        self._cycles.append((now_us, took_us))
+        changes = []
+        mission, fence = self._node.mission.state, plan.fence or NO_FENCE
+        if mission.action is not self._mission_action:
+            why = f": {mission.why}" if mission.why else ""
+            changes.append(("mission", f"mission: {mission.action.value}{why}"))
+        changes += [("fence", text) for _, text in fence_changes(self._fence, fence)]
+        self._mission_action, self._fence = mission.action, fence
+        return [RunEvent(t_ns=plan.cycle_t_ns, node=self._node.name, kind=kind, text=text) for kind, text in changes]
 
     def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: ClockOffset) -> ControllerStatus:
         """Return the status that is due, and pass it to the sinks."""

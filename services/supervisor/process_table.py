@@ -79,6 +79,7 @@ def config_of(name: str, run_config: RunConfig, context: RunContext) -> msgspec.
                 bus=bus,
                 vehicle=str(folder.config("vehicle")),
                 reference=str(folder.config("reference")),
+                fence=str(folder.config("fence")) if run_config.fence is not None else "",
                 settings=run_config.controller,
                 compute_delay_s=scenario.run.compute_delay_s,
                 failed_qps=folder.path / "failed-qps",

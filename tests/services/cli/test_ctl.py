@@ -222,6 +222,8 @@ def test_where_nobody_answers_it_says_so_and_exits_1(alone: Alone, capsys: pytes
         ("go", 'argument ACTION: "go": must be one of arm, disarm'),
         ("arme", 'did you mean "arm"?'),
         ("follow", "needs a reference"),
+        ("fence", "needs a fence"),
+        ("fence nowhere.toml", "fence nowhere.toml: no such file"),
         ("arm hover", "takes no file or name"),
         ("source GNSS", 'argument NAME: "GNSS": must be'),
         ("hold --force", "only arm takes it"),

@@ -14,12 +14,14 @@ from ltv_mpc.messages import (
     ClockMode,
     ClockStep,
     ControllerStatus,
+    FenceReport,
     Health,
     Plan,
     PlanOrigin,
     Solve,
     SolveStatus,
 )
+from services.runtime.console import Level
 from services.runtime.controller_changes import ControllerChanges
 
 PLAN = Plan(
@@ -145,3 +147,27 @@ def test_each_step_of_a_clock_is_told(changes: ControllerChanges, told: Told) ->
         changes.on_message(ClockStep(t_ns=3, input="estimate", publisher=1, step_ns=-(10**9), certain=False))
     text = "the clock of the publisher of `estimate` was set by -1.000 s, or its link is congested: degraded for 10 s"
     assert told == [("warning", "clock", text, 3, {"input": "estimate", "step_ns": -(10**9)})] * 2
+
+
+def test_zones_and_margins_are_reported_when_they_are_entered_and_left_and_dropped_obstacles_each_time():
+    told: list[tuple[Level, str]] = []
+    changes = ControllerChanges(lambda level, _kind, text, **_: told.append((level, text)))
+    buoy = 'keep_out_disc[0] "buoy"'
+    reports = (
+        FenceReport(clearance_m=1.0, in_margin=(buoy,)),
+        FenceReport(clearance_m=-0.1, in_margin=(buoy,), inside=(buoy,)),
+        FenceReport(clearance_m=-0.1, in_margin=(buoy,), inside=(buoy,)),
+        FenceReport(clearance_m=1.0, in_margin=(buoy,)),
+        FenceReport(clearance_m=5.0, dropped=(12,)),
+    )
+    changes.on_message(PLAN)
+    del told[:]
+    for report in reports:
+        changes.on_message(msgspec.structs.replace(PLAN, fence=report))
+    assert told == [
+        (Level.WARNING, f"margin entered: {buoy}"),
+        (Level.ERROR, f"zone entered: {buoy}"),
+        (Level.INFO, f"zone left: {buoy}"),
+        (Level.INFO, f"margin left: {buoy}"),
+        (Level.WARNING, "obstacle 12 dropped: its last report is too old"),
+    ]
