@@ -104,6 +104,7 @@ BeamSpeeds: TypeAlias = Annotated[Array, Meta(extra={"wire": list[Speed | None]}
 BeamSpeedRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[Speed | None]]})]
 WaterSpeeds: TypeAlias = Annotated[Array, Meta(extra={"wire": list[WaterSpeed]})]
 SpeedDeviations: TypeAlias = Annotated[Array, Meta(extra={"wire": list[SpeedDeviation]})]
+PositionRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[Position]]})]
 ForceRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[Force]]})]
 VehicleStateRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[VehicleState]]})]
 FilterStates: TypeAlias = Annotated[Array, Meta(extra={"wire": list[FilterState]})]
@@ -495,7 +496,7 @@ class Obstacle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     east_m: East
     velocity_north_mps: VelocityNorth
     velocity_east_mps: VelocityEast
-    radius_m: Annotated[float, Meta(gt=0.0, le=10_000.0, description="of a circle around it", extra={"unit": "m"})]
+    radius_m: Annotated[Length, Meta(description="of a circle around it")]
     covariance_m2: Annotated[
         tuple[Covariance, Covariance, Covariance],
         Meta(description="of its position: north-north, north-east, east-east"),
@@ -605,10 +606,7 @@ class ZoneInForce(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     label: Annotated[str, Meta(max_length=200, description="table and number in the fence file, and its name")]
     keep_in: Annotated[bool, Meta(description="the vehicle has to stay inside; false: outside")]
-    vertices_m: Annotated[
-        tuple[tuple[Position, Position], ...],
-        Meta(min_length=1, max_length=500, description="north, east of the vertices; of a disc: its centre"),
-    ]
+    vertices_m: Annotated[PositionRows, Meta(description="(K, 2) north, east of the vertices; of a disc: its centre")]
     radius_m: Annotated[Length, Meta(description="radius of a disc; 0 for a polygon")]
     margin_m: Annotated[Length, Meta(description="distance between boundary and hull that is kept free")]
 

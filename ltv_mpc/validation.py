@@ -29,6 +29,7 @@ from ltv_mpc.messages import (
     Plan,
     TdcpFix,
     Times,
+    ZoneInForce,
 )
 
 Reason: TypeAlias = str | None
@@ -222,6 +223,9 @@ def _profile(s: CurrentProfile) -> Reason:
     return None if _increases(s.depth_m) else "depth_m: must increase"
 
 
+MAX_VERTICES = 500
+"""Largest number of vertices of a zone."""
+
 ASYMMETRY = 1e-9
 INDEFINITE = 1e-6 * np.eye(6)
 """Tolerances for rounding in the covariance of a filter, applied to correlations, because units differ by orders."""
@@ -291,6 +295,13 @@ def _estimator_state(s: EstimatorState) -> Reason:
     return None if s.measured_grid_points.ndim == 1 else "measured_grid_points: must be a list"
 
 
+def _zone(s: ZoneInForce) -> Reason:
+    vertices = s.vertices_m
+    if vertices.ndim != 2 or vertices.shape[1] != 2 or not 1 <= len(vertices) <= MAX_VERTICES:
+        return f"vertices_m {vertices.shape}: must be (K, 2), K from 1 to {MAX_VERTICES}"
+    return None
+
+
 RELATIONS: Mapping[type, Validator] = {
     TdcpFix: _tdcp,
     AdcpPing: _adcp,
@@ -301,5 +312,6 @@ RELATIONS: Mapping[type, Validator] = {
     ControllerState: _controller_state,
     DroppedGridPoint: _dropped_grid_point,
     EstimatorState: _estimator_state,
+    ZoneInForce: _zone,
 }
 """Checks of relations between fields, by message type: shapes, order, covariances."""

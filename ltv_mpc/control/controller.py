@@ -168,7 +168,7 @@ class Controller:
     @property
     def fence(self) -> Fence | None:
         """Fence in force."""
-        return self._fencing.fence
+        return self._lateral.fencing.fence
 
     def set_fence(self, fence: Fence | None) -> None:
         """Keep another fence from the next cycle on. If it is rejected, the one in force stays.

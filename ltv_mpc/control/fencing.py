@@ -62,7 +62,7 @@ class Fencing:
                 ZoneInForce(
                     label=zone.label,
                     keep_in=zone.keep_in,
-                    vertices_m=tuple((float(n), float(e)) for n, e in zone.vertices),
+                    vertices_m=zone.vertices,
                     radius_m=zone.radius_m,
                     margin_m=zone.margin_m,
                 )

@@ -13,7 +13,6 @@ import msgspec
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import SAVE_PERIOD_NS, Controller
 from ltv_mpc.control.estimate_sources import EstimateSources
-from ltv_mpc.control.fence_publisher import FencePublisher
 from ltv_mpc.control.operator_commands import OperatorCommands
 from ltv_mpc.control.pre_arm import Failure, failures
 from ltv_mpc.control.solvers import SolverFactory, make
@@ -121,7 +120,6 @@ class ControllerNode:
         self._cycle_ns = 0  # time of the last cycle
         self._clock_doubt: ClockStep | None = None  # the last step, if it is not certain
         self._saved: ControllerState | None = None  # state that was published last
-        self._fence = FencePublisher(self.controller)
 
     @property
     def mission(self) -> MissionPolicy:
@@ -165,7 +163,7 @@ class ControllerNode:
         self._apply_mission_policy(t_ns)
         # The plan and the state come first: a command that is acknowledged is in force, and saved.
         plans = [] if self.sources.newest is None else [self.cycle(self.sources.newest, t_ns)]
-        reports: list[Message | None] = [self._due_state(t_ns), self._fence.due(t_ns), self._check_model()]
+        reports: list[Message | None] = [self._due_state(t_ns), self._commands.fence.due(t_ns), self._check_model()]
         states, fences, checks = ([] if report is None else [report] for report in reports)
         return [*plans, *states, *acknowledged, *fences, *checks]
 
@@ -192,7 +190,7 @@ class ControllerNode:
             case CycleTiming() as timing:
                 self.controller.add_timing(timing)
             case Obstacles() as obstacles:
-                self._fence.receive(obstacles)
+                self._commands.fence.receive(obstacles)
             case _:
                 pass
 
@@ -245,7 +243,7 @@ class ControllerNode:
             "actuators": self._health_of_reports(t_ns),
             "plans": self._plan_rejections.health(t_ns),
             "clock": self._health_of_clock(t_ns),
-            "obstacles": self._fence.health,
+            "obstacles": self._commands.fence.health,
             "reference point": self.controller.reference_point_check.health,
             "source": worst(self.sources.health(t_ns), self._health_of_report_source(t_ns)),
             "thrusters": self._health_of_thrusters(),

@@ -8,6 +8,7 @@ from typing import Any
 from ltv_mpc import config as settings
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.estimate_sources import EstimateSources
+from ltv_mpc.control.fence_publisher import FencePublisher
 from ltv_mpc.control.pre_arm import Failure
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Fence
@@ -41,6 +42,8 @@ class OperatorCommands:
         self._sources = sources
         self.mission = MissionPolicy(controller.config.mission)
         """Policy that ends the mission."""
+        self.fence = FencePublisher(controller)
+        """Fence and obstacles as messages."""
         self.reference = reference
         """Reference that is followed."""
         self.reference_toml = toml_text(reference)

@@ -15,13 +15,13 @@ import numpy as np
 from msgspec import Meta
 
 from ltv_mpc import config
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence import geojson
 from ltv_mpc.geofence.ring import ring_problem
 from ltv_mpc.messages import Array
 from ltv_mpc.references.geodesy import Origin, Place, local
-
-MAX_VERTICES = 500
-"""Largest number of vertices of one polygon."""
+from ltv_mpc.validation import MAX_VERTICES
+from ltv_mpc.vehicle.parameters import Vehicle
 
 MAX_ZONES = 100
 """Largest number of zones of one kind."""
@@ -126,6 +126,25 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             return local(place, self.origin)
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from None
+
+
+def fence_for(vehicle: Vehicle, path: str) -> Fence | None:
+    """Read the fence of a vehicle, or return None for an empty path.
+
+    Parameters
+    ----------
+    vehicle : a fence needs [hull] in its file.
+    path : as ``Fence.load`` takes it.
+
+    Raises
+    ------
+    ConfigError : the file cannot be read, or the vehicle has no hull.
+    """
+    if not path:
+        return None
+    if vehicle.hull is None:
+        raise ConfigError(f"vehicle {vehicle.name}", "[hull]", "is missing: a fence needs length_m and beam_m")
+    return Fence.load(path)
 
 
 def _label(table: str, number: int, zone: Zone) -> str:

@@ -64,7 +64,7 @@ FailedQps: TypeAlias = Annotated[
     typer.Option("--failed-qps", metavar="DIR", help="Store QPs that were not solved here, for `ltv-mpc qp show`."),
 ]
 FenceFile: TypeAlias = Annotated[
-    Path | None,
+    str | None,
     typer.Option("--fence", metavar="FILE", help="Keep-in and keep-out zones: TOML or GeoJSON, docs/fences.md."),
 ]
 State: TypeAlias = Annotated[
@@ -108,18 +108,16 @@ def controller(
 
     from ltv_mpc import references
     from ltv_mpc.control.config import ControllerConfig
-    from ltv_mpc.control.fencing import Fencing
     from ltv_mpc.control.resolution import settled
     from ltv_mpc.errors import ConfigError
-    from ltv_mpc.geofence.fence import Fence
+    from ltv_mpc.geofence.fence import fence_for
     from ltv_mpc.vehicle.parameters import Vehicle
 
     if resume_armed and state is None:
         raise ConfigError("option --resume-armed", "", "needs --state DIR, the folder of the checkpoint")
     parameters = Vehicle.load(vehicle)
     references.load(reference)
-    if fence is not None:
-        Fencing(parameters).set_fence(Fence.load(str(fence)))
+    fence_for(parameters, fence or "")
     control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
     if rate_hz is not None:
         control = replace(control, period_s=1.0 / rate_hz)
@@ -134,7 +132,7 @@ def controller(
             bus=bus,
             vehicle=vehicle,
             reference=reference,
-            fence="" if fence is None else str(fence),
+            fence=fence or "",
             settings=control,
             compute_delay_s=compute_delay_s,
             input_delay_s=input_delay_s,

@@ -21,7 +21,7 @@ from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
-from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.geofence.fence import fence_for
 from ltv_mpc.messages import (
     Action,
     Command,
@@ -78,7 +78,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 def main(config: Config) -> int:
     """Run the controller node until it is stopped. Returns the exit code."""
     vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
-    fence = Fence.load(config.fence) if config.fence else None
+    fence = fence_for(vehicle, config.fence)
     settings, bus = config.settings, config.bus
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
     SERVICE_MANAGER.connect(os.environ)

@@ -21,7 +21,7 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.geofence.fence import fence_for
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -161,7 +161,7 @@ class VehicleNodes:
                 return Estimator(SensorConfig.load(str(folder / "sensors.toml")), settings, load_prior(settings))
             vehicle, reference = Vehicle.load(str(folder / "vehicle.toml")), str(folder / "reference.toml")
             fence = folder / "fence.toml"
-            kept = Fence.load(str(fence)) if fence.exists() else None
+            kept = fence_for(vehicle, str(fence) if fence.exists() else "")
             return ControllerNode(vehicle, references.load(reference), settings, fence=kept)
 
     def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:

@@ -12,10 +12,9 @@ import msgspec
 from ltv_mpc import config, references
 from ltv_mpc.control import solvers
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
-from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.currents import WaterPrior, read_profile
-from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.geofence.fence import Fence, fence_for
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -70,8 +69,7 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
     controller = settled(scenario.controller, vehicle, source=f"scenario {name}", table=("controller",))
     solvers.make(vehicle, controller)  # raises ConfigError if the solver is not installed
     reference = references.load(scenario.reference)
-    fence = Fence.load(scenario.fence) if scenario.fence else None
-    Fencing(vehicle).set_fence(fence)  # raises ConfigError if the vehicle has no [hull]
+    fence = fence_for(vehicle, scenario.fence)
     prior = load_prior(scenario.estimator)
     called = _called(name, scenario)
     return RunConfig(

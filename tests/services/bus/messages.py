@@ -30,6 +30,7 @@ from ltv_mpc.messages import (
     DroppedGridPoint,
     Estimate,
     EstimatorState,
+    FenceInForce,
     FilterStatus,
     GnssFix,
     Health,
@@ -50,6 +51,8 @@ from ltv_mpc.messages import (
     ModelCheck,
     NodeSettings,
     NodeStatus,
+    Obstacle,
+    Obstacles,
     Plan,
     PlanOrigin,
     PressureDepth,
@@ -65,6 +68,7 @@ from ltv_mpc.messages import (
     TdcpFix,
     Truth,
     UsblFix,
+    ZoneInForce,
 )
 from services.bus.wire import Header
 
@@ -115,6 +119,8 @@ ESTIMATOR_STATE = EstimatorState(
     walk_variance_m2ps2=2e-6,
     restarts=1,
 )
+SHIP = Obstacle(id=12, t_ns=4, north_m=10.0, east_m=-5.0, velocity_north_mps=1.0, velocity_east_mps=0.0, radius_m=8.0)
+
 EXAMPLES: tuple[Message, ...] = (
     Truth(
         t_ns=-1_000_000_000,
@@ -202,6 +208,21 @@ EXAMPLES: tuple[Message, ...] = (
         depth_limit_m=15.0,
     ),
     Command(command_id=2**48 - 1, action=Action.FOLLOW, reference_toml='kind = "hold"'),
+    Obstacles(t_ns=5, obstacles=(SHIP,)),
+    FenceInForce(
+        t_ns=5,
+        hull_radius_m=1.1,
+        zones=(
+            ZoneInForce(
+                label='keep_out[0] "wreck"',
+                keep_in=False,
+                vertices_m=np.array([[0.0, 0.0], [0.0, 5.0], [5.0, 0.0]]),
+                radius_m=0.0,
+                margin_m=2.0,
+            ),
+        ),
+        obstacles=(SHIP,),
+    ),
     Manual(thrust_N=TRIPLE),
     Heartbeat(),
     Battery(voltage_V=23.5, remaining=None),

@@ -149,7 +149,7 @@ def test_each_step_of_a_clock_is_told(changes: ControllerChanges, told: Told) ->
     assert told == [("warning", "clock", text, 3, {"input": "estimate", "step_ns": -(10**9)})] * 2
 
 
-def test_zones_and_margins_are_reported_when_they_are_entered_and_left_and_dropped_obstacles_each_time():
+def test_zones_and_margins_are_reported_when_they_are_entered_and_left():
     told: list[tuple[Level, str]] = []
     changes = ControllerChanges(lambda level, _kind, text, **_: told.append((level, text)))
     buoy = 'keep_out_disc[0] "buoy"'
