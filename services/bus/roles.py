@@ -21,6 +21,9 @@ ROUTER, LAUNCHER, RECORDER, DISPLAY = "router", "launcher", "recorder", "display
 SEES_EVERYTHING = (LAUNCHER, RECORDER, DISPLAY, OPERATOR)
 """Roles that may read every topic, because they record or show all of them."""
 
+HISTORY = "history"
+"""Key on which the recorder answers queries of those that may read everything."""
+
 SIMULATED = BY_TYPE[Truth].written_by
 """Role of the simulated vehicle: it is the clock master, so it reads the others' status, and it arms its controller."""
 
@@ -115,6 +118,12 @@ def _rules(role: str, namespace: str) -> list[dict[str, Any]]:
     if readable := reads(role):
         rules.append(rule("subscribes", ["declare_subscriber"], "ingress", readable))
         rules.append(rule("is given", ["put"], "egress", readable))
+    if role == RECORDER:
+        rules.append(rule("offers the history", ["declare_queryable", "reply"], "ingress", [HISTORY]))
+        rules.append(rule("is asked for the history", ["query"], "egress", [HISTORY]))
+    elif role in SEES_EVERYTHING:
+        rules.append(rule("asks for the history", ["query"], "ingress", [HISTORY]))
+        rules.append(rule("is given the history", ["declare_queryable", "reply"], "egress", [HISTORY]))
     return rules
 
 

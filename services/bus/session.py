@@ -24,7 +24,7 @@ import json
 import os
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from types import TracebackType
 from typing import Protocol, TypeAlias
 
@@ -203,6 +203,32 @@ class Session:
             self._session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
         )
 
+    def answer(self, key: str, replies: Callable[[], Iterable[bytes]]) -> None:
+        """Answer each query of ``key`` with these frames, on a thread of its own."""
+
+        def on_query(query: zenoh.Query) -> None:
+            with query:
+                for frame in replies():
+                    query.reply(key, frame)
+
+        self._subscribers.append(self._session.declare_queryable(key, zenoh.handlers.Callback(on_query, indirect=True)))
+
+    def ask(
+        self, key: str, receive: Callable[[bytes], None], complete: Callable[[], None], *, timeout_s: float
+    ) -> None:
+        """Query ``key``: pass each reply to ``receive``, then call ``complete``, also if nobody answers."""
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                receive(reply.ok.payload.to_bytes())
+
+        self._session.get(
+            key,
+            zenoh.handlers.Callback(on_reply, complete, indirect=False),
+            consolidation=zenoh.ConsolidationMode.NONE,  # by default only the newest reply on a key arrives
+            timeout=timeout_s,
+        )
+
     # --- for edges: what ROS 2 over Zenoh needs ---
 
     @property
@@ -256,7 +282,7 @@ class Session:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for subscriber in self._subscribers:
-            subscriber.undeclare()  # type: ignore[no-untyped-call]  # zenoh leaves both without a type
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
         self._session.close()  # type: ignore[no-untyped-call]
 
 

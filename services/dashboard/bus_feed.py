@@ -33,6 +33,7 @@ from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import Session
 from services.bus.topics import BY_TYPE, OPERATOR, expression
 from services.bus.wire import Header, WireError, decode
+from services.dashboard.late_joining import HistoryQuery
 from services.reporting.plots.collector import Collector
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 
@@ -107,6 +108,8 @@ class BusFeed:
             topic = BY_TYPE[kind]
             inlet = self._every if kind in EVERY else self._newest
             session.subscribe(expression(topic), topic, inlet)
+        self._history: HistoryQuery | None = HistoryQuery(session)
+        self._past: set[tuple[type[Message], int, int]] = set()
 
     def beat(self) -> None:
         """Publish a heartbeat: an operator has the page open.
@@ -117,7 +120,15 @@ class BusFeed:
             self._heartbeats.publish(Heartbeat())
 
     def update(self) -> None:
-        """Process the messages received since the last call."""
+        """Process the messages received since the last call; nothing while the history is awaited."""
+        if self._history is not None:
+            if not self._history.done:
+                return
+            past = self._history.messages()
+            for signal, header in past:
+                self._receive(signal, header, time.monotonic())
+            self._history = None
+            self._past = {(type(signal), header.epoch, header.sequence) for signal, header in past}
         for key, newest in sorted(self._newest.items(), key=_clock_first):
             if self._seen.get(key) is newest.payload:
                 continue
@@ -127,8 +138,12 @@ class BusFeed:
                 self._receive(*decoded, newest.arrived_s)
         while (frame := self._every.take(0.0)) is not None:
             decoded = None if frame.topic is None else _decoded(frame.topic.message_type, frame.payload)
-            if decoded is not None:
+            if decoded is not None and not self._is_past(*decoded):
                 self._receive(*decoded, 0.0)
+
+    def _is_past(self, signal: Message, header: Header) -> bool:
+        """Return True if the history had this message: it was sent while the history was awaited."""
+        return (type(signal), header.epoch, header.sequence) in self._past
 
     def status(self) -> PageStatus:
         """Return the current status."""

@@ -24,7 +24,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ltv_mpc.messages import ControllerStatus
-from services.reporting.tracking_error import TrackingError
+from services.reporting.plots.collector import Collector
 from services.supervisor.screen import LiveView, Screen
 
 Limits = Sequence[tuple[float, float]]
@@ -53,7 +53,7 @@ class LiveScreen:
     def __init__(self, title: str, limits: Limits, console: Console) -> None:
         self._title = title
         self._limits = limits
-        self._errors = TrackingError()
+        self._collector = Collector()
         self._live = Live(console=console, auto_refresh=False, vertical_overflow="crop")
         self._live.start()
         self._next = 0.0
@@ -61,7 +61,7 @@ class LiveScreen:
 
     def update(self, view: LiveView) -> None:
         """Draw the view, at most eight times a second."""
-        self._errors.update(view)
+        observe(self._collector, view)
         now = time.monotonic()
         if now >= self._next:
             self._next = now + REDRAW_S
@@ -92,7 +92,7 @@ class LiveScreen:
             Text(self._title, style="bold", no_wrap=True, overflow="ellipsis"),
             _progress(view),
             Text(),
-            *_motion(view, self._errors),
+            *_motion(view, self._collector),
             Text(),
             *_thrusts(view, self._limits),
             Text(),
@@ -107,16 +107,16 @@ class PlainScreen:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._errors = TrackingError()
+        self._collector = Collector()
         self._next = 0.0
 
     def update(self, view: LiveView) -> None:
         """Print the state of the run if ``LINE_S`` has passed since the last line."""
-        self._errors.update(view)
+        observe(self._collector, view)
         now = time.monotonic()
         if now >= self._next:
             self._next = now + LINE_S
-            self.say(line(view, self._errors))
+            self.say(line(view, self._collector))
 
     def wait(self, what: str, share: float) -> None:
         """Print the progress if ``LINE_S`` has passed since the last line."""
@@ -169,7 +169,7 @@ def _columns() -> tuple[ProgressColumn, ...]:
     return TextColumn("{task.description}"), BarColumn(40), TaskProgressColumn(), TimeRemainingColumn()
 
 
-def line(view: LiveView, errors: TrackingError) -> str:
+def line(view: LiveView, collector: Collector) -> str:
     """Format the state of the run in one line."""
     end = "" if view.end_ns is None else f" of {_seconds(view.end_ns)}"
     words = [f"t {_seconds(view.t_ns)} s{end}", view.phase]
@@ -177,8 +177,8 @@ def line(view: LiveView, errors: TrackingError) -> str:
         words.append(f"depth {view.estimate.depth_m:.1f} m")
     if view.controller is not None and view.controller.error_m is not None:
         words.append(f"estimate from the reference {view.controller.error_m:.3f} m")
-    if errors.true_error_m is not None:
-        words.append(f"vehicle from the reference {errors.true_error_m:.3f} m")
+    if collector.true_error_m is not None:
+        words.append(f"vehicle from the reference {_metres(collector.true_error_m)}{_since(collector)}")
     if view.applied is not None:
         words.append("thrust " + " ".join(f"{x:.0f}" for x in view.applied.thrust_N) + " N")
     if view.timing is not None:
@@ -217,7 +217,7 @@ def _progress(view: LiveView) -> Text:
     )
 
 
-def _motion(view: LiveView, errors: TrackingError) -> list[Text]:
+def _motion(view: LiveView, collector: Collector) -> list[Text]:
     """Return where the vehicle is by its estimate, how far from the reference, and who controls it in which health."""
     estimate, controller = view.estimate, view.controller
     if estimate is None:
@@ -231,7 +231,9 @@ def _motion(view: LiveView, errors: TrackingError) -> list[Text]:
         words += f"   current {current_mps:.3f} m/s"
     error = f"estimate from the reference {_metres(None if controller is None else controller.error_m)}"
     if view.truth is not None:
-        error += f"   vehicle from the reference {_metres(errors.true_error_m)}"
+        error += f"   vehicle from the reference {_metres(collector.true_error_m)}"
+        if "since_s" in collector.values:  # the screen joined the run late; 80 columns
+            error = error.replace("vehicle from the reference", "vehicle") + _since(collector)
     lines = [f"motion  {words}", f"error   {error}", f"control {_control(controller)}"]
     return [Text(line, no_wrap=True, overflow="ellipsis") for line in lines]
 
@@ -291,6 +293,19 @@ def _processes(view: LiveView) -> Table:
         bad = "yellow" if status.dropped or status.rejected else ""
         table.add_row(name, state, *(str(x) for x in counts), f"{status.step_us:.0f}", style=bad)
     return table
+
+
+def observe(collector: Collector, view: LiveView) -> None:
+    """Pass a view to the collector of the plots, for the distance that page and report show too."""
+    for signal in (view.truth, view.estimate, view.plan):
+        if signal is not None:
+            collector.add(signal, epoch=0)
+
+
+def _since(collector: Collector) -> str:
+    """Return since when a distance counts, if the screen joined the run late."""
+    since_s = collector.values.get("since_s")
+    return "" if since_s is None else f" since t = {since_s:g} s"
 
 
 def _seconds(t_ns: int, digits: int = 1) -> str:

@@ -9,6 +9,7 @@ import shutil
 import stat
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -21,9 +22,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from ltv_mpc.errors import ConfigError
 from services.bus import certificates
 from services.bus.options import BusOptions
-from services.bus.roles import EDGES, ROLES, access_control, reads, writes
+from services.bus.roles import EDGES, HISTORY, ROLES, SEES_EVERYTHING, access_control, reads, writes
 from services.bus.security import credentials
-from services.bus.session import configuration
+from services.bus.session import configuration, open_session
 from services.bus.topics import TOPICS
 from services.cli.app import run
 
@@ -212,7 +213,12 @@ def test_a_router_denies_by_default_and_grants_within_its_namespace() -> None:
         role for role, message, flow, key in granted if (message, flow, key) == ("put", "ingress", "auv/7/plan")
     } == {"controller"}
     assert all(key.startswith("auv/7/") for _, _, _, key in granted)
-    assert {message for _, message, _, _ in granted} == {"put", "declare_subscriber"}
+    assert {message for _, message, _, key in granted if key != "auv/7/history"} == {"put", "declare_subscriber"}
+    answers = {role for role, message, flow, _ in granted if (message, flow) == ("reply", "ingress")}
+    assert answers == {"recorder"}
+    assert {role for role, message, flow, _ in granted if (message, flow) == ("query", "ingress")} == {
+        *SEES_EVERYTHING
+    } - {"recorder"}
     everywhere = access_control("")
     assert ["**/plan" in rule["key_exprs"] for rule in everywhere["rules"]].count(True) == 3 + 2 * len(EDGES)
     assert [subject["cert_common_names"] for subject in control["subjects"]] == [[role] for role in ROLES[1:]]
@@ -228,6 +234,31 @@ def test_who_listens_with_certificates_denies_by_default_and_asks_for_one(folder
     client = configuration(BusOptions(certs=folder, role="plant"))
     assert "tls/127.0.0.1:7447" in client.get_json("connect/endpoints")
     assert client.get_json("transport/link/tls/connect_private_key") == json.dumps(str(folder / "plant.key"))
+
+
+@pytest.mark.parametrize(("role", "answered"), [("operator", True), ("controller", False)])
+def test_who_may_read_everything_may_ask_for_the_history(
+    folder: Path, free_port: int, role: str, answered: bool
+) -> None:
+    endpoint = f"tls/127.0.0.1:{free_port}"
+    replies: list[bytes] = []
+    complete = threading.Event()
+    with (
+        open_session(BusOptions(listen=(endpoint,), certs=folder, role="router"), stop=lambda: False, say=print),
+        open_session(
+            BusOptions(connect=(endpoint,), certs=folder, role="recorder"), stop=lambda: False, say=print
+        ) as aboard,
+        open_session(BusOptions(connect=(endpoint,), certs=folder, role=role), stop=lambda: False, say=print) as ashore,
+    ):
+        aboard.answer(HISTORY, lambda: [b"one", b"two"])
+        until = time.monotonic() + 10.0
+        while not replies and time.monotonic() < until:  # the declaration takes its way to the router
+            complete.clear()
+            ashore.ask(HISTORY, replies.append, complete.set, timeout_s=1.0)
+            assert complete.wait(5.0)
+            if not answered:
+                break
+    assert replies == ([b"one", b"two"] if answered else [])
 
 
 # --- by default nobody outside is reached ----------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import cast
 
@@ -22,6 +23,10 @@ class Bus:
 
     def subscribe(self, _key: str, topic: Topic | None, receiver: FrameReceiver) -> None:
         self._receivers.append((topic, receiver))
+
+    def ask(self, _key: str, _receive: object, complete: Callable[[], None], *, timeout_s: float) -> None:
+        assert timeout_s > 0
+        complete()
 
     def publisher(self, key: str) -> SimpleNamespace:
         def put(payload: bytes) -> None:

@@ -1,0 +1,78 @@
+"""History of a run for a page that joins late: asked from the recorder once, before the page shows anything."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import NamedTuple
+
+from ltv_mpc.messages import ControllerStatus, Estimate, Message, Truth
+from services.bus.roles import HISTORY
+from services.bus.session import Session
+from services.bus.topics import topic_at
+from services.bus.wire import Header, WireError, decode
+from services.recording.history import TIMES, read_reply
+
+TIMEOUT_S = 2.0
+MAX_REPLIES = 200
+"""Replies that are read at most: 40 MB."""
+
+
+MAX_TIME_NS = 10**19
+
+
+class Past(NamedTuple):
+    """Message of the past with its header."""
+
+    signal: Message
+    header: Header
+
+
+class HistoryQuery:
+    """Query of the recorder's history. It is done when all replies have come, or after ``TIMEOUT_S``."""
+
+    def __init__(self, session: Session) -> None:
+        self._frames: list[bytes] = []
+        self._until_s = time.monotonic() + TIMEOUT_S
+        self._complete = threading.Event()
+        session.ask(HISTORY, self._receive, self._complete.set, timeout_s=TIMEOUT_S)
+
+    @property
+    def done(self) -> bool:
+        """True if no more replies are awaited."""
+        return self._complete.is_set() or time.monotonic() > self._until_s
+
+    def messages(self) -> list[Past]:
+        """Return the messages in the order of their vehicle times, those without a time first.
+
+        Invalid messages are left out, and estimates of a source that is not in use.
+        """
+        found: list[Past] = []
+        for frame in list(self._frames):
+            try:
+                key, payloads = read_reply(frame)
+                topic = topic_at(key)
+            except (WireError, KeyError):
+                continue
+            for payload in payloads if topic is not None else ():
+                assert topic is not None
+                try:
+                    signal, header = decode(topic.message_type, payload)
+                except WireError:
+                    continue
+                found.append(Past(signal, header))
+        sources = {past.signal.source_epoch for past in found if isinstance(past.signal, ControllerStatus)} - {0}
+        if sources:
+            found = [past for past in found if not isinstance(past.signal, Estimate) or past.header.epoch in sources]
+        return sorted(found, key=_order)
+
+    def _receive(self, frame: bytes) -> None:
+        if len(self._frames) < MAX_REPLIES:
+            self._frames.append(frame)
+
+
+def _order(past: Past) -> tuple[int, bool]:
+    """Return a sort key: the vehicle time, then the truth first, so that the start error has one for its estimate."""
+    signal = past.signal
+    t_ns = getattr(signal, TIMES.get(type(signal), "t_ns"), -MAX_TIME_NS)
+    return t_ns, not isinstance(signal, Truth)

@@ -1,0 +1,159 @@
+"""Page that joins a run late: with the history of the recorder it shows what the verdict shows."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltv_mpc.messages import Estimate, Message, NodeStatus, Plan, Truth
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.mailbox import Mailbox
+from services.bus.options import BusOptions
+from services.bus.outbox import Outbox
+from services.bus.session import Session, open_session
+from services.bus.topics import BY_TYPE
+from services.bus.wire import Header, decode, encode, to_map
+from services.dashboard.bus_feed import BusFeed
+from services.recording.history import LIMIT, History, read_reply
+from services.recording.segments import SegmentWriter
+from services.runtime.recording_loop import RecordingLoop
+from services.runtime.stopping import StopRequest
+from sim.evaluation.metrics import RunMetrics
+from tests.services.dashboard.synthetic_vehicle import until
+from tests.services.reporting import synthetic_run
+from tests.services.reporting.synthetic_run import CYCLE_NS, EPOCH, SPEED_NORTH_MPS, S
+from tests.services.words import status
+
+JOIN_S, END_S = 60, 62
+
+
+def opened(options: BusOptions) -> Session:
+    return open_session(options, stop=lambda: False, say=print)
+
+
+@contextmanager
+def recorder(bus: BusOptions, folder: Path, ashore: Session) -> Iterator[RecordingLoop]:
+    """Record in a thread, from the first status of the recorder on."""
+    stop, status = StopRequest(), Mailbox()
+    ashore.subscribe("status/recorder", BY_TYPE[NodeStatus], status)
+    with SegmentWriter(folder / "run.mcap", start_ns=-S, metadata={}) as writer:
+        loop = RecordingLoop(writer, start_ns=-S, stop=stop, say=print)
+        thread = threading.Thread(target=loop.serve, args=(bus,))
+        thread.start()
+        try:
+            assert status.take(20.0) is not None
+            yield loop
+        finally:
+            stop.request()
+            thread.join()
+
+
+class Publisher:
+    """Publisher of the dive, up to any vehicle time."""
+
+    def __init__(self, session: Session) -> None:
+        self._dive = list(synthetic_run.dive(END_S))
+        kinds: dict[str, set[type[Message]]] = {}
+        for node, signal, _ in self._dive:
+            kinds.setdefault(node, {NodeStatus}).add(type(signal))
+        self.outs = {node: Outbox(session, node=node, epoch=EPOCH, kinds=tuple(of)) for node, of in kinds.items()}
+
+    def publish(self, until_s: float) -> int:
+        """Publish what is due and return the number of messages."""
+        due = [one for one in self._dive if one[2] <= until_s * S]
+        self._dive = self._dive[len(due) :]
+        for node, signal, _ in due:
+            self.outs[node].publish(signal)
+        return len(due)
+
+
+def verdict() -> RunMetrics:
+    metrics = RunMetrics(Vehicle.load("paper"))
+    for sequence, (_, signal, t_ns) in enumerate(synthetic_run.dive(END_S)):
+        metrics.observe(signal, epoch=EPOCH, sequence=sequence, t_ns=t_ns)
+    return metrics
+
+
+def test_with_a_recorder_a_late_joiner_shows_the_figures_of_the_verdict(tmp_path: Path, free_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    reached = BusOptions(connect=(endpoint,))
+    with (
+        opened(BusOptions(listen=(endpoint,))),
+        opened(reached) as aboard,
+        opened(reached) as ashore,
+        recorder(reached, tmp_path, ashore) as loop,
+    ):
+        publisher = Publisher(aboard)
+        published = publisher.publish(JOIN_S)
+        until(lambda: loop.received >= published)
+        feed = BusFeed(ashore, Vehicle.load("paper"))
+        joined = follow(feed, publisher)
+    _, true, *_ = verdict().errors()
+    assert joined == pytest.approx(true.final, abs=SPEED_NORTH_MPS * CYCLE_NS / S)  # the newest waits for a plan
+    assert "since_s" not in feed.collector.values
+    energy = feed.collector.tables["energy"].since(0)["all_J"][-1]
+    assert energy == pytest.approx(verdict().thrust().propulsive_energy_J, rel=0.02)
+    track = feed.collector.tables["truth"].since(0)["t_s"]
+    assert track == sorted(set(track))  # type: ignore[type-var]
+
+
+def test_without_a_recorder_a_late_joiner_says_since_when_it_counts(free_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    reached = BusOptions(connect=(endpoint,))
+    with opened(BusOptions(listen=(endpoint,))), opened(reached) as aboard, opened(reached) as ashore:
+        publisher = Publisher(aboard)
+        publisher.publish(JOIN_S)
+        feed = BusFeed(ashore, None)
+        follow(feed, publisher)
+    assert JOIN_S <= feed.collector.values["since_s"] <= END_S
+
+
+def follow(feed: BusFeed, publisher: Publisher) -> float | None:
+    """Publish the rest of the dive as the page receives it, and return the distance of the vehicle at the end."""
+    until(lambda: is_reached(feed, publisher))
+    for tenth in range(JOIN_S * 10 + 1, END_S * 10 + 1):
+        publisher.publish(tenth / 10)
+        sent_ns = tenth * S // 10
+        until(lambda sent_ns=sent_ns: is_at(feed, sent_ns))  # type: ignore[misc]
+    return feed.status().true_error_m
+
+
+def is_reached(feed: BusFeed, publisher: Publisher) -> bool:
+    """Publish a status; return True if the page has it, so that the publishers know of all its subscriptions."""
+    publisher.outs["plant"].publish(status("plant"))
+    feed.update()
+    return bool(feed.status().processes)
+
+
+def is_at(feed: BusFeed, t_ns: int) -> bool:
+    feed.update()
+    estimate = feed.collector.newest.estimate
+    return estimate is not None and estimate.t_ns >= t_ns
+
+
+def test_the_history_is_bounded_and_keeps_the_start() -> None:
+    history = History()
+    hours = 3
+    for t_ns in range(-S, hours * 3600 * S, S // 5):
+        message = {"t_ns": t_ns}
+        history.add("truth", Truth, message, str(t_ns).encode())
+    payloads = [payload for reply in history.replies() for payload in read_reply(reply)[1]]
+    assert LIMIT <= len(payloads) < 2 * LIMIT
+    assert b"0" in payloads
+    times = [int(payload) for payload in payloads]
+    assert max(np.diff(times)) < 2 * hours * 3600 * S / LIMIT
+
+
+def test_the_history_leaves_out_what_no_plot_over_time_shows() -> None:
+    history = History()
+    for kind, signal in ((Estimate, synthetic_run.estimate(0)), (Plan, synthetic_run.plan(0))):
+        header = Header(epoch=EPOCH, sequence=0)
+        history.add(kind.__name__, kind, to_map(signal, header), encode(signal, header))
+    (estimate,), (plan,) = (read_reply(reply)[1] for reply in history.replies())
+    assert decode(Estimate, estimate)[0].current is None
+    assert decode(Plan, plan)[0].thrust_N.shape == (2, 3)
