@@ -111,7 +111,7 @@ def register(app: typer.Typer, panel: str) -> None:
 
 
 def sim(
-    scenario: ScenarioName = "descent",
+    scenario: ScenarioName = "demo",
     speed: Speed = None,
     lockstep: Lockstep = False,
     seed: Seed = None,
@@ -136,7 +136,7 @@ def sim(
 ) -> int:
     """Run a scenario as processes, or in lock step.
 
-    SCENARIO is a shipped name (descent, hover) or a TOML file. Precedence: option, --set, file, default.
+    SCENARIO is a shipped name (demo, descent, hover) or a TOML file. Precedence: option, --set, file, default.
     """
     if not lockstep:
         _interpret()

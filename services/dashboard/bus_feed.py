@@ -61,7 +61,7 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     """Status shown by the page. Ages are vehicle time from the validity of a message to now."""
 
     run: int  # number of the run
-    name: str  # of the vehicle, or of the bus
+    name: str  # of the vehicle; empty if it publishes no settings
     t_s: float | None
     clock: str  # waiting, running, paused; "own" without a clock message, "silent" without any time
     speed: float  # of the clock, times real time
@@ -84,14 +84,10 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BusFeed:
-    """Receiver of the messages of ``session``. Call ``update`` about ten times a second, from one thread.
+    """Receiver of the messages of ``session``. Call ``update`` about ten times a second, from one thread."""
 
-    ``fallback_name`` is the name of the bus, for a vehicle that publishes no settings.
-    """
-
-    def __init__(self, session: Session, vehicle: Vehicle | None, *, fallback_name: str = "") -> None:
+    def __init__(self, session: Session, vehicle: Vehicle | None) -> None:
         self._vehicle = vehicle
-        self._fallback_name = fallback_name
         self.collector = Collector(vehicle)
         self.run = 0
         """Number of the run. A new run on the same keys increases it; the collected data are then dropped."""
@@ -108,8 +104,7 @@ class BusFeed:
             topic = BY_TYPE[kind]
             inlet = self._every if kind in EVERY else self._newest
             session.subscribe(expression(topic), topic, inlet)
-        self._history: HistoryQuery | None = HistoryQuery(session)
-        self._past: set[tuple[type[Message], int, int]] = set()
+        self._history = HistoryQuery(session)
 
     def beat(self) -> None:
         """Publish a heartbeat: an operator has the page open.
@@ -121,14 +116,10 @@ class BusFeed:
 
     def update(self) -> None:
         """Process the messages received since the last call; nothing while the history is awaited."""
-        if self._history is not None:
-            if not self._history.done:
-                return
-            past = self._history.messages()
-            for signal, header in past:
-                self._receive(signal, header, time.monotonic())
-            self._history = None
-            self._past = {(type(signal), header.epoch, header.sequence) for signal, header in past}
+        if self._history.awaited:
+            return
+        for signal, header in self._history.take():
+            self._receive(signal, header, time.monotonic())
         for key, newest in sorted(self._newest.items(), key=_clock_first):
             if self._seen.get(key) is newest.payload:
                 continue
@@ -138,12 +129,8 @@ class BusFeed:
                 self._receive(*decoded, newest.arrived_s)
         while (frame := self._every.take(0.0)) is not None:
             decoded = None if frame.topic is None else _decoded(frame.topic.message_type, frame.payload)
-            if decoded is not None and not self._is_past(*decoded):
+            if decoded is not None and not self._history.had(*decoded):
                 self._receive(*decoded, 0.0)
-
-    def _is_past(self, signal: Message, header: Header) -> bool:
-        """Return True if the history had this message: it was sent while the history was awaited."""
-        return (type(signal), header.epoch, header.sequence) in self._past
 
     def status(self) -> PageStatus:
         """Return the current status."""
@@ -161,7 +148,7 @@ class BusFeed:
         known = self.collector.vehicle
         return PageStatus(
             run=self.run,
-            name=self._fallback_name if known is None else f"vehicle {known.name}",
+            name="" if known is None else f"vehicle {known.name}",
             t_s=None if t_ns is None else self.collector.seconds(t_ns),
             clock="own" if clock is None and t_ns is not None else state,
             speed=1.0 if clock is None else clock.speed_num / clock.speed_den,

@@ -22,6 +22,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     """Title of the page, and of a run the report and the command that repeats it."""
 
     name: str = ""  # title: scenario and vehicle; empty: the vehicle that publishes its settings
+    bus: str = ""  # name of the bus, for a vehicle that publishes no settings
     report: str = ""  # file of the report
     again: str = ""  # command that runs the scenario again
 

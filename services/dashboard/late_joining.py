@@ -33,20 +33,31 @@ class HistoryQuery:
 
     def __init__(self, session: Session) -> None:
         self._frames: list[bytes] = []
+        self._given: set[tuple[type[Message], int, int]] | None = None
         self._until_s = time.monotonic() + TIMEOUT_S
         self._complete = threading.Event()
         session.ask(HISTORY, self._receive, self._complete.set, timeout_s=TIMEOUT_S)
 
     @property
-    def done(self) -> bool:
-        """True if no more replies are awaited."""
-        return self._complete.is_set() or time.monotonic() > self._until_s
+    def awaited(self) -> bool:
+        """True while replies may come."""
+        return self._given is None and not self._complete.is_set() and time.monotonic() < self._until_s
 
-    def messages(self) -> list[Past]:
-        """Return the messages in the order of their vehicle times, those without a time first.
+    def take(self) -> list[Past]:
+        """Return the messages, once, in the order of their vehicle times, those without a time first."""
+        if self._given is not None:
+            return []
+        messages = self._messages()
+        self._given = {(type(past.signal), past.header.epoch, past.header.sequence) for past in messages}
+        self._frames.clear()
+        return messages
 
-        Invalid messages are left out, and estimates of a source that is not in use.
-        """
+    def had(self, signal: Message, header: Header) -> bool:
+        """Return True if the history had this message, which then was sent while it was awaited."""
+        return (type(signal), header.epoch, header.sequence) in (self._given or ())
+
+    def _messages(self) -> list[Past]:
+        """Return the messages in order, without invalid ones and without estimates of a source that is not in use."""
         found: list[Past] = []
         for frame in list(self._frames):
             try:

@@ -10,6 +10,7 @@ import webbrowser
 from contextlib import suppress
 from pathlib import Path
 
+import msgspec
 import uvicorn
 from starlette.applications import Starlette
 
@@ -55,12 +56,12 @@ def main(config: Config) -> int:
         with listen(host, config.port) as bound, open_session(bus, stop=request, say=say) as session:
             port = bound.getsockname()[1]
             named = f"[{host}]" if ":" in host else host
-            feed = BusFeed(session, vehicle, fallback_name=bus.namespace or ", ".join(bus.connects_to))
+            feed = BusFeed(session, vehicle)
             app = page.make(
                 feed,
                 token,
                 allowed=hosts({*LOOPBACK, named}, port),
-                about=config.about,
+                about=msgspec.structs.replace(config.about, bus=bus.namespace or ", ".join(bus.connects_to)),
                 command=page.commander(bus),
                 on_view=_write if config.of_a_run else lambda _: None,
             )

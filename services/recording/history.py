@@ -71,16 +71,16 @@ class History:
         self._samples: dict[tuple[str, type[Message]], _Samples] = {}
         self._events: dict[tuple[str, type[Message]], deque[bytes]] = {}
 
-    def add(self, key: str, kind: type[Message], message: Mapping[str, Any], payload: bytes) -> None:
-        """Add a message as it is recorded; ``payload`` is its frame."""
+    def add(self, key: str, kind: type[Message], message: Mapping[str, Any]) -> None:
+        """Add a message as it is recorded: the plain map of its frame."""
         with self._lock:
             if kind in EVENTS:
                 limit = 1 if kind in REPEATED else LIMIT
-                self._events.setdefault((key, kind), deque(maxlen=limit)).append(payload)
+                self._events.setdefault((key, kind), deque(maxlen=limit)).append(pack(message))
             elif kind in TIMES and isinstance(t_ns := message.get(TIMES[kind]), int):
                 samples = self._samples.setdefault((key, kind), _Samples())
                 if samples.is_due(t_ns):
-                    samples.add(t_ns, _shortened(kind, message, payload))
+                    samples.add(t_ns, pack(_shortened(kind, message)))
 
     def replies(self) -> Iterator[bytes]:
         """Return the history as frames of at most about ``REPLY_BYTES``, each with the messages of one key."""
@@ -106,10 +106,10 @@ def read_reply(frame: bytes) -> tuple[str, list[bytes]]:
     return str(content["key"]), [one for one in content["payloads"] if isinstance(one, bytes)]
 
 
-def _shortened(kind: type[Message], message: Mapping[str, Any], payload: bytes) -> bytes:
-    if kind is Estimate and message.get("current") is not None:
-        return pack({**message, "current": None})
+def _shortened(kind: type[Message], message: Mapping[str, Any]) -> Mapping[str, Any]:
+    if kind is Estimate:
+        return {**message, "current": None}
     if kind is Plan:
-        parts = {name: message[name][:2] for name in ("t_ns", "thrust_N", "states") if isinstance(message[name], list)}
-        return pack({**message, **parts})
-    return payload
+        knots = ("t_ns", "thrust_N", "states")
+        return {**message, **{name: message[name][:2] for name in knots if isinstance(message.get(name), list)}}
+    return message

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from ltv_mpc.messages import Message
+from services.recording.history import History
 from services.recording.join import next_segment
 from services.recording.writer import RunWriter
 
@@ -44,6 +45,8 @@ class SegmentWriter:
         self._news: list[str] = []
         self._retry_period_s, self._clock = retry_s, clock
         self._retry_s = 0.0  # monotonic time of the next attempt
+        self.history = History()
+        """Decimated history of what was recorded, for pages that join late."""
         self.resumes = recording.exists()
         """True if an earlier recorder has left a segment."""
         self.segment: RunWriter | None = self._open()
@@ -51,6 +54,7 @@ class SegmentWriter:
 
     def write_plain(self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
         """Write a message, as ``RunWriter.write_plain``. If it cannot be kept, ``refused`` returns it."""
+        self.history.add(key, kind, message)
         writer = self.segment or self._reopen()
         source = (key, message["epoch"])
         if writer is None:

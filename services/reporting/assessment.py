@@ -29,10 +29,11 @@ def _error(summary: Mapping[str, Any]) -> str:
         return f"The estimate stayed {tracking:.3f} m from the reference on average."
     start = f"The vehicle was {true:.3f} m from the reference on average. "
     if localisation > tracking:
-        return start + "Most of this is drift of the estimate: better sensors reduce it, more thrust does not."
+        cause = "Most of this is drift of the estimate: better sensors or more fixes reduce it, more thrust does not."
+        return f"The controller held the estimate within {tracking:.3f} m of the reference on average. {start}{cause}"
     if (_figure(summary, "thrust", "saturated_fraction") or 0.0) > OFTEN_SATURATED:
         return start + "Most of this is tracking, which the thrust limits bound."
-    return start + "Most of this is tracking."
+    return start + "Most of this is tracking: a longer horizon or `--set controller.effort=high` reduces it."
 
 
 def _thrust(summary: Mapping[str, Any]) -> str:

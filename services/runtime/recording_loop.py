@@ -21,7 +21,6 @@ from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import HISTORY
 from services.bus.session import open_session
 from services.bus.wire import Header, WireError, crc, from_map, header_of, unpack
-from services.recording.history import History
 from services.recording.loss_accounting import LossAccounting
 from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
@@ -69,7 +68,6 @@ class RecordingLoop:
         self._time = PublicationTime(start_ns=start_ns, say=say)
         self._waiting: list[_Unpacked] = []
         self._losses = LossAccounting()
-        self._history = History()
         self._publish_counts = PublishCounts()
         self.received = 0
         self.rejected = 0
@@ -99,7 +97,7 @@ class RecordingLoop:
                 say=self._say,
             )
             session.subscribe("**", None, self.mailbox)
-            session.answer(HISTORY, self._history.replies)
+            session.answer(HISTORY, self._writer.history.replies)
             deadlines = DeadlineQueue()
             deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
             deadlines.add(lambda: self._status.due_us, self._status.publish)
@@ -206,7 +204,6 @@ class RecordingLoop:
         t_ns = self._time.at(header.sent_monotonic_us or frame.received_monotonic_us, frame.received_monotonic_us)
         assert t_ns is not None
         self._writer.write_plain(frame.key, kind, message, t_ns, crc(frame.payload))
-        self._history.add(frame.key, kind, message, frame.payload)
         self.received += 1
         # A process that has published before this recorder began is counted from its next message on. In a simulation
         # only a restarted recorder begins after the others.

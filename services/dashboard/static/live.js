@@ -172,7 +172,7 @@
   }
 
   function showName() {
-    const name = about.name || status.name;
+    const name = about.name || status.name || about.bus;
     if (byId("name").textContent === name || !name) return;
     byId("name").textContent = name;
     document.title = `${name} · ltv-mpc`;

@@ -58,7 +58,7 @@ FILES: dict[str, str | bytes] = {
 
 CASES = [
     # --- scenario -------------------------------------------------------------------------------------------------
-    ("sim decsent", 'scenario "decsent": no shipped name; shipped: descent, hover; did you mean "descent"?'),
+    ("sim decsent", 'scenario "decsent": no shipped name; shipped: demo, descent, hover; did you mean "descent"?'),
     ("sim none.toml", "scenario none.toml: no such file"),
     ("sim folder/", "scenario folder: is a folder"),
     ("sim ./folder", "scenario folder: is a folder"),
