@@ -16,7 +16,7 @@ MAX_EXPLANATION, MAX_README = 1500, 900
 """Largest number of words: texts between spaces that contain a letter. Links count without their targets."""
 
 NOTES = "docs/notes/"
-WITHOUT_QUESTION = ("README.md", "docs/changes.md")
+WITHOUT_QUESTION = ("README.md", "docs/changes.md", "docs/contributing.md")  # the last two include a file
 QUESTION = re.compile(r"This page answers: [^?]*\?")
 
 HISTORY = re.compile(
