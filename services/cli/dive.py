@@ -36,7 +36,7 @@ PathFile: TypeAlias = Annotated[
 ]
 Fixes: TypeAlias = Annotated[
     str,
-    typer.Option("--fixes", metavar="N,...", help="Satellite fixes before the dive. Budget and gains: of the first."),
+    typer.Option("--fixes", metavar="N,...", help="Satellite fixes before the dive. The first is the plan."),
 ]
 Limit: TypeAlias = Annotated[
     float | None,

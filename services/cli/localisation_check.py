@@ -41,7 +41,7 @@ def localisation_check(
 
     Compares the drift after a descent with the posterior Cramer-Rao bound, and the errors with the filter's covariance.
     Closed-loop runs in lock step on all cores. Exit code 1: a figure is outside its limits, at a family-wise
-    level of 1 %: one check in a hundred of a good filter.
+    level of 1 %: a good filter fails one check in a hundred.
     """
     import tempfile
     import time
