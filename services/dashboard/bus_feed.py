@@ -17,6 +17,7 @@ from ltv_mpc.messages import (
     ControllerStatus,
     CycleTiming,
     Estimate,
+    FenceInForce,
     Heartbeat,
     LocalisationReport,
     Message,
@@ -39,7 +40,7 @@ from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 
 S = TypeVar("S", bound=Message)
 
-NEWEST = (Clock, Truth, Estimate, Applied, ControllerStatus, LocalisationReport)
+NEWEST = (Clock, Truth, Estimate, Applied, FenceInForce, ControllerStatus, LocalisationReport)
 EVERY = (Plan, CycleTiming, RunEvent, Command, Acknowledgement)
 WAITING = 200
 """Queue length of the messages of ``EVERY`` between two updates; at 20 times real time there are 14."""

@@ -10,11 +10,11 @@ OFTEN_SATURATED = 0.1
 
 
 def assessment(summary: Mapping[str, Any]) -> list[str]:
-    """Return the sentences: the error and what bounds it, the thrust, the delay, and what was lost.
+    """Return the sentences: the error and what bounds it, fence, thrust, delay, and what was lost.
 
     A figure that the summary lacks, such as the truth of a real vehicle, gives no sentence.
     """
-    sentences = [_error(summary), _thrust(summary), _delay(summary), _losses(summary)]
+    sentences = [_error(summary), _fence(summary), _thrust(summary), _delay(summary), _losses(summary)]
     return [sentence for sentence in sentences if sentence]
 
 
@@ -34,6 +34,18 @@ def _error(summary: Mapping[str, Any]) -> str:
     if (_figure(summary, "thrust", "saturated_fraction") or 0.0) > OFTEN_SATURATED:
         return start + "Most of this is tracking, which the thrust limits bound."
     return start + "Most of this is tracking: a longer horizon or `--set controller.effort=high` reduces it."
+
+
+def _fence(summary: Mapping[str, Any]) -> str:
+    """Name the nearest zone of the fence, and the time that the hull spent in zones and margins."""
+    zones = summary.get("fence")
+    if not zones:
+        return ""
+    nearest = min(zones, key=lambda zone: zone["least_clearance_m"])
+    inside_s, in_margin_s = (sum(zone[name] for zone in zones) for name in ("inside_s", "in_margin_s"))
+    entered = f"it was in a margin for {in_margin_s:.1f} s, and in a zone for {inside_s:.1f} s"
+    least = f"The hull came within {nearest['least_clearance_m']:.2f} m of {nearest['zone']}"
+    return f"{least}; {entered}." if in_margin_s else f"{least}, and kept out of every margin."
 
 
 def _thrust(summary: Mapping[str, Any]) -> str:

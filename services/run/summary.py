@@ -50,6 +50,7 @@ def summarise(
         localisation_error_m=localisation,
         localisation_error_absolute_m=absolute,
         thrust=metrics.thrust(),
+        fence=metrics.fence(),
         compute_delay_s=metrics.compute_delay(),
         compute_delay_wall_s=metrics.compute_delay(wall=True) if measured else nothing,
         end_to_end_delay_s=metrics.end_to_end_delay(),
@@ -80,7 +81,7 @@ def summarise_recording(
     ``restarts`` and ``unrecorded`` are counts of the supervisor for what a recording does not show.
     """
     learned = EstimatedCurrent()
-    metrics = RunMetrics(run_config.vehicle, speed=run_config.scenario.run.speed)
+    metrics = RunMetrics(run_config.vehicle, fence=run_config.fence, speed=run_config.scenario.run.speed)
     losses = LossAccounting()
     restarted = 0
     reported: Counter[str] = Counter()  # rejected messages on record, by process

@@ -83,7 +83,7 @@ def simulate(
     """Run all nodes in lock step without a folder; ``writer`` records, ``learned`` collects the estimated current."""
     _freeze_existing_objects()
     scenario = run_config.scenario
-    log = _Log(RunMetrics(run_config.vehicle), writer, learned)
+    log = _Log(RunMetrics(run_config.vehicle, fence=run_config.fence), writer, learned)
     recorded = writer is not None
     lockstep = LockStep(
         make_nodes(run_config, unread=recorded),

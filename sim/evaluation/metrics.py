@@ -21,10 +21,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Applied, Array, Clock, ClockState, CycleTiming, Estimate, Message, Pair, Plan, Truth
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.propulsion import propulsive_power_W, relative_power
-from sim.evaluation.summary import Quantiles, Spread, Thrust
+from sim.evaluation.fence_distances import FenceDistances
+from sim.evaluation.summary import Quantiles, Spread, Thrust, ZoneFigures
 
 AT_BOX_N = 1e-6
 """Largest distance of a saturated command from its minimum or maximum (N)."""
@@ -245,11 +247,13 @@ class RunMetrics:
 
     Parameters
     ----------
-    vehicle : thrust limits.
+    vehicle : thrust limits, hull.
+    fence : zones from which the vehicle keeps away.
     speed : speed of the clock until the first ``Clock`` message.
     """
 
-    def __init__(self, vehicle: Vehicle, *, speed: float = 1.0) -> None:
+    def __init__(self, vehicle: Vehicle, *, fence: Fence | None = None, speed: float = 1.0) -> None:
+        self._fence = FenceDistances(vehicle, fence)
         self.cycles = 0
         self.deadline_misses = 0
         self.plans_refused = 0
@@ -293,6 +297,10 @@ class RunMetrics:
         """Return statistics of the commands in force from t = 0 on."""
         return self._commands.thrust()
 
+    def fence(self) -> tuple[ZoneFigures, ...]:
+        """Return the distance of the true hull from each zone of the fence."""
+        return self._fence.figures()
+
     def speed_reached(self) -> float | None:
         """Return vehicle seconds per wall second, from the clock's start to its last change, pauses included."""
         return self._clock.reached()
@@ -311,6 +319,7 @@ class RunMetrics:
 
     def _add_truth(self, truth: Truth, *_: int) -> None:
         self._track.add_truth(truth)
+        self._fence.add_truth(truth)
         self._commands.add_truth(truth)
 
     def _add_estimate(self, estimate: Estimate, *_: int) -> None:

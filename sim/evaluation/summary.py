@@ -38,6 +38,15 @@ class Thrust(msgspec.Struct, frozen=True, kw_only=True):
     relative_power: float | None = None  # mean of the lateral |F|^1.5 over that at full thrust, 0 to 1
 
 
+class ZoneFigures(msgspec.Struct, frozen=True, kw_only=True):
+    """Distance of the true hull from one zone of the fence, from t = 0 on."""
+
+    zone: str  # table and number in the fence file, and its name
+    least_clearance_m: float  # negative: the hull was in the zone
+    in_margin_s: float
+    inside_s: float
+
+
 class Messages(msgspec.Struct, frozen=True, kw_only=True):
     """Message counts over all keys of the run."""
 
@@ -62,6 +71,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     localisation_error_m: Spread  # estimate to truth: the estimator's part
     localisation_error_absolute_m: Spread  # including the error at t = 0
     thrust: Thrust
+    fence: tuple[ZoneFigures, ...]  # zones of the run's fence; not those of a fence that was set under way
     compute_delay_s: Quantiles  # from the start of a cycle to its plan's publication
     compute_delay_wall_s: Quantiles
     end_to_end_delay_s: Quantiles  # from an estimate's validity time to the effect of its plan

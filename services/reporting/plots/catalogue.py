@@ -24,7 +24,8 @@ TRACK = Plot(
     follow=("hull", "target", "horizon", "current_arrow"),
     note=(
         "The true track is shifted to start at the estimate at t = 0, so the error of the satellite fix is removed. "
-        f"An arrow as long as the hull is the full thrust, or a current of {CURRENT_MPS:g} m/s."
+        f"An arrow as long as the hull is the full thrust, or a current of {CURRENT_MPS:g} m/s. "
+        "Kept free: zones of the fence, with margin and hull."
     ),
     series=(
         Series(label="reference", table="reference", x="east_m", y="north_m", colour=palette.REFERENCE),
@@ -34,6 +35,18 @@ TRACK = Plot(
         Series(label="plan", table="horizon", x="east_m", y="north_m", colour=palette.PLAN, style=Style.DASHED),
         Series(label="target", table="target", x="east_m", y="north_m", colour=palette.REFERENCE, style=Style.CROSS),
         # Overlays: a table of lines in metres and a series here; None in the table separates two lines.
+        Series(label="zone", table="zones", x="east_m", y="north_m", colour=palette.LIMIT),
+        Series(label="kept free", table="kept_free", x="east_m", y="north_m", colour=palette.LIMIT, style=Style.DOTTED),
+        Series(label="bounds the plan", table="bounding", x="east_m", y="north_m", colour=palette.PLAN),
+        Series(label="obstacle", table="obstacles", x="east_m", y="north_m", colour=palette.MARK),
+        Series(
+            label="obstacle, predicted",
+            table="obstacle_paths",
+            x="east_m",
+            y="north_m",
+            colour=palette.MARK,
+            style=Style.DASHED,
+        ),
         Series(label="hull", table="hull", x="east_m", y="north_m", colour=palette.ESTIMATE),
         Series(label="port thrust", table="port_arrow", x="east_m", y="north_m", colour=palette.PORT),
         Series(label="starboard thrust", table="starboard_arrow", x="east_m", y="north_m", colour=palette.STARBOARD),

@@ -15,6 +15,7 @@ from ltv_mpc.messages import (
     Clock,
     CycleTiming,
     Estimate,
+    FenceInForce,
     LocalisationReport,
     Message,
     NodeSettings,
@@ -102,6 +103,7 @@ class Collector:
             CycleTiming: lambda timing: self._delays.add_timing(timing, self.newest.plan),
             Clock: self._delays.add_clock,
             LocalisationReport: self._add_report,
+            FenceInForce: self._add_fence,
             NodeSettings: self._add_settings,
         }
 
@@ -201,6 +203,9 @@ class Collector:
             count = sensor.used + sensor.rejected.get("gate", 0)
             if sensor.nis is not None and count and sensor.sensor in NIS:
                 self.tables[NIS[sensor.sensor]].add(self.seconds(report.t_ns), sensor.nis, *consistent_nis(count))
+
+    def _add_fence(self, fence: FenceInForce) -> None:
+        self.newest.fence = fence
 
     def _add_settings(self, settings: NodeSettings) -> None:
         if self.vehicle is None and VEHICLE in settings.files:

@@ -1,4 +1,4 @@
-"""Tables of the newest state: plan, vehicle from above, error ellipse, current over depth. They do not grow."""
+"""Tables of the newest state, which do not grow: plan, vehicle and fence from above, error ellipse, current."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Plan
+from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, FenceInForce, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.reporting.plots import vehicle_from_above
+from services.reporting.plots import fence, vehicle_from_above
 from services.reporting.plots.table import Columns, short
 from services.reporting.plots.truth import principal
 
@@ -17,13 +17,14 @@ SIGMAS = 2.0
 
 
 class NewestState:
-    """Newest estimate, plan and delivered thrusts, and the newest profile of the current."""
+    """Newest estimate, plan, delivered thrusts and fence, and the newest profile of the current."""
 
     def __init__(self) -> None:
         self.estimate: Estimate | None = None
         self.plan: Plan | None = None
         self.applied: Applied | None = None
         self.profile: CurrentProfile | None = None
+        self.fence: FenceInForce | None = None
 
     def tables(
         self,
@@ -44,6 +45,7 @@ class NewestState:
         return {
             **self._of_plan(seconds, heading_deg),
             **vehicle_from_above.tables(self.estimate, self.applied, vehicle, self.profile),
+            **fence.tables(self.fence, self.plan),
             "ellipse": self._ellipse(covariance),
             "profile": self._profile(),
         }

@@ -19,6 +19,7 @@ from ltv_mpc.messages import (
     ControllerStatus,
     CycleTiming,
     Estimate,
+    FenceInForce,
     LocalisationReport,
     Message,
     NodeSettings,
@@ -38,7 +39,8 @@ from services.reporting.plots.table import Columns
 
 RARE = frozenset(
     (
-        *(Plan, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, NodeSettings, Command, Acknowledgement),
+        *(Plan, FenceInForce, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, NodeSettings, Command),
+        Acknowledgement,
         ControllerStatus,
     )
 )

@@ -19,6 +19,7 @@ from ltv_mpc.messages import (
     Command,
     Disturbance,
     Estimate,
+    FenceInForce,
     Heartbeat,
     Kill,
     LocalisationReport,
@@ -74,7 +75,7 @@ class SyntheticVehicle:
             for node, kinds in (
                 ("plant", (Truth, Clock, type(synthetic_run.applied(0)), type(synthetic_run.EVENT), NodeStatus)),
                 ("estimator", (Estimate, LocalisationReport, NodeStatus)),
-                ("controller", (Plan, type(synthetic_run.timing(0)), Acknowledgement, NodeStatus)),
+                ("controller", (Plan, FenceInForce, type(synthetic_run.timing(0)), Acknowledgement, NodeStatus)),
                 ("operator", (Command,)),
                 ("sensors", (NodeStatus,)),
                 ("recorder", (NodeStatus,)),

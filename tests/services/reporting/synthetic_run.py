@@ -22,9 +22,12 @@ from ltv_mpc.messages import (
     CurrentProfile,
     CycleTiming,
     Estimate,
+    FenceInForce,
+    FenceReport,
     FilterStatus,
     LocalisationReport,
     Message,
+    Obstacle,
     Plan,
     PlanOrigin,
     RunEvent,
@@ -33,6 +36,7 @@ from ltv_mpc.messages import (
     Solve,
     SolveStatus,
     Truth,
+    ZoneInForce,
 )
 from services.bus.wire import Header
 from services.recording.writer import RunWriter
@@ -49,6 +53,7 @@ TARGET = (1.0, 2.0)
 CYCLE_NS = 300_000_000
 EPOCH = 7
 NIS = 0.9
+BASIN, WRECK = 'keep_in[0] "basin"', 'keep_out_disc[0] "wreck"'
 
 VEHICLE = (Path(__file__).parents[3] / "ltv_mpc" / "vehicle" / "files" / "paper.toml").read_text()
 
@@ -107,6 +112,7 @@ def plan(t_ns: int, *, origin: PlanOrigin = PlanOrigin.SOLVED, target: tuple[flo
         why="" if origin is PlanOrigin.SOLVED else "OSQP: iteration limit",
         reference_m=target,
         reference_depth_m=40.0,
+        fence=FenceReport(clearance_m=3.0, nearest=WRECK, active=(WRECK,)),
     )
 
 
@@ -162,6 +168,23 @@ def clock(t_ns: int, *, speed: int = 10, state: ClockState = ClockState.RUNNING)
     )
 
 
+def fence(t_ns: int) -> FenceInForce:
+    """Return a square to stay in, a disc that bounds the plan, and a ship that crosses."""
+    square = np.array([[-30.0, -30.0], [-30.0, 30.0], [30.0, 30.0], [30.0, -30.0]])
+    ship = Obstacle(
+        id=7, t_ns=t_ns, north_m=12.0, east_m=-20.0, velocity_north_mps=0.0, velocity_east_mps=1.0, radius_m=2.0
+    )
+    return FenceInForce(
+        t_ns=t_ns,
+        hull_radius_m=1.0,
+        zones=(
+            ZoneInForce(label=BASIN, keep_in=True, vertices_m=square, radius_m=0.0, margin_m=2.0),
+            ZoneInForce(label=WRECK, keep_in=False, vertices_m=np.array([[9.0, -4.0]]), radius_m=1.0, margin_m=1.0),
+        ),
+        obstacles=(ship,),
+    )
+
+
 ARM = Command(command_id=1, action=Action.ARM)
 ARMED = Acknowledgement(t_ns=0, command_id=1, accepted=True, authority=Authority.CONTROLLER, why="")
 EVENT = RunEvent(t_ns=5 * S, node="plant", kind="test", text="</script><b>a mark</b>")
@@ -182,6 +205,7 @@ def dive(until_s: float = 20.0) -> Iterator[tuple[str, Message, int]]:
             yield "controller", timing(t_ns), t_ns
         if t_ns % S == 0:
             yield "estimator", report(t_ns), t_ns
+            yield "controller", fence(t_ns), t_ns
         if t_ns == EVENT.t_ns:
             yield "plant", EVENT, t_ns
 

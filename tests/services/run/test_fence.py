@@ -44,3 +44,20 @@ def test_a_fence_for_a_vehicle_without_hull_is_rejected_before_anything_starts(t
     vehicle.write_text(head + "[" + hull.split("\n[", 1)[1])
     with pytest.raises(ConfigError, match=r"\[hull\]: is missing"):
         resolve("descent", [Override("test", [f"fence={file}", f"vehicle={vehicle}"])])
+
+
+def test_the_summary_has_the_distance_of_the_true_hull_from_each_zone(tmp_path: Path) -> None:
+    """The vehicle starts 1 m from the disc, in its margin, and drifts less than 0.5 m in 2 s."""
+    vehicle = resolve("descent").vehicle
+    assert vehicle.hull is not None
+    file, north_m = tmp_path / "fence.toml", 4.0 + vehicle.hull.radius_m
+    place = Place(north_m=north_m, east_m=0.0)
+    Fence(margin_m=2.0, keep_out_disc=(Disc(centre=place, radius_m=3.0),)).save(str(file))
+    settings = [f"fence={file}", "run.duration_s=2", "run.perfect_state=true"]
+    run_config = resolve("descent", [Override("test", settings)])
+    run = folder.make("descent", run_config.files, out=tmp_path / "run")
+    summary = lockstep_run.run(run_config, run)
+    (zone,) = summary.fence
+    assert zone.zone == "keep_out_disc[0]"
+    assert zone.least_clearance_m == pytest.approx(1.0, abs=0.5)
+    assert (zone.in_margin_s, zone.inside_s) == (pytest.approx(2.0, abs=0.02), 0.0)

@@ -1,0 +1,53 @@
+"""Fence in the view from above: the line round a zone keeps its distance, and what bounds the plan is another table."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.messages import Array, FenceInForce, FenceReport, Obstacle, ZoneInForce
+from services.reporting.plots import fence as view
+from tests.services.runtime.test_controller_changes import PLAN
+
+SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+SHIP = Obstacle(id=3, t_ns=0, north_m=5.0, east_m=0.0, velocity_north_mps=0.0, velocity_east_mps=2.0, radius_m=4.0)
+
+
+def in_force(ring: Array, *, keep_in: bool, radius_m: float = 0.0) -> FenceInForce:
+    zone = ZoneInForce(label="zone", keep_in=keep_in, vertices_m=ring, radius_m=radius_m, margin_m=2.0)
+    return FenceInForce(t_ns=0, hull_radius_m=1.0, zones=(zone,), obstacles=(SHIP,))
+
+
+def points(columns: dict[str, list[float | None]]) -> Array:
+    return np.column_stack([columns["north_m"], columns["east_m"]]).astype(float)
+
+
+def distance_m(point: Array) -> float:
+    """Distance from the square; negative inside."""
+    beyond = np.maximum(np.maximum(-point, point - 10.0), 0.0)
+    return float(np.hypot(*beyond)) if beyond.any() else -float(min(*point, *(10.0 - point)))
+
+
+@pytest.mark.parametrize("ring", [SQUARE, SQUARE[::-1]])
+@pytest.mark.parametrize(("keep_in", "expected_m"), [(False, 3.0), (True, -3.0)])
+def test_the_line_round_a_polygon_has_the_distance_of_hull_and_margin(ring, keep_in, expected_m):
+    drawn = view.tables(in_force(ring, keep_in=keep_in), None)
+    np.testing.assert_allclose([distance_m(p) for p in points(drawn["kept_free"])], expected_m, atol=1e-3)
+    np.testing.assert_array_equal(points(drawn["zones"]), [*ring, ring[0]])
+    assert drawn["bounding"] == {"north_m": [], "east_m": []}
+
+
+def test_a_disc_and_what_bounds_the_plan():
+    plan = msgspec.structs.replace(PLAN, fence=FenceReport(clearance_m=1.0, active=("zone",)))
+    drawn = view.tables(in_force(SQUARE[:1], keep_in=False, radius_m=4.0), plan)
+    np.testing.assert_allclose(np.hypot(*points(drawn["zones"]).T), 4.0, atol=1e-3)
+    np.testing.assert_allclose(np.hypot(*points(drawn["bounding"]).T), 7.0, atol=1e-3)
+    assert drawn["kept_free"] == {"north_m": [], "east_m": []}
+
+
+def test_an_obstacle_is_drawn_where_it_is_and_where_it_will_be():
+    plan = msgspec.structs.replace(PLAN, t_ns=np.array([1_000_000_000, 11_000_000_000]))
+    drawn = view.tables(in_force(SQUARE, keep_in=False), plan)
+    np.testing.assert_allclose(points(drawn["obstacle_paths"]), [[5.0, 2.0], [5.0, 22.0]])
+    np.testing.assert_allclose(np.hypot(*(points(drawn["obstacles"]) - [5.0, 2.0]).T), 4.0, atol=1e-3)
