@@ -31,7 +31,10 @@ SATURATED = {"saturated_fraction": 0.4, "mean_abs_N": 60.0, "max_abs_N": 100.0}
     ("figures", "words"),
     [
         (summary(0.02, 0.31, 0.30), "0.310 m from the reference on average. Most of this is drift of the estimate"),
-        (summary(0.50, 0.51, 0.02), "0.510 m from the reference on average. Most of this is tracking: a longer horizon"),
+        (
+            summary(0.50, 0.51, 0.02),
+            "0.510 m from the reference on average. Most of this is tracking: a longer horizon",
+        ),
         (summary(0.50, 0.51, 0.02, thrust=SATURATED), "Most of this is tracking, which the thrust limits bound."),
         (summary(0.50, None, None), "The estimate stayed 0.500 m from the reference on average."),
     ],
