@@ -61,12 +61,15 @@ DOUBTED_ESTIMATES = 17
 Belief: TypeAlias = tuple[Array, Array]
 """Estimated bias b (2,), north and east (m/s), and its covariance P (2, 2) (m^2/s^2)."""
 
-NO_BIAS: Belief = (np.zeros(2), np.zeros((2, 2)))
+FlatBelief: TypeAlias = tuple[float, float, float, float, float]
+"""The same as numbers: b_n, b_e (m/s), P_nn, P_ne, P_ee (m^2/s^2)."""
+
+NO_BIAS: FlatBelief = (0.0, 0.0, 0.0, 0.0, 0.0)
 """Belief where the profile is used as it is."""
 
-Noise: TypeAlias = tuple[float, float, float]
-"""Walk q (m/s per sqrt(s)), noise of the velocity r (m/s), and the prior variance (m^2/s^2): the largest variance in
-any direction.
+Noise: TypeAlias = tuple[float, float, float, float]
+"""Walk q (m/s per sqrt(s)), noise of the velocity r (m/s), the prior variance (m^2/s^2), which is the largest variance
+in any direction, and the largest bias in either direction (m/s).
 """
 
 
@@ -106,29 +109,29 @@ class CurrentBias:
     def __init__(self, settings: Disturbance) -> None:
         """Begin at the prior; with ``settings.sd_mps`` = 0 there never is a bias."""
         self._sd_mps = settings.sd_mps
-        self._max_mps = settings.max_mps
         prior_variance = (DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps) ** 2
-        self._noise: Noise = (settings.walk_mps_per_rts, settings.noise_mps, prior_variance)
-        self._belief: Belief = (np.zeros(2), prior_variance * np.eye(2))
+        self._noise: Noise = (settings.walk_mps_per_rts, settings.noise_mps, prior_variance, settings.max_mps)
+        self._belief: FlatBelief = (0.0, 0.0, prior_variance, 0.0, prior_variance)
         self._last: Estimate | None = None
-        self._before: deque[Belief] = deque(maxlen=DOUBTED_ESTIMATES)  # the oldest first
+        self._before: deque[FlatBelief] = deque(maxlen=DOUBTED_ESTIMATES)  # the oldest first
         self.thrust_in_doubt = False
         """A thruster may deliver less than the controller takes it to deliver."""
 
     @property
     def belief(self) -> Belief | None:
         """Estimated bias and its covariance; None if there never is a bias."""
-        return None if self._sd_mps == 0 else self._belief
+        return None if self._sd_mps == 0 else (self.bias_mps, self.covariance)
 
     @property
     def bias_mps(self) -> Array:
         """Estimated bias (2,), north and east (m/s)."""
-        return self._belief[0]
+        return np.array(self._belief[:2])
 
     @property
     def covariance(self) -> Array:
         """Covariance (2, 2) of the bias (m^2/s^2)."""
-        return self._belief[1]
+        _, _, north, cross, east = self._belief
+        return np.array([[north, cross], [cross, east]])
 
     def covariance_of_mean(self, seconds: float) -> Array:
         """Return the covariance (2, 2) of the mean of the bias from the last estimate on (m^2/s^2).
@@ -172,11 +175,10 @@ class CurrentBias:
             learns = applies and same and not self.thrust_in_doubt
             predicted = self._update(last, estimate, prediction, commands, learns=learns)
         if interval_ns > 0 and applies and not learns:
-            walk, _, prior_variance = self._noise
-            self._belief = self.bias_mps, _propagate(self.covariance, interval_ns, walk, prior_variance)
+            self._belief = propagate(self._belief, interval_ns, self._noise)
         if learns:
             self._before.append(self._belief)
-        return _with_bias(estimate, self.bias_mps) if applies else estimate, predicted
+        return _with_bias(estimate, *self._belief[:2]) if applies else estimate, predicted
 
     def _applies_to(self, estimate: Estimate) -> bool:
         """Return True if the bias is added to the estimate's current."""
@@ -184,8 +186,7 @@ class CurrentBias:
 
     def save(self) -> CurrentBiasState:
         """Return the belief, from which another filter continues."""
-        (north, east), P = self.bias_mps.tolist(), self.covariance
-        return CurrentBiasState(bias_mps=(north, east), covariance=(P[0, 0], P[0, 1], P[1, 1]))
+        return CurrentBiasState(bias_mps=self._belief[:2], covariance=self._belief[2:])
 
     def restore(self, state: CurrentBiasState, age_ns: int) -> None:
         """Continue from the belief of another filter.
@@ -195,10 +196,11 @@ class CurrentBias:
         state : saved belief.
         age_ns : time since it was saved (ns): the bias has walked since.
         """
+        walk, _, _, max_mps = self._noise
+        b_north, b_east = (min(max(b, -max_mps), max_mps) for b in state.bias_mps)
         north, cross, east = state.covariance
-        growth = self._noise[0] ** 2 * max(age_ns, 0) * 1e-9  # the next update bounds it by the prior
-        P = np.array([[north, cross], [cross, east]]) + growth * np.eye(2)
-        self._belief = np.clip(np.array(state.bias_mps), -self._max_mps, self._max_mps), P
+        growth = walk**2 * max(age_ns, 0) * 1e-9  # the next update bounds it by the prior
+        self._belief = b_north, b_east, north + growth, cross, east + growth
 
     def _update(
         self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands, *, learns: bool
@@ -206,14 +208,13 @@ class CurrentBias:
         """Return the velocity predicted from the last estimate, and update the bias if it learns."""
         profile = last.current or STILL_WATER
         later = profile if last.current is None else estimate.current or profile
-        applied = self._applies_to(last)
-        walk, noise_mps, prior_variance = self._noise
+        walk, noise_mps, prior_variance, max_mps = self._noise
         s2 = velocity_change_variance(
             velocity_variance(last), velocity_variance(estimate), (estimate.t_ns - last.t_ns) * 1e-9
         )
-        predicted, (bias_mps, covariance) = predict_and_update(
-            self._belief if applied else NO_BIAS,
-            (estimate.t_ns, np.array([estimate.velocity_north_mps, estimate.velocity_east_mps])),
+        north, east, *belief = predict_and_update(
+            self._belief if self._applies_to(last) else NO_BIAS,
+            (estimate.t_ns, estimate.velocity_north_mps, estimate.velocity_east_mps),
             prediction.coefficients,
             prediction.measured(last),
             prediction.delivered(commands),
@@ -221,46 +222,47 @@ class CurrentBias:
                 (profile.depth_m, profile.north_mps, profile.east_mps),
                 (later.depth_m, later.north_mps, later.east_mps),
             ),
-            (walk, math.sqrt(noise_mps**2 + s2), prior_variance),
+            (walk, math.sqrt(noise_mps**2 + s2), prior_variance, max_mps),
             learns,
         )
-        if learns and np.isfinite(bias_mps).all():
-            self._belief = np.clip(bias_mps, -self._max_mps, self._max_mps), covariance
-        return predicted
+        if learns:
+            self._belief = belief[0], belief[1], belief[2], belief[3], belief[4]
+        return north, east
 
 
 @jit
 def predict_and_update(
-    belief: Belief,
-    newest: tuple[int, Array],
+    belief: FlatBelief,
+    newest: tuple[int, float, float],
     vehicle: Array,
     measured: Measured,
     commands: Commands,
     profiles: tuple[Profile, Profile],
     noise: Noise,
     updates: bool,
-) -> tuple[tuple[float, float], Belief]:
+) -> tuple[float, float, float, float, float, float, float]:
     """Predict the velocity over ground, and update the belief with the measured one: one step of the filter.
 
     Parameters
     ----------
     belief : before the step.
-    newest : time of the newest estimate (ns), and its velocity over ground (2,), north and east (m/s).
+    newest : time of the newest estimate (ns), and its velocity over ground, north and east (m/s).
     vehicle, measured, commands : as ``predict_state`` takes them, from the last estimate.
     profiles : of the last and of the newest estimate, without the bias.
-    noise : of the walk, of the velocity, and the prior.
+    noise : of the walk, of the velocity, the prior, and the bound of the bias.
     updates : False: only predict.
 
     Returns
     -------
-    Predicted velocity over ground of the newest estimate, north and east (m/s), and the belief after the step.
+    Predicted velocity over ground of the newest estimate, north and east (m/s), then the belief after the step. An
+    estimate whose velocity is not finite does not change the belief.
     """
-    b, P = belief
-    until, velocity = newest
+    b = np.array(belief[:2])
+    until, velocity = newest[0], newest[1:]
     predicted = _predicted_velocity(b, until, vehicle, measured, commands, profiles)
     if not updates:
-        return predicted, (b, P)
-    walk, velocity_sd, prior_variance = noise
+        return (*predicted, *belief)
+    velocity_sd, max_mps = noise[1], noise[3]
     H = np.empty((2, 2))
     for j in range(2):  # one difference for each component of b
         shifted = b.copy()
@@ -268,12 +270,13 @@ def predict_and_update(
         v = _predicted_velocity(shifted, until, vehicle, measured, commands, profiles)
         for i in range(2):
             H[i, j] = (v[i] - predicted[i]) / STEP_MPS
-    out_b, out_P = b.copy(), _propagate(P, until - measured[0], walk, prior_variance)
+    out_b = b.copy()
+    _, _, p00, p01, p11 = propagate(belief, until - measured[0], noise)
     r2 = velocity_sd * velocity_sd
     # The noise of the two components is independent, so they are used one after the other.
     for i in range(2):
         h0, h1 = H[i, 0], H[i, 1]
-        a0, a1 = out_P[0, 0] * h0 + out_P[0, 1] * h1, out_P[1, 0] * h0 + out_P[1, 1] * h1  # P h
+        a0, a1 = p00 * h0 + p01 * h1, p01 * h0 + p11 * h1  # P h
         S = h0 * a0 + h1 * a1 + r2
         k0, k1 = a0 / S, a1 / S
         innovation = velocity[i] - predicted[i] - h0 * (out_b[0] - b[0]) - h1 * (out_b[1] - b[1])
@@ -281,13 +284,15 @@ def predict_and_update(
         out_b[1] += k1 * innovation
         # Joseph's form, P = (1 - k h) P (1 - k h)' + k r^2 k': stays symmetric and positive definite
         j00, j01, j10, j11 = 1.0 - k0 * h0, -k0 * h1, -k1 * h0, 1.0 - k1 * h1
-        q00, q01 = j00 * out_P[0, 0] + j01 * out_P[1, 0], j00 * out_P[0, 1] + j01 * out_P[1, 1]
-        q10, q11 = j10 * out_P[0, 0] + j11 * out_P[1, 0], j10 * out_P[0, 1] + j11 * out_P[1, 1]
-        out_P[0, 0] = q00 * j00 + q01 * j01 + r2 * k0 * k0
-        out_P[0, 1] = q00 * j10 + q01 * j11 + r2 * k0 * k1
-        out_P[1, 0] = out_P[0, 1]
-        out_P[1, 1] = q10 * j10 + q11 * j11 + r2 * k1 * k1
-    return predicted, (out_b, out_P)
+        q00, q01 = j00 * p00 + j01 * p01, j00 * p01 + j01 * p11
+        q10, q11 = j10 * p00 + j11 * p01, j10 * p01 + j11 * p11
+        p00 = q00 * j00 + q01 * j01 + r2 * k0 * k0
+        p01 = q00 * j10 + q01 * j11 + r2 * k0 * k1
+        p11 = q10 * j10 + q11 * j11 + r2 * k1 * k1
+    if not np.isfinite(out_b[0] + out_b[1]):
+        return (*predicted, *belief)
+    north, east = min(max(out_b[0], -max_mps), max_mps), min(max(out_b[1], -max_mps), max_mps)
+    return predicted[0], predicted[1], north, east, p00, p01, p11
 
 
 @jit_outlined
@@ -310,18 +315,25 @@ def _predicted_velocity(
 
 
 @jit
-def _propagate(P: Array, interval_ns: int, walk: float, prior_variance: float) -> Array:
-    """Return the covariance (2, 2) after a random walk; its largest eigenvalue is bounded by the prior variance."""
-    growth = walk * walk * float(interval_ns) * 1e-9
-    p00, p01, p11 = P[0, 0] + growth, P[0, 1], P[1, 1] + growth
+def propagate(belief: FlatBelief, interval_ns: int, noise: Noise) -> FlatBelief:
+    """Return the belief after a random walk; its largest variance in any direction is bounded by the prior variance.
+
+    Parameters
+    ----------
+    belief : before the walk.
+    interval_ns : length of the walk (ns).
+    noise : its walk and its prior.
+    """
+    north, east, p00, p01, p11 = belief
+    growth = noise[0] * noise[0] * float(interval_ns) * 1e-9
+    p00, p11 = p00 + growth, p11 + growth
     largest = 0.5 * (p00 + p11) + np.sqrt(0.25 * (p00 - p11) ** 2 + p01 * p01)
-    bounded = min(1.0, prior_variance / largest)  # unobservable directions must not grow beyond the prior
-    p00, p01, p11 = bounded * p00, bounded * p01, bounded * p11
-    return np.array([[p00, p01], [p01, p11]])
+    bounded = min(1.0, noise[2] / largest)  # unobservable directions must not grow beyond the prior
+    return north, east, bounded * p00, bounded * p01, bounded * p11
 
 
-def _with_bias(estimate: Estimate, bias: Array) -> Estimate:
-    """Return the estimate with ``bias`` (2,) added to its current profile, or to still water if it has none."""
+def _with_bias(estimate: Estimate, north: float, east: float) -> Estimate:
+    """Return the estimate with a bias (m/s) added to its current profile, or to still water if it has none."""
     known = estimate.current or STILL_WATER
-    current = msgspec.structs.replace(known, north_mps=known.north_mps + bias[0], east_mps=known.east_mps + bias[1])
+    current = msgspec.structs.replace(known, north_mps=known.north_mps + north, east_mps=known.east_mps + east)
     return msgspec.structs.replace(estimate, current=current)
