@@ -25,6 +25,7 @@ from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.vertical import VerticalLaw
 from ltv_mpc.messages import Estimate, MessageFault, Plan
 from ltv_mpc.references import follower
+from ltv_mpc.references.schedule import fill_targets
 from ltv_mpc.safety import health, thrust_loss_detector
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.input_monitor import InputMonitor
@@ -195,7 +196,9 @@ _advance_target = follower.advance_target
 
 def unleashed(table: Any, tau: float, t_ns: Any, lateral: Any, *others: Any) -> Any:
     """Let the target go on whatever the distance and the current."""
+    _, _, _, _, target = others
     _, *rest = _advance_target(table, tau, t_ns, lateral, *others)
+    fill_targets(table, tau, 1.0, t_ns, target)
     return (1.0, *rest)
 
 

@@ -29,7 +29,7 @@ from ltv_mpc.control.disturbance import Belief, CurrentBias
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
 from ltv_mpc.control.lateral import MAX_WHY_CHARS, LateralPlanner
 from ltv_mpc.control.mode import Decision, EstimateSelector, Mode, decide
-from ltv_mpc.control.prediction import Prediction, Start, current_at_depth, profile_of
+from ltv_mpc.control.prediction import Prediction, Start
 from ltv_mpc.control.prediction_uncertainty import growth_m
 from ltv_mpc.control.problem_data import pack_constants
 from ltv_mpc.control.resolution import settled
@@ -303,7 +303,8 @@ class Controller:
         start = self._prediction.state_at(decision.estimate, now_ns + delay_ns, self.sent_commands)
         knots = start.t_ns + self._knots_ns
         if decision.follows:
-            self._advance_reference(decision.estimate, start, knots)
+            current = start.current_north_mps, start.current_east_mps
+            self.follower.advance(knots, start.lateral, current, self._lateral.target)
         vertical = self._plan_vertical(decision, start, knots)
         self._lateral.set_current(decision.estimate, vertical.depth_m)
         self._stopwatch("predict")
@@ -392,12 +393,6 @@ class Controller:
             lateral=self.config.lateral,
         )
 
-    def _advance_reference(self, estimate: Estimate, start: Start, knots: Times) -> None:
-        """Advance the target along the reference to the plan's first knot, in the current at the predicted depth."""
-        profile = profile_of(estimate)
-        current = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, start.depth_m)
-        self.follower.advance(knots, start.lateral, current)
-
     def _plan_vertical(self, decision: Decision, start: Start, knots: Times) -> VerticalPlan:
         """Return the vertical thruster's plan in this mode: the depth law's, a ramp, or the commands in force."""
         law, depth_m = self._vertical, decision.estimate.depth_m
@@ -423,7 +418,6 @@ class Controller:
         """
         if decision.mode is Mode.FOLLOW:
             self._lateral.set_path(self.follower.is_path)
-            self.follower.fill(knots, self._lateral.target)
             return self._lateral.plan(start)
         if decision.stops:
             return self._lateral.stop(start, decision.why)

@@ -45,6 +45,8 @@ class Start(NamedTuple):
     depth_m: float
     sinking_mps: float
     vertical_N: float  # delivered
+    current_north_mps: float
+    current_east_mps: float
 
     @property
     def X(self) -> Array:
@@ -246,15 +248,15 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
 
     Returns
     -------
-    (14,) n, e, u, v, psi, r, F1, F2; commands of port and starboard, command of the vertical thruster (N), depth (m),
-    sinking speed (m/s), delivered vertical thrust (N).
+    (16,) n, e, u, v, psi, r, F1, F2; commands of port and starboard, command of the vertical thruster (N), depth (m),
+    sinking speed (m/s), delivered vertical thrust (N), current north and east (m/s).
     """
     p = coefficients(vehicle)
     lags = (p.lag_port, p.lag_starboard, p.lag_vertical)
     since, estimate, report_t_ns, reported_N = measured
     t, thrust = commands
     depth, north, east = profile
-    out = np.empty(14)
+    out = np.empty(16)
     if report_t_ns == NEVER:
         F = np.array([command_at(t, thrust, since, i) for i in range(3)])
     else:
@@ -291,7 +293,7 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
         knot += 1
     for j in range(3):
         out[STATES + j] = command_at(t, thrust, until, j)
-    out[11], out[12], out[13] = z, w, F3
+    out[11], out[12], out[13], out[14], out[15] = z, w, F3, c0[0], c0[1]
     return out
 
 

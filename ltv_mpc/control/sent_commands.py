@@ -105,12 +105,7 @@ class SentCommands:
         -------
         (M, 3) commands of port, starboard and vertical (N); zero if nothing was sent.
         """
-        t, thrust = self.knots
-        if not len(t):
-            return np.zeros((len(t_ns), 3))
-        # Times relative to the first knot are exact in float64 and keep their nanoseconds.
-        x, xp = (t_ns - t[0]).astype(np.float64), (t - t[0]).astype(np.float64)
-        return np.stack([np.interp(x, xp, thrust[:, i]) for i in range(3)], axis=1)
+        return _commands_at(*self.knots, t_ns)
 
     def between(self, from_ns: int, until_ns: int) -> Times:
         """Return both times and the knots between them: the commands are linear between neighbours.
@@ -201,6 +196,16 @@ def command_at(t: Times, thrust: Array, at: int, i: int) -> float:
     # Differences of times are exact in float64 and keep their nanoseconds.
     part = float(at - t[k - 1]) / float(t[k] - t[k - 1])
     return float(thrust[k - 1, i] + part * (thrust[k, i] - thrust[k - 1, i]))
+
+
+@jit
+def _commands_at(t: Times, thrust: Array, at: Times) -> Array:
+    """Return the commands (K, 3) at several times (K,); t and thrust as in ``command_at``."""
+    out = np.empty((len(at), 3))
+    for k in range(len(at)):
+        for i in range(3):
+            out[k, i] = command_at(t, thrust, at[k], i)
+    return out
 
 
 @jit

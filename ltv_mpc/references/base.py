@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import msgspec
-import numpy as np
 from msgspec import Meta
 
-from ltv_mpc.jit import jit
-from ltv_mpc.messages import Array, Estimate, ReferenceStart, Times
+from ltv_mpc.messages import Estimate, ReferenceStart
 from ltv_mpc.references.geodesy import Depth, Origin
 
 MAX_BACKDATE_S = 1.0
@@ -61,24 +59,3 @@ class BaseReference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             heading_rad=estimate.heading_rad,
             velocity_mps=(estimate.velocity_north_mps, estimate.velocity_east_mps),
         )
-
-
-@jit
-def ramp(t_ns: Times, start_ns: int, start: float, end: float, rate: float) -> tuple[Array, Array]:
-    """Return depth (m) and sinking speed (m/s) of a ramp from one depth to another, each (K,).
-
-    Parameters
-    ----------
-    t_ns : (K,) times (ns).
-    start_ns : time at which the ramp starts (ns).
-    start, end : depths (m); the ramp rests at ``end``.
-    rate : speed of the ramp (m/s), > 0.
-    """
-    depth, speed = np.empty(len(t_ns)), np.empty(len(t_ns))
-    sign = np.sign(end - start)
-    for k in range(len(t_ns)):
-        way = max(float(t_ns[k] - start_ns) * 1e-9, 0.0) * rate
-        moving = way < abs(end - start)
-        depth[k] = start + sign * way if moving else end
-        speed[k] = sign * rate if moving else 0.0
-    return depth, speed

@@ -8,7 +8,7 @@ decreases. The target waits for the vehicle. With d their distance at the first 
 
 holds until the next cycle and along the plan. ``current`` is the rate that the known current allows
 (``schedule.feasible_rate``). A vehicle ahead of the target waits for it. Progress is that of the target along the path,
-so it never decreases. A point, or "here", is a target at rest.
+so it never decreases. A point, or "here", is a schedule without length: a target at rest.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from ltv_mpc.messages import Array, Estimate, Pair, ReferenceStart, Times
-from ltv_mpc.references.base import ramp
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.references.schedule import Schedule, advance_target, depths_at, fill_targets, target_at
+from ltv_mpc.references.schedule import Schedule, advance_target, depths_at, target_at
 from ltv_mpc.references.types import Hold, Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -53,7 +54,7 @@ NO_PROGRESS = Progress(None, None, None)
 
 
 class _Track(NamedTuple):
-    """Schedule of a path, with the constants that a cycle needs."""
+    """Schedule of a path or a point, with the constants that a cycle needs."""
 
     table: Array  # (5, M)
     lead_m: float
@@ -74,6 +75,19 @@ class _Track(NamedTuple):
         leash_m = max(LEASH_S * cruise_mps, MIN_LEASH_M)
         return cls(schedule.table, schedule.lead_m, schedule.length_m, schedule.duration_s, cruise_mps, leash_m)
 
+    @classmethod
+    def at_rest(cls, place: Pair, depth_m: float | None, distance_m: float) -> _Track:
+        """Return the track of a target at rest.
+
+        Parameters
+        ----------
+        place : north and east (m).
+        depth_m : wanted depth (m); None: none.
+        distance_m : distance of the vehicle at the start (m).
+        """
+        column = (0.0, 0.0, *place, math.nan if depth_m is None else depth_m)
+        return cls(np.array((column, column)).T.copy(), distance_m, 0.0, 0.0, math.inf, math.inf)
+
 
 class Follower:
     """Target of one reference: where the reference started, and how far along it the target is."""
@@ -83,7 +97,7 @@ class Follower:
         """The reference that is followed."""
         self._vehicle = vehicle
         self._start: ReferenceStart | None = None
-        self._track: _Track | None = None  # None for a point
+        self._track: _Track | None = None  # None before the reference starts
         self._tau_s = 0.0
         self._rate = 1.0
         self._t_ns = 0
@@ -93,7 +107,7 @@ class Follower:
     @property
     def is_path(self) -> bool:
         """True if the reference in force moves: it is no point."""
-        return self._track is not None
+        return self._track is not None and not isinstance(self.reference, Point | Hold)
 
     @property
     def target_m(self) -> Pair | None:
@@ -103,19 +117,15 @@ class Follower:
     @property
     def depth_m(self) -> float | None:
         """Depth at which the reference ends (m); None if it has no depth or has not started."""
-        if self._track is not None:
-            last = float(self._track.table[-1, -1])
-            return None if math.isnan(last) else last
-        return None if self._start is None else self.reference.depth_m
+        if self._track is None:
+            return None
+        last = float(self._track.table[-1, -1])
+        return None if math.isnan(last) else last
 
     @property
     def start_distance_m(self) -> float | None:
         """Distance from the vehicle to the reference when it started (m); None before."""
-        if self._start is None:
-            return None
-        if self._track is not None:
-            return self._track.lead_m
-        return math.hypot(self._target[0] - self._start.north_m, self._target[1] - self._start.east_m)
+        return None if self._track is None else self._track.lead_m
 
     @property
     def progress(self) -> Progress:
@@ -138,7 +148,9 @@ class Follower:
         self._start = start
         self._t_ns = start.t_ns
         if isinstance(self.reference, Point | Hold):
-            self._target = self.reference.position(start)
+            north, east = self._target = self.reference.position(start)
+            distance_m = math.hypot(north - start.north_m, east - start.east_m)
+            self._track = _Track.at_rest(self._target, self.reference.depth_m, distance_m)
             return
         schedule = self.reference.schedule(self._vehicle, start)
         self._track = _Track.of(schedule, path_limits(self._vehicle).cruise_mps)
@@ -169,14 +181,15 @@ class Follower:
             self._tau_s = min(max(state.tau_s + way_s, 0.0), self._track.duration_s)
             self._target = target_at(self._track.table, self._tau_s)[1:]
 
-    def advance(self, t_ns: Times, lateral: Array, current: Pair) -> None:
-        """Advance the target to the first knot of a plan.
+    def advance(self, t_ns: Times, lateral: Array, current: Pair, target: Array) -> None:
+        """Advance the target to the first knot of a plan, and write it at all knots.
 
         Parameters
         ----------
         t_ns : (N+1,) knots (ns).
         lateral : state of the vehicle at the first knot, which starts with n, e (m).
         current : velocity of the water there, north and east (m/s).
+        target : (N+1, 2) output, as in ``schedule.fill_targets``; not written before the reference starts.
         """
         if self._track is None:
             return
@@ -186,27 +199,15 @@ class Follower:
         self._t_ns = max(now_ns, self._t_ns)
         self._tau_s = min(self._tau_s + self._rate * step_s, track.duration_s)
         self._rate, way, north, east, cross = advance_target(
-            track.table, self._tau_s, t_ns, lateral, *current, track.leash_m, track.cruise_mps
+            track.table, self._tau_s, t_ns, lateral, *current, track.leash_m, track.cruise_mps, target
         )
         self._target = (north, east)
+        if not self.is_path:
+            return
         done = min(max(way - track.lead_m, 0.0), track.length_m)
         known = None if math.isnan(cross) else cross  # NaN: the estimate is not finite
         share = done / track.length_m if track.length_m > 0.0 else 1.0  # a timed track may have no length
         self._progress = Progress(share, known, track.length_m - done)
-
-    def fill(self, t_ns: Times, target: Array) -> None:
-        """Write the target at the knots of a plan.
-
-        Parameters
-        ----------
-        t_ns : (N+1,) knots (ns).
-        target : (N+1, 2) output, as in ``schedule.fill_targets``.
-        """
-        if self._track is None:
-            target[:-1] = self._target
-            target[-1] = 0.0
-        else:
-            fill_targets(self._track.table, self._tau_s, self._rate, t_ns, target)
 
     def depths(self, t_ns: Times) -> tuple[Array, Array] | None:
         """Return depth (m) and sinking speed (m/s) of the target at knots (N+1,); None without a depth.
@@ -215,9 +216,7 @@ class Follower:
         ----------
         t_ns : (N+1,) knots of a plan (ns).
         """
-        start, rate = self._start, self.reference.descent_rate_mps
-        if start is None or self.depth_m is None:
+        track, start, rate = self._track, self._start, self.reference.descent_rate_mps
+        if track is None or start is None or self.depth_m is None:
             return None
-        if self._track is None:
-            return ramp(t_ns, start.t_ns, start.depth_m, self.depth_m, rate)
-        return depths_at(self._track.table, self._tau_s, self._rate, t_ns, start.t_ns, start.depth_m, rate)
+        return depths_at(track.table, self._tau_s, self._rate, t_ns, start.t_ns, start.depth_m, rate)

@@ -302,8 +302,9 @@ def advance_target(
     east: float,
     leash: float,
     speed: float,
+    target: Array,
 ) -> tuple[float, float, float, float, float]:
-    """Return the state of the target at the first knot of a plan.
+    """Write the target at the knots of a plan, and return its state at the first one.
 
     Parameters
     ----------
@@ -314,6 +315,7 @@ def advance_target(
     north, east : current (m/s).
     leash : distance between target and vehicle at which the target stops (m), as in ``follower.py``.
     speed : largest speed of the vehicle through the water (m/s).
+    target : (N+1, 2) output, as in ``fill_targets``.
 
     Returns
     -------
@@ -323,8 +325,10 @@ def advance_target(
     """
     way, n, e = target_at(table, tau)
     distance = np.hypot(n - lateral[0], e - lateral[1])
-    if not np.isfinite(distance):
-        return 0.0, way, n, e, np.nan
-    rate = min(max(2.0 - 2.0 * distance / leash, 0.0), 1.0)
-    rate = min(rate, feasible_rate(table, tau, float(t_ns[-1] - t_ns[0]) * 1e-9, north, east, speed))
-    return rate, way, n, e, cross_track_error(table, way, lateral[0], lateral[1], 2.0 * leash)
+    rate, cross = 0.0, np.nan
+    if np.isfinite(distance):
+        rate = min(max(2.0 - 2.0 * distance / leash, 0.0), 1.0)
+        rate = min(rate, feasible_rate(table, tau, float(t_ns[-1] - t_ns[0]) * 1e-9, north, east, speed))
+        cross = cross_track_error(table, way, lateral[0], lateral[1], 2.0 * leash)
+    fill_targets(table, tau, rate, t_ns, target)
+    return rate, way, n, e, cross

@@ -43,7 +43,7 @@ from ltv_mpc.control.problem_data import (
 )
 from ltv_mpc.control.qp.failed_qp import worst_violation
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.riccati import HARD_ROWS
+from ltv_mpc.control.qp.riccati import HARD_ROWS, sweep_workspace
 from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, EntryMap, Indices, QpNumbers, SparseQp, fill
 from ltv_mpc.control.solvers import riccati_solver
 from ltv_mpc.control.solvers.interface import SolverResult
@@ -349,7 +349,8 @@ def _guess_commands(objective: Objective, lin: Linearisation, target: Array, dU:
         for m in range(L):
             upper = 4 * N + 3 * (k * L + m)
             rows[k, HARD_ROWS + m] = _known(y[upper]) + _known(y[upper + 1])
-    outcome, _, _ = riccati_solver.solve(lin, target, objective, riccati_solver.MAX_SWEEPS, rows, dU)
+    work = sweep_workspace(lin, objective)
+    outcome, _, _ = riccati_solver.solve(lin, target, objective, work, riccati_solver.MAX_SWEEPS, rows, dU)
     if outcome == riccati_solver.FAILED:  # the cost does not determine the commands: y stays
         return
     for k in range(N):

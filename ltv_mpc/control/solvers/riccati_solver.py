@@ -18,8 +18,9 @@ second where the first does not converge:
                      Friedlander & Orban 2012). It takes five to twenty sweeps from any start. When it names the same
                      active rows twice, the active-set method finishes the solve, exactly.
 
-The result is exact to 1e-7 of a thruster's largest thrust. The method is the solver ``riccati``; OSQP takes its result
-as a first guess, and has only to check its residuals.
+The result is exact to 1e-7 of a thruster's largest thrust. The method is the solver ``riccati``, which checks the
+optimality conditions of its result (qp/optimality.py) and hands a problem that fails to OSQP. The solver ``osqp`` takes
+the result as a first guess, and has only to check its residuals.
 
 Arguments of the kernels in this file:
 
@@ -45,8 +46,9 @@ from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, describe_non_finite, unpack_linearisation
 from ltv_mpc.control.problem_data import Objective, pack_objective, unpack_objective
+from ltv_mpc.control.qp.optimality import optimality_error
 from ltv_mpc.control.qp.riccati import HARD_ROWS, SweepWorkspace, sweep, sweep_workspace
-from ltv_mpc.control.solvers.interface import SolverResult
+from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Solve, SolveStatus
 
@@ -64,6 +66,9 @@ DUAL_SIGN_TOLERANCE = 1e-7
 
 HELD_ROW_TOLERANCE = 1e-7
 """Largest error of a row that is held. OSQP moves away from a guess with larger ones, and returns slowly."""
+
+MAX_OPTIMALITY_ERROR = 1e-5
+"""Largest violation of the optimality conditions of a result that counts as solved, in units of the scaled QP."""
 
 FIRST_SWEEPS, LATER_SWEEPS = 3, 3
 """Limits of the active-set sweeps: with the last solve's rows, and with those that the interior point names."""
@@ -98,16 +103,21 @@ FAILED, NOT_CONVERGED, CONVERGED = -1, 0, 1
 
 
 class RiccatiSolver:
-    """Riccati method as a solver of the controller."""
+    """Riccati method as a solver of the controller, with another solver for problems that it does not solve."""
 
-    def __init__(self, config: ResolvedConfig, limits: HorizonLimits) -> None:
+    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, other: Solver | None = None) -> None:
         """Allocate the duals, which are the warm start.
 
         Parameters
         ----------
         config : number of stages, knots, weights and limit of iterations.
         limits : limits of thrusters and motion.
+        other : solves the problems whose result here violates the optimality conditions. It also solves the first
+            problem, so that it is compiled and set up before it is needed. None: such a problem is not solved.
         """
+        self.handed_over = 0
+        """Number of problems that the other solver solved."""
+        self._other, self._other_is_ready = other, False
         self._max_sweeps = config.max_iterations
         self._packed = pack_objective(config.knots, limits, config.weights)
         self._duals = np.zeros((config.stages, HARD_ROWS + len(limits.limited_states)))
@@ -135,9 +145,16 @@ class RiccatiSolver:
         lin = self._lin
         assert lin is not None, "build() must be called before solve()"
         commands = np.empty_like(lin.U)
-        outcome, sweeps, violation = solve_packed(
+        outcome, sweeps, violation, error = solve_packed(
             self._packed, lin.flat, self._target, self._shift, self._max_sweeps, self._duals, commands
         )
+        solved = outcome == CONVERGED and error <= MAX_OPTIMALITY_ERROR
+        if self._other is not None and not (solved and self._other_is_ready):
+            result = self._hand_over(self._other, lin)
+            if not solved:
+                self._shift = math.nan if outcome == FAILED else 0.0
+                self.handed_over += 1
+                return result
         if outcome == FAILED:
             self.reset_warm_start()
             finite = np.isfinite(lin.flat).all() and np.isfinite(self._target).all()
@@ -146,16 +163,24 @@ class RiccatiSolver:
             status = SolveStatus.FAILED if finite else SolveStatus.NON_FINITE
             return SolverResult(lin.U.copy(), Solve(status=status, iterations=sweeps, why=why))
         self._shift = 0.0
-        solved = outcome == CONVERGED
-        why = "" if solved else f"active set not found within {sweeps} Riccati sweeps"
+        why = "" if solved else f"optimality error {error:.1e} after {sweeps} Riccati sweeps"
         status = SolveStatus.SOLVED if solved else SolveStatus.ITERATION_LIMIT
-        return SolverResult(commands, Solve(status=status, iterations=sweeps, primal_residual=violation, why=why))
+        solve = Solve(status=status, iterations=sweeps, primal_residual=violation, dual_residual=error, why=why)
+        return SolverResult(commands, solve)
+
+    def _hand_over(self, other: Solver, lin: Linearisation) -> SolverResult:
+        """Return the other solver's result of the same problem, from no warm start."""
+        self._other_is_ready = True
+        other.reset_warm_start()
+        other.build(lin, self._target)
+        other.update()
+        return other.solve()
 
 
 @jit
 def solve_packed(
     packed: Array, flat: Array, target: Array, stages: float, max_sweeps: int, y: Array, commands: Array
-) -> tuple[int, int, float]:
+) -> tuple[int, int, float, float]:
     """Solve a problem whose weights and limits are packed, from the duals of an earlier one.
 
     Parameters
@@ -169,15 +194,17 @@ def solve_packed(
 
     Returns
     -------
-    Outcome, number of sweeps and largest violation, as ``solve``.
+    Outcome, number of sweeps and largest violation, as ``solve``; then the optimality error (qp/optimality.py).
     """
     o, lin = unpack_objective(packed), unpack_linearisation(flat, len(target) - 1)
     shift_duals(y, o.t, stages)
-    outcome, sweeps, violation = solve(lin, target, o, max_sweeps, y, commands)
+    work = sweep_workspace(lin, o)
+    outcome, sweeps, violation = solve(lin, target, o, work, max_sweeps, y, commands)
+    error = optimality_error(lin, target, o, work, y, commands)
     for k in range(len(target)):
         for i in range(2):
             commands[k, i] += lin.U[k, i]
-    return outcome, sweeps, violation
+    return outcome, sweeps, violation, error
 
 
 @jit
@@ -198,13 +225,13 @@ def shift_duals(y: Array, t: Array, stages: float) -> None:
 
 @jit
 def solve(
-    lin: Linearisation, target: Array, o: Objective, max_sweeps: int, y: Array, dU: Array
+    lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace, max_sweeps: int, y: Array, dU: Array
 ) -> tuple[int, int, float]:
     """Solve the QP.
 
     Parameters
     ----------
-    lin, target, o, dU : as at the head of this file.
+    lin, target, o, work, dU : as at the head of this file; ``work`` is overwritten.
     max_sweeps : limit of sweeps; the solve can take two more.
     y : (N, R) duals of the last solve, which show the first active set; overwritten with those of this one.
 
@@ -212,7 +239,6 @@ def solve(
     -------
     FAILED, NOT_CONVERGED or CONVERGED; number of sweeps; largest violation of box and slew, over the largest thrust.
     """
-    work = sweep_workspace(lin, o)
     active = _active_rows(y, work.cap)
     outcome, sweeps = _active_set(lin, target, o, work, active, FIRST_SWEEPS, y, dU)
     if outcome == NOT_CONVERGED:
