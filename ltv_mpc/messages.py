@@ -562,6 +562,9 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
     reference_depth_m: Annotated[
         Depth | None, Meta(description="depth at which the reference ends; null if it has no depth")
     ] = None
+    reference_heading_rad: Annotated[Angle | None, Meta(description="heading wanted at a point; null: it is free")] = (
+        None
+    )
     depth_limit_m: Annotated[
         Depth | None, Meta(description="depth limit that keeps the vehicle from the depth of the reference; null: none")
     ] = None

@@ -29,6 +29,12 @@ Bow: TypeAlias = Literal["first", "either"]
 """Which end goes first on a path: the bow, or the one that costs less."""
 
 
+HEADING_PER_RAD2 = 0.1
+"""Default weight of the heading: 1 rad costs as much as 0.32 m off, for the paper's vehicle. It needs no scaling,
+because an angle has no unit of length or time.
+"""
+
+
 class WeightSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Weights of the cost, [controller.weights]. A weight that is not set follows from the vehicle: ``scaling.py``."""
 
@@ -37,6 +43,7 @@ class WeightSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     terminal_velocity_s2_per_m2: Annotated[float, Meta(ge=0, le=1e9)] | None = None
     thrust: Annotated[float, Meta(ge=0, le=1e6)] | None = None
     thrust_change: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+    heading_per_rad2: Annotated[float, Meta(ge=0, le=1e6)] | None = None  # at a point that has a heading
 
 
 class Weights(WeightSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -46,6 +53,8 @@ class Weights(WeightSettings, frozen=True, kw_only=True, forbid_unknown_fields=T
     F|^2, with U the commands and F the largest thrusts. The end of the horizon adds terminal position |p - ref|^2 +
     terminal velocity |p' - ref'|^2, where p' is the velocity over ground. The paper's cost is the first term alone. The
     weights of thrust and of its change are a point of the curve of error against power (docs/notes/pareto.md).
+
+    At a point that has a heading each stage also adds heading |psi - psi_ref|^2; 0 stands for ``HEADING_PER_RAD2``.
     """
 
     position_per_m2: Annotated[float, Meta(gt=0, le=1e6)] = 1.0
@@ -53,6 +62,17 @@ class Weights(WeightSettings, frozen=True, kw_only=True, forbid_unknown_fields=T
     terminal_velocity_s2_per_m2: Annotated[float, Meta(ge=0, le=1e9)] = 600.0
     thrust: Annotated[float, Meta(ge=0, le=1e6)] = 3e-2
     thrust_change: Annotated[float, Meta(ge=0, le=1e6)] = 1.5e-2
+    heading_per_rad2: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
+
+    def at_heading(self, wanted: bool) -> Weights:
+        """Return the weights for a reference with or without a heading.
+
+        Parameters
+        ----------
+        wanted : False: the heading is free, so its weight is 0.
+        """
+        heading = (self.heading_per_rad2 or HEADING_PER_RAD2) if wanted else 0.0
+        return msgspec.structs.replace(self, heading_per_rad2=heading)
 
 
 class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

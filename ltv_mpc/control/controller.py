@@ -97,7 +97,8 @@ class Controller:
         self.vehicle = vehicle
         self.sent_commands = SentCommands(vehicle, config.period_ns)
         """Commands in force, by time."""
-        packed = pack_constants(vehicle, config.weights, config.knots, STAGE_S, config.limits.state_bounds)
+        weights = config.weights.at_heading(False)
+        packed = pack_constants(vehicle, weights, config.knots, STAGE_S, config.limits.state_bounds)
         self._estimates = EstimateSelector(vehicle, config)
         self._bias = CurrentBias(config.disturbance)
         self._prediction = Prediction(vehicle)
@@ -417,7 +418,7 @@ class Controller:
         modes a ramp to the override or to zero.
         """
         if decision.mode is Mode.FOLLOW:
-            self._lateral.set_path(self.follower.is_path)
+            self._lateral.set_reference(path=self.follower.is_path, heading=self.follower.heading_rad is not None)
             return self._lateral.plan(start)
         if decision.stops:
             return self._lateral.stop(start, decision.why)
@@ -458,6 +459,7 @@ class Controller:
             expected_delay_ns=delay_ns,
             reference_m=follower.target_m if follows else None,
             reference_depth_m=depth_m,
+            reference_heading_rad=follower.heading_rad if follows else None,
             depth_limit_m=None if depth_m is None else self._vertical.depth_limits.limit_before(depth_m),
             progress=progress.share,
             cross_track_m=progress.cross_track_m,

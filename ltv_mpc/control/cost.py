@@ -1,7 +1,7 @@
 """Cost of a trajectory along the exact flow, in the terms of the QP's cost (qp/sparse.py).
 
     J = sum over k = 1..N of  g_k (w |p_k - ref_k|^2 + r |U_k / F|^2) + s / g_k |(U_k - U_(k-1)) / F|^2 + c g_k e_k / S
-        + w_N |p_N - ref_N|^2 + m |p'_N - ref'_N|^2
+        + g_k w_psi (psi_k - psiref_k)^2 + w_N |p_N - ref_N|^2 + m |p'_N - ref'_N|^2
 
 The quadratic terms lack the factor 1/2 of the QP. The cost of an excess e is that of the QP, so it weighs half as much
 here in comparison.
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY
 from ltv_mpc.control.linearisation import velocity_over_ground
-from ltv_mpc.control.problem_data import Objective, stage_length
+from ltv_mpc.control.problem_data import Objective, heading_slope, stage_length
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
@@ -52,11 +52,14 @@ def stage_cost(X: Array, U: Array, target: Array, k: int, o: Objective) -> float
 
     Returns
     -------
-    Cost of position, thrust, change of thrust and soft limits.
+    Cost of position, heading, thrust, change of thrust and soft limits.
     """
     g = stage_length(o, k)
     dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
     total = o.position * g * (dn * dn + de * de)
+    if o.heading != 0.0:
+        slope = heading_slope(X, target, k, o)
+        total += slope * slope / (o.heading * g)
     for i in range(2):
         here, before = U[k, i] / o.thrust_scale[i], U[k - 1, i] / o.thrust_scale[i]
         total += o.thrust * g * here * here + o.thrust_change / g * (here - before) * (here - before)

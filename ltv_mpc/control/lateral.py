@@ -62,16 +62,17 @@ class LateralPlanner:
         make_solver : called now, and again after a solve that failed.
         stopwatch : is called with a stage's name when that stage of a cycle ends.
         """
-        self.target = np.zeros((config.stages + 1, 2))
-        """Target positions at knots 1 .. N (m), then the target velocity at the last one (m/s): ``Solver.build``."""
+        self.target = np.zeros((config.stages + 1, 3))
+        """Target at the knots: ``Solver.build``."""
         self.previous = PreviousPlan(knots_ns)
         self.fencing = Fencing(vehicle)
         """Fence and obstacles in force."""
         self._packed = packed
+        self._kind = (False, False)  # the reference is a path; it has a heading
         self._lin = Linearisation.empty(config.stages)
         self._fallback = Fallback(vehicle, packed, self.previous)
         self._vehicle, self._settings = vehicle, config
-        self._config = config  # with the limits at a point, or on a path
+        self._config = self._config_for(path=False, heading=False)
         self._shares: Pair = (1.0, 1.0)  # of their commands that port and starboard deliver
         self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
         self._solver = self._make_solver()
@@ -112,17 +113,27 @@ class LateralPlanner:
         self.previous.shares[:] = shares
         self._repack()
 
-    def set_path(self, path: bool) -> None:
-        """Plan within the limits on a path or at a point; the solver is rebuilt if they change.
+    def set_reference(self, *, path: bool, heading: bool) -> None:
+        """Plan with the limits and weights of one kind of reference; the solver is rebuilt if they change.
 
         Parameters
         ----------
         path : True on a path, where the bow may have to go first.
+        heading : True if the reference has a heading, which costs.
         """
-        limits = self._settings.limits.on(path=path)
-        if limits != self._config.limits:
-            self._config = msgspec.structs.replace(self._settings, limits=limits)
+        if self._kind == (path, heading):
+            return
+        self._kind = (path, heading)
+        config = self._config_for(path=path, heading=heading)
+        if config != self._config:
+            self._config = config
             self._repack()
+
+    def _config_for(self, *, path: bool, heading: bool) -> ResolvedConfig:
+        settings = self._settings
+        return msgspec.structs.replace(
+            settings, limits=settings.limits.on(path=path), weights=settings.weights.at_heading(heading)
+        )
 
     def _repack(self) -> None:
         config = self._config

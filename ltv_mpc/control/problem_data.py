@@ -30,6 +30,7 @@ class Objective(NamedTuple):
     terminal_velocity: float  # s2/m2
     thrust: float  # of (F / thrust_scale)^2
     thrust_change: float  # of (change of F / thrust_scale)^2
+    heading: float  # per rad2; 0: the heading is free
     low: Array  # (2,) smallest thrust of port and starboard (N)
     high: Array  # (2,) largest thrust (N)
     max_change: Array  # (2,) largest change of thrust over the first stage (N)
@@ -61,7 +62,7 @@ def pack_objective(knots: Array, limits: HorizonLimits, weights: Weights) -> Arr
 
     Returns
     -------
-    (24 + N+1,) packed objective.
+    (25 + N+1,) packed objective.
     """
     cost = (
         weights.position_per_m2,
@@ -69,6 +70,7 @@ def pack_objective(knots: Array, limits: HorizonLimits, weights: Weights) -> Arr
         weights.terminal_velocity_s2_per_m2,
         weights.thrust,
         weights.thrust_change,
+        weights.heading_per_rad2,
     )
     bounds = (limits.low, limits.high, limits.max_change, limits.thrust_scale)
     return np.concatenate([cost, *bounds, limits.state_scale, *limits.state_bounds, [len(knots)], knots])
@@ -89,7 +91,7 @@ def pack_constants(
 
     Returns
     -------
-    (49 + N,) packed constants; they begin with a packed objective.
+    (50 + N,) packed constants; they begin with a packed objective.
     """
     vertical = vehicle.thrusters[2]
     rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s, time_ratio(vehicle))
@@ -100,18 +102,18 @@ def pack_constants(
 @jit
 def unpack_objective(packed: Array) -> Objective:
     """Return the objective at the beginning of a packed objective or of packed constants."""
-    end = 24 + int(packed[23])
+    end = 25 + int(packed[24])
     return Objective(
-        packed[0], packed[1], packed[2], packed[3], packed[4],
-        packed[5:7], packed[7:9], packed[9:11], packed[11:13], packed[13:19], packed[19:21], packed[21:23],
-        packed[24:end],
+        packed[0], packed[1], packed[2], packed[3], packed[4], packed[5],
+        packed[6:8], packed[8:10], packed[10:12], packed[12:14], packed[14:20], packed[20:22], packed[22:24],
+        packed[25:end],
     )  # fmt: skip
 
 
 @jit
 def unpack_constants(packed: Array) -> Constants:
     """Return the constants that ``pack_constants`` packed."""
-    rest = packed[24 + int(packed[23]) :]
+    rest = packed[25 + int(packed[24]) :]
     return Constants(unpack_objective(packed), coefficients(rest[:19]), rest[19:22], rest[22], rest[23])
 
 
@@ -129,6 +131,27 @@ def stage_length(o: Objective, k: int) -> float:
     g_k = t_k - t_(k-1).
     """
     return float(o.t[k] - o.t[k - 1])
+
+
+@jit
+def heading_slope(X: Array, target: Array, k: int, o: Objective) -> float:
+    """Return the weighted deviation from the wanted heading at knot k = 1 .. N: half the cost's derivative.
+
+    Parameters
+    ----------
+    X : (N+1, 8) states at the knots.
+    target : (N+1, 3) as in ``Solver.build``; its headings are read only if the weight is not 0.
+    k : knot.
+    o : has the weight and the knots.
+
+    Returns
+    -------
+    g_k w_psi (psi - ref), with the difference between -pi and pi.
+    """
+    if o.heading == 0.0:
+        return 0.0
+    off = X[k, 4] - target[k - 1, 2]
+    return float(o.heading * stage_length(o, k) * (off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))))
 
 
 @jit

@@ -95,6 +95,8 @@ class Follower:
     def __init__(self, reference: Reference, vehicle: Vehicle) -> None:
         self.reference = reference
         """The reference that is followed."""
+        self.heading_rad: float | None = None
+        """Heading that the reference wants (rad); None: it is free."""
         self._vehicle = vehicle
         self._start: ReferenceStart | None = None
         self._track: _Track | None = None  # None before the reference starts
@@ -189,7 +191,8 @@ class Follower:
         t_ns : (N+1,) knots (ns).
         lateral : state of the vehicle at the first knot, which starts with n, e (m).
         current : velocity of the water there, north and east (m/s).
-        target : (N+1, 2) output, as in ``schedule.fill_targets``; not written before the reference starts.
+        target : (N+1, 3) output, as in ``Solver.build``; not written before the reference starts. The headings are
+            written if there are any.
         """
         if self._track is None:
             return
@@ -202,7 +205,10 @@ class Follower:
             track.table, self._tau_s, t_ns, lateral, *current, track.leash_m, track.cruise_mps, target
         )
         self._target = (north, east)
-        if not self.is_path:
+        if isinstance(self.reference, Point | Hold):
+            self.heading_rad = self.reference.heading_in(current, self.heading_rad)
+            if self.heading_rad is not None:
+                target[:-1, 2] = self.heading_rad
             return
         done = min(max(way - track.lead_m, 0.0), track.length_m)
         known = None if math.isnan(cross) else cross  # NaN: the estimate is not finite

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+import math
+from typing import Annotated, TypeAlias
+
+from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.messages import Estimate, Pair, ReferenceStart
@@ -19,7 +22,58 @@ MAX_HOLD_DEPTH_M = 11_000.0
 """Upper bound of a reference's ``depth_m``."""
 
 
-class Point(BaseReference, frozen=True, kw_only=True, tag="point"):
+MIN_CURRENT_MPS = 0.02
+"""Smallest current that has a direction: below it, a vehicle that heads into the current keeps its heading."""
+
+
+class Station(BaseReference, frozen=True, kw_only=True):
+    """Vertical line at which the vehicle stays, with a heading: free, fixed, or into the current at its depth.
+
+    The heading is a part of the cost and gives way to the position. A vehicle without side thrust can only stay where
+    it is if it heads into the current, or away from it.
+    """
+
+    heading_deg: Annotated[float, Meta(ge=-360, le=360)] | None = None  # true, clockwise from north; None: free
+    into_current: bool = False
+
+    def __post_init__(self) -> None:
+        """Reject two headings."""
+        if self.into_current and self.heading_deg is not None:
+            raise ValueError("heading_deg and into_current: give one of them")
+
+    def heading_in(self, current: Pair, before_rad: float | None) -> float | None:
+        """Return the wanted heading (rad); None if it is free.
+
+        Parameters
+        ----------
+        current : velocity of the water, north and east (m/s).
+        before_rad : heading that was wanted before; None: none.
+        """
+        if self.heading_deg is not None:
+            return math.radians(self.heading_deg)
+        north, east = current
+        if not self.into_current or not math.hypot(north, east) >= MIN_CURRENT_MPS:
+            return before_rad
+        return math.atan2(-east, -north)
+
+    def notes(self, vehicle: Vehicle) -> list[str]:
+        """Return sentences about what the vehicle cannot do of this reference.
+
+        Parameters
+        ----------
+        vehicle : parameters of the vehicle.
+        """
+        depth = [] if self.depth_m is None else descent_notes(vehicle, self.descent_rate_mps)
+        return depth if self.heading_deg is None else [*depth, HEADING_NOTE.format(self.heading_deg)]
+
+
+HEADING_NOTE = (
+    "heading_deg = {:g} is held where the current runs along it; in a current across it the vehicle, which has no side "
+    "thrust, turns to hold its position"
+)
+
+
+class Point(Station, frozen=True, kw_only=True, tag="point"):
     """Vertical line through a point, in metres or in degrees relative to ``origin``."""
 
     north_m: Metres | None = None
@@ -29,6 +83,7 @@ class Point(BaseReference, frozen=True, kw_only=True, tag="point"):
 
     def __post_init__(self) -> None:
         """Reject a point without coordinates, or with both kinds."""
+        super().__post_init__()
         self._place()
 
     def position(self, anchor: ReferenceStart) -> Pair:
@@ -41,15 +96,6 @@ class Point(BaseReference, frozen=True, kw_only=True, tag="point"):
         del anchor
         return self._place()
 
-    def notes(self, vehicle: Vehicle) -> list[str]:
-        """Return sentences about what the vehicle cannot do of this reference.
-
-        Parameters
-        ----------
-        vehicle : parameters of the vehicle.
-        """
-        return _of_depth(self, vehicle)
-
     def _place(self) -> Pair:
         place = Place(
             north_m=self.north_m,
@@ -60,7 +106,7 @@ class Point(BaseReference, frozen=True, kw_only=True, tag="point"):
         return local(place, self.origin)
 
 
-class Hold(BaseReference, frozen=True, kw_only=True, tag="hold"):
+class Hold(Station, frozen=True, kw_only=True, tag="hold"):
     """Vertical line through the estimated position of the vehicle at the start: "here"."""
 
     @classmethod
@@ -82,19 +128,6 @@ class Hold(BaseReference, frozen=True, kw_only=True, tag="hold"):
         anchor : start of the reference.
         """
         return anchor.north_m, anchor.east_m
-
-    def notes(self, vehicle: Vehicle) -> list[str]:
-        """Return sentences about what the vehicle cannot do of this reference.
-
-        Parameters
-        ----------
-        vehicle : parameters of the vehicle.
-        """
-        return _of_depth(self, vehicle)
-
-
-def _of_depth(reference: BaseReference, vehicle: Vehicle) -> list[str]:
-    return [] if reference.depth_m is None else descent_notes(vehicle, reference.descent_rate_mps)
 
 
 Reference: TypeAlias = Point | Hold | Line | Waypoints | Lawnmower | Circle | Spiral | Timed

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.control.linearisation import Linearisation, multiply_A, multiply_A_transposed, velocity_over_ground
-from ltv_mpc.control.problem_data import Objective, stage_length
+from ltv_mpc.control.problem_data import Objective, heading_slope, stage_length
 from ltv_mpc.control.qp.riccati import HARD_ROWS, NORMAL, SweepWorkspace
 from ltv_mpc.jit import copy_to, jit_outlined
 from ltv_mpc.messages import Array
@@ -60,6 +60,7 @@ def optimality_error(
         g = stage_length(o, k + 1)
         for i in range(2):
             costate[i] += o.position * g * (lin.X[k + 1, i] + dX[k + 1, i] - target[k, i])
+        costate[4] += heading_slope(lin.X, target, k + 1, o) + o.heading * g * dX[k + 1, 4]
         for m in range(work.normal.shape[1]):
             for i in range(NORMAL):
                 costate[i] += work.normal[k, m, i] * y[k, HARD_ROWS + m]

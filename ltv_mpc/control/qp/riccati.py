@@ -24,7 +24,7 @@ import numpy as np
 
 from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, command_bounds
 from ltv_mpc.control.linearisation import Linearisation, velocity_over_ground
-from ltv_mpc.control.problem_data import Objective, is_limited, limited_state_count, stage_length
+from ltv_mpc.control.problem_data import Objective, heading_slope, is_limited, limited_state_count, stage_length
 from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
 
@@ -201,8 +201,10 @@ def _add_terminal_cost(lin: Linearisation, target: Array, o: Objective, Z: Array
 
 @jit
 def _add_stage_cost(lin: Linearisation, target: Array, o: Objective, k: int, Z: Array, p: Array) -> None:
-    """Add the cost of position and thrust at knot k to P and p."""
+    """Add the cost of position, heading and thrust at knot k to P and p."""
     g = stage_length(o, k)
+    Z[P + STRIDE * 2 + 2] += o.heading * g
+    p[2] += heading_slope(lin.X, target, k, o)
     position = o.position * g + (o.terminal_position if k == lin.U.shape[0] - 1 else 0.0)
     for i in range(2):
         thrust = o.thrust * g / (o.thrust_scale[i] * o.thrust_scale[i])

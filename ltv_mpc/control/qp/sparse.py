@@ -1,6 +1,7 @@
 """Sparse quadratic programme (QP) of one LTV-MPC cycle, in deviations from the nominal trajectory.
 
-    minimise   1/2 sum over k = 1..N of  [ g_k (w |p_k - ref_k|^2 + r |U_k / F|^2) + s / g_k |(U_k - U_(k-1)) / F|^2 ]
+    minimise   1/2 sum over k = 1..N of  [ g_k (w |p_k - ref_k|^2 + r |U_k / F|^2) + s / g_k |(U_k - U_(k-1)) / F|^2
+                                           + g_k w_psi (psi_k - psiref_k)^2 ]
                + 1/2 w_N |p_N - ref_N|^2 + 1/2 m |p'_N - ref'_N|^2
     subject to dX_(k+1) = A_k dX_k + B0_k dU_k + B1_k dU_(k+1) + Phi_k - Xbar_(k+1),   dX_0 = 0, dU_0 = 0
                p'_N = V dX_N + p'bar_N
@@ -55,7 +56,14 @@ from ltv_mpc.control.linearisation import (
     unpack_linearisation,
     velocity_over_ground,
 )
-from ltv_mpc.control.problem_data import is_limited, pack_objective, stage_length, state_scale, unpack_objective
+from ltv_mpc.control.problem_data import (
+    heading_slope,
+    is_limited,
+    pack_objective,
+    stage_length,
+    state_scale,
+    unpack_objective,
+)
 from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import ConstraintRow
@@ -225,6 +233,7 @@ def _hessian(lengths: Array, limits: HorizonLimits, weights: Weights, variables:
     position[-1] += weights.terminal_position_per_m2
     diagonal = np.zeros((N, STAGE_VARIABLES))
     diagonal[:, :2] = position[:, None] * limits.state_scale[:2] ** 2
+    diagonal[:, 4] = weights.heading_per_rad2 * lengths * limits.state_scale[4] ** 2
     # r_k |U_k|^2 + s_k |U_k - U_(k-1)|^2 + s_(k+1) |U_(k+1) - U_k|^2, the last one without a successor
     diagonal[:, STATES:] = r + s
     diagonal[:-1, STATES:] += s[1:]
@@ -316,6 +325,7 @@ def fill(packed: Array, lin: Linearisation, target: Array, entries: EntryMap, to
             scale = state_scale(i, objective)
             l[row + i] = u[row + i] = (X[k + 1, i] - lin.Phi[k, i]) / scale
             q[column + i] = 0.0
+        q[column + 4] = heading_slope(X, target, k + 1, objective) * objective.state_scale[4]
         weight = objective.position * g + (objective.terminal_position if k == N - 1 else 0.0)
         for i in range(2):
             # w_k (p_k - ref_k)

@@ -14,6 +14,7 @@ from ltv_mpc.control.solvers.riccati_solver import RiccatiSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 
+
 def _checked_riccati(config: ResolvedConfig, limits: HorizonLimits) -> Solver:
     """Return the Riccati solver; OSQP solves what it does not solve."""
     return RiccatiSolver(config, limits, OsqpSolver(config, limits))

@@ -43,8 +43,9 @@ class Solver(Protocol):
         Parameters
         ----------
         lin : the motion along the nominal trajectory.
-        target : (N+1, 2) north and east: the positions (m) wanted at the knots 1 .. N, then the velocity over ground
-            (m/s) wanted at the last one.
+        target : (N+1, 3) north and east: the positions (m) wanted at the knots 1 .. N, then the velocity over ground
+            (m/s) wanted at the last one. Third column: the heading (rad) wanted at the knots 1 .. N. It is read only if
+            the weights have a heading, and may be left out otherwise.
         """
         ...
 

@@ -305,6 +305,8 @@ def first_guess(packed: Array, lin: Linearisation, target: Array, shift: float, 
         for i in range(2):
             scale = objective.state_scale[i]
             costate[i] += q[k * STAGE_VARIABLES + i] / scale + weight * x[k * STAGE_VARIABLES + i] * scale
+        heading = objective.heading * stage_length(objective, k + 1) * x[k * STAGE_VARIABLES + 4]
+        costate[4] += q[k * STAGE_VARIABLES + 4] / objective.state_scale[4] + heading * objective.state_scale[4]
         row = E + 4 * N + 3 * k * limited_state_count(objective)
         for j in range(2):
             if is_limited(objective, j):

@@ -25,6 +25,7 @@ WEIGHTS = Weights(
     terminal_velocity_s2_per_m2=11.0,
     thrust=0.17,
     thrust_change=0.05,
+    heading_per_rad2=0.4,
 )
 FORM = SparseQp(KNOTS, LIMITS, WEIGHTS)
 
@@ -45,7 +46,8 @@ def lin():
 
 @pytest.fixture
 def target():
-    return np.random.default_rng(6).normal(size=(N + 1, 2)) * 3
+    """Positions, velocity and headings; some of these are more than half a turn away."""
+    return np.random.default_rng(6).normal(size=(N + 1, 3)) * 3
 
 
 def unpacked(lin, z):
@@ -62,10 +64,12 @@ def terms(lin, target, z):
     X, U, end = unpacked(lin, z)
     for k in range(1, N + 1):
         g = LENGTH[k - 1]
-        yield np.sqrt(1.3 * g) * (X[k, :2] - target[k - 1])
+        yield np.sqrt(1.3 * g) * (X[k, :2] - target[k - 1, :2])
+        turn = np.remainder(lin.X[k, 4] - target[k - 1, 2] + np.pi, 2.0 * np.pi) - np.pi  # of the nominal heading
+        yield np.sqrt(0.4 * g) * (turn + X[k, 4:5] - lin.X[k, 4])
         yield np.sqrt(0.17 * g) * U[k] / FULL_N
         yield np.sqrt(0.05 / g) * (U[k] - U[k - 1]) / FULL_N
-    yield np.sqrt(7.0) * (X[N, :2] - target[N - 1])
+    yield np.sqrt(7.0) * (X[N, :2] - target[N - 1, :2])
     yield np.sqrt(11.0) * end
 
 
@@ -83,7 +87,7 @@ def model_errors(lin, target, z):
 
     h = 1e-6
     turned = [(over_ground(lin.X[N] + h * e) - over_ground(lin.X[N] - h * e)) / (2 * h) for e in np.eye(8)]
-    yield over_ground(lin.X[N]) + (X[N] - lin.X[N]) @ turned - target[N] - end
+    yield over_ground(lin.X[N]) + (X[N] - lin.X[N]) @ turned - target[N, :2] - end
 
 
 def affine(function):

@@ -10,6 +10,7 @@ import pytest
 
 from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.solvers import riccati_solver
+from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.riccati_solver import RiccatiSolver
 from ltv_mpc.messages import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, answer, motion, optimum, unlike_any_motion
@@ -78,7 +79,48 @@ def test_the_iteration_limit_ends_it_and_its_commands_are_still_usable():
     assert ours.solve.status is SolveStatus.ITERATION_LIMIT
     assert 9 <= ours.solve.iterations <= 9 + riccati_solver.LATER_SWEEPS
     assert f"{ours.solve.iterations} Riccati sweeps" in ours.solve.why
+    assert ours.solve.dual_residual > riccati_solver.MAX_OPTIMALITY_ERROR
     assert 0.0 < ours.solve.primal_residual < 1.0
+
+
+def test_what_is_not_solved_is_solved_by_the_other_solver():
+    config = msgspec.structs.replace(CONFIG, max_iterations=9)
+    other = OsqpSolver(CONFIG, LIMITS)
+    solver = RiccatiSolver(config, LIMITS, other)
+    lin, target = motion(1, CONFIG.stages)
+    ours = answer(solver, lin, target)
+    assert ours.solve.status is SolveStatus.SOLVED
+    assert solver.handed_over == 1
+    np.testing.assert_allclose(ours.commands, optimum(lin, target, LIMITS, CONFIG.weights), atol=0.05)
+
+
+def test_a_result_that_violates_the_conditions_is_not_used(monkeypatch):
+    monkeypatch.setattr(riccati_solver, "MAX_OPTIMALITY_ERROR", 0.0)
+    solver = RiccatiSolver(CONFIG, LIMITS, OsqpSolver(CONFIG, LIMITS))
+    lin, target = motion(2, CONFIG.stages)
+    assert answer(solver, lin, target).solve.status is SolveStatus.SOLVED
+    assert solver.handed_over == 1
+    alone = answer(RiccatiSolver(CONFIG, LIMITS), lin, target).solve
+    assert alone.status is SolveStatus.ITERATION_LIMIT
+    assert "optimality error" in alone.why
+
+
+def test_the_other_solver_is_set_up_with_the_first_problem_and_asked_no_more():
+    class Counting(OsqpSolver):
+        solves = 0
+
+        def solve(self):
+            self.solves += 1
+            return super().solve()
+
+    other = Counting(CONFIG, LIMITS)
+    solver = RiccatiSolver(CONFIG, LIMITS, other)
+    lin, target = motion(2, CONFIG.stages)
+    for _ in range(3):
+        ours = answer(solver, lin, target)
+        np.testing.assert_array_equal(ours.commands, answer(RiccatiSolver(CONFIG, LIMITS), lin, target).commands)
+    assert other.solves == 1
+    assert solver.handed_over == 0
 
 
 @pytest.mark.parametrize("field", ["X", "U", "C", "Phi", "A", "B0", "B1"])
