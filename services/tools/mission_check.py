@@ -79,7 +79,7 @@ def check_mission(
     drift_m = None if can.turn_90deg_s is None else current_mps * can.turn_90deg_s
     stop = stopping(vehicle, speed_mps) if speed_mps > 0.0 else (0.0, 0.0)
     stopping_m = None if stop is None else stop[0] + current_mps * stop[1]
-    problems = _current_problems(vehicle, current_mps)
+    problems = _current_problems(vehicle, reference, current_mps)
     problems += _depth_problems(largest, bottom_m, limits or MotionLimits())
     zones, corridor_m, needed_m = [], None, None
     if fence is not None and len(points):
@@ -196,14 +196,20 @@ def _zone_problems(zones: list[ZoneCheck], start: Array, stopping_m: float | Non
     return problems
 
 
-def _current_problems(vehicle: Vehicle, current_mps: float) -> list[str]:
-    limits = path_limits(vehicle)
-    if current_mps < limits.cruise_mps:
-        return []
-    return [
-        f"a current of {current_mps:g} m/s carries the vehicle away: 80 % of its thrust holds {limits.cruise_mps:.2f} "
-        f"m/s, full thrust {limits.top_mps:.2f} m/s"
-    ]
+def _current_problems(vehicle: Vehicle, reference: Reference, current_mps: float) -> list[str]:
+    """Return what the current makes impossible."""
+    limits, problems = path_limits(vehicle), []
+    if current_mps >= limits.cruise_mps:
+        problems.append(
+            f"a current of {current_mps:g} m/s carries the vehicle away: 80 % of its thrust holds "
+            f"{limits.cruise_mps:.2f} m/s, full thrust {limits.top_mps:.2f} m/s"
+        )
+    if isinstance(reference, Point | Hold) and reference.heading_deg is not None and current_mps > 0.0:
+        problems.append(
+            f"heading_deg = {reference.heading_deg:g} is not held in a current of {current_mps:g} m/s across it: the "
+            "vehicle has no side thrust, and turns to hold its position"
+        )
+    return problems
 
 
 def _depth_problems(largest: float | None, bottom_m: float | None, limits: MotionLimits) -> list[str]:

@@ -91,6 +91,15 @@ def test_a_current_that_is_too_strong_is_found_without_a_fence() -> None:
     assert "a current of 0.6 m/s carries the vehicle away" in problem
 
 
+def test_a_fixed_heading_in_a_current_is_found() -> None:
+    facing = Point(north_m=0.0, east_m=0.0, heading_deg=90.0)
+    assert check_mission(PAPER, facing, None).problems == []
+    [problem] = check_mission(PAPER, facing, None, current_mps=0.2).problems
+    assert problem.startswith("heading_deg = 90 is not held in a current of 0.2 m/s across it")
+    turning = Point(north_m=0.0, east_m=0.0, into_current=True)
+    assert check_mission(PAPER, turning, None, current_mps=0.2).problems == []
+
+
 def test_a_descent_into_the_bottom_is_found() -> None:
     deep = Point(north_m=0.0, east_m=0.0, depth_m=30.0)
     assert check_mission(PAPER, deep, None, bottom_m=40.0).problems == []
