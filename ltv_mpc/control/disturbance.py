@@ -209,9 +209,9 @@ class CurrentBias:
         profile = last.current or STILL_WATER
         later = profile if last.current is None else estimate.current or profile
         walk, noise_mps, prior_variance, max_mps = self._noise
-        s2 = velocity_change_variance(
-            velocity_variance(last), velocity_variance(estimate), (estimate.t_ns - last.t_ns) * 1e-9
-        )
+        seconds, s2 = (estimate.t_ns - last.t_ns) * 1e-9, 0.0
+        if learns:
+            s2 = velocity_change_variance(velocity_variance(last), velocity_variance(estimate), seconds)
         north, east, *belief = predict_and_update(
             self._belief if self._applies_to(last) else NO_BIAS,
             (estimate.t_ns, estimate.velocity_north_mps, estimate.velocity_east_mps),

@@ -48,6 +48,7 @@ class ReferencePointCheck:
         self.health = NOMINAL
         """Degraded with the reason while the alarm is on."""
         self._last: Estimate | None = None
+        self._last_turning = 0j
         self._weight = 0.0  # sum |d|^2
         self._product = 0j  # sum conj(d) z
         self._rows, self._squares = NOISE_ROWS, NOISE_ROWS * NOISE_MPS**2  # sum |z|^2
@@ -66,9 +67,10 @@ class ReferencePointCheck:
         if last is not None and estimate.t_ns == last.t_ns:
             return
         self._last = estimate
+        before, self._last_turning = self._last_turning, _turning(estimate)
         if last is None or predicted_mps is None or not 0 < estimate.t_ns - last.t_ns <= MAX_INTERVAL_NS:
             return
-        d = _turning(estimate) - _turning(last)
+        d = self._last_turning - before
         z = complex(estimate.velocity_north_mps, estimate.velocity_east_mps) - complex(*predicted_mps)
         if not cmath.isfinite(z):
             return

@@ -366,10 +366,13 @@ def _interior_point(
         if not np.isfinite(mu):
             return FAILED, sweeps
         converged = mu < MU_CONVERGED and step > WHOLE_STEP
-        if converged or (mu < MU_IDENTIFIED and same):
+        if converged:  # the duals that belong to the commands of the last sweep
+            for k in range(y.shape[0]):
+                for i in range(y.shape[1]):
+                    y[k, i] = work.weight[k, i] * work.g[k, i] + work.linear[k, i]
+            return CONVERGED, sweeps
+        if mu < MU_IDENTIFIED and same:
             _duals(barrier.nu, y)
-            if converged:
-                return CONVERGED, sweeps
             outcome, more = _active_set(lin, target, o, work, active, LATER_SWEEPS, y, dU)
             sweeps += more
             if outcome != NOT_CONVERGED:

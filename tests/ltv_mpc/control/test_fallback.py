@@ -174,7 +174,6 @@ STAGES = (
     (Prediction, "state_at"),
     (Follower, "begin"),
     (Follower, "advance"),
-    (Follower, "fill"),
     (SentCommands, "add"),
     (SentCommands, "at"),
     (EstimateGate, "check"),

@@ -63,7 +63,7 @@ def test_the_objective_is_the_documented_cost(cycles):
         X, U = lin.X.copy(), lin.U.copy()
         X[1:] += z[:, :8] * scale
         U[1:] += z[:, 8:] * 62.5
-        p, w = X[1:, :2] - cycle.target[:-1], form.weights
+        p, w = X[1:, :2] - cycle.target[:-1, :2], form.weights
         u = U / 62.5
         direct = (
             w.position_per_m2 * (p**2).sum()
