@@ -20,7 +20,7 @@ import numpy as np
 
 from ltv_mpc.messages import Array, Estimate, Pair, ReferenceStart, Times
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.references.schedule import Schedule, advance_target, depths_at, target_at
+from ltv_mpc.references.schedule import DEPTH, Schedule, advance_target, depths_at, target_at
 from ltv_mpc.references.types import Hold, Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -60,6 +60,7 @@ class _Track(NamedTuple):
     lead_m: float
     length_m: float
     duration_s: float
+    depth_m: float | None  # at the end
     cruise_mps: float
     leash_m: float
 
@@ -73,7 +74,11 @@ class _Track(NamedTuple):
         cruise_mps : cruising speed of the vehicle (m/s).
         """
         leash_m = max(LEASH_S * cruise_mps, MIN_LEASH_M)
-        return cls(schedule.table, schedule.lead_m, schedule.length_m, schedule.duration_s, cruise_mps, leash_m)
+        last = float(schedule.table[DEPTH, -1])
+        depth_m = None if math.isnan(last) else last
+        return cls(
+            schedule.table, schedule.lead_m, schedule.length_m, schedule.duration_s, depth_m, cruise_mps, leash_m
+        )
 
     @classmethod
     def at_rest(cls, place: Pair, depth_m: float | None, distance_m: float) -> _Track:
@@ -86,7 +91,7 @@ class _Track(NamedTuple):
         distance_m : distance of the vehicle at the start (m).
         """
         column = (0.0, 0.0, *place, math.nan if depth_m is None else depth_m)
-        return cls(np.array((column, column)).T.copy(), distance_m, 0.0, 0.0, math.inf, math.inf)
+        return cls(np.array((column, column)).T.copy(), distance_m, 0.0, 0.0, depth_m, math.inf, math.inf)
 
 
 class Follower:
@@ -119,10 +124,7 @@ class Follower:
     @property
     def depth_m(self) -> float | None:
         """Depth at which the reference ends (m); None if it has no depth or has not started."""
-        if self._track is None:
-            return None
-        last = float(self._track.table[-1, -1])
-        return None if math.isnan(last) else last
+        return None if self._track is None else self._track.depth_m
 
     @property
     def start_distance_m(self) -> float | None:
@@ -223,6 +225,6 @@ class Follower:
         t_ns : (N+1,) knots of a plan (ns).
         """
         track, start, rate = self._track, self._start, self.reference.descent_rate_mps
-        if track is None or start is None or self.depth_m is None:
+        if track is None or start is None or track.depth_m is None:
             return None
         return depths_at(track.table, self._tau_s, self._rate, t_ns, start.t_ns, start.depth_m, rate)
