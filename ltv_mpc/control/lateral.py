@@ -13,6 +13,7 @@ model stays right, and the box is as small as the thruster is weak.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -68,10 +69,9 @@ class LateralPlanner:
         self.fencing = Fencing(vehicle)
         """Fence and obstacles in force."""
         self._packed = packed
-        self._kind = (False, False)  # the reference is a path; it has a heading
         self._lin = Linearisation.empty(config.stages)
         self._fallback = Fallback(vehicle, packed, self.previous)
-        self._vehicle, self._settings = vehicle, config
+        self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
         self._shares: Pair = (1.0, 1.0)  # of their commands that port and starboard deliver
         self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
@@ -121,19 +121,9 @@ class LateralPlanner:
         path : True on a path, where the bow may have to go first.
         heading : True if the reference has a heading, which costs.
         """
-        if self._kind == (path, heading):
-            return
-        self._kind = (path, heading)
-        config = self._config_for(path=path, heading=heading)
-        if config != self._config:
-            self._config = config
+        before, self._config = self._config, self._config_for(path=path, heading=heading)
+        if self._config is not before and self._config != before:
             self._repack()
-
-    def _config_for(self, *, path: bool, heading: bool) -> ResolvedConfig:
-        settings = self._settings
-        return msgspec.structs.replace(
-            settings, limits=settings.limits.on(path=path), weights=settings.weights.at_heading(heading)
-        )
 
     def _repack(self) -> None:
         config = self._config
@@ -178,7 +168,7 @@ class LateralPlanner:
         lin, packed, target = self._lin, self._packed, self.target
         self._linearise(start)
         X, U = self._fallback.empty()
-        for left in range(self._settings.sqp_iterations, 0, -1):
+        for left in range(self._config.sqp_iterations, 0, -1):
             self._stopwatch("linearise")
             self._solver.build(lin, target)
             self._stopwatch("build")
@@ -237,6 +227,13 @@ class LateralPlanner:
         )
         thruster = msgspec.structs.replace(self._vehicle.thruster, port=port, starboard=starboard)
         return msgspec.structs.replace(self._vehicle, thruster=thruster)
+
+
+def _config_for(settings: ResolvedConfig, *, path: bool, heading: bool) -> ResolvedConfig:
+    """Return the settings for a reference that is a path or not, and has a heading or not."""
+    return msgspec.structs.replace(
+        settings, limits=settings.limits.on(path=path), weights=settings.weights.at_heading(heading)
+    )
 
 
 def is_usable(commands: Array, solve: Solve) -> bool:
