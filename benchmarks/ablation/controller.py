@@ -196,16 +196,15 @@ _advance_target = follower.advance_target
 
 def unleashed(table: Any, tau: float, t_ns: Any, lateral: Any, *others: Any) -> Any:
     """Let the target go on whatever the distance and the current."""
-    _, _, _, _, target = others
+    target = others[-1]
     _, *rest = _advance_target(table, tau, t_ns, lateral, *others)
     fill_targets(table, tau, 1.0, t_ns, target)
     return (1.0, *rest)
 
 
-def without_against(table: Any, tau: float, t_ns: Any, lateral: Any, north: float, east: float, *others: Any) -> Any:
+def without_against(table: Any, tau: float, t_ns: Any, lateral: Any, _current: Any, *others: Any) -> Any:
     """Let the target go on as if there were no current."""
-    del north, east
-    return _advance_target(table, tau, t_ns, lateral, 0.0, 0.0, *others)
+    return _advance_target(table, tau, t_ns, lateral, (0.0, 0.0), *others)
 
 
 def unstable_allowed(*_: Any) -> bool:

@@ -204,7 +204,7 @@ class Follower:
         self._t_ns = max(now_ns, self._t_ns)
         self._tau_s = min(self._tau_s + self._rate * step_s, track.duration_s)
         self._rate, way, north, east, cross = advance_target(
-            track.table, self._tau_s, t_ns, lateral, *current, track.leash_m, track.cruise_mps, target
+            track.table, self._tau_s, t_ns, lateral, current, track.leash_m, track.cruise_mps, target
         )
         self._target = (north, east)
         if isinstance(self.reference, Point | Hold):

@@ -298,8 +298,7 @@ def advance_target(
     tau: float,
     t_ns: Times,
     lateral: Array,
-    north: float,
-    east: float,
+    current: tuple[float, float],
     leash: float,
     speed: float,
     target: Array,
@@ -312,7 +311,7 @@ def advance_target(
     tau : time of the schedule at the first knot (s).
     t_ns : (N+1,) knots (ns).
     lateral : state of the vehicle at the first knot, which starts with n, e (m).
-    north, east : current (m/s).
+    current : velocity of the water, north and east (m/s).
     leash : distance between target and vehicle at which the target stops (m), as in ``follower.py``.
     speed : largest speed of the vehicle through the water (m/s).
     target : (N+1, 2) output, as in ``fill_targets``.
@@ -328,7 +327,7 @@ def advance_target(
     rate, cross = 0.0, np.nan
     if np.isfinite(distance):
         rate = min(max(2.0 - 2.0 * distance / leash, 0.0), 1.0)
-        rate = min(rate, feasible_rate(table, tau, float(t_ns[-1] - t_ns[0]) * 1e-9, north, east, speed))
+        rate = min(rate, feasible_rate(table, tau, float(t_ns[-1] - t_ns[0]) * 1e-9, current[0], current[1], speed))
         cross = cross_track_error(table, way, lateral[0], lateral[1], 2.0 * leash)
     fill_targets(table, tau, rate, t_ns, target)
     return rate, way, n, e, cross
