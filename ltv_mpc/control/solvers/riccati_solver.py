@@ -105,6 +105,9 @@ FAILED, NOT_CONVERGED, CONVERGED = -1, 0, 1
 class RiccatiSolver:
     """Riccati method as a solver of the controller, with another solver for problems that it does not solve."""
 
+    max_error = MAX_OPTIMALITY_ERROR
+    """Largest optimality error of a result that is used."""
+
     def __init__(self, config: ResolvedConfig, limits: HorizonLimits, other: Solver | None = None) -> None:
         """Allocate the duals, which are the warm start.
 
@@ -148,7 +151,7 @@ class RiccatiSolver:
         outcome, sweeps, violation, error = solve_packed(
             self._packed, lin.flat, self._target, self._shift, self._max_sweeps, self._duals, commands
         )
-        solved = outcome == CONVERGED and error <= MAX_OPTIMALITY_ERROR
+        solved = outcome == CONVERGED and error <= self.max_error
         if self._other is not None and not (solved and self._other_is_ready):
             result = self._hand_over(self._other, lin)
             if not solved:

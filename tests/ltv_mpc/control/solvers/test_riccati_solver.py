@@ -94,13 +94,15 @@ def test_what_is_not_solved_is_solved_by_the_other_solver():
     np.testing.assert_allclose(ours.commands, optimum(lin, target, LIMITS, CONFIG.weights), atol=0.05)
 
 
-def test_a_result_that_violates_the_conditions_is_not_used(monkeypatch):
-    monkeypatch.setattr(riccati_solver, "MAX_OPTIMALITY_ERROR", 0.0)
-    solver = RiccatiSolver(CONFIG, LIMITS, OsqpSolver(CONFIG, LIMITS))
+def test_a_result_that_violates_the_conditions_is_not_used():
+    class Strict(RiccatiSolver):
+        max_error = 0.0  # less than rounding
+
+    solver = Strict(CONFIG, LIMITS, OsqpSolver(CONFIG, LIMITS))
     lin, target = motion(2, CONFIG.stages)
     assert answer(solver, lin, target).solve.status is SolveStatus.SOLVED
     assert solver.handed_over == 1
-    alone = answer(RiccatiSolver(CONFIG, LIMITS), lin, target).solve
+    alone = answer(Strict(CONFIG, LIMITS), lin, target).solve
     assert alone.status is SolveStatus.ITERATION_LIMIT
     assert "optimality error" in alone.why
 
