@@ -6,6 +6,7 @@ The thrust of a propeller by revolutions and inflow is in ``thruster.py``, the e
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Annotated, NamedTuple, TypeAlias
 
@@ -55,9 +56,22 @@ class Thruster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     # torque of the propeller for its energy, K_Q = first - second x advance ratio (propulsion.py); not set: unknown
     torque_coefficient: Annotated[float, Meta(gt=0, le=1)] | None = None
     torque_inflow_coefficient: Annotated[float, Meta(ge=0, le=1)] | None = None
+    # PWM (us) of a thrust (N, bollard pull), for the edge to MAVLink; falling thrusts: it turns the other way
+    pwm_us: tuple[Annotated[float, Meta(ge=800, le=2200)], ...] = ()
+    pwm_N: tuple[Annotated[float, Meta(ge=-1e6, le=1e6)], ...] = ()
 
     def __post_init__(self) -> None:
-        """Reject one torque coefficient without the other."""
+        """Reject one torque coefficient without the other, and a table of PWM that has no inverse."""
+        rows = len(self.pwm_us)
+        if rows != len(self.pwm_N) or rows == 1:
+            raise ValueError("pwm_us and pwm_N: must be of the same length, at least 2")
+        if any(b <= a for a, b in itertools.pairwise(self.pwm_us)):
+            raise ValueError("pwm_us: must increase")
+        steps = [b - a for a, b in itertools.pairwise(self.pwm_N)]
+        if rows and not (all(step >= 0 for step in steps) or all(step <= 0 for step in steps)):
+            raise ValueError("pwm_N: must rise, or fall, from row to row")
+        if rows and not min(self.pwm_N) < 0.0 < max(self.pwm_N):
+            raise ValueError("pwm_N: must have thrusts of both signs")
         if (self.torque_coefficient is None) != (self.torque_inflow_coefficient is None):
             raise ValueError("torque_coefficient and torque_inflow_coefficient: give both, or leave both out")
 

@@ -32,7 +32,7 @@ SOURCE_PREFIX = f"{BY_TYPE[Estimate].written_by}-"
 """Start of the role of a named source."""
 
 
-EDGES = ("ros2",)
+EDGES = ("ros2", "mavlink")
 """Roles of the edges, which replace the estimator and command as operators do."""
 
 EDGE_WRITES, EDGE_READS = (Estimate, Command), (Plan, Acknowledgement, ControllerStatus, Estimate)

@@ -23,6 +23,7 @@ from services.cli.dashboard import dashboard
 from services.cli.dive import dive
 from services.cli.doctor import doctor
 from services.cli.log import log
+from services.cli.mavlink import mavlink
 from services.cli.overview import overview
 from services.cli.replay import replay
 from services.cli.report import report
@@ -52,6 +53,7 @@ vehicle.register(app, "Your vehicle")
 app.command(rich_help_panel="Your vehicle")(ctl)
 app.command(rich_help_panel="Your vehicle")(ros2)
 app.add_typer(dive, name="dive", rich_help_panel="Your vehicle")
+app.command(rich_help_panel="Your vehicle")(mavlink)
 app.add_typer(certs, name="certs", rich_help_panel="Your vehicle")
 app.command(rich_help_panel="A run")(report)
 app.command(rich_help_panel="A run")(replay)

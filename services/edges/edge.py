@@ -18,13 +18,14 @@ from collections import Counter, deque
 from collections.abc import Iterable
 from typing import ClassVar, NamedTuple, TypeAlias
 
-from ltv_mpc.messages import Array, Estimate, Message, Plan
+from ltv_mpc.messages import Array, Authority, Estimate, Message, Plan
 from ltv_mpc.safety.health import plan_end_ns
 from ltv_mpc.safety.input_monitor import Period
 from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import PLAN_TIMEOUT_S
 
 WINDOW_US = 30_000_000
+MAX_ROUND_TRIP_US = 1_000_000
 
 VALUES = re.compile(r"[:=(0-9]")
 """Start of the values in a reason. The text before it is the kind of reason, by which refusals are counted."""
@@ -67,6 +68,7 @@ class StampedClock:
 
     def __init__(self) -> None:
         self._best: deque[tuple[int, int]] = deque()  # arrival (us), stamp - arrival (ns); decreasing
+        self._fastest_us = MAX_ROUND_TRIP_US
 
     def update(self, stamp_ns: int, now_us: int) -> None:
         """Add a message that arrived at ``now_us`` with this stamp."""
@@ -76,6 +78,13 @@ class StampedClock:
         self._best.append((now_us, offset_ns))
         while self._best[0][0] < now_us - WINDOW_US:
             self._best.popleft()
+
+    def exchange(self, theirs_ns: int, sent_us: int, now_us: int) -> None:
+        """Add the answer to a request: their time, half the round trip ago, if it was among the fastest."""
+        round_trip_us = now_us - sent_us
+        if 0 <= round_trip_us <= min(2 * self._fastest_us, MAX_ROUND_TRIP_US):
+            self._fastest_us = min(self._fastest_us, round_trip_us)
+            self.update(theirs_ns + 500 * round_trip_us, now_us)
 
     def read(self, now_us: int) -> int | None:
         """Return the time (ns) at ``now_us``; None before the first message."""
@@ -114,6 +123,11 @@ class PlanFollower:
     def has_plan(self) -> bool:
         """True after the first plan."""
         return self._plan is not None
+
+    @property
+    def authority(self) -> Authority:
+        """Source of the commands of the newest plan."""
+        return Authority.DISARMED if self._plan is None else self._plan.authority
 
 
 class Edge(abc.ABC):

@@ -12,6 +12,7 @@ import contextlib
 import io
 import itertools
 import math
+import struct
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +23,7 @@ from typing import Any
 import msgspec
 import numpy as np
 from mcap.writer import Writer
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 from scipy.sparse import csc_array, eye_array
 
 from ltv_mpc import references
@@ -56,6 +58,9 @@ from services.bus.mailbox import Frame
 from services.bus.message_validation import MessageValidator
 from services.bus.wire import MAX_PAYLOAD_BYTES, WireError, header_of, to_map, unpack
 from services.edges.edge import Outgoing, Received
+from services.edges.mavlink.codec import Codec, frames_of
+from services.edges.mavlink.edge import MavlinkEdge
+from services.edges.mavlink.edge import Settings as MavlinkSettings
 from services.edges.ros2 import cdr, conversions
 from services.edges.ros2.conversions import Settings as Ros2Settings
 from services.edges.ros2.edge import Ros2Edge
@@ -295,6 +300,75 @@ def ros2_example(ros_type: str) -> Any:
         "nav_msgs/msg/Path": {"poses": [cdr.make("geometry_msgs/msg/PoseStamped", header=header, pose=pose)] * 3},
     }
     return cdr.make(ros_type, header=header, **fields[ros_type])
+
+
+def mavlink() -> Target:
+    """Target: the edge to MAVLink: each frame of a datagram gives messages that are sound, or is counted."""
+    autopilot = Codec(1, component=1)
+    make = autopilot.make
+    quaternion, unknown = (1.0, 0.0, 0.0, 0.0), [math.nan] * 21
+    seeds = [
+        autopilot.encode(message)
+        for message in (
+            make.heartbeat_encode(11, 3, 0x81, 0, 4),
+            make.attitude_encode(1000, 0.1, 0.2, 3.0, 0.0, 0.1, 0.2),
+            make.local_position_ned_encode(1000, 1.0, 2.0, 3.0, 0.1, 0.2, 0.3),
+            make.odometry_encode(10**6, 1, 12, 1, 2, 3, quaternion, 0.1, 0.2, 0.3, 0, 0, 0.1, unknown, unknown, 0),
+            make.ekf_status_report_encode(0x1F, 0, 0, 0, 0, 0),
+            make.gps_global_origin_encode(502000000, -51000000, 0),
+            make.system_time_encode(0, 1000),
+            make.timesync_encode(10**9, 1),
+            make.mission_count_encode(255, 191, 2, 0),
+            *(
+                make.mission_item_int_encode(255, 191, at, 6, 16, 0, 1, 0, 0, 0, 0, 502001000, -51000000, 0, 0)
+                for at in (0, 1)
+            ),
+        )
+    ]
+    state: list[tuple[MavlinkEdge, int]] = [(new_mavlink_edge(), 0)]
+
+    def altered(rng: Random, seed: bytes) -> bytes:
+        """Return a frame with another payload and a checksum that is right, so that it passes the decoder."""
+        message = Codec(9, component=9).decode(seed)
+        payload = mutate.raw(rng, seed[10 : 10 + seed[1]])[: seed[1]].ljust(seed[1], bytes(1))
+        body = seed[1:10] + payload
+        return seed[:1] + body + struct.pack("<H", dialect.x25crc(body + bytes([message.crc_extra])).crc)
+
+    def frame(rng: Random) -> bytes:
+        seed = rng.choice(seeds)
+        return mutate.one_of(
+            rng,
+            (4, lambda: altered(rng, seed)),
+            (4, lambda: mutate.raw(rng, seed)),
+            (1, lambda: seed + mutate.raw(rng, rng.choice(seeds)) + rng.choice(seeds)),
+            (1, lambda: seed),
+            (1, lambda: rng.randbytes(rng.randrange(300))),
+        )
+
+    def take(data: bytes) -> Any:
+        edge, number = state[0]
+        if number % 500 == 499:
+            edge = new_mavlink_edge()
+        state[0] = edge, number + 1
+        edge.receive(Received("", seeds[0], b"", number * 1000))
+        before, wanted = edge.accepted + edge.refused, len(list(frames_of(data)))
+        accepted = edge.accepted
+        outputs = edge.receive(Received("", data, b"", number * 1000))
+        assert edge.accepted + edge.refused == before + wanted
+        outputs += edge.step(number * 1000)
+        return [one for one in outputs if not isinstance(one, Outgoing)] if edge.accepted > accepted else None
+
+    def check(messages: Any) -> None:
+        for message in messages:
+            signal_is_sound(message)
+
+    return Target("mavlink", 2, frame, take, check)
+
+
+def new_mavlink_edge() -> MavlinkEdge:
+    """Return an edge that has received nothing."""
+    boat = Vehicle.load(str(ROOT / "examples/vehicles/bluerobotics_boat.toml"))
+    return MavlinkEdge(1, MavlinkSettings(vehicle=boat), Codec(255))
 
 
 def vehicle_clock() -> Target:
@@ -639,7 +713,7 @@ def all_targets() -> tuple[Target, ...]:
     """Return the targets of all readers of external data."""
     return (
         *map(door_of, topics.TOPICS),
-        *(one_door(), recorder(), ros2(), vehicle_clock(), command()),
+        *(one_door(), recorder(), ros2(), mavlink(), vehicle_clock(), command()),
         *settings(),
         *tables(),
         *(adcp_file(), failed_qp()),

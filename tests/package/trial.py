@@ -46,6 +46,7 @@ WANTED = (
     (("log", "export", "run", "--format", "parquet"), 2, "extra parquet"),
     (("certs", "new", "certs"), 2, "extra secure"),
     (("ros2",), 2, "extra ros2"),
+    (("mavlink",), 2, "extra mavlink"),
     (("campaign", "campaign.toml"), 2, "extra campaign"),
     (("report", "run"), 1, "extra viz"),
     (("dashboard",), 1, "extra viz"),

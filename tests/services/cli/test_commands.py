@@ -37,6 +37,7 @@ COMMANDS = (
         "topics",
         "ctl",
         "ros2",
+        "mavlink",
         "vehicle",
         "dive",
         "certs",

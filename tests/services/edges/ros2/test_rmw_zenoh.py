@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 
 from ltv_mpc.messages import Estimate
 from services.bus import certificates
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.roles import ROLES, access_control
-from services.bus.session import open_session
+from services.bus.session import configuration, open_session
 from services.bus.topics import BY_TYPE
 from services.edges.edge import Refused
 from services.edges.ros2.cdr import type_hash
@@ -139,27 +140,26 @@ def test_the_edge_works_on_a_secured_bus(free_port: int, tmp_path: Path) -> None
         with started(*edge) as (_, said):
             said.until(lambda line: "writes" in line)
             options = BusOptions(connect=(endpoint,), certs=tmp_path, role="ros-5")
-            with open_session(options, stop=StopRequest(), say=print) as node:
+            with zenoh.open(configuration(options)) as node:
                 check_secured(node, endpoint, tmp_path)
 
 
-def check_secured(node: Any, endpoint: str, folder: Path) -> None:
+def check_secured(node: zenoh.Session, endpoint: str, folder: Path) -> None:
     """Check what a node of the domain, and a display, can see of the edge."""
-    session = node._session
     until = time.monotonic() + 60.0
     names: set[str] = set()
     while len(names) < len(TABLE):
         assert time.monotonic() < until, sorted(names)
-        names = {str(reply.ok.key_expr) for reply in session.liveliness().get("@ros2_lv/5/**", timeout=2.0) if reply.ok}
+        names = {str(reply.ok.key_expr) for reply in node.liveliness().get("@ros2_lv/5/**", timeout=2.0) if reply.ok}
     key = RmwZenoh(5).key(BY_NAME["tf_static"])
-    latched = [reply for reply in session.get(f"{key}/@adv/pub/**?_anyke", timeout=5.0) if reply.ok]
+    latched = [reply for reply in node.get(f"{key}/@adv/pub/**?_anyke", timeout=5.0) if reply.ok]
     assert len(latched) == 1
     estimates = Mailbox()
     with open_session(
         BusOptions(connect=(endpoint,), certs=folder, role="display"), stop=StopRequest(), say=print
     ) as display:
         display.subscribe("estimate", BY_TYPE[Estimate], estimates)
-        publisher = node.publisher(RmwZenoh(5).key(BY_NAME["odometry"]))
+        publisher = node.declare_publisher(RmwZenoh(5).key(BY_NAME["odometry"]))
         number = 0
         while estimates.take(0.1) is None:
             assert time.monotonic() < until, "no estimate"

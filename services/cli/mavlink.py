@@ -1,0 +1,99 @@
+"""Command ``mavlink``: edge to ArduPilot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from services.cli.bus import with_bus
+
+if TYPE_CHECKING:
+    from services.bus.options import BusOptions
+
+NOT_INSTALLED = "needs the package pymavlink: pip install pymavlink (extra mavlink)"
+
+
+@with_bus("mavlink", without=["connect"])
+def mavlink(
+    autopilot: Annotated[
+        str, typer.Option("--connect", metavar="udpin|udpout:HOST:PORT", help="Where the autopilot sends, or listens.")
+    ] = "udpin:127.0.0.1:14550",
+    router: Annotated[
+        list[str] | None, typer.Option("--router", "-e", metavar="ENDPOINT", help="Router of this bus; repeatable.")
+    ] = None,
+    gcs_sysid: Annotated[
+        int, typer.Option("--gcs-sysid", metavar="N", help="MAV_GCS_SYSID of the autopilot.", min=1, max=255)
+    ] = 255,
+    gcs_timeout_s: Annotated[
+        float, typer.Option("--gcs-timeout-s", metavar="T", help="Silence of the ground station.", min=1.0, max=60.0)
+    ] = 5.0,
+    vehicle: Annotated[
+        str, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle, with pwm_us and pwm_N of each thruster.")
+    ] = "paper",
+    signing_key: Annotated[
+        Path | None, typer.Option("--signing-key", metavar="FILE", help="32 bytes: signed frames alone, both ways.")
+    ] = None,
+    no_mission: Annotated[bool, typer.Option("--no-mission", help="Ignore the mission of the autopilot.")] = False,
+    *,
+    bus: BusOptions,
+) -> int:
+    """Connect to ArduPilot: position in, thrusts out.
+
+    Reads plan and controller/status; writes estimate and command. It replaces the estimator.
+    """
+    from msgspec import structs
+
+    from ltv_mpc.errors import ConfigError
+    from ltv_mpc.vehicle.parameters import Vehicle
+    from services.cli.bus import check_endpoint
+
+    try:
+        from services.edges.mavlink.edge import Settings
+        from services.processes import mavlink as process
+    except ModuleNotFoundError as error:
+        if error.name is None or not error.name.startswith("pymavlink"):
+            raise
+        raise ConfigError("ltv-mpc mavlink", "", NOT_INSTALLED) from None
+    address = _address(autopilot)
+    for endpoint in router or ():
+        check_endpoint("--router", endpoint, bus.certs)
+    of = Vehicle.load(vehicle)
+    if missing := [n for n, t in (("port", of.thruster.port), ("starboard", of.thruster.starboard)) if not t.pwm_us]:
+        problem = f"[thruster.{missing[0]}] has no pwm_us and pwm_N: examples/vehicles/bluerobotics_boat.toml has them"
+        raise ConfigError(f"vehicle {vehicle}", "", problem)
+    key = None if signing_key is None else _key(signing_key)
+    edge = Settings(
+        vehicle=of, ground_station=gcs_sysid, ground_station_timeout_s=gcs_timeout_s, follow_mission=not no_mission
+    )
+    own = structs.replace(bus, connect=tuple(router or ()))
+    host, port, listens = address
+    config = process.Config(bus=own, host=host, port=port, listens=listens, edge=edge, signing_key=key)
+    return process.main(config)
+
+
+def _key(path: Path) -> bytes:
+    """Return the 32 bytes of a file. Raises ``ConfigError``."""
+    from ltv_mpc.errors import ConfigError
+
+    try:
+        key = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"option --signing-key {path}", "", f"cannot be read: {error.strerror}") from None
+    if len(key) != 32:
+        raise ConfigError(f"option --signing-key {path}", "", f"has {len(key)} bytes, must be 32")
+    return key
+
+
+def _address(text: str) -> tuple[str, int, bool]:
+    """Return host, port, and whether the edge listens there. Raises ``ConfigError``."""
+    from ltv_mpc.errors import ConfigError
+
+    kind, _, rest = text.partition(":")
+    host, _, port = rest.rpartition(":")
+    number = int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else 0
+    if kind not in ("udpin", "udpout") or not host or not 1 <= number <= 65_535:
+        problem = "must be udpin:HOST:PORT or udpout:HOST:PORT, as in udpin:127.0.0.1:14550"
+        raise ConfigError("option --connect", "", problem, value=text)
+    return host, number, kind == "udpin"

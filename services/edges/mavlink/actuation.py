@@ -1,0 +1,106 @@
+"""Thrusts as RC_CHANNELS_OVERRIDE of ArduPilot in mode MANUAL, and the way out of it: neutral, then release.
+
+    us_i = table of thruster i at its thrust                  PWM of the thruster, [thruster.*] pwm_us and pwm_N
+    u_i  = (us_i - 1500) / 400, within -1 and 1
+    Rover   steering (channel 1) = (u_port - u_starboard) / 2,  throttle (3) = (u_port + u_starboard) / 2
+    Sub     yaw (4) = (u_port - u_starboard) / 2,  forward (5) = (u_port + u_starboard) / 2,  up (3) = -u_vertical
+    channel = 1500 + 400 x
+
+This is the inverse of the skid steering of AR_Motors (left = throttle + steering, right = throttle - steering), which
+never saturates here since |steering| + |throttle| = max |u_i|. It needs RCn_MIN 1100, RCn_TRIM 1500, RCn_MAX 1900, and
+RCn_DZ 0. Sway (6) of Sub is not used. ArduPilot takes the throttle in whole percent.
+"""
+
+from __future__ import annotations
+
+import enum
+
+import numpy as np
+
+from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.parameters import Thruster, Vehicle
+from services.edges.mavlink.autopilot import Kind
+
+NEUTRAL, SPAN = 1500, 400
+RELEASE, IGNORE = 0, 65535
+CHANNELS = 8
+NEUTRAL_US, RELEASE_US = 500_000, 1_000_000
+"""Time of neutral and of release. Both are repeated in each period, because a frame may be lost."""
+
+USED = {Kind.ROVER: (1, 3), Kind.SUB: (3, 4, 5)}
+"""Channels that the edge overrides; it leaves the others to the pilot."""
+
+
+def pwm_us(thruster: Thruster, thrust_N: float) -> float:
+    """Return the PWM (us) of a thrust: linear in the table, constant beyond it, 1500 for no thrust.
+
+    Thrusts that the table does not have ahead of, or behind, the dead band begin at its edge.
+    """
+    if thrust_N == 0.0:
+        return float(NEUTRAL)
+    us, force = np.asarray(thruster.pwm_us, dtype=float), np.asarray(thruster.pwm_N, dtype=float)
+    side = force >= 0.0 if thrust_N > 0.0 else force <= 0.0
+    rising = force[-1] > force[0]
+    us, force = (us[side], force[side]) if rising else (us[side][::-1], force[side][::-1])
+    if thrust_N > 0.0:  # of several rows without thrust the last one is the edge of the dead band
+        first = int(np.flatnonzero(force == 0.0)[-1]) if (force == 0.0).any() else 0
+        us, force = us[first:], force[first:]
+    else:
+        last = int(np.flatnonzero(force == 0.0)[0]) if (force == 0.0).any() else len(force) - 1
+        us, force = us[: last + 1], force[: last + 1]
+    return float(np.interp(thrust_N, force, us))
+
+
+def channels(vehicle: Vehicle, kind: Kind, thrust_N: Array) -> dict[int, int]:
+    """Return the PWM (us) of each overridden channel for thrusts (3,) in N."""
+    u = [
+        min(max((pwm_us(thruster, float(force)) - NEUTRAL) / SPAN, -1.0), 1.0) if thruster.pwm_us else 0.0
+        for thruster, force in zip(vehicle.thrusters, thrust_N, strict=True)
+    ]
+    turn, ahead = 0.5 * (u[0] - u[1]), 0.5 * (u[0] + u[1])
+    shares = {1: turn, 3: ahead} if kind is Kind.ROVER else {3: -u[2], 4: turn, 5: ahead}
+    return {channel: round(NEUTRAL + SPAN * share) for channel, share in shares.items()}
+
+
+class State(enum.Enum):
+    """State of the overrides."""
+
+    IDLE = "idle"  # nothing is sent
+    DRIVING = "driving"
+    NEUTRAL = "neutral"
+    RELEASING = "releasing"
+
+
+class Overrides:
+    """Sequence of the overrides. While the autopilot is disarmed nothing but the release is sent."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._until_us = 0
+        self.state = State.IDLE
+
+    def step(self, kind: Kind, thrust_N: Array | None, armed: bool, now_us: int) -> list[int] | None:
+        """Return the 8 channels to send now, or None. ``thrust_N`` is None if the edge may not drive."""
+        if thrust_N is not None and armed:
+            self.state = State.DRIVING
+            return self._row(channels(self._vehicle, kind, thrust_N))
+        if self.state is State.DRIVING:
+            self.state, self._until_us = State.NEUTRAL, now_us + NEUTRAL_US
+        if self.state is State.NEUTRAL and (now_us >= self._until_us or not armed):
+            self.state, self._until_us = State.RELEASING, now_us + RELEASE_US
+        if self.state is State.RELEASING and now_us >= self._until_us:
+            self.state = State.IDLE
+        if self.state is State.NEUTRAL:
+            return self.neutral(kind)
+        return self.release(kind) if self.state is State.RELEASING else None
+
+    def neutral(self, kind: Kind) -> list[int]:
+        """Return the channels without thrust."""
+        return self._row(dict.fromkeys(USED[kind], NEUTRAL))
+
+    def release(self, kind: Kind) -> list[int]:
+        """Return the channels that give the control back to the pilot."""
+        return self._row(dict.fromkeys(USED[kind], RELEASE))
+
+    def _row(self, values: dict[int, int]) -> list[int]:
+        return [values.get(channel, IGNORE) for channel in range(1, CHANNELS + 1)]

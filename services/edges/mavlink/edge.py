@@ -1,0 +1,222 @@
+"""Edge to ArduPilot: estimates and mission in, overrides and state out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeAlias
+
+import msgspec
+
+from ltv_mpc.messages import (
+    Acknowledgement,
+    Array,
+    Authority,
+    Command,
+    ControllerStatus,
+    Estimate,
+    Message,
+    Plan,
+)
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received
+from services.edges.mavlink.actuation import Overrides, State
+from services.edges.mavlink.autopilot import Autopilot
+from services.edges.mavlink.codec import Codec, frames_of
+from services.edges.mavlink.mission import MissionFollower
+from services.edges.mavlink.navigation import MS, Accuracy, Navigation
+
+INTERVALS_US = {"SYSTEM_TIME": (2, 1_000_000), "ATTITUDE": (30, 50_000), "LOCAL_POSITION_NED": (32, 100_000),
+                "GPS_GLOBAL_ORIGIN": (49, 1_000_000), "EKF_STATUS_REPORT": (193, 1_000_000)}  # fmt: skip
+"""Number and interval of each requested message."""
+
+SECOND_US = 1_000_000
+SILENT_US = 3_000_000
+SET_MESSAGE_INTERVAL = 511
+ONBOARD_CONTROLLER, NO_AUTOPILOT, ACTIVE = 18, 8, 4
+NOTICE, WARNING = 5, 4
+RELEASES = 5
+
+
+Handler: TypeAlias = Callable[[Any, int], Iterable[Output]]
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """Settings of the edge to ArduPilot."""
+
+    vehicle: Vehicle
+    ground_station: int = 255  # system number of the ground station, which the autopilot obeys
+    ground_station_timeout_s: float = 5.0
+    accuracy: Accuracy = Accuracy()
+    speed_mps: float = 0.5  # on a mission that sets none
+    follow_mission: bool = True
+
+
+class MavlinkEdge(Edge):
+    """Edge to ArduPilot. A received frame is a datagram, with one or more frames of MAVLink."""
+
+    name = "mavlink"
+    reads = (Plan, Acknowledgement, ControllerStatus)
+    writes = (Estimate, Command)
+
+    def __init__(self, epoch: int, settings: Settings, codec: Codec) -> None:
+        super().__init__(epoch)
+        self._settings, self._codec = settings, codec
+        dives = settings.vehicle.can_dive
+        self.autopilot = Autopilot(settings.ground_station, timeout_s=settings.ground_station_timeout_s)
+        self.navigation = Navigation(settings.accuracy, dives=dives)
+        self.overrides = Overrides(settings.vehicle)
+        self._mission = MissionFollower(settings.speed_mps, dives=dives)
+        self._numbers = LossCounter(256)
+        self._seen_us: dict[str, int] = {}
+        self._asked_us = -SECOND_US
+        self._why = ""
+        self._reported = (0, 0)  # restarts and resets
+
+    @property
+    def waiting_for(self) -> str:
+        """Input that the edge needs before it can do its work; empty if it needs none."""
+        return "autopilot" if self.autopilot.kind is None else ""
+
+    def receive(self, frame: Received) -> list[Output]:
+        """Convert each frame of a datagram; each is counted for itself."""
+        outputs: list[Output] = []
+        for one in frames_of(frame.payload):
+            outputs += super().receive(frame._replace(payload=one))
+        return outputs
+
+    def convert(self, frame: Received) -> Iterable[Output]:
+        """Convert a frame of MAVLink."""
+        message = self._codec.decode(frame.payload)
+        kind = message.get_type()
+        if self.autopilot.is_from(message):  # of the others not all frames come this way
+            self._numbers.add(message.get_srcSystem(), message.get_seq())
+            self.lost = self._numbers.lost
+        if kind == "HEARTBEAT":
+            self.autopilot.heartbeat(message, frame.now_us)
+        elif (handle := self._handler(kind)) is not None and self.autopilot.is_from(message):
+            self._seen_us[kind] = frame.now_us
+            return handle(message, frame.now_us)
+        return ()
+
+    def take(self, message: Message, now_us: int) -> Iterable[Output]:
+        """Take a plan, a status or a reply of the controller."""
+        super().take(message, now_us)
+        match message:
+            case Acknowledgement() if message.command_id == self._mission.command_id:
+                self._mission.reference = ""
+                if not message.accepted:
+                    self.refuse(f"mission: the controller rejects it: {message.why}")
+                    return [self._text(WARNING, f"mission rejected: {message.why}")]
+            case ControllerStatus(error_m=float() as error_m):
+                boot_ms = (self.clock.read(now_us) or 0) // MS & 0xFFFFFFFF
+                return [self._send(self._codec.make.named_value_float_encode(boot_ms, b"mpc_err", error_m))]
+        return []
+
+    def step(self, now_us: int) -> Iterable[Output]:
+        """Return the override of this period, and once a second what keeps the link alive."""
+        thrust_N, why = self._thrust(now_us)
+        if self.autopilot.kind is not None:
+            row = self.overrides.step(self.autopilot.kind, thrust_N, self.autopilot.armed, now_us)
+            if row is not None:
+                yield self._override(row)
+            if why != self._why:
+                yield self._text(WARNING if why else NOTICE, f"released: {why}" if why else "driving")
+                self._why = why
+        yield from self._reports()
+        if now_us >= self._asked_us + SECOND_US:
+            self._asked_us = now_us
+            yield from self._every_second(now_us)
+        if self.autopilot.kind is not None and self._settings.follow_mission:
+            request = self._mission.download.request(self._codec.make, self._target, now_us)
+            if request is not None:
+                yield self._send(request)
+
+    def release(self, now_us: int) -> Iterable[Outgoing]:  # noqa: ARG002
+        """Return neutral, while armed, and the release, several times because frames may be lost."""
+        kind = self.autopilot.kind
+        if kind is None or self.overrides.state is State.IDLE:
+            return []
+        rows = [self.overrides.neutral(kind)] * (RELEASES if self.autopilot.armed else 0)
+        return [self._override(row) for row in (*rows, *[self.overrides.release(kind)] * RELEASES)]
+
+    # --- out ---
+
+    def _thrust(self, now_us: int) -> tuple[Array | None, str]:
+        """Return the thrust (N), or None and why the edge does not drive."""
+        why = self.autopilot.why_not(now_us)
+        authority = self.plans.authority
+        if not why and authority not in (Authority.CONTROLLER, Authority.MANUAL):
+            why = f"controller {authority.value}"
+        thrust_N = None if why else self.plans.thrust_N(self.clock.read(now_us))
+        return thrust_N, why or ("" if thrust_N is not None else "no plan")
+
+    def _every_second(self, now_us: int) -> Iterator[Output]:
+        """Yield heartbeat, requests of time and of the messages that do not come, and a reference until it is taken.
+
+        Without the ground station there is no heartbeat: it has the same system number, and would stand for it.
+        """
+        if self.autopilot.station_is_there(now_us):
+            yield self._send(self._codec.make.heartbeat_encode(ONBOARD_CONTROLLER, NO_AUTOPILOT, 0, 0, ACTIVE))
+        if self.autopilot.kind is None:
+            return
+        yield self._send(self._codec.make.timesync_encode(0, now_us * 1000))
+        if self._mission.reference:
+            yield self._mission.follow(self.command_id())
+        for name, (number, interval_us) in INTERVALS_US.items():
+            if now_us > self._seen_us.get(name, -SILENT_US) + SILENT_US - SECOND_US:
+                yield self._send(
+                    self._codec.make.command_long_encode(
+                        *self._target, SET_MESSAGE_INTERVAL, 0, number, interval_us, 0, 0, 0, 0, 0
+                    )
+                )
+
+    def _reports(self) -> Iterator[Outgoing]:
+        counted = self.navigation.restarts, self.navigation.resets
+        if counted != self._reported:
+            if counted[0] > self._reported[0]:
+                self.clock.reset()
+                yield self._text(WARNING, "autopilot restarted")
+            else:
+                yield self._text(WARNING, f"EKF reset, {counted[1]} so far")
+            self._reported = counted
+
+    @property
+    def _target(self) -> tuple[int, int]:
+        return self.autopilot.system, self.autopilot.component
+
+    def _override(self, row: list[int]) -> Outgoing:
+        return self._send(self._codec.make.rc_channels_override_encode(*self._target, *row))
+
+    def _text(self, severity: int, text: str) -> Outgoing:
+        line = f"LTV-MPC: {text}"[:50].encode("ascii", "replace")
+        return self._send(self._codec.make.statustext_encode(severity, line))
+
+    def _send(self, message: Any) -> Outgoing:
+        return Outgoing("", self._codec.encode(message))
+
+    # --- in ---
+
+    def _handler(self, kind: str) -> Handler | None:
+        """Return the function that takes a message of the autopilot."""
+        navigation, mission = self.navigation, self._mission
+        handlers: dict[str, Handler] = {
+            "ATTITUDE": lambda message, _: navigation.attitude(message),
+            "LOCAL_POSITION_NED": lambda message, _: navigation.position(message),
+            "ODOMETRY": lambda message, _: navigation.odometry(message),
+            "EKF_STATUS_REPORT": lambda message, _: navigation.filter_status(message),
+            "SYSTEM_TIME": self._system_time,
+            "TIMESYNC": self._timesync,
+            "GPS_GLOBAL_ORIGIN": mission.origin,
+            "MISSION_COUNT": mission.count,
+            "MISSION_ITEM_INT": mission.item,
+        }
+        return handlers.get(kind)
+
+    def _system_time(self, message: Any, now_us: int) -> Iterable[Output]:
+        self.clock.update(message.time_boot_ms * MS, now_us)
+        return ()
+
+    def _timesync(self, message: Any, now_us: int) -> Iterable[Output]:
+        if message.tc1 != 0:  # an answer, and no request
+            self.clock.exchange(message.tc1, message.ts1 // 1000, now_us)
+        return ()

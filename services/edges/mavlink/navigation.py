@@ -1,0 +1,219 @@
+"""Estimates from the autopilot's position, attitude and odometry, which are world NED and body FRD as here.
+
+Position and attitude have different stamps. An estimate is made at each stamp of a position, with the attitude between
+the two samples around it (linear; headings on the shorter way):
+
+    heading rate = (q sin(roll) + r cos(roll)) / cos(pitch)
+
+A reset of the EKF moves position or heading at once. No estimate is interpolated across one, and resets are counted.
+LOCAL_POSITION_NED and ATTITUDE have no covariance: that of the settings is used.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from ltv_mpc.frames import wrap_angle
+from ltv_mpc.messages import Array, Estimate
+from services.edges.edge import Refused
+
+MS = 1_000_000  # ns
+MAX_WAIT_MS = 500
+"""Longest wait of a position for the attitude behind it."""
+
+RESTART_MS = 5_000
+"""Step of the stamps backwards that is a restart of the autopilot, and no reordering."""
+
+JUMP_M, TURN_RAD = 1.0, 0.3
+"""Motion beyond that of velocity and yaw rate that is a reset of the EKF."""
+
+CONST_POSITION = 128  # EKF_CONST_POS_MODE
+GAP_MS = 2_000
+"""Gap of the positions behind which no jump can be told from motion."""
+
+
+class Accuracy(msgspec.Struct, frozen=True, kw_only=True):
+    """Standard deviations of an autopilot that sends no covariance."""
+
+    position_m: float = 1.0
+    velocity_mps: float = 0.1
+    heading_rad: float = 0.05
+    yaw_rate_radps: float = 0.01
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (6, 6) of an estimate."""
+        deviations = (self.position_m,) * 2 + (self.velocity_mps,) * 2 + (self.heading_rad, self.yaw_rate_radps)
+        covariance: Array = np.diag(np.square(deviations))
+        return covariance
+
+
+class _Attitude(NamedTuple):
+    ms: int
+    heading_rad: float
+    rate_radps: float
+
+
+class _Position(NamedTuple):
+    ms: int
+    place_m: tuple[float, float, float]
+    velocity_mps: tuple[float, float, float]
+
+
+class Navigation:
+    """Estimates of one autopilot. ``resets`` counts those of its EKF, ``restarts`` its own."""
+
+    def __init__(self, accuracy: Accuracy, *, dives: bool) -> None:
+        """``dives``: the vehicle has a depth, down from the origin."""
+        self._covariance = accuracy.covariance
+        self._dives = dives
+        self._attitudes: deque[_Attitude] = deque(maxlen=50)
+        self._waiting: deque[_Position] = deque(maxlen=20)
+        self._last: _Position | None = None  # newest position
+        self._odometry = False
+        self._reset_counter = -1
+        self._has_position = True
+        self.resets = 0
+        self.restarts = 0
+
+    def attitude(self, message: Any) -> Iterator[Estimate]:
+        """Add an ATTITUDE; yield the estimates that waited for it. Raises ``Refused``."""
+        roll, pitch, yaw, q, r = _finite(message.roll, message.pitch, message.yaw, message.pitchspeed, message.yawspeed)
+        if abs(pitch) > 1.4:
+            raise Refused(f"pitch = {pitch:.2f} rad: the heading is not defined")
+        rate = (q * math.sin(roll) + r * math.cos(roll)) / math.cos(pitch)
+        sample = _Attitude(message.time_boot_ms, wrap_angle(yaw), rate)
+        if self._attitudes and not self._in_order(sample.ms, self._attitudes[-1].ms):
+            return iter(())
+        if self._attitudes:
+            last = self._attitudes[-1]
+            turned = wrap_angle(sample.heading_rad - last.heading_rad - last.rate_radps * (sample.ms - last.ms) * 1e-3)
+            if sample.ms - last.ms < GAP_MS and abs(turned) > TURN_RAD:
+                self._reset()
+        self._attitudes.append(sample)
+        return self._ready()
+
+    def position(self, message: Any) -> Iterator[Estimate]:
+        """Add a LOCAL_POSITION_NED; yield the estimates whose attitude is known. Raises ``Refused``."""
+        if not self._has_position:
+            raise Refused("position: the EKF has none")
+        if self._odometry:
+            raise Refused("position: the odometry is in use")
+        x, y, z, vx, vy, vz = _finite(message.x, message.y, message.z, message.vx, message.vy, message.vz)
+        sample = _Position(message.time_boot_ms, (x, y, z), (vx, vy, vz))
+        last = self._last
+        if last is not None and not self._in_order(sample.ms, last.ms):
+            return iter(())
+        if last is not None and sample.ms - last.ms < GAP_MS:
+            dt = (sample.ms - last.ms) * 1e-3
+            mean_mps = 0.5 * (np.array(sample.velocity_mps) + np.array(last.velocity_mps))
+            way = np.array(sample.place_m) - np.array(last.place_m) - mean_mps * dt
+            if float(np.linalg.norm(way)) > JUMP_M:
+                self._reset()
+        self._last = sample
+        self._waiting.append(sample)
+        return self._ready()
+
+    def filter_status(self, message: Any) -> Iterator[Estimate]:
+        """Take an EKF_STATUS_REPORT: a filter in its mode of constant position has no position."""
+        self._has_position = not message.flags & CONST_POSITION
+        return iter(())
+
+    def odometry(self, message: Any) -> Iterator[Estimate]:
+        """Convert an ODOMETRY of the local NED frame, body FRD. Raises ``Refused``."""
+        if message.frame_id not in (1, 20) or message.child_frame_id != 12:  # LOCAL_NED, LOCAL_FRD; BODY_FRD
+            raise Refused(
+                f"odometry: frames {message.frame_id}, {message.child_frame_id} must be local NED and body FRD"
+            )
+        x, y, z, u, v, w, q, r = _finite(
+            message.x, message.y, message.z, message.vx, message.vy, message.vz, message.pitchspeed, message.yawspeed
+        )
+        R = _rotation(*_finite(*message.q))
+        roll, pitch = math.atan2(R[2, 1], R[2, 2]), -math.asin(max(-1.0, min(1.0, R[2, 0])))
+        if abs(pitch) > 1.4:
+            raise Refused(f"pitch = {pitch:.2f} rad: the heading is not defined")
+        velocity = R @ (u, v, w)
+        if self._reset_counter not in (-1, message.reset_counter):
+            self.resets += 1
+        self._reset_counter, self._odometry = message.reset_counter, True
+        sample = _Position(message.time_usec // 1000, (x, y, z), (velocity[0], velocity[1], velocity[2]))
+        attitude = _Attitude(
+            sample.ms, math.atan2(R[1, 0], R[0, 0]), (q * math.sin(roll) + r * math.cos(roll)) / math.cos(pitch)
+        )
+        return iter((self._estimate(sample, attitude, message.time_usec * 1000),))
+
+    def _in_order(self, ms: int, newest_ms: int) -> bool:
+        """Return False for a late or repeated sample. A large step backwards is a restart of the autopilot."""
+        if ms < newest_ms - RESTART_MS:
+            self.restarts += 1
+            self._attitudes.clear()
+            self._waiting.clear()
+            self._last = None
+            return True
+        return ms > newest_ms
+
+    def _reset(self) -> None:
+        self.resets += 1
+        self._attitudes.clear()
+        self._waiting.clear()
+
+    def _ready(self) -> Iterator[Estimate]:
+        """Yield the estimates of the positions that have an attitude on either side."""
+        while self._waiting and self._attitudes:
+            position = self._waiting[0]
+            newest = self._attitudes[-1]
+            if position.ms > newest.ms:
+                return
+            self._waiting.popleft()
+            before = [one for one in self._attitudes if one.ms <= position.ms]
+            after = next(one for one in self._attitudes if one.ms >= position.ms)
+            if before and newest.ms - position.ms <= MAX_WAIT_MS:
+                yield self._estimate(position, _between(before[-1], after, position.ms), position.ms * MS)
+
+    def _estimate(self, position: _Position, attitude: _Attitude, t_ns: int) -> Estimate:
+        (north, east, down), (v_north, v_east, v_down) = position.place_m, position.velocity_mps
+        return Estimate(
+            t_ns=t_ns,
+            north_m=north,
+            east_m=east,
+            depth_m=down if self._dives else None,
+            heading_rad=attitude.heading_rad,
+            yaw_rate_radps=attitude.rate_radps,
+            velocity_north_mps=v_north,
+            velocity_east_mps=v_east,
+            velocity_down_mps=v_down if self._dives else None,
+            covariance=self._covariance,
+        )
+
+
+def _between(a: _Attitude, b: _Attitude, ms: int) -> _Attitude:
+    """Return the attitude at a time between two samples."""
+    s = (ms - a.ms) / (b.ms - a.ms) if b.ms > a.ms else 0.0
+    heading = wrap_angle(a.heading_rad + s * wrap_angle(b.heading_rad - a.heading_rad))
+    return _Attitude(ms, heading, a.rate_radps + s * (b.rate_radps - a.rate_radps))
+
+
+def _finite(*values: float) -> tuple[float, ...]:
+    """Return the values. Raises ``Refused`` if one is not finite."""
+    if not all(map(math.isfinite, values)):
+        raise Refused("not a number, in position, velocity or attitude")
+    return values
+
+
+def _rotation(w: float, x: float, y: float, z: float) -> Array:
+    """Return R (3, 3) of a quaternion, body to world. Raises ``Refused`` if it is no rotation."""
+    if abs(math.hypot(w, x, y, z) - 1.0) > 1e-2:
+        raise Refused(f"quaternion of length {math.hypot(w, x, y, z):.3g}, not 1")
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,66 @@
+"""Processes in real time: the simulated autopilot, `ltv-mpc mavlink`, a controller, and a ground station by MAVSDK."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from typing import Any
+
+import pytest
+
+pytest.importorskip("mavsdk", minversion=None, reason="not installed: pip install mavsdk (extra dev)")
+
+from services.supervisor import loopback
+from tests.foreign_plant.mavlink_flight import ROOT
+from tests.services.edges.mavlink.ground_station import PLACES
+from tests.system.alone import CLI, controller, started
+
+BOAT = ROOT / "examples/vehicles/bluerobotics_boat.toml"
+STATION = "tests.services.edges.mavlink.ground_station"
+MAVSDK_SYSTEM = "245"
+
+
+@pytest.mark.timeout(400)
+def test_a_mission_of_another_ground_station_is_driven() -> None:
+    """It connects, uploads, arms and reads telemetry; the boat drives to the second place."""
+    own, station = loopback.free_port(), loopback.free_port()
+    simulated = ROOT / "examples/python/simulated_autopilot.py"
+    links = (f"udpout:127.0.0.1:{own}", f"udpout:127.0.0.1:{station}", MAVSDK_SYSTEM)
+    arguments = ("--vehicle", str(BOAT), "--reference", "hover")
+    with controller(loopback.free_port(), arguments) as (endpoint, _):
+        edge = (*CLI, "mavlink", "--connect", f"udpin:127.0.0.1:{own}", "--router", endpoint)
+        with (
+            started(*edge, "--gcs-sysid", MAVSDK_SYSTEM, "--vehicle", str(BOAT)),
+            started(sys.executable, "-P", str(simulated), *links) as (_, autopilot),
+            started(sys.executable, "-P", "-m", "tests.services.edges.mavlink.ground_station", str(station)) as (
+                _,
+                said,
+            ),
+        ):
+            lines: list[dict[str, Any]] = []
+
+            def until(wanted: Any) -> dict[str, Any]:
+                def matches(line: str) -> bool:
+                    if line.startswith("{"):
+                        lines.append(json.loads(line))
+                        return bool(wanted(lines[-1]))
+                    return False
+
+                return json.loads(said.until(matches, within_s=150.0))  # type: ignore[no-any-return]
+
+            assert until(lambda line: "system" in line)["system"] == 1
+            assert until(lambda line: "uploaded" in line)["uploaded"] == len(PLACES)
+            until(lambda line: "armed" in line)
+            autopilot.until(lambda line: "controller disarmed" in line, within_s=90.0)
+            with started(*CLI, "ctl", "arm", "--connect", endpoint) as (_, ctl):
+                ctl.until(lambda line: "accepted" in line, within_s=60.0)
+            autopilot.until(lambda line: "driving" in line, within_s=60.0)
+            until(lambda line: "latitude_deg" in line and metres(line, PLACES[1]) < 2.0)
+
+
+def metres(line: dict[str, Any], place: tuple[float, float]) -> float:
+    """Return the distance of a position from a place (m)."""
+    north = math.radians(line["latitude_deg"] - place[0]) * 6_367_000.0
+    east = math.radians(line["longitude_deg"] - place[1]) * 6_367_000.0 * math.cos(math.radians(place[0]))
+    return math.hypot(north, east)

@@ -1,0 +1,420 @@
+"""Edge to MAVLink: the rules of ArduPilot for overrides, navigation, mission, versions and signatures."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink", reason="not installed: pip install pymavlink (extra mavlink)")
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from ltv_mpc import config, references
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Action, Command, Estimate
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.cli.app import run
+from services.edges.edge import Received, Refused
+from services.edges.mavlink.actuation import Overrides, State, channels, pwm_us
+from services.edges.mavlink.autopilot import Kind
+from services.edges.mavlink.codec import Codec, frames_of
+from services.edges.mavlink.edge import MavlinkEdge, Settings
+from services.edges.mavlink.mission import reference_of
+from services.edges.mavlink.navigation import Accuracy, Navigation
+from tests.foreign_plant.flight import distance_m
+from tests.foreign_plant.mavlink_flight import EXAMPLE, ROOT, MavlinkFlight, vehicle
+
+BOAT = ROOT / "examples/vehicles/bluerobotics_boat.toml"
+KEY = bytes(range(32))
+
+
+def codec(system: int = 1, component: int = 1, key: bytes | None = None) -> Codec:
+    return Codec(system, key, component=component, stamp=10**13)
+
+
+# --- thrust ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("thrust_N", "us"), [(0.0, 1500.0), (51.5, 1900.0), (-39.9, 1100.0), (60.0, 1900.0), (4.25, 1576.0), (-6.6, 1390.0)]
+)
+def test_a_thrust_is_the_pwm_of_the_published_curve(thrust_N: float, us: float) -> None:
+    assert pwm_us(Vehicle.load(str(BOAT)).thruster.port, thrust_N) == pytest.approx(us)
+
+
+def test_the_dead_band_is_stepped_over() -> None:
+    port = Vehicle.load(str(BOAT)).thruster.port
+    assert pwm_us(port, 1e-6) == pytest.approx(1528.0, abs=0.01)
+    assert pwm_us(port, -1e-6) == pytest.approx(1472.0, abs=0.01)
+
+
+def test_a_motor_that_turns_the_other_way_has_a_falling_table() -> None:
+    port = Vehicle.load(str(BOAT)).thruster.port
+    other = msgspec.structs.replace(port, pwm_N=tuple(reversed(port.pwm_N)))
+    assert pwm_us(other, 51.5) == 1100.0
+    assert pwm_us(other, -39.9) == 1900.0
+    assert pwm_us(other, 1e-6) == pytest.approx(other.pwm_us[4], abs=200.0)
+
+
+def test_the_mix_is_the_inverse_of_that_of_the_autopilot() -> None:
+    """Its throttle has whole percent, 4 us; its own mix then gives the thrusts of the table."""
+    autopilot, boat = EXAMPLE.Autopilot(EXAMPLE.Boat()), Vehicle.load(str(BOAT))
+    autopilot.armed, autopilot.mode = True, 0
+    rng = np.random.default_rng(0)
+    for thrust_N in rng.uniform(-39.0, 51.0, size=(200, 2)):
+        wanted = channels(boat, Kind.ROVER, np.array([*thrust_N, 0.0]))
+        assert set(wanted) == {1, 3}
+        autopilot.overrides = {channel: (us, autopilot.now_s) for channel, us in wanted.items()}
+        np.testing.assert_allclose(autopilot.thrusts(), thrust_N, atol=1.3)
+
+
+def test_a_submarine_has_forward_yaw_and_vertical() -> None:
+    of = Vehicle.load("paper")
+    table = {"pwm_us": (1100.0, 1500.0, 1900.0), "pwm_N": (-10.0, 0.0, 10.0)}
+    port, starboard, vertical = (msgspec.structs.replace(one, **table) for one in of.thrusters)
+    thrusters = msgspec.structs.replace(of.thruster, port=port, starboard=starboard, vertical=vertical)
+    of = msgspec.structs.replace(of, thruster=thrusters)
+    assert channels(of, Kind.SUB, np.array([10.0, 0.0, 5.0])) == {3: 1300, 4: 1700, 5: 1700}
+
+
+@pytest.mark.parametrize(
+    ("table", "problem"),
+    [
+        ({"pwm_us": (1100.0, 1900.0)}, "same length"),
+        ({"pwm_us": (1900.0, 1100.0), "pwm_N": (-1.0, 1.0)}, "must increase"),
+        ({"pwm_us": (1100.0, 1500.0, 1900.0), "pwm_N": (-1.0, 2.0, 1.0)}, "rise, or fall"),
+        ({"pwm_us": (1100.0, 1900.0), "pwm_N": (0.0, 1.0)}, "both signs"),
+    ],
+)
+def test_a_table_without_an_inverse_is_rejected(table: dict[str, Any], problem: str) -> None:
+    fields = msgspec.structs.asdict(Vehicle.load(str(BOAT)).thruster.port)
+    with pytest.raises(ValueError, match=problem):
+        type(Vehicle.load(str(BOAT)).thruster.port)(**(fields | {"pwm_us": (), "pwm_N": ()} | table))
+
+
+# --- may the edge drive? ---------------------------------------------------------------------------------------------
+
+
+def driving() -> MavlinkFlight:
+    flight = MavlinkFlight()
+    flight.fly(3.0)
+    flight.arm()
+    flight.command(action="arm")
+    flight.fly(10.0)
+    assert flight.edge.overrides.state is State.DRIVING
+    assert flight.autopilot.overrides
+    return flight
+
+
+def ends(flight: MavlinkFlight, text: str) -> None:
+    """Check that the edge has told why, has let go of the channels, and is silent."""
+    assert flight.autopilot.overrides == {}
+    assert flight.edge.overrides.state is State.IDLE
+    assert flight.autopilot.log[-1] == f"LTV-MPC: released: {text}"
+    assert flight.autopilot.actuated_while_disarmed == 0
+
+
+def test_it_drives_an_armed_autopilot_in_manual_and_holds_the_point() -> None:
+    flight = driving()
+    flight.fly(30.0)
+    assert distance_m(flight.fly(10.0)).max() < 0.3
+    assert "LTV-MPC: driving" in flight.autopilot.log
+
+
+def test_without_the_ground_station_it_lets_go_and_does_not_stand_for_it() -> None:
+    flight = driving()
+    flight.station_beats = False
+    flight.fly(3.9)
+    assert flight.edge.overrides.state is State.DRIVING
+    while flight.edge.overrides.state is State.DRIVING:
+        flight.fly(0.02)
+    flight.fly(0.1)
+    assert flight.edge.overrides.state is State.NEUTRAL
+    assert {us for us, _ in flight.autopilot.overrides.values()} == {1500}
+    flight.fly(2.0)
+    ends(flight, "ground station lost")
+    flight.fly(6.0)
+    assert flight.autopilot.failsafe  # the edge has not stood for the ground station
+
+
+def test_a_second_ground_station_does_not_stand_for_the_first() -> None:
+    flight = driving()
+    flight.station_beats = False
+    other = dialect.MAVLink(None, srcSystem=254, srcComponent=190)
+    for _ in range(8):
+        beat = other.heartbeat_encode(6, 8, 0, 0, 4)
+        flight.deliver(flight.autopilot.receive(bytes(beat.pack(other)), 1))
+        flight.fly(1.0)
+    ends(flight, "ground station lost")
+
+
+@pytest.mark.parametrize(
+    ("command", "first", "second", "text"),
+    [(176, 1.0, 4.0, "mode HOLD"), (176, 1.0, 10.0, "mode AUTO"), (400, 0.0, 0.0, "disarmed")],
+)
+def test_a_change_of_mode_or_disarm_ends_it(command: int, first: float, second: float, text: str) -> None:
+    flight = driving()
+    flight.from_station(flight.station.command_long_encode(1, 1, command, 0, first, second, 0, 0, 0, 0, 0))
+    flight.fly(1.1)  # its heartbeats come once a second
+    flight.autopilot.actuated_while_disarmed = 0
+    flight.fly(2.0)
+    ends(flight, text)
+
+
+def test_a_failsafe_the_end_of_the_plan_and_a_disarmed_controller_end_it() -> None:
+    flight = driving()
+    flight.autopilot.failsafe = True
+    flight.fly(3.0)
+    ends(flight, "autopilot failsafe")
+    flight = driving()
+    flight.kill_controller()
+    flight.fly(8.0)
+    ends(flight, "no plan")
+    flight = driving()
+    flight.command(action="stop")
+    flight.fly(3.0)
+    ends(flight, "controller stopped")
+
+
+def test_a_lost_autopilot_gets_nothing_more_and_a_process_that_stops_lets_go() -> None:
+    flight = driving()
+    rows = list(flight.edge.release(flight.host_us))
+    for frame in rows[:-1]:  # the last one is lost
+        flight.autopilot.receive(frame.payload, 0)
+    assert flight.autopilot.overrides == {}
+
+
+def test_while_disarmed_nothing_but_the_release_is_sent() -> None:
+    overrides = Overrides(vehicle())
+    thrust = np.ones(3)
+    assert overrides.step(Kind.ROVER, thrust, False, 0) is None
+    assert overrides.step(Kind.ROVER, thrust, True, 0) is not None
+    row = overrides.step(Kind.ROVER, thrust, False, 40_000)
+    assert row == [0, 65535, 0, 65535, 65535, 65535, 65535, 65535]
+
+
+def test_an_autopilot_that_is_not_ardupilot_is_refused() -> None:
+    edge, px4 = MavlinkEdge(1, Settings(vehicle=vehicle()), codec(255, 191)), codec()
+    edge.receive(Received("", px4.encode(px4.make.heartbeat_encode(11, 12, 0, 0, 4)), b"", 0))
+    assert edge.refused == 1
+    assert "must be ArduPilot" in edge.reason
+
+
+# --- navigation ------------------------------------------------------------------------------------------------------
+
+
+def attitude(ms: int, yaw: float, rate: float = 0.0) -> Any:
+    return codec().make.attitude_encode(ms, 0.0, 0.0, yaw, 0.0, 0.0, rate)
+
+
+def position(ms: int, x: float = 0.0, vx: float = 0.0) -> Any:
+    return codec().make.local_position_ned_encode(ms, x, 2.0, 3.0, vx, 0.5, 0.1)
+
+
+def test_an_estimate_has_the_attitude_between_two_samples_on_the_shorter_way() -> None:
+    navigation = Navigation(Accuracy(), dives=True)
+    assert list(navigation.attitude(attitude(1000, math.pi - 0.05, 1.0))) == []
+    assert list(navigation.position(position(1050, 7.0, 1.5))) == []  # the attitude behind it is to come
+    (estimate,) = navigation.attitude(attitude(1100, -math.pi + 0.05, 1.0))
+    assert isinstance(estimate, Estimate)
+    assert estimate.t_ns == 1_050_000_000
+    assert abs(estimate.heading_rad) == pytest.approx(math.pi)
+    assert (estimate.north_m, estimate.east_m, estimate.depth_m) == pytest.approx((7.0, 2.0, 3.0))
+    assert (estimate.velocity_north_mps, estimate.velocity_down_mps) == pytest.approx((1.5, 0.1))
+    assert estimate.covariance is not None
+    assert estimate.covariance[4, 4] == pytest.approx(0.05**2)
+
+
+def test_late_and_repeated_samples_are_left_out_and_a_restart_is_not() -> None:
+    navigation = Navigation(Accuracy(), dives=False)
+    list(navigation.attitude(attitude(10_000, 0.0)))
+    list(navigation.attitude(attitude(10_100, 0.1)))
+    assert len(list(navigation.position(position(10_050)))) == 1
+    assert list(navigation.position(position(10_050))) == []
+    assert list(navigation.position(position(10_000))) == []
+    list(navigation.attitude(attitude(100, 0.0)))
+    list(navigation.position(position(150)))
+    (estimate,) = navigation.attitude(attitude(200, 0.0))
+    assert (estimate.t_ns, estimate.depth_m) == (150_000_000, None)
+    assert navigation.restarts >= 1
+
+
+def test_a_reset_of_the_filter_is_counted_and_nothing_is_interpolated_across_it() -> None:
+    navigation = Navigation(Accuracy(), dives=False)
+    list(navigation.attitude(attitude(1000, 0.0)))
+    list(navigation.position(position(1050)))
+    assert list(navigation.attitude(attitude(1100, 0.8))) == []  # the heading has jumped
+    assert navigation.resets == 1
+    list(navigation.position(position(1150)))
+    assert len(list(navigation.attitude(attitude(1200, 0.8)))) == 1
+    list(navigation.position(position(1250, 4.0)))  # the position has jumped
+    assert navigation.resets == 2
+
+
+def test_odometry_has_its_own_attitude_and_excludes_positions() -> None:
+    navigation = Navigation(Accuracy(), dives=False)
+    c = codec()
+    half = math.sqrt(0.5)
+
+    def message(frame: int = 1, child: int = 12, q: tuple[float, ...] = (half, 0.0, 0.0, half), reset: int = 0) -> Any:
+        return c.make.odometry_encode(
+            5_000_000,
+            frame,
+            child,
+            1.0,
+            2.0,
+            0.0,
+            q,
+            1.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.2,
+            [math.nan] * 21,
+            [math.nan] * 21,
+            reset,
+        )
+
+    (estimate,) = navigation.odometry(message())
+    assert estimate.heading_rad == pytest.approx(math.pi / 2)
+    assert (estimate.velocity_north_mps, estimate.velocity_east_mps) == pytest.approx((0.0, 1.0), abs=1e-9)
+    assert (estimate.yaw_rate_radps, estimate.t_ns) == (pytest.approx(0.2), 5_000_000_000)
+    with pytest.raises(Refused, match="odometry is in use"):
+        navigation.position(position(6000))
+    list(navigation.odometry(message(reset=1)))
+    assert navigation.resets == 1
+    for broken in (
+        message(frame=8),
+        message(child=8),
+        message(q=(0.0, 0.0, 0.0, 0.0)),
+        message(q=(math.nan, 0.0, 0.0, 1.0)),
+    ):
+        with pytest.raises(Refused):
+            navigation.odometry(broken)
+
+
+def test_a_filter_without_a_position_gives_no_estimate() -> None:
+    flight = MavlinkFlight()
+    flight.fly(3.0)
+    flight.autopilot.intervals[193] = 0.0
+    flags = flight.autopilot.mav.ekf_status_report_encode(128, 0, 0, 0, 0, 0)
+    before = flight.edge.refused
+    flight.edge.receive(Received("", bytes(flags.pack(flight.autopilot.mav)), b"", flight.host_us))
+    flight.fly(1.0)
+    assert flight.edge.refused > before
+    assert flight.edge.reason == "position: the EKF has none"
+
+
+# --- mission ---------------------------------------------------------------------------------------------------------
+
+
+def item(seq: int, command: int, lat: float = 50.2, lon: float = -5.1, frame: int = 6, param2: float = 0.0) -> Any:
+    x, y = round(lat * 1e7), round(lon * 1e7)
+    return codec().make.mission_item_int_encode(1, 1, seq, frame, command, 0, 1, 0.0, param2, 0.0, 0.0, x, y, 0.0)
+
+
+def read(text: str) -> references.Reference:
+    reference: references.Reference = config.parse(config.loads(text), references.Reference, source="mission")
+    return reference
+
+
+def test_a_mission_is_a_reference_in_degrees_with_its_speed() -> None:
+    items = [item(0, 16), item(1, 178, param2=1.5), item(2, 16, 50.201), item(3, 16, 50.201, -5.099), item(4, 20)]
+    route = read(reference_of(items, (50.2, -5.1), 0.5, dives=False))
+    assert isinstance(route, references.Waypoints)
+    assert route.speed_mps == 1.5
+    assert [place.latitude_deg for place in route.waypoints] == [50.201, 50.201]
+    assert isinstance(read(reference_of(items[:3], (50.2, -5.1), 0.5, dives=False)), references.Point)
+    assert reference_of(items[:1], (50.2, -5.1), 0.5, dives=False) == ""
+    with pytest.raises(Refused, match="must be global"):
+        reference_of([item(0, 16), item(1, 16, frame=1)], (50.2, -5.1), 0.5, dives=False)
+
+
+def test_a_changed_mission_is_followed_once_on_a_bad_link() -> None:
+    from tests.foreign_plant.scenarios.mavlink import BAD
+
+    flight = MavlinkFlight(faults=BAD)
+    flight.fly(3.0)
+    flight.autopilot.mission = [item(0, 16), item(1, 16, 50.2001), item(2, 16, 50.2001, -5.0999)]
+    flight.fly(40.0)
+    commands = [output for output in flight.outputs if isinstance(output, Command)]
+    assert [command.action for command in commands] == [Action.FOLLOW]
+    assert "latitude_deg = 50.2001" in commands[0].reference_toml
+    flight.autopilot.mission = flight.autopilot.mission[:2]
+    flight.fly(40.0)
+    assert len([output for output in flight.outputs if isinstance(output, Command)]) == 2
+
+
+# --- frames ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_datagram_of_several_frames_of_both_versions_is_read_frame_by_frame() -> None:
+    c = codec()
+    one, two = c.encode(attitude(1, 0.0)), bytes(position(2).pack(c.make, force_mavlink1=True))
+    assert list(frames_of(one + two + b"rest")) == [one, two, b"rest"]
+    assert codec().decode(two).get_type() == "LOCAL_POSITION_NED"
+    edge = MavlinkEdge(1, Settings(vehicle=vehicle()), codec(255, 191))
+    edge.receive(Received("", one + two + b"rest", b"", 0))
+    assert (edge.accepted, edge.refused) == (2, 1)
+
+
+def test_an_autopilot_of_version_1_is_driven() -> None:
+    flight = MavlinkFlight(v1=True)
+    flight.fly(3.0)
+    flight.arm()
+    flight.command(action="arm")
+    flight.fly(10.0)
+    assert flight.edge.overrides.state is State.DRIVING
+    assert flight.edge.refused == 0
+
+
+def test_on_a_signed_link_unsigned_and_repeated_frames_are_refused() -> None:
+    flight = MavlinkFlight(key=KEY)
+    flight.fly(3.0)
+    flight.arm()
+    flight.command(action="arm")
+    flight.fly(10.0)
+    assert flight.edge.overrides.state is State.DRIVING
+    assert flight.edge.refused == 0
+    unsigned = codec()
+    flight.edge.receive(Received("", unsigned.encode(attitude(1, 0.0)), b"", flight.host_us))
+    other = codec(key=bytes(32))
+    flight.edge.receive(Received("", other.encode(attitude(1, 0.0)), b"", flight.host_us))
+    assert flight.edge.refused == 2
+    assert "signature" in flight.edge.reason
+    signed = codec(7, 1, KEY)
+    frame = signed.encode(signed.make.heartbeat_encode(6, 8, 0, 0, 4))
+    for _ in range(2):
+        flight.edge.receive(Received("", frame, b"", flight.host_us))
+    assert flight.edge.refused == 3  # the second one is a replay
+
+
+# --- command line ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("mavlink --connect serial:/dev/x", "must be udpin:HOST:PORT"),
+        ("mavlink --connect udpin:127.0.0.1:0", "must be udpin:HOST:PORT"),
+        ("mavlink --vehicle surface", "has no pwm_us and pwm_N"),
+        ("mavlink --signing-key /nowhere --vehicle {boat}", "cannot be read"),
+        ("mavlink --signing-key {boat} --vehicle {boat}", "must be 32"),
+        ("mavlink --router udp", "must be PROTOCOL/ADDRESS"),
+    ],
+)
+def test_bad_options_are_refused(line: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(line.format(boat=BOAT).split()) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_the_example_vehicle_is_one() -> None:
+    boat = Vehicle.load(str(BOAT))
+    assert boat.thruster.port.pwm_us
+    with pytest.raises(ConfigError):
+        Vehicle.load(str(BOAT.with_name("no.toml")))
