@@ -21,7 +21,7 @@ from services.recording.writer import VEHICLE_MODE
 from services.reporting import differences, static_files
 from services.reporting.assessment import assessment
 from services.reporting.plots import palette
-from services.reporting.plots.catalogue import PLOTS
+from services.reporting.plots.catalogue import PLOTS, REVIEW
 from services.reporting.plots.collector import ROWS
 from services.reporting.plots.description import NO_DATA, Plot, Series
 from services.reporting.plots.recorded import PlotData, read
@@ -90,7 +90,7 @@ def plots_with_data(plot_data: Sequence[PlotData]) -> list[Plot]:
     A plot that says itself why it is empty stays, if its run is a simulation.
     """
     plots = []
-    for plot in PLOTS:
+    for plot in (*PLOTS, *REVIEW):
         series = [one for one in plot.series if any(_has_data(data, one) for data in plot_data)]
         simulated = any(data.metadata.get("mode") != VEHICLE_MODE for data in plot_data)
         if series or (simulated and plot.empty != NO_DATA):

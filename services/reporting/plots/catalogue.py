@@ -297,3 +297,79 @@ PLOTS = (
     *(THRUST, CURRENT, YAW_RATE, VERTICAL, NIS_BY_SENSOR, ENERGY, LATENCY, STAGES),
 )
 """Every plot of a run, in the order in which a reader asks: is it on its line, and why or why not."""
+
+OVER_DEPTH = Plot(
+    name="over_depth",
+    title="Distance from the reference over depth",
+    x=Axis(label="distance (m)", min_span=0.1),
+    y=Axis(label="depth (m)", downwards=True, min_span=1.0),
+    over_time=False,
+    group=Group.REVIEW,
+    series=(
+        Series(
+            label="vehicle",
+            table="vehicle_over_depth",
+            x="distance_m",
+            y="depth_m",
+            colour=palette.TRUTH,
+            compared=True,
+        ),
+        Series(
+            label="estimate",
+            table="estimate_over_depth",
+            x="distance_m",
+            y="depth_m",
+            colour=palette.ESTIMATE,
+            compared=True,
+        ),
+    ),
+)
+
+
+def _of_both_sides(table: str, x: str, unit: str) -> tuple[Series, Series]:
+    """Return the series of port and starboard over ``x``, in columns that end with ``unit``."""
+    return (
+        Series(label="port", table=table, x=x, y=f"port_{unit}", colour=palette.PORT, compared=True),
+        Series(label="starboard", table=table, x=x, y=f"starboard_{unit}", colour=palette.STARBOARD, compared=True),
+    )
+
+
+HISTOGRAM = Plot(
+    name="histogram",
+    title="Histogram of the lateral thrusts",
+    x=Axis(label="thrust (N)", min_span=10.0),
+    y=Axis(label="share of the time (%)"),
+    over_time=False,
+    group=Group.REVIEW,
+    series=_of_both_sides("histogram", "thrust_N", "percent"),
+)
+
+SPECTRUM = Plot(
+    name="spectrum",
+    title="Spectrum of the lateral thrusts",
+    x=Axis(label="frequency (Hz)", log=True),
+    y=Axis(label="power density (N²/Hz)", log=True),
+    over_time=False,
+    group=Group.REVIEW,
+    note="Mean of overlapping segments with a Hann window (Welch), from the thrusts as they are plotted over time.",
+    series=_of_both_sides("spectrum", "frequency_Hz", "N2pHz"),
+)
+
+RESIDUALS = Plot(
+    name="residuals",
+    title="Position error in standard deviations",
+    x=TIME,
+    y=Axis(label="error / standard deviation (1)", min_span=4.0),
+    group=Group.REVIEW,
+    note="Error since t = 0, divided by the standard deviation of the filter in its worst direction; the band is ±2.",
+    series=(
+        Series(
+            label="±2", table="residuals", x="t_s", y="low", y_high="high", colour=palette.REFERENCE, style=Style.BAND
+        ),
+        Series(label="north", table="residuals", x="t_s", y="north", colour=palette.NORTH, compared=True),
+        Series(label="east", table="residuals", x="t_s", y="east", colour=palette.EAST, compared=True),
+    ),
+)
+
+REVIEW = (OVER_DEPTH, HISTOGRAM, SPECTRUM, RESIDUALS)
+"""Plots of a recorded run, which the report shows below the others; their tables are those of ``analysis.py``."""

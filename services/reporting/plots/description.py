@@ -30,6 +30,7 @@ class Group(enum.StrEnum):
 
     LINE = "Is it on its line?"
     WHY = "Why, or why not?"
+    REVIEW = "What does a reviewer ask?"
 
 
 class Series(msgspec.Struct, frozen=True, kw_only=True):

@@ -33,6 +33,7 @@ from services.recording.node_settings import vehicle_of
 from services.recording.records import Records, start_of
 from services.recording.recover import segments
 from services.recording.writer import RUN, VEHICLE_MODE
+from services.reporting.plots import analysis
 from services.reporting.plots.collector import ROWS, Collector
 from services.reporting.plots.events import Mark
 from services.reporting.plots.table import Columns
@@ -142,7 +143,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
         with contextlib.suppress(wire.WireError):
             collector.newest.profile = wire.from_map(Estimate, newest)[0].current
     return PlotData(
-        tables=collector.all_tables(),
+        tables=analysis.tables(collector.all_tables()),
         values=collector.values,
         marks=tuple(collector.marks.marks),
         omitted_marks=collector.marks.omitted,

@@ -16,8 +16,8 @@ from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from services.bus.wire import Header
 from services.recording.node_settings import vehicle_of
 from services.recording.writer import RunWriter
-from services.reporting.plots import palette
-from services.reporting.plots.catalogue import PLOTS
+from services.reporting.plots import analysis, palette
+from services.reporting.plots.catalogue import PLOTS, REVIEW
 from services.reporting.plots.collector import CORRECTING, HISTORY, Collector
 from services.reporting.plots.delays import STAGES
 from services.reporting.plots.description import Style
@@ -307,3 +307,35 @@ def test_of_a_recording_that_was_cut_off_what_is_there_is_read(tmp_path: Path) -
     assert picture.cut
     times = picture.tables["track"]["t_s"]
     assert 5.0 < times[-1] < 60.0  # type: ignore[operator]
+
+
+def test_the_review_of_a_run_is_that_of_its_tables() -> None:
+    """A thrust of 10 N at 0.5 Hz has its peak there, and a density whose integral is its variance of 50 N^2."""
+    t = np.arange(0.0, 200.0, 0.2)
+    wave = 10.0 * np.sin(2.0 * np.pi * 0.5 * t)
+    nothing = {"t_s": [], "depth_m": [], "distance_m": []}
+    history = {
+        "thrust": {"t_s": t.tolist(), "port_N": wave.tolist(), "starboard_N": np.full(len(t), 5.0).tolist()},
+        "true_distance": {"t_s": [1.0, 2.0], "distance_m": [0.1, 0.2]},
+        "truth": {"t_s": [0.0, 2.0], "depth_m": [0.0, 4.0]},
+        "distance": nothing,
+        "track": nothing,
+        "errors": {"t_s": [0.0, 1.0], "north_m": [0.0, 0.3], "east_m": [0.0, -0.1], "plus_2_sigma_m": [0.0, 0.2]},
+    }
+    tables = analysis.tables(history)
+    assert tables["vehicle_over_depth"] == {"depth_m": [2.0, 4.0], "distance_m": [0.1, 0.2]}
+    assert tables["residuals"]["north"] == [None, 3.0]
+    assert tables["residuals"]["east"] == [None, -1.0]
+    assert sum(tables["histogram"]["port_percent"]) == pytest.approx(100.0, abs=0.01)
+    spectrum = tables["spectrum"]
+    frequency, power = (np.array(spectrum[name], dtype=float) for name in ("frequency_Hz", "port_N2pHz"))
+    assert frequency[np.nanargmax(power)] == pytest.approx(0.5, abs=0.03)
+    assert np.nansum(power) * (frequency[1] - frequency[0]) == pytest.approx(50.0, rel=0.05)
+
+
+def test_the_plots_of_the_review_name_columns_that_there_are(collector: Collector) -> None:
+    tables = analysis.tables(collector.all_tables())
+    for plot in REVIEW:
+        for series in plot.series:
+            for name in (series.x, series.y):
+                assert name in tables[series.table], (plot.name, name)

@@ -1,0 +1,89 @@
+"""Tables for the review of a recorded run: error over depth, histogram and spectrum of thrusts, normalised error."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltv_mpc.messages import Array
+from services.reporting.plots.table import Columns, short
+
+BINS = 40
+SEGMENTS = 8
+"""Segments of the spectrum, half overlapping (Welch 1967)."""
+
+MIN_SAMPLES = 64
+
+
+def tables(history: dict[str, Columns]) -> dict[str, Columns]:
+    """Return the history with the tables of distance over depth, histogram, spectrum and residuals.
+
+    Parameters
+    ----------
+    history : tables of a run, of ``Collector.all_tables``.
+    """
+    return history | {
+        "vehicle_over_depth": _over_depth(history["true_distance"], history["truth"]),
+        "estimate_over_depth": _over_depth(history["distance"], history["track"]),
+        "histogram": _histogram(history["thrust"]),
+        "spectrum": _spectrum(history["thrust"]),
+        "residuals": _residuals(history["errors"]),
+    }
+
+
+def _over_depth(distance: Columns, track: Columns) -> Columns:
+    t, depth = _floats(track["t_s"]), _floats(track["depth_m"])
+    known = np.isfinite(depth)
+    if not known.any():
+        return {}
+    depths = np.interp(_floats(distance["t_s"]), t[known], depth[known])
+    return {"depth_m": [short(x) for x in depths], "distance_m": list(distance["distance_m"])}
+
+
+def _histogram(thrust: Columns) -> Columns:
+    """Return the share of the time (%) in each of ``BINS`` bins of equal width."""
+    forces = {side: _floats(thrust[f"{side}_N"]) for side in ("port", "starboard")}
+    every = np.concatenate(list(forces.values()))
+    if len(every) < MIN_SAMPLES:
+        return {}
+    edges = np.linspace(every.min() - 0.5, every.max() + 0.5, BINS + 1)
+    columns: Columns = {"thrust_N": [short(x) for x in 0.5 * (edges[:-1] + edges[1:])]}
+    for side, force in forces.items():
+        columns[f"{side}_percent"] = [short(100.0 * x / len(force)) for x in np.histogram(force, edges)[0]]
+    return columns
+
+
+def _spectrum(thrust: Columns) -> Columns:
+    """Return the power spectral density (N^2/Hz) of each lateral thrust, by the mean of Hann-windowed segments."""
+    t = _floats(thrust["t_s"])
+    if len(t) < MIN_SAMPLES or t[-1] <= t[0]:
+        return {}
+    step_s = float(np.median(np.diff(t)))
+    length = max(MIN_SAMPLES // 2, 2 * len(t) // (SEGMENTS + 1))
+    uniform = t[0] + step_s * np.arange(int((t[-1] - t[0]) / step_s))
+    window = np.hanning(length)
+    starts = range(0, max(len(uniform) - length, 0) + 1, max(length // 2, 1))
+    columns: Columns = {"frequency_Hz": [short(x) for x in np.fft.rfftfreq(length, step_s)[1:]]}
+    for side in ("port", "starboard"):
+        force = np.interp(uniform, t, _floats(thrust[f"{side}_N"]))
+        parts = [window * (part - part.mean()) for k in starts if len(part := force[k : k + length]) == length]
+        if not parts:
+            return {}
+        power = 2.0 * step_s / np.sum(window**2) * np.mean([np.abs(np.fft.rfft(part)) ** 2 for part in parts], axis=0)
+        columns[f"{side}_N2pHz"] = [short(x) if x > 1e-4 else None for x in power[1:]]  # a logarithmic axis
+    return columns
+
+
+def _residuals(errors: Columns) -> Columns:
+    """Return the position error in standard deviations of the filter, in the worst direction."""
+    sigma = 0.5 * _floats(errors["plus_2_sigma_m"])
+    columns: Columns = {"t_s": list(errors["t_s"])}
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for axis in ("north", "east"):
+            ratio = _floats(errors[f"{axis}_m"]) / sigma
+            columns[axis] = [short(x) for x in np.where(sigma > 1e-3, ratio, np.nan)]
+    columns |= {"low": [-2.0] * len(sigma), "high": [2.0] * len(sigma)}
+    return columns
+
+
+def _floats(cells: list[float | None]) -> Array:
+    return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
