@@ -70,10 +70,10 @@ Parts: TypeAlias = dict[str, dict[str, Any]]
 
 
 def measure(checkout: Path) -> Parts:
-    """Compile all parts into an empty folder, in the reverse order: what the controller shares is compiled before."""
+    """Compile all parts into an empty folder, in their order: what the controller shares is compiled before."""
     results = {}
     with tempfile.TemporaryDirectory(prefix="ltv-mpc-compile-") as cache:
-        for part in reversed(PARTS):
+        for part in PARTS:
             process = subprocess.run(
                 (sys.executable, "-P", "-c", MEASURE, part, SCENARIO),
                 cwd=checkout,

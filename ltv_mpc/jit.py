@@ -86,6 +86,8 @@ os.environ["NUMBA_CACHE_DIR"] = str(CACHE)
 import numba.extending  # noqa: E402  (the variable above must be set first)
 from llvmlite import ir  # noqa: E402
 from numba.core import cgutils, types  # noqa: E402
+from numba.core.caching import FunctionCache  # noqa: E402
+from numba.core.dispatcher import Dispatcher  # noqa: E402
 
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
@@ -108,8 +110,33 @@ def jit_outlined(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _compiled(function: Callable[P, R], *, forceinline: bool) -> Callable[P, R]:
-    compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", forceinline=forceinline)
-    return cast("Callable[P, R]", compiled(function))
+    # Without the wrapper for callers in C: it would be a further copy of the function, optimised again.
+    options = {"fastmath": False, "error_model": "numpy", "forceinline": forceinline, "no_cfunc_wrapper": True}
+    return cast("Callable[P, R]", numba.njit(cache=True, **options)(function))
+
+
+def share_compilation() -> None:
+    """Divide the work with the other processes that fill this cache: each function is compiled by one of them.
+
+    A process that needs a function which another one compiles waits, and then loads it. Calls between functions have
+    no cycle, so neither have the waits. A process keeps its lock until it ends or the function is stored, so do this
+    only in processes that end by themselves or with their parent.
+    """
+    import fcntl
+
+    unlocked = Dispatcher.compile
+    locks = CACHE / "locks"
+    locks.mkdir(parents=True, exist_ok=True)
+
+    def locked(dispatcher: Any, signature: Any) -> Any:
+        function = dispatcher.py_func
+        if not isinstance(dispatcher._cache, FunctionCache):  # numba's own functions are compiled by each process
+            return unlocked(dispatcher, signature)
+        with (locks / f"{function.__module__}.{function.__qualname__}").open("wb") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            return unlocked(dispatcher, signature)
+
+    Dispatcher.compile = locked
 
 
 def _call_c(_typing: Any, _address: Any, arguments: Any) -> Any:

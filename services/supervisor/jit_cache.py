@@ -1,8 +1,9 @@
 """Cache of compiled numba kernels, filled before any process starts: otherwise each process would compile them all.
 
-Compiling takes a minute and a half of processor time, half of that for the controller. Three processes share the work:
-the controller, all other nodes, and the kernels that the controller needs last. Kernels that two of them need are few,
-and are compiled twice.
+Compiling takes more than a minute of processor time, two thirds of that for the controller. Three processes share the
+work: the kernels of the QP, which are the longest chain of functions that need each other; the rest of the controller;
+and all other nodes. On two cores the first of them has a core for itself, and none waits long for another one. Measured
+times are in docs/notes/compile-time.md.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 
 import msgspec
 
-from ltv_mpc.jit import CACHE
+from ltv_mpc.jit import CACHE, share_compilation
 from services.supervisor.parent_death import OrphanCleanup, die_with_parent
 
 NOTE = "compiling, once after a change of the sources: a minute or two"
@@ -117,11 +118,14 @@ def warm_up_others(scenario: str) -> None:
 
 
 PARTS: dict[str, Callable[[str], None]] = {
+    "solver": warm_up_solver,
     "controller": compile_controller,
     "others": warm_up_others,
-    "solver": warm_up_solver,
 }
 """Parts that are compiled at the same time, each by a process of its own."""
+
+NICENESS = {"solver": 0, "controller": 3, "others": 5}
+"""Niceness of each part. The solver's is the longest, and the controller waits for it; the others depend on none."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -130,6 +134,8 @@ def main(arguments: Sequence[str]) -> int:
     if part:
         name, parent = part
         die_with_parent(int(parent))
+        os.nice(NICENESS[name])
+        share_compilation()
         gc.disable()  # a compiler frees next to nothing: collection would take a twelfth of the time
         PARTS[name](scenario)
         return 0

@@ -140,3 +140,37 @@ def test_every_kernel_can_be_cached_and_a_second_process_compiles_nothing():
         assert done.returncode == 0, done.stderr[-2000:]
         if attempt == 2:
             assert done.stdout.split()[-1] == "0"
+
+
+SHARING_PROCESS = """
+import numpy as np
+from ltv_mpc import jit
+from ltv_mpc.frames import rotation_exp
+
+jit.share_compilation()
+print("ready", flush=True)
+input()  # until the other process is ready, too
+rotation_exp(np.ones(3))
+print(sum(rotation_exp.stats.cache_misses.values()))
+"""
+
+
+def test_of_two_processes_that_share_the_compilation_one_compiles_a_function(tmp_path):
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-P", "-c", SHARING_PROCESS],
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(2)
+    ]
+    for process in processes:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+    for process in processes:
+        assert process.stdin is not None
+        process.stdin.write("\n")
+        process.stdin.flush()
+    assert sorted(process.communicate()[0] for process in processes) == ["0\n", "1\n"]
