@@ -81,8 +81,9 @@ release: setup  ## check VERSION and changelog, run test, docs and package, and 
 	SETUPTOOLS_SCM_PRETEND_VERSION='$(VERSION)' $(MAKE) package
 	$(BIN)/python -P .ci/release.py tag '$(VERSION)'
 
-protocol: setup  ## docs/protocol.md and docs/schemas/, from the table of what travels
+protocol: setup  ## docs/protocol.md, docs/schemas/ and the drawings of docs/architecture.md, from the code
 	$(BIN)/ltv-mpc topics --write docs
+	PYTHONPATH=. $(BIN)/python -P docs/extensions/drawings.py
 
 link: setup  ## a descent with the controller behind a long, lossy link between two network namespaces; as root
 	$(BIN)/python -m benchmarks.link

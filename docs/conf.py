@@ -18,7 +18,7 @@ version = release = installed_version()
 
 extensions = [
     *("sphinx.ext.autodoc", "sphinx.ext.viewcode", "myst_parser"),
-    *("commands", "docstrings", "mathml", "offline", "settings"),  # docs/extensions
+    *("commands", "docstrings", "glossary", "mathml", "offline", "settings"),  # docs/extensions
 ]
 exclude_patterns = ["extensions"]
 smartquotes = False  # two dashes are an option

@@ -13,6 +13,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from ltv_mpc import settings_schema
+from services.bus.topics import TOPICS
 from services.cli.app import app
 from sim.scenario import Scenario
 from tests.docs.pages import ROOT
@@ -21,7 +22,7 @@ from tests.docs.pages import ROOT
 def extension(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Import an extension of the site from docs/extensions, which is not a package."""
     monkeypatch.syspath_prepend(ROOT / "docs" / "extensions")
-    for own in ("commands", "docstrings", "offline", "settings"):
+    for own in ("commands", "docstrings", "drawings", "glossary", "offline", "settings"):
         monkeypatch.delitem(sys.modules, own, raising=False)
     return importlib.import_module(name)
 
@@ -107,3 +108,34 @@ def test_an_address_that_a_browser_would_fetch_is_found(
 ) -> None:
     (tmp_path / name).write_text(text)
     assert list(extension("offline", monkeypatch).fetched(tmp_path / name)) == fetched
+
+
+@pytest.mark.parametrize("name", ["processes", "layers", "cycle", "estimator"])
+def test_the_drawings_of_the_architecture_are_those_of_the_code(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = extension("drawings", monkeypatch).DRAWINGS[name]()
+    assert (ROOT / "docs" / "figures" / f"{name}.svg").read_text(encoding="utf-8") == drawn, "run `make protocol`"
+
+
+def test_the_drawing_of_the_topics_has_every_topic(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = extension("drawings", monkeypatch).processes()
+    for topic in TOPICS:
+        assert f">{topic.key}<" in drawn or f">{topic.key}/*<" in drawn
+
+
+def test_the_glossary_is_short_and_each_page_that_it_names_has_the_term() -> None:
+    page = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    entries = re.findall(r"^## (.+)\n\n.*\]\((\S+)\)$", page, re.MULTILINE)
+    assert len(entries) == page.count("\n## ") <= 60
+    assert [term.lower() for term, _ in entries] == sorted(term.lower() for term, _ in entries)
+    for terms, target in entries:
+        explained = (ROOT / "docs" / target).read_text(encoding="utf-8").lower()
+        for term in terms.lower().split(", "):
+            assert re.search(rf"\b{re.escape(term)}s?\b", explained), f"{target} does not have {term}"
+
+
+def test_the_first_use_of_a_term_links_to_the_glossary(monkeypatch: pytest.MonkeyPatch) -> None:
+    left = {"knot": "knot", "slew limit": "slew-limit", "node": "node"}
+    parts = extension("glossary", monkeypatch).split("Knots obey the slew limit; a Knot, a node-like box.", left)
+    assert [part for part in parts if part[1]] == [("Knots", "knot"), ("slew limit", "slew-limit")]
+    assert "".join(text for text, _ in parts) == "Knots obey the slew limit; a Knot, a node-like box."
+    assert left == {"node": "node"}

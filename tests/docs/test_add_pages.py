@@ -1,0 +1,163 @@
+"""The pages "How to add ...": the example of each, built from the page alone, works, and the page is short."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.docs.changed_tree import build, run
+from tests.docs.pages import NAMES, ROOT, prose
+
+MAX_WORDS = 400
+
+DIVE = """
+import json
+import numpy as np
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.messages import Estimate, Truth
+from services.run.nodes import make_nodes
+from services.run.run_config import Override, resolve
+from sim.scheduler import LockStep, Observation
+
+class Errors:
+    def __init__(self):
+        self.truth, self.errors = {}, []
+    def published(self, node, received):
+        message = received.message
+        if isinstance(message, Truth):
+            self.truth = {message.t_ns: message.position_m}
+        elif isinstance(message, Estimate) and message.t_ns > 0 and message.t_ns in self.truth:
+            north, east, _ = self.truth[message.t_ns]
+            self.errors.append((message.north_m - north) ** 2 + (message.east_m - east) ** 2)
+
+for sensors in ("./with_log.toml", "realistic"):
+    settings = ["run.duration_s=30", "run.seed=3", f"sensors={sensors}"]
+    situation = resolve("descent", [Override("test", settings)])
+    errors, nodes = Errors(), make_nodes(situation, unread=False)
+    scenario = situation.scenario
+    LockStep(nodes, start_ns=scenario.start_ns, observation=Observation(errors)).advance(scenario.end_ns)
+    estimator = next(node for node in nodes if isinstance(node, Estimator))
+    print(json.dumps({"account": dict(estimator.account), "rms_m": float(np.sqrt(np.mean(errors.errors)))}))
+"""
+
+
+@pytest.mark.timeout(900)  # compiled code may have to be built first
+def test_the_sensor_is_used_and_does_not_worsen_the_estimate(tmp_path: Path) -> None:
+    build("docs/add-sensor.md", tmp_path)
+    with_log, without = map(json.loads, run(DIVE, tmp_path).splitlines())
+    assert with_log["account"]["speed_log.used"] > 140  # of 150 in 30 s at 5 Hz
+    assert "speed_log.used" not in without["account"]
+    assert with_log["rms_m"] < 1.05 * without["rms_m"]
+
+
+OF_EACH = {
+    "docs/add-solver.md": """
+import numpy as np
+from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, references
+
+def plan(solver):
+    point = references.Point(north_m=0.0, east_m=0.0)
+    controller = Controller(Vehicle.load("paper"), point, ControllerConfig(solver=solver))
+    return controller.plan(Estimate.at_rest(north_m=-0.4, east_m=0.3, heading_rad=0.5))
+
+expected, found = plan("osqp"), plan("piqp-native")
+assert found.origin == "solved" and found.solve.iterations > 1
+np.testing.assert_allclose(found.thrust_N, expected.thrust_N, atol=0.05)
+""",
+    "docs/add-vehicle.md": """
+from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, references
+from services.cli.app import run
+
+file = "ltv_mpc/vehicle/files/skiff.toml"
+assert run(["vehicle", "check", file]) == 0
+controller = Controller(Vehicle.load(file), references.Point(north_m=5.0, east_m=0.0), ControllerConfig())
+plan = controller.plan(Estimate.at_rest(depth_m=None))
+assert plan.origin == "solved" and plan.thrust_N[1:, :2].sum() > 0.0
+""",
+    "docs/add-reference.md": """
+from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, references
+
+eight = references.load("./eight.toml")
+points = eight.path().points
+assert abs(points[:, 0].max() - 10.0) < 0.01 and abs(points[:, 1].max() - 5.0) < 0.01
+plan = Controller(Vehicle.load("paper"), eight, ControllerConfig()).plan(Estimate.at_rest())
+assert plan.origin == "solved"
+assert plan.states[-1, 0] > 0.1 and plan.states[-1, 1] > 0.1  # it sets out to the north-east
+""",
+    "docs/add-topic.md": """
+from ltv_mpc.messages import WaterTemperature
+from services.bus import protocol, wire
+from services.bus.roles import writes
+
+frame = wire.encode(WaterTemperature(t_ns=1, temperature_degC=8.5), wire.Header(epoch=1, sequence=0))
+assert wire.decode(WaterTemperature, frame)[0].temperature_degC == 8.5
+try:
+    wire.decode(WaterTemperature, frame.replace(wire.pack({"": 8.5})[2:], wire.pack({"": 85.0})[2:]))
+except wire.WireError as error:
+    assert "temperature_degC" in str(error)
+else:
+    raise AssertionError("a temperature out of bounds is accepted")
+assert "temperature" in writes("thermometer")
+assert "WaterTemperature" in protocol.page()
+""",
+    "docs/add-command.md": """
+from services.cli.app import run
+
+assert run(["--help"]) == 0
+assert run(["horizon", "paper"]) == 0
+assert run(["horizon", "no-such-vehicle"]) == 2
+""",
+    "docs/add-edge.md": """
+import math
+from msgspec.structs import replace
+from ltv_mpc import Estimate
+from services.bus import wire
+from services.bus.mailbox import Frame
+from services.bus.message_validation import MessageValidator
+from services.bus.topics import BY_TYPE
+from services.processes.sentences import datagram
+
+topic, validator = BY_TYPE[Estimate], MessageValidator()
+estimate = replace(Estimate.at_rest(north_m=2.0, east_m=-1.0, heading_rad=-math.pi / 2), t_ns=1_500_000_000)
+payload = wire.encode(estimate, wire.Header(epoch=1, sequence=0))
+text = datagram(Frame(topic, topic.key, payload, 0), validator)
+assert text.startswith(b"$PLTV,1.50,2.00,-1.00,270.0*"), text
+assert datagram(Frame(topic, topic.key, b"no message", 0), validator) is None
+""",
+    "docs/add-plot.md": """
+from matplotlib.figure import Figure
+from msgspec.structs import replace
+from ltv_mpc import Estimate
+from services.reporting.figures.renderer import Run, draw
+from services.reporting.plots.catalogue import SPEED, PLOTS
+from services.reporting.plots.collector import Collector
+
+collector = Collector()
+for k in range(3):
+    collector.add(replace(Estimate.at_rest(), velocity_north_mps=0.3, velocity_east_mps=0.4, t_ns=k * 100_000_000), 1)
+tables = collector.all_tables()
+assert tables["speed"]["speed_mps"] == [0.5] * 3
+axes = Figure().subplots()
+draw(axes, SPEED, [Run("dive", tables, collector.values, ())])
+assert SPEED in PLOTS and axes.get_ylabel() == "speed (m/s)" and len(axes.lines) == 1
+""",
+}
+"""Program for each page; it fails if the example does not work."""
+
+
+@pytest.mark.parametrize("page", OF_EACH)
+def test_the_example_of_the_page_works(page: str, tmp_path: Path) -> None:
+    build(page, tmp_path)
+    output = run(OF_EACH[page], tmp_path)
+    if page == "docs/add-command.md":
+        assert "  horizon" in output
+        assert output.endswith("13.8 s\n")
+
+
+@pytest.mark.parametrize("page", [name for name in NAMES if name.startswith("docs/add-")])
+def test_the_page_is_short_and_has_a_test(page: str) -> None:
+    assert len(" ".join(text for _, text in prose(page)).split()) <= MAX_WORDS
+    assert page in OF_EACH or page == "docs/add-sensor.md"
+    assert f"]({Path(page).name})" in (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
