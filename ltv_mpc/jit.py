@@ -111,7 +111,12 @@ def jit_outlined(function: Callable[P, R]) -> Callable[P, R]:
 
 def _compiled(function: Callable[P, R], *, forceinline: bool) -> Callable[P, R]:
     # Without the wrapper for callers in C: it would be a further copy of the function, optimised again.
-    options = {"fastmath": False, "error_model": "numpy", "forceinline": forceinline, "no_cfunc_wrapper": True}
+    options: dict[str, Any] = {
+        "fastmath": False,
+        "error_model": "numpy",
+        "forceinline": forceinline,
+        "no_cfunc_wrapper": True,
+    }
     return cast("Callable[P, R]", numba.njit(cache=True, **options)(function))
 
 
@@ -128,7 +133,7 @@ def share_compilation() -> None:
     locks = CACHE / "locks"
     locks.mkdir(parents=True, exist_ok=True)
 
-    def locked(dispatcher: Any, signature: Any) -> Any:
+    def _locked(dispatcher: Any, signature: Any) -> Any:
         function = dispatcher.py_func
         if not isinstance(dispatcher._cache, FunctionCache):  # numba's own functions are compiled by each process
             return unlocked(dispatcher, signature)
@@ -136,7 +141,7 @@ def share_compilation() -> None:
             fcntl.flock(lock, fcntl.LOCK_EX)
             return unlocked(dispatcher, signature)
 
-    Dispatcher.compile = locked
+    Dispatcher.compile = _locked  # type: ignore[method-assign, assignment]
 
 
 def _call_c(_typing: Any, _address: Any, arguments: Any) -> Any:
