@@ -85,9 +85,7 @@ os.environ["NUMBA_CACHE_DIR"] = str(CACHE)
 
 import numba.extending  # noqa: E402  (the variable above must be set first)
 from llvmlite import ir  # noqa: E402
-from numba.core import cgutils, types  # noqa: E402
-from numba.core.caching import FunctionCache  # noqa: E402
-from numba.core.dispatcher import Dispatcher  # noqa: E402
+from numba.core import caching, cgutils, dispatcher, types  # noqa: E402
 
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
@@ -129,19 +127,19 @@ def share_compilation() -> None:
     """
     import fcntl
 
-    unlocked = Dispatcher.compile
+    unlocked = dispatcher.Dispatcher.compile
     locks = CACHE / "locks"
     locks.mkdir(parents=True, exist_ok=True)
 
-    def _locked(dispatcher: Any, signature: Any) -> Any:
-        function = dispatcher.py_func
-        if not isinstance(dispatcher._cache, FunctionCache):  # numba's own functions are compiled by each process
-            return unlocked(dispatcher, signature)
+    def _locked(of: Any, signature: Any) -> Any:
+        function = of.py_func
+        if not isinstance(of._cache, caching.FunctionCache):  # numba's own functions are compiled by each process
+            return unlocked(of, signature)
         with (locks / f"{function.__module__}.{function.__qualname__}").open("wb") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            return unlocked(dispatcher, signature)
+            return unlocked(of, signature)
 
-    Dispatcher.compile = _locked  # type: ignore[method-assign, assignment]
+    dispatcher.Dispatcher.compile = _locked  # type: ignore[method-assign, assignment]
 
 
 def _call_c(_typing: Any, _address: Any, arguments: Any) -> Any:
