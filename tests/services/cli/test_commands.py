@@ -184,7 +184,7 @@ def test_a_folder_that_is_not_empty_is_written_into_with_force_only(
 def test_an_interrupted_lock_step_exits_with_its_code_and_a_readable_recording(
     number: signal.Signals, code: int, tmp_path: Path
 ) -> None:
-    line = "sim --lockstep --duration-s 5000 --out r"
+    line = "sim descent --lockstep --duration-s 5000 --out r"
     command = [sys.executable, "-P", "-m", "services.cli", *line.split()]
     recording = tmp_path / "r" / "run.mcap"
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
@@ -224,7 +224,7 @@ def test_a_disk_without_room_for_the_run_is_refused_before_its_folder_is_made(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10**6))
-    assert cli(f"sim {mode} --duration-s 99 --out below/r") == 1
+    assert cli(f"sim descent {mode} --duration-s 99 --out below/r") == 1
     assert capsys.readouterr().err.startswith("ltv-mpc: below/r: 1 MB free, 20 MB may be needed")
     assert not Path("below").exists()
 
