@@ -15,7 +15,7 @@ import os
 import struct
 from collections.abc import Callable
 
-HEARTBEAT_PERIOD_US = 50_000
+HEARTBEAT_PERIOD_US = 100_000
 HEARTBEAT_FORMAT = struct.Struct("<q")
 LAST_HEARTBEAT = -1
 """Value in place of a time: the loop has ended, and no heartbeats follow. The supervisor then waits for the exit."""

@@ -14,9 +14,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 HANG_TIMEOUT_S = 0.5
-"""Ten heartbeats. A step of a node takes milliseconds."""
+"""Five heartbeats. A step of a node takes milliseconds."""
 
-QUIET_S = 0.1
+QUIET_S = 0.2
 """Two heartbeats: silence after which the time without a processor is measured."""
 
 LATE_S = 0.25

@@ -56,9 +56,9 @@ def test_a_late_supervisor_restarts_the_timeout_of_every_process() -> None:
 
 
 def test_a_process_waiting_for_a_processor_is_not_hung_and_a_spinning_one_is() -> None:
-    """Silence since 3.0 s; from 3.15 s on other processes have the processor."""
+    """Silence since 3.0 s; from 3.25 s on other processes have the processor."""
     heart = beating(3.0)
-    assert not heart.hung(3.15, lambda: 1.0)
+    assert not heart.hung(3.25, lambda: 1.0)
     assert not heart.hung(3.8, lambda: 1.4)
     assert not heart.hung(4.5, lambda: 2.2)
     assert not heart.hung(9.0, lambda: 6.6)
@@ -67,7 +67,7 @@ def test_a_process_waiting_for_a_processor_is_not_hung_and_a_spinning_one_is() -
 
 def test_waiting_for_a_processor_before_the_silence_is_no_excuse() -> None:
     heart = beating(3.0)
-    assert not heart.hung(3.15, lambda: 100.0)
+    assert not heart.hung(3.25, lambda: 100.0)
     assert heart.hung(3.6, lambda: 100.0)
     heart.beat(3.7)
     assert not heart.hung(3.75, lambda: 101.0)
