@@ -46,10 +46,10 @@ def kernels(*, steers: bool = True, looks: bool = True, searches: bool = True) -
     """Return a switch that takes parts out of the choice of trajectories."""
 
     def begin(*arguments: Any) -> int:
-        return variants.begin(*arguments, steers, looks)
+        return variants.begin(*arguments[:-1], steers, looks)  # without a fence
 
     def step(*arguments: Any) -> float:
-        return variants.step(*arguments, searches, looks)
+        return variants.step(*arguments[:-1], searches, looks)
 
     return without((nominal_trajectory, "choose_nominal", begin), (line_search, "line_search", step))
 

@@ -158,7 +158,7 @@ def prepare(
     c = unpack_objective(packed)
     E = N * STATES + 2
     x, y, q = at.x, at.y, at.problem.q
-    _shift_limits(y, E, c.t, shift)
+    _shift_limits(y, E, limited_state_count(c), c.t, shift)
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
     dU = np.zeros((N + 1, 2))
     if guesses:

@@ -306,6 +306,7 @@ class Controller:
         if decision.follows:
             current = start.current_north_mps, start.current_east_mps
             self.follower.advance(knots, start.lateral, current, self._lateral.target)
+        self._lateral.fencing.update(start, decision.estimate, 0.0)
         vertical = self._plan_vertical(decision, start, knots)
         self._lateral.set_current(decision.estimate, vertical.depth_m)
         self._stopwatch("predict")
@@ -419,6 +420,7 @@ class Controller:
         """
         if decision.mode is Mode.FOLLOW:
             self._lateral.set_reference(path=self.follower.is_path, heading=self.follower.heading_rad is not None)
+            self._lateral.bend_target(start)
             return self._lateral.plan(start)
         if decision.stops:
             return self._lateral.stop(start, decision.why)
@@ -464,6 +466,7 @@ class Controller:
             progress=progress.share,
             cross_track_m=progress.cross_track_m,
             remaining_m=progress.remaining_m,
+            fence=self._lateral.fencing.report(lateral.X[:, :6], 0.0),
         )
 
     def _record(self, plan: Plan) -> None:

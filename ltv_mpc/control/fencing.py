@@ -1,29 +1,83 @@
-"""Fence and obstacles of a controller: what is in force."""
+"""Fence and obstacles of a controller: what is in force, the targets that lead round the zones, and the report.
+
+A target behind a zone would pull the vehicle against it. So where the line from the vehicle through the targets of the
+horizon is blocked, the targets move along the shortest way round the zones (``geofence/route.py``), no faster than the
+vehicle can follow:
+
+    target at knot k = point of the way at the distance  min(distance of the wanted target, V t_k + lead)
+
+with the speed over ground V that the vehicle reaches in the current, and a lead of ``LEAD`` lengths. The targets bend
+only the reference: the rows of the QP (``fence_rows.py``) keep the vehicle out.
+
+Required clearance of the vehicle's origin from a zone: hull + max(margin, k sd), with the standard deviation sd of the
+position at the first knot.
+"""
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
+from ltv_mpc.control.fence_rows import Scene, clearance_table
+from ltv_mpc.control.prediction import Start
+from ltv_mpc.control.scaling import characteristic_scales
+from ltv_mpc.control.terminal_check import closing_speed
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.obstacles import ObstacleTable
-from ltv_mpc.messages import FenceInForce, Obstacles, ZoneInForce
+from ltv_mpc.geofence.half_planes import ALL, SD_FACTOR
+from ltv_mpc.geofence.obstacles import DISC, ObstacleTable
+from ltv_mpc.geofence.route import Router
+from ltv_mpc.geofence.zones import Zones, nearest, pack_zones
+from ltv_mpc.messages import Array, Estimate, FenceInForce, FenceReport, Obstacles, Times, ZoneInForce
 from ltv_mpc.vehicle.parameters import Vehicle
+
+LEAD = 0.5
+"""Lead of the bent target, in lengths L of the vehicle (scaling.py)."""
+
+MIN_SPEED = 0.2
+"""Speed of the bent target, at least, over the top speed."""
+
+OBSTACLE_MARGIN = 1.0
+"""Distance that is kept between the hull and an obstacle, in radii of the hull."""
+
+ACTIVE_M = 0.05
+"""Surplus over the required clearance up to which a zone counts as active."""
+
+ENTERED_M = 0.01
+"""Depth in a margin from which it counts as entered: rounding and the linearisation take millimetres."""
+
+NO_ZONES = Zones(np.empty((0, 2)), np.zeros(1, dtype=np.int64), np.empty(0), np.empty(0), np.empty((0, 3)))
 
 
 class Fencing:
     """Fence and obstacles of one vehicle."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, knots_ns: Times) -> None:
         """Begin without a fence and without obstacles.
 
         Parameters
         ----------
         vehicle : its file needs [hull] for a fence or an obstacle.
+        knots_ns : (N+1,) knots after a plan's start (ns).
         """
         self._vehicle = vehicle
+        self._times_s = knots_ns.astype(np.float64) * 1e-9
+        self._scales = characteristic_scales(vehicle)
         self.fence: Fence | None = None
         """Fence in force."""
         self.obstacles = ObstacleTable()
         """Obstacles that are known."""
+        self.scene = _scene(NO_ZONES, np.zeros(DISC * 0).reshape(0, DISC), 0.0, float(self._times_s[1]))
+        """Zones and obstacles of this cycle."""
+        self._labels: list[str] = []
+        self._router: Router | None = None
+        self._dropped: tuple[int, ...] = ()
+
+    @property
+    def is_active(self) -> bool:
+        """True if there is a fence or an obstacle."""
+        return self.fence is not None or len(self.obstacles) > 0
 
     @property
     def hull_m(self) -> float:
@@ -37,14 +91,131 @@ class Fencing:
 
     def set_fence(self, fence: Fence | None) -> None:
         """Keep another fence; None: none. Raises ``ConfigError`` if the hull is not known."""
+        zones, labels = NO_ZONES, []
+        need = np.empty(0)
         if fence is not None:
-            _ = self.hull_m
-        self.fence = fence
+            zones, labels = pack_zones(fence), [zone.label for zone in fence.zones()]
+            need = self.hull_m + zones.margin
+        self.fence, self._labels = fence, labels
+        self._router = None if fence is None else Router(zones, need)
+        self.scene = _scene(zones, self.scene.discs, self.scene.disc_need_m[0], self.scene.stage_s)
 
     def add_obstacles(self, obstacles: Obstacles) -> None:
         """Take reports of obstacles. Raises ``ConfigError`` if the hull is not known."""
-        _ = self.hull_m
+        need = (1.0 + OBSTACLE_MARGIN) * self.hull_m
         self.obstacles.add(obstacles)
+        self.scene.disc_need_m[0] = need
+
+    def update(self, start: Start, estimate: Estimate, growth_m: float) -> None:
+        """Begin a cycle: required clearances, exits and predicted obstacles.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        estimate : its covariance counts.
+        growth_m : growth of the standard deviation of the position since the estimate (m).
+        """
+        self._dropped = self.obstacles.drop_old(start.t_ns)
+        self.scene = scene = self.scene._replace(discs=self.obstacles.discs(start.t_ns))
+        if self.fence is None:
+            return
+        zones = scene.zones
+        sd_m = growth_m
+        if estimate.covariance is not None:
+            sd_m += math.sqrt(max(float(np.linalg.eigvalsh(estimate.covariance[:2, :2])[-1]), 0.0))
+        scene.need[:] = self.hull_m + np.maximum(zones.margin, SD_FACTOR * sd_m)
+        north, east = start.lateral[:2]
+        for z in range(len(zones.radius)):
+            distance, mn, me, qn, qe = nearest(zones, z, north, east)
+            if distance >= 0.0:
+                scene.exits[z, 0] = 0.0
+            elif scene.exits[z, 0] != ALL:
+                scene.exits[z] = ALL, mn, me, mn * qn + me * qe
+        router = self._router
+        assert router is not None  # there is a fence
+        if (scene.need > router.need + ACTIVE_M).any() or (scene.need < 0.8 * router.need).any():
+            self._router = Router(zones, scene.need)
+
+    def hides(self, position: Array, target: Array) -> bool:
+        """Return True if a zone is between the vehicle and its target, each (2,) in m."""
+        return self._router is not None and self._router.is_blocked(position, target)
+
+    def bend(self, position: Array, current: Array, target: Array) -> None:
+        """Lead the targets of a horizon round the zones, where the line through them is blocked.
+
+        Parameters
+        ----------
+        position : (2,) of the vehicle at the first knot (m).
+        current : (2,) velocity of the water there (m/s).
+        target : (N+1, 3) as in ``Solver.build``; positions and velocity are overwritten.
+        """
+        router = self._router
+        if router is None or not router.chain_is_blocked(position, target[:-1, :2]):
+            return
+        corners, lengths = [position.copy()], [0.0]
+        wanted = np.empty(len(target) - 1)  # distance of each target along the way (m)
+        for k in range(len(wanted)):
+            if k == 0 or (target[k, :2] != target[k - 1, :2]).any():
+                for corner in router.way(corners[-1], target[k, :2].copy(), remember=k == 0):
+                    lengths.append(lengths[-1] + math.dist(corners[-1], corner))
+                    corners.append(corner)
+            wanted[k] = lengths[-1]
+        way, along = np.array(corners), np.array(lengths)
+        speed = self._speed_mps(way, current)
+        reach = np.minimum(wanted, speed * self._times_s[1:] + LEAD * self._scales.length_m)
+        for i in range(2):
+            target[:-1, i] = np.interp(reach, along, way[:, i])
+        if reach[-1] < wanted[-1]:
+            leg = min(int(np.searchsorted(along, reach[-1], side="right")), len(way) - 1)
+            step = way[leg] - way[leg - 1]
+            target[-1, :2] = speed * step / max(float(np.hypot(*step)), 1e-9)
+
+    def _speed_mps(self, way: Array, current: Array) -> float:
+        """Return the speed over ground with which the vehicle can follow the first leg of a way (m/s)."""
+        top = self._scales.speed_mps
+        legs = np.diff(way, axis=0)
+        legs = legs[np.hypot(*legs.T) > 1e-6]
+        if not len(legs):
+            return MIN_SPEED * top
+        en, ee = legs[0] / np.hypot(*legs[0])
+        return max(closing_speed(en, ee, -current[0], -current[1], top), MIN_SPEED * top)
+
+    def report(self, X: Array, skipped_m: float) -> FenceReport | None:
+        """Return what a plan keeps from zones and obstacles; None without any.
+
+        Parameters
+        ----------
+        X : (N+1, 6) states at the knots.
+        skipped_m : length of the path that is left out (m).
+        """
+        hull = self._vehicle.hull
+        dropped, self._dropped = self._dropped, ()
+        if hull is None or not (self.is_active or dropped):
+            return None
+        table = clearance_table(X, self._times_s, self.scene, hull.radius_m)
+        if not len(table):
+            return FenceReport(clearance_m=None, dropped=dropped)
+        labels = [*self._labels, *(f"obstacle {report.id}" for report in self.obstacles.reports)]
+        least, now, surplus, lacking, enters_s = table.T
+        margin = np.concatenate(
+            [self.scene.zones.margin, np.full(len(self.scene.discs), OBSTACLE_MARGIN * hull.radius_m)]
+        )
+        z, first_s = int(np.argmin(least)), float(enters_s.min())
+
+        def _named(which: Array) -> tuple[str, ...]:
+            return tuple(labels[i] for i in np.flatnonzero(which))
+
+        return FenceReport(
+            clearance_m=float(least[z]) - hull.radius_m,
+            nearest=labels[z],
+            active=_named(surplus < ACTIVE_M),
+            in_margin=_named(now < hull.radius_m + margin - ENTERED_M),
+            inside=_named(now < hull.radius_m),
+            exceeded=int(lacking.sum()),
+            skipped_m=skipped_m,
+            time_to_zone_ns=round(first_s * 1e9) if math.isfinite(first_s) else None,
+            dropped=dropped,
+        )
 
     def in_force(self, t_ns: int) -> FenceInForce:
         """Return what is in force as a message.
@@ -70,3 +241,9 @@ class Fencing:
             ),
             obstacles=self.obstacles.reports,
         )
+
+
+def _scene(zones: Zones, discs: Array, disc_need_m: float, stage_s: float) -> Scene:
+    """Return a scene whose clearances and exits are not set yet."""
+    Z = len(zones.radius)
+    return Scene(zones, np.zeros(Z), np.zeros((Z, 4)), discs, np.array([disc_need_m]), stage_s)

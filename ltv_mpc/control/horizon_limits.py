@@ -28,6 +28,11 @@ LIMITED_STATES = (2, 5)
 PENALTY = 100.0
 """Cost of an excess that is 1 in the QP, over one stage of 0.3 s."""
 
+NO_BOUND = 1e3
+"""Bound that is never reached, in units of the QP: hundreds of m/s for a speed. It is finite because some solvers do
+not accept an infinite bound.
+"""
+
 
 def unlimited() -> Array:
     """Return infinite lower and upper limits (2, 2) of ``LIMITED_STATES``."""

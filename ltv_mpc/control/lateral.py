@@ -23,11 +23,13 @@ import numpy as np
 from ltv_mpc.control import line_search, nominal_trajectory
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
+from ltv_mpc.control.fence_rows import fill_rows
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
 from ltv_mpc.control.problem_data import pack_constants
 from ltv_mpc.control.solvers import Solver, SolverFactory
+from ltv_mpc.geofence.half_planes import ROWS
 from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus, Times
 from ltv_mpc.node import Stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -66,7 +68,7 @@ class LateralPlanner:
         self.target = np.zeros((config.stages + 1, 3))
         """Target at the knots: ``Solver.build``."""
         self.previous = PreviousPlan(knots_ns)
-        self.fencing = Fencing(vehicle)
+        self.fencing = Fencing(vehicle, knots_ns)
         """Fence and obstacles in force."""
         self._packed = packed
         self._lin = Linearisation.empty(config.stages)
@@ -74,7 +76,7 @@ class LateralPlanner:
         self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
         self._shares: Pair = (1.0, 1.0)  # of their commands that port and starboard deliver
-        self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
+        self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._solver_config())
         self._solver = self._make_solver()
         self._solver_is_suspect = False
         self._stopwatch = stopwatch
@@ -87,8 +89,21 @@ class LateralPlanner:
         estimate : its current profile is used; no current if it has none.
         depth_m : (N+1,) predicted depths at the knots (m).
         """
+        rows = ROWS if self.fencing.is_active else 0
+        if self._lin.rows.shape[1] != rows:
+            self._lin = Linearisation.empty(len(self.target) - 1, rows)
+            self.distrust_solver()
         profile = profile_of(estimate)
         fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._lin.C)
+
+    def bend_target(self, start: Start) -> None:
+        """Lead the targets round the zones, where the line through them is blocked.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start. Target and current are set before.
+        """
+        self.fencing.bend(start.lateral[:2], self._lin.C[0], self.target)
 
     def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
         """Ramp the lateral thrusters to a goal at their slew limits.
@@ -132,6 +147,15 @@ class LateralPlanner:
         )
         self.distrust_solver()
 
+    def _solver_config(self) -> ResolvedConfig:
+        """Return the settings of the solver: with a fence OSQP gives way to the Riccati method, which it starts from.
+
+        The duals of the fence are so much larger than the others that OSQP would need hundreds of iterations.
+        """
+        if self.fencing.is_active and self._config.solver == "osqp":
+            return msgspec.structs.replace(self._config, solver="riccati")
+        return self._config
+
     def stop(self, start: Start, why: str) -> LateralPlan:
         """Stop the vehicle through the water.
 
@@ -169,6 +193,8 @@ class LateralPlanner:
         self._linearise(start)
         X, U = self._fallback.empty()
         for left in range(self._config.sqp_iterations, 0, -1):
+            if lin.rows.size:
+                fill_rows(packed, lin.flat, len(lin.Phi), self.fencing.scene)
             self._stopwatch("linearise")
             self._solver.build(lin, target)
             self._stopwatch("build")
@@ -182,7 +208,7 @@ class LateralPlanner:
                 # The line search brings it into box and slew, and takes it only as far as the cost does not rise.
             elif not math.isfinite(np.vdot(commands, commands)):
                 return Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
-            step = line_search.line_search(packed, lin.flat, target, commands, X, U)
+            step = line_search.line_search(packed, lin.flat, target, commands, X, U, self.fencing.scene)
             # A step above zero has a finite cost, so its states and commands are finite.
             if step == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return Solve(status=SolveStatus.NON_FINITE, why="the predicted motion is not finite")
@@ -194,7 +220,7 @@ class LateralPlanner:
         """Linearise along the previous plan on the new knots, or along a steering guess if that costs less."""
         stages, commands = self.previous.lateral_commands(start.t_ns)
         kind = nominal_trajectory.choose_nominal(
-            self._packed, start.lateral, self.target, commands, stages, self._lin.flat
+            self._packed, start.lateral, self.target, commands, stages, self._lin.flat, self.fencing.scene
         )
         if kind == nominal_trajectory.PREVIOUS_PLAN:
             self._solver.shift_warm_start(stages)

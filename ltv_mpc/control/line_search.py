@@ -6,6 +6,7 @@ The QP knows the motion to first order only. Where that is wrong, a full step ca
 from __future__ import annotations
 
 from ltv_mpc.control.cost import cost
+from ltv_mpc.control.fence_rows import Scene, fence_cost
 from ltv_mpc.control.horizon_limits import clip_to_limits
 from ltv_mpc.control.linearisation import propagate, unpack_linearisation
 from ltv_mpc.control.problem_data import unpack_constants
@@ -18,7 +19,7 @@ STEPS = (1.0, 0.5, 0.25, 0.1)
 
 
 @jit
-def line_search(packed: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array) -> float:
+def line_search(packed: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array, scene: Scene) -> float:
     """Find the largest step from the nominal trajectory towards the QP's commands that does not raise the cost.
 
     The solver meets box and slew to its tolerance; the trajectory found here meets them exactly.
@@ -31,6 +32,7 @@ def line_search(packed: Array, flat: Array, target: Array, commands: Array, X: A
     commands : (N+1, 2) port and starboard thrust that the QP asks for (N).
     X : (N+1, 8) is overwritten with the states of the trajectory found.
     U : (N+1, 2) is overwritten with its commands (N).
+    scene : zones and obstacles, whose clearances count in the cost.
 
     Returns
     -------
@@ -38,7 +40,7 @@ def line_search(packed: Array, flat: Array, target: Array, commands: Array, X: A
     """
     c, lin = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1)
     o = c.objective
-    before = cost(lin.X, lin.U, lin.C, target, o)
+    before = cost(lin.X, lin.U, lin.C, target, o) + fence_cost(lin.X, scene, o)
     copy_to(X[0], lin.X[0])
     for part in STEPS:
         for k in range(U.shape[0]):
@@ -46,7 +48,7 @@ def line_search(packed: Array, flat: Array, target: Array, commands: Array, X: A
                 U[k, i] = lin.U[k, i] + part * (commands[k, i] - lin.U[k, i])
         clip_to_limits(U, o.t, o.low, o.high, o.max_change)
         propagate(X, U, lin.C, o.t, c.stage_s, c.p)
-        if cost(X, U, lin.C, target, o) <= before:
+        if cost(X, U, lin.C, target, o) + fence_cost(X, scene, o) <= before:
             if check_terminal(X, lin.C, target, c).stuck and not check_terminal(lin.X, lin.C, target, c).stuck:
                 break  # within the horizon it costs less not to turn
             return part

@@ -35,44 +35,48 @@ class Linearisation(NamedTuple):
     A: Array  # (N, 8, 8) derivative of the flow with respect to X[k]
     B0: Array  # (N, 8, 2) with respect to U[k]
     B1: Array  # (N, 8, 2) with respect to U[k+1]
+    rows: Array  # (N, M, 4) half-planes at the knots 1 .. N: normal, least deviation, penalty (fence_rows.py)
     flat: Array  # storage of all of these, in this order; ``EntryMap.source`` is an index into it
 
     @classmethod
-    def empty(cls, stages: int) -> Linearisation:
+    def empty(cls, stages: int, rows: int = 0) -> Linearisation:
         """Allocate a linearisation; its numbers are undefined.
 
         Parameters
         ----------
         stages : N.
+        rows : M, half-planes of a stage.
 
         Returns
         -------
         The linearisation.
         """
-        lin: Linearisation = unpack_linearisation(np.empty(storage_size(stages)), stages)
+        lin: Linearisation = unpack_linearisation(np.empty(storage_size(stages, rows)), stages)
         return lin
 
     @classmethod
-    def from_arrays(cls, X: Array, U: Array, C: Array, Phi: Array, A: Array, B0: Array, B1: Array) -> Linearisation:
-        """Return a linearisation that holds copies of these arrays.
+    def from_arrays(cls, *parts: Array) -> Linearisation:
+        """Return a linearisation that holds copies of arrays.
 
         Parameters
         ----------
-        X, U, C, Phi, A, B0, B1 : shapes as those of the fields.
+        parts : X, U, C, Phi, A, B0, B1, and rows if there are half-planes; shapes as those of the fields.
 
         Returns
         -------
         The linearisation.
         """
-        lin = cls.empty(len(Phi))
-        for part, values in zip(lin[:-1], (X, U, C, Phi, A, B0, B1), strict=True):
+        stages = len(parts[3])
+        planes = parts[7] if len(parts) > 7 else np.empty((stages, 0, 4))
+        lin = cls.empty(stages, planes.shape[1])
+        for part, values in zip(lin[:-1], (*parts[:7], planes), strict=True):
             part[...] = values
         return lin
 
 
-def storage_size(N: int) -> int:
-    """Return the length of ``Linearisation.flat`` for N stages."""
-    return (N + 1) * (STATES + 4) + N * STATES * (STATES + 5)
+def storage_size(N: int, rows: int = 0) -> int:
+    """Return the length of ``Linearisation.flat`` for N stages with a number of half-planes each."""
+    return (N + 1) * (STATES + 4) + N * (STATES * (STATES + 5) + 4 * rows)
 
 
 @jit
@@ -95,6 +99,7 @@ def unpack_linearisation(flat: Array, stages: int) -> Linearisation:
     a = phi + N * STATES
     b0 = a + N * STATES * STATES
     b1 = b0 + N * STATES * 2
+    rows = b1 + N * STATES * 2
     return Linearisation(
         flat[:u].reshape(N + 1, STATES),
         flat[u:c].reshape(N + 1, 2),
@@ -102,7 +107,8 @@ def unpack_linearisation(flat: Array, stages: int) -> Linearisation:
         flat[phi:a].reshape(N, STATES),
         flat[a:b0].reshape(N, STATES, STATES),
         flat[b0:b1].reshape(N, STATES, 2),
-        flat[b1:].reshape(N, STATES, 2),
+        flat[b1:rows].reshape(N, STATES, 2),
+        flat[rows:].reshape(N, (len(flat) - rows) // (4 * N), 4),
         flat,
     )
 
@@ -298,7 +304,7 @@ def describe_non_finite(lin: Linearisation, target: Array) -> str:
     """
     names = (*Linearisation._fields[:-1], "target")
     for name, values in zip(names, (*lin[:-1], target), strict=True):
-        finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
         if not finite.all():
             return f"{name} is not finite from index {int(np.argmin(finite))} on"
     return "the QP's numbers are not finite"

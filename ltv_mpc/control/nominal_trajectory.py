@@ -20,6 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.control.cost import cost
+from ltv_mpc.control.fence_rows import Scene, fence_cost
 from ltv_mpc.control.horizon_limits import clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
 from ltv_mpc.control.linearisation import linearise_rollout, propagate, unpack_linearisation
@@ -81,7 +82,9 @@ def _shift_into_limits(old: Array, stages: float, objective: Objective, U: Array
 
 
 @jit
-def choose_nominal(packed: Array, start: Array, target: Array, old: Array, stages: float, flat: Array) -> int:
+def choose_nominal(
+    packed: Array, start: Array, target: Array, old: Array, stages: float, flat: Array, scene: Scene
+) -> int:
     """Choose the nominal trajectory, and linearise along it.
 
     The candidates are the previous plan and two steering guesses, ahead and astern; the one of least cost is chosen.
@@ -92,6 +95,7 @@ def choose_nominal(packed: Array, start: Array, target: Array, old: Array, stage
     packed, start, target, old : as at the head of this file.
     stages : as there; NaN if there is no previous plan.
     flat : has the current C; all the rest is overwritten.
+    scene : zones and obstacles, whose clearances count in the cost.
 
     Returns
     -------
@@ -107,6 +111,7 @@ def choose_nominal(packed: Array, start: Array, target: Array, old: Array, stage
         _shift_into_limits(old, stages, objective, U)
         linearise_rollout(lin, objective.t, constants.stage_s, constants.p)
         kind, lowest = PREVIOUS_PLAN, cost(X, U, lin.C, target, objective)
+        lowest += fence_cost(X, scene, objective)
         end = check_terminal(X, lin.C, target, constants)
     other_X, other_U = np.empty_like(X), np.empty_like(U)
     _set_initial_knot(start, other_X, other_U)
@@ -116,6 +121,7 @@ def choose_nominal(packed: Array, start: Array, target: Array, old: Array, stage
         other = steering_guess(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else lowest, constants)
         if np.isinf(other) and not np.isinf(lowest):
             continue
+        other += fence_cost(other_X, scene, objective)
         other_end = check_terminal(other_X, lin.C, target, constants)
         tail_weight = 1.0 if end.stuck or other_end.stuck else 0.0
         if other + tail_weight * other_end.tail_cost < lowest + tail_weight * end.tail_cost or np.isinf(lowest):

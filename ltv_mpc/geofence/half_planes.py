@@ -103,10 +103,10 @@ def half_planes(zones: Zones, points: Array, required: Array, pushes: Array, rea
             distance, mn, me, qn, qe = nearest(zones, z, north, east)
             if pushes[z, 0] == ALL or (pushes[z, 0] == INSIDE and distance < 0.0):
                 mn, me = pushes[z, 1], pushes[z, 2]
-                _insert(rows, k, z, mn, me, pushes[z, 3] + need, mn * north + me * east)
+                insert_row(rows, k, z, mn, me, pushes[z, 3] + need, mn * north + me * east)
             elif distance < 0.0 or zones.first[z + 1] - zones.first[z] == 1:
                 if distance < need + reach[k]:
-                    _insert(rows, k, z, mn, me, mn * qn + me * qe + need, mn * north + me * east)
+                    insert_row(rows, k, z, mn, me, mn * qn + me * qe + need, mn * north + me * east)
             else:
                 _insert_ring(zones, z, k, points, need + reach[k], need, rows)
 
@@ -126,18 +126,28 @@ def _insert_ring(zones: Zones, z: int, k: int, points: Array, far: float, need: 
         distance = ((east - e0) * tn - (north - n0) * te) / length  # to starboard of the edge
         if 0.0 <= along <= length and 0.0 <= distance < far:
             mn, me = -te / length, tn / length
-            _insert(rows, k, z, mn, me, mn * n0 + me * e0 + need, mn * north + me * east)
+            insert_row(rows, k, z, mn, me, mn * n0 + me * e0 + need, mn * north + me * east)
         bn, be = n0 - zones.vertices[h, 0], e0 - zones.vertices[h, 1]
         distance = np.hypot(north - n0, east - e0)
         # beyond the end of the edge before, and before the begin of this one
         if along < 0.0 and (north - n0) * bn + (east - e0) * be > 0.0 and 0.0 < distance < far:
             mn, me = (north - n0) / distance, (east - e0) / distance
-            _insert(rows, k, z, mn, me, mn * n0 + me * e0 + need, mn * north + me * east)
+            insert_row(rows, k, z, mn, me, mn * n0 + me * e0 + need, mn * north + me * east)
 
 
 @jit
-def _insert(rows: HalfPlanes, k: int, z: int, mn: float, me: float, offset: float, value: float) -> None:
-    """Insert a row of point k in the order of slack; the last one drops out. ``value`` is m . p."""
+def insert_row(rows: HalfPlanes, k: int, z: int, mn: float, me: float, offset: float, value: float) -> None:
+    """Insert a row of point k in the order of slack; the last one drops out.
+
+    Parameters
+    ----------
+    rows : of all points.
+    k : number of the point.
+    z : number of the zone.
+    mn, me : normal m.
+    offset : b (m).
+    value : m . p of the point p (m).
+    """
     i = ROWS
     slack = value - offset
     while i > 0 and (rows.zone[k, i - 1] < 0 or slack < rows.slack[k, i - 1]):

@@ -4,8 +4,9 @@
     subject to the dynamics,   g_k = [z_k, z_k - z_(k-1), a_1' dX_k, .. a_M' dX_k],   z_k = dU_k / F (2,)
 
 g are the rows of a stage's limits: box of port, of starboard, slew of port, of starboard, then M soft limits of the
-state with their normals a. A method that treats limits (solvers/riccati_solver.py) turns them into the quadratic terms
-``weight`` w and the linear terms ``linear`` l, both (N, R) with R = 4 + M.
+state with their normals a: limits of the motion, then half-planes of the fence. A method that treats limits
+(solvers/riccati_solver.py) turns them into the quadratic terms ``weight`` w and the linear terms ``linear`` l, both
+(N, R) with R = 4 + M.
 
 The state of the recursion at knot k is s = [dX_k, dU_k] (10,), and its input is mu = dU_(k+1):
 
@@ -22,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, command_bounds
+from ltv_mpc.control.horizon_limits import LIMITED_STATES, NO_BOUND, PENALTY, command_bounds
 from ltv_mpc.control.linearisation import Linearisation, velocity_over_ground
 from ltv_mpc.control.problem_data import Objective, heading_slope, is_limited, limited_state_count, stage_length
 from ltv_mpc.jit import jit, jit_outlined
@@ -80,7 +81,8 @@ def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
     -------
     The workspace; weight, linear, g and laws are undefined.
     """
-    N, M = lin.U.shape[0] - 1, limited_state_count(o)
+    N, L, P = lin.U.shape[0] - 1, limited_state_count(o), lin.rows.shape[1]
+    M = L + P
     R = HARD_ROWS + M
     normal, cap = np.zeros((N, M, NORMAL)), np.full((N, R), np.inf)
     low, high = np.empty((N, R)), np.empty((N, R))
@@ -102,6 +104,13 @@ def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
                 high[k, row] = (o.high_state[j] - lin.X[k + 1, i]) / scale
                 cap[k, row] = PENALTY * reach
                 m += 1
+        for j in range(P):
+            row = HARD_ROWS + L + j
+            normal[k, L + j, 0], normal[k, L + j, 1] = lin.rows[k, j, 0], lin.rows[k, j, 1]
+            low[k, row], high[k, row] = lin.rows[k, j, 2], np.inf
+            if low[k, row] <= -NO_BOUND:
+                low[k, row] = -np.inf
+            cap[k, row] = lin.rows[k, j, 3]
     weight, linear, g = np.empty((N, R)), np.empty((N, R)), np.empty((N, R))
     laws, Z = np.empty((N, LAW)), np.empty(SCRATCH)
     return SweepWorkspace(_models(lin), normal, low, high, cap, weight, linear, g, laws, Z)

@@ -78,3 +78,18 @@ def motion_limits(stages: Sequence[int], limited: Sequence[int], scale: Array) -
         for i in limited:
             for kind in ("upper limit of", "lower limit of", "excess of"):
                 yield ConstraintRow(f"{kind} {STATE_NAMES[i]} at the end of stage {k}", float(scale[i]), STATE_UNITS[i])
+
+
+def half_planes(stages: Sequence[int], count: int, scale: float) -> Iterator[ConstraintRow]:
+    """Yield the rows of the half-planes of the fence.
+
+    Parameters
+    ----------
+    stages : numbers of the stages.
+    count : half-planes of a stage.
+    scale : scale of a position (m).
+    """
+    for k in stages:
+        for j in range(count):
+            for kind in ("half-plane", "excess of half-plane"):
+                yield ConstraintRow(f"{kind} {j + 1} of the fence at the end of stage {k}", scale, "m")

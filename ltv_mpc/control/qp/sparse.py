@@ -12,6 +12,11 @@ and c = ``PENALTY``,
 
                xbar_k + dx_k - e_k <= high_state,   xbar_k + dx_k + e_k >= low_state,   e_k >= 0
 
+and for each half-plane of the fence (fence_rows.py), with its normal a, its least deviation b and the cost c f_k of its
+excess f_k,
+
+               a' dp_k + f_k >= b,   f_k >= 0
+
 g_k = h_k / 0.3 s is the length of the stage that ends at knot k (shooting_grid.py), p = [n, e], p' the velocity over
 ground, F the thrusters' largest thrust, dX = X - Xbar. The cost of the terminal velocity separates a vehicle that stops
 on its point from one that passes or orbits it: within a short horizon both are equally near. The sparsity pattern is
@@ -25,6 +30,7 @@ Columns of A, for stages k = 0 .. N-1:
     dX_(k+1) / S, dU_(k+1) / F       10 k + 0 .. 9      ``STAGE_VARIABLES`` a stage
     p'_N - ref'_N                    10 N + 0 .. 1
     excess of a limited state        10 N + 2 + ...     one a stage and limited state
+    excess of a half-plane           behind these       one a stage and half-plane
 
 Rows of A, with E = 8 N + 2 (``SparseQp.equalities``) and thruster i = 0 (port), 1 (starboard):
 
@@ -33,6 +39,7 @@ Rows of A, with E = 8 N + 2 (``SparseQp.equalities``) and thruster i = 0 (port),
     slew of thruster i               E + 2 k + i        change from knot k to knot k + 1
     box of thruster i                E + 2 (N + k) + i
     limit of a state                 E + 4 N + ...      upper, lower, excess: 3 a stage and limited state
+    half-plane                       behind these       bound, excess: 2 a stage and half-plane
 
 ``_constant_entries`` and ``_jacobian_entries`` place the entries of A, ``fill`` computes a cycle's numbers. A solver
 minimises  1/2 x'Px + q'x  (problem.py): the constant part of the cost is left out.
@@ -48,7 +55,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_array, csc_array
 
 from ltv_mpc.control.config import STAGE_NS, Weights
-from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, HorizonLimits, command_bounds
+from ltv_mpc.control.horizon_limits import LIMITED_STATES, NO_BOUND, PENALTY, HorizonLimits, command_bounds
 from ltv_mpc.control.linearisation import (
     Linearisation,
     linearise,
@@ -57,6 +64,7 @@ from ltv_mpc.control.linearisation import (
     velocity_over_ground,
 )
 from ltv_mpc.control.problem_data import (
+    Objective,
     heading_slope,
     is_limited,
     pack_objective,
@@ -88,11 +96,6 @@ THRUST_PATTERN = np.ones((STATES, 2), dtype=bool)
 """Entries of B0_k and B1_k that can differ from zero."""
 THRUST_PATTERN[6, 1] = THRUST_PATTERN[7, 0] = False
 
-NO_BOUND = 1e3
-"""Bound that is never reached, in units of the QP: hundreds of m/s for a speed. It is finite because some solvers do
-not accept an infinite bound.
-"""
-
 
 class QpNumbers(NamedTuple):
     """Numbers of one QP that change every cycle; P does not."""
@@ -110,13 +113,14 @@ class EntryMap(NamedTuple):
     source: Indices  # of the same length, as the next one
     factor: Array  # scale of the column over that of the row
     velocity: Indices  # (6,) places of V, the derivative of the terminal velocity, by row
+    normal: Indices  # (2 N M,) places of the half-planes' normals
     row: Indices  # (nnz,) row of each stored entry
 
 
 class SparseQp:
     """Sparse QP layout for given knots, limits and weights: columns and rows as at the head of this file."""
 
-    def __init__(self, knots: Array, limits: HorizonLimits, weights: Weights) -> None:
+    def __init__(self, knots: Array, limits: HorizonLimits, weights: Weights, half_planes: int = 0) -> None:
         """Lay out the QP and compute P, which no cycle changes.
 
         Parameters
@@ -124,15 +128,17 @@ class SparseQp:
         knots : (N+1,) times of the knots in first stages (shooting_grid.py).
         limits : limits of thrusters and motion.
         weights : weights of the cost.
+        half_planes : half-planes of the fence in each stage.
         """
         self.stages = len(knots) - 1
+        self.half_planes = half_planes
         self.limits = limits
         self.weights = weights
         self.packed = pack_objective(knots, limits, weights)
         """Argument of the kernels (problem_data.py)."""
         self.state_scale = np.concatenate([limits.state_scale, limits.thrust_scale])
         """(8,) scales S of the states."""
-        self.variables = self.stages * (STAGE_VARIABLES + len(limits.limited_states)) + 2
+        self.variables = self.stages * (STAGE_VARIABLES + len(limits.limited_states) + half_planes) + 2
         """Number of columns n."""
         self.equalities = self.stages * STATES + 2
         """Number of equality rows; they are the first ones."""
@@ -142,13 +148,20 @@ class SparseQp:
     def _lay_out_rows(self) -> None:
         """Place the entries of A among the stored ones, which are ordered by column."""
         N, limited = self.stages, self.limits.limited_states
-        constant = _constant_entries(N, limited)
+        excess, bound = self.variables - N * self.half_planes, self.equalities + N * (4 + 3 * len(limited))
+        constant = _constant_entries(N, limited) + _excess_entries(N * self.half_planes, excess, bound)
         jacobian = _jacobian_entries(N, self.state_scale, self.limits.thrust_scale)
         end = (N - 1) * STAGE_VARIABLES + 2
         velocity = [(N * STATES + i, end + j) for i in range(2) for j in range(3)]
-        at = [entry[:2] for entry in constant] + [entry[:2] for entry in jacobian] + velocity
+        normals = [
+            (bound + 2 * (k * self.half_planes + j), k * STAGE_VARIABLES + i)
+            for k in range(N)
+            for j in range(self.half_planes)
+            for i in range(2)
+        ]
+        at = [entry[:2] for entry in constant] + [entry[:2] for entry in jacobian] + velocity + normals
         row, column = np.array(at, dtype=np.int32).T  # OSQP's own type
-        shape = (self.equalities + N * (4 + 3 * len(limited)), self.variables)
+        shape = (bound + 2 * N * self.half_planes, self.variables)
         numbered = csc_array(coo_array((np.arange(1.0, len(at) + 1.0), (row, column)), shape=shape))
         place = np.argsort(numbered.data)
         self.pattern = numbered
@@ -160,7 +173,8 @@ class SparseQp:
             place[middle].astype(np.int64),
             np.array([entry[2] for entry in jacobian], dtype=np.int64),
             np.array([entry[3] for entry in jacobian]),
-            place[middle.stop :].astype(np.int64),
+            place[middle.stop : middle.stop + len(velocity)].astype(np.int64),
+            place[middle.stop + len(velocity) :].astype(np.int64),
             numbered.indices.astype(np.int64),
         )
 
@@ -179,6 +193,7 @@ class SparseQp:
             *rows.slew(stages, thrusts),
             *rows.box(stages, thrusts),
             *rows.motion_limits(stages, self.limits.limited_states, self.state_scale),
+            *rows.half_planes(stages, self.half_planes, float(self.state_scale[0])),
         )
 
     def allocate(self) -> QpNumbers:
@@ -273,6 +288,12 @@ def _constant_entries(N: int, limited: tuple[int, ...]) -> list[tuple[int, int, 
     return entries
 
 
+def _excess_entries(count: int, column: int, row: int) -> list[tuple[int, int, float]]:
+    """Return the entries of the half-planes' excesses, from a column and a row on."""
+    bounds = [(row + 2 * i, column + i, 1.0) for i in range(count)]
+    return bounds + [(row + 2 * i + 1, column + i, 1.0) for i in range(count)]
+
+
 def _jacobian_entries(N: int, state_scale: Array, thrust_scale: Array) -> list[tuple[int, int, float, float]]:
     """Return row, column, index in the linearisation's storage and factor of the entries that it gives."""
     # A linearisation that holds, instead of its numbers, the index of each.
@@ -344,6 +365,21 @@ def fill(packed: Array, lin: Linearisation, target: Array, entries: EntryMap, to
                 U[0, i], objective.t[k + 1] * objective.max_change[i], objective.low[i], objective.high[i]
             )
             l[box], u[box] = (low - U[k + 1, i]) / F[i], (high - U[k + 1, i]) / F[i]
+    _fill_soft_limits(objective, lin, entries, to)
+    for i in range(2):
+        # -(p'_N - ref'_N) + V dX_N = ref'_N - p'bar_N
+        l[N * STATES + i] = u[N * STATES + i] = target[N, i] - velocity[i]
+        q[N * STAGE_VARIABLES + i] = 0.0
+        for j in range(3):
+            data[entries.velocity[3 * i + j]] = slope[i, j] * objective.state_scale[2 + j]
+
+
+@jit
+def _fill_soft_limits(objective: Objective, lin: Linearisation, entries: EntryMap, to: QpNumbers) -> None:
+    """Compute the numbers of the limits of the motion and of the half-planes."""
+    N, X = lin.U.shape[0] - 1, lin.X
+    data, q, l, u = to.A, to.q, to.l, to.u  # noqa: E741
+    E = N * STATES + 2
     excess, row = N * STAGE_VARIABLES + 2, E + 4 * N
     for k in range(N):
         for j in range(2):
@@ -355,12 +391,15 @@ def fill(packed: Array, lin: Linearisation, target: Array, entries: EntryMap, to
                 l[row + 2], u[row + 2] = 0.0, NO_BOUND
                 q[excess] = PENALTY * stage_length(objective, k + 1)
                 excess, row = excess + 1, row + 3
-    for i in range(2):
-        # -(p'_N - ref'_N) + V dX_N = ref'_N - p'bar_N
-        l[N * STATES + i] = u[N * STATES + i] = target[N, i] - velocity[i]
-        q[N * STAGE_VARIABLES + i] = 0.0
-        for j in range(3):
-            data[entries.velocity[3 * i + j]] = slope[i, j] * objective.state_scale[2 + j]
+    for k in range(N):
+        for j in range(lin.rows.shape[1]):
+            for i in range(2):
+                at = entries.normal[2 * (k * lin.rows.shape[1] + j) + i]
+                data[at] = lin.rows[k, j, i] * objective.state_scale[i]
+            l[row], u[row] = max(lin.rows[k, j, 2], -NO_BOUND), NO_BOUND
+            l[row + 1], u[row + 1] = 0.0, NO_BOUND
+            q[excess] = lin.rows[k, j, 3]
+            excess, row = excess + 1, row + 2
 
 
 def build_qp(

@@ -73,6 +73,9 @@ ACTIVE = 10.0
 MOTION_ROW, MOTION_ACTIVE, EXCESS_ROW = 0.05, 1.5, 15.0
 """Scales s of the limits of a state, inactive and active, and of its excess, if the gradient is small."""
 
+PLANE_ACTIVE, PLANE_EXCESS_ROW = 10.0, 100.0
+"""The same of an active half-plane of the fence and of its excess: its duals are larger, as its penalty is."""
+
 NOT_ACTIVE = 1e-9
 """Magnitude below which a dual is zero up to rounding."""
 
@@ -111,9 +114,17 @@ class OsqpSolver:
         config : knots, weights, limit of iterations; ``tolerance`` is absolute, on residuals of the scaled problem.
         limits : limits of thrusters and motion.
         """
-        self.form = form = SparseQp(config.knots, limits, config.weights)
         self._max_iterations = config.max_iterations
         self._tolerance = self._eps = config.tolerance
+        self._weights = config.weights
+        self._lay_out(SparseQp(config.knots, limits, config.weights))
+        self._scale = self.form.limits.thrust_scale  # a property, and it costs time
+        self._finite, self._why = False, "build() must be called before solve()"
+        self._lin: Linearisation | None = None
+
+    def _lay_out(self, form: SparseQp) -> None:
+        """Begin with another form of the QP, without a warm start."""
+        self.form = form
         problem = form.allocate()
         self._arrays = SolveArrays(
             problem,
@@ -123,10 +134,7 @@ class OsqpSolver:
             form.allocate()._replace(q=problem.q),
             np.zeros(form.rows),
         )
-        self._scale = form.limits.thrust_scale  # a property, and it costs time
         self._shift = math.nan
-        self._finite, self._why = False, "build() must be called before solve()"
-        self._lin: Linearisation | None = None
         self._workspace: Workspace | None = None
 
     def shift_warm_start(self, stages: float) -> None:
@@ -139,6 +147,9 @@ class OsqpSolver:
 
     def build(self, lin: Linearisation, target: Array) -> None:
         """Compute the problem, its first guess and the scales of its rows (see ``Solver``)."""
+        if lin.rows.shape[1] != self.form.half_planes:  # a fence was set or removed
+            knots = unpack_objective(self.form.packed).t
+            self._lay_out(SparseQp(knots, self.form.limits, self._weights, lin.rows.shape[1]))
         self._lin, form = lin, self.form
         size = prepare(form.packed, lin.flat, target, form.entries, self._shift, self._arrays)
         self._finite = size >= 0.0
@@ -280,7 +291,7 @@ def first_guess(packed: Array, lin: Linearisation, target: Array, shift: float, 
     objective = unpack_objective(packed)
     q, x, y = at.problem.q, at.x, at.y
     E = N * STATES + 2
-    _shift_limits(y, E, objective.t, shift)
+    _shift_limits(y, E, limited_state_count(objective), objective.t, shift)
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
     dU = np.zeros((N + 1, 2))
     _guess_commands(objective, lin, target, dU, y[E:])
@@ -312,6 +323,10 @@ def first_guess(packed: Array, lin: Linearisation, target: Array, shift: float, 
             if is_limited(objective, j):
                 costate[LIMITED_STATES[j]] += (y[row] + y[row + 1]) / objective.state_scale[LIMITED_STATES[j]]
                 row += 3
+        row = E + N * (4 + 3 * limited_state_count(objective)) + 2 * k * lin.rows.shape[1]
+        for j in range(lin.rows.shape[1]):
+            for i in range(2):
+                costate[i] += lin.rows[k, j, i] * y[row + 2 * j]
         for i in range(STATES):
             y[k * STATES + i] = costate[i] * state_scale(i, objective)
         multiply_A_transposed(lin.A, k, costate, before)
@@ -343,14 +358,17 @@ def _guess_commands(objective: Objective, lin: Linearisation, target: Array, dU:
 
     Its active set starts from the duals of the last solve.
     """
-    N, L = dU.shape[0] - 1, limited_state_count(objective)
-    rows = np.empty((N, HARD_ROWS + L))
+    N, L, P = dU.shape[0] - 1, limited_state_count(objective), lin.rows.shape[1]
+    rows = np.empty((N, HARD_ROWS + L + P))
+    planes = (4 + 3 * L) * N
     for k in range(N):
         for i in range(2):
             rows[k, i], rows[k, 2 + i] = _known(y[2 * (N + k) + i]), _known(y[2 * k + i])
         for m in range(L):
             upper = 4 * N + 3 * (k * L + m)
             rows[k, HARD_ROWS + m] = _known(y[upper]) + _known(y[upper + 1])
+        for m in range(P):
+            rows[k, HARD_ROWS + L + m] = _known(y[planes + 2 * (k * P + m)])
     work = sweep_workspace(lin, objective)
     outcome, _, _ = riccati_solver.solve(lin, target, objective, work, riccati_solver.MAX_SWEEPS, rows, dU)
     if outcome == riccati_solver.FAILED:  # the cost does not determine the commands: y stays
@@ -361,6 +379,8 @@ def _guess_commands(objective: Objective, lin: Linearisation, target: Array, dU:
         for m in range(L):
             upper, dual = 4 * N + 3 * (k * L + m), rows[k, HARD_ROWS + m]
             y[upper], y[upper + 1] = max(dual, 0.0), min(dual, 0.0)
+        for m in range(P):
+            y[planes + 2 * (k * P + m)] = rows[k, HARD_ROWS + L + m]
 
 
 @jit
@@ -387,10 +407,19 @@ def _guess_excesses(objective: Objective, lin: Linearisation, q: Array, x: Array
                 x[column] = max(above, objective.low_state[j] / scale - state, 0.0)
                 y[row + 2] = min(y[row] - y[row + 1] - q[column], 0.0)
                 column, row = column + 1, row + 3
+    for k in range(N):
+        for j in range(lin.rows.shape[1]):
+            a = lin.rows[k, j]
+            value = 0.0
+            for i in range(2):
+                value += a[i] * objective.state_scale[i] * x[k * STAGE_VARIABLES + i]
+            x[column] = max(a[2] - value, 0.0)
+            y[row + 1] = min(-y[row] - q[column], 0.0)
+            column, row = column + 1, row + 2
 
 
 @jit
-def _shift_limits(y: Array, E: int, t: Array, stages: float) -> None:
+def _shift_limits(y: Array, E: int, L: int, t: Array, stages: float) -> None:
     """Shift the duals of all limits to later knots: linear between the knots t (N+1,), constant after the last."""
     if np.isnan(stages):
         y[E:] = 0.0
@@ -399,9 +428,11 @@ def _shift_limits(y: Array, E: int, t: Array, stages: float) -> None:
         N = len(t) - 1
         shooting_grid.shift(y[E : E + 2 * N].reshape(N, 2), t, stages)
         shooting_grid.shift(y[E + 2 * N : E + 4 * N].reshape(N, 2), t, stages)
-        of_motion = y[E + 4 * N :]
+        of_motion, of_fence = y[E + 4 * N : E + (4 + 3 * L) * N], y[E + (4 + 3 * L) * N :]
         if len(of_motion) > 0:
-            shooting_grid.shift(of_motion.reshape(N, len(of_motion) // N), t, stages)
+            shooting_grid.shift(of_motion.reshape(N, 3 * L), t, stages)
+        if len(of_fence) > 0:
+            shooting_grid.shift(of_fence.reshape(N, len(of_fence) // N), t, stages)
 
 
 @jit
@@ -422,6 +453,9 @@ def rescale(row: Indices, N: int, at: SolveArrays) -> int:
     E = N * STATES + 2
     size = dual_scale(problem.q, N)
     free = min(LIMIT_ROW * size, MAX_LIMIT_ROW)
+    # A stage has 1 column and 3 rows for each limited state, 1 column and 2 rows for each half-plane.
+    planes = len(y) - 2 * (len(at.x) - N * STAGE_VARIABLES - 2) - E - 4 * N  # 3 a + 2 b - 2 (a + b)
+    planes = E + 4 * N + 3 * planes
     changed, total = 0, size
     for i in range(len(at.row_scale)):
         active = abs(y[i]) > NOT_ACTIVE
@@ -431,8 +465,10 @@ def rescale(row: Indices, N: int, at: SolveArrays) -> int:
             s = free * ACTIVE if active else free
         elif not active:
             s = MOTION_ROW * size
-        else:
+        elif i < planes:
             s = (EXCESS_ROW if (i - E - 4 * N) % 3 == 2 else MOTION_ACTIVE) * size
+        else:
+            s = (PLANE_EXCESS_ROW if (i - planes) % 2 == 1 else PLANE_ACTIVE) * size
         if s != at.row_scale[i]:
             changed, at.row_scale[i] = 1, s
         scaled.l[i], scaled.u[i], at.scaled_y[i] = problem.l[i] * s, problem.u[i] * s, y[i] / s

@@ -123,7 +123,8 @@ class RiccatiSolver:
         self._other, self._other_is_ready = other, False
         self._max_sweeps = config.max_iterations
         self._packed = pack_objective(config.knots, limits, config.weights)
-        self._duals = np.zeros((config.stages, HARD_ROWS + len(limits.limited_states)))
+        self._limited = len(limits.limited_states)
+        self._duals = np.zeros((config.stages, HARD_ROWS + self._limited))
         self._shift = math.nan
         self._lin: Linearisation | None = None
         self._target = np.zeros((config.stages + 1, 2))
@@ -138,6 +139,10 @@ class RiccatiSolver:
 
     def build(self, lin: Linearisation, target: Array) -> None:
         """Keep the problem: the sweeps read it as it is."""
+        R = HARD_ROWS + self._limited + lin.rows.shape[1]
+        if self._duals.shape[1] != R:  # a fence was set or removed
+            self._duals = np.zeros((len(self._duals), R))
+            self.reset_warm_start()
         self._lin, self._target = lin, target
 
     def update(self) -> None:

@@ -242,8 +242,8 @@ def test_a_solver_recovers_one_cycle_after_a_problem_with_nan(solver):
     estimate, _ = fly(controller, moving(), 4)
     begin = nominal_trajectory.choose_nominal
 
-    def with_nan(numbers, start, target, commands, stages, flat):
-        kind = begin(numbers, start, target, commands, stages, flat)
+    def with_nan(numbers, start, target, commands, stages, flat, *scene):
+        kind = begin(numbers, start, target, commands, stages, flat, *scene)
         flat[-5:] = np.nan
         return kind
 

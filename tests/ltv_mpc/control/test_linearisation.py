@@ -89,6 +89,7 @@ def test_products_with_A_are_those_of_the_dense_matrix():
 @pytest.mark.parametrize("name", [*Linearisation._fields[:-1], "target"])
 def test_an_input_that_is_not_finite_is_named_with_its_first_index(name):
     lin, target = linearise(*trajectory(7), 0.3, P), np.zeros((N + 1, 2))
+    lin = Linearisation.from_arrays(*lin[:-2], np.zeros((N, 3, 4)))
     assert describe_non_finite(lin, target) == "the QP's numbers are not finite"
     values = target if name == "target" else getattr(lin, name)
     values[1].flat[-1] = np.inf

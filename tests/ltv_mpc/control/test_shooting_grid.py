@@ -60,7 +60,7 @@ def test_duals_move_in_time():
     E = 8 * N + 2
     rows = rng.normal(size=(2, N, 2))
     y = np.concatenate([np.zeros(E), rows.ravel()])
-    osqp._shift_limits(y, E, GROWING, 1.7)
+    osqp._shift_limits(y, E, 0, GROWING, 1.7)
     want = [[np.interp(at, GROWING[1:], kind[:, i]) for i in range(2)] for kind in rows]
     np.testing.assert_allclose(y[E:].reshape(2, N, 2), np.array(want).transpose(0, 2, 1))
 

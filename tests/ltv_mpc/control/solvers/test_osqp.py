@@ -113,7 +113,7 @@ def test_duals_between_stages_are_read_linearly_and_the_last_ones_kept():
     E = 8 * N + 2
     for by in (0.0, 0.4, 1.0, 1.7, 9.0):
         y = np.concatenate([np.zeros(E), rows.ravel()])
-        osqp._shift_limits(y, E, np.arange(N + 1.0), by)
+        osqp._shift_limits(y, E, 0, np.arange(N + 1.0), by)
         at = np.clip(np.arange(N) + by, 0, N - 1)
         want = [[np.interp(at, range(N), kind[:, i]) for i in range(2)] for kind in rows]
         np.testing.assert_allclose(y[E:].reshape(2, N, 2), np.array(want).transpose(0, 2, 1))

@@ -1,0 +1,101 @@
+"""Shortest ways round the zones: they keep the clearance, are the shortest, and stay on their side."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from ltv_mpc.geofence.fence import Disc, Fence, Polygon
+from ltv_mpc.geofence.route import Router
+from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
+from ltv_mpc.messages import Array
+from ltv_mpc.references import Place
+
+
+def polygon(*corners: tuple[float, float]) -> Polygon:
+    return Polygon(vertices=tuple(Place(north_m=north, east_m=east) for north, east in corners))
+
+
+def disc(north_m: float, east_m: float, radius_m: float) -> Disc:
+    return Disc(centre=Place(north_m=north_m, east_m=east_m), radius_m=radius_m)
+
+
+def along(start: Array, way: Array) -> Array:
+    """Points of a way, 5 cm apart."""
+    corners = np.vstack([start, way])
+    legs = [np.linspace(a, b, 2 + int(math.dist(a, b) / 0.05)) for a, b in itertools.pairwise(corners)]
+    return np.vstack(legs)
+
+
+def length(start: Array, way: Array) -> float:
+    return float(np.hypot(*np.diff(np.vstack([start, way]), axis=0).T).sum())
+
+
+def router(fence: Fence, need_m: float = 1.0) -> tuple[Zones, Router]:
+    zones = pack_zones(fence)
+    return zones, Router(zones, np.full(len(zones.radius), need_m))
+
+
+TRAP = ((5.0, -5.0), (12.0, -5.0), (12.0, 5.0), (5.0, 5.0), (5.0, 4.0), (11.0, 4.0), (11.0, -4.0), (5.0, -4.0))
+FENCES = {
+    "disc": Fence(margin_m=0.0, keep_out_disc=(disc(10.0, 0.5, 3.0),)),
+    "two": Fence(margin_m=0.0, keep_out_disc=(disc(6.0, 0.5, 3.0), disc(14.0, -1.0, 2.0))),
+    "trap": Fence(margin_m=0.0, keep_out=(polygon(*TRAP),)),
+    "bay": Fence(
+        margin_m=0.0,
+        keep_in=(polygon((-3, -9), (25, -9), (25, 9), (12, 9), (12, -4), (9, -4), (9, 9), (-3, 9)),),
+    ),
+}
+START, GOAL = np.array([0.0, 0.0]), np.array([20.0, 0.0])
+
+
+@pytest.mark.parametrize("name", FENCES)
+def test_a_way_keeps_the_clearance_and_reaches_the_goal(name: str) -> None:
+    zones, of = router(FENCES[name])
+    assert of.is_blocked(START, GOAL)
+    way = of.way(START, GOAL)
+    np.testing.assert_array_equal(way[-1], GOAL)
+    assert clearances(zones, along(START, way)).min() > 1.0 - 2e-3
+
+
+def test_a_way_round_a_disc_is_hardly_longer_than_the_tangents() -> None:
+    _, of = router(FENCES["disc"])
+    # both points are at distance d from the centre: tangents and the arc between them
+    reach, d = 4.0, (math.hypot(10.0, 0.5),) * 2
+    angle = math.pi - 2.0 * math.atan2(0.5, 10.0) - sum(math.acos(reach / each) for each in d)
+    shortest = sum(math.sqrt(each**2 - reach**2) for each in d) + reach * angle
+    assert shortest <= length(START, of.way(START, GOAL)) < 1.02 * shortest
+
+
+def test_a_way_is_kept_until_another_is_clearly_shorter() -> None:
+    _, of = router(FENCES["disc"])
+    assert of.way(START, GOAL)[0][1] < 0.5  # to port, where the disc reaches less far
+    for east, side in ((0.7, -1.0), (0.9, -1.0), (4.0, 1.0)):
+        way = of.way(np.array([3.0, east]), GOAL)
+        assert np.sign(way[0][1] - 0.5) == side
+    _, fresh = router(FENCES["disc"])
+    assert fresh.way(np.array([3.0, 0.9]), GOAL)[0][1] > 0.5  # without memory it is the other side
+
+
+def test_without_a_way_it_leads_to_the_nearest_point_that_can_be_reached() -> None:
+    walls = (
+        polygon((6, -6), (7, -6), (7, 6), (6, 6)),
+        polygon((13, -6), (14, -6), (14, 6), (13, 6)),
+        polygon((6, -7), (14, -7), (14, -6), (6, -6)),
+        polygon((6, 6), (14, 6), (14, 7), (6, 7)),
+    )
+    zones, of = router(Fence(margin_m=0.0, keep_out=walls))
+    goal = np.array([12.0, 0.0])
+    way = of.way(START, goal)
+    assert clearances(zones, along(START, way)).min() > 1.0 - 2e-3
+    assert math.dist(way[-1], goal) < math.dist(START, goal)
+
+
+def test_nothing_is_blocked_where_nothing_is_between() -> None:
+    _, of = router(FENCES["disc"])
+    assert not of.is_blocked(START, np.array([0.0, 9.0]))
+    assert not of.chain_is_blocked(START, np.array([[0.0, 6.0], [20.0, 6.0]]))
+    assert of.chain_is_blocked(START, np.array([[0.0, 6.0], [20.0, 0.0], [0.0, 0.0]]))
