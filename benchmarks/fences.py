@@ -176,7 +176,8 @@ def controller_of(scene: Scene, method: str) -> Controller:
     corners = waypoints(scene)
     if len(corners) < 2:
         return Controller(scene.vehicle, point)
-    path = Waypoints(waypoints=tuple(Place(north_m=n, east_m=e) for n, e in corners))
+    places = tuple(Place(north_m=n, east_m=e) for n, e in corners)
+    path = Waypoints(waypoints=places, speed_mps=0.6 * characteristic_scales(scene.vehicle).speed_mps)
     return Controller(scene.vehicle, path, ControllerConfig())
 
 
