@@ -76,7 +76,7 @@ class LateralPlanner:
         self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
         self._shares: Pair = (1.0, 1.0)  # of their commands that port and starboard deliver
-        self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._solver_config())
+        self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
         self._solver = self._make_solver()
         self._solver_is_suspect = False
         self._stopwatch = stopwatch
@@ -146,15 +146,6 @@ class LateralPlanner:
             self._weakened_vehicle(), config.weights, config.knots, STAGE_NS * 1e-9, config.limits.state_bounds
         )
         self.distrust_solver()
-
-    def _solver_config(self) -> ResolvedConfig:
-        """Return the settings of the solver: with a fence OSQP gives way to the Riccati method, which it starts from.
-
-        The duals of the fence are so much larger than the others that OSQP would need hundreds of iterations.
-        """
-        if self.fencing.is_active and self._config.solver == "osqp":
-            return msgspec.structs.replace(self._config, solver="riccati")
-        return self._config
 
     def stop(self, start: Start, why: str) -> LateralPlan:
         """Stop the vehicle through the water.

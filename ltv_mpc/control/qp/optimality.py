@@ -8,7 +8,8 @@ gives the states dX, and an adjoint sweep gives the duals of the dynamics:
     a row      :  g = the point of [low, high] nearest to g + y,   if |y| < cap
                   g beyond its bound on the side of y,             if |y| = cap
 
-The error is the largest violation of both, in units of the scaled QP. It takes as long as a fifth of a Riccati sweep.
+The error is the largest violation of both, in units of the scaled QP; of a row, the smaller one of its two conditions.
+It takes as long as a fifth of a Riccati sweep.
 """
 
 from __future__ import annotations
@@ -80,12 +81,11 @@ def optimality_error(
     for k in range(N):
         for i in range(y.shape[1]):
             value, dual, cap = work.g[k, i], y[k, i], work.cap[k, i]
+            inside = work.high[k, i] - value if dual > 0.0 else value - work.low[k, i]
+            error = max(inside, abs(abs(dual) - cap))  # as an exceeded row
             if abs(dual) < cap:
                 nearest = min(max(value + dual, work.low[k, i]), work.high[k, i])
-                error = abs(value - nearest)
-            else:
-                inside = work.high[k, i] - value if dual > 0.0 else value - work.low[k, i]
-                error = max(inside, abs(dual) - cap)
+                error = min(error, abs(value - nearest))
             worst = max(worst, error)
             total += value + dual
     return worst if np.isfinite(total) else np.inf

@@ -64,8 +64,10 @@ GRADIENT = 0.5
 MAX_LIMIT_ROW = 0.2
 """Largest scale s of inactive box and slew rows."""
 
-MAX_LOOSENING = 5.0
-"""Largest factor by which the tolerance grows with the duals."""
+MAX_LOOSENING, FENCE_LOOSENING = 5.0, 20.0
+"""Largest factor by which the tolerance grows with the duals, without and with a fence, whose duals are larger. A row
+of the fence then is exact to 0.3 mm.
+"""
 
 ACTIVE = 10.0
 """Factor on the scale of active box and slew rows."""
@@ -73,8 +75,11 @@ ACTIVE = 10.0
 MOTION_ROW, MOTION_ACTIVE, EXCESS_ROW = 0.05, 1.5, 15.0
 """Scales s of the limits of a state, inactive and active, and of its excess, if the gradient is small."""
 
-PLANE_ACTIVE, PLANE_EXCESS_ROW = 10.0, 100.0
+PLANE_ACTIVE, PLANE_EXCESS_ROW = 0.3, 5.0
 """The same of an active half-plane of the fence and of its excess: its duals are larger, as its penalty is."""
+
+NOT_EXCEEDED = 1e-3
+"""Distance of a half-plane's dual from its penalty above which the half-plane is not exceeded."""
 
 NOT_ACTIVE = 1e-9
 """Magnitude below which a dual is zero up to rounding."""
@@ -154,7 +159,8 @@ class OsqpSolver:
         size = prepare(form.packed, lin.flat, target, form.entries, self._shift, self._arrays)
         self._finite = size >= 0.0
         self._why = "" if self._finite else describe_non_finite(lin, target)
-        self._eps = self._tolerance * min(size, MAX_LOOSENING)
+        largest = FENCE_LOOSENING if form.half_planes else MAX_LOOSENING
+        self._eps = self._tolerance * min(size, largest)
 
     def update(self) -> None:
         """Pass the problem to OSQP; the first one sets it up (see ``Solver``)."""
@@ -413,8 +419,8 @@ def _guess_excesses(objective: Objective, lin: Linearisation, q: Array, x: Array
             value = 0.0
             for i in range(2):
                 value += a[i] * objective.state_scale[i] * x[k * STAGE_VARIABLES + i]
-            x[column] = max(a[2] - value, 0.0)
             y[row + 1] = min(-y[row] - q[column], 0.0)
+            x[column] = max(a[2] - value, 0.0) if y[row + 1] > -NOT_EXCEEDED else 0.0
             column, row = column + 1, row + 2
 
 
