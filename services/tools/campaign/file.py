@@ -138,10 +138,11 @@ def figures() -> dict[str, settings_schema.Type]:
 NO_FIGURES = frozenset(
     {
         "scenario", "mode", "seed", "speed", "speed_reached", "compute_delay_wall_s", "end_to_end_delay_wall_s",
-        "stages_us", "qp_status", "plan_origin", "health",
+        "stages_us", "qp_status", "plan_origin", "health", "fence",
     }
 )  # fmt: skip
-"""Keys of summary.json without a column: identification, wall times, and counts by name, which ``trial.py`` adds."""
+"""Keys of summary.json without a column: identification, wall times, zones, and counts by name, which ``trial.py``
+adds."""
 
 
 def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
