@@ -204,7 +204,9 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
         node.steps([(t_ns, [ReceivedMessage(message, 1, k, t_ns) for message in messages])])
     for missed_s in (2.0, 12.0, 30.0):  # prediction, hold, failsafe
         node.steps([(t_ns + round(missed_s * 1e9), [])])
-    SentCommands(vehicle).correct(0, (0.0, 0.0, 0.0))  # these cycles have no report of the actuators
+    sent = SentCommands(vehicle)
+    sent.correct(0, (0.0, 0.0, 0.0))  # these cycles have no report of the actuators
+    sent.at(np.zeros(1, dtype=np.int64))  # nor do they keep a depth
     thrust_loss_detector.warm_up()
 
 

@@ -85,7 +85,10 @@ def test_the_report_has_track_thrusts_and_delays_and_no_empty_plot(recording: Pa
     ltv_mpc("report", str(recording))
     text = (recording / "report.html").read_text()
     shown = data(text)
-    assert [plot["name"] for plot in shown["plots"]] == ["track", "thrust", "tracking", "latency"]
+    assert [plot["name"] for plot in shown["plots"]] == [
+        *("track", "tracking", "heading", "thrust", "yaw_rate", "vertical", "latency", "stages"),
+        *("histogram", "residuals"),
+    ]
     assert "vehicle foreign, times from 20" in text
     (run,) = shown["runs"]
     for plot in shown["plots"]:

@@ -60,7 +60,7 @@ def test_the_state_to_continue_from_comes_before_messages_that_have_waited(opene
     io = opened()
     io.add_to_inbox(Estimate.at_rest(), HEADER, key="estimate", payload=b"", received_t_ns=1)
     io.restore_state(7, 8, own_clock=True)
-    assert [type(arrival.message) for arrival in io.take_inbox(0, 7, "cycle")] == [ControllerState, Estimate]
+    assert [type(arrival.message) for arrival in io.take_inbox(7, "cycle")] == [ControllerState, Estimate]
 
 
 def test_the_supervisor_s_state_is_returned_as_it_was_given() -> None:

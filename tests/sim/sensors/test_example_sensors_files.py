@@ -27,7 +27,7 @@ def load(name: str) -> SensorConfig:
 
 
 def test_every_file_here_is_one_of_these():
-    assert {x.stem for x in EXAMPLES.iterdir()} == {"bottom_track", "lbl", "own_adcp", "usbl"}
+    assert {x.stem for x in EXAMPLES.iterdir()} == {"600_khz", "bottom_track", "lbl", "own_adcp", "usbl"}
 
 
 @pytest.mark.parametrize("name", ["bottom_track", "lbl", "usbl"])
@@ -59,6 +59,7 @@ def test_the_example_of_an_own_profiler_differs_only_in_its_keys():
         ("lbl", LblRange, 110_000_000),
         ("usbl", UsblFix, 800_000_000),
         ("own_adcp", AdcpPing, 200_000_000),
+        ("600_khz", AdcpPing, 0),
     ],
 )
 def test_each_example_measures_in_a_hover_at_20_m(name, kind, late_ns):
