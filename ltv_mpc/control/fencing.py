@@ -23,8 +23,7 @@ from ltv_mpc.control.fence_rows import Scene, clearance_table
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.terminal_check import closing_speed
-from ltv_mpc.errors import ConfigError
-from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.geofence.fence import Fence, hull_radius_m
 from ltv_mpc.geofence.half_planes import ALL, SD_FACTOR
 from ltv_mpc.geofence.obstacles import DISC, ObstacleTable
 from ltv_mpc.geofence.route import Router
@@ -79,30 +78,20 @@ class Fencing:
         """True if there is a fence or an obstacle."""
         return self.fence is not None or len(self.obstacles) > 0
 
-    @property
-    def hull_m(self) -> float:
-        """Radius of the circle around the hull (m). Raises ``ConfigError`` if it is not known."""
-        hull = self._vehicle.hull
-        if hull is None:
-            raise ConfigError(
-                f"vehicle {self._vehicle.name}", "[hull]", "is missing: a fence needs length_m and beam_m"
-            )
-        return hull.radius_m
-
     def set_fence(self, fence: Fence | None) -> None:
         """Keep another fence; None: none. Raises ``ConfigError`` if the hull is not known."""
         zones, labels = NO_ZONES, []
         need = np.empty(0)
         if fence is not None:
             zones, labels = pack_zones(fence), [zone.label for zone in fence.zones()]
-            need = self.hull_m + zones.margin
+            need = hull_radius_m(self._vehicle) + zones.margin
         self.fence, self._labels = fence, labels
         self._router = None if fence is None else Router(zones, need)
         self.scene = _scene(zones, self.scene.discs, self.scene.disc_need_m[0], self.scene.stage_s)
 
     def add_obstacles(self, obstacles: Obstacles) -> None:
         """Take reports of obstacles. Raises ``ConfigError`` if the hull is not known."""
-        need = (1.0 + OBSTACLE_MARGIN) * self.hull_m
+        need = (1.0 + OBSTACLE_MARGIN) * hull_radius_m(self._vehicle)
         self.obstacles.add(obstacles)
         self.scene.disc_need_m[0] = need
 
@@ -123,7 +112,7 @@ class Fencing:
         sd_m = growth_m
         if estimate.covariance is not None:
             sd_m += math.sqrt(max(float(np.linalg.eigvalsh(estimate.covariance[:2, :2])[-1]), 0.0))
-        scene.need[:] = self.hull_m + np.maximum(zones.margin, SD_FACTOR * sd_m)
+        scene.need[:] = hull_radius_m(self._vehicle) + np.maximum(zones.margin, SD_FACTOR * sd_m)
         north, east = start.lateral[:2]
         for z in range(len(zones.radius)):
             distance, mn, me, qn, qe = nearest(zones, z, north, east)

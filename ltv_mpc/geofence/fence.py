@@ -142,9 +142,24 @@ def fence_for(vehicle: Vehicle, path: str) -> Fence | None:
     """
     if not path:
         return None
+    hull_radius_m(vehicle)
+    return Fence.load(path)
+
+
+def hull_radius_m(vehicle: Vehicle) -> float:
+    """Return the radius of the circle around the hull (m).
+
+    Parameters
+    ----------
+    vehicle : its file needs [hull].
+
+    Raises
+    ------
+    ConfigError : the vehicle has no hull.
+    """
     if vehicle.hull is None:
         raise ConfigError(f"vehicle {vehicle.name}", "[hull]", "is missing: a fence needs length_m and beam_m")
-    return Fence.load(path)
+    return vehicle.hull.radius_m
 
 
 def _label(table: str, number: int, zone: Zone) -> str:

@@ -87,7 +87,7 @@ def half_planes(zones: Zones, points: Array, required: Array, pushes: Array, rea
     zones : zones of the fence.
     points : (P, 2) north and east (m): the linearisation's positions at knots and sub-steps.
     required : (P, Z) required clearance (m).
-    pushes : (Z, 4) half-plane of each zone's side, as ``SideMemory.pushes``.
+    pushes : (Z, 4) half-plane by zone: for which points (``NONE``, ``INSIDE``, ``ALL``), m north, m east, offset (m).
     reach : (P,) largest slack of a row that is taken (m).
     rows : output.
     """
