@@ -5,7 +5,7 @@ clearance c of the zone at this point, b = m . q + c. A polygon gives one row fo
 nearest in its surroundings: edges whose foot lies on them, and corners that reach into the allowed side. The rows with
 the least slack  m . p - b  are taken, and only those with less than ``reach``.
 
-A point inside a zone is pushed to the half-plane of the zone's side (``sides.py``), or to the nearest boundary if there
+A point inside a zone is pushed to the half-plane of the zone's side, or to the nearest boundary if there
 is none.
 """
 
