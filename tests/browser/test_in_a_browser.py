@@ -45,6 +45,8 @@ OUTSIDE = """() => {
 }"""
 """Words that do not fit the width."""
 
+WIDEST_PLOT = "Math.max(...[...document.querySelectorAll('.js-plotly-plot svg')].map(one => one.clientWidth))"
+
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
@@ -154,7 +156,7 @@ def test_the_report_of_two_runs_shows_both(browser: Any, reports: tuple[Path, Pa
         assert len(set(colours)) == 2
         fits(page, SCREEN)
         page.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
-        until(lambda: page.evaluate("document.querySelector('#plot-track svg').clientWidth") < PHONE[0])
+        until(lambda: page.evaluate(WIDEST_PLOT) < PHONE[0])  # the plots follow the window one after the other
         fits(page, PHONE)
 
 
