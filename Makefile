@@ -31,8 +31,8 @@ help:  ## list the targets
 
 setup: .venv/compiled  ## make .venv with everything in it; quick when nothing changed
 
-# Compiling is left to the run: the live page's address comes first.
-sim: .venv/installed  ## run the paper's descent as processes over Zenoh
+# Compiling is left to the run: the live page's address comes first. A run needs none of what the tests need.
+sim: .venv/runnable  ## run the paper's descent as processes over Zenoh
 	@$(BIN)/ltv-mpc sim --dashboard $(SIM_OPTIONS)
 
 sim-secure: .venv/installed  ## the same under mTLS and access control, with certificates made for this run
@@ -111,9 +111,14 @@ clean:  ## remove .venv and caches; runs/ stays
 	done; \
 	echo "On Debian and Ubuntu: apt-get install python3 python3-venv" >&2; exit 1
 
-.venv/installed: .venv/made pyproject.toml
+.venv/runnable: .venv/made pyproject.toml
 	@echo "installing into .venv"
-	@$(BIN)/python .ci/install.py dev viz
+	@$(BIN)/python .ci/install.py viz
+	@touch $@
+
+.venv/installed: .venv/runnable
+	@echo "installing what the tests need"
+	@$(BIN)/python .ci/install.py viz dev
 	@touch $@
 
 # Into .venv itself: what is compared has the same Python, numpy and solvers, and the kernels are compiled already.
