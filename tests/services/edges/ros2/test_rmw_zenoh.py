@@ -93,10 +93,12 @@ def test_a_node_by_another_sdk_lists_echoes_publishes_and_calls(free_port: int, 
     arguments = ("--vehicle", "paper", "--reference", str(tmp_path / "point.toml"))
     with (
         controller(free_port, arguments) as (endpoint, _),
-        started(*CLI, "ros2", "--middleware", "rmw_zenoh", "--domain-id", "5", "--connect", endpoint),
-        started(sys.executable, "-P", "-m", "tests.services.edges.ros2.sdk", str(free_port), "5") as (_, node),
+        started(*CLI, "ros2", "--middleware", "rmw_zenoh", "--domain-id", "5", "--connect", endpoint) as (_, edge),
     ):
-        node.until(until_stopped, within_s=200.0)
+        edge.until(lambda line: "writes" in line)  # every topic and service is declared
+        sdk = (sys.executable, "-P", "-m", "tests.services.edges.ros2.sdk", str(free_port), "5")
+        with started(*sdk) as (_, node):
+            node.until(until_stopped, within_s=200.0)
     found = {name: value for line in said for name, value in line.items()}
     used = [row for row in TABLE if row.name != "thrusts"]
     assert found["topics"] == {row.topic: [row.ros_type] for row in used if row.direction in (IN, OUT)}

@@ -36,4 +36,5 @@ def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind() ->
     failed = solved(solver, lin, np.full_like(target, np.nan))
     assert failed.solve.status is SolveStatus.NON_FINITE
     np.testing.assert_array_equal(failed.commands, lin.U)
-    np.testing.assert_array_equal(solved(solver, lin, target).commands, expected.commands)
+    # Not to the last bit: PIQP's sums depend on where its arrays lie in memory.
+    np.testing.assert_allclose(solved(solver, lin, target).commands, expected.commands, rtol=0, atol=1e-5)
