@@ -75,13 +75,16 @@ def measure(checkout: Path, out: Path, *, duration_s: float, speed: float) -> Ru
     command += ["--duration-s", f"{duration_s:g}", "--surface-time-s", f"{SURFACE_S:g}", "--json", "--out", str(out)]
     newest: dict[int, tuple[str, float, float]] = {}
     samples: list[tuple[float, Times]] = []
-    with subprocess.Popen(
-        command,
-        cwd=checkout,
-        env={**os.environ, "PYTHONPATH": str(checkout)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    ) as process:
+    with (
+        tempfile.TemporaryFile("w+") as console,
+        subprocess.Popen(
+            command,
+            cwd=checkout,
+            env={**os.environ, "PYTHONPATH": str(checkout)},
+            stdout=subprocess.PIPE,
+            stderr=console,
+        ) as process,
+    ):
         while process.poll() is None:
             newest.update(now := read_times(process.pid))
             if any(name == "plant" for name, _, _ in now.values()):
@@ -89,8 +92,9 @@ def measure(checkout: Path, out: Path, *, duration_s: float, speed: float) -> Ru
             time.sleep(SAMPLE_S)
         assert process.stdout is not None
         output = process.stdout.read()
-    if process.returncode != 0:
-        sys.exit(f"{' '.join(command)}: exit code {process.returncode}")
+        if process.returncode != 0:
+            console.seek(0)
+            sys.exit(f"{' '.join(command)}: exit code {process.returncode}\n{console.read()}")
     if dropped := json.loads(output)["messages"]["dropped"]:
         sys.exit(f"{out}: {dropped} messages are not recorded")
     (start_s, start), (end_s, end) = next(s for s in samples if s[0] > samples[0][0] + SETTLED_S), samples[-1]
