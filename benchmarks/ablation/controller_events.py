@@ -14,9 +14,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from benchmarks import hard_scenarios, model_alarm, unknown_current, vehicles
+from benchmarks import model_alarm, vehicles
 from benchmarks.ablation.mechanism import Measures
+from benchmarks.current_bias import SPEED_MPS, TURN_RAD
 from benchmarks.loop import Loop, Outcome, run_config
+from benchmarks.rivals.mpc import without_water
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
@@ -24,7 +26,7 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.messages import Applied, ControllerState, Estimate, Message, MessageFault, Plan
 from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
-from ltv_mpc.references import Reference
+from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.nodes import make_nodes
 from services.run.run_config import RunConfig
@@ -35,6 +37,7 @@ from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval
 from sim.faults.solver_faults import SolverClock, SolverFault, SolverFaultInterval, faulty_solvers
 from sim.scheduler import LockStep, Observation
+from sim.water import WaterColumn
 
 S = 1_000_000_000
 SAMPLES_PER_S = 100
@@ -81,6 +84,25 @@ def fly(s: RunConfig, ended_s: float = 0.0, **loop: Any) -> Measures:
 # --- plain descents and starts ---
 
 
+def line(rate_mps: float = 0.2) -> Point:
+    """Return the reference down the vertical line through the origin."""
+    return Point(north_m=0.0, east_m=0.0, depth_m=40.0, descent_rate_mps=rate_mps, start_s=0.0)
+
+
+def starts_far_off(seed: int) -> RunConfig:
+    """Return a descent that starts 5 m off, with another heading for each seed."""
+    heading = f"plant.heading_rad={(seed % 8) * 0.7 - 2.8:.1f}"
+    start = heading, "plant.north_m=3.0", "plant.east_m=-4.0", "run.duration_s=60.0"
+    return replace(run_config(f"run.seed={seed}", *start), reference=line())
+
+
+def starts_turned(seed: int) -> RunConfig:
+    """Return the descent with the bow along the mean current of the first 10 m."""
+    north, east = run_config(f"run.seed={seed}").water.over(np.linspace(0.0, 10.0, 11), 0).mean(axis=0)
+    start = f"plant.heading_rad={np.arctan2(east, north)}", "plant.north_m=1.0", "run.duration_s=60.0"
+    return replace(run_config(f"run.seed={seed}", *start), reference=line())
+
+
 def descent(*settings: str) -> Callable[[int], Measures]:
     """Return a run of the paper's descent, the first 100 s."""
     return lambda seed: fly(run_config(f"run.seed={seed}", "run.duration_s=100.0", *settings))
@@ -88,12 +110,12 @@ def descent(*settings: str) -> Callable[[int], Measures]:
 
 def far_off(seed: int) -> Measures:
     """Start 5 m off the line with a heading that differs from seed to seed."""
-    return fly(hard_scenarios.far_off((), seed))
+    return fly(starts_far_off(seed))
 
 
 def turned(seed: int) -> Measures:
     """Start 1 m off the line, the stern where the current wants the bow."""
-    return fly(hard_scenarios.turned((), seed))
+    return fly(starts_turned(seed))
 
 
 def abeam(seed: int) -> Measures:
@@ -104,7 +126,7 @@ def abeam(seed: int) -> Measures:
     place = f"plant.north_m={off_m * math.cos(side)}", f"plant.east_m={off_m * math.sin(side)}"
     s = run_config(f"run.seed={seed}", "run.duration_s=60.0", f"plant.heading_rad={heading}", *place)
     depth = s.water.depth_m
-    return fly(replace(s, reference=hard_scenarios.line(), water=type(s.water)(depth, np.zeros((len(depth), 2)))))
+    return fly(replace(s, reference=line(), water=type(s.water)(depth, np.zeros((len(depth), 2)))))
 
 
 def stuck(seed: int) -> Measures:
@@ -160,8 +182,10 @@ def untold(water: str) -> Callable[[int], Measures]:
     def run(seed: int) -> Measures:
         s = run_config(f"run.seed={seed}", "run.duration_s=100.0")
         if water == "constant":
-            s = replace(s, water=unknown_current.constant(s.water.depth_m, seed))
-        return fly(s, told=unknown_current.nothing)
+            towards = np.array([np.cos(TURN_RAD * seed), np.sin(TURN_RAD * seed)])
+            velocity = np.tile(SPEED_MPS * towards, (len(s.water.depth_m), 1))
+            s = replace(s, water=WaterColumn(s.water.depth_m, velocity))
+        return fly(s, told=without_water)
 
     return run
 
@@ -345,7 +369,7 @@ def nominal_cycles(*settings: str) -> Callable[[int], Measures]:
 
 def hard_cycles(seed: int) -> Measures:
     """Return a timed start 5 m off the line."""
-    return cycle_time(hard_scenarios.far_off(("run.duration_s=60.0",), seed))
+    return cycle_time(starts_far_off(seed))
 
 
 # --- vertical ---
@@ -568,7 +592,7 @@ def far_off_locked(seed: int, **others: Any) -> Locked:
     """Return a run that starts 5 m off the line with any heading: thrusts are large for ten seconds."""
     heading = f"plant.heading_rad={(seed % 20) * 0.3 - 2.8:.1f}"
     start = heading, "plant.north_m=3.0", "plant.east_m=-4.0"
-    return Locked(seed=seed, settings=start, reference=hard_scenarios.line(), duration_s=40.0, **others)
+    return Locked(seed=seed, settings=start, reference=line(), duration_s=40.0, **others)
 
 
 def taken_over(*, with_plan: bool) -> Callable[[int], Measures]:
