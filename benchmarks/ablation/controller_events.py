@@ -96,13 +96,6 @@ def starts_far_off(seed: int) -> RunConfig:
     return replace(run_config(f"run.seed={seed}", *start), reference=line())
 
 
-def starts_turned(seed: int) -> RunConfig:
-    """Return the descent with the bow along the mean current of the first 10 m."""
-    north, east = run_config(f"run.seed={seed}").water.over(np.linspace(0.0, 10.0, 11), 0).mean(axis=0)
-    start = f"plant.heading_rad={np.arctan2(east, north)}", "plant.north_m=1.0", "run.duration_s=60.0"
-    return replace(run_config(f"run.seed={seed}", *start), reference=line())
-
-
 def descent(*settings: str) -> Callable[[int], Measures]:
     """Return a run of the paper's descent, the first 100 s."""
     return lambda seed: fly(run_config(f"run.seed={seed}", "run.duration_s=100.0", *settings))
@@ -111,29 +104,6 @@ def descent(*settings: str) -> Callable[[int], Measures]:
 def far_off(seed: int) -> Measures:
     """Start 5 m off the line with a heading that differs from seed to seed."""
     return fly(starts_far_off(seed))
-
-
-def turned(seed: int) -> Measures:
-    """Start 1 m off the line, the stern where the current wants the bow."""
-    return fly(starts_turned(seed))
-
-
-def abeam(seed: int) -> Measures:
-    """Start at rest in still water, 1 to 5 m off the point and exactly abeam of it."""
-    rng = np.random.default_rng(seed)
-    off_m, heading = rng.uniform(1.0, 5.0), rng.uniform(-math.pi, math.pi)
-    side = heading + (-1.0) ** seed * 0.5 * math.pi
-    place = f"plant.north_m={off_m * math.cos(side)}", f"plant.east_m={off_m * math.sin(side)}"
-    s = run_config(f"run.seed={seed}", "run.duration_s=60.0", f"plant.heading_rad={heading}", *place)
-    depth = s.water.depth_m
-    return fly(replace(s, reference=line(), water=type(s.water)(depth, np.zeros((len(depth), 2)))))
-
-
-def stuck(seed: int) -> Measures:
-    """Hold a point with a vehicle that is weak astern, in a current of half its top speed."""
-    vehicle = Vehicle.load("weak-reverse")
-    held = vehicles.hold(vehicle, 0.5, seed)
-    return {"largest distance, last 40 s (m)": held.off_m, "settled after (s)": held.settled_s}
 
 
 def drawn_vehicle(seed: int) -> Measures:
@@ -260,17 +230,6 @@ def with_covariance(told: Callable[[Estimate], Estimate]) -> Callable[[Estimate]
     """Give every estimate a covariance, as a filter does: 0.1 m, 1 cm/s, 10 mrad, 1 mrad/s."""
     covariance = np.diag(np.array([0.1, 0.1, 0.01, 0.01, 0.01, 0.001]) ** 2)
     return lambda estimate: msgspec.structs.replace(told(estimate), covariance=covariance)
-
-
-def no_estimates(lasts_s: float) -> Callable[[int], Measures]:
-    """Return a descent in which no estimate comes for so long."""
-
-    def run(seed: int) -> Measures:
-        ends_s = BEGINS_S + lasts_s
-        s = run_config(f"run.seed={seed}", "run.duration_s=70.0")
-        return fly(s, ends_s, told=Stale(ends_s=ends_s))
-
-    return run
 
 
 def slow_estimates(seed: int) -> Measures:
