@@ -50,7 +50,7 @@ test: setup  ## lint, spelling, types, import contracts, all tests
 	$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder --durations=15
 
 figures: setup  ## the paper's figures and tables: docs/figures/, docs/paper.md; README's picture
-	$(BIN)/python -P -m services.tools.paper
+	$(BIN)/python -m benchmarks.paper
 
 bench: setup .venv/bench  ## tables of the README: errors over 20 seeds, latency of a cycle, other tools beside it
 	$(BIN)/python -m benchmarks.descents

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from benchmarks.unknown_current import SPEED_MPS, TURN_RAD
 from ltv_mpc.control.disturbance import STILL_WATER
 from ltv_mpc.messages import Applied, CurrentProfile, Disturbance, Estimate, Message, ModelCheck, Plan, Truth
 from ltv_mpc.node import Due, Node, ReceivedMessage
@@ -29,6 +28,12 @@ from sim.faults.world import DisturbanceSource
 from sim.scheduler import LockStep, Observation
 
 FAILS_NS, RUN_S = 20_000_000_000, 90
+SPEED_MPS = 0.04
+"""Current that the profile lacks."""
+
+TURN_RAD = 2.4
+"""Angle by which it turns from seed to seed."""
+
 Told = Callable[[Estimate], Estimate]
 """Function that returns the controller's estimate for a true one."""
 

@@ -64,6 +64,18 @@ RUNS: Mapping[str, tuple[str, ...]] = {
     "front": ("sensors=realistic", "water.feature.kind=front", "water.feature.at_s=20"),
     "state known": ("run.perfect_state=true",),
     "state known, current untold": ("run.perfect_state=true", "controller.disturbance.sd_mps=0.1"),
+    "limits of the motion": (
+        "run.perfect_state=true",
+        "controller.limits.max_surge_mps=0.2",
+        "controller.limits.max_yaw_rate_radps=0.1",
+    ),
+    "another vehicle, path and solver": (
+        "run.perfect_state=true",
+        "vehicle=weak-reverse",
+        "reference=square",
+        "controller.solver=riccati",
+        "controller.max_stages=20",
+    ),
 }
 """Descents, each with what it sets."""
 

@@ -23,9 +23,9 @@ from scipy.stats import binomtest, qmc
 
 from benchmarks.ablation.mechanism import replaced
 from benchmarks.loop import Loop, run_config
+from benchmarks.paper.settings import COMPUTING_S, LONG_S, PAPER_COST, SHORT_S
 from ltv_mpc.control import config, controller, fallback, lateral, solvers
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.tools.paper.settings import COMPUTING_S, LONG_S, PAPER_COST, SHORT_S
 
 SAMPLE_SEED, FIRST_SEED = 2012, 700
 AT_REST = 1.0 / 3.0

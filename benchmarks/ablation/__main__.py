@@ -5,8 +5,7 @@
 
 For each measure the table has the mean (and the largest value) with and without the mechanism, the mean paired
 difference "without - with" with its 95 % interval, and the smallest difference that this number of runs can detect
-(2.8 standard errors of the paired difference). Lines of code are counted without blank lines, comments and docstrings.
-Results are kept in the folder, so that an interrupted study resumes.
+(2.8 standard errors of the paired difference). Results are kept in the folder, so that an interrupted study resumes.
 """
 
 from __future__ import annotations
@@ -15,20 +14,18 @@ import argparse
 import sys
 from pathlib import Path
 
-from benchmarks.ablation.lines import count
 from benchmarks.ablation.mechanism import Mechanism
 from benchmarks.ablation.runner import MECHANISMS, Effect, effects, jobs, load, run, version
 from services.tools.batch.results_store import open_store
 
 HEADER = (
     "mechanism", "event", "runs", "measure", "with (worst)", "without (worst)", "difference (95 %)",
-    "smallest detectable", "lines code + tests",
+    "smallest detectable",
 )  # fmt: skip
 
 
 def rows(mechanism: Mechanism, found: list[Effect]) -> list[tuple[str, ...]]:
     """Return the lines of the table for one mechanism."""
-    size = f"{count(mechanism.code)} + {count(mechanism.tests)}"
     return [
         (
             mechanism.name if i == 0 else "",
@@ -39,7 +36,6 @@ def rows(mechanism: Mechanism, found: list[Effect]) -> list[tuple[str, ...]]:
             f"{e.without:.3g} ({e.worst_without:.3g})",
             f"{e.difference:+.3g} ± {e.half_width:.2g}",
             f"{e.detectable:.2g}",
-            size if i == 0 else "",
         )
         for i, e in enumerate(found)
     ]
@@ -68,7 +64,7 @@ def main() -> int:
     chosen = [m for m in MECHANISMS if any(part in m.name for part in options.only)]
     if options.list:
         for m in chosen:
-            print(f"{m.name}: {m.event.description}; {count(m.code)} lines of code, {count(m.tests)} of tests")
+            print(f"{m.name}: {m.event.description}")
         return 0
     seeds = range(options.seed, options.seed + options.runs)
     with open_store(options.out, {"sources": version()}) as store:

@@ -10,9 +10,8 @@ from typing import Any
 import msgspec
 
 from benchmarks.ablation import controller_events as events
-from benchmarks.ablation import variants
 from benchmarks.ablation.mechanism import Event, Mechanism, replaced
-from ltv_mpc.control import horizon_selection, lateral, line_search, nominal_trajectory, resolution
+from ltv_mpc.control import horizon_selection, lateral, resolution
 from ltv_mpc.control.config import ControllerConfig, Weights
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.delay import Delay
@@ -39,19 +38,7 @@ def without(*changes: tuple[object, str, object]) -> Switch:
     return lambda: replaced(*changes)
 
 
-# --- trajectories ---
-
-
-def kernels(*, steers: bool = True, looks: bool = True, searches: bool = True) -> Switch:
-    """Return a switch that takes parts out of the choice of trajectories."""
-
-    def begin(*arguments: Any) -> int:
-        return variants.begin(*arguments[:-1], steers, looks)  # without a fence
-
-    def step(*arguments: Any) -> float:
-        return variants.step(*arguments[:-1], searches, looks)
-
-    return without((nominal_trajectory, "choose_nominal", begin), (line_search, "line_search", step))
+# --- settings of the controller ---
 
 
 def one_qp() -> AbstractContextManager[Any]:
@@ -99,24 +86,6 @@ def equal_stages() -> Iterator[None]:
 
 
 # --- solver ---
-
-
-def solver(*, guesses: bool = True, scaled: int = variants.OWN, turns: bool = True) -> Switch:
-    """Return a switch that takes parts out of OSQP's guess and scaling."""
-
-    def prepare(*arguments: Any) -> float:
-        return variants.prepare(*arguments, guesses, scaled)
-
-    def rescale(*arguments: Any) -> int:
-        return variants.rescale(*arguments, scaled)
-
-    changes: list[tuple[object, str, object]] = [(osqp, "prepare", prepare), (osqp, "rescale", rescale)]
-    if scaled == variants.NONE:
-        own = {"scaling": 10, "adaptive_rho": 1, "rho": 0.1, "rho_is_vec": 1, "sigma": 1e-6}
-        changes += [(osqp, "BASE_SETTINGS", {**osqp_workspace.BASE_SETTINGS, **own}), (osqp, "BATCH", 4000)]
-    if not turns:
-        changes.append((osqp, "BATCH", 4000))
-    return without(*changes)
 
 
 def forget(self: OsqpSolver, _stages: float) -> None:
@@ -223,8 +192,6 @@ E = events
 NOMINAL = Event("descent", "descent, 5.1 s of horizon", E.descent())
 SHORT = Event("short horizon", "descent, 2.5 s of horizon", E.descent("controller.horizon_s=2.5"))
 FAR_OFF = Event("far off", "start 5 m off the line, any heading", E.far_off)
-TURNED = Event("turned", "start 1 m off, bow where the stern should be", E.turned)
-STUCK = Event("stuck", "weak-reverse vehicle holds a point in half its top speed", E.stuck)
 DRAWN = Event("drawn 2", "randomly drawn vehicle holds a point in 0.35 of its top speed", E.drawn_vehicle)
 LIGHT = Event("light", "drawn vehicle, light to the side, holds a point", E.light_vehicle)
 UNTOLD = Event("untold", "estimates without a profile, 4 cm/s at all depths", E.untold("constant"))
@@ -233,7 +200,6 @@ MISTOLD = Event("mistold", "profile told lacks 4 cm/s at all depths", E.mistold)
 HALF = Event("half thrust", "port delivers half of what it reports", E.half_thrust)
 WAVES = Event("waves", "internal waves of 5 cm/s, told", E.waves)
 FAILS = Event("solver fails", "the solver fails for 3 s", E.solver_fails(20.0, 3.0))
-SILENT = Event("silent", "no estimate for 4 s", E.no_estimates(4.0))
 SLOW = Event("slow estimates", "an estimate each 2 s", E.slow_estimates)
 NONSENSE = Event("nonsense 2", "one estimate in ten is of another place, covariance 0.1 m", E.nonsense)
 TIGHT = Event("tight limits", "yaw rate <= 0.1 rad/s, surge <= 0.1 m/s", E.tight_limits)
@@ -248,7 +214,6 @@ FAILS_SQUARE = Event(
     "solver fails on square", "square at 1 m/s, the solver fails for 12 s", E.square(0.05, 0.0, fails_s=12.0)
 )
 LOST_PLANS = Event("lost plans", "half of the plans lost, 10 s", E.harmed(Plan, MessageFault.LOSS, 0.5))
-ABEAM = Event("abeam", "start at rest 1 to 5 m abeam, still water", E.abeam)
 TAKEN_OVER = Event(
     "taken over", "start 5 m off; at 3 s a controller takes over with a state of 3 s ago", E.taken_over(with_plan=True)
 )
@@ -286,36 +251,20 @@ HELD = ("largest distance, last 40 s (m)", "settled after (s)")
 EXCURSION = ("cross-track error, largest after 30 s (m)", "cross-track error, rms (m)", "path done after (s)")
 PATH = ("cross-track error, rms (m)", "cross-track error, 95 % (m)", "path done after (s)")
 
-C, T = "ltv_mpc/control/", "tests/ltv_mpc/"
-OUTLOOK = (C + "terminal_check.py",), (T + "control/test_terminal_check.py",)
-GUESS = (C + "initial_guess.py",), ()
-BIAS = (C + "disturbance.py",), (T + "control/test_disturbance.py",)
-
 
 def row(
     name: str,
     event: Event,
     off: Switch,
     measures: tuple[str, ...],
-    lines: tuple[tuple[str, ...], tuple[str, ...]] = ((), ()),
     *,
     timed: bool = False,
 ) -> Mechanism:
     """Return a mechanism; its name is followed by that of its event, so that it is unique."""
-    return Mechanism(f"{name} [{event.name}]", event, off, measures, *lines, timed=timed)
+    return Mechanism(f"{name} [{event.name}]", event, off, measures, timed)
 
 
 MECHANISMS: tuple[Mechanism, ...] = (
-    row("terminal check", STUCK, kernels(looks=False), HELD, OUTLOOK),
-    row("terminal check", FAR_OFF, kernels(looks=False), EVENT, OUTLOOK),
-    row("steering guesses", FAR_OFF, kernels(steers=False, looks=False), EVENT, GUESS),
-    row("steering guesses", TURNED, kernels(steers=False, looks=False), EVENT, GUESS),
-    row("steering guesses", STUCK, kernels(steers=False, looks=False), HELD, GUESS),
-    row("steering guesses", ABEAM, kernels(steers=False, looks=False), EVENT, GUESS),
-    row("line search", ABEAM, kernels(searches=False), EVENT),
-    row("line search", SHORT, kernels(searches=False), ERROR),
-    row("line search", TIGHT, kernels(searches=False), EVENT),
-    row("line search", STUCK, kernels(searches=False), HELD),
     row("commands reported", TAKEN_OVER, without((SentCommands, "correct", nothing)), JUNCTION),
     row("commands reported", TAKEN_OVER_BLIND, without((SentCommands, "correct", nothing)), JUNCTION),
     row("commands reported", LATE_FAR_OFF, without((SentCommands, "correct", nothing)), JUNCTION),
@@ -323,21 +272,13 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row("second QP", SHORT, one_qp, ERROR),
     row("second QP", FAR_OFF, one_qp, EVENT),
     row("second QP", CYCLES, one_qp, TIME, timed=True),
-    row("current bias", UNTOLD, partial(disturbance_sd, 0.0), ERROR, BIAS),
-    row("current bias", UNTOLD_PROFILE, partial(disturbance_sd, 0.0), ERROR, BIAS),
+    row("current bias", UNTOLD, partial(disturbance_sd, 0.0), ERROR),
+    row("current bias", UNTOLD_PROFILE, partial(disturbance_sd, 0.0), ERROR),
     row("current bias always on", MISTOLD, partial(disturbance_sd, None), ERROR),
     row("current bias always on", HALF, partial(disturbance_sd, None), ERROR),
     row("current bias always on", WAVES, partial(disturbance_sd, None), ERROR),
-    row("line search", NOMINAL, kernels(searches=False), ERROR),
-    row("line search", FAR_OFF, kernels(searches=False), EVENT),
-    row("line search", TURNED, kernels(searches=False), EVENT),
-    row("line search", DRAWN, kernels(searches=False), HELD),
-    row("Riccati first guess", CYCLES, solver(guesses=False), TIME, timed=True),
-    row("Riccati first guess", CYCLES_HARD, solver(guesses=False), TIME, timed=True),
-    row("row scaling", CYCLES_TIGHT, solver(scaled=variants.NONE), TIME, timed=True),
-    row("row scaling by active set", CYCLES_TIGHT, solver(scaled=variants.FIXED), TIME, timed=True),
-    row("rescaling between turns", CYCLES_TIGHT, solver(turns=False), TIME, timed=True),
-    row("rescaling between turns", CYCLES_HARD, solver(turns=False), TIME, timed=True),
+    row("rescaling between turns", CYCLES_TIGHT, without((osqp, "BATCH", 4000)), TIME, timed=True),
+    row("rescaling between turns", CYCLES_HARD, without((osqp, "BATCH", 4000)), TIME, timed=True),
     row("shifted duals", CYCLES, without((OsqpSolver, "shift_warm_start", forget)), TIME, timed=True),
     row("shifted duals", CYCLES_HARD, without((OsqpSolver, "shift_warm_start", forget)), TIME, timed=True),
     row("shifted duals", CYCLES_TIGHT, without((OsqpSolver, "shift_warm_start", forget)), TIME, timed=True),

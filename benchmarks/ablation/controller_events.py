@@ -14,9 +14,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from benchmarks import hard_scenarios, model_alarm, unknown_current, vehicles
+from benchmarks import model_alarm, vehicles
 from benchmarks.ablation.mechanism import Measures
+from benchmarks.current_bias import SPEED_MPS, TURN_RAD
 from benchmarks.loop import Loop, Outcome, run_config
+from benchmarks.rivals.mpc import without_water
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
@@ -24,7 +26,7 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.messages import Applied, ControllerState, Estimate, Message, MessageFault, Plan
 from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
-from ltv_mpc.references import Reference
+from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.nodes import make_nodes
 from services.run.run_config import RunConfig
@@ -35,6 +37,7 @@ from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval
 from sim.faults.solver_faults import SolverClock, SolverFault, SolverFaultInterval, faulty_solvers
 from sim.scheduler import LockStep, Observation
+from sim.water import WaterColumn
 
 S = 1_000_000_000
 SAMPLES_PER_S = 100
@@ -81,6 +84,18 @@ def fly(s: RunConfig, ended_s: float = 0.0, **loop: Any) -> Measures:
 # --- plain descents and starts ---
 
 
+def line(rate_mps: float = 0.2) -> Point:
+    """Return the reference down the vertical line through the origin."""
+    return Point(north_m=0.0, east_m=0.0, depth_m=40.0, descent_rate_mps=rate_mps, start_s=0.0)
+
+
+def starts_far_off(seed: int) -> RunConfig:
+    """Return a descent that starts 5 m off, with another heading for each seed."""
+    heading = f"plant.heading_rad={(seed % 8) * 0.7 - 2.8:.1f}"
+    start = heading, "plant.north_m=3.0", "plant.east_m=-4.0", "run.duration_s=60.0"
+    return replace(run_config(f"run.seed={seed}", *start), reference=line())
+
+
 def descent(*settings: str) -> Callable[[int], Measures]:
     """Return a run of the paper's descent, the first 100 s."""
     return lambda seed: fly(run_config(f"run.seed={seed}", "run.duration_s=100.0", *settings))
@@ -88,30 +103,7 @@ def descent(*settings: str) -> Callable[[int], Measures]:
 
 def far_off(seed: int) -> Measures:
     """Start 5 m off the line with a heading that differs from seed to seed."""
-    return fly(hard_scenarios.far_off((), seed))
-
-
-def turned(seed: int) -> Measures:
-    """Start 1 m off the line, the stern where the current wants the bow."""
-    return fly(hard_scenarios.turned((), seed))
-
-
-def abeam(seed: int) -> Measures:
-    """Start at rest in still water, 1 to 5 m off the point and exactly abeam of it."""
-    rng = np.random.default_rng(seed)
-    off_m, heading = rng.uniform(1.0, 5.0), rng.uniform(-math.pi, math.pi)
-    side = heading + (-1.0) ** seed * 0.5 * math.pi
-    place = f"plant.north_m={off_m * math.cos(side)}", f"plant.east_m={off_m * math.sin(side)}"
-    s = run_config(f"run.seed={seed}", "run.duration_s=60.0", f"plant.heading_rad={heading}", *place)
-    depth = s.water.depth_m
-    return fly(replace(s, reference=hard_scenarios.line(), water=type(s.water)(depth, np.zeros((len(depth), 2)))))
-
-
-def stuck(seed: int) -> Measures:
-    """Hold a point with a vehicle that is weak astern, in a current of half its top speed."""
-    vehicle = Vehicle.load("weak-reverse")
-    held = vehicles.hold(vehicle, 0.5, seed)
-    return {"largest distance, last 40 s (m)": held.off_m, "settled after (s)": held.settled_s}
+    return fly(starts_far_off(seed))
 
 
 def drawn_vehicle(seed: int) -> Measures:
@@ -160,8 +152,10 @@ def untold(water: str) -> Callable[[int], Measures]:
     def run(seed: int) -> Measures:
         s = run_config(f"run.seed={seed}", "run.duration_s=100.0")
         if water == "constant":
-            s = replace(s, water=unknown_current.constant(s.water.depth_m, seed))
-        return fly(s, told=unknown_current.nothing)
+            towards = np.array([np.cos(TURN_RAD * seed), np.sin(TURN_RAD * seed)])
+            velocity = np.tile(SPEED_MPS * towards, (len(s.water.depth_m), 1))
+            s = replace(s, water=WaterColumn(s.water.depth_m, velocity))
+        return fly(s, told=without_water)
 
     return run
 
@@ -236,17 +230,6 @@ def with_covariance(told: Callable[[Estimate], Estimate]) -> Callable[[Estimate]
     """Give every estimate a covariance, as a filter does: 0.1 m, 1 cm/s, 10 mrad, 1 mrad/s."""
     covariance = np.diag(np.array([0.1, 0.1, 0.01, 0.01, 0.01, 0.001]) ** 2)
     return lambda estimate: msgspec.structs.replace(told(estimate), covariance=covariance)
-
-
-def no_estimates(lasts_s: float) -> Callable[[int], Measures]:
-    """Return a descent in which no estimate comes for so long."""
-
-    def run(seed: int) -> Measures:
-        ends_s = BEGINS_S + lasts_s
-        s = run_config(f"run.seed={seed}", "run.duration_s=70.0")
-        return fly(s, ends_s, told=Stale(ends_s=ends_s))
-
-    return run
 
 
 def slow_estimates(seed: int) -> Measures:
@@ -345,7 +328,7 @@ def nominal_cycles(*settings: str) -> Callable[[int], Measures]:
 
 def hard_cycles(seed: int) -> Measures:
     """Return a timed start 5 m off the line."""
-    return cycle_time(hard_scenarios.far_off(("run.duration_s=60.0",), seed))
+    return cycle_time(starts_far_off(seed))
 
 
 # --- vertical ---
@@ -568,7 +551,7 @@ def far_off_locked(seed: int, **others: Any) -> Locked:
     """Return a run that starts 5 m off the line with any heading: thrusts are large for ten seconds."""
     heading = f"plant.heading_rad={(seed % 20) * 0.3 - 2.8:.1f}"
     start = heading, "plant.north_m=3.0", "plant.east_m=-4.0"
-    return Locked(seed=seed, settings=start, reference=hard_scenarios.line(), duration_s=40.0, **others)
+    return Locked(seed=seed, settings=start, reference=line(), duration_s=40.0, **others)
 
 
 def taken_over(*, with_plan: bool) -> Callable[[int], Measures]:

@@ -34,7 +34,6 @@ from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval
 from sim.faults.sensor_faults import Failure, SensorFault
 
-BASE, TESTS = "ltv_mpc/localisation", "tests/ltv_mpc/localisation"
 SENSORS = (ImuSample, AdcpPing, CompassHeading, PressureDepth, GnssFix, TdcpFix)
 
 Off = Callable[[], AbstractContextManager[Any]]
@@ -319,126 +318,53 @@ def of(
     off: Off,
     events: tuple[Event, ...],
     measures: tuple[str, ...],
-    code: tuple[str, ...] = (),
-    tests: tuple[str, ...] = (),
     *,
     timed: bool = False,
 ) -> tuple[Mechanism, ...]:
     """Return one row for each event of a mechanism."""
-    code, tests = tuple(f"{BASE}/{place}" for place in code), tuple(f"{TESTS}/{place}" for place in tests)
-    return tuple(Mechanism(name, event, off, measures, code, tests, timed) for event in events)
+    return tuple(Mechanism(name, event, off, measures, timed) for event in events)
 
 
 ERRORS = ("true rms m", "true 95 % m", "drift end m", "velocity rms m/s", "silent")
 CONSISTENT = (*ERRORS, "outside", "position nees", "velocity nees")
 HEADING = ("heading rms deg", "heading nees, end", "heading outside 2 sigma", "heading sd, end deg")
 SEEN = (*ERRORS, "missed", "delay s", "alarms before")
-SHADOW = (
-    "shadow_filter.py",
-    "filter/error_state_filter.py:ErrorStateFilter.fork",
-    "supervision.py:Supervision._compare",
-    "reinitialisation.py:PastBeliefs",
-    "reinitialisation.py:Reinitialisation.past_beliefs",
-    "reinitialisation.py:Reinitialisation.restore",
-)
-SLOW_FRONTS = (
-    "adaptive/glr_detector.py",
-    "adaptive/failure_signatures.py",
-    "filter/correction.py:_couple_signatures",
-    "adaptive/process_noise.py:AdaptiveProcessNoise.detect_onset",
-)
-ADAPTATION = (
-    "adaptive/process_noise.py",
-    "adaptive/innovation_tests.py",
-    "adaptive/front_or_gyro_test.py",
-    "adaptive/glr_detector.py",
-    "adaptive/failure_signatures.py",
-    "out_of_sequence.py:MeasurementBuffer.adapt",
-)
-ALL_ADAPTATION_TESTS = (
-    "adaptive/test_process_noise.py",
-    "adaptive/test_innovation_tests.py",
-    "adaptive/test_front_or_gyro_test.py",
-    "adaptive/test_glr_detector.py",
-    "adaptive/test_failure_signatures.py",
-)
-
 MECHANISMS: tuple[Mechanism, ...] = (
     *of(
         "shadow filter",
         no_shadow,
         (PROFILER_WRONG, PROFILER_GARBAGE, PRESSURE_WRONG, IMU_WRONG),
         (*ERRORS, "reinitialised"),
-        SHADOW,
-        ("test_shadow_filter.py",),
     ),
     *of(
         "reinitialisation",
         no_reinitialisation,
         (IMU_WORSE, IMU_WRONG, PROFILER_WRONG, IMU_LASTING),
         (*ERRORS, "crashed", "reinitialised"),
-        ("reinitialisation.py", "supervision.py:Supervision._reinitialise"),
-        ("test_reinitialisation.py",),
     ),
     *of(
         "shadow filter and reinitialisation",
         together(no_shadow, no_reinitialisation),
         (PROFILER_WRONG, IMU_WRONG, PRESSURE_WRONG),
         ERRORS,
-        (*SHADOW, "reinitialisation.py"),
-        ("test_shadow_filter.py", "test_reinitialisation.py"),
     ),
     *of(
         "water carried over a reinitialisation",
         lambda: replaced((Reinitialisation, "restore_water", lambda *_: False)),
         (IMU_WORSE, IMU_WRONG),
         ERRORS,
-        (
-            "reinitialisation.py:Reinitialisation.restore_water",
-            "reinitialisation.py:Reinitialisation.store",
-            "reinitialisation.py:Reinitialisation.is_belief_due",
-        ),
     ),
-    *of(
-        "slow-front detector",
-        no_slow_fronts,
-        (SLOW_FRONT, SLOWER_FRONT, MEDIUM_FRONT, GYRO, FORETOLD),
-        SEEN,
-        SLOW_FRONTS,
-        ("adaptive/test_glr_detector.py", "adaptive/test_failure_signatures.py"),
-    ),
+    *of("slow-front detector", no_slow_fronts, (SLOW_FRONT, SLOWER_FRONT, MEDIUM_FRONT, GYRO, FORETOLD), SEEN),
     *of(
         "slow-front detector: time",
         no_slow_fronts,
         (Event("foretold, timed", FORETOLD.description, Descent()),),
         ("estimator ms per s",),
-        SLOW_FRONTS,
-        ("adaptive/test_glr_detector.py", "adaptive/test_failure_signatures.py"),
         timed=True,
     ),
-    *of(
-        "walk prolonged while water drifts",
-        no_follow,
-        (SLOW_FRONT, SLOWER_FRONT, GYRO, GYRO_FAST),
-        SEEN,
-        ("adaptive/front_or_gyro_test.py", "adaptive/process_noise.py:AdaptiveProcessNoise._follow"),
-        ("adaptive/test_front_or_gyro_test.py",),
-    ),
-    *of(
-        "front made up for afterwards",
-        no_making_up,
-        (SLOW_FRONT, SLOWER_FRONT),
-        SEEN,
-        ("adaptive/glr_detector.py:OnsetDetection",),
-    ),
-    *of(
-        "slow fronts, all of it",
-        together(no_slow_fronts, no_follow),
-        (SLOW_FRONT, SLOWER_FRONT, GYRO),
-        SEEN,
-        (*SLOW_FRONTS, "adaptive/front_or_gyro_test.py", "adaptive/process_noise.py:AdaptiveProcessNoise._follow"),
-        ("adaptive/test_glr_detector.py", "adaptive/test_failure_signatures.py", "adaptive/test_front_or_gyro_test.py"),
-    ),
+    *of("walk prolonged while water drifts", no_follow, (SLOW_FRONT, SLOWER_FRONT, GYRO, GYRO_FAST), SEEN),
+    *of("front made up for afterwards", no_making_up, (SLOW_FRONT, SLOWER_FRONT), SEEN),
+    *of("slow fronts, all of it", together(no_slow_fronts, no_follow), (SLOW_FRONT, SLOWER_FRONT, GYRO), SEEN),
     *of(
         "going back 10 s before a walk is granted",
         lambda: replaced((out_of_sequence, "BACK_NS", out_of_sequence.REACH_NS)),
@@ -446,59 +372,44 @@ MECHANISMS: tuple[Mechanism, ...] = (
         SEEN,
     ),
     *of("slow walk after a shear", no_slow_walk, (WAVES, STEP), (*SEEN, "cells silent")),
-    *of("doubt of the inertial unit", no_unit, (GYRO, GYRO_FAST), SEEN, ("adaptive/process_noise.py:_inflate_imu",)),
+    *of("doubt of the inertial unit", no_unit, (GYRO, GYRO_FAST), SEEN),
     *of(
         "adaptation to water, all of it",
         no_adaptation,
         (FAST_FRONT, MEDIUM_FRONT, SLOW_FRONT, SLOWER_FRONT, WAVES, STEP, GYRO, GYRO_FAST, FORETOLD),
         (*SEEN, "cells silent"),
-        ADAPTATION,
-        ALL_ADAPTATION_TESTS,
     ),
     *of(
         "means that call for what no water does",
         lambda: replaced((AdaptiveProcessNoise, "is_inconsistent", lambda *_: False)),
         (IMU_WRONG, PROFILER_WRONG, IMU_WORSE),
         SEEN,
-        ("adaptive/process_noise.py:AdaptiveProcessNoise.is_inconsistent",),
     ),
     *of(
         "de-weighted satellite rows",
         lambda: replaced((error_state_filter, "_DEWEIGHT_LIMIT", 0.0)),
         (WRONG_FIX, ONE_FIX),
         ERRORS,
-        ("filter/correction.py:_inflation",),
     ),
     *of(
         "IMU dropout: coasting",
         lambda: replaced((imu_dropout, "MAX_BRIDGED_NS", 2**62)),
         (IMU_OFF, IMU_OFF_SHORT, IMU_STUCK),
         ERRORS,
-        ("imu_dropout.py:coast", "imu_dropout.py:level", "filter/error_state_filter.py:ErrorStateFilter._cross_gap"),
-        ("test_imu_dropout.py",),
     ),
     *of(
         "IMU dropout: levelling after it",
         lambda: replaced((imu_dropout, "MIN_LEVELLED_NS", 2**62)),
         (IMU_OFF, SILENCE),
         (*ERRORS, "reinitialised"),
-        ("imu_dropout.py:level",),
     ),
     *of(
         "IMU dropout: noise over bridged samples",
         lambda: replaced((imu_dropout, "inflate", lambda *_: None)),
         (IMU_LOSS, IMU_HEAVY_LOSS),
         CONSISTENT,
-        ("imu_dropout.py:inflate",),
     ),
-    *of(
-        "warm restart",
-        restored(checkpoint=False, estimate=True),
-        (RESTARTED,),
-        (*ERRORS, "no estimate"),
-        ("warm_restart.py", "checkpoint.py"),
-        ("test_warm_restart.py",),
-    ),
+    *of("warm restart", restored(checkpoint=False, estimate=True), (RESTARTED,), (*ERRORS, "no estimate")),
     *of(
         "warm restart: last estimate beside the checkpoint",
         restored(checkpoint=True, estimate=False),
@@ -510,23 +421,18 @@ MECHANISMS: tuple[Mechanism, ...] = (
         lambda: replaced((out_of_sequence.MeasurementBuffer, "is_within_reach", lambda *_: False)),
         (PINGS_LATE,),
         ERRORS,
-        ("out_of_sequence.py",),
-        ("test_out_of_sequence.py",),
     ),
     *of(
         "refusal of repeated messages",
         lambda: replaced((out_of_sequence.MeasurementBuffer, "contains", lambda *_: False)),
         (PINGS_TWICE, ALL_TWICE),
         CONSISTENT,
-        ("out_of_sequence.py:is_duplicate", "out_of_sequence.py:MeasurementBuffer.contains"),
     ),
     *of(
         "measurement compression",
         lambda: replaced((correction, "_COMPRESSION_RATIO", 0.0)),
         (Event("foretold, timed", FORETOLD.description, Descent()),),
         ("estimator ms per s", "drift end m"),
-        ("filter/measurement_compression.py:compress", "filter/measurement_compression.py:_root"),
-        ("filter/test_measurement_compression.py",),
         timed=True,
     ),
     *of(
@@ -537,43 +443,16 @@ MECHANISMS: tuple[Mechanism, ...] = (
         ),
         (FORETOLD, ONE_FIX, LONG, LONG_BLIND),
         (*CONSISTENT, *HEADING),
-        (
-            "filter/invariant_correction.py",
-            "filter/correction.py:_heading_column",
-            "filter/correction.py:_couple_signatures",
-        ),
-        ("filter/test_invariant_correction.py",),
     ),
-    *of(
-        "screening: stuck",
-        no_screening("stuck"),
-        (PROFILER_STUCK, FIX_STUCK, IMU_STUCK),
-        ERRORS,
-        ("sensor_screening.py",),
-        ("test_sensor_screening.py",),
-    ),
-    *of(
-        "screening: jump",
-        no_screening("jump"),
-        (IMU_GARBAGE,),
-        (*ERRORS, "crashed", "reinitialised"),
-        ("sensor_screening.py:SensorScreening._jumps",),
-    ),
+    *of("screening: stuck", no_screening("stuck"), (PROFILER_STUCK, FIX_STUCK, IMU_STUCK), ERRORS),
+    *of("screening: jump", no_screening("jump"), (IMU_GARBAGE,), (*ERRORS, "crashed", "reinitialised")),
     *of("screening: future", no_screening("future"), (CLOCK_AHEAD,), (*ERRORS, "no estimate")),
-    *of(
-        "screening: stale",
-        no_screening("stale"),
-        (CLOCK_BACK,),
-        (*ERRORS, "no estimate"),
-        ("sensor_screening.py:SensorScreening._is_stale",),
-    ),
+    *of("screening: stale", no_screening("stale"), (CLOCK_BACK,), (*ERRORS, "no estimate")),
     *of(
         "window of depths",
         lambda: replaced((descent, "settings", ("estimator.kept_m=2000",))),
         (DEEP_GRID,),
         ("estimator ms per s", "drift end m"),
-        ("water/grid_window.py",),
-        ("water/test_grid_window.py",),
         timed=True,
     ),
     *of("ADCP bias by beam as states", given(adcp={"beam_bias_sd_mps": 0.0}), (FORETOLD, ONE_FIX), ERRORS),

@@ -25,8 +25,6 @@ class Mechanism(NamedTuple):
     event: Event
     off: Callable[[], AbstractContextManager[Any]]  # while it is open, the mechanism is switched off in this process
     measures: tuple[str, ...]  # of those that the event returns: the ones to print
-    code: tuple[str, ...]  # what it consists of: "path.py" or "path.py:Class.function", relative to the repository
-    tests: tuple[str, ...]  # likewise
     timed: bool = False
     """Measure times: both runs of a pair are made one after the other in one process, in alternating order."""
 

@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,12 +19,13 @@ from scipy.stats import t as student
 
 from benchmarks.ablation.controller import MECHANISMS as OF_CONTROLLER
 from benchmarks.ablation.estimator import MECHANISMS as OF_ESTIMATOR
-from benchmarks.ablation.lines import ROOT
 from benchmarks.ablation.mechanism import Measures, Mechanism
 from services.tools.batch.executor import run_each
 from services.tools.batch.results_store import ResultsStore
 
 MECHANISMS: tuple[Mechanism, ...] = (*OF_ESTIMATOR, *OF_CONTROLLER)
+
+ROOT = Path(__file__).resolve().parents[2]
 
 DETECTABLE = 2.8
 """Standard errors: an effect of this size is found with 80 % power at 5 % (1.96 + 0.84)."""

@@ -15,7 +15,7 @@ from benchmarks.horizon_map import picture
 from benchmarks.horizon_map.places import places
 from benchmarks.horizon_map.rules import FOLDS
 from benchmarks.horizon_map.summary import summary, tables
-from services.tools.page_tables import replace_tables
+from benchmarks.page_tables import replace_tables
 
 
 def main() -> None:

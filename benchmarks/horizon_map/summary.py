@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.horizon_map import rules
 from benchmarks.horizon_map.places import GROUPS, Place, in_own_time, relative, thirds
-from services.tools.page_tables import Table
+from benchmarks.page_tables import Table
 
 RULES = {
     "H / T enough at nine of ten": "as many T as are enough at nine of ten places",

@@ -11,12 +11,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import msgspec
+import numpy as np
 
 from benchmarks.loop import Loop, Outcome, Told
-from benchmarks.preview import without_preview
 from benchmarks.rivals.search import Span
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.messages import Estimate
+from ltv_mpc.control.prediction import currents_at_depths
+from ltv_mpc.messages import CurrentProfile, Estimate
 from services.run.run_config import RunConfig
 
 SPANS = {
@@ -48,6 +49,18 @@ class Variant(NamedTuple):
         if not self.told_of_water:
             return without_water
         return (lambda estimate: estimate) if self.preview else without_preview
+
+
+def without_preview(estimate: Estimate) -> Estimate:
+    """Return the estimate with the current of its own depth at all depths."""
+    here = currents_at_depths(estimate.current, np.array([estimate.depth_m]))[0]
+    everywhere = CurrentProfile(
+        depth_m=np.array([0.0, 1.0]),
+        north_mps=np.full(2, here[0]),
+        east_mps=np.full(2, here[1]),
+        sd_mps=np.zeros(2),
+    )
+    return msgspec.structs.replace(estimate, current=everywhere)
 
 
 def without_water(estimate: Estimate) -> Estimate:

@@ -48,13 +48,12 @@ from services.run.settings_files import TOO_LARGE, controller_files, node_settin
 from services.runtime import metrics as prometheus
 from services.runtime.console import Console
 from services.runtime.controller_changes import ControllerChanges
-from services.runtime.controller_status import ControllerStatusReporter, StatusSink
+from services.runtime.controller_status import ControllerStatusReporter, StatusSink, status_line
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
-from services.runtime.status_line import text as status_text
 from services.runtime.stopping import FAILED, Say, StopRequest
 
 
@@ -107,7 +106,7 @@ def main(config: Config) -> int:
         stack.callback(console.close)
 
         def show(status: ControllerStatus, _now_us: int) -> None:
-            line = status_text(status, estimates_on)
+            line = status_line(status, estimates_on)
             console.show(line)
             SERVICE_MANAGER.status(line)
 

@@ -26,10 +26,11 @@ from services.recording.recover import segments
 from services.replay import nodes
 from services.replay.comparison import Comparison
 from services.replay.node_replay import NodeReplay, feed
-from services.replay.provenance_differences import provenance_differences
-from services.replay.verdict import MAX_GAPS, NodeVerdict, Verdict, WhatIfVerdict, first
+from services.replay.verdict import MAX_GAPS, NodeVerdict, ProvenanceDifference, Verdict, WhatIfVerdict, first
 from services.replay.what_if import WhatIf
 from services.run.host_resources import core_count
+from services.run.provenance import provenance_table
+from services.run.run_config import ORIGIN
 
 MIN_PARALLEL_BYTES = 2_000_000
 """Smallest file that is replayed by several processes. A process may take a second to start."""
@@ -218,4 +219,21 @@ def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Prog
         shares=comparison.shares,
         wall_s=time.monotonic() - started_s,
         provenance_differences=provenance_differences(run.nodes.made_by),
+    )
+
+
+ABSENT = "not recorded"
+
+
+def provenance_differences(made: Mapping[str, str] | None) -> tuple[ProvenanceDifference, ...]:
+    """Return each entry of a run's [made_by] that differs on this machine.
+
+    On another processor the last bits of a product or a sine may differ, and so may every later output.
+    """
+    run, here = dict(made or {}), provenance_table()
+    run.pop(ORIGIN, None)
+    return tuple(
+        ProvenanceDifference(what=name, run=run.get(name, ABSENT), here=here.get(name, ABSENT))
+        for name in {**here, **run}
+        if run.get(name, ABSENT) != here.get(name, ABSENT)
     )

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltv_mpc.control.qp.failed_qp import FailedQp, worst_violation
-from ltv_mpc.control.qp.problem import Solution
-from ltv_mpc.control.qp.residuals import residuals
+from ltv_mpc.control.qp.problem import Solution, residuals
 
 
 def figures(failed: FailedQp, solver: str, solution: Solution) -> dict[str, Any]:

@@ -5,11 +5,31 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-from ltv_mpc.messages import Message, RunEvent
+from ltv_mpc.messages import Message, NodeSettings, RunEvent
 from services.bus.message_validation import MessageValidator
+from services.bus.outbox import Outbox
+from services.bus.topics import BY_TYPE
 from services.runtime.clock_offset import ClockOffset
 from services.runtime.node_status import NodeStatusReporter
-from services.runtime.settings_publisher import SettingsPublisher
+
+SETTINGS_PERIOD_US = BY_TYPE[NodeSettings].period_ns // 1000
+
+
+class SettingsPublisher:
+    """Publisher of one process's settings: at its start, and again for recorders that start later.
+
+    The step loop sets ``due_us`` at the first step.
+    """
+
+    def __init__(self, settings: NodeSettings, outbox: Outbox) -> None:
+        self.due_us = 0
+        self._settings = settings
+        self._outbox = outbox
+
+    def publish(self, now_us: int) -> None:
+        """Publish the settings and set the next deadline."""
+        self.due_us = now_us + SETTINGS_PERIOD_US
+        self._outbox.publish(self._settings)
 
 
 class NodeReporter(Protocol):

@@ -28,10 +28,9 @@ from services.runtime.clock_sync import ClockSync
 from services.runtime.node_io import NodeIO
 from services.runtime.node_status import NodeStatusReporter, WaitingFor
 from services.runtime.process_time import ClockOptions, ProcessTime
-from services.runtime.reporters import NodeReporter, Reporters
+from services.runtime.reporters import NodeReporter, Reporters, SettingsPublisher
 from services.runtime.saved_state import SavedState
 from services.runtime.service_manager import SERVICE_MANAGER
-from services.runtime.settings_publisher import SettingsPublisher
 from services.runtime.stage_timer import StageTimer
 from services.runtime.step_loop import StepLoop, StepLoopPorts
 from services.runtime.stopping import Say, StopRequest

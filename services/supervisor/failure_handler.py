@@ -2,7 +2,7 @@
 
 dead      its heartbeat pipe is closed and it has an exit code            (``managed_process.py``)
 hung      no heartbeat for the hang timeout: it is killed                 (``hang_detector.py``)
-restart   if the policy allows it, with the newest state it had published  (``restarts.py``, ``restore_state.py``)
+restart   if the policy allows it, with the newest state it had published  (``restarts.py``, ``restore_state``)
 back      its first message of work under a new epoch                     (``BusMonitor.last_activity``)
 """
 
@@ -11,12 +11,16 @@ from __future__ import annotations
 import time
 from collections.abc import Collection
 
+import msgspec
+
+from ltv_mpc.messages import ControllerState, Estimate
+from services.bus.topics import STATES
+from services.bus.wire import Header, encode
 from services.runtime.stopping import DONE
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.managed_process import ManagedProcess, describe_exit
 from services.supervisor.restarts import ProcessFailure, Recovery, RestartBudget, restart_refusal
-from services.supervisor.restore_state import restore_state
 from services.supervisor.run_events import RECORDING_PROCESSES, RunEvents
 
 RECOVERY_TIMEOUT_S = 60.0
@@ -131,3 +135,19 @@ class FailureHandler:
         )
         silent_s = failure.seen_s - failure.alive_s
         self._events.report("fault", f"{name} {failure.how}; detected {silent_s:.2f} s after its last heartbeat")
+
+
+def restore_state(node: str, monitor: BusMonitor) -> bytes:
+    """Return the encoded state that a new process of this name continues from; empty if there is none.
+
+    It is the newest state that the failed process has published, updated with newer messages: the newest estimate, and
+    for a controller the plan that the actuators follow. No other process publishes these while the process is dead.
+    """
+    kind = STATES.get(node)
+    state = None if kind is None else monitor.newest(kind)
+    if state is None:
+        return b""
+    state = msgspec.structs.replace(state, estimate=monitor.newest(Estimate) or state.estimate)
+    if isinstance(state, ControllerState):
+        state = msgspec.structs.replace(state, plan=monitor.plan_in_force())
+    return encode(state, Header(epoch=0, sequence=0))

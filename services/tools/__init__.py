@@ -1,1 +1,1 @@
-"""Offline tools: studies, checks and benchmarks that never run beside a vehicle."""
+"""Offline tools of the command line: campaigns, checks and measurements that never run beside a vehicle."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from ltv_mpc.currents import read_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array
 from sim.random_streams import Stream, generator
 from sim.scenario import Water
-from sim.water import markov, measured
+from sim.water import markov
 from sim.water.column import WaterColumn
 from sim.water.features import Feature
 
@@ -27,7 +28,8 @@ def _profile(water: Water, seed: int) -> tuple[Array, Array]:
     if water.kind == "measured":
         if not water.file:
             raise ConfigError("scenario", "[water] file", 'must name a currents CSV where kind = "measured"')
-        return measured.read(water.file)
+        profile = read_profile(water.file)
+        return profile.depth_m, np.column_stack([profile.north_mps, profile.east_mps])
     depth = markov.depths(water.deepest_m, water.cell_m)
     axes = [
         markov.series(

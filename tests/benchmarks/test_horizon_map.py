@@ -12,11 +12,11 @@ import pytest
 from benchmarks.horizon_map import rules
 from benchmarks.horizon_map.places import Place, places
 from benchmarks.horizon_map.summary import RULES, summary, tables
+from benchmarks.page_tables import table_text
 from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
-from services.tools.page_tables import table_text
 
 PAGE = Path(__file__).parents[2] / "docs" / "horizon.md"
 HORIZONS = np.geomspace(1.0, 32.0, 21)

@@ -66,11 +66,6 @@ def node_prior(config: EstimatorConfig, saved: WaterPrior | None = None) -> Node
     )
 
 
-def prior_covariance(config: EstimatorConfig) -> Array:
-    """Return the prior covariance of the current along one axis at all grid points, (G, G) m2/s2."""
-    return node_prior(config).covariance(slice(None))
-
-
 def write_prior(belief: Belief, config: EstimatorConfig, saved: WaterPrior | None = None) -> None:
     """Write the prior of the current into a belief, with the window around the vehicle's depth.
 

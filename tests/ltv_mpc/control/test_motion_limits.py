@@ -15,8 +15,7 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, HorizonLimits
 from ltv_mpc.control.problem_data import pack_objective, unpack_objective
-from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.residuals import residuals
+from ltv_mpc.control.qp.problem import QP, residuals
 from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import Solver, make, riccati_solver, solve_qp

@@ -9,8 +9,7 @@ from ltv_mpc import build_qp, solve_qp
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.linearisation import roll_out, velocity_over_ground
 from ltv_mpc.control.problem_data import unpack_objective
-from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.residuals import residuals
+from ltv_mpc.control.qp.problem import QP, residuals
 from ltv_mpc.control.qp.sparse import STAGE_VARIABLES
 from ltv_mpc.vehicle.parameters import Vehicle
 from tests.ltv_mpc.control.problems import LIMITS, precise

@@ -34,9 +34,8 @@ from services.bus.message_validation import MessageValidator
 from services.runtime.clock_sync import ClockOffset
 from services.runtime.console import Level
 from services.runtime.controller_changes import ControllerChanges
-from services.runtime.controller_status import ControllerStatusReporter
+from services.runtime.controller_status import ControllerStatusReporter, status_line
 from services.runtime.metrics import Metrics, serving
-from services.runtime.status_line import text
 from services.supervisor import loopback
 from tests.stepping import step
 
@@ -121,14 +120,14 @@ def test_a_message_by_hand_outside_the_box_is_counted_by_the_node(node: Controll
 
 
 def test_the_status_line_names_health_input_cycle_error_clock_and_rejections() -> None:
-    assert text(STATUS, "boat/estimate") == (
+    assert status_line(STATUS, "boat/estimate") == (
         "controller | nominal | estimate 0.04 s old | cycle 0.9 ms (p99 2.1) | error 0.25 m"
         " | clock two-way, within 0.9 ms | 1 dropped, 5 rejected"
     )
 
 
 def test_before_the_first_estimate_the_status_line_names_its_key() -> None:
-    line = text(
+    line = status_line(
         msgspec.structs.replace(STATUS, estimate_age_ns=None, clock=ClockMode.SHARED, rejected={}, dropped=0),
         "boat/estimate",
     )
@@ -137,7 +136,7 @@ def test_before_the_first_estimate_the_status_line_names_its_key() -> None:
 
 
 def test_without_reports_it_says_that_its_plans_are_taken_as_followed() -> None:
-    assert "no `applied` messages: plans count as followed" in text(
+    assert "no `applied` messages: plans count as followed" in status_line(
         msgspec.structs.replace(STATUS, applied_age_ns=None), "estimate"
     )
 
@@ -240,7 +239,7 @@ def test_the_status_names_the_sources_and_shows_the_error_of_the_one_in_use(
     assert (status.source, status.source_epoch) == ("default", 5)
     assert (status.rejected_epoch, status.rejected_estimates) == (6, 12)
     assert status.error_m == pytest.approx(3.0)
-    assert "source gnss" in text(msgspec.structs.replace(STATUS, source="gnss"), "estimate")
+    assert "source gnss" in status_line(msgspec.structs.replace(STATUS, source="gnss"), "estimate")
 
 
 @pytest.mark.parametrize(

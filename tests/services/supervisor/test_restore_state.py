@@ -21,7 +21,7 @@ from ltv_mpc.messages import (
 from services.bus.topics import BY_TYPE, STATES, Topic, topic_at
 from services.bus.wire import Header, decode, encode
 from services.supervisor.bus_monitor import Activity, BusMonitor
-from services.supervisor.restore_state import restore_state
+from services.supervisor.failure_handler import restore_state
 from tests.services.bus.messages import CONTROLLER_STATE, ESTIMATOR_STATE, EXAMPLES
 
 

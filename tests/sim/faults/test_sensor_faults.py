@@ -8,8 +8,7 @@ import pytest
 from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, Message, PressureDepth, TdcpFix, Truth
 from ltv_mpc.node import Inbox, OnMessage
 from sim.faults.interval import Interval
-from sim.faults.readings import READINGS
-from sim.faults.sensor_faults import Failure, FaultySensors, SensorFault
+from sim.faults.sensor_faults import READINGS, Failure, FaultySensors, SensorFault
 from tests.stepping import OneByOne, step
 
 MS, S = 1_000_000, 1_000_000_000

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ResolvedConfig, Weights
-from ltv_mpc.control.qp.residuals import residuals
+from ltv_mpc.control.qp.problem import residuals
 from ltv_mpc.control.qp.sparse import STAGE_VARIABLES
 from ltv_mpc.control.solvers import osqp, osqp_workspace
 from ltv_mpc.control.solvers.osqp import OsqpSolver

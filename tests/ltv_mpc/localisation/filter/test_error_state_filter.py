@@ -11,7 +11,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.water.current_model import prior_covariance
+from ltv_mpc.localisation.water.current_model import node_prior
 from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, TdcpFix
 
 PAPER = SensorConfig.load("paper")
@@ -129,7 +129,7 @@ def test_profiles_of_water_are_weighted_as_least_squares_does():
     belief.P[3, 3] = belief.P[4, 4] = sd_v**2
     belief.x[5] = sinking
     belief.P[layout.beam_bias, layout.beam_bias] = 0.03**2 * np.eye(4)
-    prior = prior_covariance(config)
+    prior = node_prior(config).covariance(slice(None))
     for axis in (layout.north, layout.east):
         belief.P[axis, axis] = prior
     filter_ = ErrorStateFilter(suite, config, belief)

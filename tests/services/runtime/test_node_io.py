@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ltv_mpc.messages import InboxEntry, PressureDepth
-from services.runtime.inbox import PendingInbox
+from services.runtime.node_io import PendingInbox
 
 
 def filled(*received_ns: int) -> PendingInbox:

@@ -1,6 +1,6 @@
 """Make the paper's figures and tables: docs/figures/, the tables of docs/paper.md, and the README's picture.
 
-    python -P -m services.tools.paper [--seeds N] [--measured DIR] ...
+    python -m benchmarks.paper [--seeds N] [--measured DIR] ...
 
 All runs are made again in lock step with fixed seeds; only times are measured on this machine.
 """
@@ -16,14 +16,14 @@ from typing import NamedTuple
 
 import typer
 
+from benchmarks import page_tables
+from benchmarks.paper import descents, tables, timing, water
+from benchmarks.paper.settings import RECORDED
 from ltv_mpc.errors import ConfigError
 from services.reporting.figures import paper, readme
 from services.reporting.figures.renderer import Run
 from services.reporting.terminal import progress_bar
 from services.run import folder
-from services.tools import page_tables
-from services.tools.paper import descents, tables, timing, water
-from services.tools.paper.settings import RECORDED
 from services.tools.profile import machine_description
 
 TABLES = ("descents", "seeds", "timing", "water")
@@ -63,7 +63,7 @@ def parsed(arguments: Sequence[str] | None) -> Options:
     """Parse the command line."""
     default = Options()
     parser = argparse.ArgumentParser(
-        prog="python -P -m services.tools.paper",
+        prog="python -m benchmarks.paper",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

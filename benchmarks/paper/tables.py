@@ -9,11 +9,11 @@ from pathlib import Path
 
 import msgspec
 
+from benchmarks.page_tables import Table
+from benchmarks.paper.settings import AVERAGED, COMPUTING_S, RECORDED
+from benchmarks.paper.timing import Timed
+from benchmarks.paper.water import Profile, rms_difference_mps
 from services.reporting.figures.paper import NONE
-from services.tools.page_tables import Table
-from services.tools.paper.settings import AVERAGED, COMPUTING_S, RECORDED
-from services.tools.paper.timing import Timed
-from services.tools.paper.water import Profile, rms_difference_mps
 from sim.evaluation.summary import Summary
 
 LAGS_M = (8.0, 24.0)

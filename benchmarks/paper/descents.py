@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks.paper.settings import AVERAGED, PERFECT_STATE, RECORDED, SCENARIO, Variant
 from services.reporting.figures.renderer import Run
 from services.reporting.plots.recorded import read
 from services.run import folder
@@ -17,7 +18,6 @@ from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from services.tools.batch.executor import run_each
 from services.tools.batch.job import Job
-from services.tools.paper.settings import AVERAGED, PERFECT_STATE, RECORDED, SCENARIO, Variant
 from sim.evaluation.summary import Summary
 
 SEED = 1

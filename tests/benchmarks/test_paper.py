@@ -12,17 +12,17 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
+from benchmarks import page_tables
+from benchmarks.paper import __main__ as command
+from benchmarks.paper import tables, water
+from benchmarks.paper.settings import AVERAGED, RECORDED
+from benchmarks.paper.water import Profile
 from services.reporting.figures import paper, sheet
-from services.tools import page_tables
-from services.tools.paper import __main__ as command
-from services.tools.paper import tables, water
-from services.tools.paper.settings import AVERAGED, RECORDED
-from services.tools.paper.water import Profile
 
 mpl.use("Agg")
 from matplotlib.image import imread
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "paper.md"
 FIGURES = ROOT / "docs" / "figures"
 
