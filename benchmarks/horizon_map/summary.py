@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.horizon_map import rules
 from benchmarks.horizon_map.places import GROUPS, Place, in_own_time, relative, thirds
 from benchmarks.page_tables import Table
+from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES
 
 RULES = {
     "H / T enough at nine of ten": "as many T as are enough at nine of ten places",
@@ -29,6 +30,7 @@ def summary(of: Sequence[Place]) -> dict[str, Any]:
     enough = np.array([place.horizons_s[place.enough] for place in of])
     return {
         "places": len(of),
+        "proposed_over_T": MIN_TIME_SCALES,
         "horizons_s": horizons.tolist(),
         "enough": {str(h): int(sum(place.enough == i for place in of)) for i, h in enumerate(horizons)},
         "error_over_best": {

@@ -18,8 +18,8 @@ MIN_HORIZON_S, MAX_HORIZON_S = 3.0, 60.0
 """Bounds of the proposed horizon."""
 
 MIN_TIME_SCALES = 1.9
-"""Shortest horizon over the time scale T. At nine of ten points of the map in docs/horizon.md the error with this
-horizon is within 10 % of that with the best one.
+"""Shortest horizon over the time scale T. At half of the points of the map in docs/horizon.md the error with this
+horizon is within 1 % of that with the best one, at nine of ten points within 12 %. Longer ones gain at most 4 points.
 """
 
 LENGTHENING = 1.05

@@ -90,7 +90,9 @@ def test_the_tables_hold_what_is_kept_and_stand_in_the_page() -> None:
     assert [table_text(page, table.name) for table in stored] == [table.markdown() for table in stored], "make map"
 
 
-def test_the_rule_that_vehicle_check_proposes_is_what_the_map_says() -> None:
-    """With the state known, at nine of ten places: to the first digit after the point."""
-    kept = json.loads(PAGE.with_suffix(".json").read_text(encoding="utf-8"))
-    assert round(kept["state known"]["enough_over_T"]["0.9"], 1) == MIN_TIME_SCALES
+def test_the_rule_that_vehicle_check_proposes_loses_little_at_nine_of_ten_places() -> None:
+    """At places that no rule was fitted to, state known: at most 5 points more than the best of all rules."""
+    kept = json.loads(PAGE.with_suffix(".json").read_text(encoding="utf-8"))["state known"]
+    assert kept["proposed_over_T"] == MIN_TIME_SCALES, "make map"
+    excess = {name: figures["p90"] for name, figures in kept["excess_at_places_not_fitted_to"].items()}
+    assert excess["vehicle check"] <= min(excess.values()) + 0.05
