@@ -16,7 +16,6 @@ import numpy as np
 
 from benchmarks import model_alarm, vehicles
 from benchmarks.ablation.mechanism import Measures
-from benchmarks.current_bias import SPEED_MPS, TURN_RAD
 from benchmarks.loop import Loop, Outcome, run_config
 from benchmarks.rivals.mpc import without_water
 from ltv_mpc import references
@@ -24,7 +23,7 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import SolverFactory, make
-from ltv_mpc.messages import Applied, ControllerState, Estimate, Message, MessageFault, Plan
+from ltv_mpc.messages import Applied, ControllerState, Disturbance, Estimate, Message, MessageFault, Plan
 from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -43,6 +42,9 @@ S = 1_000_000_000
 SAMPLES_PER_S = 100
 NEAR_M = 0.2
 """Distance within which a vehicle must stay to have recovered."""
+
+SPEED_MPS, TURN_RAD = 0.04, 2.4
+"""Current that the controller is not told, and the angle by which it turns from seed to seed."""
 
 BEGINS_S, ENDS_S = 20.0, 28.0
 """Default start and end of an event."""
@@ -182,6 +184,13 @@ def half_thrust(seed: int) -> Measures:
     """Descend with a port thruster that delivers half of what it reports."""
     s = run_config(f"run.seed={seed}", "run.duration_s=100.0", ALWAYS)
     return fly(s, share=np.array([0.5, 1.0, 1.0]))
+
+
+def weak_thruster(seed: int) -> Measures:
+    """Descend with a thruster that delivers 30 % of what it reports, from 30 s to 80 s."""
+    scale = (0.3, 1.0, 1.0) if seed % 2 else (1.0, 0.3, 1.0)
+    loss = world.DisturbanceSource([(30 * S, Disturbance(end_t_ns=80 * S, thrust_scale=scale))])
+    return Locked(seed=seed, others=[loss], duration_s=110.0).run(ended_s=80.0)
 
 
 def waves(seed: int) -> Measures:

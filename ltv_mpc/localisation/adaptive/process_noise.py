@@ -26,7 +26,7 @@ Going back  A front is detected three to ten seconds after it started. Until the
         the filter goes back and repeats this time (``out_of_sequence.py``).
 Cost    Without detection nothing is inflated, and the estimate is bitwise the same as without this file.
 Limits  No detector sees a front of 10 cm/s in 30 s or more, nor, with realistic sensors, internal waves of 5 cm/s
-        (``benchmarks/water_detectability.py``). Set ``current_change_mps_per_rts`` where they are to be expected.
+        (docs/notes/localisation-studies.md). Set ``current_change_mps_per_rts`` where they are to be expected.
 Notes   docs/notes/adaptive-process-noise.md: settings that were tried.
 """
 

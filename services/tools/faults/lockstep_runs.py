@@ -219,10 +219,10 @@ class Bus(MessageFaults):
     def __init__(
         self,
         faults: Sequence[MessageFaultInterval],
-        second_sources: Sequence[SecondSource],
-        antennas: Sequence[Antenna],
-        clock_steps: Sequence[ClockStepFault],
-        restarts: Callable[[int], int],
+        second_sources: Sequence[SecondSource] = (),
+        antennas: Sequence[Antenna] = (),
+        clock_steps: Sequence[ClockStepFault] = (),
+        restarts: Callable[[int], int] = lambda _t_ns: 0,
     ) -> None:
         """``restarts`` returns the number of the controller's restarts until a time (ns)."""
         self.validators = ReaderValidators()

@@ -145,10 +145,6 @@ class TrueStates:
             water_mps=self._projection.fit(self._current_mps(truth.t_ns)),
         )
 
-    def subgrid_mps(self, t_ns: int) -> float:
-        """Return the part of the current (m/s) that the filter's depth grid cannot represent."""
-        return self._projection.subgrid_mps(self._current_mps(t_ns))
-
     def _current_mps(self, t_ns: int) -> Array:
         return self._water.over(self._projection.depth_m, t_ns)
 
