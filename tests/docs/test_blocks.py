@@ -24,6 +24,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.localisation.config import EstimatorConfig
 from services.cli import start
 from services.cli.app import app, run
 from services.run.folder import RunFolder
@@ -54,11 +55,12 @@ NOT_RUN = (
         f"{MINUTES} whoever needs its figures: that it has these options is looked at",
     ),
     (r"python3? \S*publisher\.py", f"{UNTIL_STOPPED}: tests/examples"),
+    (r"\.venv/bin/pytest tests/", "the tests themselves"),
     (
         r"python3 -m venv|pip install|\. \S+/activate|git clone|cd ",
         "makes environments; `make package` does it for real",
     ),
-    (r"dask |zenoh-bridge-ros2dds ", ELSEWHERE),
+    (r"dask |zenoh-bridge-ros2dds |scp |sudo ", ELSEWHERE),
 )
 
 ONCE = r"ltv-mpc (replay latest$|report latest$|doctor|log info latest$|log export latest --format perfetto)"
@@ -68,6 +70,9 @@ ran_already: set[tuple[str, ...]] = set()
 
 TOML: dict[str, Callable[[Path], object]] = {
     "docs/missions.md": lambda path: ControllerConfig.load(str(path)),
+    "docs/currents.md": lambda path: EstimatorConfig.load(str(path)),
+    "docs/motion-limits.md": lambda path: ControllerConfig.load(str(path)),
+    "docs/weights.md": lambda path: ControllerConfig.load(str(path)),
     "docs/campaigns.md": campaigns.load,
     "docs/fault-campaign.md": schedule.load,
 }
