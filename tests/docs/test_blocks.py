@@ -25,8 +25,10 @@ from typer.main import get_command
 
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.messages import Action
 from services.cli import start
 from services.cli.app import app, run
+from services.cli.ctl import HEARTBEAT
 from services.run.folder import RunFolder
 from services.run.run_config import RunConfig
 from services.runtime.stopping import DONE
@@ -267,6 +269,8 @@ def mentioned(words: list[str], place: str) -> None:
             assert name in command.commands, f"{place}: ltv-mpc has no {name}"
         command = command.commands[several[0]]
         words = words[1:]
+    if command.name == "ctl" and words and words[0].islower():
+        assert words[0] in (*Action, HEARTBEAT), f"{place}: ctl has no action {words[0]}"
     options |= {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
     for word in words:
         option = word.strip("[]").partition("=")[0]
