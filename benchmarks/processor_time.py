@@ -65,7 +65,7 @@ def read_times(root: int) -> dict[int, tuple[str, float, float]]:
     found: dict[int, tuple[str, float, float]] = {}
     for pid, (parent, name, user_s, system_s) in sorted(rows.items()):
         if pid == root or parent in found:
-            found[pid] = "launcher" if pid == root else name.removeprefix("ltv-"), user_s, system_s
+            found[pid] = "supervisor" if pid == root else name.removeprefix("ltv-"), user_s, system_s
     return found
 
 

@@ -626,8 +626,8 @@ class FenceInForce(Message, frozen=True, kw_only=True, eq=False):
 class CycleTiming(Message, frozen=True, kw_only=True, eq=False):
     """Computing time of one controller cycle, measured by its caller.
 
-    It is zero in lock step, where the delay is a setting. ``stage_us`` is wall time by stage: predict, linearise,
-    build, update, solve, read, publish. ``compute_ns`` is vehicle time from the start of the cycle to the publication
+    It is zero in lock step, where the delay is a setting. ``stage_us`` is wall time by step: read, predict, linearise,
+    build, update, solve, publish. ``compute_ns`` is vehicle time from the start of the cycle to the publication
     of its plan, ``compute_wall_ns`` the same in wall time.
     """
 
@@ -635,7 +635,7 @@ class CycleTiming(Message, frozen=True, kw_only=True, eq=False):
     compute_ns: Annotated[Duration, Meta(description="from the start of the cycle to publication, vehicle time")]
     compute_wall_ns: Annotated[Duration, Meta(description="from the start of the cycle to publication, wall time")]
     estimate_age_ns: Annotated[Time, Meta(description="age of the estimate at the start of the cycle")]
-    stage_us: Annotated[dict[str, WallTime], Meta(description="wall time by stage")]
+    stage_us: Annotated[dict[str, WallTime], Meta(description="wall time by step of the cycle")]
 
 
 class ModelCheck(Message, frozen=True, kw_only=True, eq=False):

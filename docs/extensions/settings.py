@@ -1,4 +1,4 @@
-"""Every key of a scenario with its bounds, default and meaning: where a page says ``<!-- settings -->``."""
+"""Every key of a scenario and of a sensors file, with bounds, default and meaning, where a page has the marks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ltv_mpc.settings_schema import expected
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
-MARK = "<!-- settings -->"
+MARK, SENSORS_MARK = "<!-- settings -->", "<!-- sensors -->"
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -29,6 +29,10 @@ def _fill(_app: Sphinx, _page: str, source: list[str]) -> None:
         from sim.scenario import Scenario
 
         source[0] = source[0].replace(MARK, "\n".join(tables(Scenario, ())))
+    if SENSORS_MARK in source[0]:
+        from ltv_mpc.localisation.sensor_config import SensorConfig
+
+        source[0] = source[0].replace(SENSORS_MARK, "\n".join(tables(SensorConfig, ())))
 
 
 def tables(kind: type[msgspec.Struct], place: tuple[str, ...]) -> Iterator[str]:

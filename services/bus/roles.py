@@ -16,9 +16,9 @@ from services.bus.topics import BY_TYPE, OPERATOR, TOPICS, Topic, expression
 
 ANYONE = "*"
 
-ROUTER, LAUNCHER, RECORDER, DISPLAY = "router", "launcher", "recorder", "display"
+ROUTER, SUPERVISOR, RECORDER, DISPLAY = "router", "supervisor", "recorder", "display"
 
-SEES_EVERYTHING = (LAUNCHER, RECORDER, DISPLAY, OPERATOR)
+SEES_EVERYTHING = (SUPERVISOR, RECORDER, DISPLAY, OPERATOR)
 """Roles that may read every topic, because they record or show all of them."""
 
 HISTORY = "history"

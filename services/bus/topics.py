@@ -115,17 +115,17 @@ TOPICS = (
     Topic(ModelCheck,         "model",                1_000_000_000, EVERY,    "controller", (OPERATOR,)),
     Topic(CycleTiming,        "timing",                 300_000_000, EVERY,    "controller", ("controller",)),
     Topic(ClockStep,          "clock/step",                       0, EVERY,    "controller", ("controller",)),
-    Topic(ControllerState,    "state/controller",     5_000_000_000, EVERY,    "controller", ("launcher",)),
-    Topic(EstimatorState,     "state/estimator",      5_000_000_000, EVERY,    "estimator",  ("launcher",)),
+    Topic(ControllerState,    "state/controller",     5_000_000_000, EVERY,    "controller", ("supervisor",)),
+    Topic(EstimatorState,     "state/estimator",      5_000_000_000, EVERY,    "estimator",  ("supervisor",)),
     Topic(Clock,              "clock",                            0, EVERY,    "plant",      ("*",)),
     Topic(ClockCommand,       "clock/command",                    0, EVERY,    OPERATOR,     ("plant",)),
-    Topic(Kill,               "world/kill",                       0, EVERY,    OPERATOR,     ("launcher",)),
-    Topic(NodeStatus,         "status",                           0, EVERY,    "*",          ("launcher",)),
+    Topic(Kill,               "world/kill",                       0, EVERY,    OPERATOR,     ("supervisor",)),
+    Topic(NodeStatus,         "status",                           0, EVERY,    "*",          ("supervisor",)),
     Topic(NodeSettings,       "settings",        10_000_000_000, EVERY,    "*",          ()),
     Topic(StepRecord,         "record",                           0, EVERY,    "*",          ()),
     Topic(RejectedFrame,      "rejected",                         0, EVERY,    "*",          ()),
     Topic(InjectorFrame,      "inject/frame",                     0, EVERY,    "inject",     ()),
-    Topic(RunEvent,           "event",                            0, EVERY,    "*",          ("launcher",)),
+    Topic(RunEvent,           "event",                            0, EVERY,    "*",          ("supervisor",)),
 )  # fmt: skip
 
 BY_TYPE = {topic.message_type: topic for topic in TOPICS}

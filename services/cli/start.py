@@ -229,7 +229,7 @@ def _refuse_page(dashboard: bool | None, open_: bool) -> None:
 def _check_certs(certs: Path, run_config: RunConfig, *, lockstep: bool) -> None:
     """Check that each process of the run has its own certificate. Raises ``ConfigError``."""
     from ltv_mpc.errors import ConfigError
-    from services.bus.roles import LAUNCHER
+    from services.bus.roles import SUPERVISOR
     from services.bus.security import credentials
     from services.supervisor import process_table
 
@@ -238,7 +238,7 @@ def _check_certs(certs: Path, run_config: RunConfig, *, lockstep: bool) -> None:
     if run_config.scenario.run.perfect_state:
         problem = "cannot act together with run.perfect_state, in which the sensors publish the estimate themselves"
         raise ConfigError("option --certs", "", problem)
-    for role in (LAUNCHER, *(row.name for row in process_table.processes(run_config.scenario))):
+    for role in (SUPERVISOR, *(row.name for row in process_table.processes(run_config.scenario))):
         credentials(certs, role)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.messages import Estimate, NodeStatus, RejectedFrame, RunEvent
 from services.bus import topics
-from services.bus.roles import LAUNCHER, RECORDER, ROUTER
+from services.bus.roles import RECORDER, ROUTER, SUPERVISOR
 from services.bus.wire import WireError
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
@@ -25,7 +25,7 @@ LOCKSTEP = "lockstep"
 STATUS = topics.BY_TYPE[NodeStatus].key + "/"
 """Prefix of the keys of all processes' status: each further epoch is a further start."""
 
-RESTARTS = topics.key_of(RunEvent, LAUNCHER)
+RESTARTS = topics.key_of(RunEvent, SUPERVISOR)
 """Key on which the supervisor reports restarts, also of processes without a status."""
 
 

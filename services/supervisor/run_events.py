@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ltv_mpc.messages import RunEvent
 from services.bus.outbox import Outbox
-from services.bus.roles import LAUNCHER
+from services.bus.roles import SUPERVISOR
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.screen import Screen
 
@@ -32,7 +32,7 @@ class RunEvents:
 
     def report(self, kind: str, text: str) -> None:
         """Show an event, and queue it for publication."""
-        event = RunEvent(t_ns=self._monitor.t_ns() or 0, node=LAUNCHER, kind=kind, text=text)
+        event = RunEvent(t_ns=self._monitor.t_ns() or 0, node=SUPERVISOR, kind=kind, text=text)
         self.show(event)
         self._pending.append(event)
 

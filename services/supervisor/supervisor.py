@@ -24,7 +24,7 @@ from ltv_mpc.errors import format_value, one_line
 from ltv_mpc.messages import NodeStatus, RunEvent
 from services.bus.options import SECURE, BusOptions
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.roles import LAUNCHER, ROUTER
+from services.bus.roles import ROUTER, SUPERVISOR
 from services.bus.session import Session, Stopped, open_session
 from services.recording import join
 from services.run.folder import DELETED, RunFolder
@@ -92,7 +92,7 @@ def run(
 
 def bus_options(context: process_table.RunContext) -> BusOptions:
     """Return the options with which the supervisor connects to the run's bus."""
-    return BusOptions(connect=(context.router,), namespace=context.namespace, certs=context.certs, role=LAUNCHER)
+    return BusOptions(connect=(context.router,), namespace=context.namespace, certs=context.certs, role=SUPERVISOR)
 
 
 class Supervisor:
@@ -266,7 +266,7 @@ class Supervisor:
             self._tick()
 
     def _connect(self, session: Session, rows: Sequence[process_table.ProcessRow]) -> None:
-        outbox = Outbox(session, node=LAUNCHER, epoch=new_epoch(), kinds=(RunEvent,))
+        outbox = Outbox(session, node=SUPERVISOR, epoch=new_epoch(), kinds=(RunEvent,))
         self._monitor = BusMonitor(session, [row.name for row in rows])
         self._events = RunEvents(outbox, self._monitor, self._screen)
         self.failures.connect(self._monitor, self._events)
@@ -309,7 +309,7 @@ class Supervisor:
         if not self.failures.recovering:  # a restarted process needs the processor more
             self.children.replace_dead_fork_server()
         for event in monitor.new_events():
-            if event.node != LAUNCHER:
+            if event.node != SUPERVISOR:
                 events.show(event)
         self._screen.update(self._view(monitor, now_s))
 

@@ -24,8 +24,11 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.messages import Action
 from services.cli import start
 from services.cli.app import app, run
+from services.cli.ctl import HEARTBEAT
 from services.run.folder import RunFolder
 from services.run.run_config import RunConfig
 from services.runtime.stopping import DONE
@@ -54,11 +57,12 @@ NOT_RUN = (
         f"{MINUTES} whoever needs its figures: that it has these options is looked at",
     ),
     (r"python3? \S*publisher\.py", f"{UNTIL_STOPPED}: tests/examples"),
+    (r"\.venv/bin/pytest tests/", "the tests themselves"),
     (
         r"python3 -m venv|pip install|\. \S+/activate|git clone|cd ",
         "makes environments; `make package` does it for real",
     ),
-    (r"dask |zenoh-bridge-ros2dds ", ELSEWHERE),
+    (r"dask |zenoh-bridge-ros2dds |scp |sudo ", ELSEWHERE),
 )
 
 ONCE = r"ltv-mpc (replay latest$|report latest$|doctor|log info latest$|log export latest --format perfetto)"
@@ -68,6 +72,9 @@ ran_already: set[tuple[str, ...]] = set()
 
 TOML: dict[str, Callable[[Path], object]] = {
     "docs/missions.md": lambda path: ControllerConfig.load(str(path)),
+    "docs/currents.md": lambda path: EstimatorConfig.load(str(path)),
+    "docs/motion-limits.md": lambda path: ControllerConfig.load(str(path)),
+    "docs/weights.md": lambda path: ControllerConfig.load(str(path)),
     "docs/campaigns.md": campaigns.load,
     "docs/fault-campaign.md": schedule.load,
 }
@@ -262,6 +269,8 @@ def mentioned(words: list[str], place: str) -> None:
             assert name in command.commands, f"{place}: ltv-mpc has no {name}"
         command = command.commands[several[0]]
         words = words[1:]
+    if command.name == "ctl" and words and words[0].islower():
+        assert words[0] in (*Action, HEARTBEAT), f"{place}: ctl has no action {words[0]}"
     options |= {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
     for word in words:
         option = word.strip("[]").partition("=")[0]

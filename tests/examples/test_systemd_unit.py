@@ -1,4 +1,4 @@
-"""Unit of systemd for the controller: systemd accepts it, and its command is one that the program knows."""
+"""Units of systemd for controller and router: systemd accepts them, and their commands are known to the program."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from typer.main import get_command
 from services.cli.app import app
 
 UNIT = Path(__file__).parents[2] / "examples" / "systemd" / "ltv-mpc-controller.service"
+ROUTER = UNIT.with_name("ltv-mpc-router.service")
 PROGRAM = "/opt/ltv-mpc/bin/ltv-mpc"
 
 
@@ -30,8 +31,9 @@ def verified(text: str, folder: Path) -> str:
     return f"{answer.stdout}{answer.stderr}" or f"exit code {answer.returncode}" * bool(answer.returncode)
 
 
-def test_systemd_has_nothing_to_say_about_it(tmp_path: Path) -> None:
-    assert verified(UNIT.read_text(), tmp_path) == ""
+@pytest.mark.parametrize("unit", [UNIT, ROUTER])
+def test_systemd_has_nothing_to_say_about_it(unit: Path, tmp_path: Path) -> None:
+    assert verified(unit.read_text(), tmp_path) == ""
 
 
 def test_systemd_notices_a_misspelt_setting(tmp_path: Path) -> None:

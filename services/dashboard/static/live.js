@@ -256,7 +256,7 @@
     const button = element("button", "kill", "small");
     button.type = "button";
     button.dataset.kill = node;
-    button.title = `End the ${node}'s process without warning; the launcher starts another`;
+    button.title = `End the ${node}'s process without warning; the supervisor starts another`;
     return button;
   }
 

@@ -279,9 +279,9 @@ LATENCY = Plot(
 
 STAGES = Plot(
     name="stages",
-    title="Delays by stage",
+    title="Delays by step",
     x=Axis(label="time (ms)", log=True),
-    y=Axis(label="stage", downwards=True, rows=ROWS_OF_STAGES),
+    y=Axis(label="step", downwards=True, rows=ROWS_OF_STAGES),
     over_time=False,
     empty=NO_TIMES,
     note="Percentiles of all cycles so far. Wall time; the delays between processes in vehicle time.",

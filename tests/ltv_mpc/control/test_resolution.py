@@ -33,7 +33,7 @@ def test_controller_and_simulation_use_the_horizon_that_the_check_proposes(name:
 
 
 def test_plain_python_proposes_the_same_horizons_as_compiled_code() -> None:
-    """A run's launcher uses the one, its processes the other."""
+    """A run's supervisor uses the one, its processes the other."""
     program = f"""
 from ltv_mpc import ControllerConfig, Vehicle
 from ltv_mpc.control.resolution import settled

@@ -156,7 +156,7 @@ def test_the_sole_writer_of_a_topic_is_the_only_role_that_may_put_on_it() -> Non
 def test_the_truth_is_for_the_sensors_and_those_who_watch() -> None:
     assert {role for role in ROLES if "world/truth" in reads(role) or reads(role) == ("**",)} == {
         "sensors",
-        "launcher",
+        "supervisor",
         "recorder",
         "display",
         "operator",

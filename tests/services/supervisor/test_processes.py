@@ -253,7 +253,7 @@ def test_the_page_can_connect_before_anything_is_compiled_and_shows_the_share(
 
 
 def test_on_an_empty_cache_nothing_is_compiled_before_the_run_says_so(tmp_path: Path) -> None:
-    """Otherwise the address of the live page would come later: the launcher proposes the horizon in plain Python."""
+    """Otherwise the address of the live page would come later: the supervisor proposes the horizon in plain Python."""
     process = subprocess.Popen(
         [*CLI, "sim", "--out", str(tmp_path / "run")],
         env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
@@ -417,7 +417,7 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_stopped_plant_end
                     records.setdefault((signal_.node, signal_.epoch), []).append(signal_)
                 case ControllerState() | EstimatorState():
                     states.setdefault(header.epoch, []).append(signal_)
-                case RunEvent() if signal_.node == "launcher":
+                case RunEvent() if signal_.node == "supervisor":
                     events.append(signal_)
     assert [event.text.split()[0] for event in events if event.kind == "restart"] == [
         "recorder",
