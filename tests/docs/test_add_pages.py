@@ -55,16 +55,25 @@ def test_the_sensor_is_used_and_does_not_worsen_the_estimate(tmp_path: Path) -> 
 OF_EACH = {
     "docs/add-solver.md": """
 import numpy as np
+from msgspec.structs import replace
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, references
+from ltv_mpc.geofence.fence import Disc, Fence
+from ltv_mpc.references import Place
 
-def plan(solver):
+wreck = Disc(name="wreck", centre=Place(north_m=1.5, east_m=0.1), radius_m=0.6)
+fence = Fence(margin_m=0.1, keep_out_disc=(wreck,))
+
+def plans(solver):
     point = references.Point(north_m=0.0, east_m=0.0)
     controller = Controller(Vehicle.load("paper"), point, ControllerConfig(solver=solver))
-    return controller.plan(Estimate.at_rest(north_m=-0.4, east_m=0.3, heading_rad=0.5))
+    estimate = Estimate.at_rest(north_m=-0.4, east_m=0.3, heading_rad=0.5)
+    for k, zones in enumerate((None, fence, None)):
+        controller.set_fence(zones)
+        yield controller.plan(replace(estimate, t_ns=300_000_000 * k))
 
-expected, found = plan("osqp"), plan("piqp-native")
-assert found.origin == "solved" and found.solve.iterations > 1
-np.testing.assert_allclose(found.thrust_N, expected.thrust_N, atol=0.05)
+for expected, found in zip(plans("osqp"), plans("piqp-native")):
+    assert found.origin == "solved" and found.solve.iterations > 1, found
+    np.testing.assert_allclose(found.thrust_N, expected.thrust_N, atol=0.05)
 """,
     "docs/add-vehicle.md": """
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, references
@@ -90,7 +99,6 @@ assert plan.states[-1, 0] > 0.1 and plan.states[-1, 1] > 0.1  # it sets out to t
 from ltv_mpc.messages import WaterTemperature
 from services.bus import protocol, wire
 from services.bus.roles import writes
-
 frame = wire.encode(WaterTemperature(t_ns=1, temperature_degC=8.5), wire.Header(epoch=1, sequence=0))
 assert wire.decode(WaterTemperature, frame)[0].temperature_degC == 8.5
 try:
