@@ -43,6 +43,29 @@ for sensors in ("./with_log.toml", "realistic"):
 """
 
 
+TESTS_OF_THE_SENSOR = """
+from services.bus import protocol
+from services.reporting.plots.collector import NIS
+from tests.ltv_mpc.localisation.sensors import test_jacobians, test_registry
+from tests.services.bus import test_wire
+
+test_registry.test_each_sensor_stands_under_its_name_with_its_settings()
+test_registry.test_each_sensor_has_a_topic_and_a_simulation()
+test_registry.test_the_example_of_a_vehicle_at_rest_leaves_no_residual("speed_log")
+for seed in range(3):
+    test_jacobians.test_partials_are_minus_the_derivatives_of_the_residual("speed_log", seed)
+test_wire.test_every_topic_has_an_example_here()
+assert "speed_log" in NIS
+assert "LogSpeed" in protocol.page()
+"""
+
+
+@pytest.mark.timeout(900)
+def test_the_tests_of_every_sensor_pass_with_the_sensor(tmp_path: Path) -> None:
+    build("docs/add-sensor.md", tmp_path)
+    run(TESTS_OF_THE_SENSOR, tmp_path)
+
+
 @pytest.mark.timeout(900)  # compiled code may have to be built first
 def test_the_sensor_is_used_and_does_not_worsen_the_estimate(tmp_path: Path) -> None:
     build("docs/add-sensor.md", tmp_path)
