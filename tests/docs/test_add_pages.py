@@ -122,6 +122,8 @@ assert plan.states[-1, 0] > 0.1 and plan.states[-1, 1] > 0.1  # it sets out to t
 from ltv_mpc.messages import WaterTemperature
 from services.bus import protocol, wire
 from services.bus.roles import writes
+from tests.services.bus import test_wire
+
 frame = wire.encode(WaterTemperature(t_ns=1, temperature_degC=8.5), wire.Header(epoch=1, sequence=0))
 assert wire.decode(WaterTemperature, frame)[0].temperature_degC == 8.5
 try:
@@ -131,6 +133,7 @@ except wire.WireError as error:
 else:
     raise AssertionError("a temperature out of bounds is accepted")
 assert "temperature" in writes("thermometer")
+test_wire.test_every_topic_has_an_example_here()
 assert "WaterTemperature" in protocol.page()
 """,
     "docs/add-command.md": """
