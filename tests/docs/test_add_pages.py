@@ -35,7 +35,7 @@ class Errors:
 for sensors in ("./with_log.toml", "realistic"):
     settings = ["run.duration_s=30", "run.seed=3", f"sensors={sensors}"]
     situation = resolve("descent", [Override("test", settings)])
-    errors, nodes = Errors(), make_nodes(situation, unread=False)
+    errors, nodes = Errors(), make_nodes(situation, publish_unread_topics=False)
     scenario = situation.scenario
     LockStep(nodes, start_ns=scenario.start_ns, observation=Observation(errors)).advance(scenario.end_ns)
     estimator = next(node for node in nodes if isinstance(node, Estimator))

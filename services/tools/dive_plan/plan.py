@@ -198,7 +198,7 @@ def fly(dive: Dive) -> Flight:
     run_config = dive.run_config()
     scenario, track = run_config.scenario, _Track()
     lockstep = LockStep(
-        make_nodes(run_config, unread=False),
+        make_nodes(run_config, publish_unread_topics=False),
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
         observation=Observation(track, types=frozenset({Truth, Plan})),
