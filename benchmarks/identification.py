@@ -26,7 +26,7 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Array, CurrentProfile, Estimate
 from ltv_mpc.vehicle.flow import advance_stage
-from ltv_mpc.vehicle.identification import Identified, identify
+from ltv_mpc.vehicle.identification import Identification, identify
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.shooting_fit import REFERENCE_POINT, Motion, theta_scale
 from sim import motion
@@ -162,7 +162,7 @@ def truth(vehicle: Vehicle, mismatch: Mismatch, known: str, known_yaw: str) -> d
     return values | {"thrust": mismatch.thrust / scale}
 
 
-def held(found: Identified, true: dict[str, float], unit: dict[str, float]) -> dict[str, tuple[bool, float, bool]]:
+def held(found: Identification, true: dict[str, float], unit: dict[str, float]) -> dict[str, tuple[bool, float, bool]]:
     """Return by name if the interval holds the truth, its half width over ``unit``, and whether it is reported."""
     return {
         one.name: (
@@ -170,7 +170,7 @@ def held(found: Identified, true: dict[str, float], unit: dict[str, float]) -> d
             0.5 * (one.high - one.low) / unit[one.name],
             one.excited,
         )
-        for one in found.found
+        for one in found.coefficients
     }
 
 

@@ -67,7 +67,7 @@ def shares(of: RunConfig) -> dict[str, float]:
             spent[self.name] += time.perf_counter() - started
             return said
 
-    nodes = [Timed(node) for node in make_nodes(of, unread=False)]
+    nodes = [Timed(node) for node in make_nodes(of, publish_unread_topics=False)]
     lockstep = LockStep(
         nodes, start_ns=of.scenario.start_ns, latest=lockstep_run.LATEST, make_rejection=lockstep_run.rejected_message
     )

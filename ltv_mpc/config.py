@@ -141,7 +141,7 @@ def missing_file_hint(path: Path) -> str:
     """Describe a missing file: the similar name in its folder, or the missing folder."""
     folder = path.parent
     try:
-        names = [one.stem for one in folder.iterdir() if one.suffix == path.suffix]
+        names = [file.stem for file in folder.iterdir() if file.suffix == path.suffix]
     except OSError:
         return f"no such file: there is no folder {folder}"
     if meant := difflib.get_close_matches(path.stem, names, n=1):

@@ -1,9 +1,9 @@
 """Node interface: pure steps, without clock, unseeded random numbers or threads.
 
 The caller passes the steps that are due. ``sim/scheduler.py`` (one process, simulated clock) passes as many at once as
-are known, ``services/runtime/runner.py`` (Zenoh, wall clock) those of 50 ms together, and a replay one at a time. For
-the same state and (t_ns, inbox) a step returns the same messages, bit for bit, alone or with others. So a recording
-replays through the nodes without tolerances.
+are known, ``services/runtime/step_loop.py`` (Zenoh, wall clock) those of one batch of at most 50 ms
+(``schedule.BATCH_NS``), and a replay one at a time. For the same state and (t_ns, inbox) a step returns the same
+messages, bit for bit, alone or with others. So a recording replays through the nodes without tolerances.
 """
 
 from __future__ import annotations

@@ -25,11 +25,11 @@ def type_at(kind: Any, table: Any, path: Path) -> Type | None:
     table : settings; they select the member of a tagged union.
     path : keys and list positions.
     """
-    found: Type | None = inspect.type_info(kind)
+    field_type: Type | None = inspect.type_info(kind)
     for step in path:
-        found = _step(found, table, step)
+        field_type = _step(field_type, table, step)
         table = _value(table, step)
-    return _member(found, table)
+    return _member(field_type, table)
 
 
 def field_names(kind: Type | None) -> tuple[str, ...]:

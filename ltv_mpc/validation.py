@@ -65,7 +65,9 @@ def validator(kind: type[msgspec.Struct]) -> Validator:
         "relation": RELATIONS.get(kind),
     }
     lines = [
-        line for name, of in _types(kind).items() for line in _checks(of, name, f"m.{name}", names, f"{kind.__name__}.")
+        line
+        for name, field_type in _types(kind).items()
+        for line in _checks(field_type, name, f"m.{name}", names, f"{kind.__name__}.")
     ]
     lines.append("return relation(m)" if kind in RELATIONS else "return None")
     exec("def check(m):\n" + "\n".join(f"    {line}" for line in lines), names)
@@ -76,16 +78,16 @@ def validator(kind: type[msgspec.Struct]) -> Validator:
 @cache
 def bounds(kind: type[msgspec.Struct]) -> Mapping[str, Bounds]:
     """Return the bounds of each field of ``kind`` that contains numbers, in the order of the fields."""
-    found = {name: _bounds(of) for name, of in _types(kind).items()}
-    return {name: limits for name, limits in found.items() if limits is not None}
+    by_name = {name: _bounds(field_type) for name, field_type in _types(kind).items()}
+    return {name: limits for name, limits in by_name.items() if limits is not None}
 
 
-def plain_type(of: inspect.Type) -> inspect.Type:
+def plain_type(field_type: inspect.Type) -> inspect.Type:
     """Return the type of a field without its annotations; for an array, the list that represents it on the wire."""
-    if not isinstance(of, inspect.Metadata):
-        return of
-    wire = (of.extra or {}).get("wire")
-    return plain_type(of.type if wire is None else inspect.type_info(wire))
+    if not isinstance(field_type, inspect.Metadata):
+        return field_type
+    wire = (field_type.extra or {}).get("wire")
+    return plain_type(field_type.type if wire is None else inspect.type_info(wire))
 
 
 # --- the generated check of one type ----------------------------------------------------------------------------------
@@ -97,41 +99,40 @@ def _types(kind: type[msgspec.Struct]) -> dict[str, inspect.Type]:
     return {field.name: field.type for field in info.fields}
 
 
-def _bounds(of: inspect.Type, unit: str | None = None) -> Bounds | None:
-    """Return the bounds of the numbers in ``of``, or None if it contains none or a struct inside defines them."""
-    if isinstance(of, inspect.Metadata):
-        unit = (of.extra or {}).get("unit", unit)
-    match plain_type(of):
+def _bounds(field_type: inspect.Type, unit: str | None = None) -> Bounds | None:
+    """Return the bounds of the numbers in a field, or None if it contains none or a struct inside defines them."""
+    if isinstance(field_type, inspect.Metadata):
+        unit = (field_type.extra or {}).get("unit", unit)
+    match plain_type(field_type):
         case inspect.IntType(ge=low, le=high) | inspect.FloatType(ge=low, le=high):
             if low is None or high is None or unit is None:
                 raise TypeError("a number needs ge, le and a unit")
             return Bounds(low, high, unit, has_gaps=False)
         case inspect.UnionType(types=types):
-            given = [_bounds(one, unit) for one in types if not isinstance(one, inspect.NoneType)]
-            return given[0]
+            return next(_bounds(member, unit) for member in types if not isinstance(member, inspect.NoneType))
         case inspect.TupleType(item_types=items):
             return _bounds(items[0], unit)
         case inspect.VarTupleType(item_type=item):
             return _bounds(item, unit)
         case inspect.ListType(item_type=item):
-            found = _bounds(item, unit)
-            return found and found._replace(has_gaps=found.has_gaps or isinstance(item, inspect.UnionType))
+            limits = _bounds(item, unit)
+            return limits and limits._replace(has_gaps=limits.has_gaps or isinstance(item, inspect.UnionType))
         case inspect.DictType(value_type=value):
             return _bounds(value, unit)
     return None
 
 
-def _checks(of: inspect.Type, field: str, value: str, names: dict[str, Any], prefix: str) -> Iterator[str]:
-    """Generate the lines that return a reason if the expression ``value``, of type ``of``, is not valid."""
+def _checks(field_type: inspect.Type, field: str, value: str, names: dict[str, Any], prefix: str) -> Iterator[str]:
+    """Generate the lines that return a reason if the expression ``value`` of this type is not valid."""
     try:
-        limits = _bounds(of)
+        limits = _bounds(field_type)
     except TypeError as error:
         raise TypeError(f"{prefix}{field}: {error}") from None
     low, high = (limits.low, limits.high) if limits else (0, 0)
     reject = f'return f"{field} = {{{value}}}: {limits.text}"' if limits else ""
-    match plain_type(of):
+    match plain_type(field_type):
         case inspect.UnionType(types=types):
-            (given,) = (one for one in types if not isinstance(one, inspect.NoneType))
+            (given,) = (member for member in types if not isinstance(member, inspect.NoneType))
             yield f"if {value} is not None:"
             yield from (f"    {line}" for line in _checks(given, field, value, names, prefix))
         case inspect.IntType() | inspect.FloatType():
@@ -281,7 +282,8 @@ def _dropped_grid_point(s: DroppedGridPoint) -> Reason:
         "position_cross_covariance": s.position_cross_covariance,
         "position_covariance": s.position_covariance,
     }
-    return next((f"{name} {of.shape}: must be (2, 2)" for name, of in small.items() if of.shape != (2, 2)), None)
+    wrong = (f"{name} {matrix.shape}: must be (2, 2)" for name, matrix in small.items() if matrix.shape != (2, 2))
+    return next(wrong, None)
 
 
 def _estimator_state(s: EstimatorState) -> Reason:

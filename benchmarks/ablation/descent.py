@@ -74,7 +74,7 @@ class Descent:
         )  # fmt: skip
         run_config = resolve("descent", [Override("ablation", assignments)])
         scenario = run_config.scenario
-        plant, sensors, _, controller = make_nodes(run_config, unread=False)
+        plant, sensors, _, controller = make_nodes(run_config, publish_unread_topics=False)
 
         def estimator() -> Estimator:
             return Estimator(as_given(run_config.sensor_config), scenario.estimator, run_config.prior)

@@ -179,8 +179,8 @@ class NoShadow:
     def advance(self, *_: object) -> None:
         """Stand still."""
 
-    def use(self, *_: object) -> None:
-        """Use nothing."""
+    def correct(self, *_: object) -> None:
+        """Correct nothing."""
 
 
 def no_shadow() -> AbstractContextManager[None]:

@@ -28,7 +28,7 @@ def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
     X : (N+1, 8) states at the knots.
     U : (N+1, 2) commands at the knots (N).
     C : (N+1, 2) current at the knots, north and east (m/s).
-    target : (N+1, 2) as in ``Solver.build``.
+    target : (N+1, 3) as in ``Solver.build``.
     o : weights, limits and knots.
 
     Returns

@@ -60,7 +60,7 @@ def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, ma
     X : (N+1, 8) states; X[1:] is overwritten.
     U : (N+1, 2) commands (N); U[1:] is overwritten.
     C : (N+1, 2) current at the knots, north and east (m/s).
-    target : (N+1, 2) as in ``Solver.build``.
+    target : (N+1, 3) as in ``Solver.build``.
     astern : True to steer with the stern ahead.
     max_cost : the simulation stops as soon as the cost exceeds this; the remaining knots are then not written.
     c : constants of the controller.

@@ -28,7 +28,7 @@ def line_search(packed: Array, flat: Array, target: Array, commands: Array, X: A
     ----------
     packed : packed constants (problem_data.py).
     flat : ``Linearisation.flat``; X, U and C are the nominal trajectory and the current.
-    target : (N+1, 2) as in ``Solver.build``.
+    target : (N+1, 3) as in ``Solver.build``.
     commands : (N+1, 2) port and starboard thrust that the QP asks for (N).
     X : (N+1, 8) is overwritten with the states of the trajectory found.
     U : (N+1, 2) is overwritten with its commands (N).

@@ -296,7 +296,7 @@ def describe_non_finite(lin: Linearisation, target: Array) -> str:
     Parameters
     ----------
     lin : linearisation.
-    target : (N+1, 2) as in ``Solver.build``.
+    target : (N+1, 3) as in ``Solver.build``.
 
     Returns
     -------

@@ -7,7 +7,7 @@ Arguments of the kernels in this file:
 
     packed   packed constants (problem_data.py)
     start    (10,) state n, e, u, v, psi, r, F1, F2 at the first knot, then the commands of port and starboard there
-    target   (N+1, 2) as in ``Solver.build``
+    target   (N+1, 3) as in ``Solver.build``
     old      (N+1, 2) commands of the previous plan (N)
     stages   by how many first stages the previous plan began earlier
     flat     ``Linearisation.flat``

@@ -82,15 +82,15 @@ def failures(
     states : health by each input, by name.
     causes : present causes of the mission policy.
     """
-    found = [Failure(cause.name, cause.why) for cause in causes]
-    found += [
+    failures = [Failure(cause.name, cause.why) for cause in causes]
+    failures += [
         Failure(name, state.why, blocks=name != WEAK_THRUSTER) for name, state in states.items() if state is not NOMINAL
     ]
     if applied is None:
-        found.append(Failure("actuators", "no report yet, so plans count as followed", blocks=False))
+        failures.append(Failure("actuators", "no report yet, so plans count as followed", blocks=False))
     elif applied.health is not Health.NOMINAL:
-        found.append(Failure("actuators", f"they do not follow the plans (health {applied.health.value})"))
-    return [*_failures_of_estimate(trial, estimate, reports["estimate"]), *found]
+        failures.append(Failure("actuators", f"they do not follow the plans (health {applied.health.value})"))
+    return [*_failures_of_estimate(trial, estimate, reports["estimate"]), *failures]
 
 
 def _failures_of_estimate(trial: Controller, estimate: Estimate | None, report: InputReport) -> Iterator[Failure]:

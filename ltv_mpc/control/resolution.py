@@ -48,8 +48,8 @@ def settled(
     limits = config.limits
     if limits.bow is None:
         limits = msgspec.structs.replace(limits, bow=default_bow(vehicle))
-    found = ("weights", "horizon_s", "limits")
-    rest = {name: getattr(config, name) for name in config.__struct_fields__ if name not in found}
+    resolved = ("weights", "horizon_s", "limits")
+    rest = {name: getattr(config, name) for name in config.__struct_fields__ if name not in resolved}
     return ResolvedConfig(**rest, weights=weights, horizon_s=horizon_s, limits=limits)
 
 

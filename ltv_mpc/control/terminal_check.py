@@ -75,7 +75,7 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
     ----------
     X : (N+1, 8) states at the knots; only the last is used.
     C : (N+1, 2) current at the knots, north and east (m/s).
-    target : (N+1, 2) as in ``Solver.build``.
+    target : (N+1, 3) as in ``Solver.build``.
     c : constants of the controller.
 
     Returns

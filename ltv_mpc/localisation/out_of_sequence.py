@@ -55,17 +55,17 @@ class _Segment(NamedTuple):
         return self.snapshot.belief.t_ns
 
 
-def is_duplicate(one: ImuSample | Measurement, other: ImuSample | Measurement) -> bool:
+def is_duplicate(first: ImuSample | Measurement, second: ImuSample | Measurement) -> bool:
     """Return True if two messages have the same sensor, source and validity time.
 
     Parameters
     ----------
-    one, other : messages of any sensors.
+    first, second : messages of any sensors.
     """
-    if type(one) is not type(other) or one.t_ns != other.t_ns:
+    if type(first) is not type(second) or first.t_ns != second.t_ns:
         return False
-    source = BY_MESSAGE[type(one)].source
-    return source is None or bool(source(one) == source(other))
+    source = BY_MESSAGE[type(first)].source
+    return source is None or bool(source(first) == source(second))
 
 
 def snapshot_spacing_ns(sensor_config: SensorConfig) -> int:

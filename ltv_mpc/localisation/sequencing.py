@@ -44,7 +44,7 @@ class FollowsFilter(Protocol):
         """
         ...
 
-    def use(self, message: Measurement) -> None:
+    def correct(self, message: Measurement) -> None:
         """Correct by a measurement, at its own time.
 
         Parameters
@@ -228,4 +228,4 @@ class Sequencing:
         if isinstance(message, AdcpPing):
             buffer.adapt()
         if self.shadow is not None:
-            self.shadow.use(message)
+            self.shadow.correct(message)

@@ -1,18 +1,18 @@
 """Shadow filter: a copy of the filter, taken when innovations first became inconsistent, that may replace it.
 
-Inconsistent innovations do not show which side is wrong. If a profiler is wrong for ten seconds it is rejected, and the
-inertial unit alone determines the vehicle well. But a filter whose process noise is inflated meanwhile, or a new filter
-with an uncertain velocity, may believe the profiler. So a copy receives the same measurements from the first
-inconsistency on, and never inflates its noise. If the essential sensors agree with the copy again while the active
+Inconsistent innovations do not show which side is wrong. If an ADCP is wrong for ten seconds it is rejected, and the
+IMU alone determines the vehicle well. But a filter whose process noise is inflated meanwhile, or a new filter with an
+uncertain velocity, may believe the ADCP. So a copy receives the same measurements from the first inconsistency on, and
+never inflates its noise. If the essential sensors agree with the copy again while the active
 filter is inconsistent or new, the sensor was wrong, and the copy takes over. Benefit: docs/notes/ablation.md.
 
 Agreement  Of each essential sensor the last ``MIN_AGREEING`` messages pass the gate with ``MIN_ACCEPTED`` of their
            rows, within ``MAX_AGE_NS``, and at least one message did not pass before. A filter that was wrong does not
            reach this by waiting, because a measurement that it rejects cannot correct it. If innovations are too large
            but pass, nothing has been rejected, and there is nothing to return to.
-Better     The copy replaces the active filter only if its state differs and its velocity is about as certain. It also
-           has the noise that was inflated before the first inconsistency; a filter that was reinitialised with the
-           water as it was known may then be the better one.
+Better     The copy replaces the active filter only if its state differs and its velocity is about as certain. The
+           copy keeps process noise inflated earlier. A reinitialised filter with the earlier water profile can be more
+           certain, so both velocity variances are compared.
 """
 
 from __future__ import annotations
@@ -30,12 +30,24 @@ from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.messages import ImuSample
 
 MAX_AGE_NS = 60_000_000_000
+"""Vehicle time after which the copy is discarded."""
+
 MIN_AGREEING = 3
+"""Number of the last messages of a sensor that must agree."""
+
 MIN_ACCEPTED = 0.8
+"""Minimum share of a message's rows within the gate for the message to agree."""
+
+MAX_ACCEPTED_IF_REJECTED = 0.5
+"""Share of a message's rows within the gate below which the copy has rejected the message: most of it is wrong, not a
+few outliers.
+"""
+
 MAX_SD_RATIO = 2.0
 """Maximum standard deviation of the copy's velocity over that of the active filter."""
+
 REQUIRED = ("adcp", "pressure")
-"""Essential sensors that must have agreed; the bottom may be out of range."""
+"""Essential sensors that the agreement requires. Bottom track may be absent: the bottom can be out of range."""
 
 
 class ShadowFilter:
@@ -81,8 +93,12 @@ class ShadowFilter:
         ----------
         current : the active filter, at the same time.
         """
-        own, others = (np.trace(f.core_covariance()[VELOCITY, VELOCITY]) for f in (self.filter, current))
-        return bool(own <= MAX_SD_RATIO**2 * others) and not np.array_equal(self.filter.belief.x, current.belief.x)
+        own_variance, active_variance = (
+            np.trace(f.core_covariance()[VELOCITY, VELOCITY]) for f in (self.filter, current)
+        )
+        return bool(own_variance <= MAX_SD_RATIO**2 * active_variance) and not np.array_equal(
+            self.filter.belief.x, current.belief.x
+        )
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
         """Propagate the copy.
@@ -94,7 +110,7 @@ class ShadowFilter:
         """
         self._buffer.advance(t_ns, sample)
 
-    def use(self, message: Measurement) -> None:
+    def correct(self, message: Measurement) -> None:
         """Correct the copy by a measurement of its own time, or by a late one that it can still use.
 
         Parameters
@@ -108,4 +124,4 @@ class ShadowFilter:
         if innovations.sensor in self._agreed and len(innovations.accepted):
             passed = float(innovations.accepted.mean()) if innovations.definite else 0.0
             self._agreed[innovations.sensor].append(passed >= MIN_ACCEPTED)
-            self._has_rejected = self._has_rejected or 2.0 * passed < 1.0
+            self._has_rejected = self._has_rejected or passed < MAX_ACCEPTED_IF_REJECTED

@@ -78,12 +78,12 @@ class WeakThruster:
         """Lost shares of port and starboard in force."""
         return 1.0 - self.shares[0], 1.0 - self.shares[1]
 
-    def update(self, found: Attribution | None, gain: float) -> bool:
+    def update(self, attribution: Attribution | None, gain: float) -> bool:
         """Take in a cycle of the detector. Return True if the weak thruster has recovered.
 
         Parameters
         ----------
-        found : the thruster that lost thrust; None without an alarm.
+        attribution : the thruster that lost thrust; None without an alarm.
         gain : log-likelihood ratio of this cycle, of no loss against the loss in force (nats).
         """
         if self.is_weak:
@@ -92,14 +92,14 @@ class WeakThruster:
                 self.restore((1.0, 1.0))
                 return True
             # While a recovery may be under way, the detector's window holds cycles from before and after it.
-            if found is not None and found.side == self._side and self._recovery == 0.0:
-                self._set(found)
+            if attribution is not None and attribution.side == self._side and self._recovery == 0.0:
+                self._set(attribution)
             return False
-        same = found is not None and found.side == self._side
+        same = attribution is not None and attribution.side == self._side
         self._confirmations = self._confirmations + 1 if same else 1
-        self._side = None if found is None else found.side
-        if found is not None and self._confirmations >= CONFIRMING_CYCLES:
-            self._set(found)
+        self._side = None if attribution is None else attribution.side
+        if attribution is not None and self._confirmations >= CONFIRMING_CYCLES:
+            self._set(attribution)
         return False
 
     def restore(self, shares: Pair) -> None:
@@ -124,10 +124,10 @@ class WeakThruster:
         most_N = self.shares[self._side] * vehicle.thrusters[self._side].max_N
         return HealthState(Health.DEGRADED, f"{SIDES[self._side]} thruster weak: box reduced to {most_N:.3g} N")
 
-    def _set(self, found: Attribution) -> None:
+    def _set(self, attribution: Attribution) -> None:
         """Set the share of a thruster to the nearest step, if it is far enough from the share in force."""
-        share = max(1.0 - found.loss, MIN_SHARE)
-        if abs(share - self.shares[found.side]) < HYSTERESIS:
+        share = max(1.0 - attribution.loss, MIN_SHARE)
+        if abs(share - self.shares[attribution.side]) < HYSTERESIS:
             return
         share = STEP * round(share / STEP)
-        self.shares = (share, 1.0) if found.side == 0 else (1.0, share)
+        self.shares = (share, 1.0) if attribution.side == 0 else (1.0, share)

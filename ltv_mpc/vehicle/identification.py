@@ -4,9 +4,9 @@
 masses not negative; the standard deviations of the errors of u, v and r are scaled to the residuals.
 
 The interval of theta_i is that of Student's t with the larger of two variances: that of white errors, H^-1, and that of
-errors correlated within a segment but not between segments, H^-1 (sum_s g_s g_s') H^-1 (Liang & Zeger 1986). A constant
-current that the estimates do not contain is fitted beside the coefficients; other errors that last for the whole run
-are in neither.
+errors correlated within a segment but not between the S segments, H^-1 G H^-1 with G = S / (S - 1) sum_s g_s g_s'
+(Liang & Zeger 1986). A constant current that the estimates do not contain is fitted beside the coefficients. Neither
+variance covers other errors that last for the whole run.
 
 A coefficient that the run does not excite keeps the value of the file. The others are fitted again with it, so that the
 identified vehicle is consistent in itself; their intervals remain those of the fit of all coefficients.
@@ -24,6 +24,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import msgspec
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from ltv_mpc.messages import Array, Times
@@ -54,14 +55,17 @@ MAX_POINT_HALF_WIDTH_M = 0.1
 """Half width of the interval up to which the reference point counts as excited by the run."""
 
 LAG_INTERPOLATION_ERROR = 0.02
-"""Error of a lag, as a share of the time between two reports, because commands are not linear between them (a hundredth
-was observed).
+"""Error of a lag, as a share of the time between two reports, because commands are not linear between them
+(docs/identify.md).
 """
 
 MIN_SIGNAL_TO_NOISE = 2.0
 """Root mean square of a velocity over the standard deviation of its errors, from which it counts as motion."""
 
 CONFIDENCE = 0.95
+
+CURRENT = slice(-2, None)
+"""Places of the unmodelled current, north and east, in theta; the coefficients stand before them."""
 
 NAMES = (
     "mass_surge", "mass_sway", "inertia_yaw",
@@ -83,10 +87,10 @@ class IdentifiedCoefficient(msgspec.Struct, frozen=True, kw_only=True):
     excited: bool  # False: the run is not informative, and ``value`` is that of the file
 
 
-class Identified(NamedTuple):
+class Identification(NamedTuple):
     """Result of an identification."""
 
-    found: list[IdentifiedCoefficient]
+    coefficients: list[IdentifiedCoefficient]
     current_mps: Array  # (2,) current that the estimates do not contain, north and east
     current_half_mps: Array  # (2,) half width of its 95 % interval
     sd: Array  # (3,) standard deviations of the residuals of u, v (m/s) and r (rad/s)
@@ -98,13 +102,13 @@ class NotEnoughMotion(ValueError):
     """Error of a run that is too short for an identification."""
 
 
-def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_yaw: KnownYaw = "arm") -> Identified:
+def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_yaw: KnownYaw = "arm") -> Identification:
     """Identify the coefficients of a vehicle from a motion.
 
     Parameters
     ----------
     vehicle : vehicle with the values of the file.
-    motion : recorded motion of the vehicle's origin, by the declared reference point.
+    motion : recorded motion of the vehicle's origin, computed with the reference point in the file.
     known : take thrust or surge mass from the file.
     known_yaw : take arms or yaw inertia from the file.
 
@@ -118,23 +122,25 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
     fixed |= set() if motion.thrust is None else set(LAGS)
     free = [name for name in NAMES if name not in fixed]
     fit, theta = _solve(vehicle, motion, free)
-    still = _below_noise(through_the_water(motion, CURRENT_SD_MPS * theta[-2:]), fit.sd)
-    if any(_degree_of_freedom(name) in still for name in free):
-        fit, theta = _solve(vehicle, motion, [name for name in free if _degree_of_freedom(name) not in still])
-    half = _half_widths(*fit.by_segment(theta), prior=1.0 / PRIOR**2)
-    by_name = dict(zip(fit.free, half[:-2].tolist(), strict=True))
-    excited = [name for name in fit.free if by_name[name] <= _max_half_width(name)]
+    unexcited_dofs = _below_noise(through_the_water(motion, CURRENT_SD_MPS * theta[CURRENT]), fit.sd)
+    if any(_degree_of_freedom(name) in unexcited_dofs for name in free):
+        fit, theta = _solve(vehicle, motion, [name for name in free if _degree_of_freedom(name) not in unexcited_dofs])
+    half_widths = _half_widths(*fit.by_segment(theta), prior=1.0 / PRIOR**2)
+    half_width = dict(zip(fit.free, half_widths[: CURRENT.start].tolist(), strict=True))
+    excited = [name for name in fit.free if half_width[name] <= _max_half_width(name)]
     if len(excited) < len(fit.free):
         fit, theta = _solve(vehicle, motion, excited)
-    values = dict(zip(fit.free, theta[:-2].tolist(), strict=True))
-    prior_half = float(student.ppf(0.5 + 0.5 * CONFIDENCE, 1e6)) * PRIOR
-    found = [_coefficient(name, vehicle, values.get(name), by_name.get(name, prior_half)) for name in free]
+    values = dict(zip(fit.free, theta[: CURRENT.start].tolist(), strict=True))
+    prior_half_width = float(norm.ppf(0.5 + 0.5 * CONFIDENCE)) * PRIOR
+    coefficients = [
+        _coefficient(name, vehicle, values.get(name), half_width.get(name, prior_half_width)) for name in free
+    ]
     if motion.thrust is not None:
-        found += _lags(vehicle, motion, motion.thrust, fit.edges)
-    return Identified(
-        found,
-        CURRENT_SD_MPS * theta[-2:],
-        CURRENT_SD_MPS * half[-2:],
+        coefficients += _lags(vehicle, motion, motion.thrust, fit.edges)
+    return Identification(
+        coefficients,
+        CURRENT_SD_MPS * theta[CURRENT],
+        CURRENT_SD_MPS * half_widths[CURRENT],
         fit.sd,
         len(fit.edges),
         float(motion.t_s[-1] - motion.t_s[0]),
@@ -151,7 +157,7 @@ def _solve(vehicle: Vehicle, motion: Motion, free: Sequence[str]) -> tuple[Shoot
         theta = least_squares(
             fit.residuals, theta, fit.jacobian, bounds=(fit.lower, np.inf), x_scale="jac", max_nfev=60
         ).x
-        residual = np.concatenate([one.reshape(-1, 3) for one in fit.by_segment(theta)[0]])
+        residual = np.concatenate([part.reshape(-1, 3) for part in fit.by_segment(theta)[0]])
         free_count = len(residual) - len(fit.edges)  # one initial value of each of u, v and r is fitted per segment
         fit.sd = fit.sd * np.sqrt((residual**2).sum(axis=0) / free_count)
     return fit, theta
@@ -174,8 +180,8 @@ def _max_half_width(name: str) -> float:
 
 def _degree_of_freedom(name: str) -> str:
     """Return the degree of freedom of a coefficient: yaw for arms and reference point, surge for thrust, or none."""
-    kind, _, of = name.partition("_")
-    return {"arm": "yaw", "reference": "yaw", "thrust": "surge", "lag": ""}.get(kind, of)
+    kind, _, axis = name.partition("_")
+    return {"arm": "yaw", "reference": "yaw", "thrust": "surge", "lag": ""}.get(kind, axis)
 
 
 def _half_widths(residuals: Sequence[Array], slopes: Sequence[Array], *, prior: float) -> Array:
@@ -184,7 +190,7 @@ def _half_widths(residuals: Sequence[Array], slopes: Sequence[Array], *, prior: 
     information = prior * np.eye(P)
     H = sum((J.T @ J for J in slopes), information)
     g = [J.T @ r for J, r in zip(slopes, residuals, strict=True)]
-    scatter = sum((np.outer(one, one) for one in g), np.zeros((P, P))) * S / (S - 1) + information
+    scatter = sum((np.outer(g_s, g_s) for g_s in g), np.zeros((P, P))) * S / (S - 1) + information
     inverse = np.linalg.inv(H)
     variance = np.maximum(np.diag(inverse), np.diag(inverse @ scatter @ inverse))
     return np.asarray(student.ppf(0.5 + 0.5 * CONFIDENCE, S - 1) * np.sqrt(variance))
@@ -192,26 +198,28 @@ def _half_widths(residuals: Sequence[Array], slopes: Sequence[Array], *, prior: 
 
 def _lags(vehicle: Vehicle, motion: Motion, delivered: Array, edges: Times) -> list[IdentifiedCoefficient]:
     """Return both lags, by least squares of commanded against delivered thrust (M, 2): F' = (u - F) / lag."""
-    found = []
+    lags = []
     for i, name in enumerate(LAGS):
         scale = float(theta_scale(vehicle)[index_of(name)])
         command, thrust = np.ascontiguousarray(motion.command[:, i]), np.ascontiguousarray(delivered[:, i])
 
-        def off(theta: Array, scale: float = scale, command: Array = command, thrust: Array = thrust) -> Array:
+        def lag_residual(theta: Array, scale: float = scale, command: Array = command, thrust: Array = thrust) -> Array:
             return lagged_thrust(motion.t_s, command, thrust[0], float(theta[0]) * scale) - thrust
 
-        best = least_squares(off, np.ones(1), bounds=(0.0, np.inf))
+        best = least_squares(lag_residual, np.ones(1), bounds=(0.0, np.inf))
         sd = max(float(np.sqrt(np.mean(best.fun**2))), 1e-9)
-        slope = (off(best.x + STEP) - off(best.x)) / STEP / sd
+        slope = (lag_residual(best.x + STEP) - lag_residual(best.x)) / STEP / sd
         parts = [slice(first, end) for first, end in edges]
-        half = _half_widths([best.fun[p] / sd for p in parts], [slope[p, None] for p in parts], prior=1.0 / PRIOR**2)
+        residuals, slopes = [best.fun[part] / sd for part in parts], [slope[part, None] for part in parts]
+        half_widths = _half_widths(residuals, slopes, prior=1.0 / PRIOR**2)
         interpolation = LAG_INTERPOLATION_ERROR * float(np.median(np.diff(motion.t_s))) / scale
-        width = float(half[0]) + interpolation
-        found.append(_coefficient(name, vehicle, float(best.x[0]) if width <= MAX_RELATIVE_HALF_WIDTH else None, width))
-    return found
+        half_width = float(half_widths[0]) + interpolation
+        theta = float(best.x[0]) if half_width <= MAX_RELATIVE_HALF_WIDTH else None
+        lags.append(_coefficient(name, vehicle, theta, half_width))
+    return lags
 
 
-def _coefficient(name: str, vehicle: Vehicle, theta: float | None, half: float) -> IdentifiedCoefficient:
+def _coefficient(name: str, vehicle: Vehicle, theta: float | None, half_width: float) -> IdentifiedCoefficient:
     """Return one coefficient in the units of the file, from theta and the half width of its interval.
 
     Without ``theta`` the coefficient is not excited and keeps the value of the file.
@@ -219,15 +227,15 @@ def _coefficient(name: str, vehicle: Vehicle, theta: float | None, half: float) 
     scale = float(theta_scale(vehicle)[index_of(name)])
     point = vehicle.reference_point
     file = float([*vehicle.coefficients(), 1.0, point.forward_m, point.starboard_m][index_of(name)])
-    zero = file if name in REFERENCE_POINT else 0.0  # the motion is that of the declared origin
-    value = file if theta is None else zero + theta * scale
+    zero_offset = file if name in REFERENCE_POINT else 0.0  # the motion is that of the origin by the file's point
+    value = file if theta is None else zero_offset + theta * scale
     return IdentifiedCoefficient(
         name=name,
         unit=_unit(name),
         file=file,
         value=value,
-        low=value - half * scale,
-        high=value + half * scale,
+        low=value - half_width * scale,
+        high=value + half_width * scale,
         excited=theta is not None,
     )
 
@@ -254,26 +262,26 @@ YAW_KEYS = {"inertia": "inertia_kgm2", "linear": "linear_damping_Nms", "quadrati
 """Keys in the tables of a vehicle file, by the first word of the name of a coefficient."""
 
 
-def with_coefficients(vehicle: Vehicle, found: Sequence[IdentifiedCoefficient]) -> Vehicle:
+def with_coefficients(vehicle: Vehicle, coefficients: Sequence[IdentifiedCoefficient]) -> Vehicle:
     """Return the vehicle with identified coefficients.
 
     Parameters
     ----------
     vehicle : vehicle with the values of the file.
-    found : coefficients to replace. A thrust scale multiplies the limits of both lateral thrusters.
+    coefficients : coefficients to replace. A thrust scale multiplies the limits of both lateral thrusters.
     """
     table = msgspec.to_builtins(vehicle)
-    for one in found:
-        kind, _, of = one.name.partition("_")
+    for coefficient in coefficients:
+        kind, _, axis = coefficient.name.partition("_")
         lateral = table["thruster"]
-        if one.name == "thrust":
+        if coefficient.name == "thrust":
             for name in ("port", "starboard"):
                 for key in ("min_N", "max_N", "slew_N_per_s"):
-                    lateral[name][key] *= one.value
+                    lateral[name][key] *= coefficient.value
         elif kind in ("arm", "lag"):
-            lateral[of][f"{kind}_{'m' if kind == 'arm' else 's'}"] = one.value
+            lateral[axis][f"{kind}_{'m' if kind == 'arm' else 's'}"] = coefficient.value
         elif kind == "reference":
-            table["reference_point"][f"{of}_m"] = one.value
+            table["reference_point"][f"{axis}_m"] = coefficient.value
         else:
-            table[of][(YAW_KEYS if of == "yaw" else KEYS)[kind]] = one.value
+            table[axis][(YAW_KEYS if axis == "yaw" else KEYS)[kind]] = coefficient.value
     return msgspec.convert(table, Vehicle)

@@ -145,12 +145,12 @@ def _motion_warnings(vehicle: Vehicle, can: Performance) -> Iterator[str]:
 
 
 def _propeller_warnings(vehicle: Vehicle, top: float) -> Iterator[str]:
-    for name, one in (("port", vehicle.thruster.port), ("starboard", vehicle.thruster.starboard)):
-        gives = thrust(one.max_rps, top, vehicle.water_density_kgpm3, one.propeller_diameter_m)
-        if gives < 0.95 * one.max_N:
+    for name, thruster in (("port", vehicle.thruster.port), ("starboard", vehicle.thruster.starboard)):
+        gives = thrust(thruster.max_rps, top, vehicle.water_density_kgpm3, thruster.propeller_diameter_m)
+        if gives < 0.95 * thruster.max_N:
             yield (
-                f"[thruster.{name}] max_rps = {one.max_rps:g}: at the top speed of {top:.3g} m/s a propeller of "
-                f"{one.propeller_diameter_m:g} m gives {max(gives, 0.0):.3g} N, max_N = {one.max_N:g}"
+                f"[thruster.{name}] max_rps = {thruster.max_rps:g}: at the top speed of {top:.3g} m/s a propeller of "
+                f"{thruster.propeller_diameter_m:g} m gives {max(gives, 0.0):.3g} N, max_N = {thruster.max_N:g}"
             )
 
 

@@ -148,7 +148,9 @@ class ShootingFit:
         """
         r, J = self._reduced(theta, slopes=True)
         ends = np.cumsum(self._counts)[:-1]
-        return [one.ravel() for one in np.split(r, ends)], [one.reshape(-1, len(theta)) for one in np.split(J, ends)]
+        return [part.ravel() for part in np.split(r, ends)], [
+            part.reshape(-1, len(theta)) for part in np.split(J, ends)
+        ]
 
     def _reduced(self, theta: Array, *, slopes: bool) -> tuple[Array, Array]:
         """Return whitened residuals (M', 3) and slopes (M', 3, P), without the part explained by the initial states."""
@@ -168,16 +170,16 @@ class ShootingFit:
             J[..., i] = (self._shoot(ahead, self._start) - base) / STEP
         return r, J - self._explained(Jy, J)
 
-    def _best_change(self, Jy: Array, of: Array) -> Array:
-        """Return the changes (S, 3, K) of the initial states that fit ``of`` (M', 3, K) best."""
+    def _best_change(self, Jy: Array, vectors: Array) -> Array:
+        """Return the changes (S, 3, K) of the initial states that fit ``vectors`` (M', 3, K) best."""
         # normal equations of each segment; they are regular because its first instant is its initial state itself
         first = np.concatenate([[0], np.cumsum(self._counts)[:-1]])
         left = np.add.reduceat(np.einsum("mcx,mcy->mxy", Jy, Jy), first)
-        return np.linalg.solve(left, np.add.reduceat(np.einsum("mcy,mck->myk", Jy, of), first))
+        return np.linalg.solve(left, np.add.reduceat(np.einsum("mcy,mck->myk", Jy, vectors), first))
 
-    def _explained(self, Jy: Array, of: Array) -> Array:
-        """Return the part of ``of`` (M', 3, K) that changes of the initial states explain."""
-        change: Array = np.repeat(self._best_change(Jy, of), self._counts, axis=0)
+    def _explained(self, Jy: Array, vectors: Array) -> Array:
+        """Return the part of ``vectors`` (M', 3, K) that changes of the initial states explain."""
+        change: Array = np.repeat(self._best_change(Jy, vectors), self._counts, axis=0)
         part: Array = np.einsum("mcy,myk->mck", Jy, change)
         return part
 

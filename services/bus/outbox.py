@@ -44,22 +44,22 @@ class Outbox:
         self._publishers: dict[str, Publisher] = {key: session.publisher(key) for key in self._keys.values()}
         self._sequence = dict.fromkeys(self._publishers, 0)
 
-    def publish(self, signal: Message) -> SentMessage:
+    def publish(self, message: Message) -> SentMessage:
         """Add the header to a message of a declared kind, encode it and send it."""
-        (sent,) = self.publish_all((signal,))
+        (sent,) = self.publish_all((message,))
         return sent
 
-    def publish_all(self, signals: Iterable[Message]) -> list[SentMessage]:
+    def publish_all(self, messages: Iterable[Message]) -> list[SentMessage]:
         """Encode all messages, then send them at once: Zenoh then puts their frames into few packets.
 
         Messages of a ``BATCHED`` type share frames, which are sent at the place of the last of their messages.
         """
         sent_messages: list[SentMessage] = []
         frames: dict[tuple[str, int], bytes] = {}  # by key and sequence number of the last message
-        for signal in signals:
-            sent, payload = self._encoded(signal)
+        for message in messages:
+            sent, payload = self._encoded(message)
             sent_messages.append(sent)
-            if type(signal) in BATCHED:
+            if type(message) in BATCHED:
                 before = sent.key, sent.sequence - 1
                 if before in frames and len(frames[before]) + len(payload) <= MAX_FRAME_BYTES:
                     payload = frames.pop(before) + payload
@@ -69,10 +69,10 @@ class Outbox:
         self.published += len(sent_messages)
         return sent_messages
 
-    def _encoded(self, signal: Message) -> tuple[SentMessage, bytes]:
-        key = self._keys[type(signal)]
+    def _encoded(self, message: Message) -> tuple[SentMessage, bytes]:
+        key = self._keys[type(message)]
         sequence = self._sequence[key]
         header = Header(epoch=self.epoch, sequence=sequence, sent_monotonic_us=time.monotonic_ns() // 1000)
-        payload = encode(signal, header)
+        payload = encode(message, header)
         self._sequence[key] = sequence + 1
         return SentMessage(key, sequence, crc(payload)), payload

@@ -38,10 +38,10 @@ def page() -> str:
     prose = resources.files("services.bus").joinpath(PAGE).read_text(encoding="utf-8")
     named = re.findall(r"\{\{fields ([\w/]+)\}\}", prose)
     rest = [topic for topic in TOPICS if topic.key not in named]
-    return re.sub(r"\{\{(\w+) ?([\w/]*)\}\}", lambda found: _table(found[1], found[2], rest), prose)
+    return re.sub(r"\{\{(\w+) ?([\w/]*)\}\}", lambda match: _table(match[1], match[2], rest), prose)
 
 
-def _table(name: str, of: str, rest: Iterable[Topic]) -> str:
+def _table(name: str, argument: str, rest: Iterable[Topic]) -> str:
     match name:
         case "rest":
             return "\n\n".join(map(_message, rest))
@@ -50,9 +50,9 @@ def _table(name: str, of: str, rest: Iterable[Topic]) -> str:
         case "header":
             return _fields(fields(Header))
         case "fields":
-            return _message(BY_KEY[of])
+            return _message(BY_KEY[argument])
         case "part":
-            kind = getattr(messages, of)
+            kind = getattr(messages, argument)
             return f"{_about(kind)}\n\n{_fields(fields(kind))}"
         case "batched":
             return ", ".join(f"`{_key(topic)}`" for topic in TOPICS if topic.message_type in BATCHED)
@@ -109,7 +109,7 @@ def _who(nodes: Iterable[str]) -> str:
     return ", ".join("every node" if node == "*" else node for node in nodes) or "-"
 
 
-def _fields(found: Mapping[str, Field]) -> str:
+def _fields(entries: Mapping[str, Field]) -> str:
     rows = [
         (
             f"`{name}`",
@@ -118,7 +118,7 @@ def _fields(found: Mapping[str, Field]) -> str:
             unit(field),
             field.value.get("description", ""),
         )
-        for name, field in found.items()
+        for name, field in entries.items()
     ]
     return _markdown(("field", "type", "needed", "unit, bounds", "meaning"), rows)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from ltv_mpc.messages import Acknowledgement, Command, ControllerStatus, Estimate, NodeStatus, Plan, Truth
+from ltv_mpc.messages import Acknowledgement, Command, ControllerStatus, Estimate, Plan, Truth
 from services.bus.topics import BY_TYPE, OPERATOR, TOPICS, Topic, expression
 
 ANYONE = "*"
@@ -25,7 +25,7 @@ HISTORY = "history"
 """Key on which the recorder answers queries of those that may read everything."""
 
 SIMULATED = BY_TYPE[Truth].written_by
-"""Role of the simulated vehicle: it is the clock master, so it reads the others' status, and it arms its controller."""
+"""Role of the simulated vehicle: it arms its controller."""
 
 
 SOURCE_PREFIX = f"{BY_TYPE[Estimate].written_by}-"
@@ -73,7 +73,7 @@ def reads(role: str) -> tuple[str, ...]:
 def _reads(role: str, topic: Topic) -> bool:
     if role in EDGES:
         return topic.message_type in EDGE_READS
-    return role in topic.read_by or ANYONE in topic.read_by or (role == SIMULATED and topic.message_type is NodeStatus)
+    return role in topic.read_by or ANYONE in topic.read_by
 
 
 def access_control(namespace: str, others: Iterable[str] = ()) -> dict[str, Any]:

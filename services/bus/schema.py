@@ -68,17 +68,17 @@ def fields(kind: type) -> dict[str, Field]:
     }
 
 
-def _description(of: struct.Type) -> Schema:
-    return (of.extra_json_schema or {}) if isinstance(of, struct.Metadata) else {}
+def _description(field_type: struct.Type) -> Schema:
+    return (field_type.extra_json_schema or {}) if isinstance(field_type, struct.Metadata) else {}
 
 
-def _object(found: dict[str, Field]) -> Schema:
-    simple = {name: field.value for name, field in found.items() if _is_simple(field.value)}
+def _object(entries: dict[str, Field]) -> Schema:
+    simple = {name: field.value for name, field in entries.items() if _is_simple(field.value)}
     return {
         "type": "object",
         "properties": simple,
-        "patternProperties": {f"^{name}$": field.value for name, field in found.items() if name not in simple},
-        "required": [name for name, field in found.items() if field.required],
+        "patternProperties": {f"^{name}$": field.value for name, field in entries.items() if name not in simple},
+        "required": [name for name, field in entries.items() if field.required],
         "additionalProperties": False,
     }
 
@@ -91,8 +91,8 @@ def _is_simple(value: Schema) -> bool:
     return inside != "array" and not isinstance(inside, list)
 
 
-def _value(of: struct.Type) -> Schema:
-    match plain_type(of):
+def _value(field_type: struct.Type) -> Schema:
+    match plain_type(field_type):
         case struct.BoolType():
             return {"type": "boolean"}
         case struct.IntType(ge=low, le=high):
@@ -114,15 +114,15 @@ def _value(of: struct.Type) -> Schema:
         case struct.StructType(cls=cls):
             return _object(fields(cls))
         case struct.UnionType(types=types):
-            return {"anyOf": [_value(one) for one in types]}
+            return {"anyOf": [_value(member) for member in types]}
         case struct.NoneType():
             return {"type": "null"}
-    raise NotImplementedError(f"{of} is not a type that a message can hold")
+    raise NotImplementedError(f"{field_type} is not a type that a message can hold")
 
 
-def _number_or_null(of: struct.Type) -> Schema:
+def _number_or_null(field_type: struct.Type) -> Schema:
     """Describe an entry of an array: a number, or a number or null where a value may be missing."""
-    if not isinstance(of, struct.UnionType):
-        return _value(of)
-    (number,) = (_value(one) for one in of.types if not isinstance(one, struct.NoneType))
+    if not isinstance(field_type, struct.UnionType):
+        return _value(field_type)
+    (number,) = (_value(member) for member in field_type.types if not isinstance(member, struct.NoneType))
     return number | {"type": [number["type"], "null"]}

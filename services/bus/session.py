@@ -195,9 +195,10 @@ class Session:
 
         def on_sample(sample: zenoh.Sample) -> None:
             name = str(sample.key_expr)
-            of, payload = topic or topic_at(name), sample.payload.to_bytes()
-            for message in split(payload) if of is not None and of.message_type in BATCHED else (payload,):
-                offer(of, name, message)
+            topic_of_key, payload = topic or topic_at(name), sample.payload.to_bytes()
+            is_batch = topic_of_key is not None and topic_of_key.message_type in BATCHED
+            for message in split(payload) if is_batch else (payload,):
+                offer(topic_of_key, name, message)
 
         self._subscribers.append(
             self._session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))

@@ -74,6 +74,8 @@ class Topic(msgspec.Struct, frozen=True):
     ``written_by`` is the only writer. "*" stands for every node, which then appends its name to the key. ``OPERATOR``
     stands for any source of commands: several may publish on one key, each under an epoch of its own. Of a type in
     ``NAMED`` other sources may publish beside the writer, on keys of their own.
+    ``read_by`` are the processes that subscribe; "*" stands for every process. A type whose only reader is the process
+    that publishes it, such as ``CycleTiming``, reaches its node without the bus.
     ``period_ns`` is the vehicle time between two messages, 0 if they are published on events.
     """
 
@@ -120,7 +122,7 @@ TOPICS = (
     Topic(Clock,              "clock",                            0, EVERY,    "plant",      ("*",)),
     Topic(ClockCommand,       "clock/command",                    0, EVERY,    OPERATOR,     ("plant",)),
     Topic(Kill,               "world/kill",                       0, EVERY,    OPERATOR,     ("supervisor",)),
-    Topic(NodeStatus,         "status",                           0, EVERY,    "*",          ("supervisor",)),
+    Topic(NodeStatus,         "status",                           0, EVERY,    "*",          ("supervisor", "plant")),
     Topic(NodeSettings,       "settings",        10_000_000_000, EVERY,    "*",          ()),
     Topic(StepRecord,         "record",                           0, EVERY,    "*",          ()),
     Topic(RejectedFrame,      "rejected",                         0, EVERY,    "*",          ()),

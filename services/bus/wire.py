@@ -51,27 +51,27 @@ class WireError(ValueError):
     """Rejection of a frame; the text is the reason."""
 
 
-def to_map(signal: Message, header: Header) -> dict[str, Any]:
+def to_map(message: Message, header: Header) -> dict[str, Any]:
     """Return header and message as one map of builtins: numbers, text, lists, maps, null."""
-    message: dict[str, Any] = {
+    plain_map: dict[str, Any] = {
         "epoch": header.epoch,
         "sequence": header.sequence,
         "sent_monotonic_us": header.sent_monotonic_us,
     }
-    message.update(msgspec.to_builtins(signal, enc_hook=to_wire))
-    if message["epoch"] != header.epoch:
-        raise ValueError(f"a record of epoch {message['epoch']} cannot be sent by epoch {header.epoch}")
-    return message
+    plain_map.update(msgspec.to_builtins(message, enc_hook=to_wire))
+    if plain_map["epoch"] != header.epoch:
+        raise ValueError(f"a record of epoch {plain_map['epoch']} cannot be sent by epoch {header.epoch}")
+    return plain_map
 
 
-def encode(signal: Message, header: Header) -> bytes:
+def encode(message: Message, header: Header) -> bytes:
     """Return the frame of a message."""
-    return pack(to_map(signal, header))
+    return pack(to_map(message, header))
 
 
-def pack(message: Mapping[str, Any]) -> bytes:
+def pack(plain_map: Mapping[str, Any]) -> bytes:
     """Return the frame of a map from ``to_map``."""
-    payload: bytes = msgpack.packb(message)
+    payload: bytes = msgpack.packb(plain_map)
     return payload
 
 
@@ -80,33 +80,33 @@ def decode(kind: type[S], payload: bytes) -> tuple[S, Header]:
     return from_map(kind, unpack(payload))
 
 
-def from_map(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
+def from_map(kind: type[S], plain_map: dict[str, Any]) -> tuple[S, Header]:
     """Return message and header of a map from ``unpack`` or from a recording's JSON.
 
     Raises ``WireError``, and nothing else.
     """
-    header = header_of(message)
-    signal = _checked(_signal, kind, message)
-    reason = _checked(rejection_reason, signal)
+    header = header_of(plain_map)
+    message = _checked(_converted_message, kind, plain_map)
+    reason = _checked(rejection_reason, message)
     if reason is not None:
         raise WireError(reason)
-    return signal, header
+    return message, header
 
 
-def from_validated_map(kind: type[S], message: dict[str, Any]) -> S:
+def from_validated_map(kind: type[S], plain_map: dict[str, Any]) -> S:
     """Return the message of a map that has been accepted before, without another validation. Raises ``WireError``."""
-    signal: S = _checked(_signal, kind, message)
-    return signal
+    message: S = _checked(_converted_message, kind, plain_map)
+    return message
 
 
 def unpack(payload: bytes) -> dict[str, Any]:
     """Return the untyped map of a frame, for the recorder. Raises ``WireError``."""
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise WireError(f"too large: {len(payload)} bytes, at most {MAX_PAYLOAD_BYTES}")
-    message = _checked(msgpack.unpackb, payload)
-    if not isinstance(message, dict):
+    plain_map = _checked(msgpack.unpackb, payload)
+    if not isinstance(plain_map, dict):
         raise WireError("not a map")
-    return message
+    return plain_map
 
 
 def split(frame: bytes) -> list[bytes]:
@@ -127,9 +127,9 @@ def split(frame: bytes) -> list[bytes]:
     return [frame[start:end] for start, end in pairwise(ends)]
 
 
-def header_of(message: dict[str, Any]) -> Header:
+def header_of(plain_map: dict[str, Any]) -> Header:
     """Return the header of a map from ``unpack``, within its bounds. Raises ``WireError``, and nothing else."""
-    header: Header = _checked(_converted, message, Header)
+    header: Header = _checked(_converted, plain_map, Header)
     return header
 
 
@@ -164,37 +164,37 @@ def _checked(function: Callable[..., T], *args: object) -> T:
 HEADER_FIELDS = Header.__struct_fields__
 
 
-def _signal(kind: type[S], message: dict[str, Any]) -> S:
+def _converted_message(kind: type[S], plain_map: dict[str, Any]) -> S:
     # A StepRecord has an ``epoch`` of its own. It is its sender's, so one entry of the map holds both.
-    own = message.copy()
+    own = plain_map.copy()
     for name in HEADER_FIELDS:
         if name not in kind.__struct_fields__:
             own.pop(name, None)
     return _converted(own, kind)
 
 
-def _converted(message: dict[str, Any], kind: type[T]) -> T:
+def _converted(plain_map: dict[str, Any], kind: type[T]) -> T:
     try:
-        return msgspec.convert(message, kind, dec_hook=from_wire)
+        return msgspec.convert(plain_map, kind, dec_hook=from_wire)
     except msgspec.ValidationError as error:
-        raise WireError(_with_value(str(error), message)) from None
+        raise WireError(_with_value(str(error), plain_map)) from None
 
 
 _AT = re.compile(r" - at `\$\.?(.*)`$")
 _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 
 
-def _with_value(text: str, message: Any) -> str:
+def _with_value(text: str, plain_map: Any) -> str:
     """Return msgspec's reason as ``field = value: reason``, the value only where it is a number."""
-    found = _AT.search(text)
-    if found is None:
+    match = _AT.search(text)
+    if match is None:
         return text
-    field = found[1]
-    value = message
+    field = match[1]
+    value = plain_map
     try:
         for name, index in _STEP.findall(field):
             value = value[name or int(index)]
     except (LookupError, TypeError):  # an entry of a map has no place in msgspec's path
         value = None
-    reason = text[: found.start()]
+    reason = text[: match.start()]
     return f"{field} = {value}: {reason}" if isinstance(value, int | float) else f"{field}: {reason}"

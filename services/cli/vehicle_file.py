@@ -132,12 +132,13 @@ def identify(
     from services.reporting.terminal import reading_progress
 
     with reading_progress(folder.recording):
-        result, found = vehicle_identify.identify_run(folder, loaded, known.value, known_yaw.value)
-    typer.echo(_json(result) if as_json else vehicle_identify.table(result))
+        report, identification = vehicle_identify.identify_run(folder, loaded, known.value, known_yaw.value)
+    typer.echo(_json(report) if as_json else vehicle_identify.format_text(report))
     if out is not None:
         from ltv_mpc.vehicle.identification import with_coefficients
 
-        _write(out, vehicle_identify.toml(result, with_coefficients(loaded, found.found)), force=force, quiet=as_json)
+        identified = with_coefficients(loaded, identification.coefficients)
+        _write(out, vehicle_identify.format_toml(report, identified), force=force, quiet=as_json)
 
 
 def _json(result: object) -> str:

@@ -97,7 +97,7 @@ class BusFeed:
         self._newest = LatestCache()
         self._every = Mailbox(WAITING)
         self._seen: dict[str, bytes] = {}
-        self._signals: dict[type[Message], Message] = {}
+        self._newest_messages: dict[type[Message], Message] = {}
         self._processes: dict[str, tuple[NodeStatus, float]] = {}
         self._clock = VehicleClock()
         self._heartbeats = Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(Heartbeat,))
@@ -119,8 +119,8 @@ class BusFeed:
         """Process the messages received since the last call; nothing while the history is awaited."""
         if self._history.awaited:
             return
-        for signal, header in self._history.take():
-            self._receive(signal, header, time.monotonic())
+        for message, header in self._history.take():
+            self._receive(message, header, time.monotonic())
         for key, newest in sorted(self._newest.items(), key=_clock_first):
             if self._seen.get(key) is newest.payload:
                 continue
@@ -177,16 +177,16 @@ class BusFeed:
         estimate = self.collector.newest.estimate
         return estimate.t_ns if reading is None and estimate is not None else reading
 
-    def _receive(self, signal: Message, header: Header, came_s: float) -> None:
+    def _receive(self, message: Message, header: Header, came_s: float) -> None:
         controller = self._of(ControllerStatus)
-        if isinstance(signal, Estimate) and controller is not None and header.epoch != controller.source_epoch != 0:
+        if isinstance(message, Estimate) and controller is not None and header.epoch != controller.source_epoch != 0:
             return  # of another source than the one in use
-        if isinstance(signal, Clock):
-            self._receive_clock(signal)
-        if isinstance(signal, NodeStatus):
-            self._processes[signal.node] = (signal, came_s)
-        self._signals[type(signal)] = signal
-        self.collector.add(signal, header.epoch)
+        if isinstance(message, Clock):
+            self._receive_clock(message)
+        if isinstance(message, NodeStatus):
+            self._processes[message.node] = (message, came_s)
+        self._newest_messages[type(message)] = message
+        self.collector.add(message, header.epoch)
 
     def _receive_clock(self, clock: Clock) -> None:
         newest = self._of(Clock)
@@ -199,12 +199,12 @@ class BusFeed:
         self.run += 1
         self.collector = Collector(self._vehicle)
         self._clock = VehicleClock()
-        self._signals.clear()
+        self._newest_messages.clear()
         self._processes.clear()
 
     def _of(self, kind: type[S]) -> S | None:
-        signal = self._signals.get(kind)
-        return signal if isinstance(signal, kind) else None
+        message = self._newest_messages.get(kind)
+        return message if isinstance(message, kind) else None
 
     def _process_rows(self, *, paused: bool) -> tuple[Process, ...]:
         now_s = time.monotonic()

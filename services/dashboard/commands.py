@@ -113,9 +113,9 @@ def _by_controller(request: ButtonRequest, answer: Acknowledgement | RejectedFra
             return _reply(request, f"no reply from a controller within {TIMEOUT_S:.0f} s")
 
 
-def _sent(request: ButtonRequest, session: Session, signal: Message, text: str) -> ButtonReply:
+def _sent(request: ButtonRequest, session: Session, message: Message, text: str) -> ButtonReply:
     """Publish a message that has no acknowledgement; its effect shows on the page."""
-    Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(type(signal),)).publish(signal)
+    Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(type(message),)).publish(message)
     return _reply(request, text, done=True)
 
 

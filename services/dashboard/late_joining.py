@@ -24,7 +24,7 @@ MAX_TIME_NS = 10**19
 class Past(NamedTuple):
     """Message of the past with its header."""
 
-    signal: Message
+    message: Message
     header: Header
 
 
@@ -48,13 +48,13 @@ class HistoryQuery:
         if self._given is not None:
             return []
         messages = self._messages()
-        self._given = {(type(past.signal), past.header.epoch, past.header.sequence) for past in messages}
+        self._given = {(type(past.message), past.header.epoch, past.header.sequence) for past in messages}
         self._frames.clear()
         return messages
 
-    def had(self, signal: Message, header: Header) -> bool:
+    def had(self, message: Message, header: Header) -> bool:
         """Return True if the history had this message, which then was sent while it was awaited."""
-        return (type(signal), header.epoch, header.sequence) in (self._given or ())
+        return (type(message), header.epoch, header.sequence) in (self._given or ())
 
     def _messages(self) -> list[Past]:
         """Return the messages in order, without invalid ones and without estimates of a source that is not in use."""
@@ -68,13 +68,13 @@ class HistoryQuery:
             for payload in payloads if topic is not None else ():
                 assert topic is not None
                 try:
-                    signal, header = decode(topic.message_type, payload)
+                    message, header = decode(topic.message_type, payload)
                 except WireError:
                     continue
-                found.append(Past(signal, header))
-        sources = {past.signal.source_epoch for past in found if isinstance(past.signal, ControllerStatus)} - {0}
+                found.append(Past(message, header))
+        sources = {past.message.source_epoch for past in found if isinstance(past.message, ControllerStatus)} - {0}
         if sources:
-            found = [past for past in found if not isinstance(past.signal, Estimate) or past.header.epoch in sources]
+            found = [past for past in found if not isinstance(past.message, Estimate) or past.header.epoch in sources]
         return sorted(found, key=_order)
 
     def _receive(self, frame: bytes) -> None:
@@ -84,6 +84,6 @@ class HistoryQuery:
 
 def _order(past: Past) -> tuple[int, bool]:
     """Return a sort key: the vehicle time, then the truth first, so that the start error has one for its estimate."""
-    signal = past.signal
-    t_ns = getattr(signal, TIMES.get(type(signal), "t_ns"), -MAX_TIME_NS)
-    return t_ns, not isinstance(signal, Truth)
+    message = past.message
+    t_ns = getattr(message, TIMES.get(type(message), "t_ns"), -MAX_TIME_NS)
+    return t_ns, not isinstance(message, Truth)

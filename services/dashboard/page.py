@@ -104,7 +104,7 @@ async def _live(socket: WebSocket, stream: Stream, commands: _Commands, about: A
     await socket.send_text(msgspec.json.encode(hello).decode())
     stream.readers.add(reader)
     both = _send(socket, reader), _obey(socket, reader, commands)
-    tasks = [asyncio.create_task(one) for one in both]
+    tasks = [asyncio.create_task(work) for work in both]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
@@ -132,29 +132,29 @@ async def _reply(text: str, commands: _Commands) -> ButtonReply | None:
     """Return the reply to a command; None to a heartbeat and to the report that the page is drawn."""
     feed = commands.feed
     try:
-        asked = REQUEST.decode(text)
+        request = REQUEST.decode(text)
     except ValueError as error:  # includes the errors of msgspec
         return ButtonReply(number=0, done=False, text=f"no such command: {error}")
-    if asked.button is Button.DRAWN:
+    if request.button is Button.DRAWN:
         commands.on_view(View.DRAWN)
         return None
-    if not commands.token.matches(asked.token):
+    if not commands.token.matches(request.token):
         return ButtonReply(
-            number=asked.number, done=False, text="read-only: open the printed address, which carries the token"
+            number=request.number, done=False, text="read-only: open the printed address, which carries the token"
         )
-    if asked.button is Button.HEARTBEAT:
+    if request.button is Button.HEARTBEAT:
         feed.beat()
         return None
     moment = feed.status()
-    if asked.button in SIMULATED and not moment.simulated:
-        return ButtonReply(number=asked.number, done=False, text=f"{asked.button.value} works in a simulation only")
+    if request.button in SIMULATED and not moment.simulated:
+        return ButtonReply(number=request.number, done=False, text=f"{request.button.value} works in a simulation only")
     known = [process.name for process in moment.processes]
-    if asked.button is Button.KILL and asked.node not in known:
-        problem = f"kill refused: {format_value(asked.node)}: must be one of {', '.join(known)}"
-        return ButtonReply(number=asked.number, done=False, text=problem)
-    return await asyncio.to_thread(commands.command, asked, feed.t_ns(), moment.requested_speed)
+    if request.button is Button.KILL and request.node not in known:
+        problem = f"kill refused: {format_value(request.node)}: must be one of {', '.join(known)}"
+        return ButtonReply(number=request.number, done=False, text=problem)
+    return await asyncio.to_thread(commands.command, request, feed.t_ns(), moment.requested_speed)
 
 
 def commander(bus: BusOptions) -> Do:
     """Return the function that executes commands on this bus."""
-    return lambda asked, t_ns, speed: do(asked, bus, t_ns, speed)
+    return lambda request, t_ns, speed: do(request, bus, t_ns, speed)

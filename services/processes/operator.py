@@ -75,13 +75,13 @@ def send_command(session: Session, action: Action, **fields: Any) -> Acknowledge
         if frame is None or frame.topic is None:
             continue
         try:
-            signal, _ = decode(frame.topic.message_type, frame.payload)
+            message, _ = decode(frame.topic.message_type, frame.payload)
         except WireError:
             continue
-        if isinstance(signal, Acknowledgement) and signal.command_id == command.command_id:
-            return signal
-        if isinstance(signal, RejectedFrame) and (signal.key, signal.crc) == (sent.key, sent.crc):
-            return signal
+        if isinstance(message, Acknowledgement) and message.command_id == command.command_id:
+            return message
+        if isinstance(message, RejectedFrame) and (message.key, message.crc) == (sent.key, sent.crc):
+            return message
     return None
 
 

@@ -103,7 +103,7 @@ class History:
 def read_reply(frame: bytes) -> tuple[str, list[bytes]]:
     """Return the key and the payloads of a reply. Raises ``WireError`` or ``KeyError`` if it is none."""
     content = unpack(frame)
-    return str(content["key"]), [one for one in content["payloads"] if isinstance(one, bytes)]
+    return str(content["key"]), [payload for payload in content["payloads"] if isinstance(payload, bytes)]
 
 
 def _shortened(kind: type[Message], message: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -195,12 +195,12 @@ def read(parts: Sequence[Path]) -> Info:
         segments.append(_segment(reader, collector))
         metadata = metadata or reader.metadata
         recovered = recovered or RECOVERY in reader.others
-    keys = tuple(_key(name, of) for name, of in sorted(collector.keys.items()))
+    keys = tuple(_key(name, statistics) for name, statistics in sorted(collector.keys.items()))
     first = min((key.first_s for key in keys), default=0.0)
     last = max((key.last_s for key in keys), default=0.0)
     scenario = _scenario(metadata)
     published = {name: text for settings in collector.settings.values() for name, text in settings.files.items()}
-    made_by = _table(scenario, "made_by") or next((of.made_by for of in collector.settings.values()), {})
+    made_by = _table(scenario, "made_by") or next((settings.made_by for settings in collector.settings.values()), {})
     return Info(
         recording=str(parts[0]),
         scenario=_text(scenario, "title"),
@@ -243,22 +243,22 @@ def _segment(reader: SegmentReader, collector: _Collector) -> Segment:
     )
 
 
-def _key(name: str, of: _KeyStatistics) -> Key:
+def _key(name: str, statistics: _KeyStatistics) -> Key:
     topic = topics.topic_at(name)
-    messages = sum(source.gaps.messages for source in of.sources.values())
-    first_ns = of.first_ns or 0
-    over_ns = of.last_ns - first_ns
+    messages = sum(source.gaps.messages for source in statistics.sources.values())
+    first_ns = statistics.first_ns or 0
+    over_ns = statistics.last_ns - first_ns
     return Key(
         key=name,
         message="" if topic is None else topic.message_type.__name__,
         messages=messages,
         rate_hz=1e9 * (messages - 1) / over_ns if over_ns > 0 else None,
         first_s=first_ns / 1e9,
-        last_s=of.last_ns / 1e9,
-        silence_s=of.silence_ns / 1e9,
-        silence_from_s=of.silence_from_ns / 1e9,
-        bytes=of.bytes,
-        missing=sum(source.gaps.missing for source in of.sources.values()),
+        last_s=statistics.last_ns / 1e9,
+        silence_s=statistics.silence_ns / 1e9,
+        silence_from_s=statistics.silence_from_ns / 1e9,
+        bytes=statistics.bytes,
+        missing=sum(source.gaps.missing for source in statistics.sources.values()),
         sources=tuple(
             Source(
                 epoch=epoch,
@@ -270,7 +270,7 @@ def _key(name: str, of: _KeyStatistics) -> Key:
                 doubled=source.gaps.doubled,
                 gaps=source.gaps.ranges[:MAX_GAPS],
             )
-            for epoch, source in of.sources.items()
+            for epoch, source in statistics.sources.items()
         ),
     )
 

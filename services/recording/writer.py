@@ -60,9 +60,9 @@ class RunWriter:
             self._close()
             raise
 
-    def write(self, writer: str, signal: Message, header: wire.Header, t_ns: int) -> None:
+    def write(self, writer: str, message: Message, header: wire.Header, t_ns: int) -> None:
         """Write a message that node ``writer`` published at vehicle time ``t_ns``."""
-        self.write_plain(topics.key_of(type(signal), writer), type(signal), wire.to_map(signal, header), t_ns)
+        self.write_plain(topics.key_of(type(message), writer), type(message), wire.to_map(message, header), t_ns)
 
     def write_plain(
         self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int | None = None

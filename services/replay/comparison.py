@@ -34,7 +34,7 @@ _Name: TypeAlias = tuple[str, int]
 class _Output(NamedTuple):
     step: int
     t_ns: int
-    signal: Message
+    message: Message
 
 
 class StepCounts:
@@ -116,7 +116,7 @@ class Comparison:
         next_ones = [sequence == self._next.get(key, 0) for key, sequence in first.items()]
         return any(next_ones) and not all(next_ones)
 
-    def add_replayed(self, step: Step, signals: Sequence[Message]) -> None:
+    def add_replayed(self, step: Step, messages: Sequence[Message]) -> None:
         """Add the outputs of a replayed step."""
         self.counts.replayed += 1
         self._last = step.number, step.t_ns
@@ -124,11 +124,11 @@ class Comparison:
             if entry.epoch == step.epoch:  # from the node's own process: the state that it started from
                 self._next[entry.key] = entry.sequence + 1
                 self._recorded.pop((entry.key, entry.sequence), None)
-        for signal in signals:
-            key = key_of(type(signal), self._node)
+        for message in messages:
+            key = key_of(type(message), self._node)
             sequence = self._next.get(key, 0)
             self._next[key] = sequence + 1
-            self._replayed[key, sequence] = _Output(step.number, step.t_ns, signal)
+            self._replayed[key, sequence] = _Output(step.number, step.t_ns, message)
             for stored, header in self._recorded.pop((key, sequence), ()):
                 self._compare((key, sequence), stored, header)
 
@@ -178,7 +178,7 @@ class Comparison:
         output = self._replayed.get(name)
         if output is None:
             return  # a copy of an output that is identical
-        plain = wire.to_map(output.signal, header)
+        plain = wire.to_map(output.message, header)
         if msgspec.json.encode(plain) == stored.data and wire.crc(wire.pack(plain)) == stored.crc:
             del self._replayed[name]
             self._different.pop(name, None)
@@ -192,11 +192,11 @@ class Comparison:
         stored, header = self._different.pop(name)
         output = self._replayed.pop(name)
         self.counts.outputs_compared += 1
-        self.counts.add_difference(output, *name, "", _fields(_json(output.signal, header), stored.data))
+        self.counts.add_difference(output, *name, "", _fields(_json(output.message, header), stored.data))
 
 
-def _json(signal: Message, header: Header) -> bytes:
-    return msgspec.json.encode(wire.to_map(signal, header))
+def _json(message: Message, header: Header) -> bytes:
+    return msgspec.json.encode(wire.to_map(message, header))
 
 
 def _fields(replayed: bytes, recorded: bytes) -> list[FieldDifference]:

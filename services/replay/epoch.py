@@ -50,7 +50,7 @@ class Outcome(Protocol):
         """True if the file has outputs of later steps than were replayed."""
         ...
 
-    def add_replayed(self, step: Step, signals: Sequence[Message]) -> None:
+    def add_replayed(self, step: Step, messages: Sequence[Message]) -> None:
         """Add the outputs of a replayed step."""
         ...
 
@@ -148,12 +148,12 @@ class Epoch:
                 return
         self._next += 1
         try:
-            (signals,) = self._node.steps([(step.t_ns, arrivals)])
+            (messages,) = self._node.steps([(step.t_ns, arrivals)])
         except Exception as error:
             self.outcome.step_failed(step, error)
             self._stop(f"the replayed step {step.number} raised {type(error).__name__}", step.t_ns)
             return
-        self.outcome.add_replayed(step, [shifted(signal, step.shift_ns) for signal in signals])
+        self.outcome.add_replayed(step, [shifted(message, step.shift_ns) for message in messages])
 
     def _stop(self, why: str, t_ns: int | None) -> None:
         steps = self.steps_run - self._next

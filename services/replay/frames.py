@@ -86,7 +86,7 @@ def received_message(stored: StoredMessage, entry: InboxEntry) -> ReceivedMessag
     """Return the entry as the node received it. Raises ``WireError`` if this version has no such message."""
     if stored.kind is None:
         raise wire.WireError(f"{stored.key}: no topic has this key")
-    signal = wire.from_validated_map(stored.kind, msgspec.json.decode(stored.data))
+    message = wire.from_validated_map(stored.kind, msgspec.json.decode(stored.data))
     return ReceivedMessage(
-        shifted(signal, entry.shift_ns), entry.epoch, entry.sequence, entry.received_t_ns, source_of(entry.key)
+        shifted(message, entry.shift_ns), entry.epoch, entry.sequence, entry.received_t_ns, source_of(entry.key)
     )

@@ -88,10 +88,10 @@ def replay(run: Run, *, only: str | None = None, progress: Progress = lambda _: 
         done = _compared(run, here, progress)
     else:
         with ProcessPoolExecutor(len(groups), mp_context=multiprocessing.get_context(_start_method())) as pool:
-            theirs: list[Future[_Done]] = [pool.submit(_compared_alone, run.path, group) for group in groups]
+            futures: list[Future[_Done]] = [pool.submit(_compared_alone, run.path, group) for group in groups]
             done = _compared(run, here, progress)
-            for others in theirs:
-                done = done.merged(others.result())
+            for future in futures:
+                done = done.merged(future.result())
     wall_s = time.monotonic() - started_s
     verdicts = tuple(sorted(done.nodes, key=lambda verdict: names.index(verdict.node)))
     return _verdict(run, verdicts, done, wall_s)
@@ -157,14 +157,14 @@ def _node_verdict(part: NodeReplay[Comparison]) -> NodeVerdict:
         node=part.name,
         starts=len(part.epochs),
         steps_run=sum(epoch.steps_run for epoch in part.epochs.values()),
-        steps_compared=sum(one.compared for one in counts),
-        steps_identical=sum(one.identical for one in counts),
-        outputs_compared=sum(one.outputs_compared for one in counts),
-        outputs_lost=sum(one.outputs_lost for one in counts),
-        outputs_unpublished=sum(one.outputs_unpublished for one in counts),
+        steps_compared=sum(count.compared for count in counts),
+        steps_identical=sum(count.identical for count in counts),
+        outputs_compared=sum(count.outputs_compared for count in counts),
+        outputs_lost=sum(count.outputs_lost for count in counts),
+        outputs_unpublished=sum(count.outputs_unpublished for count in counts),
         gaps=tuple(gaps[:MAX_GAPS]),
         more_gaps=max(0, len(gaps) - MAX_GAPS),
-        first_difference=first([one.first_difference for one in counts]),
+        first_difference=first([count.first_difference for count in counts]),
     )
 
 

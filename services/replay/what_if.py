@@ -31,7 +31,7 @@ MAX_WAITING = 1000
 class _Kind(NamedTuple):
     """Comparison of two messages of one node."""
 
-    signal: type[Message]
+    message_type: type[Message]
     columns: tuple[tuple[str, str], ...]  # quantity and unit
     time: Callable[[Any], int]  # time that identifies a pair
     deviations: Callable[[Any, Any], Array]  # recorded, replayed -> (K, columns)
@@ -102,7 +102,7 @@ class WhatIf:
     @property
     def kind(self) -> type[Message]:
         """Output type that is compared."""
-        return self._kind.signal
+        return self._kind.message_type
 
     @property
     def deviations(self) -> tuple[Deviation, ...]:
@@ -129,19 +129,19 @@ class WhatIf:
         """Return the consumer of one epoch's outputs."""
         return WhatIfEpoch(self, epoch)
 
-    def add(self, epoch: int, signal: Message, *, replayed: bool) -> None:
+    def add(self, epoch: int, message: Message, *, replayed: bool) -> None:
         """Add a message of one side, in any order. Messages of another type, or of a paired time, are skipped."""
         kind = self._kind
-        if not isinstance(signal, kind.signal):
+        if not isinstance(message, kind.message_type):
             return
-        (self.replayed if replayed else self.recorded)[kind.origin(signal)] += 1
-        name = epoch, kind.time(signal)
+        (self.replayed if replayed else self.recorded)[kind.origin(message)] += 1
+        name = epoch, kind.time(message)
         other = self._waiting[not replayed].pop(name, None)
         if other is not None:
-            self._pair(kind.deviations(other, signal) if replayed else kind.deviations(signal, other))
+            self._pair(kind.deviations(other, message) if replayed else kind.deviations(message, other))
             return
         mine = self._waiting[replayed]
-        mine[name] = signal
+        mine[name] = message
         if len(mine) > MAX_WAITING:
             del mine[next(iter(mine))]
 
@@ -167,11 +167,11 @@ class WhatIfEpoch:
         """False: outputs without a counterpart are skipped."""
         return False
 
-    def add_replayed(self, step: Step, signals: Sequence[Message]) -> None:  # noqa: ARG002
+    def add_replayed(self, step: Step, messages: Sequence[Message]) -> None:  # noqa: ARG002
         """Add the outputs of a replayed step."""
         self._comparison.steps += 1
-        for signal in signals:
-            self._comparison.add(self._epoch, signal, replayed=True)
+        for message in messages:
+            self._comparison.add(self._epoch, message, replayed=True)
 
     def step_failed(self, step: Step, error: Exception) -> None:
         """Raise: other settings must not break a node."""
@@ -182,8 +182,8 @@ class WhatIfEpoch:
         if stored.kind is not self._comparison.kind:
             return
         with contextlib.suppress(wire.WireError):  # an invalid message on this key
-            signal = wire.from_validated_map(stored.kind, msgspec.json.decode(stored.data))
-            self._comparison.add(self._epoch, signal, replayed=False)
+            message = wire.from_validated_map(stored.kind, msgspec.json.decode(stored.data))
+            self._comparison.add(self._epoch, message, replayed=False)
 
     def stop(self) -> None:
         """Do nothing: outputs without a counterpart are skipped."""

@@ -21,7 +21,7 @@ def assessment(summary: Mapping[str, Any]) -> list[str]:
 def _error(summary: Mapping[str, Any]) -> str:
     """Name the error and the part that is larger: the controller's or the estimator's."""
     tracking, true, localisation = (
-        _figure(summary, f"{of}_error_m", "mean") for of in ("tracking", "true", "localisation")
+        _figure(summary, f"{error}_error_m", "mean") for error in ("tracking", "true", "localisation")
     )
     if tracking is None:
         return ""

@@ -91,10 +91,10 @@ def plots_with_data(plot_data: Sequence[PlotData]) -> list[Plot]:
     """
     plots = []
     for plot in (*PLOTS, *REVIEW):
-        series = [one for one in plot.series if any(_has_data(data, one) for data in plot_data)]
+        series = [part for part in plot.series if any(_has_data(data, part) for data in plot_data)]
         simulated = any(data.metadata.get("mode") != VEHICLE_MODE for data in plot_data)
         if series or (simulated and plot.empty != NO_DATA):
-            levels = tuple(one for one in plot.levels if any(one.value in data.values for data in plot_data))
+            levels = tuple(level for level in plot.levels if any(level.value in data.values for data in plot_data))
             plots.append(msgspec.structs.replace(plot, series=tuple(series) or plot.series, levels=levels))
     return plots
 

@@ -53,10 +53,10 @@ def how(summary: Mapping[str, Any]) -> str:
     return f"as processes at {f'{reached:.1f} of ' if short else ''}{asked:g} x real time"
 
 
-def _error(spread: Mapping[str, float | None], of: str) -> str:
+def _error(spread: Mapping[str, float | None], meaning: str) -> str:
     return (
         f"mean {_figure(spread['mean'], '.3f')}, max {_figure(spread['max'], '.3f')},"
-        f" end {_figure(spread['final'], '.3f')} m ({of})"
+        f" end {_figure(spread['final'], '.3f')} m ({meaning})"
     )
 
 

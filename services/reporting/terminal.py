@@ -297,9 +297,9 @@ def _processes(view: LiveView) -> Table:
 
 def observe(collector: Collector, view: LiveView) -> None:
     """Pass a view to the collector of the plots, for the distance that page and report show too."""
-    for signal in (view.truth, view.estimate, view.plan):
-        if signal is not None:
-            collector.add(signal, epoch=0)
+    for message in (view.truth, view.estimate, view.plan):
+        if message is not None:
+            collector.add(message, epoch=0)
 
 
 def _since(collector: Collector) -> str:

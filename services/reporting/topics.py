@@ -19,29 +19,29 @@ def text(key: str | None, *, as_json: bool) -> str:
     if key is None:
         rows = [_row(topic) for topic in TOPICS]
         return json.dumps(rows, indent=2) + "\n" if as_json else _table(rows)
-    found = _at(key)
+    topic = _at(key)
     if as_json:
-        fields = {name: words(field.value) for name, field in message(found.message_type).items()}
-        return json.dumps(_row(found) | {"fields": fields}, indent=2) + "\n"
-    about = cleandoc(found.message_type.__doc__ or "").replace("``", "")
+        fields = {name: words(field.value) for name, field in message(topic.message_type).items()}
+        return json.dumps(_row(topic) | {"fields": fields}, indent=2) + "\n"
+    about = cleandoc(topic.message_type.__doc__ or "").replace("``", "")
     return (
-        "\n".join([f"{key}: {found.message_type.__name__}", about, "", *_columns(_fields(found.message_type))]) + "\n"
+        "\n".join([f"{key}: {topic.message_type.__name__}", about, "", *_columns(_fields(topic.message_type))]) + "\n"
     )
 
 
 def schemas(key: str | None) -> str:
     """Return the JSON Schema of the message on ``key``, or of every topic by key. Raises ``ConfigError``."""
-    found = (
+    by_key = (
         {topic.key: schema(topic.message_type) for topic in TOPICS} if key is None else schema(_at(key).message_type)
     )
-    return json.dumps(found, indent=2) + "\n"
+    return json.dumps(by_key, indent=2) + "\n"
 
 
 def _at(key: str) -> Topic:
-    found = next((topic for topic in TOPICS if topic.key == key), None)
-    if found is None:
+    topic = next((topic for topic in TOPICS if topic.key == key), None)
+    if topic is None:
         raise ConfigError(f"topic {format_value(key)}", "", f"is not a topic{suggestion(key, [t.key for t in TOPICS])}")
-    return found
+    return topic
 
 
 def _row(topic: Topic) -> dict[str, Any]:
@@ -75,11 +75,11 @@ def _period(period_ns: int) -> str:
     return f"{period_ns / 1e6:.4g} ms" if period_ns else "on events"
 
 
-def _fields(signal: type[Message]) -> list[tuple[str, ...]]:
+def _fields(message_type: type[Message]) -> list[tuple[str, ...]]:
     """List name, type on the bus, presence and unit of each field, the fields of the header first."""
     return [
         (name, words(field.value), "" if field.required else "optional", unit(field))
-        for name, field in message(signal).items()
+        for name, field in message(message_type).items()
     ]
 
 

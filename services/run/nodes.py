@@ -11,11 +11,13 @@ from sim.plant import Plant
 from sim.sensors.node import Sensors
 
 
-def make_nodes(run_config: RunConfig, *, unread: bool = True, make_solver: SolverFactory = make) -> list[Node]:
+def make_nodes(
+    run_config: RunConfig, *, publish_unread_topics: bool = True, make_solver: SolverFactory = make
+) -> list[Node]:
     """Build every node of a run, in the order of the process table.
 
-    With ``unread`` the sensors also publish what no other node reads, as a recording needs it. ``make_solver`` makes
-    the controller's solver.
+    With ``publish_unread_topics`` the sensors also publish messages that no other node reads, for a recording.
+    ``make_solver`` makes the controller's solver.
     """
     scenario = run_config.scenario
     plant = Plant(scenario, run_config.vehicle, run_config.water)
@@ -30,5 +32,5 @@ def make_nodes(run_config: RunConfig, *, unread: bool = True, make_solver: Solve
     ]
     if not scenario.run.perfect_state:  # else the sensors themselves write the estimate
         aboard.insert(0, Estimator(run_config.sensor_config, scenario.estimator, run_config.prior))
-    read = None if unread else frozenset(kind for node in aboard for kind in node.reads)
-    return [plant, Sensors(scenario, run_config.sensor_config, run_config.water, needed=read), *aboard]
+    needed_types = None if publish_unread_topics else frozenset(kind for node in aboard for kind in node.reads)
+    return [plant, Sensors(scenario, run_config.sensor_config, run_config.water, needed=needed_types), *aboard]

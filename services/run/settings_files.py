@@ -42,9 +42,9 @@ def controller_files(vehicle: str, reference: str, fence: str, settings: Control
     ``vehicle`` and ``reference`` are NAME or FILE, ``fence`` is a FILE or empty.
     """
     reference_text = _text(reference, what="reference", package="ltv_mpc.references.files")
-    found = references.load(reference)
-    if isinstance(found, references.Timed):
-        reference_text = config.to_toml(found)  # with the rows of the file that it names
+    loaded_reference = references.load(reference)
+    if isinstance(loaded_reference, references.Timed):
+        reference_text = config.to_toml(loaded_reference)  # with the rows of the file that it names
     files = {
         "config/vehicle.toml": _text(vehicle, what="vehicle", package="ltv_mpc.vehicle.files"),
         "config/reference.toml": reference_text,

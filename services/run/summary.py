@@ -86,22 +86,22 @@ def summarise_recording(
     restarted = 0
     reported: Counter[str] = Counter()  # rejected messages on record, by process
     counts: dict[tuple[str, int], int] = {}  # rejected messages by process and epoch of its status
-    for message in Recording(path):
-        epoch, sequence = message.plain["epoch"], message.plain["sequence"]
-        losses.add(message.key, epoch, sequence)
-        if message.kind is RejectedFrame:
-            reported[message.plain["node"]] += 1
-        restarted += message.key == RESTARTS and message.plain["kind"] == "fault"
-        if message.kind is NodeStatus:
-            counts[message.plain["node"], epoch] = message.plain["rejected"]
-        if message.kind in metrics.message_types:
+    for stored in Recording(path):
+        epoch, sequence = stored.plain["epoch"], stored.plain["sequence"]
+        losses.add(stored.key, epoch, sequence)
+        if stored.kind is RejectedFrame:
+            reported[stored.plain["node"]] += 1
+        restarted += stored.key == RESTARTS and stored.plain["kind"] == "fault"
+        if stored.kind is NodeStatus:
+            counts[stored.plain["node"], epoch] = stored.plain["rejected"]
+        if stored.kind in metrics.message_types:
             try:
-                signal, _ = message.typed()
+                message, _ = stored.typed()
             except WireError:  # its readers have rejected it too
                 continue
-            metrics.observe(signal, epoch=epoch, sequence=sequence, t_ns=message.t_ns)
-            if isinstance(signal, Estimate):
-                learned.update(signal)
+            metrics.observe(message, epoch=epoch, sequence=sequence, t_ns=stored.t_ns)
+            if isinstance(message, Estimate):
+                learned.update(message)
     rejected, denied = _rejected_and_denied(reported, counts)
     summary = summarise(
         run_config,

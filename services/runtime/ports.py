@@ -4,11 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ltv_mpc.messages import Clock, ClockStep, CycleTiming, Message, NodeStatus, RejectedFrame, RunEvent, StepRecord
+from ltv_mpc.messages import (
+    Clock,
+    ClockCommand,
+    ClockStep,
+    CycleTiming,
+    Message,
+    NodeStatus,
+    RejectedFrame,
+    RunEvent,
+    StepRecord,
+)
 from ltv_mpc.node import Cycle, Node
 from services.bus.mailbox import Mailbox
 from services.bus.session import Session
 from services.bus.topics import BY_TYPE, NAMED, expression
+
+DELIVERED_BY_PROCESS: tuple[type[Message], ...] = (RejectedFrame, Clock)
+"""Types that each process delivers to its own node, although others publish them too."""
+
+CLOCK_MASTER_INPUTS: tuple[type[Message], ...] = (NodeStatus, ClockCommand)
+"""Types that the clock master's process reads for its clock."""
 
 
 def times_cycles(node: Node) -> bool:
@@ -18,8 +34,7 @@ def times_cycles(node: Node) -> bool:
 
 def inputs(node: Node) -> list[type[Message]]:
     """Return the inputs from other processes. The node's own messages are delivered without the bus."""
-    own = (RejectedFrame, Clock)
-    return [kind for kind in node.reads if BY_TYPE[kind].written_by != node.name and kind not in own]
+    return [kind for kind in node.reads if BY_TYPE[kind].written_by != node.name and kind not in DELIVERED_BY_PROCESS]
 
 
 def outputs(node: Node, *, clock_master: bool) -> list[type[Message]]:

@@ -48,7 +48,7 @@ class _Unpacked(NamedTuple):
     """Frame that is to be written, unpacked."""
 
     frame: Frame
-    message: dict[str, Any]
+    plain_map: dict[str, Any]
     header: Header
 
 
@@ -177,13 +177,13 @@ class RecordingLoop:
         if frame.topic is None:
             raise WireError("unknown key")
         kind = frame.topic.message_type
-        message = unpack(frame.payload)
-        header = header_of(message)
+        plain_map = unpack(frame.payload)
+        header = header_of(plain_map)
         if kind is Clock or kind in STAMPED_INPUTS:
             # A recorder also keeps what its readers reject. Only the time is not taken from it.
             with contextlib.nullcontext() if kind is Clock else contextlib.suppress(WireError):
-                self._time.add(from_map(kind, message)[0], header.epoch, frame.received_monotonic_us)
-        self._waiting.append(_Unpacked(frame, message, header))
+                self._time.add(from_map(kind, plain_map)[0], header.epoch, frame.received_monotonic_us)
+        self._waiting.append(_Unpacked(frame, plain_map, header))
         if len(self._waiting) > MAX_WAITING:
             self._time.follow_host()
         if self._time.known:
@@ -197,13 +197,13 @@ class RecordingLoop:
             except WireError as error:
                 self._reject(unpacked.frame, error)
 
-    def _write(self, frame: Frame, message: dict[str, Any], header: Header) -> None:
+    def _write(self, frame: Frame, plain_map: dict[str, Any], header: Header) -> None:
         assert frame.topic is not None
         kind = frame.topic.message_type
-        signal = from_map(kind, message)[0] if kind is NodeStatus else None
+        message = from_map(kind, plain_map)[0] if kind is NodeStatus else None
         t_ns = self._time.at(header.sent_monotonic_us or frame.received_monotonic_us, frame.received_monotonic_us)
         assert t_ns is not None
-        self._writer.write_plain(frame.key, kind, message, t_ns, crc(frame.payload))
+        self._writer.write_plain(frame.key, kind, plain_map, t_ns, crc(frame.payload))
         self.received += 1
         # A process that has published before this recorder began is counted from its next message on. In a simulation
         # only a restarted recorder begins after the others.
@@ -211,9 +211,9 @@ class RecordingLoop:
         if not self._publish_counts.count(header.epoch, late=begins_late and header.sequence > 0):
             is_new = self._losses.start_at(frame.key, header.epoch, header.sequence)
             if is_new and kind is StepRecord and not self._writer.resumes:
-                self._say(BEGAN_BEFORE.format(message.get("node")))
+                self._say(BEGAN_BEFORE.format(plain_map.get("node")))
         if not self._losses.add(frame.key, header.epoch, header.sequence):
             self._publish_counts.discount(header.epoch)
         self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
-        if isinstance(signal, NodeStatus) and signal.finished:
-            self._publish_counts.set_published(header.epoch, signal.node, signal.published)
+        if isinstance(message, NodeStatus) and message.finished:
+            self._publish_counts.set_published(header.epoch, message.node, message.published)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import gc
 from typing import Protocol, runtime_checkable
 
-from ltv_mpc.messages import Clock, ClockCommand, Message, NodeSettings, NodeStatus
+from ltv_mpc.messages import Clock, NodeSettings
 from ltv_mpc.node import Node
 from services.bus.mailbox import Mailbox
 from services.bus.message_validation import MessageValidator
@@ -132,7 +132,7 @@ class Runner:
         status = NodeStatusReporter(
             node.name, outbox=outbox, counts=validator, mailbox=self.mailbox, waiting=waiting, say=self._say
         )
-        runtime_inputs: list[type[Message]] = [NodeStatus, ClockCommand] if keeps_time else [Clock]
+        runtime_inputs = ports.CLOCK_MASTER_INPUTS if keeps_time else (Clock,)
         ports.subscribe(session, [*ports.inputs(node), *runtime_inputs], self.mailbox)
         if self._master_settings is not None:
             time.master = ClockMaster(

@@ -1,4 +1,6 @@
-"""Fork server: a process that has loaded what the processes of a run need, and forks them. Both its ends are here.
+"""Fork server: a process that has loaded what the processes of a run need, and forks them.
+
+This file holds the supervisor's handle and the server's program.
 
 It makes starts and restarts quicker, because a forked process need not import and load compiled code: a failed
 estimator or controller must be back within 2 s (docs/restarts.md), which spawning often misses. Measured times are in
@@ -7,9 +9,9 @@ docs/notes/process-start.md. The server is the same after a fork, so the second 
     request   module, config and log (JSON), with the child's standard input and heartbeat pipe (descriptors)
     reply     the child's pid; the first reply, ``LOADED``, says that the server is ready
 
-The server has one thread and opens no session, so no lock is held during a fork. It forks twice, and the process in
-between ends at once. The supervisor, as the nearest subreaper, then adopts the child: it can wait for it, and the child
-dies with it, as a spawned one does. If the server dies, its children live on.
+The server has one thread and opens no Zenoh session, so no lock is held during a fork. It forks twice, and the process
+in between ends at once. The supervisor, as the nearest subreaper, then adopts the child: it can wait for it, and the
+child dies with it, as a spawned one does. If the server dies, its children live on.
 """
 
 from __future__ import annotations
@@ -60,7 +62,7 @@ class Request(msgspec.Struct, frozen=True):
 
 
 def is_supported() -> bool:
-    """Return True if the system supports it: Linux with ``prctl`` and ``pidfd_open``, which some emulations lack."""
+    """Return True if the system has ``prctl`` and ``pidfd_open``: Linux, but not every emulation of it."""
     if sys.platform != "linux" or not hasattr(ctypes.CDLL(None), "prctl"):
         return False
     try:
@@ -73,7 +75,7 @@ def is_supported() -> bool:
 class ForkServer:
     """Handle of a fork server, which begins to load on construction.
 
-    It must be constructed by the main thread: the kernel ties the children to it.
+    Construct it in the main thread: the server and its children end with that thread (parent_death.py).
     """
 
     def __init__(self, scenario: Path, log: Path, cleanup: OrphanCleanup) -> None:
@@ -81,15 +83,15 @@ class ForkServer:
         self.loaded = False
         self._cleanup = cleanup
         _set_subreaper(True)
-        self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with theirs, log.open("wb") as output:
+        self._requests, server_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with server_socket, log.open("wb") as output:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", *PROGRAM, str(os.getpid()), str(theirs.fileno()), str(scenario)],
+                [sys.executable, "-P", *PROGRAM, str(os.getpid()), str(server_socket.fileno()), str(scenario)],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                pass_fds=(theirs.fileno(),),
+                pass_fds=(server_socket.fileno(),),
             )
         cleanup.add(self._process.pid)
 
@@ -146,7 +148,7 @@ class ForkedProcess:
     def __init__(self, pid: int) -> None:
         self.pid = pid
         self._code: int | None = None
-        self._ended = os.pidfd_open(pid)
+        self._pidfd = os.pidfd_open(pid)
 
     def poll(self) -> int | None:
         """Return the exit code, or minus the number of the signal that ended the child; None while it runs."""
@@ -154,15 +156,15 @@ class ForkedProcess:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             if pid:
                 self._code = os.waitstatus_to_exitcode(status)
-                os.close(self._ended)
+                os.close(self._pidfd)
         return self._code
 
     def wait(self, timeout: float | None = None) -> int:
         """Wait for the exit and return the exit code. Raises ``subprocess.TimeoutExpired``."""
         if self._code is None:
-            ended = select.poll()
-            ended.register(self._ended, select.POLLIN)
-            ended.poll(None if timeout is None else 1000.0 * timeout)
+            poller = select.poll()
+            poller.register(self._pidfd, select.POLLIN)
+            poller.poll(None if timeout is None else 1000.0 * timeout)
         code = self.poll()
         if code is None:
             raise subprocess.TimeoutExpired("a forked process", timeout or 0.0)
@@ -216,23 +218,23 @@ def load(scenario: str) -> None:
 def _fork(parent: int, request: Request, descriptors: list[int], requests: socket.socket) -> int:
     """Fork a child of ``parent``. Return its pid."""
     reading, writing = os.pipe()
-    between = os.fork()
-    if between == 0:
+    intermediate_pid = os.fork()
+    if intermediate_pid == 0:
         try:
             pid = os.fork()
             if pid == 0:
-                for end in (reading, writing):
-                    os.close(end)
+                for fd in (reading, writing):
+                    os.close(fd)
                 requests.close()
                 _run_child(parent, request, descriptors)
             os.write(writing, PID.pack(pid))
         finally:
             os._exit(0)
-    for end in (writing, *descriptors):
-        os.close(end)
+    for fd in (writing, *descriptors):
+        os.close(fd)
     with os.fdopen(reading, "rb") as reply:
         (pid,) = PID.unpack(reply.read(PID.size))
-    os.waitpid(between, 0)
+    os.waitpid(intermediate_pid, 0)
     return int(pid)
 
 
@@ -243,16 +245,16 @@ def _run_child(parent: int, request: Request, descriptors: list[int]) -> NoRetur
         os.setsid()
         stdin, heartbeat = descriptors
         log = os.open(request.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
-        for number, place in ((stdin, 0), (log, 1), (log, 2)):
-            os.dup2(number, place)
+        for number, target_fd in ((stdin, 0), (log, 1), (log, 2)):
+            os.dup2(number, target_fd)
         os.close(stdin)
         os.close(log)
         until = time.monotonic() + ADOPTION_TIMEOUT_S
         while os.getppid() != parent and time.monotonic() < until:
             time.sleep(0.001)
         code = entry_point.run(str(parent), request.module, request.config, str(heartbeat))
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except SystemExit as stop:
+        code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except BaseException:
         traceback.print_exc()
     finally:

@@ -86,7 +86,7 @@ def simulate(
     log = _Log(RunMetrics(run_config.vehicle, fence=run_config.fence), writer, learned)
     recorded = writer is not None
     lockstep = LockStep(
-        make_nodes(run_config, unread=recorded),
+        make_nodes(run_config, publish_unread_topics=recorded),
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
         observation=Observation(

@@ -17,7 +17,14 @@ from ltv_mpc import config
 from ltv_mpc.control.prediction import current_at_depth, profile_of
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, Array, Estimate, Message, Plan
-from ltv_mpc.vehicle.identification import Identified, IdentifiedCoefficient, Known, KnownYaw, NotEnoughMotion, identify
+from ltv_mpc.vehicle.identification import (
+    Identification,
+    IdentifiedCoefficient,
+    Known,
+    KnownYaw,
+    NotEnoughMotion,
+    identify,
+)
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.shooting_fit import Motion
 from services.bus.wire import WireError
@@ -34,8 +41,8 @@ VELOCITY, YAW_RATE = (2, 3), 5
 """Indices in the covariance of an estimate."""
 
 
-class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """Result of ``vehicle identify --json``."""
+class IdentifyReport(msgspec.Struct, frozen=True, kw_only=True):
+    """Report of ``vehicle identify --json``."""
 
     run: str
     vehicle: str
@@ -69,48 +76,50 @@ def load_vehicle(run: RunFolder, name: str | None) -> Vehicle:
     return Vehicle.load(str(run.config("vehicle")) if name is None else name)
 
 
-def identify_run(run: RunFolder, vehicle: Vehicle, known: Known, known_yaw: KnownYaw) -> tuple[Result, Identified]:
+def identify_run(
+    run: RunFolder, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
+) -> tuple[IdentifyReport, Identification]:
     """Identify the vehicle from the run. Raises ``ConfigError`` if the run does not excite it enough."""
     recorded = _recorded(run.recording)
     try:
-        estimates = [vehicle.reference_point.to_origin(one) for one in recorded.estimates]
+        estimates = [vehicle.reference_point.to_origin(estimate) for estimate in recorded.estimates]
         motion = motion_of(estimates, recorded.applied, recorded.plans)
-        found = identify(vehicle, motion, known, known_yaw)
+        identification = identify(vehicle, motion, known, known_yaw)
     except NotEnoughMotion as error:
         raise ConfigError(f"run {run.recording}", "", f"does not excite the vehicle enough: {error}") from None
-    u, v, r = found.sd.tolist()
-    result = Result(
+    u, v, r = identification.sd.tolist()
+    report = IdentifyReport(
         run=str(run.path),
         vehicle=vehicle.name,
-        seconds=found.seconds,
+        seconds=identification.seconds,
         estimates=len(motion.t_s),
-        segments=found.segments,
+        segments=identification.segments,
         input="plan" if motion.thrust is None else "applied",
         known=(known, known_yaw),
-        current_mps=(float(found.current_mps[0]), float(found.current_mps[1])),
-        current_half_mps=(float(found.current_half_mps[0]), float(found.current_half_mps[1])),
+        current_mps=(float(identification.current_mps[0]), float(identification.current_mps[1])),
+        current_half_mps=(float(identification.current_half_mps[0]), float(identification.current_half_mps[1])),
         residual_sd=(u, v, r),
-        found=found.found,
-        not_excited=[one.name for one in found.found if not one.excited],
+        found=identification.coefficients,
+        not_excited=[coefficient.name for coefficient in identification.coefficients if not coefficient.excited],
     )
-    return result, found
+    return report, identification
 
 
 def _recorded(path: Path) -> _Recorded:
     recorded = _Recorded([], [], [])
-    for message in Recording(path):
-        if message.kind not in (Estimate, Applied, Plan):
+    for stored in Recording(path):
+        if stored.kind not in (Estimate, Applied, Plan):
             continue
         try:
-            signal: Message = message.typed()[0]
+            message: Message = stored.typed()[0]
         except WireError as error:
-            raise ConfigError(f"run {path}", message.key, f"cannot be read: {error}") from None
-        if isinstance(signal, Estimate):
-            recorded.estimates.append(signal)
-        elif isinstance(signal, Applied):
-            recorded.applied.append(signal)
-        elif isinstance(signal, Plan):
-            recorded.plans.append((message.t_ns, signal))
+            raise ConfigError(f"run {path}", stored.key, f"cannot be read: {error}") from None
+        if isinstance(message, Estimate):
+            recorded.estimates.append(message)
+        elif isinstance(message, Applied):
+            recorded.applied.append(message)
+        elif isinstance(message, Plan):
+            recorded.plans.append((stored.t_ns, message))
     return recorded
 
 
@@ -119,34 +128,33 @@ def motion_of(estimates: list[Estimate], applied: list[Applied], plans: list[tup
 
     Raises ``NotEnoughMotion`` if there are fewer than two.
     """
-    estimates = _increasing(estimates)
-    reports = _increasing(applied)
-    first, last = (
-        (reports[0].t_ns, reports[-1].t_ns)
-        if reports
-        else (min(t for t, _ in plans), max(int(plan.t_ns[-1]) for _, plan in plans))
-        if plans
-        else (0, -1)
-    )
-    kept = [one for one in estimates if first <= one.t_ns <= last]
-    if len(kept) < 2:
-        raise NotEnoughMotion(f"{len(kept)} estimates with a known thrust, at least 2 are needed")
-    t_ns = np.array([one.t_ns for one in kept])
-    motion = Motion(
+    estimates = _sort_unique(estimates)
+    reports = _sort_unique(applied)
+    if reports:
+        first_ns, last_ns = reports[0].t_ns, reports[-1].t_ns
+    elif plans:
+        first_ns, last_ns = min(t_ns for t_ns, _ in plans), max(int(plan.t_ns[-1]) for _, plan in plans)
+    else:
+        first_ns, last_ns = 0, -1  # no estimate has a known thrust
+    usable = [estimate for estimate in estimates if first_ns <= estimate.t_ns <= last_ns]
+    if len(usable) < 2:
+        raise NotEnoughMotion(f"{len(usable)} estimates with a known thrust, at least 2 are needed")
+    t_ns = np.array([estimate.t_ns for estimate in usable])
+    return Motion(
         t_s=(t_ns - t_ns[0]) * 1e-9,
-        velocity=np.array([_through_the_water(one) for one in kept]),
-        heading=np.unwrap([one.heading_rad for one in kept]),
-        shear=np.array([_shear(one) for one in kept]),
-        command=_planned(t_ns, plans) if not reports else _between(t_ns, reports, "command_N"),
-        sd=_sd(kept),
-        thrust=_between(t_ns, reports, "thrust_N") if reports else None,
+        velocity=np.array([_through_the_water(estimate) for estimate in usable]),
+        heading=np.unwrap([estimate.heading_rad for estimate in usable]),
+        shear=np.array([_current_rate(estimate) for estimate in usable]),
+        command=_planned(t_ns, plans) if not reports else _interpolate(t_ns, reports, "command_N"),
+        sd=_sd(usable),
+        thrust=_interpolate(t_ns, reports, "thrust_N") if reports else None,
     )
-    return motion
 
 
-def _increasing(signals: Sequence[Timed]) -> list[Timed]:
+def _sort_unique(messages: Sequence[Timed]) -> list[Timed]:
     """Sort by time and keep the newest message of each time."""
-    return list({one.t_ns: one for one in sorted(signals, key=lambda one: one.t_ns)}.values())
+    ordered = sorted(messages, key=lambda message: message.t_ns)
+    return list({message.t_ns: message for message in ordered}.values())
 
 
 def _through_the_water(estimate: Estimate) -> tuple[float, float, float]:
@@ -158,8 +166,8 @@ def _through_the_water(estimate: Estimate) -> tuple[float, float, float]:
     return cos * north + sin * east, cos * east - sin * north, estimate.yaw_rate_radps
 
 
-def _shear(estimate: Estimate) -> tuple[float, float]:
-    """Compute dc/dz w (m/s2) from the current half a metre above and below."""
+def _current_rate(estimate: Estimate) -> tuple[float, float]:
+    """Compute the rate of the current along the descent, dc/dz w (m/s2), from the current 0.5 m above and below."""
     w = estimate.velocity_down_mps or 0.0
     if w == 0.0 or estimate.depth_m is None:
         return 0.0, 0.0
@@ -169,11 +177,11 @@ def _shear(estimate: Estimate) -> tuple[float, float]:
     return (n1 - n0) * w, (e1 - e0) * w
 
 
-def _between(t_ns: Array, reports: list[Applied], field: str) -> Array:
+def _interpolate(t_ns: Array, reports: list[Applied], field: str) -> Array:
     """Interpolate port and starboard (M, 2) of the reports linearly."""
-    at = np.array([one.t_ns for one in reports])
-    values = np.array([getattr(one, field)[:2] for one in reports])
-    return np.column_stack([np.interp(t_ns, at, values[:, i]) for i in range(2)])
+    report_t_ns = np.array([report.t_ns for report in reports])
+    values = np.array([getattr(report, field)[:2] for report in reports])
+    return np.column_stack([np.interp(t_ns, report_t_ns, values[:, i]) for i in range(2)])
 
 
 def _planned(t_ns: Array, plans: list[tuple[int, Plan]]) -> Array:
@@ -185,38 +193,43 @@ def _planned(t_ns: Array, plans: list[tuple[int, Plan]]) -> Array:
 
 def _sd(estimates: list[Estimate]) -> Array:
     """Return standard deviations (3,) of u, v, r, the root mean square of the estimates' covariances."""
-    known = [one.covariance for one in estimates if one.covariance is not None]
-    if not known:
+    covariances = [estimate.covariance for estimate in estimates if estimate.covariance is not None]
+    if not covariances:
         return SD.copy()
-    mean = np.mean([np.diag(covariance) for covariance in known], axis=0)
+    mean = np.mean([np.diag(covariance) for covariance in covariances], axis=0)
     velocity = float(mean[list(VELOCITY)].mean())
     return np.maximum(np.sqrt([velocity, velocity, float(mean[YAW_RATE])]), MIN_SD)
 
 
-def table(of: Result) -> str:
-    """Format the result as text."""
-    u, v, r = of.residual_sd
-    (north, east), (half_north, half_east) = of.current_mps, of.current_half_mps
+def format_text(report: IdentifyReport) -> str:
+    """Format the report as text."""
+    u, v, r = report.residual_sd
+    (north, east), (half_north, half_east) = report.current_mps, report.current_half_mps
     lines = [
-        f"{of.vehicle}, {of.run}: {of.seconds:.0f} s, {of.estimates} estimates, thrust from {of.input}",
+        f"{report.vehicle}, {report.run}: {report.seconds:.0f} s, {report.estimates} estimates, "
+        f"thrust from {report.input}",
         f"residuals: {1e3 * u:.2f} mm/s ahead, {1e3 * v:.2f} mm/s to starboard, {1e3 * r:.2f} mrad/s",
         f"current that the estimates do not contain: {north:.3f} +- {half_north:.3f} m/s north, "
         f"{east:.3f} +- {half_east:.3f} m/s east",
-        f"taken from the file: {of.known[0]} and {of.known[1]}",
+        f"taken from the file: {report.known[0]} and {report.known[1]}",
         f"{'':<18}{'file':>12}{'found':>12}   95 % interval",
     ]
-    for one in of.found:
-        interval = f"{one.low:>10.4g} to {one.high:.4g} {one.unit}" if one.excited else "  not excited: file value kept"
-        value = f"{one.value:12.4g}" if one.excited else f"{'':>12}"
-        lines.append(f"{one.name:<18}{one.file:>12.4g}{value} {interval}".rstrip())
+    for coefficient in report.found:
+        interval = (
+            f"{coefficient.low:>10.4g} to {coefficient.high:.4g} {coefficient.unit}"
+            if coefficient.excited
+            else "  not excited: file value kept"
+        )
+        value = f"{coefficient.value:12.4g}" if coefficient.excited else f"{'':>12}"
+        lines.append(f"{coefficient.name:<18}{coefficient.file:>12.4g}{value} {interval}".rstrip())
     return "\n".join(lines)
 
 
-def toml(of: Result, vehicle: Vehicle) -> str:
+def format_toml(report: IdentifyReport, vehicle: Vehicle) -> str:
     """Format the identified vehicle as a vehicle file."""
     head = [
-        f"# {vehicle.name}, {of.known[0]} and {of.known[1]} from the old file; the rest from",
-        f"# {of.seconds:.0f} s of {Path(of.run).name}."
-        + (f" Not excited, value of the old file: {', '.join(of.not_excited)}." if of.not_excited else ""),
+        f"# {vehicle.name}, {report.known[0]} and {report.known[1]} from the old file; the rest from",
+        f"# {report.seconds:.0f} s of {Path(report.run).name}."
+        + (f" Not excited, value of the old file: {', '.join(report.not_excited)}." if report.not_excited else ""),
     ]
     return "\n".join(head) + "\n" + config.to_toml(vehicle)

@@ -35,12 +35,35 @@ class Errors:
 for sensors in ("./with_log.toml", "realistic"):
     settings = ["run.duration_s=30", "run.seed=3", f"sensors={sensors}"]
     situation = resolve("descent", [Override("test", settings)])
-    errors, nodes = Errors(), make_nodes(situation, unread=False)
+    errors, nodes = Errors(), make_nodes(situation, publish_unread_topics=False)
     scenario = situation.scenario
     LockStep(nodes, start_ns=scenario.start_ns, observation=Observation(errors)).advance(scenario.end_ns)
     estimator = next(node for node in nodes if isinstance(node, Estimator))
     print(json.dumps({"account": dict(estimator.account), "rms_m": float(np.sqrt(np.mean(errors.errors)))}))
 """
+
+
+TESTS_OF_THE_SENSOR = """
+from services.bus import protocol
+from services.reporting.plots.collector import NIS
+from tests.ltv_mpc.localisation.sensors import test_jacobians, test_registry
+from tests.services.bus import test_wire
+
+test_registry.test_each_sensor_stands_under_its_name_with_its_settings()
+test_registry.test_each_sensor_has_a_topic_and_a_simulation()
+test_registry.test_the_example_of_a_vehicle_at_rest_leaves_no_residual("speed_log")
+for seed in range(3):
+    test_jacobians.test_partials_are_minus_the_derivatives_of_the_residual("speed_log", seed)
+test_wire.test_every_topic_has_an_example_here()
+assert "speed_log" in NIS
+assert "LogSpeed" in protocol.page()
+"""
+
+
+@pytest.mark.timeout(900)
+def test_the_tests_of_every_sensor_pass_with_the_sensor(tmp_path: Path) -> None:
+    build("docs/add-sensor.md", tmp_path)
+    run(TESTS_OF_THE_SENSOR, tmp_path)
 
 
 @pytest.mark.timeout(900)  # compiled code may have to be built first
@@ -55,16 +78,25 @@ def test_the_sensor_is_used_and_does_not_worsen_the_estimate(tmp_path: Path) -> 
 OF_EACH = {
     "docs/add-solver.md": """
 import numpy as np
+from msgspec.structs import replace
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, references
+from ltv_mpc.geofence.fence import Disc, Fence
+from ltv_mpc.references import Place
 
-def plan(solver):
+wreck = Disc(name="wreck", centre=Place(north_m=1.5, east_m=0.1), radius_m=0.6)
+fence = Fence(margin_m=0.1, keep_out_disc=(wreck,))
+
+def plans(solver):
     point = references.Point(north_m=0.0, east_m=0.0)
     controller = Controller(Vehicle.load("paper"), point, ControllerConfig(solver=solver))
-    return controller.plan(Estimate.at_rest(north_m=-0.4, east_m=0.3, heading_rad=0.5))
+    estimate = Estimate.at_rest(north_m=-0.4, east_m=0.3, heading_rad=0.5)
+    for k, zones in enumerate((None, fence, None)):
+        controller.set_fence(zones)
+        yield controller.plan(replace(estimate, t_ns=300_000_000 * k))
 
-expected, found = plan("osqp"), plan("piqp-native")
-assert found.origin == "solved" and found.solve.iterations > 1
-np.testing.assert_allclose(found.thrust_N, expected.thrust_N, atol=0.05)
+for expected, found in zip(plans("osqp"), plans("piqp-native")):
+    assert found.origin == "solved" and found.solve.iterations > 1, found
+    np.testing.assert_allclose(found.thrust_N, expected.thrust_N, atol=0.05)
 """,
     "docs/add-vehicle.md": """
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, references
@@ -90,6 +122,7 @@ assert plan.states[-1, 0] > 0.1 and plan.states[-1, 1] > 0.1  # it sets out to t
 from ltv_mpc.messages import WaterTemperature
 from services.bus import protocol, wire
 from services.bus.roles import writes
+from tests.services.bus import test_wire
 
 frame = wire.encode(WaterTemperature(t_ns=1, temperature_degC=8.5), wire.Header(epoch=1, sequence=0))
 assert wire.decode(WaterTemperature, frame)[0].temperature_degC == 8.5
@@ -100,6 +133,7 @@ except wire.WireError as error:
 else:
     raise AssertionError("a temperature out of bounds is accepted")
 assert "temperature" in writes("thermometer")
+test_wire.test_every_topic_has_an_example_here()
 assert "WaterTemperature" in protocol.page()
 """,
     "docs/add-command.md": """

@@ -187,7 +187,7 @@ def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypa
     counted(Estimator, "_step")
     run_config = descent("sensors=paper", duration_s=4.0)
     scenario = run_config.scenario
-    nodes = make_nodes(run_config, unread=False)
+    nodes = make_nodes(run_config, publish_unread_topics=False)
     said = ears_of(nodes, scenario.start_ns, [scenario.end_ns]).said
     ticks = sum(kind is Truth for *_, kind, _ in said)
     assert ticks == 701

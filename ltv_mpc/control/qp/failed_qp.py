@@ -80,8 +80,8 @@ class FailedQp:
             return checked
 
         rows = tuple(
-            ConstraintRow(str(of), float(scale), str(unit))
-            for of, scale, unit in zip(parts["row_of"], parts["row_scale"], parts["row_unit"], strict=True)
+            ConstraintRow(str(name), float(scale), str(unit))
+            for name, scale, unit in zip(parts["row_of"], parts["row_scale"], parts["row_unit"], strict=True)
         )
         if not len(rows) == len(parts["u"]) == m:
             raise ValueError(f"{m} lower bounds, {len(parts['u'])} upper, {len(rows)} rows: must be equal numbers")
@@ -91,19 +91,19 @@ class FailedQp:
     def faults(self) -> list[str]:
         """Return descriptions of the errors in the problem: numbers that are not finite, contradictory bounds."""
         qp = self.qp
-        found = []
+        errors = []
         for name, values in (("P", qp.P.data), ("q", qp.q), ("A", qp.A.data)):
             bad = int((~np.isfinite(values)).sum())
             if bad:
-                found.append(f"{name}: {bad} of {len(values)} numbers are not finite")
+                errors.append(f"{name}: {bad} of {len(values)} numbers are not finite")
         for name, bound in (("l", qp.l), ("u", qp.u)):
-            found += [f"{name} of {self.rows[i].name} is not a number" for i in np.flatnonzero(np.isnan(bound))]
+            errors += [f"{name} of {self.rows[i].name} is not a number" for i in np.flatnonzero(np.isnan(bound))]
         for i in np.flatnonzero(qp.l > qp.u):
             row = self.rows[i]
-            found.append(
+            errors.append(
                 f"{row.name}: lower bound above the upper one by {(qp.l[i] - qp.u[i]) * row.scale:.3g} {row.unit}"
             )
-        return found
+        return errors
 
 
 MAX_BYTES = 1 << 26

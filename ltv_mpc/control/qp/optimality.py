@@ -33,7 +33,7 @@ def optimality_error(
     Parameters
     ----------
     lin : the motion along the nominal trajectory.
-    target : (N+1, 2) as in ``Solver.build``.
+    target : (N+1, 3) as in ``Solver.build``.
     o : weights, limits and scales.
     work : bounds of the rows, and their values g at the solution.
     y : (N, R) duals of the rows.

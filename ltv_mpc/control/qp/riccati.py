@@ -142,7 +142,7 @@ def sweep(lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace,
     Parameters
     ----------
     lin : the motion along the nominal trajectory.
-    target : (N+1, 2) as in ``Solver.build``.
+    target : (N+1, 3) as in ``Solver.build``.
     o : weights, limits and scales.
     work : its weight and linear are given; its g and laws are overwritten.
     dU : (N+1, 2) is overwritten with the deviations (N).

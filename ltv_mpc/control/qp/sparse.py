@@ -20,7 +20,7 @@ excess f_k,
 g_k = h_k / 0.3 s is the length of the stage that ends at knot k (shooting_grid.py), p = [n, e], p' the velocity over
 ground, F the thrusters' largest thrust, dX = X - Xbar. The cost of the terminal velocity separates a vehicle that stops
 on its point from one that passes or orbits it: within a short horizon both are equally near. The sparsity pattern is
-fixed by N: only numbers change from cycle to cycle.
+fixed by N and by the number of half-planes: only numbers change from cycle to cycle.
 
 Variables are scaled to be of order one; the rows of the dynamics are divided by the same scales. S comes from the
 vehicle (scaling.py), its last two components are F. A solver may scale the rows further (solvers/osqp.py).
@@ -47,7 +47,6 @@ minimises  1/2 x'Px + q'x  (problem.py): the constant part of the cost is left o
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -118,34 +117,59 @@ class EntryMap(NamedTuple):
 
 
 class SparseQp:
-    """Sparse QP layout for given knots, limits and weights: columns and rows as at the head of this file."""
+    """Sparse QP layout for given knots, limits and weights: columns and rows as at the head of this file.
 
-    def __init__(self, knots: Array, limits: HorizonLimits, weights: Weights, half_planes: int = 0) -> None:
-        """Lay out the QP and compute P, which no cycle changes.
+    The layout follows the number of half-planes of the linearisation that it is given (``match``).
+    """
+
+    def __init__(self, knots: Array, limits: HorizonLimits, weights: Weights) -> None:
+        """Lay out the QP without half-planes and compute P, which changes only with their number.
 
         Parameters
         ----------
         knots : (N+1,) times of the knots in first stages (shooting_grid.py).
         limits : limits of thrusters and motion.
         weights : weights of the cost.
-        half_planes : half-planes of the fence in each stage.
         """
+        self.knots = knots
         self.stages = len(knots) - 1
-        self.half_planes = half_planes
         self.limits = limits
         self.weights = weights
         self.packed = pack_objective(knots, limits, weights)
         """Argument of the kernels (problem_data.py)."""
         self.state_scale = np.concatenate([limits.state_scale, limits.thrust_scale])
         """(8,) scales S of the states."""
-        self.variables = self.stages * (STAGE_VARIABLES + len(limits.limited_states) + half_planes) + 2
-        """Number of columns n."""
         self.equalities = self.stages * STATES + 2
         """Number of equality rows; they are the first ones."""
-        self.P = _hessian(np.diff(knots), limits, weights, self.variables)
-        self._lay_out_rows()
+        self._lay_out(0)
 
-    def _lay_out_rows(self) -> None:
+    def match(self, lin: Linearisation) -> bool:
+        """Lay out the QP again if a linearisation has another number of half-planes: a fence was set or removed.
+
+        ``build`` does this by itself; a solver that calls ``fill`` with arrays of its own calls it before.
+
+        Parameters
+        ----------
+        lin : the linearisation of the next problem.
+
+        Returns
+        -------
+        True if the layout has changed: arrays of ``allocate`` and a solver's workspace are then of the wrong size.
+        """
+        if lin.rows.shape[1] == self.half_planes:
+            return False
+        self._lay_out(lin.rows.shape[1])
+        return True
+
+    def _lay_out(self, half_planes: int) -> None:
+        """Compute all that depends on the number of half-planes in each stage."""
+        self.half_planes = half_planes
+        self.variables = self.stages * (STAGE_VARIABLES + len(self.limits.limited_states) + half_planes) + 2
+        """Number of columns n."""
+        self.P = _hessian(np.diff(self.knots), self.limits, self.weights, self.variables)
+        self._place_entries()
+
+    def _place_entries(self) -> None:
         """Place the entries of A among the stored ones, which are ordered by column."""
         N, limited = self.stages, self.limits.limited_states
         excess, bound = self.variables - N * self.half_planes, self.equalities + N * (4 + 3 * len(limited))
@@ -183,7 +207,7 @@ class SparseQp:
         """Number of rows m."""
         return int(self.pattern.shape[0])
 
-    @cached_property
+    @property
     def row_names(self) -> tuple[ConstraintRow, ...]:
         """Name, scale and unit of each row."""
         stages, thrusts = range(1, self.stages + 1), self.limits.thrust_scale
@@ -201,17 +225,18 @@ class SparseQp:
         return QpNumbers(self._constants.copy(), np.zeros(self.variables), np.zeros(self.rows), np.zeros(self.rows))
 
     def build(self, lin: Linearisation, target: Array) -> QP:
-        """Return the QP of one cycle.
+        """Return the QP of one cycle, with a row for each half-plane of the linearisation.
 
         Parameters
         ----------
         lin : the motion along the nominal trajectory.
-        target : (N+1, 2) as in ``Solver.build``.
+        target : (N+1, 3) as in ``Solver.build``.
 
         Returns
         -------
         The QP, its rows not scaled by any solver.
         """
+        self.match(lin)
         numbers = self.allocate()
         fill(self.packed, lin, np.ascontiguousarray(target), self.entries, numbers)
         return self.assemble(numbers)
@@ -324,8 +349,9 @@ def fill(packed: Array, lin: Linearisation, target: Array, entries: EntryMap, to
     Parameters
     ----------
     packed : a packed objective (problem_data.py).
-    lin : the motion along the nominal trajectory.
-    target : (N+1, 2) as in ``Solver.build``.
+    lin : the motion along the nominal trajectory; its number of half-planes is that of the layout
+        (``SparseQp.match``), because compiled code does not check bounds.
+    target : (N+1, 3) as in ``Solver.build``.
     entries : ``SparseQp.entries``.
     to : is overwritten; made by ``SparseQp.allocate``.
     """

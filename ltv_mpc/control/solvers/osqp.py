@@ -121,15 +121,15 @@ class OsqpSolver:
         """
         self._max_iterations = config.max_iterations
         self._tolerance = self._eps = config.tolerance
-        self._weights = config.weights
-        self._lay_out(SparseQp(config.knots, limits, config.weights))
+        self.form = SparseQp(config.knots, limits, config.weights)
+        self._allocate()
         self._scale = self.form.limits.thrust_scale  # a property, and it costs time
         self._finite, self._why = False, "build() must be called before solve()"
         self._lin: Linearisation | None = None
 
-    def _lay_out(self, form: SparseQp) -> None:
-        """Begin with another form of the QP, without a warm start."""
-        self.form = form
+    def _allocate(self) -> None:
+        """Allocate the arrays for the present layout of the QP, and discard workspace and warm start."""
+        form = self.form
         problem = form.allocate()
         self._arrays = SolveArrays(
             problem,
@@ -152,9 +152,8 @@ class OsqpSolver:
 
     def build(self, lin: Linearisation, target: Array) -> None:
         """Compute the problem, its first guess and the scales of its rows (see ``Solver``)."""
-        if lin.rows.shape[1] != self.form.half_planes:  # a fence was set or removed
-            knots = unpack_objective(self.form.packed).t
-            self._lay_out(SparseQp(knots, self.form.limits, self._weights, lin.rows.shape[1]))
+        if self.form.match(lin):
+            self._allocate()
         self._lin, form = lin, self.form
         size = prepare(form.packed, lin.flat, target, form.entries, self._shift, self._arrays)
         self._finite = size >= 0.0
@@ -169,8 +168,8 @@ class OsqpSolver:
         if self._workspace is None:
             # This call changes nothing, but compiles ``rescale``, which is called next with the first hard problem.
             rescale(self.form.entries.row, self.form.stages, self._arrays)
-            of, settings = self.scaled_problem()
-            self._workspace = make_workspace(of.P, of.q, of.A, of.l, of.u, settings)
+            qp, settings = self.scaled_problem()
+            self._workspace = make_workspace(qp.P, qp.q, qp.A, qp.l, qp.u, settings)
         self._workspace.load(self._arrays.scaled, self._arrays.x, self._arrays.scaled_y)
 
     def solve(self) -> SolverResult:
@@ -242,7 +241,7 @@ def prepare(packed: Array, flat: Array, target: Array, entries: EntryMap, shift:
     ----------
     packed : a packed objective (problem_data.py).
     flat : ``Linearisation.flat``.
-    target : (N+1, 2) as in ``Solver.build``.
+    target : (N+1, 3) as in ``Solver.build``.
     entries : ``SparseQp.entries``.
     shift : by how many first stages the last solve's knots were earlier; NaN if there is none to begin with.
     at : holds the point of the last solve, and is overwritten.
@@ -289,7 +288,7 @@ def first_guess(packed: Array, lin: Linearisation, target: Array, shift: float, 
     ----------
     packed : a packed objective (problem_data.py).
     lin : the motion along the nominal trajectory.
-    target : (N+1, 2) as in ``Solver.build``.
+    target : (N+1, 3) as in ``Solver.build``.
     shift : by how many first stages the last solve's knots were earlier; NaN if there is none to begin with.
     at : has the problem and the point of the last solve; x and y are overwritten.
     """

@@ -40,7 +40,6 @@ class QpsolversBackend:
         """
         self._name = config.solver
         self._form = SparseQp(config.knots, limits, config.weights)
-        self._weights, self._knots = config.weights, config.knots
         self._lin: Linearisation | None = None
         self._qp: QP | None = None
 
@@ -52,8 +51,6 @@ class QpsolversBackend:
 
     def build(self, lin: Linearisation, target: Array) -> None:
         """Build the QP (see ``Solver``)."""
-        if lin.rows.shape[1] != self._form.half_planes:
-            self._form = SparseQp(self._knots, self._form.limits, self._weights, lin.rows.shape[1])
         self._lin, self._qp = lin, self._form.build(lin, target)
 
     def update(self) -> None:

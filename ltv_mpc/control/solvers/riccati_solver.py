@@ -25,7 +25,7 @@ the result as a first guess, and has only to check its residuals.
 Arguments of the kernels in this file:
 
     lin      the motion along the nominal trajectory
-    target   (N+1, 2) as in ``Solver.build``
+    target   (N+1, 3) as in ``Solver.build``
     o        weights, limits and scales
     work     workspace of the sweeps
     active   (N, R) sign of each row's dual, times ``BEYOND`` if the row is exceeded, 0 if the row is not active; order

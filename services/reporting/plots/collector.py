@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from ltv_mpc.localisation.sensors import SENSORS
 from ltv_mpc.messages import (
     Applied,
     Clock,
@@ -39,10 +40,8 @@ ROWS = 1_500
 """Row limit of a table; about the width of a screen in pixels."""
 
 MOTION = ("t_s", "north_m", "east_m", "depth_m", "heading_deg", "yaw_rate_dps")
-CORRECTING = ("gnss", "tdcp", "adcp", "pressure", "compass", "bottom_track", "lbl", "usbl")
-"""Sensors that correct the filter, as in the registry of the sensors, which takes half a second to import."""
-NIS = {sensor: f"nis_{sensor}" for sensor in CORRECTING}
-"""Tables of the normalised innovations, by sensor."""
+NIS = {sensor.name: f"nis_{sensor.name}" for sensor in SENSORS if sensor.linearise is not None}
+"""Tables of the normalised innovations, by sensor that corrects the filter."""
 
 HISTORY = {
     "track": MOTION,
@@ -127,12 +126,12 @@ class Collector:
             self._origin_ns = t_ns if abs(t_ns) > MAX_PLAIN_NS else 0
         return (t_ns - self._origin_ns) / 1e9
 
-    def add(self, signal: Message, epoch: int) -> None:
+    def add(self, message: Message, epoch: int) -> None:
         """Add a message; ``epoch`` is the one of its sender."""
-        handler = self._handlers.get(type(signal))
+        handler = self._handlers.get(type(message))
         if handler is not None:
-            handler(signal)
-        self.marks.add(signal, epoch)
+            handler(message)
+        self.marks.add(message, epoch)
 
     def current_tables(self) -> dict[str, Columns]:
         """Return the tables of the newest state."""

@@ -50,27 +50,27 @@ class Marks:
         self._simulator: int | None = None  # epoch of the simulated vehicle
         self._newest_ns = 0
 
-    def add(self, signal: Message, epoch: int) -> None:
+    def add(self, message: Message, epoch: int) -> None:
         """Add the marks that follow from a message; ``epoch`` is the one of its sender."""
-        match signal:
+        match message:
             case RunEvent():
-                self._append(signal.t_ns, signal.node, signal.text)
+                self._append(message.t_ns, message.node, message.text)
             case Plan():
-                self._add_plan(signal)
-            case LocalisationReport() if signal.status is not self._filter:
-                self._append(signal.t_ns, "estimator", f"filter {signal.status.value}{_because(signal.why)}")
-                self._filter = signal.status
+                self._add_plan(message)
+            case LocalisationReport() if message.status is not self._filter:
+                self._append(message.t_ns, "estimator", f"filter {message.status.value}{_because(message.why)}")
+                self._filter = message.status
             case Command():
-                self._commands[signal.command_id] = signal, epoch
+                self._commands[message.command_id] = message, epoch
             case Truth():
                 self._simulator = epoch
             case Acknowledgement():
-                self._add_acknowledgement(signal)
+                self._add_acknowledgement(message)
             case NodeStatus():
-                if self._epochs.setdefault(signal.node, epoch) != epoch:
-                    self._epochs[signal.node] = epoch
+                if self._epochs.setdefault(message.node, epoch) != epoch:
+                    self._epochs[message.node] = epoch
                     # its first status may be sent before it knows the vehicle time
-                    self._append(max(signal.t_ns, self._newest_ns), signal.node, "restarted")
+                    self._append(max(message.t_ns, self._newest_ns), message.node, "restarted")
 
     def _add_plan(self, plan: Plan) -> None:
         self._newest_ns = plan.cycle_t_ns

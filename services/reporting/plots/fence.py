@@ -39,9 +39,9 @@ def tables(fence: FenceInForce | None, plan: Plan | None) -> dict[str, Columns]:
         free = _circle(zone.vertices_m[0], zone.radius_m + distance_m) if disc else _grown(zone.vertices_m, outwards)
         (bounding if zone.label in active else kept_free).append(free)
     ends_ns = () if plan is None else (int(plan.t_ns[0]), int(plan.t_ns[-1]))
-    for one in fence.obstacles if fence is not None and ends_ns else ():
-        way = np.array([_predicted(one, t_ns) for t_ns in ends_ns])
-        obstacles.append(_circle(way[0], one.radius_m))
+    for obstacle in fence.obstacles if fence is not None and ends_ns else ():
+        way = np.array([_predicted(obstacle, t_ns) for t_ns in ends_ns])
+        obstacles.append(_circle(way[0], obstacle.radius_m))
         paths.append(way)
     return {
         name: _lines(parts)

@@ -117,19 +117,19 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
                 whole = plain
                 if kind is Estimate:  # the profile is the largest part, and only the last one is drawn
                     plain = {**whole, "current": None}
-                signal, header = wire.from_map(kind, plain)
+                message, header = wire.from_map(kind, plain)
             except (wire.WireError, msgspec.DecodeError):
                 continue
             if collector is None:
                 start_ns = record.log_time + start_of(metadata) if metadata.get("mode") == VEHICLE_MODE else 0
                 collector = Collector(vehicle_of(metadata), rows=rows, origin_ns=start_ns)
-            if isinstance(signal, ControllerStatus):
-                source_epoch = signal.source_epoch
+            if isinstance(message, ControllerStatus):
+                source_epoch = message.source_epoch
             elif kind is not Estimate or source_epoch in (0, header.epoch):  # else it is of a source not in use
-                collector.add(signal, header.epoch)
+                collector.add(message, header.epoch)
                 newest = whole if kind is Estimate else newest
-            if isinstance(signal, NodeSettings):
-                files |= signal.files
+            if isinstance(message, NodeSettings):
+                files |= message.files
         elif isinstance(record, Channel):
             topic = topics.topic_at(record.topic)
             shown = topic is not None and (topic.message_type in RARE or topic.message_type in OFTEN)

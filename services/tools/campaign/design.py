@@ -53,6 +53,6 @@ def _point(keys: Sequence[str], over: Sequence[Choices | Range], shares: Array) 
 def value_at(key: str, over: Choices | Range, share: float) -> Value:
     """Return the value at position ``share``, 0 .. 1, of a range or list."""
     if isinstance(over, Range):
-        number = over.at(share)
+        number = over.interpolate(share)
         return round(number) if isinstance(kind_of(key), inspect.IntType) else number
     return over[min(int(share * len(over)), len(over) - 1)]

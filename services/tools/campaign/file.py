@@ -2,7 +2,7 @@
 
     title = "which horizon in which current"
     scenario = "descent"                                  # NAME or FILE, as for `ltv-mpc sim`
-    minimise = "true_error_m.mean"                        # any figure of summary.json
+    minimise = "true_error_m.mean"                        # any metric of summary.json
 
     [seeds]
     count = 20                                            # the same for every point: differences are paired
@@ -58,11 +58,11 @@ class Range(_Table, frozen=True, kw_only=True):
     high: float
     scale: Literal["linear", "log"] = "linear"
 
-    def at(self, share: float) -> float:
-        """Return the number at position ``share``, 0 .. 1, of the range."""
+    def interpolate(self, fraction: float) -> float:
+        """Return the number at position ``fraction``, 0 .. 1, of the range."""
         if self.scale == "log":
-            return float(self.low * (self.high / self.low) ** share)
-        return self.low + share * (self.high - self.low)
+            return float(self.low * (self.high / self.low) ** fraction)
+        return self.low + fraction * (self.high - self.low)
 
 
 Choices: TypeAlias = tuple[Value, ...]
@@ -86,8 +86,7 @@ class Design(_Table, frozen=True, kw_only=True):
 class Campaign(_Table, frozen=True, kw_only=True):
     """Settings of a campaign; tables by dotted key.
 
-    A name in ``vary`` or ``cross`` that ``scale`` has is no field but a factor f: each key of its table is the base's
-    value times f to the power that stands there.
+    A name with a ``[scale.NAME]`` table is a factor f. Each key k of that table is set to base[k] * f**power[k].
     """
 
     title: str
@@ -113,10 +112,10 @@ def load(path: Path) -> Campaign:
     flat = dict(table)
     for name in ("set", "vary", "cross"):
         if isinstance(table.get(name), dict):
-            flat[name] = dict(_flat(table[name], ""))
+            flat[name] = dict(_flatten_keys(table[name], ""))
     if isinstance(table.get("scale"), dict):
         flat["scale"] = {
-            name: dict(_flat(powers, "")) if isinstance(powers, dict) else powers
+            name: dict(_flatten_keys(powers, "")) if isinstance(powers, dict) else powers
             for name, powers in table["scale"].items()
         }
     campaign = config.parse(flat, Campaign, source=source)
@@ -126,16 +125,16 @@ def load(path: Path) -> Campaign:
     return campaign
 
 
-def figures() -> dict[str, settings_schema.Type]:
-    """Return the computed figures of summary.json by dotted key; measured times are left out."""
+def metrics() -> dict[str, settings_schema.Type]:
+    """Return the computed metrics of summary.json by dotted key; measured times are left out."""
     return {
         key: kind
         for key, kind in settings_schema.scalar_fields(Summary).items()
-        if key.partition(".")[0] not in NO_FIGURES
+        if key.partition(".")[0] not in EXCLUDED_METRICS
     }
 
 
-NO_FIGURES = frozenset(
+EXCLUDED_METRICS = frozenset(
     {
         "scenario", "mode", "seed", "speed", "speed_reached", "compute_delay_wall_s", "end_to_end_delay_wall_s",
         "stages_us", "qp_status", "plan_origin", "health", "fence",
@@ -145,12 +144,12 @@ NO_FIGURES = frozenset(
 adds."""
 
 
-def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+def _flatten_keys(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
     """Flatten nested tables to dotted keys; a table with ``low`` is a range."""
     for key, value in table.items():
         name = f"{prefix}.{key}" if prefix else key
         if isinstance(value, dict) and "low" not in value:
-            yield from _flat(value, name)
+            yield from _flatten_keys(value, name)
         else:
             yield name, value
 
@@ -173,18 +172,18 @@ def _check(campaign: Campaign, source: str) -> None:
             raise ConfigError(source, f"[{table}] {key}", f"is also in [{where}]: remove one of them")
     if not campaign.varied:
         raise ConfigError(source, "[vary]", "must name at least one key to vary")
-    for key, over in campaign.vary.items():
-        _check_values(over, campaign.design.kind, f"[vary] {key}", source)
+    for key, values_or_range in campaign.vary.items():
+        _check_values(values_or_range, campaign.design.kind, f"[vary] {key}", source)
     for key, values in campaign.cross.items():
         _check_values(values, "grid", f"[cross] {key}", source)
     for name, powers in campaign.scale.items():
         _check_factor(campaign, name, powers, source)
-    if campaign.minimise not in figures():
-        problem = f"must be a figure of summary.json{settings_schema.suggestion(campaign.minimise, figures())}"
+    if campaign.minimise not in metrics():
+        problem = f"must be a metric of summary.json{settings_schema.suggestion(campaign.minimise, metrics())}"
         raise ConfigError(source, "minimise", problem, value=campaign.minimise)
-    sizes = [len(over) for over in campaign.cross.values()]
+    sizes = [len(values) for values in campaign.cross.values()]
     if campaign.design.kind == "grid":
-        sizes += [len(over) for over in campaign.vary.values() if not isinstance(over, Range)]
+        sizes += [len(values) for values in campaign.vary.values() if not isinstance(values, Range)]
     else:
         sizes.append(campaign.design.points)
     points = reduce(int.__mul__, sizes, 1)
@@ -196,11 +195,11 @@ def _check(campaign: Campaign, source: str) -> None:
 def _check_factor(campaign: Campaign, name: str, powers: Mapping[str, float], source: str) -> None:
     where = f"[scale.{name}]"
     if kind_of(name) is not None:
-        raise ConfigError(source, where, "is a field's own name: a factor needs another")
-    over = campaign.varied.get(name)
-    if over is None:
+        raise ConfigError(source, where, f"{name} is a field name: rename the factor")
+    values_or_range = campaign.varied.get(name)
+    if values_or_range is None:
         raise ConfigError(source, where, f"scales {name}, which is neither in [vary] nor in [cross]")
-    for value in (over.low, over.high) if isinstance(over, Range) else over:
+    for value in (values_or_range.low, values_or_range.high) if isinstance(values_or_range, Range) else values_or_range:
         if isinstance(value, bool | str) or value <= 0:
             raise ConfigError(source, f"[vary] {name}", "a factor must be > 0", value=value)
     for key in powers:
@@ -211,15 +210,17 @@ def _check_factor(campaign: Campaign, name: str, powers: Mapping[str, float], so
             )
 
 
-def _check_values(over: Choices | Range, design: str, field: str, source: str) -> None:
-    if isinstance(over, Range):
+def _check_values(values_or_range: Choices | Range, design: str, field: str, source: str) -> None:
+    if isinstance(values_or_range, Range):
         if design == "grid":
             raise ConfigError(source, field, 'must be a list of values where [design] kind = "grid"')
-        if not over.low < over.high:
-            raise ConfigError(source, f"{field}.high", f"must be > low = {over.low:g}", value=over.high)
-        if over.scale == "log" and over.low <= 0:
-            raise ConfigError(source, f"{field}.low", 'must be > 0 where scale = "log"', value=over.low)
-    elif not over:
+        if not values_or_range.low < values_or_range.high:
+            raise ConfigError(
+                source, f"{field}.high", f"must be > low = {values_or_range.low:g}", value=values_or_range.high
+            )
+        if values_or_range.scale == "log" and values_or_range.low <= 0:
+            raise ConfigError(source, f"{field}.low", 'must be > 0 where scale = "log"', value=values_or_range.low)
+    elif not values_or_range:
         raise ConfigError(source, field, "must have at least one value")
-    elif len(set(over)) < len(over):
+    elif len(set(values_or_range)) < len(values_or_range):
         raise ConfigError(source, field, "must not have a value twice")

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from msgspec import inspect
 
-from services.tools.campaign.file import Campaign, Range, figures
+from services.tools.campaign.file import Campaign, Range, metrics
 from services.tools.campaign.keys import kind_of
 from services.tools.campaign.trial import COUNTS, TIMING, Row
 
@@ -26,7 +26,7 @@ def schema(campaign: Campaign) -> pa.Schema:
     varied = [(key, _column(key, over)) for key, over in campaign.varied.items()]
     what = [("version", pa.string()), ("failed", pa.string())]
     values = [
-        (key, pa.int64() if isinstance(kind, inspect.IntType) else pa.float64()) for key, kind in figures().items()
+        (key, pa.int64() if isinstance(kind, inspect.IntType) else pa.float64()) for key, kind in metrics().items()
     ]
     counts = [(f"{table}.{name}", pa.int64()) for table, names in COUNTS.items() for name in names]
     measured = [("host", pa.string()), ("ended", pa.string()), ("wall_s", pa.float64())]

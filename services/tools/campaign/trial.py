@@ -32,7 +32,7 @@ from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from services.tools.campaign import keys
 from services.tools.campaign.design import Point
-from services.tools.campaign.file import figures
+from services.tools.campaign.file import metrics
 from services.tools.campaign.keys import Value
 from sim.evaluation.summary import Summary
 
@@ -86,8 +86,8 @@ def run(base: Base, version: str, trial: Trial) -> Row:
 
 
 def row_of(trial: Trial, version: str, failed: str = "") -> Row:
-    """Return a row without figures."""
-    nothing = dict.fromkeys([*figures(), *(f"{table}.{name}" for table, names in COUNTS.items() for name in names)])
+    """Return a row without metrics."""
+    nothing = dict.fromkeys([*metrics(), *(f"{table}.{name}" for table, names in COUNTS.items() for name in names)])
     timing = {"host": platform.node(), "ended": datetime.now(UTC).isoformat(timespec="milliseconds"), "wall_s": None}
     who = {"point": trial.point, "seed": trial.seed, "version": version, "failed": failed or None}
     return {**who, **trial.varied, **nothing, **timing}
@@ -125,10 +125,10 @@ def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> RunC
 
 
 def flat(summary: Summary) -> Row:
-    """Return the figures by column."""
+    """Return the metrics by column."""
     plain = msgspec.to_builtins(summary)
     row: Row = {}
-    for key in figures():
+    for key in metrics():
         outer, _, inner = key.partition(".")
         row[key] = plain[outer][inner] if inner else plain[outer]
     for table, names in COUNTS.items():

@@ -27,6 +27,7 @@ from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import grid
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors import fitted
 from ltv_mpc.messages import Plan, Truth
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Hold, Point
@@ -197,7 +198,7 @@ def fly(dive: Dive) -> Flight:
     run_config = dive.run_config()
     scenario, track = run_config.scenario, _Track()
     lockstep = LockStep(
-        make_nodes(run_config, unread=False),
+        make_nodes(run_config, publish_unread_topics=False),
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
         observation=Observation(track, types=frozenset({Truth, Plan})),
@@ -284,9 +285,15 @@ def plan(
         limit_reached_s=[None if limit_m is None else reached_s(t_s, line, limit_m) for line in lines],
         budget=dict(sorted(shares.items(), key=lambda item: -item[1])),
         gains_m={name: ratio * end_m for name, ratio in zip(changes, ratios, strict=True)},
-        not_counted=[name for name in ("bottom_track", "lbl", "usbl") if getattr(sensors, name) is not None],
+        not_counted=not_counted(sensors),
         notes=list(run_config.reference.notes(run_config.vehicle)),
     )
+
+
+def not_counted(sensors: SensorConfig) -> list[str]:
+    """Return the names of the vehicle's sensors that are no source of the error budget."""
+    counted = {key.partition(".")[0] for keys in SOURCES.values() for key in keys}
+    return [sensor.name for sensor, _ in fitted(sensors) if sensor.name not in counted]
 
 
 def count_of_results(fixes: Sequence[int], runs: int) -> int:

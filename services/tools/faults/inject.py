@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import msgspec
 
-from ltv_mpc.messages import Clock, Injection, InjectorFrame, Message, NodeStatus, RunEvent
+from ltv_mpc.messages import Clock, Injection, InjectorFrame, Message, RunEvent
 from ltv_mpc.node import ReceivedMessage
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator
@@ -294,16 +294,10 @@ def _written_by(node: str) -> dict[str, Topic]:
 
 
 def read_by(node: str) -> dict[str, Topic]:
-    """Return the keys of other nodes that a node reads, of named sources too; a plant also reads the status of all."""
-    heard = {
-        (expression(topic) if topic.message_type in NAMED else topic.key): topic
-        for topic in TOPICS
-        if node in topic.read_by or ANYONE in topic.read_by
-    }
-    if node == BY_TYPE[Clock].written_by:
-        heard[f"{BY_TYPE[NodeStatus].key}/*"] = BY_TYPE[NodeStatus]
+    """Return the key expressions of other processes' topics that a process reads."""
+    expressions = {expression(topic): topic for topic in TOPICS if node in topic.read_by or ANYONE in topic.read_by}
     own = _written_by(node)
-    return {key: topic for key, topic in heard.items() if key not in own}
+    return {key: topic for key, topic in expressions.items() if key not in own}
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):

@@ -60,33 +60,33 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
     steps: list[tuple[str, RecordedStep]] = []
     stamps: dict[tuple[int, int], int] = {}
     until_ns = unreadable = 0
-    for message in Recording(path):
-        if message.kind is None:
+    for stored in Recording(path):
+        if stored.kind is None:
             continue
         try:
-            signal, header = message.typed()
+            message, header = stored.typed()
         except WireError:
             unreadable += 1
             continue
-        key, t_ns = message.key, message.t_ns
+        key, t_ns = stored.key, stored.t_ns
         until_ns = max(until_ns, t_ns)
         if sources.setdefault((key, header.epoch), SequenceGaps()).add(header.sequence):
             messages[header.epoch] += 1
-        match signal:
-            case StepRecord() if signal.node in (CONTROLLER, PLANT):
-                steps += [(signal.node, step) for step in signal.steps]
+        match message:
+            case StepRecord() if message.node in (CONTROLLER, PLANT):
+                steps += [(message.node, step) for step in message.steps]
             case NodeStatus():
-                statuses.append(signal)
-                if signal.finished:
-                    last[header.epoch] = signal
+                statuses.append(message)
+                if message.finished:
+                    last[header.epoch] = message
             case Estimate() | Plan() | Truth():
                 sent.append(Sent(key, header.epoch, header.sequence, header.sent_monotonic_us))
-                if isinstance(signal, Estimate):
-                    stamps[header.epoch, header.sequence] = signal.t_ns
+                if isinstance(message, Estimate):
+                    stamps[header.epoch, header.sequence] = message.t_ns
             case _:
                 pass
-        node = signal.node if isinstance(signal, RejectedFrame) else CONTROLLER
-        log.published(node, ReceivedMessage(signal, header.epoch, header.sequence, t_ns))
+        node = message.node if isinstance(message, RejectedFrame) else CONTROLLER
+        log.published(node, ReceivedMessage(message, header.epoch, header.sequence, t_ns))
     for node, step in steps:
         if node == CONTROLLER:
             log.cycles.append(step.t_ns)

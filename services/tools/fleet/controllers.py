@@ -91,15 +91,15 @@ class _VehicleController:
                 self.overtaken += 1
                 continue
             try:
-                signal, header = self.validator.validate(frame)
+                message, header = self.validator.validate(frame)
             except WireError:  # counted by the validator
                 continue
             received_ns = frame.received_monotonic_us * 1000 - start_ns
-            arrivals.append(ReceivedMessage(signal, header.epoch, header.sequence, received_ns))
+            arrivals.append(ReceivedMessage(message, header.epoch, header.sequence, received_ns))
         (outputs,) = self.node.steps([(now_ns(start_ns), arrivals)])
-        for signal in outputs:
-            if isinstance(signal, Plan):
-                self.out.publish(signal)
+        for message in outputs:
+            if isinstance(message, Plan):
+                self.out.publish(message)
 
 
 def _is_estimate(frame: Frame) -> bool:

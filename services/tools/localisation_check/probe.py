@@ -239,7 +239,7 @@ class Probe:
     def __init__(self, run_config: RunConfig) -> None:
         """Set up the nodes of a run. Raises ``ConfigError``."""
         self._run_config = run_config
-        nodes = make_nodes(run_config, unread=False)
+        nodes = make_nodes(run_config, publish_unread_topics=False)
         self.estimator, sensors = _the(Estimator, nodes), _the(Sensors, nodes)
         self.truth: Truth | None = None  # the last
         self.true_states = TrueStates(run_config, sensors)

@@ -13,11 +13,15 @@ from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, linearise, roll_out
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import SparseQp
-from ltv_mpc.control.solvers import Solver, SolverResult
+from ltv_mpc.control.solvers import SOLVERS, Solver, SolverResult
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
 PAPER = Vehicle.load("paper")
+
+SOLVER_NAMES = (*SOLVERS, "piqp", "daqp")
+"""Every solver of the table, and two backends of qpsolvers: an interior-point and an active-set method."""
+
 LIMITS = HorizonLimits.from_vehicle(PAPER, 0.3)
 LOWERED = HorizonLimits(0.4 * LIMITS.low, np.array([0.4, 0.3]) * LIMITS.high, LIMITS.max_change, LIMITS.state_scale)
 """A box that was just made smaller: a command can be outside of it."""

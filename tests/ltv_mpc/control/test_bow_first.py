@@ -11,6 +11,7 @@ import pytest
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.resolution import settled
+from ltv_mpc.control.solvers import SOLVERS
 from ltv_mpc.messages import Estimate, PlanOrigin
 from ltv_mpc.references import Line, Place, Point
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -56,7 +57,7 @@ def test_only_a_path_forbids_to_go_astern() -> None:
     assert MotionLimits(bow="either").on(path=True).min_surge_mps is None
 
 
-@pytest.mark.parametrize("solver", ["osqp", "riccati"])
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_a_path_and_a_point_are_planned_by_turns(solver: str) -> None:
     """The limit of surge comes and goes with the reference, and the solver with it."""
     weak = Vehicle.load("weak-reverse")

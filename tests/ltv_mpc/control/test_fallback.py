@@ -16,11 +16,13 @@ from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import make
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
+from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.messages import Health, Solve
 from ltv_mpc.references.follower import Follower
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import Ages, HealthState
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
+from tests.ltv_mpc.control.problems import SOLVER_NAMES
 
 SURFACES = msgspec.structs.replace(Vehicle.load("paper"), failsafe_vertical_N=-12.5)
 POINT = references.Point(north_m=0.0, east_m=0.0, depth_m=10.0)
@@ -210,6 +212,19 @@ def test_a_cycle_in_which_a_part_raises_has_a_plan_and_the_next_one_is_solved(pa
     check(after, None if method == "add" else plan)  # what was sent is then known from the actuators alone
 
 
+def test_a_failed_qp_with_a_fence_is_recorded_with_its_half_planes():
+    wreck = Disc(name="wreck", centre=references.Place(north_m=4.0, east_m=0.0), radius_m=1.0)
+    solver = Faulty()
+    solver.fault = "infeasible"
+    recorder = FailureRecorder(solver)
+    controller = Controller(SURFACES, POINT, make_solver=recorder)
+    controller.set_fence(Fence(margin_m=0.1, keep_out_disc=(wreck,)))
+    controller.plan(moving())
+    assert recorder.failed is not None
+    assert len(recorder.failed.rows) == len(recorder.failed.qp.l)
+    assert "of the fence" in recorder.failed.rows[-1].name
+
+
 @pytest.mark.parametrize("method", ["choose_nominal", "line_search", "shifted_trajectory"])
 def test_compiled_code_that_raises_costs_one_fallback_level(method):
     controller, solver = faulty()
@@ -231,10 +246,8 @@ def test_compiled_code_that_raises_costs_one_fallback_level(method):
 
 # --- a solver that was given NaN -------------------------------------------------------------------------------------
 
-SOLVERS = ["osqp", "riccati", "piqp", "daqp"]
 
-
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", SOLVER_NAMES)
 def test_a_solver_recovers_one_cycle_after_a_problem_with_nan(solver):
     """NaN is put into the QP's numbers, past every check, for three cycles."""
     config = ControllerConfig(solver=solver)
@@ -261,7 +274,7 @@ def test_a_solver_recovers_one_cycle_after_a_problem_with_nan(solver):
     np.testing.assert_allclose(after.thrust_N, theirs.thrust_N, atol=0.05)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", SOLVER_NAMES)
 def test_a_solver_that_failed_is_replaced(solver):
     controller, factory = faulty(config=ControllerConfig(solver=solver))
     estimate, _ = fly(controller, moving(), 2)

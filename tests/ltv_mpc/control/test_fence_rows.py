@@ -13,7 +13,7 @@ from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.messages import Array, SolveStatus
-from tests.ltv_mpc.control.problems import PAPER, equidistant, motion, precise
+from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, equidistant, motion, precise
 
 N, M = 17, 3
 
@@ -43,10 +43,10 @@ def problem(seed: int, distance: float) -> tuple[Linearisation, Array]:
 
 def form() -> SparseQp:
     config = settled(settings(), PAPER)
-    return SparseQp(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3), config.weights, M)
+    return SparseQp(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3), config.weights)
 
 
-@pytest.mark.parametrize("solver", ["osqp", "riccati", "piqp", "daqp"])
+@pytest.mark.parametrize("solver", SOLVER_NAMES)
 def test_every_solver_has_them(solver: str) -> None:
     of, active = form(), 0
     for seed in range(8):

@@ -12,6 +12,7 @@ from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Authority, ControllerState, CurrentProfile, Health
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.command_arbiter import ThrustOverride
+from tests.ltv_mpc.control.problems import SOLVER_NAMES
 from tests.stepping import step
 
 PAPER = Vehicle.load("paper")
@@ -44,7 +45,7 @@ def test_the_predicted_motion_is_that_of_the_thrust_that_is_delivered(shares):
     np.testing.assert_allclose(plan.states[-1, :2], (end.north_m, end.east_m), atol=2e-3)
 
 
-@pytest.mark.parametrize("solver", ["osqp", "riccati", "piqp"])
+@pytest.mark.parametrize("solver", SOLVER_NAMES)
 def test_the_box_shrinks_for_the_water_and_stays_for_the_actuators(solver):
     """From 30 m away the plan is bounded by the box: the sound thruster gives no more than keeps it straight."""
     plan = controller(WEAK, solver=solver, horizon_s=5.1).plan(msgspec.structs.replace(FAR, t_ns=300_000_000))

@@ -22,7 +22,7 @@ from ltv_mpc.control.solvers import Solver, make, riccati_solver, solve_qp
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Point
-from tests.ltv_mpc.control.problems import PAPER, equidistant, motion, precise
+from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, equidistant, motion, precise
 
 N = 17
 YAW = MotionLimits.symmetric(yaw_rate_radps=0.15)
@@ -74,7 +74,7 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
 
 
 @pytest.mark.parametrize("limits", [YAW, BOTH, AHEAD], ids=["yaw", "both", "ahead"])
-@pytest.mark.parametrize("solver", ["osqp", "riccati", "piqp", "daqp"])
+@pytest.mark.parametrize("solver", SOLVER_NAMES)
 def test_every_solver_has_them(solver: str, limits: MotionLimits) -> None:
     form = form_of(limits)
     for seed in (1, 2, 3, 5, 7):

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ltv_mpc import Vehicle
-from ltv_mpc.vehicle.identification import Identified, NotEnoughMotion, identify, with_coefficients
+from ltv_mpc.vehicle.identification import Identification, NotEnoughMotion, identify, with_coefficients
 from ltv_mpc.vehicle.reference_point import ReferencePoint
 from ltv_mpc.vehicle.shooting_fit import Motion, lagged_thrust, segments
 
@@ -84,8 +84,8 @@ def moved(seconds: float, seed: int, *, commands=None, sd=(0.0, 0.0, 0.0), true=
     )
 
 
-def values(of: Identified) -> dict[str, float]:
-    return {one.name: one.value for one in of.found}
+def values(of: Identification) -> dict[str, float]:
+    return {one.name: one.value for one in of.coefficients}
 
 
 ARMS = msgspec.structs.replace(
@@ -129,7 +129,7 @@ ANTENNA = {**TRUE, "reference_forward": 0.5, "reference_starboard": -0.3}
 
 
 def test_a_reference_point_that_the_file_does_not_give_is_identified() -> None:
-    found = identify(ARMS, moved(90.0, 1, current=(0.1, -0.2), true=ANTENNA)).found
+    found = identify(ARMS, moved(90.0, 1, current=(0.1, -0.2), true=ANTENNA)).coefficients
     for one in found:
         assert one.value == pytest.approx(ANTENNA[one.name], rel=0.03, abs=0.005), one.name
     point = with_coefficients(ARMS, found).reference_point
@@ -142,7 +142,7 @@ def test_a_reference_point_of_the_file_is_corrected_by_what_is_found() -> None:
     declared = msgspec.structs.replace(
         ARMS, reference_point=ReferencePoint(forward_m=1.0, starboard_m=0.2, down_m=-1.0)
     )
-    found = identify(declared, moved(90.0, 1, true=ANTENNA)).found
+    found = identify(declared, moved(90.0, 1, true=ANTENNA)).coefficients
     assert [one.file for one in found if one.name.startswith("reference")] == [1.0, 0.2]
     point = with_coefficients(declared, found).reference_point
     assert (point.forward_m, point.starboard_m, point.down_m) == pytest.approx((1.5, -0.1, -1.0), abs=0.005)
@@ -151,7 +151,7 @@ def test_a_reference_point_of_the_file_is_corrected_by_what_is_found() -> None:
 def test_with_errors_the_intervals_contain_the_reference_point() -> None:
     inside = []
     for seed in range(6):
-        found = identify(ARMS, moved(90.0, seed, sd=(0.005, 0.005, 0.002), true=ANTENNA)).found
+        found = identify(ARMS, moved(90.0, seed, sd=(0.005, 0.005, 0.002), true=ANTENNA)).coefficients
         inside += [one.low <= ANTENNA[one.name] <= one.high for one in found if one.name.startswith("reference")]
         assert all(one.excited for one in found if one.name.startswith("reference"))
     assert np.mean(inside) >= 0.9
@@ -164,7 +164,7 @@ def test_in_an_unknown_current_the_intervals_contain_truth_and_current() -> None
         found = identify(ARMS, moved(90.0, seed, sd=(0.005, 0.005, 0.002), current=current))
         inside += (np.abs(found.current_mps - current) <= found.current_half_mps).tolist()
         inside += [
-            one.low <= TRUE[one.name] <= one.high for one in found.found if not one.name.startswith("lag")
+            one.low <= TRUE[one.name] <= one.high for one in found.coefficients if not one.name.startswith("lag")
         ]  # the reports have no errors here
     assert np.mean(inside) >= 0.9
 
@@ -195,7 +195,7 @@ def test_with_errors_the_intervals_contain_the_truth() -> None:
     """At least nine in ten do, and an excited coefficient is within a fifth of its value."""
     inside, excited = [], []
     for seed in range(6):
-        for one in identify(ARMS, moved(90.0, seed, sd=(0.005, 0.005, 0.002))).found:
+        for one in identify(ARMS, moved(90.0, seed, sd=(0.005, 0.005, 0.002))).coefficients:
             if one.name.startswith("lag"):  # the reports have no errors here
                 continue
             inside.append(one.low <= TRUE[one.name] <= one.high)
@@ -208,7 +208,7 @@ def test_intervals_narrow_as_errors_do() -> None:
     wide, narrow = (
         {
             one.name: one.high - one.low
-            for one in identify(ARMS, moved(90.0, 4, sd=scale * np.array([5e-3, 5e-3, 2e-3]))).found
+            for one in identify(ARMS, moved(90.0, 4, sd=scale * np.array([5e-3, 5e-3, 2e-3]))).coefficients
         }
         for scale in (1.0, 0.1)
     )
@@ -223,7 +223,7 @@ def test_unexcited_coefficients_are_reported_and_keep_their_value() -> None:
     wrong = msgspec.structs.replace(
         BELIEVED, surge=msgspec.structs.replace(BELIEVED.surge, linear_damping_kgps=12.0, quadratic_damping_kgpm=90.0)
     )
-    found = identify(wrong, moved(60.0, 5, commands=both, sd=(0.005, 0.005, 0.002), true=even)).found
+    found = identify(wrong, moved(60.0, 5, commands=both, sd=(0.005, 0.005, 0.002), true=even)).coefficients
     excited = {one.name for one in found if one.excited}
     assert "mass_surge" in excited
     assert excited.isdisjoint(
@@ -262,7 +262,7 @@ def test_a_lag_is_a_first_order_lag() -> None:
 
 
 def test_identified_coefficients_become_a_vehicle(clean: Motion) -> None:
-    found = identify(ARMS, clean).found
+    found = identify(ARMS, clean).coefficients
     better = with_coefficients(ARMS, found)
     assert better.surge.mass_kg == pytest.approx(420.0, rel=0.02)
     assert better.sway.quadratic_damping_kgpm == pytest.approx(1000.0, rel=0.03)

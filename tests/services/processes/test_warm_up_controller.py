@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+from ltv_mpc.control.solvers import SOLVERS
+
 SCRIPT = """
 import sys
 import msgspec, numpy as np
@@ -72,7 +74,7 @@ assert before == after, {key: (before.get(key), count) for key, count in after.i
 """
 
 
-@pytest.mark.parametrize("solver", ["osqp", "riccati"])
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_no_function_is_compiled_after_the_warm_up(solver):
     """It runs in a separate process, where no other test has compiled anything."""
     ended = subprocess.run([sys.executable, "-P", "-c", SCRIPT, solver], capture_output=True, text=True, timeout=240)

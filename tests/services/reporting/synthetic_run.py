@@ -40,7 +40,7 @@ from ltv_mpc.messages import (
 )
 from services.bus.wire import Header
 from services.recording.writer import RunWriter
-from services.reporting.plots.collector import CORRECTING
+from services.reporting.plots import collector
 from services.runtime.clock import boot_id
 
 S = 1_000_000_000
@@ -147,7 +147,7 @@ def report(t_ns: int) -> LocalisationReport:
     """Return a report in which every sensor that corrects the filter is a little too good."""
     sensors = tuple(
         SensorReport(sensor=name, status=SensorStatus.OK, used=20, rejected={}, nis=NIS, last_t_ns=t_ns)
-        for name in CORRECTING
+        for name in collector.NIS
     )
     return LocalisationReport(
         t_ns=t_ns, status=FilterStatus.NOMINAL, why="", restarts=0, water_walk_mps_per_rts=0.0, sensors=sensors

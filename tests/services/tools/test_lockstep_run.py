@@ -198,7 +198,7 @@ def test_recording_changes_nothing_of_the_run(recorded: tuple[RunConfig, RunFold
 
 def test_what_nobody_reads_is_measured_for_a_recording_alone_and_changes_nothing(tmp_path: Path) -> None:
     here = run_config("run.duration_s=2", "run.perfect_state=true")
-    _, sensors, _ = make_nodes(here, unread=False)
+    _, sensors, _ = make_nodes(here, publish_unread_topics=False)
     assert sensors.writes == (Estimate,)
     place = folder.make("descent", here.files, out=tmp_path / "run")
     summary, alone = lockstep_run.run(here, place), lockstep_run.run(here)

@@ -183,6 +183,27 @@ def test_commands_are_those_that_a_point_stands_for(lin):
     np.testing.assert_allclose(FORM.commands(lin, z), unpacked(lin, z)[1])
 
 
+def test_the_layout_follows_the_number_of_half_planes(lin, target):
+    form = SparseQp(KNOTS, LIMITS, WEIGHTS)
+    rows = np.zeros((N, 2, 4))
+    rows[:, 0] = [0.6, 0.8, -0.1, 5.0]
+    rows[:, 1] = [1.0, 0.0, -0.2, 7.0]
+    fenced = Linearisation.from_arrays(*lin[:-2], rows)
+    before = form.build(lin, target)
+    qp = form.build(fenced, target)
+    assert qp.A.shape == (before.A.shape[0] + 4 * N, before.A.shape[1] + 2 * N)
+    assert len(form.row_names) == form.rows == len(qp.l)
+    assert len(qp.q) == len(qp.P.toarray()) == form.variables
+    bounds, costs = qp.l[-4 * N :: 2].reshape(N, 2), qp.q[-2 * N :].reshape(N, 2)
+    np.testing.assert_array_equal(bounds, rows[:, :, 2])
+    np.testing.assert_array_equal(costs, rows[:, :, 3])
+    after = form.build(lin, target)
+    np.testing.assert_array_equal(after.A.toarray(), before.A.toarray())
+    assert len(form.row_names) == form.rows == len(after.l)
+    assert not form.match(lin)
+    assert form.match(fenced)
+
+
 def test_one_stage_is_a_horizon_too(lin, target):
     one = SparseQp(KNOTS[:2], LIMITS, WEIGHTS)
     short = Linearisation.from_arrays(

@@ -122,7 +122,7 @@ def test_a_random_design_is_drawn_from_its_seed(tmp_path: Path) -> None:
         ("0.02, 0.04, 0.08", "0.02, 0.02", r"\[vary\] water.sd_mps: must not have a value twice"),
         ("[0.02, 0.04, 0.08]", "[]", "must have at least one value"),
         ("[0.02, 0.04, 0.08]", "{ low = 1.0, high = 2.0 }", "must be a list of values where"),
-        ('title = "t"', 'title = "t"\nminimise = "true_error"', "minimise.*must be a figure of summary.json"),
+        ('title = "t"', 'title = "t"\nminimise = "true_error"', "minimise.*must be a metric of summary.json"),
         ('title = "t"', 'title = "t"\nseeds.count = 5_000_000', r"\[seeds\] count = 5000000: must be"),
         ('title = "t"', 'title = "t"\nseeds.count = 1_000_000\ndesign.kind="random"\ndesign.points=1000', "at most"),
         ("[vary]", "[set]\nwater.sd_mps = 0.1\n[vary]", r"\[vary\] water.sd_mps: is also in \[set\]"),

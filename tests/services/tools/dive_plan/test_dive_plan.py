@@ -22,6 +22,7 @@ from services.tools.dive_plan import plan, report
 from services.tools.dive_plan.plan import Dive, DivePlan, RecordedDrift
 from services.tools.localisation_check.probe import descend
 from sim.evaluation.cramer_rao_bound.model import ACCELEROMETER_BIAS, BEAM_BIAS, GYRO_BIAS, MOUNTING, ErrorModel
+from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR
 
 DURATION_S, DEPTH_M = 10.0, 2.0
 SENSORS = ("paper", "realistic", "examples/sensors/own_adcp.toml", "examples/sensors/600_khz.toml")
@@ -45,6 +46,11 @@ def test_the_shares_of_all_sources_add_up_to_the_variance(planned: DivePlan) -> 
     assert sum(planned.budget.values()) == pytest.approx(1.0, abs=0.02)
     assert min(planned.budget.values()) > -5e-3
     assert planned.budget["ADCP noise"] > 0.1
+
+
+def test_sensors_without_a_source_in_the_budget_are_named(planned: DivePlan) -> None:
+    assert planned.not_counted == []
+    assert plan.not_counted(EVERY_SENSOR) == ["bottom_track", "lbl", "usbl"]
 
 
 def test_each_change_reduces_the_drift_and_more_fixes_do(planned: DivePlan) -> None:
