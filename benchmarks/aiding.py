@@ -12,8 +12,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from ltv_mpc.messages import Array, Estimate, Truth
+from services.reporting.figures import sheet
+from services.reporting.plots import palette
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run
 from services.tools.batch.executor import run_each
@@ -70,25 +73,22 @@ def hover(job: Job) -> Drift:
 
 def draw(drifts: dict[str, Drift], path: Path) -> None:
     """Error over time with 3 sigma, one panel each on one scale."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, panels = plt.subplots(1, len(drifts), figsize=(12, 3.4), sharey=True, layout="constrained")
-    for panel, (name, drift) in zip(panels, drifts.items(), strict=True):
-        minutes = drift.t_s / 60.0
-        panel.fill_between(minutes, 0.0, 3.0 * drift.sd_m, color="#56B4E9", alpha=0.3, lw=0, label="3 sigma")
-        panel.plot(minutes, drift.error_m, color="#0072B2", lw=1.2, label="error")
-        panel.set_title(f"with {name}" if name != "none" else "no fixes below the surface", fontsize=10)
-        panel.set_xlabel("time (min)")
-        panel.set_yscale("symlog", linthresh=1.0)
-        panel.set_ylim(0.0, 60.0)
-        panel.set_yticks([0, 0.5, 1, 3, 10, 30], ["0", "0.5", "1", "3", "10", "30"])
-        panel.grid(alpha=0.3)
-    panels[0].set_ylabel("horizontal error (m)")
-    panels[0].legend(loc="upper left", fontsize=9)
-    figure.savefig(path, dpi=110)
+    with sheet.style(page=True):
+        figure = Figure(figsize=(10.0, 3.4), layout="constrained")
+        panels = figure.subplots(1, len(drifts), sharey=True)
+        for panel, (name, drift) in zip(panels, drifts.items(), strict=True):
+            minutes = drift.t_s / 60.0
+            band = {"color": palette.ESTIMATE, "alpha": 0.2, "linewidth": 0}
+            panel.fill_between(minutes, 0.0, 3.0 * drift.sd_m, **band, label="3 sigma of the filter")
+            panel.plot(minutes, drift.error_m, color=palette.ESTIMATE, label="error of the estimate")
+            panel.set_title(f"with {name}" if name != "none" else "no fixes below the surface")
+            panel.set_xlabel("time (min)")
+            panel.set_yscale("symlog", linthresh=1.0)
+            panel.set_ylim(0.0, 60.0)
+            panel.set_yticks([0, 0.5, 1, 3, 10, 30], ["0", "0.5", "1", "3", "10", "30"])
+        panels[0].set_ylabel("horizontal error (m)")
+        sheet.shared_legend(figure, panels[0])
+        sheet.write(figure, [path])
 
 
 def main() -> None:

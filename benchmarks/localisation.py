@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import Progress
 
@@ -33,6 +34,8 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Due
+from services.reporting.figures import sheet
+from services.reporting.plots import palette
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run
 from services.tools.batch.job import Job
@@ -58,10 +61,10 @@ class Curve(NamedTuple):
 
 
 CURVES = (
-    Curve("filter, every cell kept", False, 2000.0, "#0072B2", "o", "-"),
-    Curve(f"filter, {DEFAULT.kept_m:g} m behind kept (default)", False, DEFAULT.kept_m, "#E69F00", "s", "-"),
-    Curve("filter, none behind kept", False, 0.0, "#009E73", "^", "-"),
-    Curve("whole node, every cell kept", True, 2000.0, "#777777", "D", "--"),
+    Curve("filter, every cell kept", False, 2000.0, palette.RUNS[0], "o", "-"),
+    Curve(f"filter, {DEFAULT.kept_m:g} m behind kept (default)", False, DEFAULT.kept_m, palette.RUNS[1], "s", "-"),
+    Curve("filter, none behind kept", False, 0.0, palette.RUNS[2], "^", "-"),
+    Curve("whole node, every cell kept", True, 2000.0, palette.OTHER, "D", "--"),
 )
 
 
@@ -168,37 +171,28 @@ def growth(costs: Sequence[Cost]) -> dict[str, float]:
 
 def draw(path: Path, costs: Sequence[Cost], sensors: str) -> None:
     """Share of a core against cells, both logarithmic."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(7.5, 5.0), layout="constrained")
-    for curve in CURVES:
-        points = [cost for cost in costs if cost.curve == curve.name]
-        style = {"color": curve.colour, "marker": curve.marker, "linestyle": curve.line}
-        axes.loglog(
-            [p.cells for p in points], [100 * p.least for p in points], **style, linewidth=1.8, label=curve.name
-        )
-    last = 100 * next(c.least for c in costs if (c.curve, c.cells) == (CURVES[0].name, CELLS[-1]))
-    reach = np.array([190.0, CELLS[-1]])
-    axes.loglog(reach, last * (reach / CELLS[-1]) ** 2, color="#333333", linestyle=":", label="square of the cells")
-    limits = [100 * limit for limit in LIMITS.values()]
-    text = "limits of the filter: " + ", ".join(f"{100 * share:g} % at {cells}" for cells, share in LIMITS.items())
-    axes.plot([*LIMITS], limits, "_", color="#D55E00", markersize=26, markeredgewidth=3.0, label=text)
-    axes.set_xticks(CELLS, [str(cells) for cells in CELLS])
-    ticks = [0.1, 0.2, 0.5, 1, 2, 5, 10]
-    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
-    axes.minorticks_off()
-    axes.set_xlim(22, 570)
-    axes.set_ylim(0.1, 40)
-    axes.set_xlabel("water cells of 1 m in the grid")
-    axes.set_ylabel("processor time, % of one core at real time")
-    axes.set_title(f"Cost of localisation, sensors {sensors}", fontsize=11)
-    axes.grid(which="major", color="#dddddd", linewidth=0.7)
-    axes.legend(loc="upper left", frameon=False, markerscale=0.8)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    with sheet.style(page=True):
+        figure = Figure(figsize=(sheet.PAGE_IN, 4.8), layout="constrained")
+        axes = figure.subplots()
+        for curve in CURVES:
+            points = [cost for cost in costs if cost.curve == curve.name]
+            style = {"color": curve.colour, "marker": curve.marker, "linestyle": curve.line}
+            axes.loglog([p.cells for p in points], [100 * p.least for p in points], **style, label=curve.name)
+        last = 100 * next(c.least for c in costs if (c.curve, c.cells) == (CURVES[0].name, CELLS[-1]))
+        reach = np.array([190.0, CELLS[-1]])
+        square = last * (reach / CELLS[-1]) ** 2
+        axes.loglog(reach, square, color=palette.REFERENCE, linestyle=":", label="square of the cells")
+        limits = [100 * limit for limit in LIMITS.values()]
+        text = "limits of the filter: " + ", ".join(f"{100 * share:g} % at {cells}" for cells, share in LIMITS.items())
+        axes.plot([*LIMITS], limits, "_", color=palette.LIMIT, markersize=20, markeredgewidth=3.0, label=text)
+        axes.set_xticks(CELLS, [str(cells) for cells in CELLS])
+        ticks = [0.1, 0.2, 0.5, 1, 2, 5, 10]
+        axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
+        axes.set(xlim=(22, 570), ylim=(0.1, 15))
+        axes.set(xlabel="water cells of 1 m in the grid", ylabel="processor time, % of one core at real time")
+        sheet.legend_above(axes, f"cost of localisation, sensors {sensors}")
+        sheet.write(figure, [path])
 
 
 def main() -> None:

@@ -26,10 +26,13 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from matplotlib.figure import Figure
 
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Applied, Disturbance, Estimate, Message, ModelCheck, Triple, Truth
 from ltv_mpc.node import Due, Grid, Node, ReceivedMessage
+from services.reporting.figures import sheet
+from services.reporting.plots import palette
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools.lockstep_run import LATEST
@@ -42,6 +45,9 @@ SHARES: tuple[tuple[str, Triple], ...] = (
     ("port", (0.7, 1.0, 1.0)),
     ("starboard", (1.0, 0.7, 1.0)),
 )
+COLOURS = (palette.OTHER, palette.PORT, palette.STARBOARD)
+"""Of both thrusters, port and starboard, as in ``SHARES``."""
+
 FIRST_SEED = 5000
 EDGE = ("plant.mismatch.thrust=0.9", "plant.mismatch.drag=1.1", "plant.mismatch.mass=1.1")
 BOUND = 10.0
@@ -242,28 +248,26 @@ def opened(path: Path | None, asked: Kept) -> Kept:
 
 def picture(losses: list[Loss], path: Path) -> None:
     """Delay of the alarm against the thrust at the time, with the lines of equal cost."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(7.0, 4.5), layout="constrained")
     heard = [loss for loss in losses if loss.delay_s is not None]
-    for state, colour in (("known", "tab:blue"), ("estimated", "tab:orange")):
-        for (name, _), mark in zip(SHARES, "o<>", strict=True):
-            some = [loss for loss in heard if (loss.state, loss.of) == (state, name)]
-            x, y = [loss.thrust_N for loss in some], [loss.delay_s or 0.0 for loss in some]
-            axes.plot(x, y, mark, color=colour, label=f"{name}, state {state}", markersize=5)
-    missed = [loss.thrust_N for loss in losses if loss.delay_s is None]
-    axes.plot(missed, [LASTS_NS / S] * len(missed), "x", color="0.3", label=f"none within {LASTS_NS // S} s")
-    thrust = np.linspace(4.0, 125.0, 200)
-    for share, text in ((0.3, "both"), (0.15, "one of two")):
-        axes.plot(thrust, BOUND / (share * thrust), "-", color="0.7", linewidth=1.0)
-        axes.annotate(f"{BOUND:g} N s, {text}", (90.0, BOUND / (share * 90.0)), color="0.4", fontsize=8)
-    axes.set(xlabel="|port| + |starboard| until the alarm (N)", ylabel="delay (s)", ylim=(0.0, 8.5), xlim=(0.0, 125.0))
-    axes.set_title("30 % of thrust lost: delay of the alarm")
-    axes.legend(fontsize=8)
-    figure.savefig(path, dpi=150)
+    with sheet.style(page=True):
+        figure = Figure(figsize=(sheet.PAGE_IN, 4.5), layout="constrained")
+        axes = figure.subplots()
+        for state, face in (("known", None), ("estimated", "none")):
+            for (name, _), mark, colour in zip(SHARES, "o<>", COLOURS, strict=True):
+                some = [loss for loss in heard if (loss.state, loss.of) == (state, name)]
+                x, y = [loss.thrust_N for loss in some], [loss.delay_s or 0.0 for loss in some]
+                axes.plot(x, y, mark, color=colour, mfc=face or colour, markersize=5, label=f"{name}, state {state}")
+        missed = [loss.thrust_N for loss in losses if loss.delay_s is None]
+        late = f"none within {LASTS_NS // S} s"
+        axes.plot(missed, [LASTS_NS / S] * len(missed), "x", color=palette.LIMIT, markersize=6, label=late)
+        thrust = np.linspace(4.0, 125.0, 200)
+        for share, text, dash in ((0.3, "both", "--"), (0.15, "one of two", ":")):
+            label = f"{BOUND:g} N s lost, {text}"
+            axes.plot(thrust, BOUND / (share * thrust), dash, color=palette.REFERENCE, label=label)
+        axes.set(xlabel="|port| + |starboard| until the alarm (N)", ylabel="delay (s)")
+        axes.set(ylim=(0.0, 8.5), xlim=(0.0, 125.0))
+        sheet.legend_above(axes, "delay of the alarm after 30 % of thrust was lost")
+        sheet.write(figure, [path])
 
 
 def main() -> None:

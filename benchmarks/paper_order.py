@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import binomtest, qmc
 
 from benchmarks.ablation.mechanism import replaced
@@ -26,6 +27,8 @@ from benchmarks.loop import Loop, run_config
 from benchmarks.paper.settings import COMPUTING_S, LONG_S, PAPER_COST, SHORT_S
 from ltv_mpc.control import config, controller, fallback, lateral, solvers
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.reporting.figures import sheet
+from services.reporting.plots import palette
 
 SAMPLE_SEED, FIRST_SEED = 2012, 700
 AT_REST = 1.0 / 3.0
@@ -150,32 +153,29 @@ def tables(points: Sequence[list[float]], errors: Sequence[dict[str, float]]) ->
 
 def draw(points: Sequence[list[float]], errors: Sequence[dict[str, float]], path: Path) -> None:
     """Draw the error at 2.5 s over that without control against each factor."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
     ratio = np.array([e["2.5 s"] / e[NONE] for e in errors])
     holds = np.array([CLAIMS["the paper's order"](e) for e in errors])
-    figure, axes = plt.subplots(2, 5, figsize=(14, 6.4), sharey=True, layout="constrained")
-    for i, (factor, axis) in enumerate(zip(FACTORS, axes.flat, strict=True)):
-        x = np.array([point[i] for point in points])
-        if factor.name == "time adrift (s)":
-            x = np.array([adrift_s(part) for part in x])
-        for those, colour, marker, label in (
-            (holds, "#0072B2", "o", "5 s < 2.5 s < no control"),
-            (~holds, "#D55E00", "x", "another order"),
-        ):
-            axis.plot(x[those], ratio[those], marker, color=colour, markersize=5, label=label)
-        axis.axhline(1.0, color="black", linewidth=0.8)
-        axis.set(xlabel=factor.name, xscale="log" if factor.is_log else "linear", yscale="log")
-        axis.minorticks_off()
-        ticks = [factor.at(part) for part in (0.0, 0.5, 1.0)] if factor.is_log else axis.get_xticks()[1:-1]
-        axis.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
-        axis.set_yticks([0.2, 0.5, 1.0, 2.0, 5.0], ["0.2", "0.5", "1", "2", "5"])
-    figure.supylabel("mean error at 2.5 s of horizon over that without control")
-    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    figure.savefig(path, dpi=100)
+    with sheet.style(page=True):
+        figure = Figure(figsize=(11.0, 5.6), layout="constrained")
+        axes = figure.subplots(2, 5, sharey=True)
+        for i, (factor, axis) in enumerate(zip(FACTORS, axes.flat, strict=True)):
+            x = np.array([point[i] for point in points])
+            if factor.name == "time adrift (s)":
+                x = np.array([adrift_s(part) for part in x])
+            for those, colour, marker, label in (
+                (holds, palette.RUNS[0], "o", "5 s < 2.5 s < no control"),
+                (~holds, palette.RUNS[1], "x", "another order"),
+            ):
+                axis.plot(x[those], ratio[those], marker, color=colour, label=label)
+            axis.axhline(1.0, color=palette.REFERENCE, linewidth=0.8)
+            axis.set(xlabel=factor.name, xscale="log" if factor.is_log else "linear", yscale="log")
+            axis.minorticks_off()
+            ticks = [factor.at(part) for part in (0.0, 0.5, 1.0)] if factor.is_log else axis.get_xticks()[1:-1]
+            axis.set_xticks(ticks, [f"{tick:.3g}" for tick in ticks])
+            axis.set_yticks([0.2, 0.5, 1.0, 2.0, 5.0], ["0.2", "0.5", "1", "2", "5"])
+        figure.supylabel("mean error at 2.5 s of horizon over that without control", fontsize="medium")
+        sheet.shared_legend(figure, axes[0][0])
+        sheet.write(figure, [path])
 
 
 def main() -> None:

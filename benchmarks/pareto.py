@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from matplotlib.figure import Figure
 
 from benchmarks.loop import Loop, Outcome, run_config
 from ltv_mpc.control.config import ControllerConfig
@@ -26,6 +27,8 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import THRUST_WEIGHT_FACTOR
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.reporting.figures import sheet
+from services.reporting.plots import palette
 from services.tools.batch.executor import run_each
 
 HORIZONS_S = (5.1, 10.2, 13.8, 20.1)
@@ -108,30 +111,28 @@ def point(job: Job, figures: list[tuple[float, float, float, float]]) -> Point:
 
 def draw(points: list[Point], path: Path) -> None:
     """Draw error against power, one curve a horizon; the default and the efforts are marked."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, panel = plt.subplots(figsize=(7.0, 4.4), layout="constrained")
-    for horizon_s in sorted({of.horizon_s for of in points}):
-        curve = sorted((of for of in points if of.horizon_s == horizon_s), key=lambda of: of.thrust)
-        panel.plot([of.power for of in curve], [1e3 * of.error_m for of in curve], "o-", label=f"{horizon_s:g} s")
-    proposed = settled(ControllerConfig(), Vehicle.load("paper"))
-    for of in points:
-        for effort, factor in THRUST_WEIGHT_FACTOR.items():
-            if of.horizon_s == proposed.horizon_s and math.isclose(of.thrust, factor * proposed.weights.thrust):
-                mark, label = ("k*", "default") if effort == "normal" else ("ks", None)
-                panel.plot(of.power, 1e3 * of.error_m, mark, markersize=14 if label else 7, label=label)
-                panel.annotate(effort, (of.power, 1e3 * of.error_m), (7, 6), textcoords="offset points")
-    panel.set(xscale="log", yscale="log", xlabel="propulsive power, mean $|F|^{1.5}$ (N$^{1.5}$)")
-    panel.set(ylabel="tracking error, mean (mm)", title="Error against propulsive power, by horizon")
-    panel.set_xticks(ticks := (10, 15, 20, 30, 40, 60, 80), map(str, ticks))
-    panel.set_yticks(ticks := (10, 15, 20, 30, 50, 100, 200), map(str, ticks))
-    panel.minorticks_off()
-    panel.grid(visible=True, which="both", alpha=0.3)
-    panel.legend(title="horizon")
-    figure.savefig(path, dpi=140)
+    with sheet.style(page=True):
+        figure = Figure(figsize=(sheet.PAGE_IN, 4.4), layout="constrained")
+        panel = figure.subplots()
+        for horizon_s in sorted({of.horizon_s for of in points}):
+            curve = sorted((of for of in points if of.horizon_s == horizon_s), key=lambda of: of.thrust)
+            label = f"horizon {horizon_s:g} s"
+            panel.plot([of.power for of in curve], [1e3 * of.error_m for of in curve], "o-", label=label)
+        proposed = settled(ControllerConfig(), Vehicle.load("paper"))
+        for of in points:
+            for effort, factor in THRUST_WEIGHT_FACTOR.items():
+                if of.horizon_s == proposed.horizon_s and math.isclose(of.thrust, factor * proposed.weights.thrust):
+                    mark, size, label = ("*", 14, "default") if effort == "normal" else ("s", 7, None)
+                    at = of.power, 1e3 * of.error_m
+                    panel.plot(*at, mark, color=palette.TRUTH, markersize=size, label=label)
+                    panel.annotate(effort, at, (7, 6), textcoords="offset points")
+        panel.set(xscale="log", yscale="log", xlabel="propulsive power, mean $|F|^{1.5}$ (N$^{1.5}$)")
+        panel.set(ylabel="tracking error, mean (mm)")
+        panel.set_xticks(ticks := (10, 15, 20, 30, 40, 60, 80), map(str, ticks))
+        panel.set_yticks(ticks := (10, 15, 20, 30, 50, 100, 200), map(str, ticks))
+        panel.minorticks_off()
+        sheet.legend_above(panel, "tracking error against propulsive power")
+        sheet.write(figure, [path])
 
 
 def main() -> None:

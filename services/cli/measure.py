@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,9 @@ from services.cli.fleet import fleet
 from services.cli.localisation_check import localisation_check
 from services.cli.options import Force, Json
 from services.cli.qp import qp
+
+if TYPE_CHECKING:
+    from services.tools.profile.run import Measured
 
 
 def register(app: typer.Typer, panel: str) -> None:
@@ -67,25 +70,36 @@ def profile(
     from services.tools.profile import run as latency
 
     stages = latency.parse_horizons(horizons)
-    by_horizon = [
-        problems.simulated(N, cycles, seed) if run is None else problems.recorded(run, N, cycles) for N in stages
-    ]
-    named = latency.parse_solvers(solvers, by_horizon[0][0])
-    written = None if out is None else folder.open_folder(out, force=force)
-    configs = [episodes[0].config for episodes in by_horizon]
-    names = ", ".join(f"{config.stages} stages ({problems.length_s(config):.1f} s)" for config in configs)
     with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(f"{cycles} cycles at {names}", total=cycles * len(stages))
-        measured = latency.run(by_horizon, named, seed=seed, progress=lambda: progress.advance(task))
+        task = progress.add_task("preparing the problems and compiling", total=None)
+        by_horizon = [
+            problems.simulated(N, cycles, seed) if run is None else problems.recorded(run, N, cycles) for N in stages
+        ]
+        named = latency.parse_solvers(solvers, by_horizon[0][0])
+        written = None if out is None else folder.open_folder(out, force=force)
+        configs = [episodes[0].config for episodes in by_horizon]
+        names = ", ".join(f"{config.stages} stages ({problems.length_s(config):.1f} s)" for config in configs)
+        progress.update(task, description=f"{cycles} cycles at {names}", total=cycles * len(stages))
+        measured = latency.run(
+            by_horizon,
+            named,
+            seed=seed,
+            progress=lambda: progress.advance(task),
+            on_horizon=lambda rows: progress.console.out(*map(table.short, rows), sep="\n", highlight=False),
+        )
     plain = msgspec.json.format(msgspec.json.encode(measured.profile), indent=2).decode()
     typer.echo(plain if as_json else table.text(measured.profile))
     if written is not None:
         (written / "profile.json").write_text(plain + "\n", encoding="utf-8")
-        try:
-            from services.tools.profile import plot
-        except ImportError:
-            typer.echo("no plot: matplotlib is not installed: pip install matplotlib (extra viz)", err=True)
-        else:
-            plot.draw(measured, written / "profile.png")
+        _draw(measured, written / "profile.png")
         typer.echo(str(written), err=as_json)
     return 0
+
+
+def _draw(measured: Measured, path: Path) -> None:
+    try:
+        from services.tools.profile import plot
+    except ImportError:
+        typer.echo("no plot: matplotlib is not installed: pip install matplotlib (extra viz)", err=True)
+    else:
+        plot.draw(measured, path)

@@ -73,7 +73,7 @@ def test_every_figure_is_there_at_a_column_s_width_and_shows_something(made: Pat
         assert np.count_nonzero(spread > 0.25) > 30, one.name  # more than ink on white
         svg = (made / "runs" / f"{one.name}.svg").read_text()
         assert svg.count("<path") > 20
-    assert imread(made / "descent.png").shape[1] == round(sheet.PAGE_IN * DPI)
+    assert imread(made / "descent.png").shape[1] == round(sheet.HALF_PAGE_IN * DPI)
 
 
 def test_the_page_s_tables_are_those_of_figures_json_and_the_rest_stays(made: Path) -> None:

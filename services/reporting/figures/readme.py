@@ -1,4 +1,4 @@
-"""Figure of the README: tracks and distances of several runs, and the thrusts of the last one."""
+"""Figure of the README: distances of several runs, and the thrusts of the last two beside each other."""
 
 from __future__ import annotations
 
@@ -17,15 +17,28 @@ TRUE_DISTANCE = msgspec.structs.replace(
 )
 """Distance of the vehicle from the reference, on a logarithmic axis."""
 
+THRUST = msgspec.structs.replace(catalogue.THRUST, levels=())
+"""Thrusts without their limits, for a short legend."""
+
 
 def write(runs: Sequence[Run], out: Path) -> None:
-    """Draw the figure. All ``runs`` are compared; the last one is also shown with its thrusts."""
+    """Draw the figure. All ``runs`` are compared, and the last two are also shown with their thrusts.
+
+    The last run is the one with the default horizon.
+    """
     shown = [renderer.from_zero(run) for run in runs]
-    last = shown[-1]
+    named = [*shown[:-1], shown[-1]._replace(name=f"{shown[-1].name} (default)")]
     with sheet.style(page=True):
-        picture = Figure(figsize=(sheet.PAGE_IN, 4.6), layout="constrained")
-        grid = picture.add_gridspec(2, 2, width_ratios=(1.0, 1.35), height_ratios=(1.3, 1.0))
-        renderer.draw(picture.add_subplot(grid[:, 0]), catalogue.TRACK, shown, title="true track from above")
-        renderer.draw(picture.add_subplot(grid[0, 1]), TRUE_DISTANCE, shown, title="distance from the line")
-        renderer.draw(picture.add_subplot(grid[1, 1]), catalogue.THRUST, [last], title=f"{last.name}: thrust")
+        picture = Figure(figsize=(sheet.HALF_PAGE_IN, 4.4), layout="constrained")
+        grid = picture.add_gridspec(2, 2, height_ratios=(1.25, 1.0))
+        renderer.draw(
+            picture.add_subplot(grid[0, :]), TRUE_DISTANCE, named, title="distance of the vehicle from the line"
+        )
+        first = None
+        for column, run in enumerate(shown[-2:]):
+            axes = picture.add_subplot(grid[1, column], sharey=first)
+            renderer.draw(axes, THRUST, [run], title=f"thrust, {run.name}")
+            if first is not None:
+                axes.set_ylabel("")
+            first = axes
         sheet.write(picture, [out])

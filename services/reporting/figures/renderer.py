@@ -11,15 +11,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from typing import NamedTuple, TypeAlias
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from ltv_mpc.messages import Array
+from services.reporting.figures import sheet
 from services.reporting.plots import palette
 from services.reporting.plots.description import Axis, Plot, Series, Style
 from services.reporting.plots.events import Mark
@@ -31,9 +30,6 @@ LINES: dict[Style, Dash] = {Style.LINE: None, Style.DASHED: (0, (5, 2)), Style.D
 MARKERS = {Style.CROSS: "+", Style.DOT: "o", Style.RING: "o"}
 COMPARED: tuple[Dash, ...] = (None, (0, (4, 1.5)), (0, (1, 1.2)))
 """Dash patterns of the first, second and third compared series, if several runs are overlaid."""
-
-COLUMNS = 4
-"""Largest number of columns of a legend."""
 
 WIDTH = 1.1  # points
 BAND = 0.22  # opacity
@@ -74,7 +70,7 @@ def draw(axes: Axes, plot: Plot, runs: Sequence[Run], *, title: str | None = Non
     """Draw a plot with labels, limits and legend. ``title`` replaces the one of the description; "" for none."""
     drawn = _of_one(axes, plot, runs[0]) if len(runs) == 1 else _of_several(axes, plot, runs)
     axes.set(xlabel=plot.x.label, ylabel=plot.y.label)
-    _head(axes, plot.title if title is None else title, drawn.legend)
+    sheet.legend_above(axes, plot.title if title is None else title, drawn.legend)
     if not drawn.x:
         axes.text(0.5, 0.5, plot.empty, transform=axes.transAxes, ha="center", va="center", color=palette.REFERENCE)
         return
@@ -85,34 +81,6 @@ def draw(axes: Axes, plot: Plot, runs: Sequence[Run], *, title: str | None = Non
         axes.set_ylim(len(plot.y.rows) - 0.5, -0.5)
     if plot.equal:
         axes.set_aspect("equal", adjustable="datalim")
-
-
-def _head(axes: Axes, title: str, legend: Sequence[Line2D | Patch]) -> None:
-    """Place title and legend above the axes, where they cover no line."""
-    if not legend:
-        axes.set_title(title, loc="left")
-        return
-    axes.legend(
-        handles=legend,
-        title=title or None,
-        title_fontproperties={"weight": "bold"},
-        alignment="left",
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        borderaxespad=0.3,
-        ncols=_columns(axes, [str(one.get_label()) for one in legend]),
-    )
-
-
-def _columns(axes: Axes, labels: Sequence[str]) -> int:
-    """Return the number of legend columns that fit above the axes.
-
-    A letter is about 0.53 of the font size wide; a legend line with its gaps is 3.6 font sizes wide.
-    """
-    points = axes.get_window_extent().transformed(axes.figure.dpi_scale_trans.inverted()).width * 72
-    letter = FontProperties(size=mpl.rcParams["legend.fontsize"]).get_size_in_points()
-    widest = letter * (3.6 + 0.53 * max(map(len, labels)))
-    return min(len(labels), COLUMNS, max(1, int(points / widest)))
 
 
 class _Drawn:

@@ -1,4 +1,7 @@
-"""Figure sheet of one or more panels: size, fonts and output files."""
+"""Style sheet of every figure that matplotlib draws: sizes, fonts, colours, place of the legend, output files.
+
+The colours are those of ``services.reporting.plots.palette``. Legends stand above or below the axes, never on the data.
+"""
 
 from __future__ import annotations
 
@@ -8,26 +11,48 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+from cycler import cycler
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+
+from services.reporting.plots import palette
 
 COLUMN_IN = 3.4
 """Width of a column of a two-column paper (in)."""
 
 PAGE_IN = 6.8
-"""Width of the figure in the README (in); its letters can be read at half of the width of a page."""
+"""Width of a figure on a page of the documentation (in)."""
+
+HALF_PAGE_IN = 4.8
+"""Width of the figure in the README (in): its letters can be read at half of the width of a page."""
+
+COLUMNS = 4
+"""Largest number of columns of a legend."""
 
 DPI = 200
 
 STYLE: Any = {
     "font.size": 7.0,
     "axes.titlesize": 7.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
     "axes.labelsize": 7.0,
     "axes.linewidth": 0.6,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "grid.color": "#e6e8eb",
+    "grid.color": palette.CANVAS["grid"],
+    "axes.prop_cycle": cycler(color=palette.RUNS),
+    "text.color": palette.CANVAS["ink"],
+    "axes.labelcolor": palette.CANVAS["ink"],
+    "xtick.labelcolor": palette.CANVAS["ink"],
+    "ytick.labelcolor": palette.CANVAS["ink"],
+    "lines.linewidth": 1.2,
+    "lines.markersize": 4.0,
+    "legend.title_fontsize": "medium",
     "grid.linewidth": 0.5,
     "xtick.labelsize": 6.5,
     "ytick.labelsize": 6.5,
@@ -60,6 +85,49 @@ def style(*, page: bool = False) -> Iterator[None]:
         if page:
             mpl.rcParams.update(PAGE)
         yield
+
+
+def legend_above(axes: Axes, title: str, handles: Sequence[Artist] | None = None) -> None:
+    """Place title and legend above the axes, where they cover no data.
+
+    Parameters
+    ----------
+    axes : its labelled artists are in the legend if ``handles`` is None.
+    title : title of the panel; "" for none.
+    handles : artists in the legend; with none of them the panel has a title alone.
+    """
+    if handles is None:
+        handles = axes.get_legend_handles_labels()[0]
+    if not handles:
+        axes.set_title(title)
+        return
+    axes.legend(
+        handles=handles,
+        title=title or None,
+        title_fontproperties={"weight": "bold"},
+        alignment="left",
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        borderaxespad=0.3,
+        ncols=_columns(axes, [str(one.get_label()) for one in handles]),
+    )
+
+
+def _columns(axes: Axes, labels: Sequence[str]) -> int:
+    """Return the number of legend columns that fit above the axes.
+
+    A letter is about 0.53 of the font size wide; a legend line with its gaps is 3.6 font sizes wide.
+    """
+    points = axes.get_window_extent().transformed(axes.figure.dpi_scale_trans.inverted()).width * 72
+    letter = FontProperties(size=mpl.rcParams["legend.fontsize"]).get_size_in_points()
+    widest = letter * (3.6 + 0.53 * max(map(len, labels)))
+    return min(len(labels), COLUMNS, max(1, int(points / widest)))
+
+
+def shared_legend(figure: Figure, axes: Axes) -> None:
+    """Place one legend for all panels of a figure below them, with the labelled artists of ``axes``."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=COLUMNS)
 
 
 def write(figure: Figure, files: Sequence[Path]) -> None:

@@ -1,8 +1,8 @@
 """Plot colours by meaning, on a light and on a dark background.
 
 A colour means the same in every panel of page, report and figures: true black, estimate blue, reference grey, port
-orange, starboard green. In a plot of several runs a colour of ``RUNS`` means a run. The hues are
-those of Okabe and Ito, which remain different for the three kinds of colour blindness.
+orange, starboard green. In a plot of several runs a colour of ``RUNS`` means a run. Most hues
+are those of Okabe and Ito. A test checks that colours remain different for the three kinds of colour blindness.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ RARE = "#b36b00"
 OTHER = "#455a64"
 """Quantities without a colour of their own: vertical thrust, energy, times."""
 
-RUNS = ("#0072b2", "#d55e00", "#009e73", "#cc5fa0", "#b8860b", "#56b4e9", "#1b1b1b", "#767676")
+CANVAS = {"ink": "#2b2f33", "grid": "#e6e8eb", "paper": "#ffffff"}
+"""Letters, grid lines and background of a plot. Page and report have them in ``static/style.css``, with a dark set."""
+
+RUNS = ("#0072b2", "#d55e00", "#009e73", "#cc5fa0", "#4a148c", "#56b4e9", "#1b1b1b", "#767676")
 """Colours of several runs, or of several sensors, in one plot; they repeat after the eighth."""
 
 DARK = {
@@ -39,7 +42,7 @@ DARK = {
     MARK: "#dd9a6c",
     RARE: "#f0b45c",
     OTHER: "#a7bcc7",
-    "#b8860b": "#e3c04f",
+    "#4a148c": "#a98bff",
     "#56b4e9": "#9ad4f5",
 }
 """Colour on a dark background for each of the colours above."""

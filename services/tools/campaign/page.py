@@ -55,7 +55,7 @@ def write(folder: Path) -> Path:
 
 def panels(campaign: Campaign, of: Scores) -> list[dict[str, Any]]:
     """Return one panel for each varied field: title, plotly's traces and layout."""
-    keys = list(campaign.varied)
+    keys, grid = list(campaign.varied), palette.CANVAS["grid"]
     made = []
     for i, key in enumerate(keys):
         over = campaign.varied[key]
@@ -64,21 +64,30 @@ def panels(campaign: Campaign, of: Scores) -> list[dict[str, Any]]:
             traces = list(_lines(of, key, second, campaign))
         else:
             traces = [_points(of, key)]
-        x = {"title": {"text": html.escape(key)}, "zeroline": False, "gridcolor": "#e6e8eb", "automargin": True}
+        x = {
+            "title": {"text": html.escape(key)},
+            "zeroline": False,
+            "gridcolor": grid,
+            "automargin": True,
+        }
         if isinstance(over, Range):
             x["type"] = over.scale
         elif any(isinstance(value, str | bool) for value in over):
             x["type"] = "category"
-        y = {"title": {"text": html.escape(campaign.minimise)}, "rangemode": "tozero", "gridcolor": "#e6e8eb"}
+        y = {
+            "title": {"text": html.escape(campaign.minimise)},
+            "rangemode": "tozero",
+            "gridcolor": grid,
+        }
         layout = {
             "xaxis": x,
             "yaxis": {**y, "automargin": True},
             "margin": {"l": 56, "r": 12, "t": 8, "b": 44},
             "showlegend": len(traces) > 1,
             "legend": {"orientation": "h", "y": -0.28, "font": {"size": 10}},
-            "font": {"size": 11, "color": "#2b2f33"},
-            "paper_bgcolor": "#ffffff",
-            "plot_bgcolor": "#ffffff",
+            "font": {"size": 11, "color": palette.CANVAS["ink"]},
+            "paper_bgcolor": palette.CANVAS["paper"],
+            "plot_bgcolor": palette.CANVAS["paper"],
         }
         made.append({"title": key, "traces": traces, "layout": layout})
     return made

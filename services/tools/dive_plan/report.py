@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,15 +13,13 @@ import numpy as np
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate, Truth
 from services.recording.reader import RecordedMessage
+from services.reporting.plots import palette
 from services.tools.dive_plan.plan import POINTS, DivePlan, RecordedDrift
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SECOND_NS = 1_000_000_000
-
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#999999")
-"""Colours of Okabe and Ito; the lines differ in their dashes too."""
 
 SHOWN_SHARE = 5e-4
 """Smallest share of the error budget that is shown."""
@@ -92,37 +91,34 @@ def text(of: DivePlan) -> str:
 
 def draw(of: DivePlan, out: Path) -> None:
     """Write the picture: drift over time, error budget, and drift after each change."""
-    import matplotlib as mpl
+    from matplotlib.figure import Figure
 
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
+    from services.reporting.figures import sheet
 
-    plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
-    figure, panels = plt.subplots(1, 3, figsize=(12.0, 3.8), layout="constrained", width_ratios=(1.3, 1.0, 1.0))
-    over_time, budget, gains = panels
-    for number, (name, line) in enumerate(zip(_names(of), of.drift_m, strict=True)):
-        style = {"color": COLOURS[number % len(COLOURS)], "linestyle": DASHES[number % len(DASHES)]}
-        over_time.plot([0.0, *of.t_s], [0.0, *line], label=name, **style)
-    if of.limit_m is not None:
-        over_time.axhline(of.limit_m, color="black", linewidth=0.8, linestyle=":", label=f"limit {of.limit_m:g} m")
-    if of.against is not None:
-        over_time.plot(
-            of.against.t_s, of.against.drift_m, color="black", linewidth=1.0, label=f"run, {of.against.kind}"
-        )
-    over_time.set(title="Drift since submergence, one axis", xlabel="time (s)", ylabel="standard deviation (m)")
-    over_time.legend(frameon=False)
-    shares = {name: share for name, share in of.budget.items() if share >= SHOWN_SHARE}
-    _bars(budget, {name: 100.0 * share for name, share in shares.items()}, "%.0f")
-    budget.set(title=f"Error budget with {_names(of)[0]}", xlabel="share of the variance at the end (%)")
-    _bars(gains, {"as planned": of.drift_m[0][-1], **of.gains_m}, "%.2f")
-    gains.set(title="Drift after one change", xlabel="standard deviation at the end (m)")
-    figure.suptitle(f"{of.duration_s:.0f} s to {of.depth_m:.0f} m, sensors {of.sensors}", fontsize=10)
-    figure.savefig(out, dpi=130)
-    plt.close(figure)
+    with sheet.style(page=True):
+        figure = Figure(figsize=(12.0, 4.2), layout="constrained")
+        over_time, budget, gains = figure.subplots(1, 3, width_ratios=(1.3, 1.0, 1.0))
+        for name, line, colour, dash in zip(_names(of), of.drift_m, cycle(palette.RUNS), cycle(DASHES), strict=False):
+            over_time.plot([0.0, *of.t_s], [0.0, *line], label=name, color=colour, linestyle=dash)
+        if of.limit_m is not None:
+            over_time.axhline(of.limit_m, color=palette.LIMIT, linestyle=":", label=f"limit {of.limit_m:g} m")
+        if of.against is not None:
+            over_time.plot(of.against.t_s, of.against.drift_m, color=palette.TRUTH, label=f"run, {of.against.kind}")
+        over_time.set(xlabel="time (s)", ylabel="standard deviation (m)")
+        sheet.legend_above(over_time, "drift since submergence, one axis")
+        shares = {name: share for name, share in of.budget.items() if share >= SHOWN_SHARE}
+        _bars(budget, {name: 100.0 * share for name, share in shares.items()}, "%.0f")
+        budget.set_title(f"error budget with {_names(of)[0]}")
+        budget.set_xlabel("share of the variance at the end (%)")
+        _bars(gains, {"as planned": of.drift_m[0][-1], **of.gains_m}, "%.2f")
+        gains.set_title("drift after one change")
+        gains.set_xlabel("standard deviation at the end (m)")
+        figure.suptitle(f"{of.duration_s:.0f} s to {of.depth_m:.0f} m, sensors {of.sensors}")
+        sheet.write(figure, [out])
 
 
 def _bars(panel: Axes, values: Mapping[str, float], label: str) -> None:
-    drawn = panel.barh(list(values), list(values.values()), color=COLOURS[0], height=0.6)
+    drawn = panel.barh(list(values), list(values.values()), color=palette.ESTIMATE, height=0.6)
     panel.bar_label(drawn, fmt=label, padding=3)
     panel.invert_yaxis()
     panel.margins(x=0.15)

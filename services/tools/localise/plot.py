@@ -5,18 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from ltv_mpc.localisation.recorded_dive.filter import Track
 from ltv_mpc.messages import Array
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
-
-ESTIMATE, CONSTANT, EAST = "#0072B2", "#E69F00", "#D55E00"
-"""Colours of Okabe and Ito, distinct for colour-blind readers and in grey; bottom track is black."""
+from services.reporting.figures import sheet
+from services.reporting.plots import palette
 
 
 class PlotData(Protocol):
@@ -37,58 +33,59 @@ class PlotData(Protocol):
 
 def draw(data: PlotData, out: Path) -> None:
     """Write the plot."""
-    plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
-    figure = plt.figure(figsize=(9.0, 4.6), layout="constrained")
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
-    _above(figure.add_subplot(grid[:, 0]), data)
-    _error(figure.add_subplot(grid[0, 1]), data)
-    _water(figure.add_subplot(grid[1, 1]), data.track)
-    figure.savefig(out, dpi=160)
-    plt.close(figure)
+    with sheet.style(page=True):
+        figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
+        _above(figure.add_subplot(grid[:, 0]), data)
+        _error(figure.add_subplot(grid[0, 1]), data)
+        _water(figure.add_subplot(grid[1, 1]), data.track)
+        sheet.write(figure, [out])
 
 
 def _above(panel: Axes, data: PlotData) -> None:
     track, truth, constant = data.track, data.truth_m, data.constant_velocity_mps
-    panel.plot(truth[:, 1], truth[:, 0], color="black", linewidth=1.1, label="bottom track")
-    panel.plot(track.position_m[:, 1], track.position_m[:, 0], color=ESTIMATE, linewidth=1.4, label="filter")
+    panel.plot(truth[:, 1], truth[:, 0], color=palette.TRUTH, label="bottom track")
+    panel.plot(track.position_m[:, 1], track.position_m[:, 0], color=palette.ESTIMATE, label="filter")
     if constant is not None:
         path = constant * track.t_s[:, None]
-        panel.plot(path[:, 1], path[:, 0], color=CONSTANT, linewidth=1.0, linestyle="--", label="constant velocity")
+        panel.plot(
+            path[:, 1], path[:, 0], color=palette.OTHER, linewidth=1.0, linestyle="--", label="constant velocity"
+        )
     # {p + 3 L [cos a, sin a]} with P = L L^T
     spread, axes = np.linalg.eigh(track.position_covariance[-1])
     angle = np.linspace(0, 2 * np.pi, 90)
     ring = (
         track.position_m[-1] + 3 * (np.stack([np.cos(angle), np.sin(angle)], axis=1) * np.sqrt(spread.clip(0))) @ axes.T
     )
-    panel.plot(ring[:, 1], ring[:, 0], color=ESTIMATE, linewidth=0.8, linestyle=":", label="3 sigma at the end")
-    panel.plot(0, 0, "k+", markersize=9)
-    panel.set(xlabel="east (m)", ylabel="north (m)", title="horizontal track")
+    panel.plot(ring[:, 1], ring[:, 0], color=palette.ESTIMATE, linewidth=0.8, linestyle=":", label="3 sigma at the end")
+    panel.plot(0, 0, "+", color=palette.TRUTH, markersize=9)
+    panel.set(xlabel="east (m)", ylabel="north (m)")
     panel.set_aspect("equal", adjustable="datalim")
-    panel.legend(frameon=False, loc="best")
+    sheet.legend_above(panel, "horizontal track")
 
 
 def _error(panel: Axes, data: PlotData) -> None:
     track = data.track
     sigma = np.sqrt(np.linalg.eigvalsh(track.position_covariance)[:, -1].clip(0))
-    panel.fill_between(track.t_s, 0, 3 * sigma, color=ESTIMATE, alpha=0.2, linewidth=0, label="3 sigma")
+    panel.fill_between(track.t_s, 0, 3 * sigma, color=palette.ESTIMATE, alpha=0.2, linewidth=0, label="3 sigma")
     error = np.hypot(*(track.position_m - data.truth_m).T)
-    panel.plot(track.t_s, error, color=ESTIMATE, linewidth=1.3, label="filter from bottom track")
+    panel.plot(track.t_s, error, color=palette.ESTIMATE, label="filter from bottom track")
     if data.constant_velocity_mps is not None:
         constant = np.hypot(*(data.constant_velocity_mps * track.t_s[:, None] - data.truth_m).T)
-        panel.plot(track.t_s, constant, color=CONSTANT, linewidth=1.0, linestyle="--", label="constant velocity")
-    panel.set(xlabel="time (s)", ylabel="distance (m)", title="position error against bottom track")
+        panel.plot(track.t_s, constant, color=palette.OTHER, linewidth=1.0, linestyle="--", label="constant velocity")
+    panel.set(xlabel="time (s)", ylabel="distance (m)")
     panel.set_ylim(bottom=0)
-    panel.legend(frameon=False, loc="upper left")
+    sheet.legend_above(panel, "position error against bottom track")
 
 
 def _water(panel: Axes, track: Track) -> None:
     water = track.water
-    for name, velocity, colour in (("north", water.north_mps, ESTIMATE), ("east", water.east_mps, EAST)):
+    for name, velocity, colour in (("north", water.north_mps, palette.NORTH), ("east", water.east_mps, palette.EAST)):
         panel.fill_betweenx(
             water.depth_m, velocity - water.sd_mps, velocity + water.sd_mps, color=colour, alpha=0.2, linewidth=0
         )
         style = "-" if name == "north" else "--"
-        panel.plot(velocity, water.depth_m, color=colour, linewidth=1.2, linestyle=style, label=f"{name}, with 1 sigma")
+        panel.plot(velocity, water.depth_m, color=colour, linestyle=style, label=f"{name}, with 1 sigma")
     panel.invert_yaxis()
-    panel.set(xlabel="current (m/s)", ylabel="depth (m)", title="current at the end")
-    panel.legend(frameon=False, loc="best")
+    panel.set(xlabel="current (m/s)", ylabel="depth (m)")
+    sheet.legend_above(panel, "current at the end")

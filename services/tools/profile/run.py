@@ -128,8 +128,18 @@ def run(
     *,
     seed: int,
     progress: Callable[[], None],
+    on_horizon: Callable[[Sequence[Row]], None] = lambda _: None,
 ) -> Measured:
-    """Measure PIQP and each solver on the episodes of each horizon. Raises ``ConfigError`` if no cycle was solved."""
+    """Measure PIQP and each solver on the episodes of each horizon. Raises ``ConfigError`` if no cycle was solved.
+
+    Parameters
+    ----------
+    by_horizon : the episodes of each horizon.
+    solvers : measured beside PIQP.
+    seed : of the order of the solvers.
+    progress : called after each cycle.
+    on_horizon : called with the rows of each horizon that is finished.
+    """
     candidates: tuple[Piqp | SolverByName, ...] = (YARDSTICK, RELAXED, *solvers)
     order = random.Random(seed)
     rows, samples = [], []
@@ -143,6 +153,7 @@ def run(
             raise ConfigError("option --run", "", "has no solved cycle of the controller: name another run")
         rows += _rows(candidates, measured)
         samples += measured
+        on_horizon(rows[-len(candidates) :])
     kinds = dict.fromkeys((episode.kind for episode in by_horizon[0]), 0)
     for episode in by_horizon[0]:
         kinds[episode.kind] += episode.cycles

@@ -49,6 +49,11 @@ def _cycles(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
+def short(row: Row) -> str:
+    """Format the time of a cycle in one line."""
+    return f"{_names(row)} median {row.cycle_us.median:.0f} us, p99 {row.cycle_us.p99:.0f} us"
+
+
 def _stages(rows: Sequence[Row]) -> list[str]:
     heads = " ".join(f"{stage:>9}" for stage in STAGES)
     lines = [f"{'':<36} stages of a cycle interleaved, medians (us)", f"{NAMES} {heads}"]

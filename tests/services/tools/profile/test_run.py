@@ -175,6 +175,7 @@ def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
     shown = capsys.readouterr()
     assert [row["solver"] for row in json.loads(shown.out)["rows"]][2:] == ["piqp", "osqp"]
     assert "10 cycles at 2 stages (0.6 s)" in shown.err
+    assert shown.err.count(" median ") == 4  # the rows of a horizon are shown as soon as they are known
 
 
 @pytest.mark.parametrize(
