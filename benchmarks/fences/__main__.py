@@ -1,0 +1,140 @@
+"""Fences in random scenes: violations and arrivals, beside the rivals.
+
+    .venv/bin/python -m benchmarks.fences --out DIR [--scenes N] [--moving N] [--methods fence bent pid] [--workers N]
+
+A scene is a point at the far end of a lane, 1 to 8 convex zones between (discs and polygons), a vehicle and a current
+of up to half its top speed from any direction, which the controller knows. The gaps between the zones are at least 1.5
+times hull, two margins and the drift of a turn into the current, as ``vehicle check`` counts it. With ``--moving`` an
+obstacle crosses the lane instead, reported every 10 s. The vehicle moves as the model predicts, and its clearance is
+taken every 0.1 s. Methods:
+
+    fence   the controller with the fence
+    bent    the controller, with waypoints round the grown zones as its reference, and no fence
+    pid     heading and surge to the same waypoints, by a cascade of P laws
+    ipopt   the controller with the fence; each of its problems is solved to convergence by CasADi and IPOPT
+    sensors the whole loop with realistic sensors, of the vehicles that dive; the clearance is that of the true vehicle
+
+A scene counts as violated if the hull is in a zone at any time, and as arrived if the vehicle has come within its
+length scale of the point. Scenes that DIR has already are not flown again; ``--minutes`` ends a call early, and the
+next one continues. docs/notes/fences-study.md has the results, and names the other commands of the study.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+
+from benchmarks.fences.flight import METHODS, Job, fly
+from benchmarks.fences.full_loop import DIVING
+from benchmarks.fences.scenes import scene_of
+from services.tools.batch.executor import run_each
+from services.tools.batch.results_store import open_store
+
+
+def table(found: dict[str, dict[str, Any]]) -> str:
+    """Return the table of violations and arrivals by method."""
+    lines = [
+        "| scenes | method | flown | violated | least clearance (m) | depth in a margin, 95 % (m) | arrived | "
+        "median time (s) | cycles unsolved |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for moving in (False, True):
+        for method in METHODS:
+            flown = [row for key, row in found.items() if key.startswith(f"{_kind(moving)} {method} ")]
+            flown = [row for row in flown if math.isfinite(row["clearance_m"])]
+            if not flown:
+                continue
+            least = np.array([row["clearance_m"] for row in flown])
+            entered = np.quantile([row["entered_m"] for row in flown], 0.95)
+            times = [row["duration_s"] for row in flown if row["arrived"]]
+            unsolved, cycles = sum(len(row["unsolved_s"]) for row in flown), sum(row["cycles"] for row in flown)
+            lines.append(
+                f"| {_kind(moving)} | {method} | {len(flown)} | {(least < 0.0).sum()} | {least.min():.3f} | "
+                f"{entered:.3f} | {len(times)} | {np.median(times) if times else math.nan:.0f} | "
+                f"{unsolved} of {cycles} |"
+            )
+    return "\n".join(lines)
+
+
+def remarkable(found: dict[str, dict[str, Any]]) -> str:
+    """Return the flights with the fence that violated, did not arrive, or had a cycle that was not solved."""
+    lines = []
+    for key, row in sorted(found.items()):
+        if " fence " in key and (row["clearance_m"] < 0.0 or not row["arrived"] or row["unsolved_s"]):
+            first = f", first at {row['unsolved_s'][0]:.1f} s" if row["unsolved_s"] else ""
+            lines.append(
+                f"{key}: clearance {row['clearance_m']:.3f} m, {'arrived' if row['arrived'] else 'not arrived'} "
+                f"after {row['duration_s']:.0f} s, {len(row['unsolved_s'])} of {row['cycles']} cycles unsolved{first}"
+            )
+    return "\n".join(lines)
+
+
+def against_ipopt(found: dict[str, dict[str, Any]]) -> str:
+    """Return arrivals and costs of the controller over those of the converged optimum, in the scenes of both."""
+    pairs = [(row, found.get(key.replace("ipopt", "fence"))) for key, row in found.items() if " ipopt " in key]
+    both = [(theirs, ours) for theirs, ours in pairs if ours is not None]
+    if not both:
+        return ""
+    arrived = [(theirs, ours) for theirs, ours in both if theirs["arrived"]]
+    also = [(theirs, ours) for theirs, ours in arrived if ours["arrived"]]
+    lines = [f"IPOPT arrives in {len(arrived)} of {len(both)}; the controller in {len(also)} of these"]
+    for same in (True, False):
+        some = [(theirs, ours) for theirs, ours in also if (theirs["sides"] == ours["sides"]) == same]
+        if some:
+            for name in ("cost", "duration_s", "way_m"):
+                low, middle, high = np.quantile([ours[name] / theirs[name] for theirs, ours in some], [0.05, 0.5, 0.95])
+                lines.append(
+                    f"{'same' if same else 'other'} sides, {len(some)} scenes, {name}: "
+                    f"ratio {middle:.3f} at the median, {low:.3f} to {high:.3f} in 90 %"
+                )
+    return "\n".join(lines)
+
+
+def _kind(moving: bool) -> str:
+    return "moving" if moving else "zones"
+
+
+def _key(job: Job) -> str:
+    return f"{_kind(job.moving)} {job.method} {job.seed}"
+
+
+def main() -> None:
+    """Fly, keep, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=1000)
+    parser.add_argument("--moving", type=int, default=300)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:3])
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--minutes", type=float, default=math.inf)
+    parser.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args()
+    names = {seed: scene_of(seed, moving=False).name for seed in range(options.scenes)}
+    jobs = [
+        Job(seed, method, False)
+        for seed, name in names.items()
+        for method in options.methods
+        if method != "sensors" or name in DIVING
+    ]
+    jobs += [
+        Job(seed, method, True) for seed in range(options.moving) for method in options.methods if method != "sensors"
+    ]
+    end_s = time.monotonic() + 60.0 * options.minutes
+    with open_store(options.out, {"benchmark": "fences"}) as store, Progress(console=Console(stderr=True)) as progress:
+        missing = [job for job in jobs if _key(job) not in store.keys]
+        task = progress.add_task("flights", total=len(jobs), completed=len(jobs) - len(missing))
+        for place, flown in run_each(fly, missing, workers=options.workers, stop=lambda: time.monotonic() > end_s):
+            store.append(_key(missing[place]), flown._asdict())
+            progress.advance(task)
+        found = dict(store.results())
+    print("\n\n".join(text for text in (table(found), against_ipopt(found), remarkable(found)) if text))
+
+
+if __name__ == "__main__":
+    main()
