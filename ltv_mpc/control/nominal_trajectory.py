@@ -88,7 +88,8 @@ def choose_nominal(
     """Choose the nominal trajectory, and linearise along it.
 
     The candidates are the previous plan and two steering guesses, ahead and astern; the one of least cost is chosen.
-    Where one of two ends stuck (terminal_check.py), the cost beyond the horizon counts too.
+    Where one of two ends stuck (terminal_check.py), the cost beyond the horizon counts too, unless the candidate comes
+    nearer to the zones than the best one so far.
 
     Parameters
     ----------
@@ -105,13 +106,13 @@ def choose_nominal(
     objective = constants.objective
     X, U = lin.X, lin.U
     _set_initial_knot(start, X, U)
-    kind, lowest = STEERED_AHEAD, np.inf
+    kind, lowest, clearances = STEERED_AHEAD, np.inf, np.inf
     end = TerminalCheck(False, 0.0)
     if not np.isnan(stages):
         _shift_into_limits(old, stages, objective, U)
         linearise_rollout(lin, objective.t, constants.stage_s, constants.p)
-        kind, lowest = PREVIOUS_PLAN, cost(X, U, lin.C, target, objective)
-        lowest += fence_cost(X, scene, objective)
+        kind, clearances = PREVIOUS_PLAN, fence_cost(X, scene, objective)
+        lowest = cost(X, U, lin.C, target, objective) + clearances
         end = check_terminal(X, lin.C, target, constants)
     other_X, other_U = np.empty_like(X), np.empty_like(U)
     _set_initial_knot(start, other_X, other_U)
@@ -121,13 +122,16 @@ def choose_nominal(
         other = steering_guess(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else lowest, constants)
         if np.isinf(other) and not np.isinf(lowest):
             continue
-        other += fence_cost(other_X, scene, objective)
+        other_clearances = fence_cost(other_X, scene, objective)
+        other += other_clearances
         other_end = check_terminal(other_X, lin.C, target, constants)
-        tail_weight = 1.0 if end.stuck or other_end.stuck else 0.0
+        # A way through a zone leads to no end, so what comes after it does not count in its favour.
+        tail_weight = 1.0 if (end.stuck or other_end.stuck) and other_clearances <= clearances else 0.0
         if other + tail_weight * other_end.tail_cost < lowest + tail_weight * end.tail_cost or np.isinf(lowest):
             copy_to(X, other_X)
             copy_to(U, other_U)
-            kind, lowest, end = STEERED_ASTERN if astern else STEERED_AHEAD, other, other_end
+            kind, lowest, clearances = STEERED_ASTERN if astern else STEERED_AHEAD, other, other_clearances
+            end = other_end
     if kind != PREVIOUS_PLAN:
         linearise_rollout(lin, objective.t, constants.stage_s, constants.p)
     return kind
