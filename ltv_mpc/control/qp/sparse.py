@@ -131,7 +131,6 @@ class SparseQp:
         limits : limits of thrusters and motion.
         weights : weights of the cost.
         """
-        self.knots = knots
         self.stages = len(knots) - 1
         self.limits = limits
         self.weights = weights
@@ -166,7 +165,8 @@ class SparseQp:
         self.half_planes = half_planes
         self.variables = self.stages * (STAGE_VARIABLES + len(self.limits.limited_states) + half_planes) + 2
         """Number of columns n."""
-        self.P = _hessian(np.diff(self.knots), self.limits, self.weights, self.variables)
+        lengths = np.diff(unpack_objective(self.packed).t)
+        self.P = _hessian(lengths, self.limits, self.weights, self.variables)
         self._place_entries()
 
     def _place_entries(self) -> None:
