@@ -87,8 +87,8 @@ class Autopilot:
         self.gcs_s: float | None = None
         self.intervals: dict[int, float] = {}
         self.sent_s: dict[int, float] = {}
-        self.mission: list[Any] = []
-        self.upload: tuple[int, list[Any], int] | None = None  # count, items, link
+        self.lists: dict[int, list[Any]] = {0: [], 1: [], 2: []}  # mission, fence, rally points
+        self.upload: tuple[int, list[Any]] | None = None  # count, items
         self.actuated_while_disarmed = 0
         self.log: list[str] = []
 
@@ -161,29 +161,28 @@ class Autopilot:
         return self.send(make.command_ack_encode(m.command, result, 0, 0, *who), link) + extra
 
     def on_mission(self, m: Any, kind: str, who: tuple[int, int], link: int) -> list[Datagram]:
-        """Serve its mission, and take another one."""
-        make = self.mav
-        if m.mission_type != 0:  # it has no fence and no rally points
-            empty = kind == "MISSION_REQUEST_LIST"
-            return self.send(make.mission_count_encode(*who, 0, m.mission_type), link) if empty else []
+        """Serve its mission, fence and rally points, and take others."""
+        make, of, items = self.mav, m.mission_type, self.lists.get(m.mission_type)
+        if items is None:
+            return []
         if kind == "MISSION_REQUEST_LIST":
-            return self.send(make.mission_count_encode(*who, len(self.mission), 0), link)
-        if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and 0 <= m.seq < len(self.mission):
-            item = self.mission[m.seq]
+            return self.send(make.mission_count_encode(*who, len(items), of), link)
+        if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and 0 <= m.seq < len(items):
+            item = items[m.seq]
             fields = (item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z)
             return self.send(
-                make.mission_item_int_encode(*who, m.seq, item.frame, item.command, 0, 1, *fields, 0), link
+                make.mission_item_int_encode(*who, m.seq, item.frame, item.command, 0, 1, *fields, of), link
             )
         if kind == "MISSION_COUNT":
-            self.upload = m.count, [], link
+            self.upload = m.count, []
         if kind == "MISSION_ITEM_INT" and self.upload is not None and m.seq == len(self.upload[1]):
             self.upload[1].append(m)
         if kind in ("MISSION_COUNT", "MISSION_ITEM_INT") and self.upload is not None:
-            count, items, _ = self.upload
-            if len(items) < count:
-                return self.send(make.mission_request_int_encode(*who, len(items), 0), link)
-            self.mission, self.upload = items, None
-            return self.send(make.mission_ack_encode(*who, 0, 0), link)
+            count, got = self.upload
+            if len(got) < count:
+                return self.send(make.mission_request_int_encode(*who, len(got), of), link)
+            self.lists[of], self.upload = got, None
+            return self.send(make.mission_ack_encode(*who, 0, of), link)
         return []
 
     def thrusts(self) -> tuple[float, float]:

@@ -88,8 +88,19 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         """
         source = f"fence {path}"
         if path.endswith(GEOJSON):
-            return config.parse(geojson.read(Path(path), source), cls, source=source)
+            return cls.from_geojson(config.read_text(Path(path), what="fence"), source)
         return config.parse(config.read_toml(Path(path), what="fence"), cls, source=source)
+
+    @classmethod
+    def from_geojson(cls, text: str, source: str = "fence") -> Fence:
+        """Read a fence from the text of a GeoJSON file. Raises ``ConfigError``.
+
+        Parameters
+        ----------
+        text : contents of the file.
+        source : name of the text in errors.
+        """
+        return config.parse(geojson.parse(text, source), cls, source=source)
 
     def save(self, path: str) -> None:
         """Write the fence: GeoJSON if the file's suffix is .geojson or .json, else TOML. Raises ``ConfigError``.

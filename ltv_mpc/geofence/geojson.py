@@ -12,12 +12,10 @@ Coordinates are longitude and latitude (degrees). A polygon has one ring. The co
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.references.geodesy import Origin, Place, degrees, local
 
@@ -25,16 +23,16 @@ GEOMETRY = {"keep_in": "Polygon", "keep_out": "Polygon", "keep_out_disc": "Point
 """Type of the geometry by zone."""
 
 
-def read(path: Path, source: str) -> dict[str, Any]:
+def parse(content_text: str | bytes, source: str) -> dict[str, Any]:
     """Return the table of a fence, as ``fence.toml`` holds it. Raises ``ConfigError``.
 
     Parameters
     ----------
-    path : GeoJSON file.
-    source : name of the file in errors.
+    content_text : GeoJSON.
+    source : name of the text in errors.
     """
     try:
-        content = msgspec.json.decode(config.read_text(path, what="fence"))
+        content = msgspec.json.decode(content_text)
     except (msgspec.DecodeError, RecursionError) as error:
         raise ConfigError(source, "", f"is not valid JSON: {error}") from None
     if not isinstance(content, dict) or content.get("type") != "FeatureCollection":

@@ -11,6 +11,7 @@ from services.cli.bus import with_bus
 
 if TYPE_CHECKING:
     from services.bus.options import BusOptions
+    from services.edges.mavlink.navigation import Accuracy
 
 NOT_INSTALLED = "needs the package pymavlink: pip install pymavlink (extra mavlink)"
 
@@ -26,16 +27,21 @@ def mavlink(
     gcs_sysid: Annotated[
         int, typer.Option("--gcs-sysid", metavar="N", help="MAV_GCS_SYSID of the autopilot.", min=1, max=255)
     ] = 255,
-    gcs_timeout_s: Annotated[
-        float, typer.Option("--gcs-timeout-s", metavar="T", help="Silence of the ground station.", min=1.0, max=60.0)
-    ] = 5.0,
     vehicle: Annotated[
         str, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle, with pwm_us and pwm_N of each thruster.")
     ] = "paper",
     signing_key: Annotated[
         Path | None, typer.Option("--signing-key", metavar="FILE", help="32 bytes: signed frames alone, both ways.")
     ] = None,
-    no_mission: Annotated[bool, typer.Option("--no-mission", help="Ignore the mission of the autopilot.")] = False,
+    sd: Annotated[
+        str,
+        typer.Option(
+            "--sd", metavar="P,V,H,R", help="Standard deviations that it does not send: m, m/s, rad, rad/s of yaw."
+        ),
+    ] = "1,0.1,0.05,0.01",
+    no_mission: Annotated[
+        bool, typer.Option("--no-mission", help="Ignore the mission and the fence of the autopilot.")
+    ] = False,
     *,
     bus: BusOptions,
 ) -> int:
@@ -65,12 +71,29 @@ def mavlink(
         raise ConfigError(f"vehicle {vehicle}", "", problem)
     key = None if signing_key is None else _key(signing_key)
     edge = Settings(
-        vehicle=of, ground_station=gcs_sysid, ground_station_timeout_s=gcs_timeout_s, follow_mission=not no_mission
+        vehicle=of,
+        ground_station=gcs_sysid,
+        accuracy=_accuracy(sd),
+        follow_mission=not no_mission,
     )
     own = structs.replace(bus, connect=tuple(router or ()))
     host, port, listens = address
     config = process.Config(bus=own, host=host, port=port, listens=listens, edge=edge, signing_key=key)
     return process.main(config)
+
+
+def _accuracy(text: str) -> Accuracy:
+    """Return the standard deviations of a text. Raises ``ConfigError``."""
+    from ltv_mpc.errors import ConfigError
+    from services.edges.mavlink.navigation import Accuracy
+
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != 4 or not all(0.0 < value < 1e3 for value in values):
+        raise ConfigError("option --sd", "", "must be four numbers above 0, as in 1,0.1,0.05,0.01", value=text)
+    return Accuracy(*values)
 
 
 def _key(path: Path) -> bytes:

@@ -143,23 +143,6 @@ assert run(["--help"]) == 0
 assert run(["horizon", "paper"]) == 0
 assert run(["horizon", "no-such-vehicle"]) == 2
 """,
-    "docs/add-edge.md": """
-import math
-from msgspec.structs import replace
-from ltv_mpc import Estimate
-from services.bus import wire
-from services.bus.mailbox import Frame
-from services.bus.message_validation import MessageValidator
-from services.bus.topics import BY_TYPE
-from services.processes.sentences import datagram
-
-topic, validator = BY_TYPE[Estimate], MessageValidator()
-estimate = replace(Estimate.at_rest(north_m=2.0, east_m=-1.0, heading_rad=-math.pi / 2), t_ns=1_500_000_000)
-payload = wire.encode(estimate, wire.Header(epoch=1, sequence=0))
-text = datagram(Frame(topic, topic.key, payload, 0), validator)
-assert text.startswith(b"$PLTV,1.50,2.00,-1.00,270.0*"), text
-assert datagram(Frame(topic, topic.key, b"no message", 0), validator) is None
-""",
     "docs/add-plot.md": """
 from matplotlib.figure import Figure
 from msgspec.structs import replace

@@ -230,6 +230,13 @@ def recorder() -> Target:
     return Target("recorder", 3, lambda rng: hostile_frame(rng, rng.choice(messages)), take, check)
 
 
+SQUARE_FENCE = (
+    '{"type": "FeatureCollection", "margin_m": 2.0, "origin": {"latitude_deg": 50.2, "longitude_deg": -5.1}, '
+    '"features": [{"type": "Feature", "properties": {"zone": "keep_in"}, "geometry": {"type": "Polygon", '
+    '"coordinates": [[[-5.2, 50.1], [-5.2, 50.3], [-5.0, 50.3], [-5.0, 50.1], [-5.2, 50.1]]]}}]}'
+)
+
+
 def ros2() -> Target:
     """Target: the edge to ROS 2, all topics and services: a frame gives messages that are sound, or is counted."""
     edge = Ros2Edge(1, Ros2Settings(vehicle=Vehicle.load("paper")))
@@ -281,6 +288,8 @@ def ros2_example(ros_type: str) -> Any:
     """Return a message with zeros, empty texts and one element in each list; of a service its request."""
     if "/srv/" in ros_type:
         return cdr.make(f"{ros_type}_Request", **({"data": True} if ros_type.endswith("SetBool") else {}))
+    if ros_type == "std_msgs/msg/String":
+        return cdr.make(ros_type, data=SQUARE_FENCE)
     header = conversions.header(1, "odom")
     turn = cdr.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
     pose = cdr.make(
@@ -306,7 +315,7 @@ def mavlink() -> Target:
     """Target: the edge to MAVLink: each frame of a datagram gives messages that are sound, or is counted."""
     autopilot = Codec(1, component=1)
     make = autopilot.make
-    quaternion, unknown = (1.0, 0.0, 0.0, 0.0), [math.nan] * 21
+    quaternion, unknown, known = (1.0, 0.0, 0.0, 0.0), [math.nan] * 21, np.eye(6)[np.triu_indices(6)].tolist()
     seeds = [
         autopilot.encode(message)
         for message in (
@@ -314,14 +323,17 @@ def mavlink() -> Target:
             make.attitude_encode(1000, 0.1, 0.2, 3.0, 0.0, 0.1, 0.2),
             make.local_position_ned_encode(1000, 1.0, 2.0, 3.0, 0.1, 0.2, 0.3),
             make.odometry_encode(10**6, 1, 12, 1, 2, 3, quaternion, 0.1, 0.2, 0.3, 0, 0, 0.1, unknown, unknown, 0),
+            make.odometry_encode(10**6, 1, 12, 1, 2, 3, quaternion, 0.1, 0.2, 0.3, 0, 0, 0.1, known, known, 0),
             make.ekf_status_report_encode(0x1F, 0, 0, 0, 0, 0),
             make.gps_global_origin_encode(502000000, -51000000, 0),
             make.system_time_encode(0, 1000),
             make.timesync_encode(10**9, 1),
             make.mission_count_encode(255, 191, 2, 0),
+            make.mission_count_encode(255, 191, 2, 1),
             *(
-                make.mission_item_int_encode(255, 191, at, 6, 16, 0, 1, 0, 0, 0, 0, 502001000, -51000000, 0, 0)
+                make.mission_item_int_encode(255, 191, at, 6, what, 0, 1, 5, 0, 0, 0, 502001000, -51000000, 0, kind)
                 for at in (0, 1)
+                for what, kind in ((16, 0), (5003, 1), (5004, 1))
             ),
         )
     ]

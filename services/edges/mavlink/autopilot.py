@@ -20,6 +20,9 @@ CRITICAL, EMERGENCY = 5, 6  # MAV_STATE: a failsafe acts
 TIMEOUT_US = 3_000_000
 """Silence of the autopilot after which it counts as lost: three heartbeats."""
 
+STATION_TIMEOUT_US = 5_000_000
+"""Silence of the ground station after which it counts as lost, as in ArduPilot (FS_GCS_TIMEOUT)."""
+
 
 class Kind(enum.Enum):
     """Kind of vehicle, with its mode MANUAL."""
@@ -40,10 +43,9 @@ MODES = {
 class Autopilot:
     """Autopilot by its heartbeats, and the ground station by its own."""
 
-    def __init__(self, ground_station: int, *, timeout_s: float = 5.0) -> None:
-        """``ground_station``: system number; ``timeout_s``: silence after which it counts as lost."""
+    def __init__(self, ground_station: int) -> None:
+        """``ground_station``: system number."""
         self._ground_station = ground_station
-        self._timeout_us = round(timeout_s * 1e6)
         self._seen_us = self._station_us = -(10**12)
         self.system = 0  # system number of the autopilot; 0: none yet
         self.component = 0
@@ -77,7 +79,7 @@ class Autopilot:
 
     def station_is_there(self, now_us: int) -> bool:
         """Return True if the ground station has sent a heartbeat recently."""
-        return now_us <= self._station_us + self._timeout_us
+        return now_us <= self._station_us + STATION_TIMEOUT_US
 
     def why_not(self, now_us: int) -> str:
         """Return why the edge may not drive; empty if it may."""

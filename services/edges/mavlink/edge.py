@@ -45,7 +45,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
     vehicle: Vehicle
     ground_station: int = 255  # system number of the ground station, which the autopilot obeys
-    ground_station_timeout_s: float = 5.0
     accuracy: Accuracy = Accuracy()
     speed_mps: float = 0.5  # on a mission that sets none
     follow_mission: bool = True
@@ -62,7 +61,7 @@ class MavlinkEdge(Edge):
         super().__init__(epoch)
         self._settings, self._codec = settings, codec
         dives = settings.vehicle.can_dive
-        self.autopilot = Autopilot(settings.ground_station, timeout_s=settings.ground_station_timeout_s)
+        self.autopilot = Autopilot(settings.ground_station)
         self.navigation = Navigation(settings.accuracy, dives=dives)
         self.overrides = Overrides(settings.vehicle)
         self._mission = MissionFollower(settings.speed_mps, dives=dives)
@@ -102,11 +101,11 @@ class MavlinkEdge(Edge):
         """Take a plan, a status or a reply of the controller."""
         super().take(message, now_us)
         match message:
-            case Acknowledgement() if message.command_id == self._mission.command_id:
-                self._mission.reference = ""
-                if not message.accepted:
-                    self.refuse(f"mission: the controller rejects it: {message.why}")
-                    return [self._text(WARNING, f"mission rejected: {message.why}")]
+            case Acknowledgement():
+                name = self._mission.acknowledged(message.command_id)
+                if name and not message.accepted:
+                    self.refuse(f"{name}: the controller rejects it: {message.why}")
+                    return [self._text(WARNING, f"{name} rejected: {message.why}")]
             case ControllerStatus(error_m=float() as error_m):
                 boot_ms = (self.clock.read(now_us) or 0) // MS & 0xFFFFFFFF
                 return [self._send(self._codec.make.named_value_float_encode(boot_ms, b"mpc_err", error_m))]
@@ -127,9 +126,7 @@ class MavlinkEdge(Edge):
             self._asked_us = now_us
             yield from self._every_second(now_us)
         if self.autopilot.kind is not None and self._settings.follow_mission:
-            request = self._mission.download.request(self._codec.make, self._target, now_us)
-            if request is not None:
-                yield self._send(request)
+            yield from map(self._send, self._mission.requests(self._codec.make, self._target, now_us))
 
     def release(self, now_us: int) -> Iterable[Outgoing]:  # noqa: ARG002
         """Return neutral, while armed, and the release, several times because frames may be lost."""
@@ -160,8 +157,7 @@ class MavlinkEdge(Edge):
         if self.autopilot.kind is None:
             return
         yield self._send(self._codec.make.timesync_encode(0, now_us * 1000))
-        if self._mission.reference:
-            yield self._mission.follow(self.command_id())
+        yield from self._mission.commands(self.command_id)
         for name, (number, interval_us) in INTERVALS_US.items():
             if now_us > self._seen_us.get(name, -SILENT_US) + SILENT_US - SECOND_US:
                 yield self._send(

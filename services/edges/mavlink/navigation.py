@@ -6,22 +6,27 @@ the two samples around it (linear; headings on the shorter way):
     heading rate = (q sin(roll) + r cos(roll)) / cos(pitch)
 
 A reset of the EKF moves position or heading at once. No estimate is interpolated across one, and resets are counted.
-LOCAL_POSITION_NED and ATTITUDE have no covariance: that of the settings is used.
+LOCAL_POSITION_NED and ATTITUDE have no covariance: that of the settings is used. ODOMETRY has those of pose and twist,
+as the 21 values of an upper triangle, row by row; one that is unknown begins with NaN, and is that of the settings.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec import structs
+from scipy.linalg import block_diag
 
+from ltv_mpc import frames
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Array, Estimate
 from services.edges.edge import Refused
+from services.edges.pose import covariance, rotation
 
 MS = 1_000_000  # ns
 MAX_WAIT_MS = 500
@@ -38,7 +43,7 @@ GAP_MS = 2_000
 """Gap of the positions behind which no jump can be told from motion."""
 
 
-class Accuracy(msgspec.Struct, frozen=True, kw_only=True):
+class Accuracy(msgspec.Struct, frozen=True):
     """Standard deviations of an autopilot that sends no covariance."""
 
     position_m: float = 1.0
@@ -52,6 +57,21 @@ class Accuracy(msgspec.Struct, frozen=True, kw_only=True):
         deviations = (self.position_m,) * 2 + (self.velocity_mps,) * 2 + (self.heading_rad, self.yaw_rate_radps)
         covariance: Array = np.diag(np.square(deviations))
         return covariance
+
+    @property
+    def pose(self) -> Array:
+        """Covariance (6, 6) of position and rotation."""
+        return _diagonal(self.position_m, self.heading_rad)
+
+    @property
+    def twist(self) -> Array:
+        """Covariance (6, 6) of velocity and angular velocity."""
+        return _diagonal(self.velocity_mps, self.yaw_rate_radps)
+
+
+def _diagonal(linear: float, angular: float) -> Array:
+    covariance: Array = np.diag(np.square((linear,) * 3 + (0.0, 0.0, angular)))
+    return covariance
 
 
 class _Attitude(NamedTuple):
@@ -71,7 +91,7 @@ class Navigation:
 
     def __init__(self, accuracy: Accuracy, *, dives: bool) -> None:
         """``dives``: the vehicle has a depth, down from the origin."""
-        self._covariance = accuracy.covariance
+        self._accuracy = accuracy
         self._dives = dives
         self._attitudes: deque[_Attitude] = deque(maxlen=50)
         self._waiting: deque[_Position] = deque(maxlen=20)
@@ -134,19 +154,28 @@ class Navigation:
         x, y, z, u, v, w, q, r = _finite(
             message.x, message.y, message.z, message.vx, message.vy, message.vz, message.pitchspeed, message.yawspeed
         )
-        R = _rotation(*_finite(*message.q))
+        R = rotation(*_finite(*message.q))
         roll, pitch = math.atan2(R[2, 1], R[2, 2]), -math.asin(max(-1.0, min(1.0, R[2, 0])))
         if abs(pitch) > 1.4:
             raise Refused(f"pitch = {pitch:.2f} rad: the heading is not defined")
-        velocity = R @ (u, v, w)
+        velocity, rates = R @ (u, v, w), R @ (*_finite(message.rollspeed), q, r)
         if self._reset_counter not in (-1, message.reset_counter):
             self.resets += 1
         self._reset_counter, self._odometry = message.reset_counter, True
         sample = _Position(message.time_usec // 1000, (x, y, z), (velocity[0], velocity[1], velocity[2]))
-        attitude = _Attitude(
-            sample.ms, math.atan2(R[1, 0], R[0, 0]), (q * math.sin(roll) + r * math.cos(roll)) / math.cos(pitch)
-        )
-        return iter((self._estimate(sample, attitude, message.time_usec * 1000),))
+        heading = math.atan2(R[1, 0], R[0, 0])
+        attitude = _Attitude(sample.ms, heading, (q * math.sin(roll) + r * math.cos(roll)) / math.cos(pitch))
+        estimate = self._estimate(sample, attitude, message.time_usec * 1000)
+        pose, twist = _matrix("pose", message.pose_covariance), _matrix("velocity", message.velocity_covariance)
+        if pose is None and twist is None:
+            return iter((estimate,))
+        if pose is None:
+            pose = self._accuracy.pose
+        else:  # roll and pitch are small, and about axes that have the heading
+            turn = block_diag(np.eye(3), frames.rotation(0.0, 0.0, heading))
+            pose = turn @ pose @ turn.T
+        P = covariance(R, velocity, rates, pose, self._accuracy.twist if twist is None else twist)
+        return iter((structs.replace(estimate, covariance=P),))
 
     def _in_order(self, ms: int, newest_ms: int) -> bool:
         """Return False for a late or repeated sample. A large step backwards is a restart of the autopilot."""
@@ -188,7 +217,7 @@ class Navigation:
             velocity_north_mps=v_north,
             velocity_east_mps=v_east,
             velocity_down_mps=v_down if self._dives else None,
-            covariance=self._covariance,
+            covariance=self._accuracy.covariance,
         )
 
 
@@ -206,14 +235,13 @@ def _finite(*values: float) -> tuple[float, ...]:
     return values
 
 
-def _rotation(w: float, x: float, y: float, z: float) -> Array:
-    """Return R (3, 3) of a quaternion, body to world. Raises ``Refused`` if it is no rotation."""
-    if abs(math.hypot(w, x, y, z) - 1.0) > 1e-2:
-        raise Refused(f"quaternion of length {math.hypot(w, x, y, z):.3g}, not 1")
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+def _matrix(name: str, triangle: Sequence[float]) -> Array | None:
+    """Return the covariance (6, 6) of an upper triangle, row by row; None if unknown. Raises ``Refused``."""
+    if math.isnan(triangle[0]) or not any(triangle):
+        return None
+    P = np.zeros((6, 6))
+    P[np.triu_indices(6)] = triangle
+    P += np.triu(P, 1).T
+    if not np.isfinite(P).all():
+        raise Refused(f"odometry: {name} covariance has values that are not finite")
+    return P

@@ -14,6 +14,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from ltv_mpc.config import to_toml
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Array, ControllerStatus, CurrentProfile, Estimate, Health, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.edges.edge import Refused
@@ -67,6 +70,14 @@ def reference_of(poses: Sequence[Any], header: Any, settings: Settings) -> str:
         return 'kind = "point"\n' + "\n".join(f"{name} = {value!r}" for name, value in places[0].items())
     rows = ",\n".join("{" + ", ".join(f"{name} = {value!r}" for name, value in of.items()) + "}" for of in places)
     return f'kind = "waypoints"\nspeed_mps = {settings.speed_mps!r}\nwaypoints = [\n{rows}\n]'
+
+
+def fence_of(text: str) -> str:
+    """Return the fence file of a GeoJSON text; empty for an empty text, which removes the fence."""
+    try:
+        return to_toml(Fence.from_geojson(text, "fence")) if text else ""
+    except ConfigError as error:
+        raise Refused(str(error)) from None
 
 
 def _place(position: Array, settings: Settings) -> dict[str, float]:

@@ -47,7 +47,7 @@ class Ros2Edge(Edge):
         self._odometry = False  # its source publishes odometry, and so no poses
         self._current: tuple[CurrentProfile, int] | None = None  # with the arrival
         self._requests: dict[int, tuple[str, int]] = {}  # by command: channel of the reply, arrival
-        self._followed = 0  # newest command of a goal or a route
+        self._sent = {"goal": 0, "fence": 0}  # newest command of a goal or a route, and of a fence
         self._numbers = LossCounter()
         self._water_us = 0
 
@@ -89,6 +89,10 @@ class Ros2Edge(Edge):
             case "current":
                 self._current = conversions.current_of(message), frame.now_us
                 return []
+            case "fence":
+                self._sent["fence"] = self.command_id()
+                fence = conversions.fence_of(message.data)
+                return [Command(command_id=self._sent["fence"], action=Action.FENCE, fence_toml=fence)]
             case "goal":
                 return [self._follow([message.pose], message.header)]
             case _:
@@ -103,8 +107,9 @@ class Ros2Edge(Edge):
             case Acknowledgement() if message.command_id in self._requests:
                 channel, _ = self._requests.pop(message.command_id)
                 return [_reply(channel, message.accepted, message.why or message.authority.value)]
-            case Acknowledgement(accepted=False) if message.command_id == self._followed:
-                self.refuse(f"goal: the controller rejects it: {message.why}")
+            case Acknowledgement(accepted=False):
+                for name in (name for name, of in self._sent.items() if of == message.command_id):
+                    self.refuse(f"{name}: the controller rejects it: {message.why}")
             case ControllerStatus():
                 t_ns = self.clock.read(now_us) or 0
                 refused = dict(self.refused_by_reason)
@@ -141,8 +146,8 @@ class Ros2Edge(Edge):
 
     def _follow(self, poses: list[Any], header: Any) -> Command:
         text = conversions.reference_of(poses, header, self._settings)
-        self._followed = self.command_id()
-        return Command(command_id=self._followed, action=Action.FOLLOW, reference_toml=text)
+        self._sent["goal"] = self.command_id()
+        return Command(command_id=self._sent["goal"], action=Action.FOLLOW, reference_toml=text)
 
     def _command(self, name: str, request: str, frame: Received) -> Output:
         """Return the command of a request, or the refusal as a reply."""

@@ -7,12 +7,8 @@ Out   north = p_y, east = p_x, depth = -p_z            z = 0 of the frame is the
       heading = pi/2 - yaw,   yaw = atan2(R_yx, R_xx)  from north clockwise, instead of from east counter-clockwise
       yaw rate = -(R w)_z                              about the world's vertical
 
-A small attitude error d rotates the axes of the world, R -> (1 + [d]) R, so it affects the velocity too:
-
-    d(R v) = -[R v] d + R dv,    d(R w)_z = (-[R w] d + R dw)_z
-
-The covariance of the estimate is J P J^T with P = diag(pose.covariance, twist.covariance), whose axes are those of
-``header.frame_id`` and of ``child_frame_id``. All zeros mean that it is unknown.
+The axes of ``pose.covariance`` are those of ``header.frame_id``, those of ``twist.covariance`` those of
+``child_frame_id``. All zeros mean that it is unknown.
 """
 
 from __future__ import annotations
@@ -25,14 +21,16 @@ import numpy as np
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Array, CurrentProfile, Estimate
 from services.edges.edge import Refused
+from services.edges.pose import covariance, rotation
 
 OTHER_CONVENTIONS = ("ned", "frd")
 """Suffixes by which REP 103 marks frames that are not ENU or FLU, as in ``odom_ned``."""
 
 LARGEST = 1e9
 
-UNIT = 1e-3
-"""Largest deviation of a quaternion's length from 1."""
+NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+FRD = np.diag([1.0, -1.0, -1.0])
+"""Rotations of ENU to NED and of FLU to FRD; each is its own inverse."""
 
 
 def estimate_of(message: Any, current: CurrentProfile | None = None) -> Estimate:
@@ -45,7 +43,8 @@ def estimate_of(message: Any, current: CurrentProfile | None = None) -> Estimate
     """
     check_frames(message.header.frame_id, message.child_frame_id)
     pose, twist = message.pose, message.twist
-    R = rotation(pose.pose.orientation)
+    q = pose.pose.orientation
+    R = rotation(float(q.w), float(q.x), float(q.y), float(q.z))
     position = vector("position", pose.pose.position)
     velocity, rate = R @ vector("linear", twist.twist.linear), R @ vector("angular", twist.twist.angular)
     return Estimate(
@@ -75,22 +74,6 @@ def stamp_ns(header: Any) -> int:
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
-def rotation(quaternion: Any) -> Array:
-    """Return R of a quaternion (x, y, z, w), body to world, shape (3, 3). Raises ``Refused`` if it is invalid."""
-    x, y, z, w = (float(value) for value in (quaternion.x, quaternion.y, quaternion.z, quaternion.w))
-    length = math.sqrt(x * x + y * y + z * z + w * w)
-    if not abs(length - 1.0) <= UNIT:  # also true for NaN
-        raise Refused(f"orientation: a quaternion of length {length:.3g}, not 1")
-    x, y, z, w = x / length, y / length, z / length, w / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 def vector(name: str, message: Any) -> Array:
     """Return x, y, z of a message, shape (3,). Raises ``Refused`` if one is not finite."""
     return _bounded(name, np.array([message.x, message.y, message.z], dtype=np.float64))
@@ -108,25 +91,8 @@ def _bounded(name: str, values: Array) -> Array:
 
 
 def _covariance(R: Array, velocity: Array, rate: Array, pose: Array, twist: Array) -> Array | None:
-    """Return the covariance (6, 6) of north, east, velocity north, east, heading and yaw rate; None if unknown.
-
-    ``pose`` and ``twist`` are (6, 6) over x, y, z and the rotations about them; ``velocity`` and ``rate`` ENU.
-    """
+    """Return the covariance (6, 6) of the estimate; None if all entries are zero. Arguments in ENU and FLU."""
     if not pose.any() and not twist.any():
         return None
-    P = np.zeros((12, 12))
-    P[:6, :6], P[6:, 6:] = pose, twist
-    velocity_by_turn, rate_by_turn = -_cross(velocity), -_cross(rate)
-    J = np.zeros((6, 12))
-    J[0, 1] = J[1, 0] = 1.0
-    for row, axis in ((2, 1), (3, 0)):
-        J[row, 3:6], J[row, 6:9] = velocity_by_turn[axis], R[axis]
-    J[4, 5] = -1.0
-    J[5, 3:6], J[5, 9:12] = -rate_by_turn[2], -R[2]
-    covariance: Array = J @ P @ J.T
-    return (covariance + covariance.T) / 2.0
-
-
-def _cross(v: Array) -> Array:
-    """Return [v], with [v] a = v x a."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    world, body = np.kron(np.eye(2), NED), np.kron(np.eye(2), FRD)
+    return covariance(NED @ R @ FRD, NED @ velocity, NED @ rate, world @ pose @ world, body @ twist @ body)

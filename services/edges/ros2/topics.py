@@ -38,6 +38,7 @@ TABLE = (
     Row("current", "/current", "geometry_msgs/msg/TwistStamped", IN, "`current` of the estimates, for 30 s"),
     Row("goal", "/goal_pose", "geometry_msgs/msg/PoseStamped", IN, "`command` follow, a point"),
     Row("route", "/route", "nav_msgs/msg/Path", IN, "`command` follow, waypoints"),
+    Row("fence", "/fence", "std_msgs/msg/String", IN, "`command` fence, from GeoJSON; empty: none"),
     Row("port", "/thrusters/port/thrust", "std_msgs/msg/Float64", OUT, "thrust at that instant, N"),
     Row("starboard", "/thrusters/starboard/thrust", "std_msgs/msg/Float64", OUT, "the same"),
     Row("vertical", "/thrusters/vertical/thrust", "std_msgs/msg/Float64", OUT, "the same"),

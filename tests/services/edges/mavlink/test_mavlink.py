@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ltv_mpc import config, references
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Action, Command, Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
@@ -23,7 +24,7 @@ from services.edges.mavlink.actuation import Overrides, State, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
 from services.edges.mavlink.codec import Codec, frames_of
 from services.edges.mavlink.edge import MavlinkEdge, Settings
-from services.edges.mavlink.mission import reference_of
+from services.edges.mavlink.mission import fence_of, reference_of
 from services.edges.mavlink.navigation import Accuracy, Navigation
 from tests.foreign_plant.flight import distance_m
 from tests.foreign_plant.mavlink_flight import EXAMPLE, ROOT, MavlinkFlight, vehicle
@@ -255,12 +256,26 @@ def test_a_reset_of_the_filter_is_counted_and_nothing_is_interpolated_across_it(
     assert navigation.resets == 2
 
 
+def triangle(entries: dict[tuple[int, int], float]) -> list[float]:
+    """Return the 21 values of an upper triangle."""
+    return [entries.get((row, column), 0.0) for row in range(6) for column in range(row, 6)]
+
+
 def test_odometry_has_its_own_attitude_and_excludes_positions() -> None:
     navigation = Navigation(Accuracy(), dives=False)
     c = codec()
     half = math.sqrt(0.5)
 
-    def message(frame: int = 1, child: int = 12, q: tuple[float, ...] = (half, 0.0, 0.0, half), reset: int = 0) -> Any:
+    unknown = [math.nan] * 21
+
+    def message(
+        frame: int = 1,
+        child: int = 12,
+        q: tuple[float, ...] = (half, 0.0, 0.0, half),
+        reset: int = 0,
+        pose: list[float] = unknown,
+        twist: list[float] = unknown,
+    ) -> Any:
         return c.make.odometry_encode(
             5_000_000,
             frame,
@@ -275,8 +290,8 @@ def test_odometry_has_its_own_attitude_and_excludes_positions() -> None:
             0.0,
             0.0,
             0.2,
-            [math.nan] * 21,
-            [math.nan] * 21,
+            pose,
+            twist,
             reset,
         )
 
@@ -288,6 +303,25 @@ def test_odometry_has_its_own_attitude_and_excludes_positions() -> None:
         navigation.position(position(6000))
     list(navigation.odometry(message(reset=1)))
     assert navigation.resets == 1
+    np.testing.assert_allclose(estimate.covariance, Accuracy().covariance)
+    # Heading east at 1 m/s: surge is the velocity east, and a heading too far to starboard has it go to the south.
+    pose, twist = (
+        triangle({(0, 0): 4.0, (0, 1): 1.0, (1, 1): 9.0, (5, 5): 0.04}),
+        triangle({(0, 0): 0.25, (5, 5): 0.01}),
+    )
+    (known,) = navigation.odometry(message(reset=1, pose=pose, twist=twist))
+    expected = np.zeros((6, 6))
+    expected[:2, :2] = [[4.0, 1.0], [1.0, 9.0]]
+    expected[2, 2] = expected[4, 4] = 0.04
+    expected[2, 4] = expected[4, 2] = -0.04
+    expected[3, 3], expected[5, 5] = 0.25, 0.01
+    np.testing.assert_allclose(known.covariance, expected, atol=1e-6)
+    (half_known,) = navigation.odometry(message(reset=1, pose=pose))
+    assert half_known.covariance is not None
+    assert half_known.covariance[0, 0] == pytest.approx(4.0)
+    assert half_known.covariance[3, 3] == pytest.approx(Accuracy().velocity_mps ** 2)
+    with pytest.raises(Refused, match="pose covariance"):
+        navigation.odometry(message(reset=1, pose=[1.0, *unknown[1:]]))
     for broken in (
         message(frame=8),
         message(child=8),
@@ -313,9 +347,17 @@ def test_a_filter_without_a_position_gives_no_estimate() -> None:
 # --- mission ---------------------------------------------------------------------------------------------------------
 
 
-def item(seq: int, command: int, lat: float = 50.2, lon: float = -5.1, frame: int = 6, param2: float = 0.0) -> Any:
+def item(
+    seq: int,
+    command: int,
+    lat: float = 50.2,
+    lon: float = -5.1,
+    frame: int = 6,
+    param2: float = 0.0,
+    param1: float = 0.0,
+) -> Any:
     x, y = round(lat * 1e7), round(lon * 1e7)
-    return codec().make.mission_item_int_encode(1, 1, seq, frame, command, 0, 1, 0.0, param2, 0.0, 0.0, x, y, 0.0)
+    return codec().make.mission_item_int_encode(1, 1, seq, frame, command, 0, 1, param1, param2, 0.0, 0.0, x, y, 0.0)
 
 
 def read(text: str) -> references.Reference:
@@ -340,14 +382,73 @@ def test_a_changed_mission_is_followed_once_on_a_bad_link() -> None:
 
     flight = MavlinkFlight(faults=BAD)
     flight.fly(3.0)
-    flight.autopilot.mission = [item(0, 16), item(1, 16, 50.2001), item(2, 16, 50.2001, -5.0999)]
+    flight.autopilot.lists[0] = [item(0, 16), item(1, 16, 50.2001), item(2, 16, 50.2001, -5.0999)]
     flight.fly(40.0)
     commands = [output for output in flight.outputs if isinstance(output, Command)]
     assert [command.action for command in commands] == [Action.FOLLOW]
     assert "latitude_deg = 50.2001" in commands[0].reference_toml
-    flight.autopilot.mission = flight.autopilot.mission[:2]
+    flight.autopilot.lists[0] = flight.autopilot.lists[0][:2]
     flight.fly(40.0)
     assert len([output for output in flight.outputs if isinstance(output, Command)]) == 2
+
+
+# --- fence ----
+
+
+def polygon(command: int, first: int = 0, side_deg: float = 1e-3, count: float = 4.0) -> list[Any]:
+    """Return the items of a square around the origin."""
+    corners = ((-1, -1), (-1, 1), (1, 1), (1, -1))
+    return [
+        item(first + at, command, 50.2 + 0.5 * side_deg * a, -5.1 + 0.5 * side_deg * b, param1=count)
+        for at, (a, b) in enumerate(corners)
+    ]
+
+
+def test_the_items_of_a_fence_are_its_zones() -> None:
+    items = [
+        item(0, 5000),  # the point to return to is no zone
+        *polygon(5001, 1),
+        *polygon(5002, 5, side_deg=1e-4),
+        item(9, 5003, param1=200.0),
+        item(10, 5004, 50.2003, param1=3.0),
+    ]
+    fence = config.parse(config.loads(fence_of(items, (50.2, -5.1))), Fence, source="fence")
+    square, circle, wreck, buoy = fence.zones()
+    assert (square.keep_in, circle.keep_in, wreck.keep_in, buoy.keep_in) == (True, True, False, False)
+    assert square.vertices[0] == pytest.approx((-55.6, -35.7), abs=0.1)  # 5e-4 degrees of latitude and of longitude
+    assert np.linalg.norm(circle.vertices, axis=1) == pytest.approx(200.0)
+    assert (buoy.radius_m, float(buoy.vertices[0, 0])) == (3.0, pytest.approx(33.4, abs=0.1))
+    assert fence_of([item(0, 5000)], (50.2, -5.1)) == ""
+
+
+@pytest.mark.parametrize(
+    ("items", "says"),
+    [
+        (polygon(5001)[:3], "3 of 4 vertices"),
+        ([*polygon(5001)[:3], *polygon(5002, 3)], "3 of 4 vertices"),
+        ([item(0, 5004, param1=math.nan)], "radius of item 0"),
+        ([item(0, 5004, param1=-1.0)], "radius of item 0"),
+        ([item(0, 5003, param1=math.inf)], "radius of item 0"),
+        ([polygon(5001)[at] for at in (0, 2, 1, 3)], "meet"),
+        ([item(at, 5003, param1=50.0) for at in range(90)], "fence_toml"),
+    ],
+)
+def test_a_fence_that_is_no_area_is_refused(items: list[Any], says: str) -> None:
+    with pytest.raises(Refused, match=says):
+        fence_of(items, (50.2, -5.1))
+
+
+def test_the_fence_of_the_autopilot_is_kept_and_its_end_removes_it() -> None:
+    flight = MavlinkFlight()
+    flight.fly(3.0)
+    flight.autopilot.lists[1] = polygon(5001)
+    flight.fly(12.0)
+    flight.autopilot.lists[1] = []
+    flight.fly(12.0)
+    kept, removed = (output for output in flight.outputs if isinstance(output, Command))
+    assert (kept.action, removed.action) == (Action.FENCE, Action.FENCE)
+    assert "keep_in" in kept.fence_toml
+    assert removed.fence_toml == ""
 
 
 # --- frames ----------------------------------------------------------------------------------------------------------
@@ -406,6 +507,8 @@ def test_on_a_signed_link_unsigned_and_repeated_frames_are_refused() -> None:
         ("mavlink --signing-key /nowhere --vehicle {boat}", "cannot be read"),
         ("mavlink --signing-key {boat} --vehicle {boat}", "must be 32"),
         ("mavlink --router udp", "must be PROTOCOL/ADDRESS"),
+        ("mavlink --sd 1,2,3 --vehicle {boat}", "must be four numbers"),
+        ("mavlink --sd 1,0,0.1,0.1 --vehicle {boat}", "must be four numbers"),
     ],
 )
 def test_bad_options_are_refused(line: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:

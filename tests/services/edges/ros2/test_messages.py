@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc import config, references
+from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import (
     Acknowledgement,
     Action,
@@ -29,6 +30,7 @@ from services.edges.ros2.conversions import Settings
 from services.edges.ros2.edge import Ros2Edge
 from services.edges.ros2.middleware import Attachment
 from services.edges.ros2.topics import BY_NAME
+from tests.fuzz.targets import SQUARE_FENCE
 from tests.services.edges.plans import SECOND_NS, plan
 from tests.services.edges.ros2.test_ros2 import odometry
 
@@ -166,6 +168,26 @@ def test_a_goal_that_the_controller_rejects_is_counted() -> None:
     (command,) = give(edge, "goal", goal)
     list(edge.take(acknowledged(command, accepted=False, why="outside the fence"), 0))
     assert "outside the fence" in edge.reason
+
+
+def test_a_fence_comes_as_geojson_and_an_empty_text_removes_it() -> None:
+    edge = edge_with()
+
+    def of(text: str) -> list[Any]:
+        return give(edge, "fence", cdr.make("std_msgs/msg/String", data=text))
+
+    (command,) = of(SQUARE_FENCE)
+    assert command.action is Action.FENCE
+    fence = config.parse(config.loads(command.fence_toml), Fence, source="fence")
+    assert (fence.margin_m, len(fence.keep_in)) == (2.0, 1)
+    list(edge.take(acknowledged(command, accepted=False, why="the vehicle has no hull"), 0))
+    assert edge.reason == "fence: the controller rejects it: the vehicle has no hull"
+    (command,) = of("")
+    assert (command.action, command.fence_toml) == (Action.FENCE, "")
+    assert edge.refused == 1
+    for broken in ("{", "[]", SQUARE_FENCE.replace("keep_in", "keep_up"), SQUARE_FENCE.replace("50.3", '"x"')):
+        assert of(broken) == []
+    assert edge.refused == 5
 
 
 def acknowledged(command: Command, *, accepted: bool = True, why: str = "") -> Acknowledgement:
