@@ -525,9 +525,13 @@ class FenceReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     inside: Annotated[tuple[str, ...], Meta(description="those that the hull is in at the first knot")] = ()
     exceeded: Annotated[Count, Meta(description="rows of the QP whose clearance the plan does not keep")] = 0
     skipped_m: Annotated[Length, Meta(description="length of the path that is left out: zones and margins")] = 0.0
+    no_way: Annotated[bool, Meta(description="no way round the zones leads to the target")] = False
     time_to_zone_ns: Annotated[
         Duration | None,
-        Meta(description="from the first knot until the hull is in a zone or obstacle; null: not within the plan"),
+        Meta(
+            description="from the first knot until the hull is in a zone or obstacle; null: not within the plan, nor "
+            "within 10 minutes of drift after a plan that is not solved"
+        ),
     ] = None
     dropped: Annotated[tuple[Identifier, ...], Meta(description="obstacles dropped in this cycle: too old")] = ()
 

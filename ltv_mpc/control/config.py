@@ -91,7 +91,8 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Limits of the motion, [controller.limits]; not set: no limit.
 
-    Those of surge and yaw rate are soft (``horizon_limits.py``). Those of depth bound the vertical thrust, but not in
+    Those of surge and yaw rate are soft (``horizon_limits.py``), that of the cross-track distance, too
+    (``fence_rows.py``). Those of depth bound the vertical thrust, but not in
     failsafe and not by hand (``depth_limits.py``). The limits of thrust and slew rate are in the vehicle file.
     """
 
@@ -100,6 +101,7 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     max_surge_mps: Annotated[float, Meta(gt=0, le=20)] | None = None
     min_yaw_rate_radps: Annotated[float, Meta(ge=-20, lt=0)] | None = None  # to port
     max_yaw_rate_radps: Annotated[float, Meta(gt=0, le=20)] | None = None  # to starboard
+    max_cross_track_m: Annotated[float, Meta(gt=0, le=10_000)] | None = None  # from a path, to either side
     min_depth_m: Annotated[float, Meta(ge=0, le=11_000)] | None = None
     max_depth_m: Annotated[float, Meta(gt=0, le=11_000)] | None = None
     min_altitude_m: Annotated[float, Meta(gt=0, le=11_000)] | None = None  # above the bottom that estimates have seen

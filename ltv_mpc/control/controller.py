@@ -117,6 +117,7 @@ class Controller:
         )
         self._stopwatch = stopwatch
         self._followers = [Follower(reference, vehicle)]  # of the reference, and of the hold while it is paused
+        self._growth_m = 0.0  # of the standard deviation of the predicted position since the estimate
 
     @property
     def follower(self) -> Follower:
@@ -145,7 +146,7 @@ class Controller:
         ----------
         reference : begins at the first estimate after its start.
         """
-        self._followers[0] = Follower(reference, self.vehicle)
+        self._followers[0] = self._follower(reference)
 
     def pause(self, estimate: Estimate | None) -> None:
         """Hold the position of the next cycle until ``resume``; the reference waits.
@@ -155,7 +156,7 @@ class Controller:
         estimate : its depth is held.
         """
         if len(self._followers) == 1:
-            self._followers.append(Follower(Hold.at_depth_of(estimate), self.vehicle))
+            self._followers.append(self._follower(Hold.at_depth_of(estimate)))
 
     def resume(self) -> None:
         """Follow the reference again, if it waits."""
@@ -183,6 +184,8 @@ class Controller:
         ConfigError : the vehicle's file has no [hull].
         """
         self._lateral.fencing.set_fence(fence)
+        for follower in self._followers:
+            follower.restrict(self._lateral.fencing.allowed_path)
 
     def add_obstacles(self, obstacles: Obstacles) -> None:
         """Avoid obstacles from the next cycle on, until their reports are too old.
@@ -306,7 +309,8 @@ class Controller:
         if decision.follows:
             current = start.current_north_mps, start.current_east_mps
             self.follower.advance(knots, start.lateral, current, self._lateral.target)
-        self._lateral.fencing.update(start, decision.estimate, 0.0)
+        self._lateral.fencing.set_path(self.follower.path_beside(knots) if decision.follows else None)
+        self._lateral.fencing.update(start, decision.estimate, self._growth_m)
         vertical = self._plan_vertical(decision, start, knots)
         self._lateral.set_current(decision.estimate, vertical.depth_m)
         self._stopwatch("predict")
@@ -368,6 +372,12 @@ class Controller:
         moved_until_ns = _end_of_motion_ns(state, self.config.period_ns, self.vehicle.plan_timeout_s)
         self._followers[0].restore(followed, t_ns, moved_until_ns=moved_until_ns)
 
+    def _follower(self, reference: Reference) -> Follower:
+        """Return a follower whose target skips what lies in zones."""
+        follower = Follower(reference, self.vehicle)
+        follower.restrict(self._lateral.fencing.allowed_path)
+        return follower
+
     # --- parts of a cycle ---
 
     def _decide(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: HealthState) -> Decision:
@@ -381,9 +391,11 @@ class Controller:
             estimate, predicted_mps = self._bias.correct(estimate, self._prediction, self.sent_commands)
             self.reference_point_check.update(estimate, predicted_mps)
         own = self._estimates.health(now_ns)
+        self._growth_m = 0.0
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._bias)
             self._estimates.limit_growth(growth)
+            self._growth_m = growth if growth > 0.0 else 0.0  # not a number: the vehicle holds
             own = self._estimates.health(now_ns)
         return decide(
             estimate,
@@ -466,7 +478,9 @@ class Controller:
             progress=progress.share,
             cross_track_m=progress.cross_track_m,
             remaining_m=progress.remaining_m,
-            fence=self._lateral.fencing.report(lateral.X[:, :6], 0.0),
+            fence=self._lateral.fencing.report(
+                lateral.X[:, :6], follower.skipped_m, drifts=lateral.origin is not PlanOrigin.SOLVED
+            ),
         )
 
     def _record(self, plan: Plan) -> None:

@@ -11,6 +11,10 @@ I, predicted surge u and yaw rate r at the plan's start, and t from there on,
 
 inside box and slew. Each cycle begins the law again from its own prediction; at rest it gives zero.
 
+A plan of the QP, or the rest of one, may lead the vehicle into a zone of the fence if no other plan follows it: the
+actuators follow it until its end, then the vehicle coasts. Such a plan gets a braking tail: from the time on at which
+the second plan after it is missing, it stops the vehicle by the law above.
+
 The level is named in the plan (``Plan.origin``), with the reason (``Plan.why``). Every level keeps box and slew, and
 begins at the commands in force.
 """
@@ -27,6 +31,7 @@ from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.vertical import ramp
 from ltv_mpc.messages import Array, Plan, PlanOrigin, Solve, SolveStatus, Times
+from ltv_mpc.safety.health import REPLACEMENTS_MISSING, plan_end_ns
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -62,6 +67,8 @@ class PreviousPlan:
         """Vehicle time (ns) until which the last solved plan may be followed; a shifted plan then ramps to zero."""
         self.shares = np.ones(2)
         """(2,) share of their commands that port and starboard deliver."""
+        self.unbraked: Array | None = None
+        """(N+1, 2) commands of a plan that came from a solve, before it got a braking tail (N)."""
         self._no_commands = np.zeros((len(knots_ns), 2))
         self._max_shift_ns = min(int(knots_ns[-1]), MAX_SHIFT_NS)
 
@@ -88,6 +95,7 @@ class PreviousPlan:
             self.solved_until_ns = int(plan.t_ns[moving[-1] if len(moving) else 0])
         else:
             self._set_end(plan)
+        self.unbraked = None
         same_knots = np.array_equal(plan.t_ns - plan.t_ns[0], self.knots_ns)
         self.plan = plan if same_knots else None
 
@@ -110,7 +118,8 @@ class PreviousPlan:
         plan = self.plan
         if plan is None or (plan.origin is not PlanOrigin.SOLVED and plan.origin is not PlanOrigin.SHIFTED):
             return math.nan, self._no_commands
-        return (start_ns - int(plan.t_ns[0])) / STAGE_NS, plan.thrust_N[:, :2] * self.shares
+        commands = plan.thrust_N[:, :2] if self.unbraked is None else self.unbraked
+        return (start_ns - int(plan.t_ns[0])) / STAGE_NS, commands * self.shares
 
     def _set_end(self, plan: Plan) -> None:
         self.solved_until_ns = int(plan.t_ns[0]) + self._max_shift_ns
@@ -119,7 +128,7 @@ class PreviousPlan:
 class Fallback:
     """Lateral plans below the solved one."""
 
-    def __init__(self, vehicle: Vehicle, packed: Array, previous: PreviousPlan) -> None:
+    def __init__(self, vehicle: Vehicle, packed: Array, previous: PreviousPlan, period_ns: int) -> None:
         """Prepare the levels.
 
         Parameters
@@ -127,7 +136,11 @@ class Fallback:
         vehicle : parameters of the vehicle.
         packed : packed constants (``problem_data.pack_constants``).
         previous : plan that was sent last; its owner keeps it up to date.
+        period_ns : of the plans (ns).
         """
+        knots_ns = previous.knots_ns
+        self._end = int(np.searchsorted(knots_ns, plan_end_ns(knots_ns, period_ns, vehicle.plan_timeout_s), "right"))
+        self._brake = int(np.searchsorted(knots_ns[:-1], round(REPLACEMENTS_MISSING * period_ns)))
         self._packed = packed
         self._previous = previous
         self._zero = np.zeros((len(previous.knots_ns), 2))
@@ -136,7 +149,7 @@ class Fallback:
         mixing = [[1.0, 1.0], [port.arm_m, -starboard.arm_m]]  # of F1, F2 (N) to surge force (N) and yaw moment (N m)
         masses = np.diag([vehicle.surge.mass_kg, vehicle.yaw.inertia_kgm2])
         self._stopping_gain = np.linalg.solve(mixing, -masses / time_s)  # of surge and yaw rate to F1, F2
-        self._decay = np.exp(-1e-9 * previous.knots_ns / time_s)
+        self._decay = np.exp(-1e-9 * knots_ns / time_s)
 
     def plan(self, start: Start, C: Array, solve: Solve) -> LateralPlan:
         """Return the plan of the first level that gives one.
@@ -200,6 +213,23 @@ class Fallback:
         """
         thrust = self._stopping_gain @ start.lateral[[2, 5]]  # by surge and yaw rate
         return self._ramp_to(np.outer(self._decay, thrust), start, C, PlanOrigin.STOP, why)
+
+    def followed_alone(self, start: Start, C: Array, plan: LateralPlan, *, brakes: bool) -> LateralPlan:
+        """Return the motion if no other plan follows this one: zero thrust after its end.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        C : (N+1, 2) current at the knots (m/s), finite.
+        plan : its states and commands.
+        brakes : stop the vehicle from the knot on at which the second plan after this one is missing.
+        """
+        goal, b = plan.U.copy(), self._brake
+        if brakes:
+            thrust = self._stopping_gain @ plan.X[b, [2, 5]]
+            goal[b + 1 :] = np.outer(self._decay[b + 1 :] / self._decay[b], thrust)
+        goal[self._end :] = 0.0
+        return self._ramp_to(goal, start, C, plan.origin, plan.why)._replace(solve=plan.solve)
 
     def _ramp_to(self, goal: Array, start: Start, C: Array, origin: PlanOrigin, why: str) -> LateralPlan:
         """Approach the goal (N+1, 2) in box and slew."""

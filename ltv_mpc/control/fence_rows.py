@@ -1,4 +1,4 @@
-"""Rows and cost of the fence: half-planes that keep the predicted track from zones and obstacles.
+"""Rows and cost of fence and corridor: half-planes that bound the predicted track.
 
 At each knot k the QP has at most M = ``ROWS`` soft rows  a' dp_k >= b  in the deviation dp of the position, with the
 outward normal m of a zone at its point nearest to the nominal position p, and its required clearance c:
@@ -9,12 +9,18 @@ d is the clearance (``geofence/zones.py``), S the scale of a position and g_k th
 disc at its predicted position at knot k. In a stage longer than the first one the rows are those of its point with the
 least clearance, among points that are one first stage apart; the chord's sag is added to c between the knots.
 
-The cost of a trajectory has the same penalty on the true clearances (line_search.py, nominal_trajectory.py):
+A corridor of half width w along the path has two rows at each knot. With the unit normal m to starboard of the path's
+nearest piece, and its point q, the cross-track distance is  x = m' (p - q):
 
-    2 PENALTY sum over k, zones z of  g_k max(0, c_z - d_z) / S
+    -m' dp / S >= (x - w) / S,    m' dp / S >= (-w - x) / S,    cost of the excess: CORRIDOR_PENALTY g_k  for each S
+
+The cost of a trajectory has the same penalties on the true distances (line_search.py, nominal_trajectory.py):
+
+    2 sum over k of  g_k (PENALTY sum over zones z of max(0, c_z - d_z) + CORRIDOR_PENALTY max(0, |x| - w)) / S
 
 The factor 2 is that between the cost and the QP (cost.py). The penalty is exact: it is above the duals that occur,
-because the target is never farther than the vehicle can come (fencing.py).
+because the target is never farther than the vehicle can come (fencing.py). That of the corridor is smaller, so that the
+vehicle leaves its corridor rather than its fence.
 """
 
 from __future__ import annotations
@@ -22,11 +28,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ltv_mpc.control.horizon_limits import NO_BOUND
 from ltv_mpc.control.linearisation import unpack_linearisation
 from ltv_mpc.control.problem_data import Objective, stage_length, unpack_constants
-from ltv_mpc.geofence.half_planes import ALL, ROWS, SD_FACTOR, HalfPlanes, half_planes, insert_row
+from ltv_mpc.geofence.half_planes import ROWS, SD_FACTOR, HalfPlanes, allocate, half_planes, insert_row
 from ltv_mpc.geofence.obstacles import GROWTH_MPS
 from ltv_mpc.geofence.zones import Zones, nearest
 from ltv_mpc.jit import jit, jit_outlined
@@ -34,6 +41,12 @@ from ltv_mpc.messages import Array
 
 PENALTY = 5000.0
 """Cost of an excess of S (1 m for the paper's vehicle), over one stage of 0.3 s."""
+
+CORRIDOR_PENALTY = 500.0
+"""As ``PENALTY``, of an excess of the cross-track distance."""
+
+CORRIDOR_ROWS = 2
+"""Rows of the corridor at a knot, behind the ``ROWS`` of the fence."""
 
 REACH = 4.0
 """Largest slack of a row that is taken, in units of S."""
@@ -44,10 +57,49 @@ class Scene(NamedTuple):
 
     zones: Zones
     need: Array  # (Z,) required clearance of the vehicle's origin (m)
-    exits: Array  # (Z, 4) half-plane of each zone that the vehicle is in, as ``half_planes`` takes them
+    exits: Array  # (Z, 4) exit of each zone that the vehicle is in, as ``half_planes`` takes them
     discs: Array  # (O, 7) obstacles, as ``ObstacleTable.discs``
     disc_need_m: Array  # (1,) hull and margin that are kept from an obstacle
     stage_s: float
+    path: Array  # (K, 2) points of the path beside the horizon (m); none: the corridor does not bound
+    targets: npt.NDArray[np.int64]  # (N,) point of the path before the target of each knot
+    path_reach: int  # pieces of the path in which its nearest point is searched, to either side of the target
+    half_width_m: float  # of the corridor
+
+
+NO_PATH = np.empty((0, 2))
+"""Path of a corridor that does not bound."""
+
+
+@jit
+def cross_track(scene: Scene, k: int, n: float, e: float) -> tuple[float, float, float]:
+    """Return the distance of a point from the path beside knot k = 1 .. N, positive to starboard, and the normal there.
+
+    Parameters
+    ----------
+    scene : its path has at least two points.
+    k : knot.
+    n, e : position (m).
+
+    Returns
+    -------
+    Distance from the line through the nearest piece (m); unit normal to starboard, north and east; zeros if the path
+    has no length.
+    """
+    nearest_m, x, mn, me = np.inf, 0.0, 0.0, 0.0
+    first, last = scene.targets[k - 1] - scene.path_reach, scene.targets[k - 1] + scene.path_reach
+    for i in range(max(first, 0), min(last, len(scene.path) - 2) + 1):
+        tn, te = scene.path[i + 1, 0] - scene.path[i, 0], scene.path[i + 1, 1] - scene.path[i, 1]
+        length = np.hypot(tn, te)
+        if length < 1e-9:
+            continue
+        dn, de = n - scene.path[i, 0], e - scene.path[i, 1]
+        along = min(max((dn * tn + de * te) / length, 0.0), length)
+        distance = np.hypot(dn - along * tn / length, de - along * te / length)
+        if distance < nearest_m:
+            nearest_m, mn, me = distance, -te / length, tn / length
+            x = mn * dn + me * de
+    return x, mn, me
 
 
 @jit
@@ -86,7 +138,7 @@ def lack_m(scene: Scene, z: int, n: float, e: float, t_s: float) -> float:
     if z >= Z:
         north, east, need = _disc(scene, z - Z, t_s)
         return max(need - float(np.hypot(n - north, e - east)), 0.0)
-    if scene.exits[z, 0] == ALL:
+    if scene.exits[z, 0] != 0.0:
         return float(max(scene.exits[z, 3] + scene.need[z] - scene.exits[z, 1] * n - scene.exits[z, 2] * e, 0.0))
     circle = scene.zones.circle[z]
     if np.hypot(n - circle[0], e - circle[1]) - circle[2] > scene.need[z]:
@@ -96,7 +148,7 @@ def lack_m(scene: Scene, z: int, n: float, e: float, t_s: float) -> float:
 
 @jit_outlined
 def fence_cost(X: Array, scene: Scene, o: Objective) -> float:
-    """Return the cost of too small clearances along a trajectory.
+    """Return the cost of too small clearances, and of too large cross-track distances, along a trajectory.
 
     Parameters
     ----------
@@ -105,6 +157,10 @@ def fence_cost(X: Array, scene: Scene, o: Objective) -> float:
     o : knots and scales.
     """
     total, count = 0.0, len(scene.need) + len(scene.discs)
+    if len(scene.path) > 1:
+        for k in range(1, X.shape[0]):
+            excess = abs(cross_track(scene, k, X[k, 0], X[k, 1])[0]) - scene.half_width_m
+            total += 2.0 * CORRIDOR_PENALTY * stage_length(o, k) * max(excess, 0.0) / o.state_scale[0]
     if count == 0:
         return total
     for k in range(1, X.shape[0]):
@@ -157,12 +213,7 @@ def fill_rows(packed: Array, flat: Array, stages: int, scene: Scene) -> None:
         sag = _sag_m(X, k, g * scene.stage_s) if at < 1.0 else 0.0
         for z in range(Z):
             required[k - 1, z] = scene.need[z] + sag
-    rows = HalfPlanes(
-        np.zeros((stages, ROWS, 2)),
-        np.zeros((stages, ROWS)),
-        np.zeros((stages, ROWS)),
-        np.full((stages, ROWS), -1),
-    )
+    rows = allocate(stages)
     half_planes(scene.zones, points, required, scene.exits, reach, rows)
     for k in range(stages):
         for i in range(len(scene.discs)):
@@ -173,6 +224,21 @@ def fill_rows(packed: Array, flat: Array, stages: int, scene: Scene) -> None:
                 lin.rows[k, j, i] = rows.normal[k, j, i] / scale if used else 0.0
             lin.rows[k, j, 2] = -rows.slack[k, j] / scale if used else -NO_BOUND
             lin.rows[k, j, 3] = PENALTY * stage_length(o, k + 1)
+        if lin.rows.shape[1] > ROWS:
+            _fill_corridor(lin.rows[k, ROWS:], scene, k + 1, X[k + 1], o)
+
+
+@jit
+def _fill_corridor(rows: Array, scene: Scene, k: int, x: Array, o: Objective) -> None:
+    """Write the rows (2, 4) of the corridor at knot k, whose nominal state is x."""
+    scale = o.state_scale[0]
+    rows[:, :2] = 0.0
+    rows[:, 2], rows[:, 3] = -NO_BOUND, CORRIDOR_PENALTY * stage_length(o, k)
+    if len(scene.path) > 1:
+        distance, mn, me = cross_track(scene, k, x[0], x[1])
+        for j, side in ((0, -1.0), (1, 1.0)):
+            rows[j, 0], rows[j, 1] = side * mn / scale, side * me / scale
+            rows[j, 2] = -(scene.half_width_m + side * distance) / scale
 
 
 @jit

@@ -7,10 +7,12 @@ vehicle can follow:
     target at knot k = point of the way at the distance  min(distance of the wanted target, V t_k + lead)
 
 with the speed over ground V that the vehicle reaches in the current, and a lead of ``LEAD`` lengths. The targets bend
-only the reference: the rows of the QP (``fence_rows.py``) keep the vehicle out.
+only the reference: the rows of the QP (``fence_rows.py``) keep the vehicle out. The target itself skips what lies in
+zones and margins (``geofence/allowed_path.py``).
 
 Required clearance of the vehicle's origin from a zone: hull + max(margin, k sd), with the standard deviation sd of the
-position at the first knot.
+position at the first knot. It grows while estimates are late. The corridor along a path does not bound while the
+targets lead round a zone.
 """
 
 from __future__ import annotations
@@ -19,16 +21,19 @@ import math
 
 import numpy as np
 
-from ltv_mpc.control.fence_rows import Scene, clearance_table
+from ltv_mpc.control.fence_rows import CORRIDOR_ROWS, NO_PATH, Scene, clearance_table
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.terminal_check import closing_speed
+from ltv_mpc.geofence.allowed_path import allowed_path
 from ltv_mpc.geofence.fence import Fence, hull_radius_m
-from ltv_mpc.geofence.half_planes import ALL, SD_FACTOR
+from ltv_mpc.geofence.half_planes import ROWS, SD_FACTOR
 from ltv_mpc.geofence.obstacles import DISC, ObstacleTable
 from ltv_mpc.geofence.route import Router
-from ltv_mpc.geofence.zones import Zones, nearest, pack_zones
-from ltv_mpc.messages import Array, Estimate, FenceInForce, FenceReport, Obstacles, Times, ZoneInForce
+from ltv_mpc.geofence.zones import Zones, clearances, nearest, pack_zones
+from ltv_mpc.messages import Array, Estimate, FenceInForce, FenceReport, Obstacles, Times
+from ltv_mpc.references.follower import PathBeside
+from ltv_mpc.references.schedule import Schedule
 from ltv_mpc.vehicle.parameters import Vehicle
 
 LEAD = 0.5
@@ -46,20 +51,25 @@ ACTIVE_M = 0.05
 ENTERED_M = 0.01
 """Depth in a margin from which it counts as entered: rounding and the linearisation take millimetres."""
 
+MAX_DRIFT_S = 600.0
+"""Longest drift after the end of a plan that is looked at."""
+
 NO_ZONES = Zones(np.empty((0, 2)), np.zeros(1, dtype=np.int64), np.empty(0), np.empty(0), np.empty((0, 3)))
 
 
 class Fencing:
-    """Fence and obstacles of one vehicle."""
+    """Fence, obstacles and corridor of one vehicle."""
 
-    def __init__(self, vehicle: Vehicle, knots_ns: Times) -> None:
+    def __init__(self, vehicle: Vehicle, knots_ns: Times, corridor_m: float | None = None) -> None:
         """Begin without a fence and without obstacles.
 
         Parameters
         ----------
         vehicle : its file needs [hull] for a fence or an obstacle.
         knots_ns : (N+1,) knots after a plan's start (ns).
+        corridor_m : largest cross-track distance on a path (m); None: no corridor.
         """
+        self._has_corridor = corridor_m is not None
         self._vehicle = vehicle
         self._times_s = knots_ns.astype(np.float64) * 1e-9
         self._scales = characteristic_scales(vehicle)
@@ -67,16 +77,35 @@ class Fencing:
         """Fence in force."""
         self.obstacles = ObstacleTable()
         """Obstacles that are known."""
-        self.scene = _scene(NO_ZONES, np.zeros(DISC * 0).reshape(0, DISC), 0.0, float(self._times_s[1]))
+        self.scene = Scene(
+            zones=NO_ZONES,
+            need=np.empty(0),
+            exits=np.empty((0, 4)),
+            discs=np.empty((0, DISC)),
+            disc_need_m=np.zeros(1),
+            stage_s=float(self._times_s[1]),
+            path=NO_PATH,
+            targets=np.zeros(len(knots_ns) - 1, dtype=np.int64),
+            path_reach=0,
+            half_width_m=corridor_m or 0.0,
+        )
         """Zones and obstacles of this cycle."""
         self._labels: list[str] = []
         self._router: Router | None = None
+        self._no_way = False  # round the zones to the target
         self._dropped: tuple[int, ...] = ()
 
     @property
     def is_active(self) -> bool:
         """True if there is a fence or an obstacle."""
         return self.fence is not None or len(self.obstacles) > 0
+
+    @property
+    def rows(self) -> int:
+        """Number of half-planes of a stage."""
+        if self._has_corridor:
+            return ROWS + CORRIDOR_ROWS
+        return ROWS if self.is_active else 0
 
     def set_fence(self, fence: Fence | None) -> None:
         """Keep another fence; None: none. Raises ``ConfigError`` if the hull is not known."""
@@ -87,7 +116,32 @@ class Fencing:
             need = hull_radius_m(self._vehicle) + zones.margin
         self.fence, self._labels = fence, labels
         self._router = None if fence is None else Router(zones, need)
-        self.scene = _scene(zones, self.scene.discs, self.scene.disc_need_m[0], self.scene.stage_s)
+        self.scene = self.scene._replace(zones=zones, need=need, exits=np.zeros((len(need), 4)))
+
+    def allowed_path(self, schedule: Schedule) -> tuple[Schedule, float]:
+        """Return the part of a schedule outside zones and margins, and the length that is left out (m).
+
+        Parameters
+        ----------
+        schedule : motion of the target.
+        """
+        if self.fence is None:
+            return schedule, 0.0
+        return allowed_path(schedule, self.scene.zones, hull_radius_m(self._vehicle) + self.scene.zones.margin)
+
+    def set_path(self, path: PathBeside | None) -> None:
+        """Set the path of the corridor for this cycle.
+
+        Parameters
+        ----------
+        path : beside the horizon; None: the corridor does not bound.
+        """
+        if not self._has_corridor:
+            return
+        if path is None:
+            self.scene = self.scene._replace(path=NO_PATH)
+        else:
+            self.scene = self.scene._replace(path=path.points, targets=path.targets, path_reach=path.reach)
 
     def add_obstacles(self, obstacles: Obstacles) -> None:
         """Take reports of obstacles. Raises ``ConfigError`` if the hull is not known."""
@@ -106,6 +160,7 @@ class Fencing:
         """
         self._dropped = self.obstacles.drop_old(start.t_ns)
         self.scene = scene = self.scene._replace(discs=self.obstacles.discs(start.t_ns))
+        self._no_way = False
         if self.fence is None:
             return
         zones = scene.zones
@@ -118,16 +173,12 @@ class Fencing:
             distance, mn, me, qn, qe = nearest(zones, z, north, east)
             if distance >= 0.0:
                 scene.exits[z, 0] = 0.0
-            elif scene.exits[z, 0] != ALL:
-                scene.exits[z] = ALL, mn, me, mn * qn + me * qe
+            elif scene.exits[z, 0] == 0.0:
+                scene.exits[z] = 1.0, mn, me, mn * qn + me * qe
         router = self._router
         assert router is not None  # there is a fence
         if (scene.need > router.need + ACTIVE_M).any() or (scene.need < 0.8 * router.need).any():
             self._router = Router(zones, scene.need)
-
-    def hides(self, position: Array, target: Array) -> bool:
-        """Return True if a zone is between the vehicle and its target, each (2,) in m."""
-        return self._router is not None and self._router.is_blocked(position, target)
 
     def bend(self, position: Array, current: Array, target: Array) -> None:
         """Lead the targets of a horizon round the zones, where the line through them is blocked.
@@ -141,6 +192,7 @@ class Fencing:
         router = self._router
         if router is None or not router.chain_is_blocked(position, target[:-1, :2]):
             return
+        self.set_path(None)
         corners, lengths = [position.copy()], [0.0]
         wanted = np.empty(len(target) - 1)  # distance of each target along the way (m)
         for k in range(len(wanted)):
@@ -148,6 +200,7 @@ class Fencing:
                 for corner in router.way(corners[-1], target[k, :2].copy(), remember=k == 0):
                     lengths.append(lengths[-1] + math.dist(corners[-1], corner))
                     corners.append(corner)
+                self._no_way = bool((corners[-1] != target[k, :2]).any())
             wanted[k] = lengths[-1]
         way, along = np.array(corners), np.array(lengths)
         speed = self._speed_mps(way, current)
@@ -169,13 +222,41 @@ class Fencing:
         en, ee = legs[0] / np.hypot(*legs[0])
         return max(closing_speed(en, ee, -current[0], -current[1], top), MIN_SPEED * top)
 
-    def report(self, X: Array, skipped_m: float) -> FenceReport | None:
+    def enters_s(self, X: Array) -> float:
+        """Return when the hull enters a zone or an obstacle first (s after the first knot); infinite for never.
+
+        Parameters
+        ----------
+        X : (N+1, 8) states at the knots.
+        """
+        hull = self._vehicle.hull
+        if hull is None or not self.is_active:
+            return math.inf
+        return float(clearance_table(X, self._times_s, self.scene, hull.radius_m)[:, 4].min())
+
+    def _drift_s(self, X: Array) -> float:
+        """Return when the hull enters a zone if it drifts on after the last of the states X (s after the first)."""
+        hull = self._vehicle.hull
+        last, before = X[-1, :2], X[-2, :2]
+        velocity = (last - before) / (self._times_s[-1] - self._times_s[-2])
+        speed, drifted_s = float(np.hypot(*velocity)), 0.0
+        if self.fence is None or hull is None or speed < 1e-3:
+            return math.inf
+        while drifted_s < MAX_DRIFT_S:  # each step is as long as the distance to the nearest zone
+            gap = float(clearances(self.scene.zones, (last + drifted_s * velocity)[None]).min()) - hull.radius_m
+            if gap < 0.01:
+                return float(self._times_s[-1]) + drifted_s
+            drifted_s += gap / speed
+        return math.inf
+
+    def report(self, X: Array, skipped_m: float, *, drifts: bool) -> FenceReport | None:
         """Return what a plan keeps from zones and obstacles; None without any.
 
         Parameters
         ----------
         X : (N+1, 6) states at the knots.
         skipped_m : length of the path that is left out (m).
+        drifts : True for a plan that does not come from the QP: the drift after its end counts, too.
         """
         hull = self._vehicle.hull
         dropped, self._dropped = self._dropped, ()
@@ -190,6 +271,8 @@ class Fencing:
             [self.scene.zones.margin, np.full(len(self.scene.discs), OBSTACLE_MARGIN * hull.radius_m)]
         )
         z, first_s = int(np.argmin(least)), float(enters_s.min())
+        if drifts and math.isinf(first_s):
+            first_s = self._drift_s(X)
 
         def _named(which: Array) -> tuple[str, ...]:
             return tuple(labels[i] for i in np.flatnonzero(which))
@@ -202,6 +285,7 @@ class Fencing:
             inside=_named(now < hull.radius_m),
             exceeded=int(lacking.sum()),
             skipped_m=skipped_m,
+            no_way=self._no_way,
             time_to_zone_ns=round(first_s * 1e9) if math.isfinite(first_s) else None,
             dropped=dropped,
         )
@@ -213,26 +297,10 @@ class Fencing:
         ----------
         t_ns : time of the message, vehicle time (ns).
         """
-        zones = () if self.fence is None else self.fence.zones()
         hull = self._vehicle.hull
         return FenceInForce(
             t_ns=t_ns,
             hull_radius_m=0.0 if hull is None else hull.radius_m,
-            zones=tuple(
-                ZoneInForce(
-                    label=zone.label,
-                    keep_in=zone.keep_in,
-                    vertices_m=zone.vertices,
-                    radius_m=zone.radius_m,
-                    margin_m=zone.margin_m,
-                )
-                for zone in zones
-            ),
+            zones=() if self.fence is None else tuple(self.fence.zones()),
             obstacles=self.obstacles.reports,
         )
-
-
-def _scene(zones: Zones, discs: Array, disc_need_m: float, stage_s: float) -> Scene:
-    """Return a scene whose clearances and exits are not set yet."""
-    Z = len(zones.radius)
-    return Scene(zones, np.zeros(Z), np.zeros((Z, 4)), discs, np.array([disc_need_m]), stage_s)

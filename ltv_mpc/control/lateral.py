@@ -29,7 +29,6 @@ from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
 from ltv_mpc.control.problem_data import pack_constants
 from ltv_mpc.control.solvers import Solver, SolverFactory
-from ltv_mpc.geofence.half_planes import ROWS
 from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus, Times
 from ltv_mpc.node import Stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -68,11 +67,11 @@ class LateralPlanner:
         self.target = np.zeros((config.stages + 1, 3))
         """Target at the knots: ``Solver.build``."""
         self.previous = PreviousPlan(knots_ns)
-        self.fencing = Fencing(vehicle, knots_ns)
-        """Fence and obstacles in force."""
+        self.fencing = Fencing(vehicle, knots_ns, config.limits.max_cross_track_m)
+        """Fence, obstacles and corridor in force."""
         self._packed = packed
         self._lin = Linearisation.empty(config.stages)
-        self._fallback = Fallback(vehicle, packed, self.previous)
+        self._fallback = Fallback(vehicle, packed, self.previous, config.period_ns)
         self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
         self._shares: Pair = (1.0, 1.0)  # of their commands that port and starboard deliver
@@ -89,7 +88,7 @@ class LateralPlanner:
         estimate : its current profile is used; no current if it has none.
         depth_m : (N+1,) predicted depths at the knots (m).
         """
-        rows = ROWS if self.fencing.is_active else 0
+        rows = self.fencing.rows
         if self._lin.rows.shape[1] != rows:
             self._lin = Linearisation.empty(len(self.target) - 1, rows)
             self.distrust_solver()
@@ -169,7 +168,20 @@ class LateralPlanner:
             plan: LateralPlan | Solve = self._solve(start)
         except Exception as error:  # a solver should report a status, but those of others may raise
             plan = Solve(status=SolveStatus.FAILED, why=f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS])
-        return self._as_commands(self._fall_back(start, plan) if isinstance(plan, Solve) else plan)
+        unbraked = self._fall_back(start, plan) if isinstance(plan, Solve) else plan
+        self.previous.unbraked = self._as_commands(unbraked).U
+        return self._as_commands(self._brake_before_zones(start, unbraked))
+
+    def _brake_before_zones(self, start: Start, plan: LateralPlan) -> LateralPlan:
+        """Return a plan with a braking tail, if the vehicle would enter a zone when no other plan follows it."""
+        if plan.origin is PlanOrigin.ZERO or not self.fencing.is_active:
+            return plan
+        coasting = self._fallback.followed_alone(start, self._lin.C, plan, brakes=False)
+        enters_s = self.fencing.enters_s(coasting.X)
+        if math.isinf(enters_s):
+            return plan
+        braking = self._fallback.followed_alone(start, self._lin.C, plan, brakes=True)
+        return braking if self.fencing.enters_s(braking.X) > enters_s else plan
 
     def distrust_solver(self) -> None:
         """Make a new solver before the next solve."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -18,7 +18,7 @@ from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence import geojson
 from ltv_mpc.geofence.ring import ring_problem
-from ltv_mpc.messages import Array
+from ltv_mpc.messages import Array, ZoneInForce
 from ltv_mpc.references.geodesy import Origin, Place, local
 from ltv_mpc.validation import MAX_VERTICES
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -50,16 +50,6 @@ class Disc(Zone, frozen=True, kw_only=True, omit_defaults=True):
     radius_m: Annotated[float, Meta(gt=0, le=100_000)]
 
 
-class LocalZone(NamedTuple):
-    """Zone in the local frame."""
-
-    label: str  # table, number and name, as errors and reports name it
-    keep_in: bool
-    vertices: Array  # (K, 2) north and east (m); one for a disc
-    radius_m: float  # 0 for a polygon
-    margin_m: float
-
-
 class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """Geofence of a mission."""
 
@@ -74,7 +64,7 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         if not (self.keep_in or self.keep_out or self.keep_out_disc):
             raise ValueError("no zone: give at least one of [[keep_in]], [[keep_out]], [[keep_out_disc]]")
         for zone in self.zones():
-            problem = "" if zone.radius_m > 0.0 else ring_problem(zone.vertices)
+            problem = "" if zone.radius_m > 0.0 else ring_problem(zone.vertices_m)
             if problem:
                 raise ValueError(f"{zone.label}: {problem}")
 
@@ -115,20 +105,17 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             text = config.to_toml(self)
         Path(path).write_text(text, encoding="utf-8")
 
-    def zones(self) -> Iterator[LocalZone]:
+    def zones(self) -> Iterator[ZoneInForce]:
         """Yield the zones in the local frame: keep-in polygons, keep-out polygons, keep-out discs."""
         for table, polygons in (("keep_in", self.keep_in), ("keep_out", self.keep_out)):
             for k, polygon in enumerate(polygons):
                 label = _label(table, k, polygon)
                 vertices = [self._local(place, f"{label}: vertices[{i}]") for i, place in enumerate(polygon.vertices)]
-                yield LocalZone(label, table == "keep_in", np.array(vertices), 0.0, self._margin(polygon))
+                yield _zone(label, polygon, np.array(vertices), 0.0, self.margin_m, keep_in=table == "keep_in")
         for k, disc in enumerate(self.keep_out_disc):
             label = _label("keep_out_disc", k, disc)
             centre = np.array([self._local(disc.centre, f"{label}: centre")])
-            yield LocalZone(label, False, centre, disc.radius_m, self._margin(disc))
-
-    def _margin(self, zone: Zone) -> float:
-        return self.margin_m if zone.margin_m is None else zone.margin_m
+            yield _zone(label, disc, centre, disc.radius_m, self.margin_m, keep_in=False)
 
     def _local(self, place: Place, where: str) -> tuple[float, float]:
         if place.depth_m is not None:
@@ -137,6 +124,16 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             return local(place, self.origin)
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from None
+
+
+def _zone(label: str, of: Zone, vertices: Array, radius_m: float, margin_m: float, *, keep_in: bool) -> ZoneInForce:
+    return ZoneInForce(
+        label=label,
+        keep_in=keep_in,
+        vertices_m=vertices,
+        radius_m=radius_m,
+        margin_m=margin_m if of.margin_m is None else of.margin_m,
+    )
 
 
 def fence_for(vehicle: Vehicle, path: str) -> Fence | None:

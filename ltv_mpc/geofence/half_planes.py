@@ -5,8 +5,8 @@ clearance c of the zone at this point, b = m . q + c. A polygon gives one row fo
 nearest in its surroundings: edges whose foot lies on them, and corners that reach into the allowed side. The rows with
 the least slack  m . p - b  are taken, and only those with less than ``reach``.
 
-A point inside a zone is pushed to the half-plane of the zone's side, or to the nearest boundary if there
-is none.
+A point inside a zone is pushed to the nearest boundary. Where the vehicle itself is inside, a zone has an exit: its one
+half-plane is that of all points, so that they do not leave on different sides.
 """
 
 from __future__ import annotations
@@ -27,10 +27,6 @@ SD_FACTOR = 3.0
 """k: standard deviations of the position that the clearance covers."""
 
 
-NONE, INSIDE, ALL = 0.0, 1.0, 2.0
-"""First number of a push: there is none; it is for the points inside the zone; it is for all points."""
-
-
 class HalfPlanes(NamedTuple):
     """Rows of the points of a track; those that are not used have the zone -1."""
 
@@ -40,46 +36,16 @@ class HalfPlanes(NamedTuple):
     zone: npt.NDArray[np.int64]  # (P, M)
 
 
+@jit
 def allocate(points: int) -> HalfPlanes:
     """Return room for the rows of a number of points, none of them used."""
-    unused = np.full((points, ROWS), -1, dtype=np.int64)
-    return HalfPlanes(np.zeros((points, ROWS, 2)), np.zeros((points, ROWS)), np.zeros((points, ROWS)), unused)
-
-
-def required_clearance(margin: Array, hull_m: float, sd_m: Array, sag_m: Array) -> Array:
-    """Return the clearance (P, Z) in m that the points of a track need from the zones.
-
-    The margin is kept free of the hull. It covers an uncertainty of up to ``SD_FACTOR`` standard deviations; where that
-    is larger than the margin now, it counts instead, and its growth along the track counts up to the margin.
-
-    Parameters
-    ----------
-    margin : (Z,) margins of the zones (m); for what appeared newly, with the stopping distance added.
-    hull_m : radius of the hull (m).
-    sd_m : (P,) standard deviation of the position at the points (m); the first is that of now.
-    sag_m : (P,) sag between the point and the one before it: ``chord_sag_m``.
-    """
-    now = SD_FACTOR * sd_m[0]
-    growth = np.minimum(SD_FACTOR * sd_m[:, None] - now, margin)
-    clearance: Array = hull_m + np.maximum(margin, now + growth) + sag_m[:, None]
-    return clearance
-
-
-def chord_sag_m(speed_mps: Array, yaw_rate_radps: Array, duration_s: Array) -> Array:
-    """Return how far (P,) in m an arc leaves the chord between its ends: v r h^2 / 8.
-
-    Parameters
-    ----------
-    speed_mps : (P,) speed over ground (m/s).
-    yaw_rate_radps : (P,) rate of turn (rad/s).
-    duration_s : (P,) duration of each arc (s).
-    """
-    sag: Array = np.abs(speed_mps * yaw_rate_radps) * duration_s**2 / 8.0
-    return sag
+    return HalfPlanes(
+        np.zeros((points, ROWS, 2)), np.zeros((points, ROWS)), np.zeros((points, ROWS)), np.full((points, ROWS), -1)
+    )
 
 
 @jit
-def half_planes(zones: Zones, points: Array, required: Array, pushes: Array, reach: Array, rows: HalfPlanes) -> None:
+def half_planes(zones: Zones, points: Array, required: Array, exits: Array, reach: Array, rows: HalfPlanes) -> None:
     """Write the rows of every point.
 
     Parameters
@@ -87,7 +53,7 @@ def half_planes(zones: Zones, points: Array, required: Array, pushes: Array, rea
     zones : zones of the fence.
     points : (P, 2) north and east (m): the linearisation's positions at knots and sub-steps.
     required : (P, Z) required clearance (m).
-    pushes : (Z, 4) half-plane by zone: for which points (``NONE``, ``INSIDE``, ``ALL``), m north, m east, offset (m).
+    exits : (Z, 4) exit of each zone: 1 if it has one or 0, its half-plane's m north, m east and offset (m).
     reach : (P,) largest slack of a row that is taken (m).
     rows : output.
     """
@@ -98,12 +64,12 @@ def half_planes(zones: Zones, points: Array, required: Array, pushes: Array, rea
         for z in range(len(zones.radius)):
             need = required[k, z]
             away = np.hypot(north - zones.circle[z, 0], east - zones.circle[z, 1]) - zones.circle[z, 2]
-            if away > need + reach[k] and pushes[z, 0] != ALL:
+            if away > need + reach[k] and exits[z, 0] == 0.0:
                 continue
             distance, mn, me, qn, qe = nearest(zones, z, north, east)
-            if pushes[z, 0] == ALL or (pushes[z, 0] == INSIDE and distance < 0.0):
-                mn, me = pushes[z, 1], pushes[z, 2]
-                insert_row(rows, k, z, mn, me, pushes[z, 3] + need, mn * north + me * east)
+            if exits[z, 0] != 0.0:
+                mn, me = exits[z, 1], exits[z, 2]
+                insert_row(rows, k, z, mn, me, exits[z, 3] + need, mn * north + me * east)
             elif distance < 0.0 or zones.first[z + 1] - zones.first[z] == 1:
                 if distance < need + reach[k]:
                     insert_row(rows, k, z, mn, me, mn * qn + me * qe + need, mn * north + me * east)

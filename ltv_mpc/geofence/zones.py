@@ -19,7 +19,7 @@ import numpy.typing as npt
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.ring import signed_area_m2
 from ltv_mpc.jit import jit, jit_outlined
-from ltv_mpc.messages import Array
+from ltv_mpc.messages import Array, FenceInForce
 
 Nearest: TypeAlias = tuple[float, float, float, float, float]
 
@@ -34,11 +34,16 @@ class Zones(NamedTuple):
     circle: Array  # (Z, 3) north, east and radius of a circle around the forbidden side (m); infinite for keep-in
 
 
-def pack_zones(fence: Fence) -> Zones:
-    """Return the zones of a fence, in the order of ``Fence.zones``."""
+def pack_zones(fence: Fence | FenceInForce) -> Zones:
+    """Return the zones of a fence in their order.
+
+    Parameters
+    ----------
+    fence : has at least one zone.
+    """
     rings, first, radii, margins, circles = [], [0], [], [], []
-    for zone in fence.zones():
-        ring = zone.vertices
+    for zone in fence.zones if isinstance(fence, FenceInForce) else fence.zones():
+        ring = zone.vertices_m
         if (signed_area_m2(ring) > 0.0) != zone.keep_in:
             ring = ring[::-1]
         centre = 0.5 * (ring.min(axis=0) + ring.max(axis=0))
@@ -133,19 +138,3 @@ def clearances(zones: Zones, points: Array) -> Array:
         for z in range(len(zones.radius)):
             out[k, z] = nearest(zones, z, points[k, 0], points[k, 1])[0]
     return out
-
-
-@jit
-def support(zones: Zones, z: int, north: float, east: float) -> float:
-    """Return the largest m . p over the points p of a keep-out zone (m).
-
-    Parameters
-    ----------
-    zones : zones of the fence.
-    z : number of the zone.
-    north, east : unit normal m.
-    """
-    most = -np.inf
-    for i in range(zones.first[z], zones.first[z + 1]):
-        most = max(most, north * zones.vertices[i, 0] + east * zones.vertices[i, 1])
-    return float(most + zones.radius[z])

@@ -14,13 +14,25 @@ so it never decreases. A point, or "here", is a schedule without length: a targe
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from ltv_mpc.messages import Array, Estimate, Pair, ReferenceStart, Times
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.references.schedule import DEPTH, Schedule, advance_target, depths_at, target_at
+from ltv_mpc.references.schedule import (
+    DEPTH,
+    EAST,
+    NORTH,
+    TIME,
+    WAY,
+    Schedule,
+    advance_target,
+    depths_at,
+    target_at,
+)
 from ltv_mpc.references.types import Hold, Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -40,6 +52,10 @@ class Progress(NamedTuple):
     remaining_m: float | None  # length of the path ahead of the target
 
 
+Allowed: TypeAlias = Callable[[Schedule], tuple[Schedule, float]]
+"""Restriction of a schedule: returns its allowed part, and the length that is left out (m)."""
+
+
 class FollowerState(NamedTuple):
     """State from which another follower of the same reference continues."""
 
@@ -51,6 +67,17 @@ class FollowerState(NamedTuple):
 
 NO_PROGRESS = Progress(None, None, None)
 """Progress of a reference that is no path, or has not started."""
+
+PATH_POINTS = 96
+"""Number of points of the path beside a plan."""
+
+
+class PathBeside(NamedTuple):
+    """Path beside a plan: straight pieces between points of equal distance."""
+
+    points: Array  # (K, 2) north and east (m)
+    targets: npt.NDArray[np.int64]  # (N,) point before the target of each knot
+    reach: int  # number of pieces that the vehicle may be away from the target
 
 
 class _Track(NamedTuple):
@@ -81,17 +108,15 @@ class _Track(NamedTuple):
         )
 
     @classmethod
-    def at_rest(cls, place: Pair, depth_m: float | None, distance_m: float) -> _Track:
+    def at_rest(cls, schedule: Schedule, depth_m: float | None) -> _Track:
         """Return the track of a target at rest.
 
         Parameters
         ----------
-        place : north and east (m).
+        schedule : of a point.
         depth_m : wanted depth (m); None: none.
-        distance_m : distance of the vehicle at the start (m).
         """
-        column = (0.0, 0.0, *place, math.nan if depth_m is None else depth_m)
-        return cls(np.array((column, column)).T.copy(), distance_m, 0.0, 0.0, depth_m, math.inf, math.inf)
+        return cls(schedule.table, schedule.lead_m, 0.0, 0.0, depth_m, math.inf, math.inf)
 
 
 class Follower:
@@ -102,7 +127,10 @@ class Follower:
         """The reference that is followed."""
         self.heading_rad: float | None = None
         """Heading that the reference wants (rad); None: it is free."""
+        self.skipped_m = 0.0
+        """Length of the path that is left out, because it is not allowed (m)."""
         self._vehicle = vehicle
+        self._allowed: Allowed = _unrestricted
         self._start: ReferenceStart | None = None
         self._track: _Track | None = None  # None before the reference starts
         self._tau_s = 0.0
@@ -148,17 +176,57 @@ class Follower:
             self._start_at(self.reference.anchor(estimate))
         return self._start is not None
 
+    def restrict(self, allowed: Allowed) -> None:
+        """Move the target along the allowed part of the path alone; it stays where it is along the path.
+
+        Parameters
+        ----------
+        allowed : replaces an earlier restriction.
+        """
+        self._allowed = allowed
+        if self._start is not None and self._track is not None:
+            way = target_at(self._track.table, self._tau_s)[0]
+            self._track = self._track_from(self._start)
+            self._tau_s = float(np.interp(way, self._track.table[WAY], self._track.table[TIME]))
+
     def _start_at(self, start: ReferenceStart) -> None:
         self._start = start
         self._t_ns = start.t_ns
+        self._track = self._track_from(start)
+        self._target = target_at(self._track.table, 0.0)[1:]
+
+    def _track_from(self, start: ReferenceStart) -> _Track:
+        """Return the allowed part of the reference that starts there."""
         if isinstance(self.reference, Point | Hold):
-            north, east = self._target = self.reference.position(start)
+            north, east = self.reference.position(start)
+            column = (0.0, 0.0, north, east, math.nan if self.reference.depth_m is None else self.reference.depth_m)
             distance_m = math.hypot(north - start.north_m, east - start.east_m)
-            self._track = _Track.at_rest(self._target, self.reference.depth_m, distance_m)
-            return
-        schedule = self.reference.schedule(self._vehicle, start)
-        self._track = _Track.of(schedule, path_limits(self._vehicle).cruise_mps)
-        self._target = target_at(schedule.table, 0.0)[1:]
+            point, self.skipped_m = self._allowed(Schedule(np.array((column, column)).T.copy(), distance_m))
+            return _Track.at_rest(point, self.reference.depth_m)
+        schedule, self.skipped_m = self._allowed(self.reference.schedule(self._vehicle, start))
+        return _Track.of(schedule, path_limits(self._vehicle).cruise_mps)
+
+    def path_beside(self, t_ns: Times) -> PathBeside | None:
+        """Return the path beside a plan: from behind the target at its first knot to ahead of that at its last one.
+
+        Parameters
+        ----------
+        t_ns : (N+1,) knots of the plan (ns), as ``advance`` took them last.
+
+        Returns
+        -------
+        The path; None for a point, and before the reference starts.
+        """
+        track = self._track
+        if track is None or not self.is_path:
+            return None
+        tau = self._tau_s + self._rate * (t_ns[1:] - t_ns[0]) * 1e-9
+        targets = np.interp(tau, track.table[TIME], track.table[WAY])
+        begin, end = max(targets[0] - 2.0 * track.leash_m, 0.0), targets[-1] + 2.0 * track.leash_m
+        way = np.linspace(begin, min(end, float(track.table[WAY, -1])), PATH_POINTS)
+        points = np.column_stack([np.interp(way, track.table[WAY], track.table[row]) for row in (NORTH, EAST)])
+        step_m = max(float(way[1] - way[0]), 1e-9)
+        return PathBeside(points, ((targets - begin) / step_m).astype(np.int64), math.ceil(track.leash_m / step_m))
 
     def save(self) -> FollowerState:
         """Return the state that another follower of the same reference continues from."""
@@ -228,3 +296,7 @@ class Follower:
         if track is None or start is None or track.depth_m is None:
             return None
         return depths_at(track.table, self._tau_s, self._rate, t_ns, start.t_ns, start.depth_m, rate)
+
+
+def _unrestricted(schedule: Schedule) -> tuple[Schedule, float]:
+    return schedule, 0.0

@@ -33,6 +33,13 @@ def fence_changes(before: FenceReport, after: FenceReport) -> Iterator[tuple[Lev
         for label in old:
             if label not in new:
                 yield Level.INFO, f"{what} left: {label}"
+    if after.no_way != before.no_way:
+        text = "no way round the zones leads to the target" if after.no_way else "a way to the target is found"
+        yield (Level.WARNING if after.no_way else Level.INFO), text
+    if after.skipped_m > 0.0 and after.skipped_m != before.skipped_m:
+        yield Level.WARNING, f"reference in a zone or margin: {after.skipped_m:.1f} m left out"
+    if after.time_to_zone_ns is not None and before.time_to_zone_ns is None:
+        yield Level.WARNING, f"the hull will be in a zone in {after.time_to_zone_ns * 1e-9:.0f} s"
     for number in after.dropped:
         yield Level.WARNING, f"obstacle {number} dropped: its last report is too old"
 

@@ -71,7 +71,7 @@ def check_mission(
     fence : None: only current and depths are checked.
     current_mps : speed of the water, from any direction.
     bottom_m : depth of the bottom; None: not known.
-    limits : depth limits of the controller's settings.
+    limits : limits of the controller's settings: depths and cross-track distance.
     """
     points, depth, way, duration_s, speed_mps = _samples(vehicle, reference)
     largest = None if np.isnan(depth).all() else float(np.nanmax(depth))
@@ -80,7 +80,9 @@ def check_mission(
     stop = stopping(vehicle, speed_mps) if speed_mps > 0.0 else (0.0, 0.0)
     stopping_m = None if stop is None else stop[0] + current_mps * stop[1]
     problems = _current_problems(vehicle, reference, current_mps)
-    problems += _depth_problems(largest, bottom_m, limits or MotionLimits())
+    limits = limits or MotionLimits()
+    problems += _corridor_problems(reference, limits.max_cross_track_m, drift_m, current_mps)
+    problems += _depth_problems(largest, bottom_m, limits)
     zones, corridor_m, needed_m = [], None, None
     if fence is not None and len(points):
         hull_m = _hull_radius_m(vehicle)
@@ -210,6 +212,22 @@ def _current_problems(vehicle: Vehicle, reference: Reference, current_mps: float
             "vehicle has no side thrust, and turns to hold its position"
         )
     return problems
+
+
+def _corridor_problems(
+    reference: Reference, half_width_m: float | None, drift_m: float | None, current_mps: float
+) -> list[str]:
+    """Return why the vehicle cannot keep to its largest cross-track distance."""
+    if half_width_m is None or isinstance(reference, Point | Hold):
+        return []
+    if drift_m is None:
+        return [f"max_cross_track_m = {half_width_m:g} is not kept: the vehicle cannot turn into a current"]
+    if drift_m <= half_width_m:
+        return []
+    return [
+        f"max_cross_track_m = {half_width_m:g} is not kept: the vehicle drifts {drift_m:.2f} m while it turns into "
+        f"{current_mps:g} m/s"
+    ]
 
 
 def _depth_problems(largest: float | None, bottom_m: float | None, limits: MotionLimits) -> list[str]:

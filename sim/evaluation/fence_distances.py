@@ -1,4 +1,7 @@
-"""Distance of the true hull from the zones of a run's fence. Positions are absolute: drift of the estimate counts."""
+"""Distance of the true hull from the zones of the fence in force. Positions are absolute: drift of the estimate counts.
+
+The fence is that of the run until the controller publishes another one.
+"""
 
 from __future__ import annotations
 
@@ -6,36 +9,54 @@ import numpy as np
 
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import clearances, pack_zones
-from ltv_mpc.messages import Truth
+from ltv_mpc.messages import FenceInForce, Truth, ZoneInForce
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.evaluation.summary import ZoneFigures
 
 
 class FenceDistances:
-    """True positions of a run with a fence. The hull counts as the circle around it."""
+    """True positions of a run, and the fences in force meanwhile. The hull counts as the circle around it."""
 
     def __init__(self, vehicle: Vehicle, fence: Fence | None) -> None:
-        self._fence = fence
         self._hull_m = 0.0 if vehicle.hull is None else vehicle.hull.radius_m
-        self._truth: list[tuple[int, float, float]] = []
+        self._zones: tuple[ZoneInForce, ...] = () if fence is None else tuple(fence.zones())
+        self._truth: list[tuple[int, float, float]] = []  # since these zones are in force
+        self._figures: dict[str, ZoneFigures] = {}  # of the time before
+
+    def add_fence(self, fence: FenceInForce) -> None:
+        """Add the fence that the controller publishes."""
+        if [_key(zone) for zone in fence.zones] != [_key(zone) for zone in self._zones]:
+            self._figures = {figures.zone: figures for figures in self.figures()}
+            self._truth = self._truth[-1:] if self._zones else []  # none is kept while there is no fence
+            self._zones = fence.zones
 
     def add_truth(self, truth: Truth) -> None:
         """Add the true position, from t = 0 on."""
-        if self._fence is not None and truth.t_ns >= 0:
+        if self._zones and truth.t_ns >= 0:
             self._truth.append((truth.t_ns, truth.position_m[0], truth.position_m[1]))
 
     def figures(self) -> tuple[ZoneFigures, ...]:
-        """Return the figures of each zone; none without a fence or a truth."""
-        if self._fence is None or not self._truth:
-            return ()
-        rows = np.array(self._truth)
-        clearance = clearances(pack_zones(self._fence), np.ascontiguousarray(rows[:, 1:])) - self._hull_m  # (K, Z)
+        """Return the figures of each zone that was in force, the times of zones of one name added; none without any."""
+        if not self._zones or not self._truth:
+            return tuple(self._figures.values())
+        rows, margins = np.array(self._truth), [zone.margin_m for zone in self._zones]
+        packed = pack_zones(FenceInForce(t_ns=0, hull_radius_m=self._hull_m, zones=self._zones))
+        clearance = clearances(packed, np.ascontiguousarray(rows[:, 1:])) - self._hull_m  # (K, Z)
         length_s = np.append(np.diff(rows[:, 0]), 0.0)[:, None] * 1e-9
-        zones = list(self._fence.zones())
-        in_margin = (length_s * (clearance < [zone.margin_m for zone in zones])).sum(axis=0)
+        in_margin = (length_s * (clearance < margins)).sum(axis=0)
         inside = (length_s * (clearance < 0.0)).sum(axis=0)
-        figures = zip(zones, clearance.min(axis=0).tolist(), in_margin.tolist(), inside.tolist(), strict=True)
-        return tuple(
-            ZoneFigures(zone=zone.label, least_clearance_m=least, in_margin_s=margin_s, inside_s=inside_s)
-            for zone, least, margin_s, inside_s in figures
-        )
+        out = dict(self._figures)
+        figures = zip(self._zones, clearance.min(axis=0).tolist(), in_margin.tolist(), inside.tolist(), strict=True)
+        for zone, least, margin_s, inside_s in figures:
+            before = out.get(zone.label)
+            out[zone.label] = ZoneFigures(
+                zone=zone.label,
+                least_clearance_m=least if before is None else min(least, before.least_clearance_m),
+                in_margin_s=margin_s + (0.0 if before is None else before.in_margin_s),
+                inside_s=inside_s + (0.0 if before is None else before.inside_s),
+            )
+        return tuple(out.values())
+
+
+def _key(zone: ZoneInForce) -> tuple[object, ...]:
+    return zone.label, zone.keep_in, zone.vertices_m.tobytes(), zone.radius_m, zone.margin_m

@@ -22,7 +22,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.messages import Applied, Array, Clock, ClockState, CycleTiming, Estimate, Message, Pair, Plan, Truth
+from ltv_mpc.messages import (
+    Applied,
+    Array,
+    Clock,
+    ClockState,
+    CycleTiming,
+    Estimate,
+    FenceInForce,
+    Message,
+    Pair,
+    Plan,
+    Truth,
+)
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.propulsion import propulsive_power_W, relative_power
 from sim.evaluation.fence_distances import FenceDistances
@@ -248,7 +260,7 @@ class RunMetrics:
     Parameters
     ----------
     vehicle : thrust limits, hull.
-    fence : zones from which the vehicle keeps away.
+    fence : zones from which the vehicle keeps away, until a ``FenceInForce`` names others.
     speed : speed of the clock until the first ``Clock`` message.
     """
 
@@ -266,6 +278,7 @@ class RunMetrics:
         self._delays = PlanDelays()
         self._receive: dict[type[Message], Callable[[Any, int, int, int], None]] = {
             Truth: self._add_truth,
+            FenceInForce: self._add_fence,
             Estimate: self._add_estimate,
             Plan: self._add_plan,
             Applied: self._add_applied,
@@ -321,6 +334,9 @@ class RunMetrics:
         self._track.add_truth(truth)
         self._fence.add_truth(truth)
         self._commands.add_truth(truth)
+
+    def _add_fence(self, fence: FenceInForce, *_: int) -> None:
+        self._fence.add_fence(fence)
 
     def _add_estimate(self, estimate: Estimate, *_: int) -> None:
         self._track.add_estimate(estimate)

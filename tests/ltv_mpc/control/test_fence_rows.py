@@ -1,19 +1,35 @@
-"""Half-planes of the fence in the QP: every solver has the same optimum, and the penalty is exact."""
+"""Half-planes of fence and corridor: their derivatives, their cost, and the same optimum of every solver."""
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.fence_rows import PENALTY
+from ltv_mpc.control.fence_rows import (
+    CORRIDOR_PENALTY,
+    CORRIDOR_ROWS,
+    NO_PATH,
+    PENALTY,
+    Scene,
+    cross_track,
+    fence_cost,
+    fill_rows,
+    lack_m,
+)
 from ltv_mpc.control.horizon_limits import NO_BOUND, HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import Solver, make
+from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.geofence.half_planes import ROWS
+from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array, SolveStatus
 from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, equidistant, motion, precise
+from tests.ltv_mpc.geofence.shapes import disc, polygon
 
 N, M = 17, 3
 
@@ -64,3 +80,130 @@ def test_every_solver_has_them(solver: str) -> None:
             np.abs(of.commands(lin, x) - free.commands(without, precise(free.build(without, target)))).max() > 1.0
         )
     assert active >= 4
+
+
+SMALL = msgspec.structs.replace(PAPER, surge=msgspec.structs.replace(PAPER.surge, mass_kg=0.5 * PAPER.surge.mass_kg))
+"""A vehicle whose position scale is not 1 m."""
+
+WALLS = Fence(
+    margin_m=0.4,
+    keep_in=(polygon(np.array([[-3.0, -3.0], [-3.0, 4.0], [5.0, 4.0], [5.0, -3.0]])),),
+    keep_out=(polygon(np.array([[1.0, 1.0], [2.5, 1.4], [1.2, 2.6]])),),
+    keep_out_disc=(disc(3.0, -1.5, 0.8),),
+)
+
+
+def scene(**changed) -> Scene:
+    zones = pack_zones(WALLS)
+    return Scene(
+        zones=zones,
+        need=0.3 + zones.margin,
+        exits=np.zeros((len(zones.radius), 4)),
+        discs=np.array([[-2.0, 1.0, 0.05, -0.1, 0.5, 0.04, 1.5]]),
+        disc_need_m=np.array([0.6]),
+        stage_s=0.3,
+        path=NO_PATH,
+        targets=np.zeros(N, dtype=np.int64),
+        path_reach=0,
+        half_width_m=0.0,
+    )._replace(**changed)
+
+
+def corridor(half_width_m: float) -> Scene:
+    angle = np.linspace(0.0, 1.5, 30)
+    path = np.column_stack([4.0 * np.sin(angle) - 2.0, 4.0 - 4.0 * np.cos(angle) - 2.0])
+    targets = np.linspace(3, 26, N).astype(np.int64)
+    return scene(path=path, targets=targets, path_reach=8, half_width_m=half_width_m)
+
+
+def filled(of: Scene, seed: int, rows: int, stages: int = N) -> tuple[Linearisation, Array]:
+    """Return random nominal positions with the rows of a scene, and the packed constants."""
+    packed = pack_constants(SMALL, settled(settings(), SMALL).weights, equidistant(stages), 0.3)
+    lin = Linearisation.empty(stages, rows)
+    rng = np.random.default_rng(seed)
+    lin.X[...] = 0.0
+    lin.X[:, :2] = rng.uniform((-2.5, -2.5), (4.5, 3.5), (stages + 1, 2))
+    fill_rows(packed, lin.flat, stages, of)
+    return lin, packed
+
+
+def test_a_row_is_the_derivative_of_the_clearance_of_its_zone() -> None:
+    """The most violated row of a knot: its bound is the lack of the nearest zone, and its normal the slope of that."""
+    of, checked = scene(), 0
+    for seed in range(20):
+        lin, packed = filled(of, seed, ROWS)
+        scale = unpack_constants(packed).objective.state_scale[0]
+        assert scale != 1.0
+        for k in range(N):
+            at, t_s = lin.X[k + 1, :2], 0.3 * (k + 1)
+
+            def lack(dn: float, de: float, at: Array = at, t_s: float = t_s) -> float:
+                return max(lack_m(of, z, at[0] + dn, at[1] + de, t_s) for z in range(4))
+
+            if lack(0.0, 0.0) == 0.0:
+                assert lin.rows[k, 0, 2] <= 0.0
+                continue
+            assert lin.rows[k, 0, 2] * scale == pytest.approx(lack(0.0, 0.0), abs=1e-9)
+            h = 1e-6
+            slope = np.array([lack(h, 0.0) - lack(-h, 0.0), lack(0.0, h) - lack(0.0, -h)]) / (2.0 * h)
+            if np.hypot(*slope) > 0.999:  # at an edge between two zones there is none
+                np.testing.assert_allclose(lin.rows[k, 0, :2] * scale, -slope, atol=1e-4)
+                checked += 1
+    assert checked > 50
+
+
+def test_the_cost_is_that_of_the_rows_at_the_nominal_trajectory() -> None:
+    """Of each zone the cost has its largest lack; here every knot lacks clearance from one zone at most."""
+    of = scene()
+    for seed in range(20):
+        lin, packed = filled(of, seed, ROWS)
+        o = unpack_constants(packed).objective
+        lacks = np.array([[lack_m(of, z, *lin.X[k, :2], 0.3 * k) for z in range(4)] for k in range(1, N + 1)])
+        assert fence_cost(lin.X, of, o) == pytest.approx(2.0 * PENALTY * lacks.sum() / o.state_scale[0])
+
+
+def test_both_rows_of_the_corridor_are_derivatives_of_the_cross_track_distance() -> None:
+    of, checked = corridor(0.2), 0
+    for seed in range(5):
+        lin, packed = filled(of, seed, ROWS + CORRIDOR_ROWS)
+        scale = unpack_constants(packed).objective.state_scale[0]
+        for k in range(N):
+            at = lin.X[k + 1, :2]
+            x = cross_track(of, k + 1, *at)[0]
+            h = 1e-6
+            ahead = [cross_track(of, k + 1, at[0] + dn, at[1] + de)[0] for dn, de in ((h, 0.0), (0.0, h))]
+            slope = (np.array(ahead) - x) / h
+            if abs(np.hypot(*slope) - 1.0) > 1e-3:  # between two pieces
+                continue
+            rows = lin.rows[k, ROWS:]
+            np.testing.assert_allclose(rows[:, :2] * scale, [-slope, slope], atol=1e-4)
+            np.testing.assert_allclose(rows[:, 2] * scale, [x - 0.2, -x - 0.2], atol=1e-9)
+            np.testing.assert_allclose(rows[:, 3], CORRIDOR_PENALTY)
+            checked += 1
+    assert checked > 50
+
+
+def test_the_cross_track_distance_is_positive_to_starboard_and_is_that_from_the_nearest_piece() -> None:
+    north = np.column_stack([np.arange(5.0), np.zeros(5)])
+    of = scene(path=north, targets=np.full(N, 2), path_reach=5, half_width_m=0.2)
+    assert cross_track(of, 1, 1.5, 0.7) == (0.7, -0.0, 1.0)
+    assert cross_track(of, 1, 7.0, -0.3)[0] == -0.3  # beyond the end it is that from the line
+    bend = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
+    near = of._replace(path=bend, targets=np.full(N, 0), path_reach=0)
+    assert cross_track(near, 1, 1.0, 1.8)[0] == pytest.approx(1.8)  # the other leg is out of reach
+    assert cross_track(near._replace(path_reach=2), 1, 1.0, 1.8)[0] == pytest.approx(0.2)
+
+
+def test_the_cost_of_the_corridor_is_its_excess() -> None:
+    of = corridor(0.2)
+    lin, packed = filled(of, 1, ROWS + CORRIDOR_ROWS)
+    o = unpack_constants(packed).objective
+    across = np.array([abs(cross_track(of, k, *lin.X[k, :2])[0]) for k in range(1, N + 1)])
+    extra = fence_cost(lin.X, of, o) - fence_cost(lin.X, of._replace(path=NO_PATH), o)
+    assert extra == pytest.approx(2.0 * CORRIDOR_PENALTY * np.maximum(across - 0.2, 0.0).sum() / o.state_scale[0])
+
+
+def test_without_a_path_the_rows_of_the_corridor_bound_nothing() -> None:
+    lin, _ = filled(scene(), 0, ROWS + CORRIDOR_ROWS)
+    np.testing.assert_array_equal(lin.rows[:, ROWS:, :2], 0.0)
+    np.testing.assert_array_equal(lin.rows[:, ROWS:, 2], -NO_BOUND)

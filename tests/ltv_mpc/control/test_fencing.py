@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
+from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc, Polygon
 from ltv_mpc.geofence.obstacles import MAX_AGE_NS
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, CurrentProfile, Estimate, Pair, Plan, PlanOrigin, SolveStatus
-from ltv_mpc.references import Place, Point
+from ltv_mpc.references import Line, Place, Point, Reference
 from ltv_mpc.vehicle.parameters import Hull, Vehicle
 from tests.ltv_mpc.control.problems import PAPER
 
@@ -36,8 +37,17 @@ def box(north_m: float) -> Fence:
     return Fence(margin_m=0.5, keep_in=(Polygon(vertices=tuple(Place(north_m=n, east_m=e) for n, e in corners)),))
 
 
-def controller(solver: str = "osqp") -> Controller:
-    return Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), ControllerConfig(solver=solver))
+def walls(*rings: list[tuple[float, float]]) -> Fence:
+    of = tuple(Polygon(vertices=tuple(Place(north_m=n, east_m=e) for n, e in ring)) for ring in rings)
+    return Fence(margin_m=0.2, keep_out=of)
+
+
+def controller(reference: Reference | None = None, **settings) -> Controller:
+    return Controller(CRAFT, reference or Point(north_m=GOAL[0], east_m=GOAL[1]), ControllerConfig(**settings))
+
+
+def line(north_m: float) -> Line:
+    return Line(start=Place(north_m=0.0, east_m=0.0), end=Place(north_m=north_m, east_m=0.0), speed_mps=0.3)
 
 
 def drifting(water: Pair = (0.0, 0.0)) -> Estimate:
@@ -135,3 +145,80 @@ def test_it_avoids_a_moving_obstacle_and_says_when_it_is_dropped() -> None:
         estimate = advance(CRAFT, estimate, plan, duration_s=0.3)
     assert least > 0.3
     assert dropped == [7]
+
+
+def test_a_path_through_a_zone_is_followed_on_the_other_side() -> None:
+    fence, of = disc(12.0, 0.5, 3.0), controller(line(24.0))
+    of.set_fence(fence)
+    track, plans = fly(of, 420)
+    assert hull_clearance(fence, track) > 0.45
+    assert plans[-1].progress == pytest.approx(1.0)
+    assert math.dist(track[-1], (24.0, 0.0)) < 0.3
+    (skipped_m,) = {plan.fence.skipped_m for plan in plans if plan.fence is not None}
+    assert skipped_m == pytest.approx(2.0 * math.sqrt((3.0 + 0.5 + HULL_M) ** 2 - 0.5**2), abs=0.15)
+    north = track[np.abs(track[:, 1]) < 0.2, 0]
+    assert (north < 12.0).any()
+    assert np.count_nonzero(north > 16.5) > 30  # on the path again, well before its end
+
+
+def test_a_point_in_a_zone_becomes_the_nearest_allowed_point() -> None:
+    of = controller()
+    of.set_fence(disc(GOAL[0], GOAL[1] + 0.5, 3.0))
+    track, plans = fly(of, 180)
+    wanted = (20.0, 0.5 - (3.0 + 0.5 + HULL_M))
+    assert plans[-1].reference_m == pytest.approx(wanted, abs=1e-4)
+    assert math.dist(track[-1], wanted) < 0.1
+    assert plans[-1].fence is not None
+    assert plans[-1].fence.skipped_m == pytest.approx(math.dist(wanted, GOAL), abs=1e-4)
+
+
+def test_a_fence_that_is_set_or_removed_under_way_moves_the_path_but_not_the_progress() -> None:
+    of, estimate, progress = controller(line(24.0)), drifting(), []
+    for cycle in range(60):
+        if cycle in (30, 45):
+            of.set_fence(disc(12.0, 0.0, 3.0) if cycle == 30 else None)
+        plan = of.plan(estimate)
+        progress.append(plan.progress or 0.0)
+        skipped_m = 0.0 if plan.fence is None else plan.fence.skipped_m
+        assert (skipped_m > 7.0) == (30 <= cycle < 45)
+        estimate = advance(CRAFT, estimate, plan, duration_s=0.3)
+    assert progress[44] > 0.05
+    assert np.diff(progress).min() >= -1e-9
+    assert np.diff(progress).max() < 0.01
+
+
+def test_a_target_without_a_way_to_it_is_reported() -> None:
+    closed = [
+        [(8.0, -4.0), (8.0, 4.0), (9.0, 4.0), (9.0, -4.0)],
+        [(15.0, -4.0), (15.0, 4.0), (16.0, 4.0), (16.0, -4.0)],
+        [(8.0, -4.0), (16.0, -4.0), (16.0, -5.0), (8.0, -5.0)],
+        [(8.0, 4.0), (16.0, 4.0), (16.0, 5.0), (8.0, 5.0)],
+    ]
+    fence, of = walls(*closed), controller(Point(north_m=12.0, east_m=0.0))
+    of.set_fence(fence)
+    track, plans = fly(of, 200)
+    assert hull_clearance(fence, track) > 0.15
+    assert all(plan.fence is not None and plan.fence.no_way for plan in plans)
+
+
+def test_a_corridor_does_not_hold_the_vehicle_at_a_zone() -> None:
+    fence, of = disc(12.0, 0.5, 3.0), controller(line(24.0), limits=MotionLimits(max_cross_track_m=0.3))
+    of.set_fence(fence)
+    track, plans = fly(of, 420)
+    assert hull_clearance(fence, track) > 0.45
+    assert plans[-1].progress == pytest.approx(1.0)
+
+
+def test_a_plan_without_control_says_when_the_vehicle_drifts_into_a_zone() -> None:
+    fence, of = disc(0.0, 30.0, 5.0), controller(Point(north_m=0.0, east_m=0.0))
+    of.set_fence(fence)
+    estimate = drifting((0.0, 0.2))
+    assert of.plan(estimate).fence is not None
+    late = of.plan(estimate, t_ns=estimate.t_ns + 30_000_000_000)
+    assert late.origin is not PlanOrigin.SOLVED
+    assert late.fence is not None
+    gap_m = 30.0 - 5.0 - HULL_M - late.states[0, 1]
+    assert late.fence.time_to_zone_ns == pytest.approx(gap_m / 0.2 * 1e9, rel=0.02)
+    away = of.plan(drifting((0.0, -0.2)), t_ns=estimate.t_ns + 30_000_000_000)
+    assert away.fence is not None
+    assert away.fence.time_to_zone_ns is None

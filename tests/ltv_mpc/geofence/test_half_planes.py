@@ -7,16 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.half_planes import (
-    ALL,
-    INSIDE,
-    ROWS,
-    HalfPlanes,
-    allocate,
-    chord_sag_m,
-    half_planes,
-    required_clearance,
-)
+from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, allocate, half_planes
 from ltv_mpc.geofence.zones import Zones, clearance, pack_zones
 from ltv_mpc.messages import Array
 from tests.ltv_mpc.geofence.shapes import boundary_distance, contains, disc, fence_of, point, polygon, rings
@@ -25,13 +16,11 @@ SQUARE = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0], [10.0, 0.0]])
 NOTCH = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0], [10.0, 6.0], [4.0, 6.0], [4.0, 4.0], [10.0, 4.0], [10.0, 0.0]])
 
 
-def rows_of(
-    zones: Zones, at: Array, need: float = 1.0, reach: float = 100.0, pushes: Array | None = None
-) -> HalfPlanes:
+def rows_of(zones: Zones, at: Array, need: float = 1.0, reach: float = 100.0, exits: Array | None = None) -> HalfPlanes:
     points, Z = np.atleast_2d(at).astype(float), len(zones.radius)
     rows = allocate(len(points))
     required, near = np.full((len(points), Z), need), np.full(len(points), reach)
-    half_planes(zones, points, required, np.zeros((Z, 4)) if pushes is None else pushes, near, rows)
+    half_planes(zones, points, required, np.zeros((Z, 4)) if exits is None else exits, near, rows)
     return rows
 
 
@@ -90,34 +79,22 @@ def test_the_nearest_of_many_zones_are_taken() -> None:
     assert rows_of(zones, np.zeros(2), reach=4.0).zone[0].tolist() == [1, -1, -1]
 
 
-def test_a_point_inside_is_pushed_to_the_side_and_one_outside_is_not() -> None:
+def test_a_point_inside_is_pushed_to_the_nearest_boundary() -> None:
     zones = pack_zones(Fence(margin_m=0.0, keep_out=(polygon(SQUARE),)))
-    rows = rows_of(zones, np.array([[5.0, 1.0], [5.0, -2.0]]), pushes=np.array([[INSIDE, 0.0, 1.0, 10.0]]))
-    np.testing.assert_allclose(rows.normal[:, 0], [[0.0, 1.0], [0.0, -1.0]], atol=1e-12)
-    np.testing.assert_allclose(rows.offset[:, 0], [11.0, 1.0])
+    rows = rows_of(zones, np.array([[5.0, 1.0], [5.0, -2.0]]))
+    np.testing.assert_allclose(rows.normal[:, 0], [[0.0, -1.0], [0.0, -1.0]], atol=1e-12)
+    np.testing.assert_allclose(rows.offset[:, 0], [1.0, 1.0])
+    np.testing.assert_allclose(rows.slack[:, 0], [-2.0, 1.0])
 
 
 def test_an_exit_is_asked_of_all_points_however_far() -> None:
     zones = pack_zones(Fence(margin_m=0.0, keep_out=(polygon(SQUARE),)))
-    rows = rows_of(zones, np.array([[5.0, 1.0], [500.0, 0.0]]), reach=1.0, pushes=np.array([[ALL, 0.0, 1.0, 10.0]]))
+    rows = rows_of(zones, np.array([[5.0, 1.0], [500.0, 0.0]]), reach=1.0, exits=np.array([[1.0, 0.0, 1.0, 10.0]]))
     np.testing.assert_allclose(rows.normal[:, 0], [[0.0, 1.0]] * 2)
-
-
-def test_the_margin_covers_the_uncertainty_and_its_growth_counts_up_to_the_margin() -> None:
-    need = required_clearance(np.array([1.0, 0.0]), 0.7, np.array([0.1, 0.3, 0.4, 2.0]), np.array([0.0, 0.0, 0.0, 0.2]))
-    np.testing.assert_allclose(need[:, 0], 0.7 + np.array([1.0, 1.0, 1.2, 1.3 + 0.2]))
-    np.testing.assert_allclose(need[:, 1], 0.7 + np.array([0.3, 0.3, 0.3, 0.3 + 0.2]))
-
-
-def test_the_sag_of_an_arc_is_that_of_the_circle() -> None:
-    """An arc of radius R = v / r leaves its chord by R (1 - cos(r h / 2))."""
-    v, r, h = 1.5, 0.2, 0.6
-    sag = chord_sag_m(np.array([v]), np.array([-r]), np.array([h]))
-    assert sag[0] == pytest.approx(v / r * (1 - np.cos(r * h / 2)), rel=1e-2)
 
 
 def test_no_row_is_left_over_from_the_cycle_before() -> None:
     zones = pack_zones(Fence(margin_m=0.0, keep_out_disc=(disc(5.0, 0.0, 1.0),)))
-    rows, pushes = rows_of(zones, np.zeros(2)), np.zeros((1, 4))
-    half_planes(zones, np.full((1, 2), 900.0), np.ones((1, 1)), pushes, np.ones(1), rows)
+    rows, exits = rows_of(zones, np.zeros(2)), np.zeros((1, 4))
+    half_planes(zones, np.full((1, 2), 900.0), np.ones((1, 1)), exits, np.ones(1), rows)
     assert rows.zone.tolist() == [[-1] * ROWS]

@@ -159,6 +159,9 @@ def test_zones_and_margins_are_reported_when_they_are_entered_and_left():
         FenceReport(clearance_m=-0.1, in_margin=(buoy,), inside=(buoy,)),
         FenceReport(clearance_m=1.0, in_margin=(buoy,)),
         FenceReport(clearance_m=5.0, dropped=(12,)),
+        FenceReport(clearance_m=5.0, no_way=True, skipped_m=4.0),
+        FenceReport(clearance_m=5.0, skipped_m=4.0, time_to_zone_ns=85_000_000_000),
+        FenceReport(clearance_m=5.0, skipped_m=4.0, time_to_zone_ns=84_000_000_000),
     )
     changes.on_message(PLAN)
     del told[:]
@@ -170,4 +173,8 @@ def test_zones_and_margins_are_reported_when_they_are_entered_and_left():
         (Level.INFO, f"zone left: {buoy}"),
         (Level.INFO, f"margin left: {buoy}"),
         (Level.WARNING, "obstacle 12 dropped: its last report is too old"),
+        (Level.WARNING, "no way round the zones leads to the target"),
+        (Level.WARNING, "reference in a zone or margin: 4.0 m left out"),
+        (Level.INFO, "a way to the target is found"),
+        (Level.WARNING, "the hull will be in a zone in 85 s"),
     ]

@@ -125,3 +125,17 @@ def test_the_text_has_the_numbers_and_the_problems() -> None:
     assert "hull from keep_out_disc[0]" in text
     assert "problem: the path is not allowed" in text
     assert table(checked()).endswith("no problems")
+
+
+def test_a_corridor_must_be_wider_than_the_drift_while_the_vehicle_turns() -> None:
+    drift_m = checked(current_mps=0.1).drift_m
+    assert drift_m is not None
+    wide, narrow = (MotionLimits(max_cross_track_m=factor * drift_m) for factor in (1.01, 0.99))
+    assert check_mission(PAPER, NORTH, None, current_mps=0.1, limits=wide).problems == []
+    (problem,) = check_mission(PAPER, NORTH, None, current_mps=0.1, limits=narrow).problems
+    assert problem == (
+        f"max_cross_track_m = {0.99 * drift_m:g} is not kept: the vehicle drifts {drift_m:.2f} m while it turns into "
+        "0.1 m/s"
+    )
+    point = Point(north_m=1.0, east_m=0.0)
+    assert check_mission(PAPER, point, None, current_mps=0.1, limits=narrow).problems == []

@@ -1,4 +1,4 @@
-"""Reference across a zone: what is skipped, where the target goes on, and how far it is round the zone."""
+"""Allowed part of a path: what is left out, and where the target continues."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 
-from ltv_mpc.geofence.detour import distance_round_m, nearest_allowed, skip_zones, ways_round_m
+from ltv_mpc.geofence.allowed_path import allowed_path, nearest_allowed
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array
-from ltv_mpc.references import Line, Place
+from ltv_mpc.references import Line, Place, Timed
 from ltv_mpc.references.schedule import EAST, NORTH, TIME, WAY, Schedule, target_at
 from ltv_mpc.vehicle.parameters import Vehicle
 from tests.ltv_mpc.geofence.shapes import contains, disc, fence_of, point, polygon, rings
@@ -36,46 +36,44 @@ CHORD_M = 2.0 * math.sqrt(5.0**2 - 3.0**2)
 
 def test_a_path_that_is_clear_stays_as_it_is() -> None:
     schedule = line(0.0, 40.0)
-    assert skip_zones(schedule, ONE, NEED) == (schedule, 0.0, 0)
+    assert allowed_path(schedule, ONE, NEED) == (schedule, 0.0)
 
 
 def test_the_target_goes_on_from_the_exit_without_a_time_between() -> None:
     """Along a path of 0.3 m/s, a step of the table is 0.05 m."""
     before = line(0.0, 100.0)
-    skipped = skip_zones(before, ONE, NEED)
-    assert skipped.gaps == 1
-    assert skipped.skipped_m == pytest.approx(CHORD_M, abs=0.15)
-    table = skipped.schedule.table
+    schedule, skipped_m = allowed_path(before, ONE, NEED)
+    assert skipped_m == pytest.approx(CHORD_M, abs=0.15)
+    table = schedule.table
     assert (clearances(ONE, np.ascontiguousarray(table[[NORTH, EAST]].T)) >= 1.0).all()
     k = int(np.argmax(np.diff(table[WAY])))
     assert table[NORTH, k] == pytest.approx(50.0 - CHORD_M / 2, abs=0.06)
     assert table[NORTH, k + 1] == pytest.approx(50.0 + CHORD_M / 2, abs=0.06)
     assert table[TIME, k] == table[TIME, k + 1]
     assert target_at(table, float(table[TIME, k]) - 1e-6)[1] < 50.0 < target_at(table, float(table[TIME, k]))[1]
-    assert skipped.schedule.duration_s == pytest.approx(before.duration_s - CHORD_M / 0.3, abs=1.0)
-    assert skipped.schedule.length_m == before.length_m
+    assert schedule.duration_s == pytest.approx(before.duration_s - CHORD_M / 0.3, abs=1.0)
+    assert schedule.length_m == before.length_m
     assert np.all(np.diff(table[TIME]) >= 0.0)
 
 
 def test_a_path_that_begins_inside_begins_at_the_exit() -> None:
-    skipped = skip_zones(line(50.0, 100.0), ONE, NEED)
-    assert skipped.gaps == 0
-    assert skipped.skipped_m == pytest.approx(CHORD_M / 2, abs=0.1)
-    assert skipped.schedule.table[TIME, 0] == 0.0
-    assert skipped.schedule.table[NORTH, 0] == pytest.approx(50.0 + CHORD_M / 2, abs=0.06)
+    schedule, skipped_m = allowed_path(line(50.0, 100.0), ONE, NEED)
+    assert skipped_m == pytest.approx(CHORD_M / 2, abs=0.1)
+    assert schedule.table[TIME, 0] == 0.0
+    assert schedule.table[NORTH, 0] == pytest.approx(50.0 + CHORD_M / 2, abs=0.06)
 
 
 def test_a_path_that_ends_inside_ends_at_the_nearest_allowed_point() -> None:
-    skipped = skip_zones(line(0.0, 50.0), ONE, NEED)
-    np.testing.assert_allclose(skipped.schedule.table[[NORTH, EAST], -1], [50.0, -2.0], atol=1e-4)
-    assert skipped.skipped_m == pytest.approx(CHORD_M / 2, abs=0.1)
+    schedule, skipped_m = allowed_path(line(0.0, 50.0), ONE, NEED)
+    np.testing.assert_allclose(schedule.table[[NORTH, EAST], -1], [50.0, -2.0], atol=1e-4)
+    assert skipped_m == pytest.approx(CHORD_M / 2, abs=0.1)
 
 
 def test_a_path_that_lies_inside_becomes_a_point() -> None:
-    skipped = skip_zones(line(49.0, 50.0), ONE, NEED)
-    assert skipped.schedule.duration_s == 0.0
-    np.testing.assert_allclose(target_at(skipped.schedule.table, 3.0)[1:], [50.0, -2.0], atol=1e-4)
-    assert skipped.skipped_m == pytest.approx(1.0)
+    schedule, skipped_m = allowed_path(line(49.0, 50.0), ONE, NEED)
+    assert schedule.duration_s == 0.0
+    np.testing.assert_allclose(target_at(schedule.table, 3.0)[1:], [50.0, -2.0], atol=1e-4)
+    assert skipped_m == pytest.approx(2.0, abs=1e-4)  # the distance by which the end is moved
 
 
 @settings(max_examples=60, deadline=None)
@@ -109,22 +107,27 @@ def test_between_walls_that_are_too_close_the_allowed_point_is_found_too() -> No
     assert nearest_allowed(pack_zones(nowhere), np.array([50.0]), (5.0, 5.1)) is None
 
 
-def test_the_way_round_a_disc_is_two_tangents_and_an_arc() -> None:
-    zones = discs((0.0, 0.0, 4.0))
-    port, starboard = ways_round_m(zones, 0, 1.0, (-10.0, 0.0), (10.0, 0.0))
-    expected = 2.0 * math.sqrt(100.0 - 25.0) + 5.0 * (math.pi - 2.0 * math.acos(0.5))
-    assert port == pytest.approx(expected, rel=2e-3)
-    assert starboard == pytest.approx(expected, rel=2e-3)
-    port, starboard = ways_round_m(zones, 0, 1.0, (-10.0, 2.0), (10.0, 2.0))
-    assert starboard < port  # the disc lies to port of the line northwards at 2 m east
+def test_a_path_without_an_allowed_point_near_it_stays_as_it_is() -> None:
+    wall = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0], [10.0, 0.0]])
+    nowhere = pack_zones(Fence(margin_m=0.0, keep_in=(polygon(wall),)))
+    schedule = line(0.0, 5.0)
+    assert allowed_path(schedule, nowhere, np.array([50.0])) == (schedule, 0.0)
 
 
-def test_round_a_zone_that_is_not_between_the_distance_is_straight() -> None:
-    zones = discs((0.0, 0.0, 4.0), (0.0, 30.0, 4.0))
-    need = np.ones(2)
-    assert distance_round_m(zones, need, (-10.0, 15.0), (10.0, 15.0)) == pytest.approx(20.0)
-    assert distance_round_m(zones, need, (-30.0, 0.0), (-10.0, 0.0)) == pytest.approx(20.0)
-    both = distance_round_m(zones, need, (0.0, -10.0), (0.0, 40.0))
-    one = distance_round_m(zones, need, (0.0, -10.0), (0.0, 10.0))
-    assert one > 20.0
-    assert both > 50.0 + 0.5 * (one - 20.0)
+def test_a_leg_between_two_distant_rows_does_not_step_over_a_zone() -> None:
+    track = Timed(rows=((0.0, 0.0, 0.0), (1000.0, 100.0, 0.0))).schedule(PAPER)
+    assert track.table.shape[1] == 2
+    schedule, skipped_m = allowed_path(track, ONE, NEED)
+    assert skipped_m == pytest.approx(CHORD_M, abs=0.6)
+    assert schedule.duration_s == pytest.approx(1000.0 - 10.0 * skipped_m)
+    assert target_at(schedule.table, 200.0)[1] == pytest.approx(20.0)
+
+
+def test_a_path_with_one_allowed_point_is_a_point() -> None:
+    zones = pack_zones(
+        Fence(margin_m=0.0, keep_in=(polygon(np.array([[-1.0, -3.0], [-1.0, 3.0], [1.0, 3.0], [1.0, -3.0]])),))
+    )
+    track = Timed(rows=((0.0, -0.2, 0.0), (10.0, 0.0, 0.0))).schedule(PAPER)
+    schedule, _ = allowed_path(track, zones, np.array([1.0]))
+    assert schedule.table.shape[1] == 2
+    assert target_at(schedule.table, 5.0)[1:] == (0.0, 0.0)

@@ -1,0 +1,110 @@
+"""Allowed part of a path: the schedule without what lies in zones and margins.
+
+A target inside a zone would wait there for a vehicle that cannot come. So the columns of the schedule within the
+required clearance of a zone are left out: behind the last point before a zone comes the first one behind it, without a
+time between. A path that ends inside ends at the nearest point that is allowed.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ltv_mpc.geofence.zones import Zones, clearances, nearest
+from ltv_mpc.messages import Array, Pair
+from ltv_mpc.references.schedule import EAST, NORTH, TIME, WAY, Schedule
+
+ROUNDING_M = 1e-6
+"""Distance by which a point is moved beyond the required clearance, so that rounding does not leave it inside."""
+
+STEP_M = 0.25
+"""Largest distance between two columns: a timed track may have longer ones, which could step over a zone."""
+
+MAX_COLUMNS = 100_000
+"""Largest number of columns of a schedule whose steps were divided."""
+
+PROJECTIONS = 30
+"""Largest number of projections to one zone after the other."""
+
+DIRECTIONS = 64
+"""Directions in which an allowed point is searched where the projections find none."""
+
+
+def allowed_path(schedule: Schedule, zones: Zones, need: Array) -> tuple[Schedule, float]:
+    """Return the schedule without its columns nearer to a zone than the required clearance.
+
+    Parameters
+    ----------
+    schedule : motion of the target.
+    zones : zones of the fence.
+    need : (Z,) required clearance (m).
+
+    Returns
+    -------
+    The schedule, and the length that is left out or, if that is more, the distance by which the end is moved (m). A
+    path whose end has no allowed point near it stays as it is.
+    """
+    table = _divided(schedule.table)
+    points = np.ascontiguousarray(table[[NORTH, EAST]].T)
+    kept = np.flatnonzero((clearances(zones, points) >= need).all(axis=1))
+    if len(kept) == table.shape[1]:
+        return schedule, 0.0
+    left = table[:, kept].copy()
+    step_s, step_m = np.diff(left[TIME]), np.diff(left[WAY])
+    gap = np.diff(kept) > 1
+    skipped_m = float(table[WAY, -1] - table[WAY, 0] - step_m[~gap].sum())
+    left[TIME] = np.concatenate([[0.0], np.cumsum(np.where(gap, 0.0, step_s))])[: len(kept)]
+    if not len(kept) or kept[-1] != table.shape[1] - 1:
+        end = nearest_allowed(zones, need, (float(points[-1, 0]), float(points[-1, 1])))
+        if end is None:
+            return schedule, 0.0
+        skipped_m = max(skipped_m, math.dist(end, points[-1]))
+        last = table[:, -1:].copy()
+        last[TIME], last[NORTH], last[EAST] = left[TIME, -1] if len(kept) else 0.0, *end
+        left = np.hstack([left, last] if len(kept) else [last, last])
+    elif len(kept) == 1:
+        left = np.hstack([left, left])
+    return schedule._replace(table=np.ascontiguousarray(left)), skipped_m
+
+
+def nearest_allowed(zones: Zones, need: Array, point: Pair) -> Pair | None:
+    """Return the nearest point with the required clearance from all zones; None if none is found.
+
+    It is projected to the boundary of the zone that it violates most, up to ``PROJECTIONS`` times. Where zones or walls
+    are too close to each other for that, it is searched on circles around it.
+
+    Parameters
+    ----------
+    zones : zones of the fence.
+    need : (Z,) required clearance (m).
+    point : north and east (m).
+    """
+    north, east = point
+    for _ in range(PROJECTIONS):
+        lack = need - clearances(zones, np.array([[north, east]]))[0]
+        z = int(np.argmax(lack))
+        if lack[z] <= 0.0:
+            return north, east
+        _, mn, me, qn, qe = nearest(zones, z, north, east)
+        north, east = qn + (need[z] + ROUNDING_M) * mn, qe + (need[z] + ROUNDING_M) * me
+    angle = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    extent = np.ptp(zones.vertices, axis=0).max() + 2.0 * float((need + zones.radius).max())
+    for radius in np.geomspace(extent * 1e-3, 2.0 * extent, 200):
+        around = np.array(point) + radius * ring
+        found = np.flatnonzero((clearances(zones, around) >= need).all(axis=1))
+        if len(found):
+            return float(around[found[0], 0]), float(around[found[0], 1])
+    return None
+
+
+def _divided(table: Array) -> Array:
+    """Return the table (5, M) of a schedule with its steps divided into parts of at most ``STEP_M``."""
+    lengths = np.diff(table[WAY])
+    step_m = max(STEP_M, float(lengths.sum()) / MAX_COLUMNS)
+    parts = np.maximum(np.ceil(lengths / step_m), 1.0).astype(np.int64)
+    if parts.max(initial=1) == 1:
+        return table
+    at = np.concatenate([k + np.arange(count) / count for k, count in enumerate(parts)] + [[len(parts)]])
+    return np.array([np.interp(at, np.arange(table.shape[1]), row) for row in table])
