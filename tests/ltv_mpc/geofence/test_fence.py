@@ -48,7 +48,7 @@ def written(folder: Path, text: str, name: str = "fence.toml") -> str:
     return str(path)
 
 
-def local_zones(fence: Fence) -> list[tuple[str, bool, float, float]]:
+def zone_table(fence: Fence) -> list[tuple[str, bool, float, float]]:
     return [(zone.label, zone.keep_in, zone.radius_m, zone.margin_m) for zone in fence.zones()]
 
 
@@ -58,14 +58,14 @@ def test_a_fence_comes_back_from_its_file(tmp_path: Path, suffix: str) -> None:
     again = str(tmp_path / f"again{suffix}")
     fence.save(again)
     read = Fence.load(again)
-    assert local_zones(read) == local_zones(fence)
-    assert local_zones(fence) == [
+    assert zone_table(read) == zone_table(fence)
+    assert zone_table(fence) == [
         ('keep_in[0] "basin"', True, 0.0, 2.0),
         ("keep_out[0]", False, 0.0, 5.0),
         ('keep_out_disc[0] "buoy"', False, 3.0, 2.0),
     ]
     for one, other in zip(read.zones(), fence.zones(), strict=True):
-        np.testing.assert_allclose(one.vertices, other.vertices, atol=1e-6)
+        np.testing.assert_allclose(one.vertices_m, other.vertices_m, atol=1e-6)
     assert (read == fence) == (suffix == ".toml")
 
 
