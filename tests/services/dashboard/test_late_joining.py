@@ -62,6 +62,8 @@ class Publisher:
         for node, signal, _ in self._dive:
             kinds.setdefault(node, {NodeStatus}).add(type(signal))
         self.outs = {node: Outbox(session, node=node, epoch=EPOCH, kinds=tuple(of)) for node, of in kinds.items()}
+        self.estimate = synthetic_run.estimate(0)
+        """Newest published estimate."""
 
     def publish(self, until_s: float) -> int:
         """Publish what is due and return the number of messages."""
@@ -69,6 +71,8 @@ class Publisher:
         self._dive = self._dive[len(due) :]
         for node, signal, _ in due:
             self.outs[node].publish(signal)
+            if isinstance(signal, Estimate):
+                self.estimate = signal
         return len(due)
 
 
@@ -115,8 +119,9 @@ def test_without_a_recorder_a_late_joiner_says_since_when_it_counts(free_port: i
 
 def follow(feed: BusFeed, publisher: Publisher) -> float | None:
     """Publish the rest of the dive as the page receives it, and return the distance of the vehicle at the end."""
+    publisher.publish(JOIN_S + 0.1)
     until(lambda: is_reached(feed, publisher))
-    for tenth in range(JOIN_S * 10 + 1, END_S * 10 + 1):
+    for tenth in range(JOIN_S * 10 + 2, END_S * 10 + 1):
         publisher.publish(tenth / 10)
         sent_ns = tenth * S // 10
         until(lambda sent_ns=sent_ns: is_at(feed, sent_ns))  # type: ignore[misc]
@@ -124,10 +129,10 @@ def follow(feed: BusFeed, publisher: Publisher) -> float | None:
 
 
 def is_reached(feed: BusFeed, publisher: Publisher) -> bool:
-    """Publish a status; return True if the page has it, so that the publishers know of all its subscriptions."""
+    """Publish a status and the newest estimate; return True if the page has both, so that no later message is lost."""
     publisher.outs["plant"].publish(status("plant"))
-    feed.update()
-    return bool(feed.status().processes)
+    publisher.outs["estimator"].publish(publisher.estimate)
+    return is_at(feed, publisher.estimate.t_ns) and bool(feed.status().processes)
 
 
 def is_at(feed: BusFeed, t_ns: int) -> bool:
