@@ -10,13 +10,16 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
 from ltv_mpc.control.config import MotionLimits
+from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.nominal_model import advance
+from ltv_mpc.control.prediction import Prediction
+from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc, Polygon
 from ltv_mpc.geofence.obstacles import MAX_AGE_NS
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, CurrentProfile, Estimate, Pair, Plan, PlanOrigin, SolveStatus
-from ltv_mpc.references import Line, Place, Point, Reference
+from ltv_mpc.references import Line, Place, Point, Reference, Waypoints
 from ltv_mpc.vehicle.parameters import Hull, Vehicle
 from tests.ltv_mpc.control.problems import PAPER
 
@@ -199,6 +202,49 @@ def test_a_target_without_a_way_to_it_is_reported() -> None:
     track, plans = fly(of, 200)
     assert hull_clearance(fence, track) > 0.15
     assert all(plan.fence is not None and plan.fence.no_way for plan in plans)
+
+
+def test_a_corridor_keeps_the_vehicle_nearer_to_its_path_at_a_corner() -> None:
+    def farthest_m(width_m: float | None) -> float:
+        """Return the largest cross-track distance after the vehicle has reached its path."""
+        of = controller(
+            Waypoints(
+                waypoints=(Place(north_m=0, east_m=0), Place(north_m=12, east_m=0), Place(north_m=12, east_m=12)),
+                speed_mps=0.3,
+            ),
+            limits=MotionLimits(max_cross_track_m=width_m),
+        )
+        _, plans = fly(of, 200, (0.0, -0.1))
+        return max(abs(plan.cross_track_m or 0.0) for plan in plans[33:])
+
+    assert farthest_m(None) > 0.09
+    assert farthest_m(0.05) < 0.051
+
+
+def test_a_plan_that_no_other_one_follows_stops_before_a_wall() -> None:
+    slow_turner = msgspec.structs.replace(Vehicle.load("low-yaw"), hull=CRAFT.hull)
+    wall, of = walls([(12, -3), (13, -3), (13, 8), (12, 8)]), Controller(slow_turner, Point(north_m=20.0, east_m=0.0))
+    of.set_fence(wall)
+    estimate, least_m = drifting(), math.inf
+    for _ in range(110):
+        plan = of.plan(estimate)
+        times = estimate.t_ns + np.arange(500_000_000, 14_000_000_000, 500_000_000)
+        alone = np.array([of.predict(estimate, int(t))[:2] for t in times])  # with the stop of the actuators
+        least_m = min(least_m, hull_clearance(wall, alone))
+        estimate = advance(slow_turner, estimate, plan, duration_s=0.3)
+    assert least_m > 0.0
+
+
+def test_margins_grow_with_the_uncertainty_of_a_late_estimate() -> None:
+    fencing = Fencing(CRAFT, np.arange(3) * 300_000_000)
+    fencing.set_fence(disc(10.0, 0.0, 3.0))
+    estimate = drifting()
+    start = Prediction(CRAFT).state_at(estimate, estimate.t_ns, SentCommands(CRAFT, 300_000_000))
+    needed_m = []
+    for growth_m in (0.0, 0.1, 1.0):
+        fencing.update(start, estimate, growth_m)
+        needed_m.append(float(fencing.scene.need[0]) - HULL_M)
+    assert needed_m == pytest.approx([0.5, 0.5, 3.0])  # the margin, or three standard deviations
 
 
 def test_a_corridor_does_not_hold_the_vehicle_at_a_zone() -> None:
