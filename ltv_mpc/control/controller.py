@@ -117,7 +117,6 @@ class Controller:
         )
         self._stopwatch = stopwatch
         self._followers = [Follower(reference, vehicle)]  # of the reference, and of the hold while it is paused
-        self._growth_m = 0.0  # of the standard deviation of the predicted position since the estimate
 
     @property
     def follower(self) -> Follower:
@@ -310,7 +309,7 @@ class Controller:
             current = start.current_north_mps, start.current_east_mps
             self.follower.advance(knots, start.lateral, current, self._lateral.target)
         self._lateral.fencing.set_path(self.follower.path_beside(knots) if decision.follows else None)
-        self._lateral.fencing.update(start, decision.estimate, self._growth_m)
+        self._lateral.fencing.update(start, decision.estimate, self._estimates.growth_m)
         vertical = self._plan_vertical(decision, start, knots)
         self._lateral.set_current(decision.estimate, vertical.depth_m)
         self._stopwatch("predict")
@@ -391,11 +390,9 @@ class Controller:
             estimate, predicted_mps = self._bias.correct(estimate, self._prediction, self.sent_commands)
             self.reference_point_check.update(estimate, predicted_mps)
         own = self._estimates.health(now_ns)
-        self._growth_m = 0.0
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._bias)
             self._estimates.limit_growth(growth)
-            self._growth_m = growth if growth > 0.0 else 0.0  # not a number: the vehicle holds
             own = self._estimates.health(now_ns)
         return decide(
             estimate,

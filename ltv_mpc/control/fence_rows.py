@@ -232,8 +232,10 @@ def fill_rows(packed: Array, flat: Array, stages: int, scene: Scene) -> None:
 def _fill_corridor(rows: Array, scene: Scene, k: int, x: Array, o: Objective) -> None:
     """Write the rows (2, 4) of the corridor at knot k, whose nominal state is x."""
     scale = o.state_scale[0]
-    rows[:, :2] = 0.0
-    rows[:, 2], rows[:, 3] = -NO_BOUND, CORRIDOR_PENALTY * stage_length(o, k)
+    for j in range(len(rows)):
+        rows[j, 0] = rows[j, 1] = 0.0
+        rows[j, 2] = -NO_BOUND
+        rows[j, 3] = CORRIDOR_PENALTY * stage_length(o, k)
     if len(scene.path) > 1:
         distance, mn, me = cross_track(scene, k, x[0], x[1])
         for j, side in ((0, -1.0), (1, 1.0)):

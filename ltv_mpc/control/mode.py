@@ -88,6 +88,8 @@ class EstimateSelector:
         self._fresh_ns = round(config.ages.degraded_s * 1e9)
         self._without = health(age_ns=None, period_ns=0)  # health before the first plausible estimate
         self._uncertain: Estimate | None = None  # the last one from which the prediction grew too uncertain
+        self.growth_m = 0.0
+        """Growth of the standard deviation of the predicted position since the estimate, if that is late (m)."""
 
     def select(self, newest: Estimate) -> Estimate | None:
         """Return the newest plausible estimate; None before the first.
@@ -97,7 +99,7 @@ class EstimateSelector:
         newest : estimate that was received last.
         """
         reason = self.gate.check(newest)
-        estimate = self.gate.accepted
+        estimate, self.growth_m = self.gate.accepted, 0.0
         if estimate is None:
             self._without = HealthState(Health.FAILSAFE, f"no valid estimate: {reason}")
         return estimate
@@ -132,6 +134,7 @@ class EstimateSelector:
         ----------
         growth_m : growth of the standard deviation of the predicted position (m); NaN is too uncertain.
         """
+        self.growth_m = growth_m if growth_m > 0.0 else 0.0  # not a number: the vehicle holds
         if not growth_m <= self._ages.hold_growth_m:
             self._uncertain = self.gate.accepted
 

@@ -70,11 +70,10 @@ def profile(
     from services.tools.profile import run as latency
 
     stages = latency.parse_horizons(horizons)
+    recorded = None if run is None else [problems.recorded(run, N, cycles) for N in stages]
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task("preparing the problems and compiling", total=None)
-        by_horizon = [
-            problems.simulated(N, cycles, seed) if run is None else problems.recorded(run, N, cycles) for N in stages
-        ]
+        by_horizon = recorded or [problems.simulated(N, cycles, seed) for N in stages]
         named = latency.parse_solvers(solvers, by_horizon[0][0])
         written = None if out is None else folder.open_folder(out, force=force)
         configs = [episodes[0].config for episodes in by_horizon]

@@ -183,7 +183,7 @@ def test_both_rows_of_the_corridor_are_derivatives_of_the_cross_track_distance()
     assert checked > 50
 
 
-def test_the_cross_track_distance_is_positive_to_starboard_and_is_that_from_the_nearest_piece() -> None:
+def test_the_cross_track_distance_is_that_from_the_nearest_piece() -> None:
     north = np.column_stack([np.arange(5.0), np.zeros(5)])
     of = scene(path=north, targets=np.full(N, 2), path_reach=5, half_width_m=0.2)
     assert cross_track(of, 1, 1.5, 0.7) == (0.7, -0.0, 1.0)

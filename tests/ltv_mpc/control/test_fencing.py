@@ -175,7 +175,7 @@ def test_a_point_in_a_zone_becomes_the_nearest_allowed_point() -> None:
     assert plans[-1].fence.skipped_m == pytest.approx(math.dist(wanted, GOAL), abs=1e-4)
 
 
-def test_a_fence_that_is_set_or_removed_under_way_moves_the_path_but_not_the_progress() -> None:
+def test_a_fence_set_or_removed_under_way_keeps_the_progress() -> None:
     of, estimate, progress = controller(line(24.0)), drifting(), []
     for cycle in range(60):
         if cycle in (30, 45):

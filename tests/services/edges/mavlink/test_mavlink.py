@@ -415,9 +415,9 @@ def test_the_items_of_a_fence_are_its_zones() -> None:
     fence = config.parse(config.loads(fence_of(items, (50.2, -5.1))), Fence, source="fence")
     square, circle, wreck, buoy = fence.zones()
     assert (square.keep_in, circle.keep_in, wreck.keep_in, buoy.keep_in) == (True, True, False, False)
-    assert square.vertices[0] == pytest.approx((-55.6, -35.7), abs=0.1)  # 5e-4 degrees of latitude and of longitude
-    assert np.linalg.norm(circle.vertices, axis=1) == pytest.approx(200.0)
-    assert (buoy.radius_m, float(buoy.vertices[0, 0])) == (3.0, pytest.approx(33.4, abs=0.1))
+    assert square.vertices_m[0] == pytest.approx((-55.6, -35.7), abs=0.1)  # 5e-4 degrees of latitude and of longitude
+    assert np.linalg.norm(circle.vertices_m, axis=1) == pytest.approx(200.0)
+    assert (buoy.radius_m, float(buoy.vertices_m[0, 0])) == (3.0, pytest.approx(33.4, abs=0.1))
     assert fence_of([item(0, 5000)], (50.2, -5.1)) == ""
 
 

@@ -122,7 +122,8 @@ def test_the_folder_holds_result_track_current_and_picture(
 def test_without_matplotlib_one_line_says_so_and_the_rest_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    for name in ("matplotlib", "matplotlib.axes"):
+        monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.delitem(sys.modules, "services.tools.localise.plot", raising=False)
     monkeypatch.delattr(services.tools.localise, "plot", raising=False)
     out = tmp_path / "out"
