@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from ltv_mpc.localisation.sensors import SENSORS
 from ltv_mpc.messages import Estimate, NodeSettings, PlanOrigin
 from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from services.bus.wire import Header
@@ -17,7 +18,7 @@ from services.recording.node_settings import vehicle_of
 from services.recording.writer import RunWriter
 from services.reporting.plots import analysis, palette
 from services.reporting.plots.catalogue import PLOTS, REVIEW
-from services.reporting.plots.collector import HISTORY, Collector
+from services.reporting.plots.collector import CORRECTING, HISTORY, Collector
 from services.reporting.plots.delays import STAGES
 from services.reporting.plots.description import Style
 from services.reporting.plots.percentiles import Percentiles
@@ -146,6 +147,10 @@ def test_percentiles_are_those_of_all_durations() -> None:
     assert measured.at(0.5) == pytest.approx(500.0, rel=0.025)
     assert measured.at(0.99) == pytest.approx(990.0, rel=0.025)
     assert Percentiles().at(0.5) is None
+
+
+def test_the_sensors_with_innovations_are_those_of_the_registry() -> None:
+    assert tuple(sensor.name for sensor in SENSORS if sensor.linearise is not None) == CORRECTING
 
 
 def test_the_band_of_the_innovations_is_that_of_chi_squared(collector: Collector) -> None:
