@@ -158,9 +158,11 @@ class Fencing:
         estimate : its covariance counts.
         growth_m : growth of the standard deviation of the position since the estimate (m).
         """
+        self._no_way = False
+        if not self.is_active:  # in most cycles, which then spend no time here
+            return
         self._dropped = self.obstacles.drop_old(start.t_ns)
         self.scene = scene = self.scene._replace(discs=self.obstacles.discs(start.t_ns))
-        self._no_way = False
         if self.fence is None:
             return
         zones = scene.zones
