@@ -9,6 +9,9 @@
   order, and there is no intermediate FIFO that could fill and block the other keys, as that of Zenoh's default
   callback.
 - Shared memory is off: by default it applies from 3 kB and can lose a chunk on busy cores.
+- Queries and replies are dropped under congestion too. Much content is asked for in parts. A message that
+  may not be dropped blocks a router's only thread, and with it all other links, while a receiver's queue is full.
+  Zenoh's limit is 5 s and then closes that link; here it is ``MAX_BLOCKED_US``, for programs that send such messages.
 - No session accepts a message larger than ``MAX_MESSAGE_BYTES``. Zenoh drops larger ones without a report, so this
   limit is above that of the message validation, which counts.
 - Without certificates Zenoh's tasks share one thread. By default each kind of task has threads of its own, and each
@@ -24,7 +27,7 @@ import json
 import os
 import re
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from types import TracebackType
 from typing import Protocol, TypeAlias
 
@@ -39,6 +42,9 @@ from services.bus.wire import MAX_PAYLOAD_BYTES, split
 
 MAX_MESSAGE_BYTES = 2 * MAX_PAYLOAD_BYTES
 """Largest message that a session accepts."""
+
+MAX_BLOCKED_US = 100_000
+"""Longest time for which a message that must not be dropped waits for a slow receiver, before its link is closed."""
 
 RUNTIME = "ZENOH_RUNTIME"
 """Environment variable of Zenoh's threads, which Zenoh reads when the first session opens."""
@@ -105,6 +111,7 @@ def configuration(options: BusOptions) -> zenoh.Config:
             _insert(config, "timestamping/enabled", True)
         _insert(config, "transport/shared_memory/enabled", False)
         _insert(config, "transport/link/tx/queue/size/data", 16)
+        _insert(config, "transport/link/tx/queue/congestion_control/block/wait_before_close", MAX_BLOCKED_US)
         _insert(config, "transport/link/rx/max_message_size", MAX_MESSAGE_BYTES)
         if options.certs is not None:
             _insert(config, "transport/link/tls", security.tls(security.credentials(options.certs, options.role)))
@@ -204,31 +211,29 @@ class Session:
             self._session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
         )
 
-    def answer(self, key: str, replies: Callable[[], Iterable[bytes]]) -> None:
-        """Answer each query of ``key`` with these frames, on a thread of its own."""
+    def serve(self, key: str, receiver: QueryReceiver) -> None:
+        """Pass the queries of ``key`` to the receiver."""
 
         def on_query(query: zenoh.Query) -> None:
-            with query:
-                for frame in replies():
-                    query.reply(key, frame)
+            def reply(payload: bytes, attachment: bytes | None) -> None:
+                query.reply(query.key_expr, payload, attachment=attachment)
+                query.drop()  # type: ignore[no-untyped-call]
 
-        self._subscribers.append(self._session.declare_queryable(key, zenoh.handlers.Callback(on_query, indirect=True)))
+            receiver(_bytes(query.payload), _bytes(query.attachment), reply)
 
-    def ask(
-        self, key: str, receive: Callable[[bytes], None], complete: Callable[[], None], *, timeout_s: float
-    ) -> None:
-        """Query ``key``: pass each reply to ``receive``, then call ``complete``, also if nobody answers."""
+        callback = zenoh.handlers.Callback(on_query, indirect=False)
+        self._subscribers.append(self._session.declare_queryable(key, callback, complete=True))
 
-        def on_reply(reply: zenoh.Reply) -> None:
-            if reply.ok is not None:
-                receive(reply.ok.payload.to_bytes())
-
-        self._session.get(
-            key,
-            zenoh.handlers.Callback(on_reply, complete, indirect=False),
-            consolidation=zenoh.ConsolidationMode.NONE,  # by default only the newest reply on a key arrives
-            timeout=timeout_s,
-        )
+    def ask(self, key: str, payload: bytes, *, timeout_s: float) -> bytes | None:
+        """Query ``key`` and return the first reply; None without one in time, or when the session is closed."""
+        try:
+            drop = zenoh.CongestionControl.DROP  # for the replies too
+            for reply in self._session.get(key, payload=payload, timeout=timeout_s, congestion_control=drop):
+                if reply.ok is not None:
+                    return reply.ok.payload.to_bytes()
+        except zenoh.ZError:
+            pass
+        return None
 
     # --- for edges: what ROS 2 over Zenoh needs ---
 
@@ -258,19 +263,6 @@ class Session:
         self._subscribers.append(
             self._session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
         )
-
-    def serve(self, key: str, receiver: QueryReceiver) -> None:
-        """Pass the queries of ``key`` to the receiver."""
-
-        def on_query(query: zenoh.Query) -> None:
-            def reply(payload: bytes, attachment: bytes | None) -> None:
-                query.reply(query.key_expr, payload, attachment=attachment)
-                query.drop()  # type: ignore[no-untyped-call]
-
-            receiver(_bytes(query.payload), _bytes(query.attachment), reply)
-
-        callback = zenoh.handlers.Callback(on_query, indirect=False)
-        self._subscribers.append(self._session.declare_queryable(key, callback, complete=True))
 
     def declare_token(self, key: str) -> None:
         """Declare a liveliness token, which ends with the session."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
+from itertools import chain
 from typing import NamedTuple
 
 from ltv_mpc.messages import ControllerStatus, Estimate, Message, Truth
@@ -11,7 +13,7 @@ from services.bus.roles import HISTORY
 from services.bus.session import Session
 from services.bus.topics import topic_at
 from services.bus.wire import Header, WireError, decode
-from services.recording.history import TIMES, read_reply
+from services.recording.history import TIMES, query_of, read_reply
 
 TIMEOUT_S = 2.0
 MAX_REPLIES = 200
@@ -29,14 +31,14 @@ class Past(NamedTuple):
 
 
 class HistoryQuery:
-    """Query of the recorder's history. It is done when all replies have come, or after ``TIMEOUT_S``."""
+    """Query of the recorder's history, part by part. It is done when the last part has come, or after ``TIMEOUT_S``."""
 
     def __init__(self, session: Session) -> None:
-        self._frames: list[bytes] = []
+        self._parts: list[list[tuple[str, bytes]]] = []
         self._given: set[tuple[type[Message], int, int]] | None = None
         self._until_s = time.monotonic() + TIMEOUT_S
         self._complete = threading.Event()
-        session.ask(HISTORY, self._receive, self._complete.set, timeout_s=TIMEOUT_S)
+        threading.Thread(target=self._ask, args=(session,), name="history", daemon=True).start()
 
     @property
     def awaited(self) -> bool:
@@ -49,7 +51,7 @@ class HistoryQuery:
             return []
         messages = self._messages()
         self._given = {(type(past.message), past.header.epoch, past.header.sequence) for past in messages}
-        self._frames.clear()
+        self._parts = []
         return messages
 
     def had(self, message: Message, header: Header) -> bool:
@@ -59,27 +61,26 @@ class HistoryQuery:
     def _messages(self) -> list[Past]:
         """Return the messages in order, without invalid ones and without estimates of a source that is not in use."""
         found: list[Past] = []
-        for frame in list(self._frames):
-            try:
-                key, payloads = read_reply(frame)
-                topic = topic_at(key)
-            except (WireError, KeyError):
-                continue
-            for payload in payloads if topic is not None else ():
-                assert topic is not None
-                try:
-                    message, header = decode(topic.message_type, payload)
-                except WireError:
-                    continue
-                found.append(Past(message, header))
+        for key, payload in chain.from_iterable(list(self._parts)):
+            topic = topic_at(key)
+            if topic is not None:
+                with suppress(WireError):
+                    found.append(Past(*decode(topic.message_type, payload)))
         sources = {past.message.source_epoch for past in found if isinstance(past.message, ControllerStatus)} - {0}
         if sources:
             found = [past for past in found if not isinstance(past.message, Estimate) or past.header.epoch in sources]
         return sorted(found, key=_order)
 
-    def _receive(self, frame: bytes) -> None:
-        if len(self._frames) < MAX_REPLIES:
-            self._frames.append(frame)
+    def _ask(self, session: Session) -> None:
+        first: int | None = 0
+        while first is not None and self.awaited and len(self._parts) < MAX_REPLIES:
+            reply = session.ask(HISTORY, query_of(first), timeout_s=TIMEOUT_S)
+            try:
+                part, first = ([], None) if reply is None else read_reply(reply)
+            except WireError:
+                break
+            self._parts.append(part)
+        self._complete.set()
 
 
 def _order(past: Past) -> tuple[int, bool]:

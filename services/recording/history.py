@@ -3,14 +3,20 @@
 Sampled messages are kept at a period that doubles whenever ``LIMIT`` would be exceeded twice; of events the newest are
 kept. The first sample of each period stays, so that the start at t = 0 stays too. The largest parts, which a plot over
 time does not need, are left out: the current profile of an estimate, and of a plan all knots but two.
+
+A reply is one part of the history, and the page asks for the next part when it has the last. All parts at once filled
+a router's queue to the page, and a router with one thread then forwarded nothing for 5 s.
 """
 
 from __future__ import annotations
 
 import threading
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Mapping
-from typing import Any
+from heapq import merge
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 from ltv_mpc.messages import (
     Acknowledgement,
@@ -26,7 +32,7 @@ from ltv_mpc.messages import (
     RunEvent,
     Truth,
 )
-from services.bus.wire import pack, unpack
+from services.bus.wire import WireError, pack, unpack
 
 LIMIT = 1000
 """A type has fewer than twice as many messages: about 8 MB in all."""
@@ -42,68 +48,101 @@ EVENTS = (RunEvent, Command, Acknowledgement, LocalisationReport, NodeSettings, 
 REPEATED = (NodeSettings, ControllerStatus)
 
 
+class _Entry(NamedTuple):
+    number: int  # of its arrival, among all messages
+    t_ns: int
+    payload: bytes
+
+
 class _Samples:
     """Messages of one key, the first of each period."""
 
     def __init__(self) -> None:
-        self.kept: list[tuple[int, bytes]] = []
+        self.kept: list[_Entry] = []
         self._period_ns = FIRST_PERIOD_NS
 
     def is_due(self, t_ns: int) -> bool:
-        return not self.kept or t_ns // self._period_ns != self.kept[-1][0] // self._period_ns
+        return not self.kept or t_ns // self._period_ns != self.kept[-1].t_ns // self._period_ns
 
-    def add(self, t_ns: int, payload: bytes) -> None:
-        self.kept.append((t_ns, payload))
+    def add(self, entry: _Entry) -> None:
+        self.kept.append(entry)
         if len(self.kept) < 2 * LIMIT:
             return
         self._period_ns *= 2
         kept, self.kept = self.kept, []
-        for t_ns, payload in kept:
-            if self.is_due(t_ns):
-                self.kept.append((t_ns, payload))
+        for entry in kept:
+            if self.is_due(entry.t_ns):
+                self.kept.append(entry)
 
 
 class History:
-    """History of a run. ``add`` is called by the recorder, ``replies`` by the thread that answers a query."""
+    """History of a run. ``add`` is called by the recorder, ``reply`` by Zenoh's thread, which answers a query."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
+        self._number = 0
         self._samples: dict[tuple[str, type[Message]], _Samples] = {}
-        self._events: dict[tuple[str, type[Message]], deque[bytes]] = {}
+        self._events: dict[tuple[str, type[Message]], deque[_Entry]] = {}
 
     def add(self, key: str, kind: type[Message], message: Mapping[str, Any]) -> None:
         """Add a message as it is recorded: the plain map of its frame."""
         with self._lock:
+            self._number += 1
             if kind in EVENTS:
                 limit = 1 if kind in REPEATED else LIMIT
-                self._events.setdefault((key, kind), deque(maxlen=limit)).append(pack(message))
+                events = self._events.setdefault((key, kind), deque(maxlen=limit))
+                events.append(_Entry(self._number, 0, pack(message)))
             elif kind in TIMES and isinstance(t_ns := message.get(TIMES[kind]), int):
                 samples = self._samples.setdefault((key, kind), _Samples())
                 if samples.is_due(t_ns):
-                    samples.add(t_ns, pack(_shortened(kind, message)))
+                    samples.add(_Entry(self._number, t_ns, pack(_shortened(kind, message))))
 
-    def replies(self) -> Iterator[bytes]:
-        """Return the history as frames of at most about ``REPLY_BYTES``, each with the messages of one key."""
+    def reply(self, first: int) -> bytes:
+        """Return the messages from number ``first`` on, oldest first, as a frame of about ``REPLY_BYTES``."""
+        part: list[tuple[str, bytes]] = []
+        size = 0
         with self._lock:
-            content = {key: list(events) for (key, _), events in self._events.items()}
-            content |= {key: [payload for _, payload in one.kept] for (key, _), one in self._samples.items()}
-        for key, payloads in content.items():
-            part: list[bytes] = []
-            size = 0
-            for payload in payloads:
-                part.append(payload)
-                size += len(payload)
+            for key, (number, _, payload) in self._from(first):
                 if size > REPLY_BYTES:
-                    yield pack({"key": key, "payloads": part})
-                    part, size = [], 0
-            if part:
-                yield pack({"key": key, "payloads": part})
+                    return pack({"messages": part, "next": number})
+                part.append((key, payload))
+                size += len(payload)
+        return pack({"messages": part, "next": None})
+
+    def _from(self, first: int) -> Iterator[tuple[str, _Entry]]:
+        kept = [(key, list(events)) for (key, _), events in self._events.items()]
+        kept += [(key, samples.kept) for (key, _), samples in self._samples.items()]
+        number = attrgetter("number")
+        later = [[(key, entry) for entry in all_[bisect_left(all_, first, key=number) :]] for key, all_ in kept]
+        return merge(*later, key=lambda each: each[1].number)
 
 
-def read_reply(frame: bytes) -> tuple[str, list[bytes]]:
-    """Return the key and the payloads of a reply. Raises ``WireError`` or ``KeyError`` if it is none."""
+def query_of(first: int) -> bytes:
+    """Return the query for the messages from number ``first`` on."""
+    return pack({"first": first})
+
+
+def read_query(frame: bytes) -> int | None:
+    """Return the number that a query asks for; None if it asks for none."""
+    try:
+        first = unpack(frame).get("first")
+    except WireError:
+        return None
+    return first if isinstance(first, int) else None
+
+
+def read_reply(frame: bytes) -> tuple[list[tuple[str, bytes]], int | None]:
+    """Return the keys and payloads of a reply, and the number to ask for next, None: that was all.
+
+    Raises ``WireError`` if it is no reply.
+    """
     content = unpack(frame)
-    return str(content["key"]), [payload for payload in content["payloads"] if isinstance(payload, bytes)]
+    messages, next_ = content.get("messages"), content.get("next")
+    if not isinstance(messages, list):
+        raise WireError("a reply needs messages")
+    pairs = [each for each in messages if isinstance(each, list) and len(each) == 2]
+    found = [(key, payload) for key, payload in pairs if isinstance(key, str) and isinstance(payload, bytes)]
+    return found, next_ if isinstance(next_, int) else None
 
 
 def _shortened(kind: type[Message], message: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -19,8 +19,9 @@ from services.bus.message_validation import rejection
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import HISTORY
-from services.bus.session import open_session
+from services.bus.session import Reply, open_session
 from services.bus.wire import Header, WireError, crc, from_map, header_of, unpack
+from services.recording.history import read_query
 from services.recording.loss_accounting import LossAccounting
 from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
@@ -97,7 +98,7 @@ class RecordingLoop:
                 say=self._say,
             )
             session.subscribe("**", None, self.mailbox)
-            session.answer(HISTORY, self._writer.history.replies)
+            session.serve(HISTORY, self._answer)
             deadlines = DeadlineQueue()
             deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
             deadlines.add(lambda: self._status.due_us, self._status.publish)
@@ -109,6 +110,11 @@ class RecordingLoop:
                 self._settle()
             SUPERVISOR_LINK.last_beat()
             self._finish()
+
+    def _answer(self, query: bytes, _: bytes, reply: Reply) -> None:
+        """Reply with a part of the history; a query that names no part gets none."""
+        if (first := read_query(query)) is not None:
+            reply(self._writer.history.reply(first), None)
 
     def _finish(self) -> None:
         """Record until each process has reported its count and all its messages have arrived, or no more arrive."""

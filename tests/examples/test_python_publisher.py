@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from services.supervisor import loopback
-from tests.system.alone import CLI, controller, started
+from tests.system.alone import CLI, arm, controller, started
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "python" / "publisher.py"
 
@@ -48,6 +48,5 @@ def test_it_comes_to_its_point_once_armed(tmp_path: Path) -> None:
         started(sys.executable, "-P", str(EXAMPLE), endpoint) as (_, vehicle),
     ):
         assert "3.00 m north" in vehicle.until(lambda line: "disarmed" in line)  # nothing moves before
-        armed = subprocess.run([*CLI, "ctl", "arm", "--connect", endpoint], capture_output=True, text=True, check=False)
-        assert armed.returncode == 0, armed.stderr
+        arm(CLI, endpoint)
         vehicle.until(has_come, within_s=180.0)

@@ -75,3 +75,15 @@ def controller(port: int, arguments: Sequence[str]) -> Iterator[tuple[str, Lines
         router.until(lambda line: "ready at" in line)
         said.until(lambda line: "waiting for" in line)
         yield endpoint, said
+
+
+def arm(cli: Sequence[str], endpoint: str, within_s: float = PATIENCE_S) -> None:
+    """Send ``ctl arm`` until the controller accepts it: it rejects the command before its first estimate."""
+    deadline = time.monotonic() + within_s
+    while True:
+        command = [*cli, "ctl", "arm", "--connect", endpoint]
+        sent = subprocess.run(command, capture_output=True, text=True, check=False)
+        if sent.returncode == 0:
+            return
+        assert time.monotonic() < deadline, sent.stderr
+        assert "no estimate received yet" in sent.stderr or "no reply" in sent.stderr, sent.stderr

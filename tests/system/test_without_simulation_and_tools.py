@@ -13,7 +13,7 @@ import pytest
 
 from services.recording.reader import Recording
 from services.supervisor import loopback
-from tests.system.alone import started
+from tests.system.alone import arm, started
 
 ROOT = Path(__file__).resolve().parents[2]
 PUBLISHER = ROOT / "examples" / "python" / "publisher.py"
@@ -51,8 +51,7 @@ def test_plans_reach_a_publisher_and_the_recording(command: tuple[str, ...], tmp
             controller.until(lambda line: "waiting for" in line)
             with started(*command, str(PUBLISHER), endpoint) as (_, vehicle):
                 vehicle.until(lambda line: "disarmed" in line)
-                armed = subprocess.run([*cli, "ctl", "arm", *here], capture_output=True, text=True, check=False)
-                assert armed.returncode == 0, armed.stderr
+                arm(cli, endpoint)
                 vehicle.until(lambda line: line.rstrip().endswith("controller"))  # it obeys plans
             recorder.terminate()
             assert recorder.wait(10.0) == 0

@@ -5,13 +5,20 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
+import threading
+import time
+from itertools import pairwise
 from pathlib import Path
+from queue import SimpleQueue
 
 import pytest
+import zenoh
 
 from services.bus.options import BusOptions
-from services.bus.session import BusError, open_session, waiting_for_router
+from services.bus.session import BusError, configuration, open_session, waiting_for_router
 from services.runtime.stopping import StopRequest
+
+BLOCKING = {"congestion_control": zenoh.CongestionControl.BLOCK}
 
 
 def error_of(*listen: str) -> str:
@@ -77,3 +84,31 @@ with (
     names = ended.stdout.split()
     assert any(name.startswith("app-") for name in names)
     assert [name for name in names if name.startswith(("acc-", "net-", "rx-", "tx-"))] == []
+
+
+def test_what_may_not_be_dropped_holds_up_other_links_only_for_a_moment(free_port: int) -> None:
+    """A burst fills the queue to its receiver, and a router with one thread waits; by default for 5 s."""
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    reached = configuration(BusOptions(connect=(endpoint,)))
+    arrived: SimpleQueue[float] = SimpleQueue()
+    with (
+        open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
+        zenoh.open(reached) as source,
+        zenoh.open(reached) as slow,
+        zenoh.open(reached) as watcher,
+    ):
+        slow.declare_subscriber("burst", zenoh.handlers.Callback(lambda _: None, indirect=False))
+        on_tick = zenoh.handlers.Callback(lambda _: arrived.put(time.monotonic()), indirect=False)
+        watcher.declare_subscriber("tick", on_tick)
+        while arrived.empty():  # the declarations take their way
+            source.put("tick", b"")
+            time.sleep(0.01)
+        burst = threading.Thread(target=lambda: [source.put("burst", bytes(200_000), **BLOCKING) for _ in range(40)])
+        burst.start()
+        ends = time.monotonic() + 6.0
+        while time.monotonic() < ends:
+            slow.put("tick", b"")
+            time.sleep(0.01)
+        burst.join()
+    times = [arrived.get() for _ in range(arrived.qsize())]
+    assert max(b - a for a, b in pairwise(times)) < 3.0

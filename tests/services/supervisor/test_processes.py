@@ -447,7 +447,10 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_stopped_plant_end
     for node in verdict.nodes:
         if node.node in ("controller", "estimator"):
             # The second start whole; the first up to the recorder's death, unless nobody heard of it after that.
-            assert (node.starts, node.steps_compared) == (2, node.steps_run - sum(gap.steps for gap in node.gaps))
+            assert node.starts == 2
+            # A killed recorder may have written the record of its last step, and not the outputs.
+            left_out = node.steps_run - sum(gap.steps for gap in node.gaps) - node.steps_compared
+            assert 0 <= left_out <= min(1, node.outputs_lost)
             assert {gap.epoch for gap in node.gaps} <= {next(epoch for name, epoch in records if name == node.node)}
             assert node.node == "controller" or len(node.gaps) == 1
 

@@ -14,7 +14,7 @@ pytest.importorskip("mavsdk", minversion=None, reason="not installed: pip instal
 from services.supervisor import loopback
 from tests.foreign_plant.mavlink_flight import ROOT
 from tests.services.edges.mavlink.ground_station import PLACES
-from tests.system.alone import CLI, controller, started
+from tests.system.alone import CLI, arm, controller, started
 
 BOAT = ROOT / "examples/vehicles/bluerobotics_boat.toml"
 STATION = "tests.services.edges.mavlink.ground_station"
@@ -53,8 +53,7 @@ def test_a_mission_of_another_ground_station_is_driven() -> None:
             assert until(lambda line: "uploaded" in line)["uploaded"] == len(PLACES)
             until(lambda line: "armed" in line)
             autopilot.until(lambda line: "controller disarmed" in line, within_s=90.0)
-            with started(*CLI, "ctl", "arm", "--connect", endpoint) as (_, ctl):
-                ctl.until(lambda line: "accepted" in line, within_s=60.0)
+            arm(CLI, endpoint)
             autopilot.until(lambda line: "driving" in line, within_s=60.0)
             until(lambda line: "latitude_deg" in line and metres(line, PLACES[1]) < 2.0)
 
