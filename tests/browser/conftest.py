@@ -34,9 +34,14 @@ OUTSIDE = """() => {
 """Words that do not fit the width."""
 
 
+def executable() -> str | None:
+    """Return the path of the first browser that is installed."""
+    return next(filter(None, map(shutil.which, NAMES)), None)
+
+
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    path = next(filter(None, map(shutil.which, NAMES)), None)
+    path = executable()
     missing = "" if path else f"no browser: none of {', '.join(NAMES)} is on PATH"
     if find_spec("playwright") is None:
         missing = "no browser: playwright is not installed"
