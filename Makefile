@@ -112,23 +112,19 @@ clean:  ## remove .venv and caches; runs/ stays
 	echo "On Debian and Ubuntu: apt-get install python3 python3-venv" >&2; exit 1
 
 .venv/runnable: .venv/made pyproject.toml
-	@echo "installing into .venv"
 	@$(BIN)/python .ci/install.py viz
 	@touch $@
 
 .venv/installed: .venv/runnable
-	@echo "installing what the tests need"
 	@$(BIN)/python .ci/install.py viz dev
 	@touch $@
 
 # Into .venv itself: what is compared has the same Python, numpy and solvers, and the kernels are compiled already.
 .venv/bench: .venv/installed
-	@echo "installing what is compared with"
 	@$(BIN)/python .ci/install.py bench
 	@touch $@
 
 .venv/docs: .venv/installed
-	@echo "installing what makes the site"
 	@$(BIN)/python .ci/install.py docs
 	@touch $@
 

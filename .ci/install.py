@@ -4,16 +4,28 @@ uv does in seconds what takes pip a minute or two, half of it for bytecode that 
 module when it is first imported. Where it is told not to (PYTHONDONTWRITEBYTECODE), every process would compile its
 thousand modules again, two seconds each time; there all bytecode is made with the installation. uv is told of the same
 sources: pip's settings (index, further indexes, folders, certificates) are handed on, and so is pip's rule of taking
-the best version that any of them has. Where uv cannot be had, or does not manage, pip does it.
+the best version that any of them has. Where uv cannot be had, or does not manage, pip does it. Their output is in
+.venv/install.log; a terminal shows one line, with the seconds and the number of packages so far.
 """
 
 from __future__ import annotations
 
 import ast
+import contextlib
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+import sysconfig
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+LOG = Path(os.path.relpath(sys.prefix)) / "install.log"
+SITE = Path(sysconfig.get_path("purelib"))
+ERASE = "\r\x1b[2K"
+LOOK_S = 0.5
+SHOWN_LINES = 20
+"""Last lines of the log that a failure prints."""
 
 HANDED_ON = {
     "index-url": "UV_DEFAULT_INDEX",
@@ -52,26 +64,59 @@ def sources(settings: str) -> dict[str, str]:
     return given
 
 
+def logged(command: Sequence[str], *, env: Mapping[str, str] | None = None) -> int:
+    """Run a command with its output in ``LOG``, and return its exit code. On a terminal a line shows how far it is."""
+    began_s = time.monotonic()
+    with LOG.open("ab") as log, subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=env) as process:
+        while process.poll() is None:
+            if sys.stderr.isatty():
+                packages = sum(1 for _ in SITE.glob("*.dist-info"))
+                sys.stderr.write(
+                    f"{ERASE}installing into .venv  {time.monotonic() - began_s:.0f} s, {packages} packages"
+                )
+                sys.stderr.flush()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(LOOK_S)
+    if sys.stderr.isatty():
+        sys.stderr.write(ERASE)
+    return process.returncode
+
+
 def main(
     extras: list[str],
     *,
     keeps_bytecode: bool = not sys.dont_write_bytecode,
-    run: Callable[..., subprocess.CompletedProcess[str]] = subprocess.run,
+    run: Callable[..., int] = logged,
 ) -> int:
     """Install the project with these extras by uv, or by pip; return the exit code."""
     project = f".[{','.join(extras)}]"
-    if run([*PIP, "--quiet", "uv>=0.9"], check=False).returncode == 0:
+    began_s = time.monotonic()
+    if not sys.stderr.isatty():
+        print(f"installing into .venv: {project}", flush=True)
+    if run([*PIP, "--quiet", "uv>=0.9"]) == 0:
         listing = [sys.executable, "-m", "pip", "config", "list"]
-        settings = run(listing, capture_output=True, text=True, check=False).stdout
-        quiet = () if sys.stderr.isatty() else ("--quiet",)  # its bars, or nothing but what goes wrong
+        settings = subprocess.run(listing, capture_output=True, text=True, check=False).stdout
         bytecode = () if keeps_bytecode else ("--compile-bytecode",)
-        options = (*quiet, *bytecode, "--python", sys.executable)
-        command = [sys.executable, "-m", "uv", "pip", "install", *options, "-e", project]
-        if run(command, env={**sources(settings), **os.environ}, check=False).returncode == 0:
-            return 0
+        command = [sys.executable, "-m", "uv", "pip", "install", *bytecode, "--python", sys.executable, "-e", project]
+        if run(command, env={**sources(settings), **os.environ}) == 0:
+            return done(project, began_s)
     print("without uv: pip installs, which takes a minute or two", flush=True)
     bytecode = "--no-compile" if keeps_bytecode else "--compile"
-    return run([*PIP, bytecode, "-e", project], check=False).returncode
+    if code := run([*PIP, bytecode, "-e", project]):
+        print(f"the installation failed; the end of {LOG}:\n{tail()}", file=sys.stderr)
+        return code
+    return done(project, began_s)
+
+
+def done(project: str, began_s: float) -> int:
+    """Print one line about the installation, and return 0."""
+    print(f"installed into .venv: {project}, {time.monotonic() - began_s:.0f} s; log: {LOG}", flush=True)
+    return 0
+
+
+def tail() -> str:
+    """Return the last lines of the log."""
+    return "\n".join(LOG.read_text(encoding="utf-8", errors="replace").splitlines()[-SHOWN_LINES:])
 
 
 if __name__ == "__main__":

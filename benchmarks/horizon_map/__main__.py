@@ -36,8 +36,7 @@ def main() -> None:
         options.page.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
         page = replace_tables(options.page.read_text(encoding="utf-8"), tables(kept))
         options.page.write_text(page, encoding="utf-8")
-        # Two waters a place are too few for curves of the realistic campaign.
-        picture.draw({"state known": maps["state known"]}, options.page.parent / "figures" / "horizon.png")
+        picture.draw(kept, options.page.parent / "figures" / "horizon.png")
 
 
 if __name__ == "__main__":

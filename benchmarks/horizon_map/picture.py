@@ -1,41 +1,64 @@
-"""Figure of the map: error over that of the best horizon against the horizon, by thirds of each group."""
+"""Figure of the map, from its summary: error of each horizon, and the horizon that is enough.
+
+.venv/bin/python -m benchmarks.horizon_map.picture docs/horizon.json docs/figures/horizon.png
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.horizon_map.places import GROUPS, Place, relative, thirds
 from services.reporting.figures import sheet
 from services.reporting.plots import palette
 
-MARKERS = ("o", "s", "^")
+RATIOS = (1, 1.5, 2, 3, 5, 10)
+"""Ticks of the axis of the error."""
 
 
-def draw(maps: Mapping[str, Sequence[Place]], path: Path) -> None:
-    """Draw rows of panels, with one column for each campaign."""
+def draw(campaigns: Mapping[str, Mapping[str, Any]], path: Path) -> None:
+    """Draw two panels for each campaign: the error of each horizon above, the horizon that is enough below."""
     with sheet.style(page=True):
-        figure = Figure(figsize=(3.4 * len(maps), 8.6), layout="constrained")
-        axes = figure.subplots(len(GROUPS), len(maps), sharex=True, sharey=True, squeeze=False)
-        for j, (name, of) in enumerate(maps.items()):
-            errors = relative(of)
-            for i, group in enumerate(GROUPS):
-                axis = axes[i][j]
-                parts = zip(thirds(of, group), ("lowest", "middle", "highest"), palette.RUNS, MARKERS, strict=False)
-                for part, third, colour, marker in parts:
-                    median = np.median(errors[part], axis=0)
-                    axis.plot(of[0].horizons_s, median, color=colour, marker=marker, label=f"{third} third")
-                axis.set_xscale("log")
-                axis.set_yscale("log")
-                axis.set_title(f"{name}: {group}")
-                if j == 0:
-                    axis.set_ylabel("error / error of the\nbest horizon")
-                if i == len(GROUPS) - 1:
-                    axis.set_xlabel("horizon (s)")
-                    axis.set_xticks(of[0].horizons_s, [f"{h:g}" for h in of[0].horizons_s])
-                    axis.minorticks_off()
-        sheet.shared_legend(figure, axes[0][0])
+        figure = Figure(figsize=(sheet.PAGE_IN, 5.4), layout="constrained")
+        panels = figure.subplots(2, len(campaigns), sharex=True, sharey="row", squeeze=False)
+        for (name, of), (errors, enough) in zip(campaigns.items(), panels.T, strict=True):
+            _errors(errors, of)
+            _enough(enough, of)
+            errors.set_title(name)
+            enough.set_xscale("log")
+            enough.set_xticks(of["horizons_s"], [f"{h:g}" for h in of["horizons_s"]])
+            enough.minorticks_off()
+            enough.set_xlabel("horizon (s)")
+        panels[0][0].set_ylabel("error / error of the\nbest horizon at the place")
+        panels[1][0].set_ylabel("places where it is the\nshortest that is enough")
+        sheet.shared_legend(figure, panels[0][0])
         sheet.write(figure, [path])
+
+
+def _errors(axes: Axes, of: Mapping[str, Any]) -> None:
+    """Draw the median and the 90th percentile of the places."""
+    curves = (("median", "median of the places", palette.OTHER), ("p90", "nine of ten places are below", palette.RARE))
+    for key, label, colour in curves:
+        ratios = [of["error_over_best"][str(h)][key] for h in of["horizons_s"]]
+        axes.plot(of["horizons_s"], ratios, "o-", color=colour, label=label)
+    axes.set_yscale("log")
+    axes.set_yticks(RATIOS, [f"{ratio:g}" for ratio in RATIOS])
+    axes.minorticks_off()
+
+
+def _enough(axes: Axes, of: Mapping[str, Any]) -> None:
+    """Draw a bar for each horizon, as wide as the ratio of two horizons on a logarithmic axis."""
+    counts = [of["enough"][str(h)] for h in of["horizons_s"]]
+    widths = [0.25 * h for h in of["horizons_s"]]
+    bars = axes.bar(of["horizons_s"], counts, widths, color=palette.OTHER)
+    axes.margins(y=0.12)
+    axes.bar_label(bars, padding=2)
+
+
+if __name__ == "__main__":
+    draw(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")), Path(sys.argv[2]))

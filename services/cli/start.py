@@ -351,7 +351,8 @@ def _print_summary(summary: Summary, folder: RunFolder, as_json: bool) -> None:
 
 
 def _next_commands(summary: Mapping[str, Any], folder: RunFolder) -> list[str]:
-    """Return commands for the same scenario: the other mode, another horizon, and a replay."""
+    """Return commands for the same scenario: the other mode, the verdict's proposal, a replay."""
+    from services.reporting.assessment import next_option
     from services.run.folder import LATEST
 
     path = folder.path
@@ -359,8 +360,8 @@ def _next_commands(summary: Mapping[str, Any], folder: RunFolder) -> list[str]:
         path = latest
     again = _again(path, folder)
     other_mode = again if summary["mode"] == "lockstep" else f"{again} --lockstep"
-    other_horizon_s = round(summary["horizon_s"] / 2) or 5
-    return [other_mode, f"{again} --horizon-s {other_horizon_s}", f"{_program()} replay {shlex.quote(str(path))}"]
+    option = next_option(summary) or f"--horizon-s {round(summary['horizon_s'] / 2) or 5}"
+    return [other_mode, f"{again} {option}", f"{_program()} replay {shlex.quote(str(path))}"]
 
 
 def _again(path: Path, folder: RunFolder) -> str:

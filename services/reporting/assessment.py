@@ -5,8 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+LESS_TRACKING_ERROR = "--set controller.effort=high"
+"""Option of a further run, if tracking is the larger part of the error and the thrusters have room for it."""
+
 OFTEN_SATURATED = 0.1
 """Share of the time at a thrust limit above which the thrusters bound the tracking error."""
+
+
+TRACKING_CAUSE = "Most of this is tracking:"
 
 
 def assessment(summary: Mapping[str, Any]) -> list[str]:
@@ -33,7 +39,14 @@ def _error(summary: Mapping[str, Any]) -> str:
         return f"The controller held the estimate within {tracking:.3f} m of the reference on average. {start}{cause}"
     if (_figure(summary, "thrust", "saturated_fraction") or 0.0) > OFTEN_SATURATED:
         return start + "Most of this is tracking, which the thrust limits bound."
-    return start + "Most of this is tracking: a longer horizon or `--set controller.effort=high` reduces it."
+    if _figure(summary, "thrust", "mean_abs_N") == 0.0:
+        return start + "Most of this is tracking, because the lateral thrusts were zero."
+    return f"{start}{TRACKING_CAUSE} a longer horizon or `{LESS_TRACKING_ERROR}` reduces it."
+
+
+def next_option(summary: Mapping[str, Any]) -> str | None:
+    """Return the option that the sentence about the error proposes; None if it proposes none."""
+    return LESS_TRACKING_ERROR if TRACKING_CAUSE in _error(summary) else None
 
 
 def _fence(summary: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -54,15 +54,26 @@ def test_the_environment_overrides_the_file_and_install_overrides_global(install
 
 @pytest.mark.parametrize(("keeps_bytecode", "uv", "pip"), [(False, True, "--compile"), (True, False, "--no-compile")])
 def test_bytecode_is_made_where_python_will_not_keep_it(
-    install: ModuleType, keeps_bytecode: bool, uv: bool, pip: str
+    install: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], keeps_bytecode: bool, uv: bool, pip: str
 ) -> None:
     commands: list[list[str]] = []
 
-    def run(command: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+    def run(command: list[str], **_: object) -> int:
         commands.append(command)
-        return subprocess.CompletedProcess(command, int("-e" in command), stdout="")  # nothing gets installed
+        return int("-e" in command)  # nothing gets installed
 
+    install.LOG = tmp_path / "install.log"
+    install.LOG.write_text("no space left\n")
     assert install.main(["dev"], keeps_bytecode=keeps_bytecode, run=run) == 1
     by_uv, by_pip = (command for command in commands if "-e" in command)
     assert ("--compile-bytecode" in by_uv) is uv
     assert pip in by_pip
+    assert "no space left" in capsys.readouterr().err
+
+
+def test_the_output_is_in_the_log(install: ModuleType, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    install.LOG = tmp_path / "install.log"
+    command = [sys.executable, "-c", "import sys; print('details'); print('more', file=sys.stderr); sys.exit(3)"]
+    assert install.logged(command) == 3
+    assert sorted(install.LOG.read_text().split()) == ["details", "more"]
+    assert capfd.readouterr() == ("", "")

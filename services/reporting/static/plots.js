@@ -15,6 +15,8 @@ const Plots = (() => {
   const darkness = window.matchMedia("(prefers-color-scheme: dark)");
   let darkColours = {}; // of palette.py, by the light one
   const colour = (hex) => (darkness.matches && darkColours[hex]) || hex;
+  // Return a font size (px) that grows with the size of text that the reader has set in the browser.
+  const letters = (px) => px * parseFloat(getComputedStyle(document.documentElement).fontSize) / 16;
   const theme = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
   const column = (run, series, name) => (run.tables[series.table] || {})[name] || [];
@@ -176,7 +178,7 @@ const Plots = (() => {
     const line = theme("--axis");
     const rows = axis.rows && axis.rows.length ? { tickvals: axis.rows.map((_, i) => i), ticktext: axis.rows } : {};
     return {
-      title: { text: axis.label, standoff: 4, font: { size: 11 } }, range: range(axis, traces, name),
+      title: { text: axis.label, standoff: 4, font: { size: letters(11) } }, range: range(axis, traces, name),
       type: axis.log ? "log" : "linear", gridcolor: theme("--grid"), zeroline: false, linecolor: line, showline: true,
       ticks: "outside", ticklen: 3, tickcolor: line, nticks: 6, automargin: true,
       ...(axis.log ? { dtick: 1, tickformat: "~g" } : {}), ...rows,
@@ -198,11 +200,11 @@ const Plots = (() => {
     const empty = traces.length === 0;
     const made = {
       margin: { l: 46, r: 8, t: 6, b: 34 }, showlegend: false, hovermode: "closest", uirevision: `${Boolean(view.follow)}`,
-      font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", size: 11, color: theme("--ink") },
+      font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", size: letters(11), color: theme("--ink") },
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: theme("--paper"),
       xaxis: plot.over_time ? { ...x, range: timeRange } : x, yaxis: plot.equal ? { ...y, scaleanchor: "x", scaleratio: 1 } : y,
       annotations: empty ? [{ text: plot.empty, xref: "paper", yref: "paper", x: 0.5, y: 0.5, showarrow: false,
-        font: { size: 12, color: theme("--quiet") } }] : [],
+        font: { size: letters(12), color: theme("--quiet") } }] : [],
       shapes: plot.over_time && !missing(view.at_s) ? [{ type: "line", yref: "paper", y0: 0, y1: 1, x0: view.at_s, x1: view.at_s,
         line: { color: theme("--accent"), width: 2 } }] : [],
     };

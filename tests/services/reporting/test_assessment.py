@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from services.reporting.assessment import assessment
+from services.reporting.assessment import assessment, next_option
 
 
 def summary(tracking: float | None, true: float | None, localisation: float | None, **other: Any) -> dict[str, Any]:
@@ -36,11 +36,24 @@ SATURATED = {"saturated_fraction": 0.4, "mean_abs_N": 60.0, "max_abs_N": 100.0}
             "0.510 m from the reference on average. Most of this is tracking: a longer horizon",
         ),
         (summary(0.50, 0.51, 0.02, thrust=SATURATED), "Most of this is tracking, which the thrust limits bound."),
+        (
+            summary(0.50, 0.51, 0.02, thrust={**SATURATED, "saturated_fraction": 0.0, "mean_abs_N": 0.0}),
+            "Most of this is tracking, because the lateral thrusts were zero.",
+        ),
         (summary(0.50, None, None), "The estimate stayed 0.500 m from the reference on average."),
     ],
 )
 def test_the_larger_part_of_the_error_is_named(figures: dict[str, Any], words: str) -> None:
     assert words in assessment(figures)[0]
+
+
+def test_the_next_command_follows_the_sentence_about_the_error() -> None:
+    option = next_option(summary(0.50, 0.51, 0.02))
+    assert option is not None
+    assert option in assessment(summary(0.50, 0.51, 0.02))[0]
+    assert next_option(summary(0.02, 0.31, 0.30)) is None
+    assert next_option(summary(0.50, 0.51, 0.02, thrust=SATURATED)) is None
+    assert next_option(summary(0.50, None, None)) is None
 
 
 def test_late_plans_and_losses_are_counted() -> None:
