@@ -20,11 +20,19 @@ ShownVehicle: TypeAlias = Annotated[
 SensorsFile: TypeAlias = Annotated[
     str, typer.Option("--sensors", metavar="NAME|FILE", help="Sensors: a shipped name or a TOML file.")
 ]
+ControllerSettings: TypeAlias = Annotated[
+    Path | None,
+    typer.Option("--settings", metavar="FILE", help="TOML file with keys of [controller], without that header."),
+]
 ReferenceFile: TypeAlias = Annotated[
     str, typer.Option("--reference", metavar="NAME|FILE", help="Reference to follow: a shipped name or a TOML file.")
 ]
 ScenarioName: TypeAlias = Annotated[
     str, typer.Argument(metavar="[SCENARIO]", help="Scenario: a shipped name (demo, descent, hover) or a TOML file.")
+]
+FenceFile: TypeAlias = Annotated[
+    str | None,
+    typer.Option("--fence", metavar="FILE", help="Keep-in and keep-out zones: TOML or GeoJSON, docs/fences.md."),
 ]
 Out: TypeAlias = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Folder to write. Default runs/<UTC time>-<name>.")

@@ -79,7 +79,7 @@ def estimator(
     vehicle: VehicleFile = "paper",
     sensors: SensorsFile = "paper",
     settings: Annotated[
-        Path | None, typer.Option("--settings", metavar="FILE", help="TOML file with the [estimator] table only.")
+        Path | None, typer.Option("--settings", metavar="FILE", help="TOML file with keys of [estimator], no header.")
     ] = None,
     log_json: LogJson = False,
     *,

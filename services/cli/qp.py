@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from services.cli.options import Force, Json, VehicleFile
+from services.cli.options import ControllerSettings, Force, Json, VehicleFile
 
 qp = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
 
@@ -46,9 +46,7 @@ def show(
 def export_c(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the code; it is created if missing.")],
     vehicle: VehicleFile = "paper",
-    settings: Annotated[
-        Path | None, typer.Option("--settings", metavar="FILE", help="TOML file with the [controller] table only.")
-    ] = None,
+    settings: ControllerSettings = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from services.cli.bus import with_bus
 from services.cli.localise import localise
-from services.cli.options import LogJson, ReferenceFile, VehicleFile
+from services.cli.options import ControllerSettings, FenceFile, LogJson, ReferenceFile, VehicleFile
 from services.cli.topics import topics
 from services.cli.vehicle_file import vehicle as vehicle_file
 
@@ -25,9 +25,6 @@ def register(app: typer.Typer, panel: str) -> None:
     app.command(rich_help_panel=panel)(topics)
 
 
-SettingsFile: TypeAlias = Annotated[
-    Path | None, typer.Option("--settings", metavar="FILE", help="TOML file with the [controller] table only.")
-]
 ComputeDelay: TypeAlias = Annotated[
     float, typer.Option("--compute-delay-s", metavar="D", help="Delay each plan by this much (s).", min=0, max=60)
 ]
@@ -63,10 +60,6 @@ FailedQps: TypeAlias = Annotated[
     Path | None,
     typer.Option("--failed-qps", metavar="DIR", help="Store QPs that were not solved here, for `ltv-mpc qp show`."),
 ]
-FenceFile: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--fence", metavar="FILE", help="Keep-in and keep-out zones: TOML or GeoJSON, docs/fences.md."),
-]
 State: TypeAlias = Annotated[
     Path | None,
     typer.Option("--state", metavar="DIR", help="Keep a checkpoint here, and continue from it after a restart."),
@@ -84,7 +77,7 @@ ResumeWithin: TypeAlias = Annotated[
 def controller(
     vehicle: VehicleFile = "paper",
     reference: ReferenceFile = "descent",
-    settings: SettingsFile = None,
+    settings: ControllerSettings = None,
     fence: FenceFile = None,
     compute_delay_s: ComputeDelay = 0.0,
     rate_hz: Rate = None,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from services.cli.options import Json
+from services.cli.options import ControllerSettings, FenceFile, Json
 
 vehicle = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
 
@@ -54,18 +54,14 @@ def check(
         str | None,
         typer.Option("--reference", metavar="NAME|FILE", help="Check this mission too; exit code 1 if it cannot be."),
     ] = None,
-    fence: Annotated[
-        str | None, typer.Option("--fence", metavar="FILE", help="Zones of the mission: fence.toml or GeoJSON.")
-    ] = None,
+    fence: FenceFile = None,
     current: Annotated[
         float, typer.Option("--current", metavar="V", help="Speed of the water, from any side (m/s).", min=0, max=5)
     ] = 0.0,
     bottom_m: Annotated[
         float | None, typer.Option("--bottom-m", metavar="D", help="Depth of the bottom (m).", min=0, max=11_000)
     ] = None,
-    settings: Annotated[
-        str | None, typer.Option("--settings", metavar="FILE", help="Settings of the controller, for its depth limits.")
-    ] = None,
+    settings: ControllerSettings = None,
     as_json: Json = False,
 ) -> None:
     """Print performance, suitable horizon and weights, and warnings about implausible values. Warnings exit with 0.
@@ -95,7 +91,7 @@ def check(
             None if fence is None else Fence.load(fence),
             current_mps=current,
             bottom_m=bottom_m,
-            limits=None if settings is None else ControllerConfig.load(settings).limits,
+            limits=None if settings is None else ControllerConfig.load(str(settings)).limits,
         )
         result = replace(result, mission=mission)
     typer.echo(_json(result) if as_json else vehicle_check.table(result))

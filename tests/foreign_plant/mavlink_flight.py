@@ -98,6 +98,8 @@ class MavlinkFlight(Flight):
             self.station.signing.secret_key, self.station.signing.sign_outgoing = key, True
             self.station.signing.timestamp = self.autopilot.mav.signing.timestamp = 10**13
         self.station_beats = True
+        self.rejection = ""
+        """Reason with which the controller rejects each command of the edge; empty: it accepts them."""
         self.frames = {"to edge": 0, "to autopilot": 0}
         self._faults = faults or Faults()
         self._rng = random.Random(1)
@@ -143,8 +145,14 @@ class MavlinkFlight(Flight):
                 self._receive("estimate", self.sender, fields)
             else:
                 self.outputs.append(output)
-                answer = {"command_id": output.command_id, "accepted": True, "authority": Authority.DISARMED, "why": ""}
-                self._take(self.edge.take(Acknowledgement(t_ns=0, **answer), self.host_us))
+                answer = Acknowledgement(
+                    t_ns=0,
+                    command_id=output.command_id,
+                    accepted=not self.rejection,
+                    authority=Authority.DISARMED,
+                    why=self.rejection,
+                )
+                self._take(self.edge.take(answer, self.host_us))
 
     def _step(self) -> None:
         while self._under_way and self._under_way[0][0] <= self.host_us:

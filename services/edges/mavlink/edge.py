@@ -70,6 +70,7 @@ class MavlinkEdge(Edge):
         self._asked_us = -SECOND_US
         self._why = ""
         self._reported = (0, 0)  # restarts and resets
+        self._problem = ""  # of mission or fence, not reported yet
 
     @property
     def waiting_for(self) -> str:
@@ -97,6 +98,12 @@ class MavlinkEdge(Edge):
             return handle(message, frame.now_us)
         return ()
 
+    def refuse(self, reason: str) -> None:
+        """Count a refused frame; a refused mission or fence is also reported to the ground station."""
+        super().refuse(reason)
+        if reason.startswith(("mission", "fence")):
+            self._problem = reason
+
     def take(self, message: Message, now_us: int) -> Iterable[Output]:
         """Take a plan, a status or a reply of the controller."""
         super().take(message, now_us)
@@ -104,8 +111,7 @@ class MavlinkEdge(Edge):
             case Acknowledgement():
                 name = self._mission.acknowledged(message.command_id)
                 if name and not message.accepted:
-                    self.refuse(f"{name}: the controller rejects it: {message.why}")
-                    return [self._text(WARNING, f"{name} rejected: {message.why}")]
+                    self.refuse(f"{name} rejected: {message.why}")
             case ControllerStatus(error_m=float() as error_m):
                 boot_ms = (self.clock.read(now_us) or 0) // MS & 0xFFFFFFFF
                 return [self._send(self._codec.make.named_value_float_encode(boot_ms, b"mpc_err", error_m))]
@@ -175,6 +181,9 @@ class MavlinkEdge(Edge):
             else:
                 yield self._text(WARNING, f"EKF reset, {counted[1]} so far")
             self._reported = counted
+        if self._problem:
+            yield self._text(WARNING, self._problem)
+            self._problem = ""
 
     @property
     def _target(self) -> tuple[int, int]:

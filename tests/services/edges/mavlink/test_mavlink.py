@@ -451,6 +451,24 @@ def test_the_fence_of_the_autopilot_is_kept_and_its_end_removes_it() -> None:
     assert removed.fence_toml == ""
 
 
+def test_a_refused_mission_or_fence_is_a_text_for_the_ground_station() -> None:
+    flight = MavlinkFlight()
+    flight.fly(3.0)
+    flight.autopilot.lists[0] = [item(0, 16), item(1, 16, frame=1)]
+    flight.autopilot.lists[1] = polygon(5001)[:3]
+    flight.fly(12.0)
+    expected = [
+        "LTV-MPC: mission: frame 1 of item 1 must be global",
+        "LTV-MPC: fence: the last polygon has 3 of 4 vertic",  # a text has 50 characters
+    ]
+    assert sorted(text for text in flight.autopilot.log if "item" in text or "polygon" in text) == sorted(expected)
+    flight.rejection = "too fast"
+    flight.autopilot.lists[0] = [item(0, 16), item(1, 16)]
+    flight.fly(12.0)
+    assert flight.autopilot.log[-1] == "LTV-MPC: mission rejected: too fast"
+    assert flight.edge.refused == 3
+
+
 # --- frames ----------------------------------------------------------------------------------------------------------
 
 

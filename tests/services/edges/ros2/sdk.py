@@ -17,6 +17,7 @@ DEFINITIONS = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
     "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
     "std_msgs/msg/Float64": "float64 data",
+    "std_msgs/msg/String": "string data",
     "geometry_msgs/msg/Point": "float64 x\nfloat64 y\nfloat64 z",
     "geometry_msgs/msg/Vector3": "float64 x\nfloat64 y\nfloat64 z",
     "geometry_msgs/msg/Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1",
@@ -120,8 +121,8 @@ def say(**fields: Any) -> None:
     sys.stdout.flush()
 
 
-def main(port: int, domain: int) -> None:
-    """List the topics, publish odometry, echo what the edge publishes, and call its services."""
+def main(port: int, domain: int, fence: str) -> None:
+    """List the topics, publish odometry and a fence, echo what the edge publishes, and call its services."""
     from zenoh_ros2_sdk import get_service_names_and_types, get_topic_info, get_topic_names_and_types
 
     with tempfile.TemporaryDirectory() as folder:
@@ -145,6 +146,7 @@ def main(port: int, domain: int) -> None:
 
         threading.Thread(target=publish, daemon=True).start()
         pushed = threading.Event()
+        fences = node.publisher("/fence", "std_msgs/msg/String")
 
         def on_thrust(message: Any) -> None:
             say(thrust=message.data)
@@ -170,8 +172,9 @@ def main(port: int, domain: int) -> None:
             while response is None or "no estimate" in response.message or "no reply" in response.message:
                 response = node.call(service, f"std_srvs/srv/{kind}", **fields)
             say(service=service, success=bool(response.success), message=response.message)
-        stopped.wait()
+        while not stopped.wait(0.5):
+            fences.publish(data=fence)  # the first message on a key can be lost
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]))
+    main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3])

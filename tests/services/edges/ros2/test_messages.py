@@ -181,7 +181,7 @@ def test_a_fence_comes_as_geojson_and_an_empty_text_removes_it() -> None:
     fence = config.parse(config.loads(command.fence_toml), Fence, source="fence")
     assert (fence.margin_m, len(fence.keep_in)) == (2.0, 1)
     list(edge.take(acknowledged(command, accepted=False, why="the vehicle has no hull"), 0))
-    assert edge.reason == "fence: the controller rejects it: the vehicle has no hull"
+    assert edge.reason == "fence rejected: the vehicle has no hull"
     (command,) = of("")
     assert (command.action, command.fence_toml) == (Action.FENCE, "")
     assert edge.refused == 1

@@ -11,18 +11,20 @@ from typing import Any
 import pytest
 import zenoh
 
-from ltv_mpc.messages import Estimate
+from ltv_mpc.messages import Estimate, FenceInForce
 from services.bus import certificates
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.roles import ROLES, access_control
 from services.bus.session import configuration, open_session
-from services.bus.topics import BY_TYPE
+from services.bus.topics import BY_TYPE, expression
+from services.bus.wire import decode
 from services.edges.edge import Refused
 from services.edges.ros2.cdr import type_hash
 from services.edges.ros2.middleware import Attachment, RmwZenoh, dds_type, gid_of
 from services.edges.ros2.topics import BY_NAME, IN, OUT, SERVICE, TABLE
 from services.runtime.stopping import StopRequest
+from tests.fuzz.targets import SQUARE_FENCE
 from tests.services.edges.ros2.sdk import DEFINITIONS, TRIGGER_HASH
 from tests.services.edges.ros2.test_ros2 import odometry
 from tests.system.alone import CLI, controller, started
@@ -96,9 +98,17 @@ def test_a_node_by_another_sdk_lists_echoes_publishes_and_calls(free_port: int, 
         started(*CLI, "ros2", "--middleware", "rmw_zenoh", "--domain-id", "5", "--connect", endpoint) as (_, edge),
     ):
         edge.until(lambda line: "writes" in line)  # every topic and service is declared
-        sdk = (sys.executable, "-P", "-m", "tests.services.edges.ros2.sdk", str(free_port), "5")
-        with started(*sdk) as (_, node):
+        sdk = (sys.executable, "-P", "-m", "tests.services.edges.ros2.sdk", str(free_port), "5", SQUARE_FENCE)
+        fences = Mailbox()
+        with (
+            open_session(BusOptions(connect=(endpoint,)), stop=StopRequest(), say=print) as bus,
+            started(*sdk) as (_, node),
+        ):
+            bus.subscribe(expression(BY_TYPE[FenceInForce]), BY_TYPE[FenceInForce], fences)
             node.until(until_stopped, within_s=200.0)
+            frame = fences.take(60.0)
+            assert frame is not None, "no fence in force"
+            assert [zone.keep_in for zone in decode(FenceInForce, frame.payload)[0].zones] == [True]
     found = {name: value for line in said for name, value in line.items()}
     used = [row for row in TABLE if row.name != "thrusts"]
     assert found["topics"] == {row.topic: [row.ros_type] for row in used if row.direction in (IN, OUT)}
