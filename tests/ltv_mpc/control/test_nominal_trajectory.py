@@ -1,0 +1,70 @@
+"""Choice of the trajectory that a cycle linearises along, where a zone lies in the way of one of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ltv_mpc import Vehicle
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.fence_rows import NO_PATH, Scene, fence_cost
+from ltv_mpc.control.fencing import NO_ZONES
+from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.nominal_trajectory import PREVIOUS_PLAN, STEERED_AHEAD, choose_nominal
+from ltv_mpc.control.problem_data import pack_constants, unpack_constants
+from ltv_mpc.control.resolution import settled
+from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.geofence.zones import pack_zones
+from ltv_mpc.messages import Array
+from tests.ltv_mpc.geofence.shapes import disc
+
+WEAK = Vehicle.load("weak-reverse")
+CONFIG = settled(ControllerConfig(), WEAK)
+N = CONFIG.stages
+
+
+def scene(*discs: tuple[float, float]) -> Scene:
+    """Return a scene with discs of 1 m around these places."""
+    zones = tuple(disc(*place, 1.0) for place in discs)
+    return Scene(
+        zones=pack_zones(Fence(margin_m=0.0, keep_out_disc=zones)) if zones else NO_ZONES,
+        need=np.full(len(discs), 0.5),
+        exits=np.zeros((len(discs), 4)),
+        discs=np.empty((0, 7)),
+        disc_need_m=np.zeros(1),
+        stage_s=0.3,
+        path=NO_PATH,
+        targets=np.zeros(N, dtype=np.int64),
+        path_reach=0,
+        half_width_m=0.0,
+    )
+
+
+def chosen(of: Scene) -> tuple[int, Array, float]:
+    """Return which trajectory is chosen, its states, and its cost for the zones.
+
+    The vehicle holds its place 8 m east of the target, full astern in a current to the east. To come nearer it has to
+    turn round, and the current carries it away to the east meanwhile.
+    """
+    packed = pack_constants(WEAK, CONFIG.weights, CONFIG.knots, 0.3)
+    lin, target = Linearisation.empty(N), np.zeros((N + 1, 3))
+    lin.C[:] = 0.0, 0.25
+    objective = unpack_constants(packed).objective
+    astern = objective.low
+    start = np.array([0.0, 8.0, -0.25, 0.0, math.pi / 2, 0.0, *astern, *astern])
+    kind = choose_nominal(packed, start, target, np.tile(astern, (N + 1, 1)), 0.0, lin.flat, of)
+    return kind, lin.X.copy(), fence_cost(lin.X, of, objective)
+
+
+def test_what_follows_the_horizon_counts_only_for_a_way_free_of_zones() -> None:
+    """The turn costs more within the horizon than to stay, and pays off after it; but not through a zone."""
+    kind, turn, _ = chosen(scene())
+    assert kind == STEERED_AHEAD
+    east_m = turn[:, 1].max()
+    for k in (4 * N // 5, N - 1):
+        kind, stay, clearances = chosen(scene((turn[k, 0], turn[k, 1])))
+        assert kind == PREVIOUS_PLAN
+        assert clearances == 0.0
+        assert stay[:, 1].max() < east_m - 1.0
+    assert chosen(scene((0.0, east_m + 10.0)))[0] == STEERED_AHEAD
