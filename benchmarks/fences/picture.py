@@ -1,0 +1,119 @@
+"""Picture of a harbour with a pier, a wreck and a buoy: the path, the way that the vehicle takes, and one plan.
+
+    .venv/bin/python -m benchmarks.fences.picture [--out FILE]
+
+The vehicle ``paper`` follows examples/references/harbour.toml with the fence examples/fences/harbour.toml, in a current
+of 0.1 m/s towards the south-east that the controller knows. It begins at rest on the first waypoint, and moves as the
+model predicts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from matplotlib.figure import Figure
+
+from ltv_mpc import references
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.nominal_model import advance
+from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.geofence.zones import clearances, pack_zones
+from ltv_mpc.messages import Array, CurrentProfile, Estimate, FenceInForce, Plan
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.reporting.figures import renderer, sheet
+from services.reporting.plots import catalogue, fence
+
+ROOT = Path(__file__).resolve().parents[2]
+REFERENCE, FENCE = ROOT / "examples/references/harbour.toml", ROOT / "examples/fences/harbour.toml"
+OUT = ROOT / "docs/figures/fences.png"
+WATER_MPS = 0.1 * math.sqrt(0.5), -0.1 * math.sqrt(0.5)
+"""Current to the east and to the north."""
+
+CYCLE_S = 0.3
+MAX_CYCLES = 3000
+SHOWN = {"reference": "path", "track": "vehicle", "horizon": "one plan", "zones": "", "kept_free": "", "bounding": ""}
+"""Tables of the view from above that are shown, with another label for some of their series."""
+
+
+class Flown(NamedTuple):
+    """One lap of the harbour."""
+
+    track: Array  # (K, 2) positions at the cycles (m)
+    fence: FenceInForce
+    shown: Plan  # the first plan that the wreck bounds
+    least_m: float  # least clearance of the hull
+    skipped_m: float  # length of the path that is left out
+
+
+def fly() -> Flown:
+    """Fly one lap."""
+    vehicle, zones = Vehicle.load("paper"), Fence.load(str(FENCE))
+    assert vehicle.hull is not None
+    controller = Controller(vehicle, references.load(str(REFERENCE)))
+    controller.set_fence(zones)
+    at, east, north = np.array([0.0, 1.0]), np.full(2, WATER_MPS[0]), np.full(2, WATER_MPS[1])
+    estimate = msgspec.structs.replace(
+        Estimate.at_rest(),
+        velocity_north_mps=WATER_MPS[1],
+        velocity_east_mps=WATER_MPS[0],
+        current=CurrentProfile(depth_m=at, north_mps=north, east_mps=east),
+    )
+    track, shown, plan = [], None, controller.plan(estimate)
+    while len(track) < MAX_CYCLES and (plan.progress or 0.0) < 1.0:
+        plan = controller.plan(estimate)
+        track.append((estimate.north_m, estimate.east_m))
+        if shown is None and plan.fence is not None and any("wreck" in label for label in plan.fence.active):
+            shown = plan
+        estimate = advance(vehicle, estimate, plan, duration_s=CYCLE_S)
+    assert shown is not None, "no plan is bounded by the wreck"
+    assert plan.fence is not None
+    least_m = float(clearances(pack_zones(zones), np.array(track)).min()) - vehicle.hull.radius_m
+    return Flown(np.array(track), controller.fence_in_force(0), shown, least_m, plan.fence.skipped_m)
+
+
+def draw(flown: Flown, out: Path) -> None:
+    """Draw the picture as PNG or SVG.
+
+    Parameters
+    ----------
+    flown : one lap.
+    out : the file.
+    """
+    path = references.load(str(REFERENCE)).path().points  # type: ignore[union-attr]
+    lines = {"reference": path, "track": flown.track, "horizon": flown.shown.states[:, :2]}
+    tables = {
+        name: {"north_m": points[:, 0].tolist(), "east_m": points[:, 1].tolist()} for name, points in lines.items()
+    }
+    tables |= fence.tables(flown.fence, flown.shown)
+    series = tuple(
+        msgspec.structs.replace(one, label=SHOWN[one.table] or one.label)
+        for one in catalogue.TRACK.series
+        if one.table in SHOWN
+    )
+    with sheet.style(page=True):
+        picture = Figure(figsize=(sheet.PAGE_IN, 6.2), layout="constrained")
+        plot = msgspec.structs.replace(catalogue.TRACK, series=series)
+        renderer.draw(picture.add_subplot(), plot, [renderer.Run("harbour", tables)], title="Harbour from above")
+        sheet.write(picture, [out])
+
+
+def main() -> None:
+    """Fly, draw, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=OUT, help="the picture, PNG or SVG")
+    options = parser.parse_args()
+    flown = fly()
+    draw(flown, options.out)
+    print(
+        f"{options.out}: {len(flown.track) * CYCLE_S:.0f} s, least clearance of the hull {flown.least_m:.2f} m, "
+        f"{flown.skipped_m:.1f} m of the path left out"
+    )
+
+
+if __name__ == "__main__":
+    main()
