@@ -203,6 +203,35 @@ def test_the_cost_of_the_corridor_is_its_excess() -> None:
     assert extra == pytest.approx(2.0 * CORRIDOR_PENALTY * np.maximum(across - 0.2, 0.0).sum() / o.state_scale[0])
 
 
+def along_a_corridor(seed: int) -> tuple[Linearisation, Array]:
+    """Return a problem whose target is off the middle of a narrow corridor, which leads past the walls."""
+    free, target = motion(seed, N)
+    lin = Linearisation.from_arrays(*free[:-2], np.empty((N, ROWS + CORRIDOR_ROWS, 4)))
+    way = target[N - 1] - lin.X[0, :2]
+    angle = np.arctan2(way[1], way[0]) + (0.4 if seed % 2 else -0.4)
+    path = lin.X[0, :2] + np.outer(np.arange(-1.0, 6.0), [np.cos(angle), np.sin(angle)])
+    of = scene(path=path, path_reach=8, half_width_m=0.05)
+    fill_rows(pack_constants(PAPER, form().weights, equidistant(N), 0.3), lin.flat, N, of)
+    return lin, target
+
+
+@pytest.mark.parametrize("solver", SOLVER_NAMES)
+def test_every_solver_keeps_to_a_corridor_as_an_independent_one(solver: str) -> None:
+    of, active = form(), 0
+    for seed in range(8):
+        lin, target = along_a_corridor(seed)
+        made: Solver = make(PAPER, settings(solver))
+        made.build(lin, target)
+        made.update()
+        commands, solve = made.solve()
+        best = of.commands(lin, precise(of.build(lin, target)))
+        assert solve.status is SolveStatus.SOLVED, solve.why
+        np.testing.assert_allclose(commands, best, atol=0.1)
+        without = Linearisation.from_arrays(*lin[:-2], lin.rows[:, :ROWS])
+        active += bool(np.abs(best - of.commands(lin, precise(of.build(without, target)))).max() > 1.0)
+    assert active >= 4
+
+
 def test_without_a_path_the_rows_of_the_corridor_bound_nothing() -> None:
     lin, _ = filled(scene(), 0, ROWS + CORRIDOR_ROWS)
     np.testing.assert_array_equal(lin.rows[:, ROWS:, :2], 0.0)
