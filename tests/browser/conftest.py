@@ -39,7 +39,7 @@ def executable() -> str | None:
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     path = executable()
     missing = "" if path else f"no browser: none of {', '.join(NAMES)} is on PATH"
@@ -57,7 +57,7 @@ def browser() -> Iterator[Any]:
         opened.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def reports(browser: object, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:  # noqa: ARG001  (skips first)
     """Return the reports of a 10 s run in lock step and of that run compared with another."""
     folder = tmp_path_factory.mktemp("runs")
@@ -69,7 +69,7 @@ def reports(browser: object, tmp_path_factory: pytest.TempPathFactory) -> tuple[
     return folder / "ten" / "report.html", both / "report.html"
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def live(browser: object) -> Iterator[Served]:  # noqa: ARG001  (skips first)
     with served(loopback.free_port()) as made:
         yield made

@@ -49,7 +49,7 @@ CUT_OFF = """() => [...document.querySelectorAll("body *")]
 """Words of which a part is not shown."""
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def axe() -> str:
     if not AXE.is_file():
         missing = "no axe-core: run npm ci --prefix tests/browser"
