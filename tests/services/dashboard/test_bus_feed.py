@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import cast
 
@@ -12,7 +11,7 @@ from services.bus.outbox import Outbox
 from services.bus.session import FrameReceiver, Session
 from services.bus.topics import BY_TYPE, Topic, key_of
 from services.dashboard.bus_feed import BusFeed
-from tests.services.dashboard.synthetic_vehicle import status
+from tests.services.dashboard.synthetic_vehicle import status, until
 
 
 class Bus:
@@ -24,9 +23,9 @@ class Bus:
     def subscribe(self, _key: str, topic: Topic | None, receiver: FrameReceiver) -> None:
         self._receivers.append((topic, receiver))
 
-    def ask(self, _key: str, _receive: object, complete: Callable[[], None], *, timeout_s: float) -> None:
+    def ask(self, _key: str, _query: bytes, *, timeout_s: float) -> None:
+        """Return no reply: there is no recorder."""
         assert timeout_s > 0
-        complete()
 
     def publisher(self, key: str) -> SimpleNamespace:
         def put(payload: bytes) -> None:
@@ -46,6 +45,11 @@ def test_no_heartbeat_goes_out_before_a_process_of_the_run_is_known() -> None:
     feed.beat()
     assert not len(heartbeats)
     Outbox(bus, node="recorder", epoch=1, kinds=(NodeStatus,)).publish(status("recorder", t_ns=0))
-    feed.update()
+    until(lambda: has_processes(feed))
     feed.beat()
     assert len(heartbeats) == 1
+
+
+def has_processes(feed: BusFeed) -> bool:
+    feed.update()
+    return bool(feed.status().processes)
