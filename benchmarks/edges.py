@@ -407,7 +407,8 @@ def main() -> int:
     for connection in options.connections or CONNECTIONS:
         with tempfile.TemporaryDirectory() as folder:
             rows.append(measure(connection, Path(folder)))
-        print(text(rows[-1:]), flush=True)  # a later failure does not lose it
+        new = text(rows).splitlines()[0 if len(rows) == 1 else -1 :]
+        print("\n".join(new), flush=True)  # a later failure does not lose it
     return 0 if all(row.progress >= COMPLETE for row in rows) else 1
 
 
