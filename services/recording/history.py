@@ -13,8 +13,9 @@ from __future__ import annotations
 import threading
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from heapq import merge
+from itertools import islice, repeat
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -110,11 +111,11 @@ class History:
         return pack({"messages": part, "next": None})
 
     def _from(self, first: int) -> Iterator[tuple[str, _Entry]]:
-        kept = [(key, list(events)) for (key, _), events in self._events.items()]
-        kept += [(key, samples.kept) for (key, _), samples in self._samples.items()]
         number = attrgetter("number")
-        later = [[(key, entry) for entry in all_[bisect_left(all_, first, key=number) :]] for key, all_ in kept]
-        return merge(*later, key=lambda each: each[1].number)
+        kept: list[tuple[str, Sequence[_Entry]]] = [(key, events) for (key, _), events in self._events.items()]
+        kept += [(key, samples.kept) for (key, _), samples in self._samples.items()]
+        later = [zip(repeat(key), islice(of, bisect_left(of, first, key=number), None)) for key, of in kept]
+        return merge(*later, key=lambda pair: pair[1].number)
 
 
 def query_of(first: int) -> bytes:
