@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import Enum
 from typing import Any
 
 LESS_TRACKING_ERROR = "--set controller.effort=high"
@@ -10,9 +11,6 @@ LESS_TRACKING_ERROR = "--set controller.effort=high"
 
 OFTEN_SATURATED = 0.1
 """Share of the time at a thrust limit above which the thrusters bound the tracking error."""
-
-
-TRACKING_CAUSE = "Most of this is tracking:"
 
 
 def assessment(summary: Mapping[str, Any]) -> list[str]:
@@ -24,29 +22,51 @@ def assessment(summary: Mapping[str, Any]) -> list[str]:
     return [sentence for sentence in sentences if sentence]
 
 
+def next_option(summary: Mapping[str, Any]) -> str | None:
+    """Return the option that the sentence about the error proposes; None if it proposes none."""
+    return LESS_TRACKING_ERROR if _cause(summary) is _Cause.TRACKING else None
+
+
+class _Cause(Enum):
+    """Larger part of the error of the vehicle, with the end of its sentence."""
+
+    DRIFT = "drift of the estimate: better sensors or more fixes reduce it, more thrust does not."
+    SATURATION = "tracking, which the thrust limits bound."
+    NO_THRUST = "tracking, because the lateral thrusts were zero."
+    TRACKING = f"tracking: a longer horizon or `{LESS_TRACKING_ERROR}` reduces it."
+
+
+def _cause(summary: Mapping[str, Any]) -> _Cause | None:
+    """Return the larger part of the error, the controller's or the estimator's; None if the truth is not known."""
+    tracking, true, localisation = _errors_m(summary)
+    if tracking is None or true is None or localisation is None:
+        return None
+    if localisation > tracking:
+        return _Cause.DRIFT
+    if (_figure(summary, "thrust", "saturated_fraction") or 0.0) > OFTEN_SATURATED:
+        return _Cause.SATURATION
+    return _Cause.NO_THRUST if _figure(summary, "thrust", "mean_abs_N") == 0.0 else _Cause.TRACKING
+
+
 def _error(summary: Mapping[str, Any]) -> str:
-    """Name the error and the part that is larger: the controller's or the estimator's."""
+    """Name the error and the part that is larger."""
+    (tracking, true, _), cause = _errors_m(summary), _cause(summary)
+    if tracking is None:
+        return ""
+    if cause is None:
+        return f"The estimate stayed {tracking:.3f} m from the reference on average."
+    sentence = f"The vehicle was {true:.3f} m from the reference on average. Most of this is {cause.value}"
+    if cause is _Cause.DRIFT:
+        return f"The controller held the estimate within {tracking:.3f} m of the reference on average. {sentence}"
+    return sentence
+
+
+def _errors_m(summary: Mapping[str, Any]) -> tuple[float | None, float | None, float | None]:
+    """Return the mean errors of tracking, of the vehicle and of the estimate (m)."""
     tracking, true, localisation = (
         _figure(summary, f"{error}_error_m", "mean") for error in ("tracking", "true", "localisation")
     )
-    if tracking is None:
-        return ""
-    if true is None or localisation is None:
-        return f"The estimate stayed {tracking:.3f} m from the reference on average."
-    start = f"The vehicle was {true:.3f} m from the reference on average. "
-    if localisation > tracking:
-        cause = "Most of this is drift of the estimate: better sensors or more fixes reduce it, more thrust does not."
-        return f"The controller held the estimate within {tracking:.3f} m of the reference on average. {start}{cause}"
-    if (_figure(summary, "thrust", "saturated_fraction") or 0.0) > OFTEN_SATURATED:
-        return start + "Most of this is tracking, which the thrust limits bound."
-    if _figure(summary, "thrust", "mean_abs_N") == 0.0:
-        return start + "Most of this is tracking, because the lateral thrusts were zero."
-    return f"{start}{TRACKING_CAUSE} a longer horizon or `{LESS_TRACKING_ERROR}` reduces it."
-
-
-def next_option(summary: Mapping[str, Any]) -> str | None:
-    """Return the option that the sentence about the error proposes; None if it proposes none."""
-    return LESS_TRACKING_ERROR if TRACKING_CAUSE in _error(summary) else None
+    return tracking, true, localisation
 
 
 def _fence(summary: Mapping[str, Any]) -> str:
