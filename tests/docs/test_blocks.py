@@ -44,7 +44,10 @@ UNTIL_STOPPED = "a process that runs until it is stopped; tests/system, tests/se
 MINUTES = "takes minutes; a short one is run by"
 ELSEWHERE = "needs another host, or somebody else's program"
 NOT_RUN = (
-    (r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|inject|ros2|mavlink|dashboard)\b", UNTIL_STOPPED),
+    (
+        r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|inject|ros2|mavlink|dashboard|watch)\b",
+        UNTIL_STOPPED,
+    ),
     (r"ltv-mpc ctl\b", "needs a running controller; tests/services/cli/test_ctl.py has one"),
     (r"ltv-mpc faults\b", f"{MINUTES} tests/services/faults"),
     (r"ltv-mpc dive plan\b", f"{MINUTES} tests/services/tools/dive_plan"),
@@ -62,7 +65,7 @@ NOT_RUN = (
         r"python3 -m venv|pip install|\. \S+/activate|git clone|cd ",
         "makes environments; `make package` does it for real",
     ),
-    (r"dask |zenoh-bridge-ros2dds |scp |sudo ", ELSEWHERE),
+    (r"dask |zenoh-bridge-ros2dds |scp |sudo |systemctl ", ELSEWHERE),
 )
 
 ONCE = r"ltv-mpc (replay latest$|report latest$|doctor|log info latest$|log export latest --format perfetto)"
