@@ -129,11 +129,13 @@ def _fields(kind: type[msgspec.Struct]) -> tuple[Sequence[str], list[Sequence[st
 
 
 def default(field: struct.Field) -> str:
-    """Return the text of a field's default; empty for required fields, and for tables, whose own fields have theirs."""
+    """Return the text of a field's default: ``required`` without one, ``none`` if it may be left out."""
     value = field.default
-    if field.required or value is msgspec.NODEFAULT or isinstance(value, msgspec.Struct):
-        return ""
-    return "" if value is None or value == "" else literal(str(value).lower() if isinstance(value, bool) else value)
+    if field.required:
+        return "required"
+    if value is msgspec.NODEFAULT or isinstance(value, msgspec.Struct):
+        return "of its fields"
+    return "none" if value is None or value == "" else literal(str(value).lower() if isinstance(value, bool) else value)
 
 
 def comments(kind: type) -> dict[str, str]:
