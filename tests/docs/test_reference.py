@@ -144,6 +144,7 @@ def test_the_first_use_of_a_term_links_to_the_glossary(monkeypatch: pytest.Monke
 
 WITHOUT_EXAMPLE = {
     *("references", "Reference", "of_plan"),  # a module, a union of types, a method shown in a sentence
+    *("HealthState", "PlanVerdict", "Thruster"),  # what the methods beside them return
     *("Applied", "CycleTiming"),  # made in the examples of the methods that take them
 }
 """Entries of the page of Python names that have no example of their own."""
