@@ -71,13 +71,16 @@ def text(lines: Iterable[str]) -> list[str]:
 def section(paragraph: str) -> list[str]:
     """Return a numpydoc section (Parameters, Returns, Raises) as its title and a list.
 
-    An entry is ``name : description`` on one line, or a name with an indented description; further lines are indented.
+    An entry is ``name : description``, or a sentence; further lines are indented.
     """
     title, _, *lines = paragraph.splitlines()
     made = [f"**{title}**", ""]
     for entry in re.split(r"\n(?! )", "\n".join(lines)):
         first, _, further = entry.partition("\n")
         name, _, description = first.partition(" : ")
+        if " : " not in first:  # of Returns: a sentence, not a name
+            made.append(f"* {escaped(' '.join(entry.split()))}")
+            continue
         description = f"{description} {further}"
         made.append(f"* {literal(name.strip())}: {escaped(' '.join(description.split()))}")
     return [*made, ""]
@@ -110,7 +113,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 def _fields(kind: type[msgspec.Struct]) -> tuple[Sequence[str], list[Sequence[str]]]:
     """Of a message what the protocol says of it; of settings bounds, default and the comment in the source."""
-    if issubclass(kind, Message):
+    if issubclass(kind, Message) or kind.__module__ == Message.__module__:
         return ("field", "type", "unit, bounds", ""), [
             (
                 literal(name),
@@ -129,11 +132,13 @@ def _fields(kind: type[msgspec.Struct]) -> tuple[Sequence[str], list[Sequence[st
 
 
 def default(field: struct.Field) -> str:
-    """Return the text of a field's default; empty for required fields, and for tables, whose own fields have theirs."""
+    """Return the text of a field's default: ``required`` without one, ``none`` if it may be left out."""
     value = field.default
-    if field.required or value is msgspec.NODEFAULT or isinstance(value, msgspec.Struct):
-        return ""
-    return "" if value is None or value == "" else literal(str(value).lower() if isinstance(value, bool) else value)
+    if field.required:
+        return "required"
+    if value is msgspec.NODEFAULT or isinstance(value, msgspec.Struct):
+        return "of its fields"
+    return "none" if value is None or value == "" else literal(str(value).lower() if isinstance(value, bool) else value)
 
 
 def comments(kind: type) -> dict[str, str]:

@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 PAGE = "glossary"
-MADE_FROM_CODE = ("options", "python", "changes")
-"""Pages without links: each of their entries stands alone."""
+WITHOUT_LINKS = ("options", "python", "changes", "contributing")
+"""Pages without links: those made from the code, and one whose words (plan, node) often mean something else."""
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -24,7 +24,7 @@ def _link(app: Sphinx, page: nodes.document, name: str) -> None:
     """Replace the first use of each term in the paragraphs of a page by a link."""
     from docutils import nodes
 
-    if name == PAGE or name in MADE_FROM_CODE:
+    if name == PAGE or name in WITHOUT_LINKS:
         return
     left: dict[str, str] = {}
     for section in app.env.get_doctree(PAGE).findall(nodes.section):

@@ -149,7 +149,7 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the controller."""
 
-    horizon_s: Annotated[float, Meta(ge=0.3, le=120)] | None = None  # None: as `vehicle check` proposes, resolution.py
+    horizon_s: Annotated[float, Meta(ge=0.3, le=120)] | None = None  # None: what `ltv-mpc vehicle check` proposes
     effort: Effort = "normal"  # which default weights of thrust: scaling.py
     max_stages: Annotated[int, Meta(ge=2, le=400)] = 34  # a longer horizon has growing stages: shooting_grid.py
     period_s: Annotated[float, Meta(ge=0.02, le=60)] = 0.3

@@ -288,7 +288,7 @@ class Controller:
 
         Returns
         -------
-        The plan. ``origin`` and ``why`` are as at the head of this file.
+        The plan; its ``origin`` names where the thrusts come from, and ``why`` gives the reason if it is not solved.
         """
         now_ns = estimate.t_ns if t_ns is None else t_ns
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 import msgspec
 import numpy as np
@@ -23,6 +24,7 @@ from services.runtime.clock import monotonic_us
 from services.runtime.console import Console
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
+from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stopping import Say, StopRequest
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
@@ -40,11 +42,14 @@ def main(config: Config) -> int:
     """Run the estimator until it is stopped; return the exit code."""
     sensor_config, settings = SensorConfig.load(config.sensors), config.settings
     prior = load_prior(settings)
+    SERVICE_MANAGER.connect(os.environ)
+    SERVICE_MANAGER.status("compiling")
     warm_up(sensor_config, settings)
+    SERVICE_MANAGER.status("waiting for the router")
     published = node_settings(Estimator.name, estimator_files(config.sensors, settings))
 
     def make(request: StopRequest, say: Say) -> Runner:
-        node = Estimator(sensor_config, settings, prior, progress=lambda: SUPERVISOR_LINK.beat(monotonic_us()))
+        node = Estimator(sensor_config, settings, prior, progress=_beat)
         if published is None:
             say(TOO_LARGE)
         runner = Runner(node, stop=request, say=say)
@@ -52,6 +57,13 @@ def main(config: Config) -> int:
         return runner
 
     return serve(Console(Estimator.name, as_json=config.log_json), config.bus, make)
+
+
+def _beat() -> None:
+    """Report a sign of life during a long computation."""
+    now_us = monotonic_us()
+    SUPERVISOR_LINK.beat(now_us)
+    SERVICE_MANAGER.beat(now_us)
 
 
 def warm_up(sensor_config: SensorConfig, config: EstimatorConfig) -> None:

@@ -23,7 +23,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from ltv_mpc.messages import ControllerStatus
+from ltv_mpc.messages import ControllerStatus, LocalisationReport, SensorStatus
 from services.reporting.plots.collector import Collector
 from services.supervisor.screen import LiveView, Screen
 
@@ -93,6 +93,7 @@ class LiveScreen:
             _progress(view),
             Text(),
             *_motion(view, self._collector),
+            Text(f"filter  {_filter(view.localisation)}", no_wrap=True, overflow="ellipsis"),
             Text(),
             *_thrusts(view, self._limits),
             Text(),
@@ -179,6 +180,8 @@ def line(view: LiveView, collector: Collector) -> str:
         words.append(f"estimate from the reference {view.controller.error_m:.3f} m")
     if collector.true_error_m is not None:
         words.append(f"vehicle from the reference {_metres(collector.true_error_m)}{_since(collector)}")
+    if view.localisation is not None:
+        words.append(f"filter {_filter(view.localisation)}")
     if view.applied is not None:
         words.append("thrust " + " ".join(f"{x:.0f}" for x in view.applied.thrust_N) + " N")
     if view.timing is not None:
@@ -244,6 +247,15 @@ def _control(controller: ControllerStatus | None) -> str:
     why = f" ({controller.health_why})" if controller.health_why else ""
     progress = "" if controller.progress is None else f"   progress {100 * controller.progress:.0f} %"
     return f"{controller.authority}   {controller.health}{why}{progress}"
+
+
+def _filter(report: LocalisationReport | None) -> str:
+    """Return the status of the localisation filter, its reason, and the sensors that are not ok."""
+    if report is None:
+        return "-"
+    wrong = [f"{one.sensor} {one.status}" for one in report.sensors if one.status is not SensorStatus.OK]
+    why = f" ({report.why})" if report.why else ""
+    return "   ".join([f"{report.status}{why}", *wrong])
 
 
 def _thrusts(view: LiveView, limits: Limits) -> list[Text]:

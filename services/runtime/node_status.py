@@ -53,7 +53,7 @@ class WaitingFor:
         clock: VehicleClock,
         inputs: Iterable[type[Message]],
         *,
-        clock_source: str = "the clock of `ltv-mpc plant`",
+        clock_source: str = "a `clock` message, which `ltv-mpc plant` sends in a simulation",
         node_waits: Callable[[], str] | None = None,
     ) -> None:
         """``clock_source`` names what the process waits for while it has no time.

@@ -30,7 +30,11 @@ class PublicationTime:
     def __init__(self, *, start_ns: int | None, say: Say) -> None:
         self.clock = VehicleClock()
         self.beside_vehicle = start_ns is None
-        self.clock_source = "an estimate, or a clock" if start_ns is None else "the clock of `ltv-mpc plant`"
+        self.clock_source = (
+            "an estimate, or a clock"
+            if start_ns is None
+            else "a `clock` message, which `ltv-mpc plant` sends in a simulation"
+        )
         """What the process waits for while no clock is followed."""
         self._start_ns = start_ns
         self._sync = ClockSync(self.clock, epoch=0)  # a recorder publishes no plans

@@ -126,7 +126,9 @@ class Runner:
         waiting = WaitingFor(
             time.clock,
             ports.inputs(node),
-            clock_source="an estimate, or a clock" if time.sync else "the clock of `ltv-mpc plant`",
+            clock_source="an estimate, or a clock"
+            if time.sync
+            else "a `clock` message, which `ltv-mpc plant` sends in a simulation",
             node_waits=(lambda: node.waiting_for) if isinstance(node, WaitingNode) else None,
         )
         status = NodeStatusReporter(

@@ -16,6 +16,7 @@ from ltv_mpc.messages import (
     Estimate,
     EstimatorState,
     Kill,
+    LocalisationReport,
     Message,
     NodeStatus,
     Plan,
@@ -33,7 +34,9 @@ from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 S = TypeVar("S", bound=Message)
 STATUS = BY_TYPE[NodeStatus].key
 
-DISPLAYED: tuple[type[Message], ...] = (Truth, Estimate, Plan, Applied, ControllerStatus, CycleTiming, Clock)
+DISPLAYED: tuple[type[Message], ...] = (
+    *(Truth, Estimate, LocalisationReport, Plan, Applied, ControllerStatus, CycleTiming, Clock),
+)
 RESTORED: tuple[type[Message], ...] = (ControllerState, EstimatorState)
 PLAN_HISTORY = 32
 """Plans that are kept, 10 s of them: one of them is in force at the actuators."""

@@ -6,7 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from ltv_mpc.messages import Applied, ControllerStatus, CycleTiming, Estimate, NodeStatus, Plan, Truth
+from ltv_mpc.messages import (
+    Applied,
+    ControllerStatus,
+    CycleTiming,
+    Estimate,
+    LocalisationReport,
+    NodeStatus,
+    Plan,
+    Truth,
+)
 from services.bus.options import BusOptions
 
 
@@ -23,6 +32,7 @@ class LiveView:
     phase: str  # starting, afloat, diving, paused, stopping; empty without a clock message
     truth: Truth | None = None
     estimate: Estimate | None = None
+    localisation: LocalisationReport | None = None  # of this project's estimator
     plan: Plan | None = None
     applied: Applied | None = None
     controller: ControllerStatus | None = None

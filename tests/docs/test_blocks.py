@@ -44,7 +44,10 @@ UNTIL_STOPPED = "a process that runs until it is stopped; tests/system, tests/se
 MINUTES = "takes minutes; a short one is run by"
 ELSEWHERE = "needs another host, or somebody else's program"
 NOT_RUN = (
-    (r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|inject|ros2|mavlink|dashboard)\b", UNTIL_STOPPED),
+    (
+        r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|inject|ros2|mavlink|dashboard|watch)\b",
+        UNTIL_STOPPED,
+    ),
     (r"ltv-mpc ctl\b", "needs a running controller; tests/services/cli/test_ctl.py has one"),
     (r"ltv-mpc faults\b", f"{MINUTES} tests/services/faults"),
     (r"ltv-mpc dive plan\b", f"{MINUTES} tests/services/tools/dive_plan"),
@@ -59,10 +62,10 @@ NOT_RUN = (
     (r"python3? \S*publisher\.py", f"{UNTIL_STOPPED}: tests/examples"),
     (r"\.venv/bin/pytest tests/", "the tests themselves"),
     (
-        r"python3 -m venv|pip install|\. \S+/activate|git clone|cd ",
+        r"python3 -m venv|pip install|\. \S+/activate|git (?:clone|worktree)|cd ",
         "makes environments; `make package` does it for real",
     ),
-    (r"dask |zenoh-bridge-ros2dds |scp |sudo ", ELSEWHERE),
+    (r"dask |zenoh-bridge-ros2dds |scp |sudo |systemctl ", ELSEWHERE),
 )
 
 ONCE = r"ltv-mpc (replay latest$|report latest$|doctor|log info latest$|log export latest --format perfetto)"
@@ -291,3 +294,33 @@ def benchmark(module: str, words: list[str], place: str) -> None:
     for word in words:
         if word.startswith("--"):
             assert word.partition("=")[0] in known, f"{place}: {module} has no {word}"
+
+
+# --- the files that the pages name -----------------------------------------------------------------------------------
+
+FOLDERS = "benchmarks|docs|examples|ltv_mpc|services|sim|tests"
+NAMED = re.compile(rf"`(?:\.venv/bin/)?(?:python -m )?((?:(?:benchmarks|tests)\.|(?:{FOLDERS})/)[\w./-]+)")
+OLD_VERSION = re.compile(r"[^`]*`,? of version [0-9a-f]{8}\b")
+"""Place of a file that is not in this version, after its name."""
+
+
+def absent(text: str) -> list[str]:
+    """Return the files and modules that a text names and that neither this version has nor a version is named for."""
+    found = []
+    for named in NAMED.finditer(text):
+        name = named[1].rstrip("./")
+        path = ROOT / (name if "/" in name else name.replace(".", "/"))
+        candidates = (path, path.with_name(f"{path.name}.py"), path.parent.with_name(f"{path.parent.name}.py"))
+        if not any(each.exists() for each in candidates) and not OLD_VERSION.match(text, named.end()):
+            found.append(name)
+    return found
+
+
+@pytest.mark.parametrize("page", NAMES)
+def test_every_file_that_a_page_names_exists_or_has_its_version(page: str) -> None:
+    assert absent("\n".join(line for _, line in prose(page))) == []
+
+
+def test_a_command_whose_file_is_gone_is_noticed() -> None:
+    assert absent("`python -m benchmarks.gone --seeds 3` and `tests/gone.py`") == ["benchmarks.gone", "tests/gone.py"]
+    assert absent("`benchmarks/gone.py --seeds 3` of version 650b3753, `python -m benchmarks.loop`") == []

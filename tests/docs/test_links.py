@@ -15,7 +15,8 @@ PAGES_OF_THE_SITE = {name.removeprefix("docs/").removesuffix(".md") for name in 
 def test_every_page_stands_once_in_the_navigation() -> None:
     listed = [
         line
-        for block in blocks("docs/index.md")
+        for page in ("docs/index.md", "docs/notes.md")
+        for block in blocks(page)
         if block.language == "{toctree}"
         for line in block.text.split()
         if not line.startswith(":") and line in PAGES_OF_THE_SITE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import importlib
 import re
 import sys
@@ -12,11 +13,11 @@ import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from ltv_mpc import settings_schema
+from ltv_mpc import references, settings_schema
 from services.bus.topics import TOPICS
 from services.cli.app import app
 from sim.scenario import Scenario
-from tests.docs.pages import ROOT
+from tests.docs.pages import ROOT, blocks
 
 
 def extension(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
@@ -139,3 +140,38 @@ def test_the_first_use_of_a_term_links_to_the_glossary(monkeypatch: pytest.Monke
     assert [part for part in parts if part[1]] == [("Knots", "knot"), ("slew limit", "slew-limit")]
     assert "".join(text for text, _ in parts) == "Knots obey the slew limit; a Knot, a node-like box."
     assert left == {"node": "node"}
+
+
+WITHOUT_EXAMPLE = {
+    *("references", "Reference", "of_plan"),  # a module, a union of types, a method shown in a sentence
+    *("HealthState", "PlanVerdict", "Thruster"),  # what the methods beside them return
+    *("Applied", "CycleTiming"),  # made in the examples of the methods that take them
+}
+"""Entries of the page of Python names that have no example of their own."""
+
+
+def python_names() -> str:
+    (block,) = (block for block in blocks("docs/python.md") if block.language == "{eval-rst}")
+    return block.text
+
+
+def test_the_examples_of_the_python_names_give_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    page = doctest.DocTestParser().get_doctest(python_names(), {}, "docs/python.md", None, 0)
+    lines: list[str] = []
+    result = doctest.DocTestRunner(verbose=False).run(page, out=lines.append)
+    assert result.failed == 0, "".join(lines)
+    assert result.attempted >= 60
+
+
+def test_every_python_name_has_an_example() -> None:
+    entries = re.split(r"^ *\.\. auto\w+:: ", python_names(), flags=re.MULTILINE)[1:]
+    names = {entry.split("\n")[0].split(".")[-1]: entry for entry in entries}
+    assert set(references.__all__) <= set(names)
+    of_classes = {name for name, entry in names.items() if re.search(r"\n\n   >>> ", entry)}
+    without = {name for name, entry in names.items() if ">>>" not in entry} - WITHOUT_EXAMPLE
+    # A class whose methods follow has its example there.
+    assert {name for name in without if name[0].islower()} == set()
+    assert without <= {"Vehicle", "ReferencePoint", "PlanGate", "Estimate", "Plan", "Fence"}
+    assert of_classes

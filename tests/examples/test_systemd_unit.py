@@ -1,4 +1,4 @@
-"""Units of systemd for controller and router: systemd accepts them, and their commands are known to the program."""
+"""Units of systemd: systemd accepts them, and their commands and options are known to the program."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.core import TyperGroup
@@ -15,8 +16,10 @@ from typer.main import get_command
 
 from services.cli.app import app
 
-UNIT = Path(__file__).parents[2] / "examples" / "systemd" / "ltv-mpc-controller.service"
-ROUTER = UNIT.with_name("ltv-mpc-router.service")
+FOLDER = Path(__file__).parents[2] / "examples" / "systemd"
+UNIT = FOLDER / "ltv-mpc-controller.service"
+UNITS = sorted(FOLDER.glob("*.service"))
+PAGE = FOLDER.parents[1] / "docs" / "boat.md"
 PROGRAM = "/opt/ltv-mpc/bin/ltv-mpc"
 
 
@@ -31,7 +34,7 @@ def verified(text: str, folder: Path) -> str:
     return f"{answer.stdout}{answer.stderr}" or f"exit code {answer.returncode}" * bool(answer.returncode)
 
 
-@pytest.mark.parametrize("unit", [UNIT, ROUTER])
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
 def test_systemd_has_nothing_to_say_about_it(unit: Path, tmp_path: Path) -> None:
     assert verified(unit.read_text(), tmp_path) == ""
 
@@ -40,21 +43,60 @@ def test_systemd_notices_a_misspelt_setting(tmp_path: Path) -> None:
     assert "WatchdogSecs" in verified(UNIT.read_text().replace("WatchdogSec=", "WatchdogSecs="), tmp_path)
 
 
-def test_its_command_resumes_armed_from_the_folder_that_systemd_keeps() -> None:
-    parser = configparser.ConfigParser(interpolation=None)
-    parser.read(UNIT)
-    service = parser["Service"]
-    program, command, *words = service["ExecStart"].split()
+def service_of(unit: Path) -> dict[str, str]:
+    parser = configparser.ConfigParser(interpolation=None, strict=False)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser.read(unit)
+    return dict(parser["Service"])
+
+
+def options() -> dict[str, str]:
+    """Return the lines of the options file, as if none were a comment."""
+    text = (FOLDER / "options.env").read_text()
+    return dict(re.findall(r"^#?([A-Z_]+)=(.*)$", text, re.MULTILINE))
+
+
+def parameters(unit: Path, given: dict[str, str]) -> dict[str, Any]:
+    """Return the parameters of a unit's command, with these variables in its environment."""
+    words = [
+        part
+        for word in service_of(unit)["ExecStart"].split()
+        for part in (given.get(word[1:], "").split() if word.startswith("$") else [word])
+    ]
+    program, command, *arguments = words
     assert program == PROGRAM
     group = get_command(app)
     assert isinstance(group, TyperGroup)
-    given = group.commands[command].make_context(command, words).params
+    return group.commands[command].make_context(command, arguments).params
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+def test_its_command_exists_with_the_options_of_the_file_and_without(unit: Path) -> None:
+    assert parameters(unit, {})["certs"] is None
+    assert parameters(unit, options())["certs"] == Path("/etc/ltv-mpc/certs")
+
+
+def test_every_option_of_the_file_is_used_by_a_unit() -> None:
+    used = {word[1:] for unit in UNITS for word in service_of(unit)["ExecStart"].split() if word.startswith("$")}
+    assert set(options()) == used
+
+
+def test_the_files_that_the_units_name_are_those_that_the_page_copies() -> None:
+    named = {path for unit in UNITS for path in re.findall(r"/etc/ltv-mpc/(\w+\.\w+)", unit.read_text())}
+    page = PAGE.read_text()
+    assert {name for name in named if name in page} == named
+    assert {unit.stem for unit in UNITS if f"examples/systemd/{unit.name}" in page} == {unit.stem for unit in UNITS}
+
+
+def test_the_controller_resumes_armed_from_the_folder_that_systemd_keeps() -> None:
+    given = parameters(UNIT, options())
     assert (given["vehicle"], given["reference"]) == ("/etc/ltv-mpc/vehicle.toml", "/etc/ltv-mpc/mission.toml")
-    assert (given["state"], given["resume_armed"]) == (Path("%S") / service["StateDirectory"], True)
+    assert (given["settings"], given["fence"]) == (Path("/etc/ltv-mpc/controller.toml"), "/etc/ltv-mpc/fence.toml")
+    assert (given["state"], given["resume_armed"]) == (Path("%S") / service_of(UNIT)["StateDirectory"], True)
 
 
-def test_each_setting_has_its_reason_on_the_page_of_hosts() -> None:
-    page = (UNIT.parents[2] / "docs" / "hosts.md").read_text()
+def test_each_setting_has_its_reason_on_the_page() -> None:
+    page = PAGE.read_text()
     for name in re.findall(r"^(\w+)=", UNIT.read_text().partition("[Service]")[2], re.MULTILINE):
-        if name not in ("ExecStart", "StateDirectory", "Environment", "DynamicUser", "WantedBy"):
+        if name not in ("ExecStart", "StateDirectory", "Environment", "User", "WantedBy"):
             assert f"`{name}" in page, name

@@ -452,7 +452,7 @@ def build_qp(
 
     Returns
     -------
-    The QP in scaled deviations from X and U, ordered as at the head of this file.
+    The QP in scaled deviations from X and U; the head of ``ltv_mpc/control/qp/sparse.py`` lists its rows and columns.
     """
     stage_s = STAGE_NS * 1e-9
     lin = linearise(X, U, current, stage_s, vehicle.coefficients())

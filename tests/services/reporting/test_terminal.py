@@ -19,10 +19,14 @@ from ltv_mpc.messages import (
     CurrentProfile,
     CycleTiming,
     Estimate,
+    FilterStatus,
     Health,
+    LocalisationReport,
     NodeStatus,
     Plan,
     PlanOrigin,
+    SensorReport,
+    SensorStatus,
     Solve,
     SolveStatus,
     Truth,
@@ -96,6 +100,17 @@ CONTROLLER = msgspec.structs.replace(
     error_m=0.021,
     progress=0.62,
 )
+LOCALISATION = LocalisationReport(
+    t_ns=123 * S,
+    status=FilterStatus.INCONSISTENT,
+    why="adcp: more than half of its measurements fail the gate",
+    restarts=0,
+    water_walk_mps_per_rts=0.0,
+    sensors=tuple(
+        SensorReport(sensor=name, status=status, used=0, rejected={}, nis=None, last_t_ns=None)
+        for name, status in (("adcp", SensorStatus.REJECTED), ("gnss", SensorStatus.OK), ("lbl", SensorStatus.SILENT))
+    ),
+)
 FULL = LiveView(
     t_ns=123 * S,
     start_ns=-1 * S,
@@ -106,6 +121,7 @@ FULL = LiveView(
     phase="diving",
     truth=TRUTH,
     estimate=ESTIMATE,
+    localisation=LOCALISATION,
     plan=PLAN,
     applied=APPLIED,
     controller=CONTROLLER,
@@ -146,6 +162,15 @@ def test_the_screen_says_what_the_messages_hold() -> None:
     assert "late 123456" in text
     for name in (*ORDER, "port", "starboard", "vertical", "solve"):
         assert name in text
+
+
+def test_the_status_of_the_filter_and_of_bad_sensors_are_on_the_screen() -> None:
+    (line,) = (text for text in drawn(FULL) if text.startswith("filter"))
+    assert line.startswith("filter  inconsistent (adcp: more than half of its measurements fail the gate)")
+    quiet = msgspec.structs.replace(LOCALISATION, status=FilterStatus.NOMINAL, why="")
+    view = dataclasses.replace(FULL, localisation=quiet)
+    assert "filter  nominal   adcp rejected   lbl silent" in drawn(view)
+    assert "filter  -" in drawn(EMPTY)
 
 
 def test_a_vehicle_without_truth_and_known_limits_has_no_bars_and_no_end() -> None:

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from services.bus.options import BusOptions
+from services.bus.session import open_session
 from services.runtime.service_manager import ServiceManager
+from services.runtime.stopping import StopRequest
+from services.supervisor import loopback
+
+PATIENCE_S = 240.0
 
 
 @pytest.fixture(params=["path", "abstract"])
@@ -94,3 +103,26 @@ def test_a_manager_that_does_not_read_blocks_no_process(manager: tuple[socket.so
         process.beat(now_us)
     assert 0 < len(received(receiver)) < 2000
     process.stopping()
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("manager", ["path"], indirect=True)
+def test_an_estimator_reports_ready_and_notifies_the_watchdog(manager: tuple[socket.socket, str]) -> None:
+    """Its unit has ``Type=notify`` and a watchdog: without these systemd would end it at its start."""
+    receiver, address = manager
+    endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
+    line = [sys.executable, "-P", "-m", "services.cli", "estimator", "--connect", endpoint]
+    environment = os.environ | {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "5000000"}
+    with (
+        open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
+        subprocess.Popen(line, env=environment) as estimator,
+    ):
+        try:
+            receiver.settimeout(PATIENCE_S)
+            texts, until = [], time.monotonic() + PATIENCE_S
+            while "WATCHDOG=1" not in texts:
+                assert time.monotonic() < until
+                texts.append(receiver.recv(4096).decode())
+        finally:
+            estimator.terminate()
+    assert [text for text in texts if not text.startswith("STATUS")] == ["READY=1", "WATCHDOG=1"]
