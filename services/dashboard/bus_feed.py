@@ -160,7 +160,7 @@ class BusFeed:
             source="" if controller is None else controller.source,
             origin="" if plan is None else plan.origin.value,
             why="" if plan is None else plan.why,
-            error_m=None if controller is None else controller.error_m,
+            error_m=self.collector.error_m,
             true_error_m=self.collector.true_error_m,
             depth_m=None if estimate is None else estimate.depth_m,
             heading_rad=None if estimate is None else estimate.heading_rad,

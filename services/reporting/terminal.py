@@ -175,8 +175,8 @@ def line(view: LiveView, collector: Collector) -> str:
     words = [f"t {_seconds(view.t_ns)} s{end}", view.phase]
     if view.estimate is not None and view.estimate.depth_m is not None:
         words.append(f"depth {view.estimate.depth_m:.1f} m")
-    if view.controller is not None and view.controller.error_m is not None:
-        words.append(f"estimate from the reference {view.controller.error_m:.3f} m")
+    if collector.error_m is not None:
+        words.append(f"estimate from the reference {_metres(collector.error_m)}")
     if collector.true_error_m is not None:
         words.append(f"vehicle from the reference {_metres(collector.true_error_m)}{_since(collector)}")
     if view.applied is not None:
@@ -229,7 +229,7 @@ def _motion(view: LiveView, collector: Collector) -> list[Text]:
         at = (estimate.depth_m or 0.0, current.depth_m)
         current_mps = math.hypot(np.interp(*at, current.north_mps), np.interp(*at, current.east_mps))
         words += f"   current {current_mps:.3f} m/s"
-    error = f"estimate from the reference {_metres(None if controller is None else controller.error_m)}"
+    error = f"estimate from the reference {_metres(collector.error_m)}"
     if view.truth is not None:
         error += f"   vehicle from the reference {_metres(collector.true_error_m)}"
         if "since_s" in collector.values:  # the screen joined the run late; 80 columns

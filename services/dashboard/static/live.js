@@ -9,6 +9,7 @@
   const MAX_MOMENTS = 600; // states to look back at; with twice as many, every second one is dropped
   const SPEEDS = [0.5, 1, 2, 5, 10, 20];
   const MAX_AGE_S = { estimate: 0.5, plan: 1.0, actuators: 1.0 }; // vehicle seconds
+  const SHOWN_AFTER_S = 0.15; // wall time from a message to its text here: the period of the stream, and the way
   const RESTARTED = ["estimator", "controller", "recorder"]; // a run continues without them for a short time
 
   const { element } = Plots;
@@ -262,7 +263,7 @@
 
   function ages(now) {
     return Object.entries(now.ages_s).map(([name, age]) => {
-      const late = age !== null && MAX_AGE_S[name] !== undefined && age > MAX_AGE_S[name];
+      const late = age !== null && MAX_AGE_S[name] !== undefined && age > MAX_AGE_S[name] + SHOWN_AFTER_S * now.speed;
       return element("span", `${name} ${age === null ? "–" : `${age.toFixed(2)} s`}`, late ? "late" : "");
     });
   }

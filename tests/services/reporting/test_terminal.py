@@ -136,7 +136,7 @@ def test_the_screen_fits_80_by_24(view: LiveView) -> None:
 def test_the_screen_says_what_the_messages_hold() -> None:
     text = "\n".join(drawn(FULL))
     assert "1234.50 m" in text  # depth
-    assert "estimate from the reference 0.021 m" in text
+    assert "estimate from the reference 4.500 m" in text
     assert "vehicle 4.500 m since t = 122.8 s" in text  # of the estimate, since it is the first that was received
     assert "control controller   degraded (the estimates are too old)   progress 62 %" in text
     assert "270 deg" in text
