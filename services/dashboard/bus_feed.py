@@ -37,6 +37,7 @@ from services.bus.wire import Header, WireError, decode
 from services.dashboard.late_joining import HistoryQuery
 from services.reporting.plots.collector import Collector
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
+from services.supervisor.screen import in_order
 
 S = TypeVar("S", bound=Message)
 
@@ -218,7 +219,7 @@ class BusFeed:
                 dropped=status.dropped,
                 rejected=status.rejected,
             )
-            for name, (status, came_s) in self._processes.items()
+            for name, (status, came_s) in in_order(self._processes)
         )
 
 

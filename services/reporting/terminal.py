@@ -25,7 +25,7 @@ from rich.text import Text
 
 from ltv_mpc.messages import ControllerStatus
 from services.reporting.plots.collector import Collector
-from services.supervisor.screen import LiveView, Screen
+from services.supervisor.screen import LiveView, Screen, in_order
 
 Limits = Sequence[tuple[float, float]]
 """Minimum and maximum thrust (N) of port, starboard, vertical; empty if they are not known."""
@@ -34,7 +34,6 @@ REDRAW_S = 0.125
 LINE_S = 5.0
 BAR = 31  # width in characters, from full astern to full ahead
 THRUSTERS = ("port", "starboard", "vertical")
-ORDER = ("router", "plant", "sensors", "estimator", "controller", "recorder")
 
 
 def screen_for(title: str, limits: Limits, console: Console | None = None) -> Screen:
@@ -180,7 +179,7 @@ def line(view: LiveView, collector: Collector) -> str:
     if collector.true_error_m is not None:
         words.append(f"vehicle from the reference {_metres(collector.true_error_m)}{_since(collector)}")
     if view.applied is not None:
-        words.append("thrust " + " ".join(f"{x:.0f}" for x in view.applied.thrust_N) + " N")
+        words.append("thrust " + " ".join(f"{x:z.0f}" for x in view.applied.thrust_N) + " N")
     if view.timing is not None:
         words.append(f"cycle {view.timing.compute_wall_ns / 1e6:.1f} ms")
     words.append(f"late {view.applied.plans_late if view.applied else 0}")
@@ -221,7 +220,7 @@ def _motion(view: LiveView, collector: Collector) -> list[Text]:
     """Return where the vehicle is by its estimate, how far from the reference, and who controls it in which health."""
     estimate, controller = view.estimate, view.controller
     if estimate is None:
-        return [Text("motion  -"), Text("error   -"), Text("control -")]
+        return [Text("motion  no estimate yet"), Text("error   -"), Text(f"control {_control(controller)}")]
     depth = "" if estimate.depth_m is None else f"depth {estimate.depth_m:.2f} m   "
     speed_mps = math.hypot(estimate.velocity_north_mps, estimate.velocity_east_mps)
     words = f"{depth}heading {math.degrees(estimate.heading_rad) % 360:.0f} deg   speed {speed_mps:.3f} m/s"
@@ -240,7 +239,7 @@ def _motion(view: LiveView, collector: Collector) -> list[Text]:
 
 def _control(controller: ControllerStatus | None) -> str:
     if controller is None:
-        return "-"
+        return "no status of a controller yet"
     why = f" ({controller.health_why})" if controller.health_why else ""
     progress = "" if controller.progress is None else f"   progress {100 * controller.progress:.0f} %"
     return f"{controller.authority}   {controller.health}{why}{progress}"
@@ -251,7 +250,7 @@ def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
     thrusts_N = (0.0, 0.0, 0.0) if view.applied is None else view.applied.thrust_N
     lines = []
     for i, (name, thrust_N) in enumerate(zip(THRUSTERS, thrusts_N, strict=True)):
-        text, style = f"{name:<10}{thrust_N:8.1f} N", ""
+        text, style = f"{name:<10}{thrust_N:z8.1f} N", ""
         if limits:
             least, most = limits[i]
             text += f"  {bar(thrust_N, least, most)}"
@@ -280,10 +279,9 @@ def _processes(view: LiveView) -> Table:
     table.add_column("state", no_wrap=True, overflow="ellipsis", ratio=1)
     for name in ("steps", "sent", "received", "dropped", "rejected", "us/step"):
         table.add_column(name, justify="right")
-    names = [*(n for n in ORDER if n in view.state or n in view.status)]
-    names += sorted((view.state.keys() | view.status.keys()) - set(names))
-    for name in names:
-        status, state = view.status.get(name), view.state.get(name, "")
+    states = {**dict.fromkeys(view.status, ""), **view.state}
+    for name, state in in_order(states):
+        status = view.status.get(name)
         if status is None:
             table.add_row(name, state, *[""] * 6)
             continue

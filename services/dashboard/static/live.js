@@ -179,9 +179,14 @@
     document.title = `${name} · ltv-mpc`;
   }
 
-  /** "10×", or "3.1× of 10×" on a machine that cannot do more. */
-  const times = ({ speed, requested_speed: asked }) =>
-    (speed === asked ? `${asked}×` : `${Number(speed.toPrecision(3))}× of ${asked}×`);
+  // Return "running at 10×", or "running at 3.1×, 10× requested" on a machine that cannot do more.
+  function clockText(now) {
+    if (now.clock === "own") return "its own";
+    if (finished(now)) return "finished";
+    if (now.clock !== "running") return now.clock;
+    const { speed, requested_speed: asked } = now;
+    return speed === asked ? `running at ${asked}×` : `running at ${Number(speed.toPrecision(3))}×, ${asked}× requested`;
+  }
 
   const figure = (value, digits, unit) => (value === null ? "–" : `${value.toFixed(digits)} ${unit}`);
 
@@ -194,13 +199,13 @@
       ["health", now.health_why ? `${now.health}: ${now.health_why}` : now.health || "–", health],
       ["command authority", now.authority || "–"],
       ["plan", now.why ? `${now.origin}: ${now.why}` : now.origin || "–"],
+      ["time", figure(now.t_s, 1, "s")],
       ["estimate from the reference", figure(now.error_m, 3, "m")],
       ...(now.simulated ? [["vehicle from the reference", figure(now.true_error_m, 3, "m") + since]] : []),
       ["depth", figure(now.depth_m, 1, "m")],
       ["heading", degrees === null ? "–" : `${degrees.toFixed(0)}°`],
-      ["time", figure(now.t_s, 1, "s")],
-      ["clock", now.clock === "own" ? "its own" : `${now.clock}, ${times(now)}`],
-      ["estimates from", now.source || "–"],
+      ["clock", clockText(now)],
+      ...(["", "default"].includes(now.source) ? [] : [["estimates from", now.source]]),
       ...(now.progress === null ? [] : [["progress", `${(100 * now.progress).toFixed(0)} %`]]),
     ];
     byId("figures").replaceChildren(...entries.map(([name, value, mood]) => {
@@ -208,12 +213,15 @@
       row.append(element("dt", name), element("dd", value, mood));
       return row;
     }));
+    const known = rows.size;
     now.processes.forEach(showProcess);
+    if (rows.size > known) byId("processes").append(...now.processes.map((one) => rows.get(one.name)));
     byId("ages").replaceChildren(element("span", "age of last message:"), ...ages(now));
   }
 
   // Of a simulation: its processes have published their last status.
-  const ended = () => status !== null && status.processes.some((one) => one.name === "plant" && one.state === "finished");
+  const finished = (now) => now.processes.some((one) => one.name === "plant" && one.state === "finished");
+  const ended = () => status !== null && finished(status);
 
   function showEnd() {
     byId("finished").hidden = !ended();
@@ -235,7 +243,6 @@
     row.append(element("td", name), element("td", ""), element("td", "", "number"), element("td", ""),
       document.createElement("td"));
     if (token && RESTARTED.includes(name)) row.lastChild.append(killer(name));
-    byId("processes").append(row);
     rows.set(name, row);
     return row;
   }

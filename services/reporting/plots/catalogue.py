@@ -21,7 +21,7 @@ TRACK = Plot(
     from_start=True,
     group=Group.LINE,
     drifts=True,
-    follow=("hull", "target", "horizon", "current_arrow"),
+    follow=("hull", "target", "horizon", "port_arrow", "starboard_arrow", "current_arrow"),
     note=(
         "The true track is shifted to start at the estimate at t = 0, so the error of the satellite fix is removed. "
         f"An arrow as long as the hull, which is outlined, is the full thrust, or a current of {CURRENT_MPS:g} m/s. "

@@ -27,8 +27,8 @@ from ltv_mpc.messages import (
     SolveStatus,
     Truth,
 )
-from services.reporting.terminal import ORDER, LiveScreen, PlainScreen, bar, run_progress_bar, screen_for
-from services.supervisor.screen import LiveView
+from services.reporting.terminal import LiveScreen, PlainScreen, bar, run_progress_bar, screen_for
+from services.supervisor.screen import ORDER, LiveView
 from tests.services.bus.messages import EXAMPLES
 from tests.services.words import status
 
