@@ -170,7 +170,7 @@ def growth(costs: Sequence[Cost]) -> dict[str, float]:
 
 
 def draw(path: Path, costs: Sequence[Cost], sensors: str) -> None:
-    """Share of a core against cells, both logarithmic."""
+    """Draw the share of a core against the number of cells, both logarithmic."""
     with sheet.style(page=True):
         figure = Figure(figsize=(sheet.PAGE_IN, 4.8), layout="constrained")
         axes = figure.subplots()
@@ -191,7 +191,7 @@ def draw(path: Path, costs: Sequence[Cost], sensors: str) -> None:
         axes.minorticks_off()
         axes.set(xlim=(22, 570), ylim=(0.1, 15))
         axes.set(xlabel="water cells of 1 m in the grid", ylabel="processor time, % of one core at real time")
-        sheet.legend_above(axes, f"cost of localisation, sensors {sensors}")
+        sheet.legend_above(axes, f"Processor time of localisation, sensors {sensors}")
         sheet.write(figure, [path])
 
 
