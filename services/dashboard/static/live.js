@@ -4,7 +4,8 @@
   const AGAIN_MS = 1000; // between two attempts to connect
   const BEAT_MS = 1000; // between two heartbeats of the operator
   const SILENT_MS = 3000; // without a text the page says "no data"
-  const DRAW_MS = 50; // between two plots, with idle time between them
+  const DRAW_MS = 50; // least pause between two plots
+  const PAUSES = 2; // pause after a plot, in times that it took: drawing takes a third of a core at most
   const UNSEEN_ROUNDS = 8; // plots outside the window are drawn in one of so many rounds
   const MAX_MOMENTS = 600; // states to look back at; with twice as many, every second one is dropped
   const SPEEDS = [0.5, 1, 2, 5, 10, 20];
@@ -138,6 +139,7 @@
 
   // Draw one plot at a time, so that the page stays responsive; those outside the window less often.
   function draw() {
+    const began_ms = performance.now();
     const idle = plots.length === 0 || document.hidden || (!dirty && next === 0);
     if (!idle) {
       if (next === 0) {
@@ -156,7 +158,7 @@
         if (!drawn) reportDrawn();
       }
     }
-    setTimeout(draw, DRAW_MS);
+    setTimeout(draw, Math.max(DRAW_MS, drawn ? PAUSES * (performance.now() - began_ms) : 0));
   }
 
   // The clock of a run waits for it.
