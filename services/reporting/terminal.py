@@ -32,6 +32,7 @@ Limits = Sequence[tuple[float, float]]
 
 REDRAW_S = 0.125
 LINE_S = 5.0
+PROGRESS = 12  # width of the bar of the time, in characters
 BAR = 31  # width in characters, from full astern to full ahead
 THRUSTERS = ("port", "starboard", "vertical")
 
@@ -208,10 +209,10 @@ def _progress(view: LiveView) -> Text:
     if view.end_ns is None:
         return Text(f"t {_seconds(view.t_ns):>8} s  {view.phase}", no_wrap=True)
     share = (view.t_ns - view.start_ns) / max(1, view.end_ns - view.start_ns)
-    done = round(30 * min(max(share, 0.0), 1.0))
+    done = round(PROGRESS * min(max(share, 0.0), 1.0))
     return Text(
-        f"t {_seconds(view.t_ns):>8} s of {_seconds(view.end_ns)}  [{'#' * done:<30}]"
-        f"  {times(view.speed, view.requested_speed)}  {view.phase}  {view.wall_s:.0f} s",
+        f"t {_seconds(view.t_ns):>8} s of {_seconds(view.end_ns)}  [{'#' * done:<{PROGRESS}}]"
+        f"  {times(view.speed, view.requested_speed)}  {view.phase}  wall time {view.wall_s:.0f} s",
         no_wrap=True,
     )
 
@@ -263,7 +264,8 @@ def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
 def _ages(view: LiveView) -> list[Text]:
     estimate = "-" if view.estimate is None else f"{_seconds(view.t_ns - view.estimate.t_ns, 2)} s"
     plan = "-" if view.plan is None else f"{_seconds(view.t_ns - view.plan.cycle_t_ns, 2)} s ({view.plan.origin})"
-    lines = [f"age     estimate {estimate}   plan {plan}   late {view.applied.plans_late if view.applied else 0}"]
+    late = view.applied.plans_late if view.applied else 0
+    lines = [f"age     estimate {estimate}   plan {plan}   late plans {late}"]
     if view.timing is None:
         lines.append("cycle   -")
     else:

@@ -143,7 +143,8 @@ def test_the_screen_says_what_the_messages_hold() -> None:
     assert "0.050 m/s" in text
     assert "estimate 0.25 s" in text
     assert "plan 1.00 s (shifted)" in text
-    assert "late 123456" in text
+    assert "late plans 123456" in text
+    assert "diving  wall time 99999 s" in text
     for name in (*ORDER, "port", "starboard", "vertical", "solve"):
         assert name in text
 
