@@ -53,7 +53,10 @@
     if (panels.size > 0) return; // connected again
     plots = text.plots;
     const redraw = () => { dirty = true; };
-    Plots.useColours(text.dark, redraw);
+    Plots.useColours(text.dark, () => {
+      round = UNSEEN_ROUNDS - 1; // the next round draws plots outside the window too
+      redraw();
+    });
     panels = Plots.frames(byId("plots"), plots, { follow: true, onChange: redraw });
     const watch = new IntersectionObserver((entries) => {
       for (const { target, isIntersecting } of entries) seen[isIntersecting ? "add" : "delete"](target);
