@@ -72,22 +72,24 @@ def hover(job: Job) -> Drift:
 
 
 def draw(drifts: dict[str, Drift], path: Path) -> None:
-    """Error over time with 3 sigma, one panel each on one scale."""
+    """Draw the error over time with 3 sigma: a panel for each run, all on one scale."""
     with sheet.style(page=True):
-        figure = Figure(figsize=(10.0, 3.4), layout="constrained")
-        panels = figure.subplots(1, len(drifts), sharey=True)
-        for panel, (name, drift) in zip(panels, drifts.items(), strict=True):
+        figure = Figure(figsize=(sheet.PAGE_IN, 5.0), layout="constrained")
+        panels = figure.subplots(2, 2, sharex=True, sharey=True)
+        for panel, (name, drift) in zip(panels.flat, drifts.items(), strict=True):
             minutes = drift.t_s / 60.0
             band = {"color": palette.ESTIMATE, "alpha": 0.2, "linewidth": 0}
             panel.fill_between(minutes, 0.0, 3.0 * drift.sd_m, **band, label="3 sigma of the filter")
             panel.plot(minutes, drift.error_m, color=palette.ESTIMATE, label="error of the estimate")
-            panel.set_title(f"with {name}" if name != "none" else "no fixes below the surface")
-            panel.set_xlabel("time (min)")
+            panel.set_title(f"With {name}" if name != "none" else "Without fixes below the surface")
             panel.set_yscale("symlog", linthresh=1.0)
             panel.set_ylim(0.0, 60.0)
             panel.set_yticks([0, 0.5, 1, 3, 10, 30], ["0", "0.5", "1", "3", "10", "30"])
-        panels[0].set_ylabel("horizontal error (m)")
-        sheet.shared_legend(figure, panels[0])
+        for panel in panels[:, 0]:
+            panel.set_ylabel("horizontal error (m)")
+        for panel in panels[1]:
+            panel.set_xlabel("time (min)")
+        sheet.shared_legend(figure, panels[0, 0])
         sheet.write(figure, [path])
 
 

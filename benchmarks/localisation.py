@@ -19,7 +19,7 @@ import statistics
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -31,7 +31,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors.sensor import Measurement
+from ltv_mpc.localisation.sensors import BY_MESSAGE
 from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Due
 from services.reporting.figures import sheet
@@ -132,15 +132,15 @@ def of_filter(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
     filter_ = ErrorStateFilter(descent.suite, config, estimator.filter.belief)
     from_ns = filter_.belief.t_ns
     samples: list[ImuSample] = []
-    aiding: list[Measurement] = []
+    aiding: list[Any] = []  # messages of the sensors that correct the filter
     for _, inbox in rest:
         for arrival in inbox:
             signal = arrival.message
             if isinstance(signal, ImuSample):
                 samples.append(signal)
-            elif isinstance(signal, Measurement) and signal.t_ns > from_ns:
+            elif type(signal) in BY_MESSAGE:
                 aiding.append(signal)
-    aiding.sort(key=lambda message: message.t_ns, reverse=True)
+    aiding = sorted((one for one in aiding if one.t_ns > from_ns), key=lambda one: one.t_ns, reverse=True)
     began = time.process_time()
     for sample in samples:
         while aiding and aiding[-1].t_ns <= sample.t_ns:
@@ -170,7 +170,7 @@ def growth(costs: Sequence[Cost]) -> dict[str, float]:
 
 
 def draw(path: Path, costs: Sequence[Cost], sensors: str) -> None:
-    """Share of a core against cells, both logarithmic."""
+    """Draw the share of a core against the number of cells, both logarithmic."""
     with sheet.style(page=True):
         figure = Figure(figsize=(sheet.PAGE_IN, 4.8), layout="constrained")
         axes = figure.subplots()
@@ -191,7 +191,7 @@ def draw(path: Path, costs: Sequence[Cost], sensors: str) -> None:
         axes.minorticks_off()
         axes.set(xlim=(22, 570), ylim=(0.1, 15))
         axes.set(xlabel="water cells of 1 m in the grid", ylabel="processor time, % of one core at real time")
-        sheet.legend_above(axes, f"cost of localisation, sensors {sensors}")
+        sheet.legend_above(axes, f"Processor time of localisation, sensors {sensors}")
         sheet.write(figure, [path])
 
 

@@ -247,7 +247,7 @@ def opened(path: Path | None, asked: Kept) -> Kept:
 
 
 def picture(losses: list[Loss], path: Path) -> None:
-    """Delay of the alarm against the thrust at the time, with the lines of equal cost."""
+    """Draw the delay of the alarm against the thrust at the time, with the lines of equal cost."""
     heard = [loss for loss in losses if loss.delay_s is not None]
     with sheet.style(page=True):
         figure = Figure(figsize=(sheet.PAGE_IN, 4.5), layout="constrained")
@@ -260,13 +260,14 @@ def picture(losses: list[Loss], path: Path) -> None:
         missed = [loss.thrust_N for loss in losses if loss.delay_s is None]
         late = f"none within {LASTS_NS // S} s"
         axes.plot(missed, [LASTS_NS / S] * len(missed), "x", color=palette.LIMIT, markersize=6, label=late)
-        thrust = np.linspace(4.0, 125.0, 200)
+        largest = 10.0 * np.ceil(0.1 * max(loss.thrust_N for loss in losses))
+        thrust = np.linspace(4.0, largest, 200)
         for share, text, dash in ((0.3, "both", "--"), (0.15, "one of two", ":")):
             label = f"{BOUND:g} N s lost, {text}"
             axes.plot(thrust, BOUND / (share * thrust), dash, color=palette.REFERENCE, label=label)
         axes.set(xlabel="|port| + |starboard| until the alarm (N)", ylabel="delay (s)")
-        axes.set(ylim=(0.0, 8.5), xlim=(0.0, 125.0))
-        sheet.legend_above(axes, "delay of the alarm after 30 % of thrust was lost")
+        axes.set(ylim=(0.0, 8.5), xlim=(0.0, largest))
+        sheet.legend_above(axes, "Delay of the alarm after a loss of 30 % of the thrust")
         sheet.write(figure, [path])
 
 

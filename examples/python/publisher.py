@@ -11,12 +11,14 @@ Zenoh and msgpack, nothing else. In place of `move` and `estimate` stand your th
 import json
 import math
 import secrets
+import signal
 import sys
 import time
 
 import msgpack
 import zenoh
 
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a traceback
 PERIOD_S, SLEW_N_PER_S, PLAN_TIMEOUT_NS = 0.1, 100.0, 5_000_000_000
 
 

@@ -37,6 +37,7 @@ from services.bus.wire import Header, WireError, decode
 from services.dashboard.late_joining import HistoryQuery
 from services.reporting.plots.collector import Collector
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
+from services.supervisor.screen import in_order
 
 S = TypeVar("S", bound=Message)
 
@@ -160,7 +161,7 @@ class BusFeed:
             source="" if controller is None else controller.source,
             origin="" if plan is None else plan.origin.value,
             why="" if plan is None else plan.why,
-            error_m=None if controller is None else controller.error_m,
+            error_m=self.collector.error_m,
             true_error_m=self.collector.true_error_m,
             depth_m=None if estimate is None else estimate.depth_m,
             heading_rad=None if estimate is None else estimate.heading_rad,
@@ -218,7 +219,7 @@ class BusFeed:
                 dropped=status.dropped,
                 rejected=status.rejected,
             )
-            for name, (status, came_s) in self._processes.items()
+            for name, (status, came_s) in in_order(self._processes)
         )
 
 

@@ -23,8 +23,13 @@ def assessment(summary: Mapping[str, Any]) -> list[str]:
 
 
 def next_option(summary: Mapping[str, Any]) -> str | None:
-    """Return the option that the sentence about the error proposes; None if it proposes none."""
-    return LESS_TRACKING_ERROR if _cause(summary) is _Cause.TRACKING else None
+    """Return the option that the sentence about the error proposes and the run did not have; None if there is none."""
+    match _cause(summary):
+        case _Cause.TRACKING:
+            return LESS_TRACKING_ERROR
+        case _Cause.TRACKING_WITH_HIGH_EFFORT:
+            return f"--horizon-s {2 * summary['horizon_s']:.0f}"
+    return None
 
 
 class _Cause(Enum):
@@ -34,6 +39,7 @@ class _Cause(Enum):
     SATURATION = "tracking, which the thrust limits bound."
     NO_THRUST = "tracking, because the lateral thrusts were zero."
     TRACKING = f"tracking: a longer horizon or `{LESS_TRACKING_ERROR}` reduces it."
+    TRACKING_WITH_HIGH_EFFORT = "tracking: a longer horizon reduces it."
 
 
 def _cause(summary: Mapping[str, Any]) -> _Cause | None:
@@ -45,7 +51,9 @@ def _cause(summary: Mapping[str, Any]) -> _Cause | None:
         return _Cause.DRIFT
     if (_figure(summary, "thrust", "saturated_fraction") or 0.0) > OFTEN_SATURATED:
         return _Cause.SATURATION
-    return _Cause.NO_THRUST if _figure(summary, "thrust", "mean_abs_N") == 0.0 else _Cause.TRACKING
+    if _figure(summary, "thrust", "mean_abs_N") == 0.0:
+        return _Cause.NO_THRUST
+    return _Cause.TRACKING_WITH_HIGH_EFFORT if summary.get("effort") == "high" else _Cause.TRACKING
 
 
 def _error(summary: Mapping[str, Any]) -> str:

@@ -25,16 +25,16 @@ from rich.text import Text
 
 from ltv_mpc.messages import ControllerStatus, LocalisationReport, SensorStatus
 from services.reporting.plots.collector import Collector
-from services.supervisor.screen import LiveView, Screen
+from services.supervisor.screen import LiveView, Screen, in_order
 
 Limits = Sequence[tuple[float, float]]
 """Minimum and maximum thrust (N) of port, starboard, vertical; empty if they are not known."""
 
 REDRAW_S = 0.125
 LINE_S = 5.0
+PROGRESS = 12  # width of the bar of the time, in characters
 BAR = 31  # width in characters, from full astern to full ahead
 THRUSTERS = ("port", "starboard", "vertical")
-ORDER = ("router", "plant", "sensors", "estimator", "controller", "recorder")
 
 
 def screen_for(title: str, limits: Limits, console: Console | None = None) -> Screen:
@@ -176,14 +176,14 @@ def line(view: LiveView, collector: Collector) -> str:
     words = [f"t {_seconds(view.t_ns)} s{end}", view.phase]
     if view.estimate is not None and view.estimate.depth_m is not None:
         words.append(f"depth {view.estimate.depth_m:.1f} m")
-    if view.controller is not None and view.controller.error_m is not None:
-        words.append(f"estimate from the reference {view.controller.error_m:.3f} m")
+    if collector.error_m is not None:
+        words.append(f"estimate from the reference {_metres(collector.error_m)}")
     if collector.true_error_m is not None:
         words.append(f"vehicle from the reference {_metres(collector.true_error_m)}{_since(collector)}")
     if view.localisation is not None:
         words.append(f"filter {_filter(view.localisation)}")
     if view.applied is not None:
-        words.append("thrust " + " ".join(f"{x:.0f}" for x in view.applied.thrust_N) + " N")
+        words.append("thrust " + " ".join(f"{x:z.0f}" for x in view.applied.thrust_N) + " N")
     if view.timing is not None:
         words.append(f"cycle {view.timing.compute_wall_ns / 1e6:.1f} ms")
     words.append(f"late {view.applied.plans_late if view.applied else 0}")
@@ -212,10 +212,10 @@ def _progress(view: LiveView) -> Text:
     if view.end_ns is None:
         return Text(f"t {_seconds(view.t_ns):>8} s  {view.phase}", no_wrap=True)
     share = (view.t_ns - view.start_ns) / max(1, view.end_ns - view.start_ns)
-    done = round(30 * min(max(share, 0.0), 1.0))
+    done = round(PROGRESS * min(max(share, 0.0), 1.0))
     return Text(
-        f"t {_seconds(view.t_ns):>8} s of {_seconds(view.end_ns)}  [{'#' * done:<30}]"
-        f"  {times(view.speed, view.requested_speed)}  {view.phase}  {view.wall_s:.0f} s",
+        f"t {_seconds(view.t_ns):>8} s of {_seconds(view.end_ns)}  [{'#' * done:<{PROGRESS}}]"
+        f"  {times(view.speed, view.requested_speed)}  {view.phase}  wall time {view.wall_s:.0f} s",
         no_wrap=True,
     )
 
@@ -224,7 +224,7 @@ def _motion(view: LiveView, collector: Collector) -> list[Text]:
     """Return where the vehicle is by its estimate, how far from the reference, and who controls it in which health."""
     estimate, controller = view.estimate, view.controller
     if estimate is None:
-        return [Text("motion  -"), Text("error   -"), Text("control -")]
+        return [Text("motion  no estimate yet"), Text("error   -"), Text(f"control {_control(controller)}")]
     depth = "" if estimate.depth_m is None else f"depth {estimate.depth_m:.2f} m   "
     speed_mps = math.hypot(estimate.velocity_north_mps, estimate.velocity_east_mps)
     words = f"{depth}heading {math.degrees(estimate.heading_rad) % 360:.0f} deg   speed {speed_mps:.3f} m/s"
@@ -232,7 +232,7 @@ def _motion(view: LiveView, collector: Collector) -> list[Text]:
         at = (estimate.depth_m or 0.0, current.depth_m)
         current_mps = math.hypot(np.interp(*at, current.north_mps), np.interp(*at, current.east_mps))
         words += f"   current {current_mps:.3f} m/s"
-    error = f"estimate from the reference {_metres(None if controller is None else controller.error_m)}"
+    error = f"estimate from the reference {_metres(collector.error_m)}"
     if view.truth is not None:
         error += f"   vehicle from the reference {_metres(collector.true_error_m)}"
         if "since_s" in collector.values:  # the screen joined the run late; 80 columns
@@ -243,7 +243,7 @@ def _motion(view: LiveView, collector: Collector) -> list[Text]:
 
 def _control(controller: ControllerStatus | None) -> str:
     if controller is None:
-        return "-"
+        return "no status of a controller yet"
     why = f" ({controller.health_why})" if controller.health_why else ""
     progress = "" if controller.progress is None else f"   progress {100 * controller.progress:.0f} %"
     return f"{controller.authority}   {controller.health}{why}{progress}"
@@ -263,7 +263,7 @@ def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
     thrusts_N = (0.0, 0.0, 0.0) if view.applied is None else view.applied.thrust_N
     lines = []
     for i, (name, thrust_N) in enumerate(zip(THRUSTERS, thrusts_N, strict=True)):
-        text, style = f"{name:<10}{thrust_N:8.1f} N", ""
+        text, style = f"{name:<10}{thrust_N:z8.1f} N", ""
         if limits:
             least, most = limits[i]
             text += f"  {bar(thrust_N, least, most)}"
@@ -276,7 +276,8 @@ def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
 def _ages(view: LiveView) -> list[Text]:
     estimate = "-" if view.estimate is None else f"{_seconds(view.t_ns - view.estimate.t_ns, 2)} s"
     plan = "-" if view.plan is None else f"{_seconds(view.t_ns - view.plan.cycle_t_ns, 2)} s ({view.plan.origin})"
-    lines = [f"age     estimate {estimate}   plan {plan}   late {view.applied.plans_late if view.applied else 0}"]
+    late = view.applied.plans_late if view.applied else 0
+    lines = [f"age     estimate {estimate}   plan {plan}   late plans {late}"]
     if view.timing is None:
         lines.append("cycle   -")
     else:
@@ -292,10 +293,9 @@ def _processes(view: LiveView) -> Table:
     table.add_column("state", no_wrap=True, overflow="ellipsis", ratio=1)
     for name in ("steps", "sent", "received", "dropped", "rejected", "us/step"):
         table.add_column(name, justify="right")
-    names = [*(n for n in ORDER if n in view.state or n in view.status)]
-    names += sorted((view.state.keys() | view.status.keys()) - set(names))
-    for name in names:
-        status, state = view.status.get(name), view.state.get(name, "")
+    states = {**dict.fromkeys(view.status, ""), **view.state}
+    for name, state in in_order(states):
+        status = view.status.get(name)
         if status is None:
             table.add_row(name, state, *[""] * 6)
             continue

@@ -65,6 +65,7 @@ def summarise(
         messages=messages,
         stages=run_config.controller.stages,
         horizon_s=run_config.controller.reach_s,
+        effort=run_config.scenario.controller.effort,
     )
 
 

@@ -127,8 +127,8 @@ class ClockMaster:
             return
         self._reported_us, self._reported_slips, self._reported_speed = now_us, self._source.slips, self._rate.speed
         text = (
-            f"clock slowed {self._source.slips} times, by {self._source.slipped_ns / 1e9:.2f} s of vehicle time in all;"
-            f" now at {float(self._rate.speed):.3g} x real time"
+            f"clock now at {float(self._rate.speed):.3g} x real time, because the machine is too slow; waits so far:"
+            f" {self._source.slips}, {self._source.slipped_ns / 1e9:.2f} s of vehicle time"
         )
         self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="slowed", text=text))
 

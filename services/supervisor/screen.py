@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from ltv_mpc.messages import (
     Applied,
@@ -17,6 +17,17 @@ from ltv_mpc.messages import (
     Truth,
 )
 from services.bus.options import BusOptions
+
+T = TypeVar("T")
+
+ORDER = ("router", "plant", "sensors", "estimator", "controller", "recorder")
+"""Processes of a run in the order of the data; others follow by name."""
+
+
+def in_order(by_process: Mapping[str, T]) -> list[tuple[str, T]]:
+    """Return the items in the order in which screen and page show the processes."""
+    place = {name: i for i, name in enumerate(ORDER)}
+    return sorted(by_process.items(), key=lambda item: (place.get(item[0], len(ORDER)), item[0]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -86,3 +86,4 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     messages: Messages
     stages: int  # N of the horizon
     horizon_s: float  # length of the horizon
+    effort: str  # low, normal or high: the weights of thrust

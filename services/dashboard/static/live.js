@@ -4,11 +4,13 @@
   const AGAIN_MS = 1000; // between two attempts to connect
   const BEAT_MS = 1000; // between two heartbeats of the operator
   const SILENT_MS = 3000; // without a text the page says "no data"
-  const DRAW_MS = 50; // between two plots, with idle time between them
+  const DRAW_MS = 50; // least pause between two plots
+  const PAUSES = 2; // pause after a plot, in times that it took: drawing takes a third of a core at most
   const UNSEEN_ROUNDS = 8; // plots outside the window are drawn in one of so many rounds
   const MAX_MOMENTS = 600; // states to look back at; with twice as many, every second one is dropped
   const SPEEDS = [0.5, 1, 2, 5, 10, 20];
   const MAX_AGE_S = { estimate: 0.5, plan: 1.0, actuators: 1.0 }; // vehicle seconds
+  const SHOWN_AFTER_S = 0.15; // wall time from a message to its text here: the period of the stream, and the way
   const RESTARTED = ["estimator", "controller", "recorder"]; // a run continues without them for a short time
 
   const { element } = Plots;
@@ -51,7 +53,10 @@
     if (panels.size > 0) return; // connected again
     plots = text.plots;
     const redraw = () => { dirty = true; };
-    Plots.useColours(text.dark, redraw);
+    Plots.useColours(text.dark, () => {
+      round = UNSEEN_ROUNDS - 1; // the next round draws plots outside the window too
+      redraw();
+    });
     panels = Plots.frames(byId("plots"), plots, { follow: true, onChange: redraw });
     const watch = new IntersectionObserver((entries) => {
       for (const { target, isIntersecting } of entries) seen[isIntersecting ? "add" : "delete"](target);
@@ -137,6 +142,7 @@
 
   // Draw one plot at a time, so that the page stays responsive; those outside the window less often.
   function draw() {
+    const began_ms = performance.now();
     const idle = plots.length === 0 || document.hidden || (!dirty && next === 0);
     if (!idle) {
       if (next === 0) {
@@ -155,7 +161,7 @@
         if (!drawn) reportDrawn();
       }
     }
-    setTimeout(draw, DRAW_MS);
+    setTimeout(draw, Math.max(DRAW_MS, drawn ? PAUSES * (performance.now() - began_ms) : 0));
   }
 
   // The clock of a run waits for it.
@@ -178,9 +184,14 @@
     document.title = `${name} · ltv-mpc`;
   }
 
-  /** "10×", or "3.1× of 10×" on a machine that cannot do more. */
-  const times = ({ speed, requested_speed: asked }) =>
-    (speed === asked ? `${asked}×` : `${Number(speed.toPrecision(3))}× of ${asked}×`);
+  // Return "running at 10×", or "running at 3.1×, 10× requested" on a machine that cannot do more.
+  function clockText(now) {
+    if (now.clock === "own") return "its own";
+    if (finished(now)) return "finished";
+    if (now.clock !== "running") return now.clock;
+    const { speed, requested_speed: asked } = now;
+    return speed === asked ? `running at ${asked}×` : `running at ${Number(speed.toPrecision(3))}×, ${asked}× requested`;
+  }
 
   const figure = (value, digits, unit) => (value === null ? "–" : `${value.toFixed(digits)} ${unit}`);
 
@@ -193,13 +204,13 @@
       ["health", now.health_why ? `${now.health}: ${now.health_why}` : now.health || "–", health],
       ["command authority", now.authority || "–"],
       ["plan", now.why ? `${now.origin}: ${now.why}` : now.origin || "–"],
+      ["time", figure(now.t_s, 1, "s")],
       ["estimate from the reference", figure(now.error_m, 3, "m")],
       ...(now.simulated ? [["vehicle from the reference", figure(now.true_error_m, 3, "m") + since]] : []),
       ["depth", figure(now.depth_m, 1, "m")],
       ["heading", degrees === null ? "–" : `${degrees.toFixed(0)}°`],
-      ["time", figure(now.t_s, 1, "s")],
-      ["clock", now.clock === "own" ? "its own" : `${now.clock}, ${times(now)}`],
-      ["estimates from", now.source || "–"],
+      ["clock", clockText(now)],
+      ...(["", "default"].includes(now.source) ? [] : [["estimates from", now.source]]),
       ...(now.progress === null ? [] : [["progress", `${(100 * now.progress).toFixed(0)} %`]]),
     ];
     byId("figures").replaceChildren(...entries.map(([name, value, mood]) => {
@@ -207,12 +218,15 @@
       row.append(element("dt", name), element("dd", value, mood));
       return row;
     }));
+    const known = rows.size;
     now.processes.forEach(showProcess);
+    if (rows.size > known) byId("processes").append(...now.processes.map((one) => rows.get(one.name)));
     byId("ages").replaceChildren(element("span", "age of last message:"), ...ages(now));
   }
 
   // Of a simulation: its processes have published their last status.
-  const ended = () => status !== null && status.processes.some((one) => one.name === "plant" && one.state === "finished");
+  const finished = (now) => now.processes.some((one) => one.name === "plant" && one.state === "finished");
+  const ended = () => status !== null && finished(status);
 
   function showEnd() {
     byId("finished").hidden = !ended();
@@ -234,7 +248,6 @@
     row.append(element("td", name), element("td", ""), element("td", "", "number"), element("td", ""),
       document.createElement("td"));
     if (token && RESTARTED.includes(name)) row.lastChild.append(killer(name));
-    byId("processes").append(row);
     rows.set(name, row);
     return row;
   }
@@ -262,7 +275,7 @@
 
   function ages(now) {
     return Object.entries(now.ages_s).map(([name, age]) => {
-      const late = age !== null && MAX_AGE_S[name] !== undefined && age > MAX_AGE_S[name];
+      const late = age !== null && MAX_AGE_S[name] !== undefined && age > MAX_AGE_S[name] + SHOWN_AFTER_S * now.speed;
       return element("span", `${name} ${age === null ? "–" : `${age.toFixed(2)} s`}`, late ? "late" : "");
     });
   }

@@ -217,7 +217,7 @@ def _known(*columns: Array) -> Array:
 
 
 def _limit(axes: Axes, name: str, axis: Axis, shown: Array, margin: float) -> None:
-    """Set the limits of an axis with a margin, at least ``min_span`` apart."""
+    """Set the limits of an axis with a margin, ``min_span`` apart or more; values >= 0 have an axis y from zero."""
     known = shown[np.isfinite(shown) & (shown > 0.0)] if axis.log else shown[np.isfinite(shown)]
     set_limits = axes.set_xlim if name == "x" else axes.set_ylim
     ticks = axes.xaxis if name == "x" else axes.yaxis
@@ -234,5 +234,7 @@ def _limit(axes: Axes, name: str, axis: Axis, shown: Array, margin: float) -> No
     missing = max(0.0, (axis.min_span or 1e-6) - (high - low)) / 2
     extra = missing + margin * (high - low + 2 * missing)
     ends = low - extra, high + extra
+    if name == "y" and low >= 0.0 > ends[0] and not axis.downwards:
+        ends = 0.0, max(ends[1], axis.min_span or 0.0)
     # auto=True: with equal scales on both axes, the axis with more space may extend its limits
     set_limits(*(ends[::-1] if axis.downwards else ends), auto=True)

@@ -21,10 +21,10 @@ TRACK = Plot(
     from_start=True,
     group=Group.LINE,
     drifts=True,
-    follow=("hull", "target", "horizon", "current_arrow"),
+    follow=("hull", "target", "horizon", "port_arrow", "starboard_arrow", "current_arrow"),
     note=(
         "The true track is shifted to start at the estimate at t = 0, so the error of the satellite fix is removed. "
-        f"An arrow as long as the hull is the full thrust, or a current of {CURRENT_MPS:g} m/s. "
+        f"An arrow as long as the hull, which is outlined, is the full thrust, or a current of {CURRENT_MPS:g} m/s. "
         "Kept free: zones of the fence, with margin and hull."
     ),
     series=(
@@ -47,9 +47,9 @@ TRACK = Plot(
             colour=palette.MARK,
             style=Style.DASHED,
         ),
-        Series(label="hull", table="hull", x="east_m", y="north_m", colour=palette.ESTIMATE),
-        Series(label="port thrust", table="port_arrow", x="east_m", y="north_m", colour=palette.PORT),
-        Series(label="starboard thrust", table="starboard_arrow", x="east_m", y="north_m", colour=palette.STARBOARD),
+        Series(label="", table="hull", x="east_m", y="north_m", colour=palette.ESTIMATE),
+        Series(label="port", table="port_arrow", x="east_m", y="north_m", colour=palette.PORT),
+        Series(label="starboard", table="starboard_arrow", x="east_m", y="north_m", colour=palette.STARBOARD),
         Series(label="current", table="current_arrow", x="east_m", y="north_m", colour=palette.CURRENT),
     ),
 )
@@ -219,27 +219,20 @@ NIS_BY_SENSOR = Plot(
     name="nis",
     title="Innovations by sensor (NIS)",
     x=TIME,
-    y=Axis(label="NIS per degree of freedom", log=True),
+    y=Axis(label="deviation of NIS from 1 (sd)", min_span=6.0),
     empty="no report of an estimator",
     note=(
-        "Mean normalised innovation squared: 1 if the filter knows its own uncertainty. The band holds 95 % of such "
-        "means."
+        "Mean normalised innovation squared (NIS) per degree of freedom: 1 if the filter knows its own uncertainty. It "
+        "is shown in standard deviations (sd) of a mean of so many innovations, so that one band holds 95 % of the "
+        "consistent means of every sensor. Above it the filter is too sure of itself, or the sensor is wrong."
     ),
     series=tuple(
-        series
+        Series(label=sensor, table=table, x="t_s", y="deviation", colour=palette.RUNS[i % len(palette.RUNS)])
         for i, (sensor, table) in enumerate(NIS.items())
-        for series in (
-            Series(
-                label="",
-                table=table,
-                x="t_s",
-                y="low",
-                y_high="high",
-                colour=palette.RUNS[i % len(palette.RUNS)],
-                style=Style.BAND,
-            ),
-            Series(label=sensor, table=table, x="t_s", y="nis", colour=palette.RUNS[i % len(palette.RUNS)]),
-        )
+    ),
+    levels=(
+        Level(label="95 % of consistent means", value="nis_low", colour=palette.LIMIT),
+        Level(label="95 % of consistent means", value="nis_high", colour=palette.LIMIT),
     ),
 )
 

@@ -62,14 +62,14 @@ HISTORY = {
     "true_distance": ("t_s", "distance_m"),
     "thrust": ("t_s", "port_N", "starboard_N", "vertical_N"),
     "energy": ("t_s", "all_J", "lateral_J"),
-    **dict.fromkeys(NIS.values(), ("t_s", "nis", "low", "high")),
+    **dict.fromkeys(NIS.values(), ("t_s", "deviation")),
     "true_current": ("depth_m", "north_mps", "east_mps"),
     "latency": ("t_s", "cycle_ms", "deadline_ms"),
 }
 PEAKS = {"latency": "cycle_ms"}
 
-LEAST_NIS = 0.01
-"""Lower end of the band of few innovations, for a logarithmic axis."""
+NIS_BAND = 1.96
+"""Half width of the band that holds 95 % of all consistent means (standard deviations)."""
 
 LATE_S = 1.0
 """Vehicle time of the first estimate (s) after which the data do not begin with the run."""
@@ -117,9 +117,14 @@ class Collector:
         }
 
     @property
+    def error_m(self) -> float | None:
+        """Newest distance of the estimate from the reference; None without one of them."""
+        return self._distances.newest_m.get("distance")
+
+    @property
     def true_error_m(self) -> float | None:
         """Newest distance of the vehicle from the reference; None without a known truth."""
-        return self._distances.true_m
+        return self._distances.newest_m.get("true_distance")
 
     def set_vehicle(self, vehicle: Vehicle | None) -> None:
         """Set the vehicle if none is known yet."""
@@ -211,7 +216,8 @@ class Collector:
         for sensor in report.sensors:
             count = sensor.used + sensor.rejected.get("gate", 0)
             if sensor.nis is not None and count and sensor.sensor in NIS:
-                self.tables[NIS[sensor.sensor]].add(self.seconds(report.t_ns), sensor.nis, *consistent_nis(count))
+                self.tables[NIS[sensor.sensor]].add(self.seconds(report.t_ns), nis_deviation(sensor.nis, count))
+                self.values |= {"nis_low": -NIS_BAND, "nis_high": NIS_BAND}
 
     def _add_fence(self, fence: FenceInForce) -> None:
         self.newest.fence = fence
@@ -226,11 +232,10 @@ class Collector:
         return heading_deg + 360.0 * round((self._heading_deg - heading_deg) / 360.0)
 
 
-def consistent_nis(count: int) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of ``count`` consistent innovations squared, each of one degree of freedom.
+def nis_deviation(nis: float, count: int) -> float:
+    """Return how far a mean of ``count`` innovations squared is from the mean of consistent ones (standard deviations).
 
     Wilson and Hilferty (1931): the cube root of chi-squared / n is nearly normal, mean 1 - 2 / 9n, variance 2 / 9n.
     """
     variance = 2.0 / (9.0 * count)
-    low, high = (1.0 - variance + sign * 1.96 * math.sqrt(variance) for sign in (-1.0, 1.0))
-    return max(low**3, LEAST_NIS), high**3
+    return (math.cbrt(nis) - 1.0 + variance) / math.sqrt(variance)

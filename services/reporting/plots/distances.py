@@ -17,8 +17,8 @@ class Distances:
 
     def __init__(self, tables: dict[str, Table], seconds: Callable[[int], float]) -> None:
         """``seconds`` converts a vehicle time (ns) to the time axis."""
-        self.true_m: float | None = None
-        """Newest distance of the vehicle; None without a known truth."""
+        self.newest_m: dict[str, float] = {}
+        """Newest distance (m), by table; without a known truth there is none of the vehicle."""
         self._tables = tables
         self._seconds = seconds
         self._targets: list[tuple[int, float, float]] = []  # t_ns, north, east of the last two plans
@@ -44,10 +44,8 @@ class Distances:
             if then_ns > t_ns and plan.progress is not None:
                 self._waiting.append((table, then_ns, north, east))
                 continue
-            distance_m = self._distance_m(then_ns, north, east)
-            self._tables[table].add(self._seconds(then_ns), distance_m)
-            if table == "true_distance":
-                self.true_m = distance_m
+            self.newest_m[table] = self._distance_m(then_ns, north, east)
+            self._tables[table].add(self._seconds(then_ns), self.newest_m[table])
 
     def _distance_m(self, t_ns: int, north_m: float, east_m: float) -> float:
         """Return the distance from the reference, interpolated linearly between the targets of two plans."""

@@ -160,7 +160,7 @@ const Plots = (() => {
     return least <= most ? [least, most] : null;
   }
 
-  // Return the range of an axis with a margin, at least min_span long.
+  // Return the range of an axis with a margin, at least min_span long; values that are never negative begin at zero.
   function range(axis, traces, name) {
     const ends = extent(traces, name);
     if (ends === null) return [0, 1];
@@ -169,8 +169,10 @@ const Plots = (() => {
     if (axis.log) return [Math.log10(Math.max(least, 1e-9)) - 0.15, Math.log10(Math.max(most, 1e-9)) + 0.15];
     const lacking = Math.max(0, (axis.min_span || 1e-6) - (most - least)) / 2;
     const margin = (name === "x" && axis.label.startsWith("time") ? 0.01 : 0.05) * (most - least + 2 * lacking);
+    const negative = least < 0 || axis.downwards || name === "x";
     least -= lacking + margin;
     most += lacking + margin;
+    if (!negative && least < 0) [least, most] = [0, Math.max(most, axis.min_span || 0)];
     return axis.downwards ? [most, least] : [least, most];
   }
 

@@ -96,8 +96,8 @@ def draw(of: DivePlan, out: Path) -> None:
     from services.reporting.figures import sheet
 
     with sheet.style(page=True):
-        figure = Figure(figsize=(12.0, 4.2), layout="constrained")
-        over_time, budget, gains = figure.subplots(1, 3, width_ratios=(1.3, 1.0, 1.0))
+        figure = Figure(figsize=(sheet.PAGE_IN, 7.4), layout="constrained")
+        over_time, budget, gains = figure.subplots(3, 1, height_ratios=(1.3, 1.3, 0.8))
         for name, line, colour, dash in zip(_names(of), of.drift_m, cycle(palette.RUNS), cycle(DASHES), strict=False):
             over_time.plot([0.0, *of.t_s], [0.0, *line], label=name, color=colour, linestyle=dash)
         if of.limit_m is not None:
@@ -105,23 +105,24 @@ def draw(of: DivePlan, out: Path) -> None:
         if of.against is not None:
             over_time.plot(of.against.t_s, of.against.drift_m, color=palette.TRUTH, label=f"run, {of.against.kind}")
         over_time.set(xlabel="time (s)", ylabel="standard deviation (m)")
-        sheet.legend_above(over_time, "drift since submergence, one axis")
+        sheet.legend_above(over_time, "Drift since submergence, one axis")
         shares = {name: share for name, share in of.budget.items() if share >= SHOWN_SHARE}
         _bars(budget, {name: 100.0 * share for name, share in shares.items()}, "%.0f")
-        budget.set_title(f"error budget with {_names(of)[0]}")
+        budget.set_title(f"Error budget with {_names(of)[0]}")
         budget.set_xlabel("share of the variance at the end (%)")
         _bars(gains, {"as planned": of.drift_m[0][-1], **of.gains_m}, "%.2f")
-        gains.set_title("drift after one change")
+        gains.set_title("Drift after one change")
         gains.set_xlabel("standard deviation at the end (m)")
         figure.suptitle(f"{of.duration_s:.0f} s to {of.depth_m:.0f} m, sensors {of.sensors}")
         sheet.write(figure, [out])
 
 
 def _bars(panel: Axes, values: Mapping[str, float], label: str) -> None:
-    drawn = panel.barh(list(values), list(values.values()), color=palette.ESTIMATE, height=0.6)
+    drawn = panel.barh(list(values), list(values.values()), color=palette.OTHER, height=0.6)
     panel.bar_label(drawn, fmt=label, padding=3)
     panel.invert_yaxis()
-    panel.margins(x=0.15)
+    panel.margins(x=0.1)
+    panel.grid(visible=False, axis="y")
 
 
 def _names(of: DivePlan) -> list[str]:

@@ -160,24 +160,15 @@ class SyntheticVehicle:
                 self.publish("controller", answer)
 
 
-class Served:
-    """Running page and the vehicle behind it."""
+class Page:
+    """Running page of a bus feed."""
 
-    def __init__(
-        self,
-        vehicle: SyntheticVehicle,
-        feed: BusFeed,
-        token: Token,
-        port: int,
-        server: uvicorn.Server,
-        views: list[View],
-    ) -> None:
-        self.vehicle = vehicle
+    def __init__(self, feed: BusFeed, token: str, port: int, server: uvicorn.Server, views: list[View]) -> None:
         self.views = views
         self.feed = feed
-        self.token = token.text
+        self.token = token
         self.port = port
-        self._server = server
+        self.server = server
 
     @property
     def host(self) -> str:
@@ -189,9 +180,42 @@ class Served:
 
     def cut(self) -> None:
         """Cut every connection, as a network failure does."""
-        for connection in tuple(self._server.server_state.connections):
+        for connection in tuple(self.server.server_state.connections):
             one: Any = connection  # each of uvicorn's protocols has both
             one.loop.call_soon_threadsafe(one.transport.abort)
+
+
+class Served(Page):
+    """Running page and the vehicle behind it."""
+
+    def __init__(self, shown: Page, vehicle: SyntheticVehicle) -> None:
+        super().__init__(shown.feed, shown.token, shown.port, shown.server, shown.views)
+        self.vehicle = vehicle
+
+
+@contextmanager
+def serving(feed: BusFeed, bus: BusOptions) -> Iterator[Page]:
+    """Serve the page of a feed; its buttons act on ``bus``."""
+    with serve.listen("127.0.0.1", 0) as place:
+        place.listen()
+        port, token, views = place.getsockname()[1], Token(), list[View]()
+        app = page.make(
+            feed,
+            token,
+            allowed=hosts(LOOPBACK, port),
+            about=About(name="synthetic descent · paper", report="/runs/one/report.html", again="ltv-mpc sim one"),
+            command=page.commander(bus),
+            on_view=views.append,
+        )
+        server = uvicorn.Server(serve.configuration(app))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [place]}, daemon=True)
+        thread.start()
+        try:
+            until(lambda: server.started)
+            yield Page(feed, token.text, port, server, views)
+        finally:
+            server.should_exit = True
+            thread.join(10)
 
 
 @contextmanager
@@ -204,27 +228,11 @@ def served(router_port: int) -> Iterator[Served]:
         return open_session(options, stop=lambda: False, say=lambda _: None)
 
     router = BusOptions(listen=(endpoint,), namespace="synthetic")
-    with opened(router), opened(reached) as aboard, opened(reached) as ashore, serve.listen("127.0.0.1", 0) as place:
-        place.listen()
-        port = place.getsockname()[1]
-        token, feed = Token(), BusFeed(ashore, vehicle_of({"config/vehicle.toml": synthetic_run.VEHICLE}))
-        views: list[View] = []
-        app = page.make(
-            feed,
-            token,
-            allowed=hosts(LOOPBACK, port),
-            about=About(name="synthetic descent · paper", report="/runs/one/report.html", again="ltv-mpc sim one"),
-            command=page.commander(reached),
-            on_view=views.append,
-        )
+    with opened(router), opened(reached) as aboard, opened(reached) as ashore:
+        feed = BusFeed(ashore, vehicle_of({"config/vehicle.toml": synthetic_run.VEHICLE}))
         vehicle = SyntheticVehicle(aboard)
-        server = uvicorn.Server(serve.configuration(app))
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [place]}, daemon=True)
-        thread.start()
         try:
-            until(lambda: server.started)
-            yield Served(vehicle, feed, token, port, server, views)
+            with serving(feed, reached) as shown:
+                yield Served(shown, vehicle)
         finally:
-            server.should_exit = True
-            thread.join(10)
             vehicle.close()

@@ -68,6 +68,7 @@ class Publisher:
         self.outs = {node: Outbox(session, node=node, epoch=EPOCH, kinds=tuple(of)) for node, of in kinds.items()}
         self.estimate = synthetic_run.estimate(0)
         """Newest published estimate."""
+        self._newest: dict[type[Message], tuple[str, Message]] = {}
         self._sent_s = time.monotonic()
 
     def publish(self, until_s: float) -> int:
@@ -77,15 +78,18 @@ class Publisher:
         self._dive = self._dive[len(due) :]
         for node, signal, _ in due:
             self.outs[node].publish(signal)
+            self._newest[type(signal)] = node, signal
             if isinstance(signal, Estimate):
                 self.estimate = signal
         return len(due)
 
     def repeat(self) -> bool:
-        """Publish the newest estimate again each second: with three sessions in one process some are dropped."""
+        """Publish the newest state again each second: with three sessions in one process messages are dropped."""
         if time.monotonic() > self._sent_s + 1.0:
             self._sent_s = time.monotonic()
-            self.outs["estimator"].publish(self.estimate)
+            for kind in (Truth, Estimate, Plan):
+                node, message = self._newest[kind]
+                self.outs[node].publish(message)
         return False
 
 

@@ -56,6 +56,12 @@ def test_the_next_command_follows_the_sentence_about_the_error() -> None:
     assert next_option(summary(0.50, None, None)) is None
 
 
+def test_a_run_with_high_effort_is_not_proposed_again() -> None:
+    figures = summary(0.50, 0.51, 0.02, effort="high", horizon_s=13.8)
+    assert next_option(figures) == "--horizon-s 28"
+    assert "controller.effort" not in assessment(figures)[0]
+
+
 def test_late_plans_and_losses_are_counted() -> None:
     messages = {"published": 9, "dropped": 3, "rejected": 0, "denied": 0}
     text = " ".join(assessment(summary(0.02, 0.3, 0.3, deadline_misses=4, messages=messages, restarts=1)))

@@ -18,7 +18,7 @@ from services.recording.node_settings import vehicle_of
 from services.recording.writer import RunWriter
 from services.reporting.plots import analysis, palette
 from services.reporting.plots.catalogue import PLOTS, REVIEW
-from services.reporting.plots.collector import CORRECTING, HISTORY, Collector
+from services.reporting.plots.collector import CORRECTING, HISTORY, Collector, nis_deviation
 from services.reporting.plots.delays import STAGES
 from services.reporting.plots.description import Style
 from services.reporting.plots.percentiles import Percentiles
@@ -155,10 +155,10 @@ def test_the_sensors_with_innovations_are_those_of_the_registry() -> None:
 
 def test_the_band_of_the_innovations_is_that_of_chi_squared(collector: Collector) -> None:
     """95 % of chi-squared with 20 degrees of freedom lie within 9.591 and 34.170."""
-    columns = collector.tables["nis_adcp"].since(0)
-    assert set(columns["nis"]) == {synthetic_run.NIS}
-    assert columns["low"][0] == pytest.approx(9.591 / 20, rel=0.01)
-    assert columns["high"][0] == pytest.approx(34.170 / 20, rel=0.01)
+    assert nis_deviation(9.591 / 20, 20) == pytest.approx(collector.values["nis_low"], abs=0.02)
+    assert nis_deviation(34.170 / 20, 20) == pytest.approx(collector.values["nis_high"], abs=0.02)
+    shown = collector.tables["nis_adcp"].since(0)["deviation"]
+    assert shown == pytest.approx([nis_deviation(synthetic_run.NIS, 20)] * len(shown), abs=1e-4)
 
 
 def test_the_energy_is_that_of_the_delivered_thrusts(collector: Collector) -> None:

@@ -31,8 +31,8 @@ from ltv_mpc.messages import (
     SolveStatus,
     Truth,
 )
-from services.reporting.terminal import ORDER, LiveScreen, PlainScreen, bar, run_progress_bar, screen_for
-from services.supervisor.screen import LiveView
+from services.reporting.terminal import LiveScreen, PlainScreen, bar, run_progress_bar, screen_for
+from services.supervisor.screen import ORDER, LiveView
 from tests.services.bus.messages import EXAMPLES
 from tests.services.words import status
 
@@ -152,14 +152,15 @@ def test_the_screen_fits_80_by_24(view: LiveView) -> None:
 def test_the_screen_says_what_the_messages_hold() -> None:
     text = "\n".join(drawn(FULL))
     assert "1234.50 m" in text  # depth
-    assert "estimate from the reference 0.021 m" in text
+    assert "estimate from the reference 4.500 m" in text
     assert "vehicle 4.500 m since t = 122.8 s" in text  # of the estimate, since it is the first that was received
     assert "control controller   degraded (the estimates are too old)   progress 62 %" in text
     assert "270 deg" in text
     assert "0.050 m/s" in text
     assert "estimate 0.25 s" in text
     assert "plan 1.00 s (shifted)" in text
-    assert "late 123456" in text
+    assert "late plans 123456" in text
+    assert "diving  wall time 99999 s" in text
     for name in (*ORDER, "port", "starboard", "vertical", "solve"):
         assert name in text
 
