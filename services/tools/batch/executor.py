@@ -7,7 +7,6 @@ that happens to one job it is given up. Nothing else is repeated.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +23,7 @@ from typing import Protocol, TypeVar
 
 from ltv_mpc.errors import ConfigError, one_line
 from services.run.host_resources import core_count
-from services.supervisor.parent_death import die_with_parent
+from services.tools.batch import fork_server
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -154,10 +153,8 @@ class _Processes:
         self.renew()
 
     def renew(self) -> None:
-        # spawn: a forked child would inherit threads of BLAS and of a bus session
-        context = multiprocessing.get_context("spawn")
         self.executor: Executor = ProcessPoolExecutor(
-            self.workers, mp_context=context, initializer=_begin, initargs=(os.getpid(),)
+            self.workers, mp_context=fork_server.context(), initializer=_begin
         )
 
     def lost(self, error: BaseException) -> bool:
@@ -171,9 +168,9 @@ class _Processes:
                 process.terminate()
 
 
-def _begin(parent: int) -> None:
-    """Initialise a worker: only its parent handles an interrupt from the terminal."""
-    die_with_parent(parent)
+def _begin() -> None:
+    """Initialise a worker: it ends with its parent, which alone handles an interrupt from the terminal."""
+    fork_server.die_with_parent_process()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
