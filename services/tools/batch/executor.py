@@ -7,6 +7,7 @@ that happens to one job it is given up. Nothing else is repeated.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
@@ -23,7 +24,7 @@ from typing import Protocol, TypeVar
 
 from ltv_mpc.errors import ConfigError, one_line
 from services.run.host_resources import core_count
-from services.tools.batch import fork_server
+from services.supervisor.parent_death import die_with_parent
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -153,8 +154,10 @@ class _Processes:
         self.renew()
 
     def renew(self) -> None:
+        # spawn: a forked child would inherit threads of BLAS and of a bus session
+        context = multiprocessing.get_context("spawn")
         self.executor: Executor = ProcessPoolExecutor(
-            self.workers, mp_context=fork_server.context(), initializer=_begin
+            self.workers, mp_context=context, initializer=_begin, initargs=(os.getpid(),)
         )
 
     def lost(self, error: BaseException) -> bool:
@@ -168,9 +171,9 @@ class _Processes:
                 process.terminate()
 
 
-def _begin() -> None:
-    """Initialise a worker: it ends with its parent, which alone handles an interrupt from the terminal."""
-    fork_server.die_with_parent_process()
+def _begin(parent: int) -> None:
+    """Initialise a worker: only its parent handles an interrupt from the terminal."""
+    die_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

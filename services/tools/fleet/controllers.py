@@ -26,7 +26,7 @@ from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from services.processes.controller import warm_up
-from services.tools.batch import fork_server
+from services.supervisor.parent_death import die_with_parent
 from services.tools.fleet.fleet import Fleet, Wire, namespace, now_ns, wait_for_start
 from sim.evaluation.metrics import quantiles
 from sim.evaluation.summary import Quantiles
@@ -44,9 +44,9 @@ class Controllers(msgspec.Struct, frozen=True, kw_only=True):
     cpu_s: float
 
 
-def main(fleet: Fleet, numbers: Sequence[int], wire: Wire) -> None:
+def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
     """Run the process: the controllers of these vehicles."""
-    fork_server.die_with_parent_process()
+    die_with_parent(parent)
     vehicle = Vehicle.load(fleet.vehicle).at_origin()  # of which the plants publish estimates
     config = ControllerConfig(horizon_s=fleet.horizon_s, period_s=1.0 / fleet.rate_hz)
     point = Point(north_m=0.0, east_m=0.0, depth_m=10.0)

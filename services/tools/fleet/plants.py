@@ -23,7 +23,7 @@ from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
-from services.tools.batch import fork_server
+from services.supervisor.parent_death import die_with_parent
 from services.tools.fleet.fleet import Fleet, Wire, namespace, now_ns, wait_for_start
 from sim import motion
 from sim.evaluation.metrics import quantiles
@@ -54,9 +54,9 @@ class Plants(msgspec.Struct, frozen=True, kw_only=True):
     cpu_s: float
 
 
-def main(fleet: Fleet, wire: Wire) -> None:
+def main(fleet: Fleet, wire: Wire, parent: int) -> None:
     """Run the plant process."""
-    fork_server.die_with_parent_process()
+    die_with_parent(parent)
     vehicle = Vehicle.load(fleet.vehicle)
     plants = [_Plant(vehicle, number) for number in range(fleet.vehicles)]
     plants[0].copy().go(0, 2 * STEP_NS)  # have the kernel compiled

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerProcess
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import msgspec
 
 from services.bus.options import BusOptions
 from services.bus.session import open_session
-from services.tools.batch import fork_server
+from services.supervisor.parent_death import die_with_parent
 from services.tools.fleet import controllers, plants
 from services.tools.fleet.controllers import Controllers
 from services.tools.fleet.fleet import Fleet, Wire
@@ -143,7 +144,7 @@ def _limit(busy: dict[str, float], missed_share: float, cores: int) -> str:
 class _Child:
     """Process of the trial with its pipe."""
 
-    def __init__(self, name: str, process: ForkServerProcess, pipe: Connection) -> None:
+    def __init__(self, name: str, process: SpawnProcess, pipe: Connection) -> None:
         self._name, self.process, self._pipe = name, process, pipe
 
     def send(self, start_ns: int) -> None:
@@ -181,12 +182,12 @@ class _Child:
 @contextmanager
 def started_processes() -> Iterator[Callable[..., _Child]]:
     """Provide a function that starts a process and waits until it is ready; at the end stop all in reverse order."""
-    context = fork_server.context()
+    context = multiprocessing.get_context("spawn")
     children: list[_Child] = []
 
     def start(name: str, target: Callable[..., None], *args: object) -> _Child:
         ours, theirs = context.Pipe()
-        process = context.Process(target=target, args=(*args, theirs), name=name, daemon=True)
+        process = context.Process(target=target, args=(*args, theirs, os.getpid()), name=name, daemon=True)
         process.start()
         theirs.close()  # theirs alone: its end is then the pipe's
         children.append(_Child(name, process, ours))
@@ -200,9 +201,9 @@ def started_processes() -> Iterator[Callable[..., _Child]]:
             child.stop()
 
 
-def _router(endpoint: str, wire: Wire) -> None:
+def _router(endpoint: str, wire: Wire, parent: int) -> None:
     """Run the router process; it is ready when it listens."""
-    fork_server.die_with_parent_process()
+    die_with_parent(parent)
     with open_session(BusOptions(listen=(endpoint,), mode="router"), stop=lambda: False, say=lambda _text: None):
         wire.send("ready")
         with contextlib.suppress(EOFError):
