@@ -103,7 +103,7 @@ def run_config(duration_s: float, speed: float = 10.0) -> RunConfig:
 def children_of(parent: int) -> dict[int, str]:
     """Return pid and command line of every living child.
 
-    Multiprocessing's own processes, which other tests leave to a test worker, do not belong to the supervisor.
+    Multiprocessing's resource tracker, which other tests leave to a test worker, does not belong to the supervisor.
     """
     children = {}
     for entry in Path("/proc").iterdir():
@@ -112,7 +112,7 @@ def children_of(parent: int) -> dict[int, str]:
                 children[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
         except OSError:
             continue
-    return {pid: words for pid, words in children.items() if words and "from multiprocessing." not in words}
+    return {pid: words for pid, words in children.items() if words and "multiprocessing.resource_tracker" not in words}
 
 
 def pid_of(name: str, launcher: int) -> int:
