@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import subprocess
-from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -40,7 +39,6 @@ def combine(installed: str, commit: str) -> str:
     return f"{release}+g{name[:9]}{'.changed' if changes else ''}"
 
 
-@cache  # a process runs the code that it has loaded, and a campaign asks for each run
 def commit() -> str:
     """Return the commit, with ``and changes`` if files differ from it; "unknown" outside a checkout."""
     if not (ROOT / ".git").exists():
