@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import Any, TypeAlias
 
 from msgspec import inspect
@@ -40,6 +41,7 @@ def field_names(kind: Type | None) -> tuple[str, ...]:
     return ()
 
 
+@cache
 def scalar_fields(kind: Any) -> dict[str, Type]:
     """Return all scalar fields of nested structs by dotted key, ``{"water.sd_mps": FloatType(...), ...}``."""
     return dict(_leaves(inspect.type_info(kind), ""))

@@ -14,6 +14,20 @@ def step(node: Node, t_ns: int, inbox: Inbox) -> list[Message]:
     return outputs
 
 
+def feed_each(node: Node, due: Sequence[Due], at_once: int = 50) -> list[list[Message]]:
+    """Do many steps in batches, and return the output of each.
+
+    They give the same bits as single steps (test_batched_steps) in a fraction of the time.
+    """
+    batches = (due[first : first + at_once] for first in range(0, len(due), at_once))
+    return [outputs for batch in batches for outputs in node.steps(batch)]
+
+
+def feed(node: Node, due: Sequence[Due]) -> list[Message]:
+    """Do many steps in batches, and return the output of all."""
+    return [message for outputs in feed_each(node, due) for message in outputs]
+
+
 class OneByOne:
     """A node whose class says what one step does."""
 

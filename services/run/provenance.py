@@ -14,7 +14,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-from services.run.version import commit, version
+from services.run.version import combine, commit, installed
 
 PACKAGES = (
     *("numpy", "scipy", "osqp", "daqp", "piqp", "numba", "llvmlite"),
@@ -25,9 +25,10 @@ KERNEL_NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename",
 
 def provenance_table() -> dict[str, str]:
     """Return the table ``[made_by]`` of a run's scenario.toml."""
+    checked_out = commit()
     table = {
-        "ltv_mpc": version(),
-        "commit": commit(),
+        "ltv_mpc": combine(installed(), checked_out),
+        "commit": checked_out,
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),

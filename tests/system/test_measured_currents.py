@@ -41,7 +41,8 @@ def sim(tmp_path: Path, *options: str) -> dict[str, Any]:
 
 def test_processes_run_through_a_measured_current_without_a_message_rejected_or_lost(tmp_path):
     """The strongest current; the others run in lock step, because to the processes they are all alike."""
-    summary = sim(tmp_path, "--currents", str(measured(FILES[-1])), "--duration-s", "10", "--speed", "10")
+    current = str(measured(FILES[-1]))
+    summary = sim(tmp_path, "descent", "--currents", current, "--duration-s", "16", "--speed", "10")
     assert summary["mode"] == "services"
     assert summary["messages"]["rejected"] == 0
     assert summary["messages"]["dropped"] == 0

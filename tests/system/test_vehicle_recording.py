@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
-import subprocess
 import sys
 import time
 from datetime import datetime
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from services.cli.app import run
 from services.reporting.static_files import NoPlotly, plotly
 from services.supervisor import loopback
 from tests.foreign_plant.flight import HERE, HULL
@@ -23,9 +25,10 @@ FLOWN_S = 8.0
 
 def ltv_mpc(*words: str) -> str:
     """Return what a command prints; it must succeed."""
-    done = subprocess.run([*CLI, *words], capture_output=True, text=True, timeout=200, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert run(list(words)) == 0, printed.getvalue()
+    return printed.getvalue()
 
 
 @pytest.fixture(scope="module")

@@ -42,11 +42,12 @@ def test_plans_reach_a_publisher_and_the_recording(command: tuple[str, ...], tmp
     cli, endpoint = (*command, "-m", "services.cli"), f"tcp/127.0.0.1:{loopback.free_port()}"
     here, out = ("--connect", endpoint), tmp_path / "run"
     (tmp_path / "point.toml").write_text('kind = "point"\nnorth_m = 0.0\neast_m = 0.0\n')
+    plans = ("--reference", str(tmp_path / "point.toml"), "--horizon-s", "3")  # short: nothing is compiled
     with started(*cli, "router", "--listen", endpoint) as (_, router):
         router.until(lambda line: "ready at" in line)
         with (
             started(*cli, "recorder", "--out", str(out), *here) as (recorder, _),
-            started(*cli, "controller", "--reference", str(tmp_path / "point.toml"), *here) as (_, controller),
+            started(*cli, "controller", *plans, *here) as (_, controller),
         ):
             controller.until(lambda line: "waiting for" in line)
             with started(*command, str(PUBLISHER), endpoint) as (_, vehicle):

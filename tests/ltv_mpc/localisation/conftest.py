@@ -113,12 +113,10 @@ def dive(suite: SensorConfig, seed: int, *, surface_s: float = 1.0, duration_s: 
 
     rate, force = np.zeros((T, 3)), np.zeros((T, 3))
     E, half = rotation_exp(-W * dt), rotation_exp(-0.5 * W * dt)
-    for k in range(1, T):
-        w = rotation_log((E @ R[k - 1]).T @ R[k]) / dt
-        middle = half @ R[k - 1] @ rotation_exp(0.5 * dt * w)
-        a = (velocity[k] - velocity[k - 1]) / dt + 2 * np.cross(W, velocity[k - 1]) - np.array([0, 0, 9.80665])
-        rate[k] = w
-        force[k] = middle.T @ a
+    rate[1:] = [rotation_log(turn) / dt for turn in (E @ R[:-1]).transpose(0, 2, 1) @ R[1:]]
+    middle = half @ R[:-1] @ np.array([rotation_exp(0.5 * dt * w) for w in rate[1:]])
+    a = np.diff(velocity, axis=0) / dt + 2 * np.cross(W, velocity[:-1]) - np.array([0, 0, 9.80665])
+    force[1:] = np.einsum("kij,ki->kj", middle, a)
     w_true = rate
     rate = rate + gyro_bias + imu.angle_random_walk_rad_per_rts / math.sqrt(dt) * rng.standard_normal((T, 3))
     force = (

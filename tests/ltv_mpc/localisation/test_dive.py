@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -34,9 +35,15 @@ def noise_of(ensembles: list[BeamEnsemble]) -> noise.BeamNoise:
     return noise.BeamNoise(ensembles, PARAMETERS.min_good_share)
 
 
-def setting(**changed: object) -> Settings:
+@cache
+def simulated_settings() -> Settings:
     """Return the settings of the simulated instrument."""
-    return seen(dive(World(), 0, duration=5.0))[0].settings._replace(**changed)
+    return seen(dive(World(), 0, duration=5.0))[0].settings
+
+
+def setting(**changed: object) -> Settings:
+    """Return these settings with some changes."""
+    return simulated_settings()._replace(**changed)
 
 
 def window(made: Dive, start_s: float, after_s: float = 300.0) -> tuple[int, int]:

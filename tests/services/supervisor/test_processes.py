@@ -16,6 +16,7 @@ from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import pytest
 from msgspec import structs
@@ -82,6 +83,16 @@ class Page:
     def awaited(self) -> bool:
         self.asked_s.append(time.monotonic())
         return self.asked_s[-1] - self.asked_s[0] < self._drawn_s
+
+
+class DisturbedRun(NamedTuple):
+    """Run that several tests look at."""
+
+    place: folder.RunFolder
+    outcome: supervisor.Outcome
+    screen: Screen
+    page: Page
+    children_left: dict[int, str]
 
 
 def run_config(duration_s: float, speed: float = 10.0) -> RunConfig:
@@ -153,7 +164,10 @@ def launcher(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
     out = tmp_path / "run"
     log = (tmp_path / "launcher.log").open("wb")
     process = subprocess.Popen(
-        [*CLI, "sim", "--duration-s", "600", "--out", str(out)], stdin=subprocess.DEVNULL, stdout=log, stderr=log
+        [*CLI, "sim", "descent", "--duration-s", "600", "--out", str(out)],
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=log,
     )
     try:
         recording = out / "run.mcap"
@@ -202,34 +216,35 @@ def test_a_run_of_processes_records_every_message_and_leaves_no_process(tmp_path
     assert verdict.steps_compared == verdict.steps_run == steps.total()
 
 
-def test_the_death_of_the_orphan_cleanup_changes_nothing(tmp_path: Path) -> None:
-    s = run_config(3.0)
-    run = folder.make("test", s.files, out=tmp_path / "run")
+@pytest.fixture(scope="module")
+def disturbed(tmp_path_factory: pytest.TempPathFactory) -> DisturbedRun:
+    """Run with an open page, whose clock must wait; a process is then killed, and another one asked for in vain."""
+    s = run_config(6.0)
+    run = folder.make("test", s.files, out=tmp_path_factory.mktemp("disturbed") / "run")
+    page = Page(drawn_s=1.0)
 
-    def kill_the_cleanup() -> None:
+    def disturb() -> None:
         (pid,) = (pid for pid, words in children_of(os.getpid()).items() if "orphan_cleanup.py" in words)
         os.kill(pid, signal.SIGKILL)
-
-    screen = Screen(kill_the_cleanup)
-    outcome = supervisor.run(s, run, screen)
-    assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
-    assert run.summary.exists()
-    assert not children_of(os.getpid())
-
-
-def test_a_request_to_kill_an_unknown_process_is_refused_and_changes_nothing(tmp_path: Path) -> None:
-    s = run_config(3.0)
-    run = folder.make("test", s.files, out=tmp_path / "run")
-    page = Page()
-
-    def ask() -> None:
         with open_session(structs.replace(page.bus[0], role=OPERATOR), stop=StopRequest(), say=print) as session:
             Outbox(session, node=OPERATOR, epoch=1, kinds=(Kill,)).publish(Kill(node="nobody\n"))
 
-    screen = Screen(ask)
+    screen = Screen(disturb)
     outcome = supervisor.run(s, run, screen, page=page)
-    assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
-    assert [line for line in screen.said if "kill" in line] == ['kill refused: no process "nobody\\n" in this run']
+    return DisturbedRun(run, outcome, screen, page, children_of(os.getpid()))
+
+
+def test_the_death_of_the_orphan_cleanup_changes_nothing(disturbed: DisturbedRun) -> None:
+    outcome, said = disturbed.outcome, disturbed.screen.said
+    assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, said)
+    assert disturbed.place.summary.exists()
+    assert not disturbed.children_left
+
+
+def test_a_request_to_kill_an_unknown_process_is_refused_and_changes_nothing(disturbed: DisturbedRun) -> None:
+    assert disturbed.outcome.completed
+    refused = [line for line in disturbed.screen.said if "kill" in line]
+    assert refused == ['kill refused: no process "nobody\\n" in this run']
 
 
 def test_the_page_can_connect_before_anything_is_compiled_and_shows_the_share(
@@ -272,18 +287,25 @@ def test_on_an_empty_cache_nothing_is_compiled_before_the_run_says_so(tmp_path: 
         process.communicate()
 
 
-@pytest.mark.parametrize("drawn_s", [1.0, 1000.0], ids=["drawn", "never-drawn"])
-def test_the_clock_waits_for_an_open_page_but_not_for_ever(tmp_path: Path, drawn_s: float) -> None:
-    s = run_config(1.0)
-    run = folder.make("test", s.files, out=tmp_path / "run")
-    screen, page = Screen(), Page(drawn_s)
-    outcome = supervisor.run(s, run, screen, page=page)
-    assert (outcome.completed, outcome.why) == (True, ""), (outcome, screen.said)
+def check_wait(screen: Screen, page: Page, limit_s: float) -> None:
+    """Check that the clock waited until the page was drawn, or for ``limit_s``."""
     waited_s = page.asked_s[-1] - page.asked_s[0]
-    limit_s = min(drawn_s, supervisor.DRAWING_TIMEOUT_S)
     assert 0.8 * limit_s < waited_s < limit_s + 2.0
     assert {view.phase for view in screen.views[: len(page.asked_s)]} == {"starting"}
     assert page.shown == ["starting the processes"]
+
+
+def test_the_clock_waits_until_an_open_page_is_drawn(disturbed: DisturbedRun) -> None:
+    check_wait(disturbed.screen, disturbed.page, 1.0)
+
+
+def test_the_clock_does_not_wait_for_an_open_page_for_ever(tmp_path: Path) -> None:
+    s = run_config(1.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    screen, page = Screen(), Page(drawn_s=1000.0)
+    outcome = supervisor.run(s, run, screen, page=page)
+    assert (outcome.completed, outcome.why) == (True, ""), (outcome, screen.said)
+    check_wait(screen, page, supervisor.DRAWING_TIMEOUT_S)
 
 
 def test_a_run_whose_recording_found_no_room_is_not_complete(tmp_path: Path) -> None:
@@ -513,7 +535,7 @@ def test_a_deleted_folder_ends_the_run_with_exit_1_and_its_name(
 def test_a_closed_stderr_ends_the_run_in_order_with_its_summary(tmp_path: Path) -> None:
     out = tmp_path / "run"
     process = subprocess.Popen(
-        [*CLI, "sim", "--duration-s", "600", "--out", str(out)],
+        [*CLI, "sim", "descent", "--duration-s", "600", "--out", str(out)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -535,7 +557,7 @@ def test_a_closed_stderr_ends_the_run_in_order_with_its_summary(tmp_path: Path) 
 
 
 def test_a_run_without_stderr_completes(tmp_path: Path) -> None:
-    words = [*CLI, "sim", "--duration-s", "1", "--speed", "10", "--out", str(tmp_path / "run")]
+    words = [*CLI, "sim", "descent", "--duration-s", "1", "--speed", "10", "--out", str(tmp_path / "run")]
     ended = subprocess.run(["sh", "-c", 'exec "$@" 2>&-', "sh", *words], stdout=subprocess.PIPE, check=False)
     assert ended.returncode == 0
     assert b"localisation" in ended.stdout

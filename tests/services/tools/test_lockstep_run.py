@@ -280,7 +280,8 @@ def test_a_disk_that_stays_full_leaves_the_verdict_exit_1_and_no_draft(
 def test_compiling_is_announced_and_a_signal_ends_it_within_two_seconds(
     number: signal.Signals, code: int, tmp_path: Path
 ) -> None:
-    words = [sys.executable, "-P", "-m", "services.cli", "sim", "--lockstep", "--out", str(tmp_path / "run")]
+    options = ["--lockstep", "--horizon-s", "9", "--out", str(tmp_path / "run")]  # a horizon is not proposed first
+    words = [sys.executable, "-P", "-m", "services.cli", "sim", *options]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     with subprocess.Popen(words, env=environment, stderr=subprocess.PIPE, text=True) as process:
         try:

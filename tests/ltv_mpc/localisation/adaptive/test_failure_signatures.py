@@ -16,7 +16,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.localisation.sensors.rows import Rows
 from ltv_mpc.messages import AdcpPing
-from tests.stepping import step
+from tests.stepping import feed
 
 PAPER = SensorConfig.load("paper")
 CONFIG = EstimatorConfig()
@@ -108,8 +108,7 @@ def test_a_filter_that_hears_a_drift_is_off_by_what_its_signature_says(make_dive
 
     def belief_of(messages):
         estimator = Estimator(PAPER, config)
-        for message in messages:
-            step(estimator, message.t_ns, inbox_of(message))
+        feed(estimator, [(message.t_ns, inbox_of(message)) for message in messages])
         return estimator.filter.propagated_belief()
 
     def instant(t_s):

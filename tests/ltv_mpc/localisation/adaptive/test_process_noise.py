@@ -16,7 +16,7 @@ from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, VELOCITY, Bel
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import AdcpPing, ImuSample
-from tests.stepping import step
+from tests.stepping import feed
 
 PAPER = SensorConfig.load("paper")
 CONFIG = EstimatorConfig()
@@ -63,8 +63,7 @@ def dives(make_dive):
 def run(inbox_of):
     def run(messages, config=CONFIG, estimator=None):
         estimator = estimator or Estimator(PAPER, config)
-        for message in messages:
-            step(estimator, message.t_ns, inbox_of(message))
+        feed(estimator, [(message.t_ns, inbox_of(message)) for message in messages])
         estimator.filter.propagate_covariance()
         return estimator.filter
 

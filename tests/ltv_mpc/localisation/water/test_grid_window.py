@@ -16,7 +16,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import add_random_walk, node_prior, write_prior
 from ltv_mpc.localisation.water.grid_window import conditioning_states, link_covariance, move_window
 from ltv_mpc.messages import AdcpPing, Estimate
-from tests.stepping import step
+from tests.stepping import feed_each
 
 WHOLE = msgspec.structs.replace(EstimatorConfig(), adapts_to_water=False)
 WINDOW = msgspec.structs.replace(WHOLE, kept_m=0.0)
@@ -76,9 +76,9 @@ def test_a_filter_that_drops_depths_equals_one_that_keeps_them(name, make_dive, 
     dive = make_dive(suite, 4, duration_s=60.0)
     keeps, forgets = Estimator(suite, WHOLE), Estimator(suite, WINDOW)
     said = 0
-    for message in dive.messages:
-        pairs = zip(*(step(e, message.t_ns, inbox_of(message)) for e in (keeps, forgets)), strict=True)
-        for a, b in pairs:
+    due = [(message.t_ns, inbox_of(message)) for message in dive.messages]
+    for whole_said, window_said in zip(feed_each(keeps, due), feed_each(forgets, due), strict=True):
+        for a, b in zip(whole_said, window_said, strict=True):
             if not isinstance(a, Estimate):
                 continue
             said += 1

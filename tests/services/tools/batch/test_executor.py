@@ -83,6 +83,42 @@ def test_told_to_stop_it_ends_what_runs() -> None:
     assert not set(multiprocessing.active_children()) - before
 
 
+def write_pid_and_sleep(folder: Path, job: int) -> None:
+    """Write the worker's pid, whole at once, and work for longer than the test."""
+    (folder / f"{job}.part").write_text(str(os.getpid()))
+    (folder / f"{job}.part").rename(folder / f"{job}.pid")
+    time.sleep(100.0)
+
+
+def run_sleepers(folder: Path) -> None:
+    list(run_each(partial(write_pid_and_sleep, folder), range(2), workers=2))
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    parent = multiprocessing.get_context("spawn").Process(target=run_sleepers, args=(tmp_path,))
+    parent.start()
+    try:
+        until = time.monotonic() + 90.0
+        while len(pids := [int(path.read_text()) for path in tmp_path.glob("*.pid")]) < 2:
+            assert parent.is_alive()
+            assert time.monotonic() < until
+            time.sleep(0.05)
+    finally:
+        parent.kill()
+        parent.join()
+    until = time.monotonic() + 5.0
+    while any(is_alive(pid) for pid in pids):
+        assert time.monotonic() < until, "a worker outlives its parent"
+        time.sleep(0.02)
+
+
 def interrupted(job: int) -> int:
     os.kill(os.getpid(), signal.SIGINT)
     return job

@@ -24,7 +24,7 @@ FILE = """
 title = "test"
 minimise = "tracking_error_m.mean"
 seeds.first = 3
-seeds.count = 2
+seeds.count = 3
 [set]
 run.perfect_state = true
 run.duration_s = 0.9
@@ -68,7 +68,7 @@ def lines(folder: Path) -> list[str]:
 def test_each_row_is_the_run_that_its_settings_make(finished: Path) -> None:
     table = pq.read_table(finished / "results.parquet")
     rows = table.to_pylist()
-    assert [(row["point"], row["seed"]) for row in rows] == [(p, s) for p in range(4) for s in (3, 4)]
+    assert [(row["point"], row["seed"]) for row in rows] == [(p, s) for p in range(4) for s in (3, 4, 5)]
     assert all(row["failed"] is None for row in rows)
     settings = ["run.perfect_state=true", "run.duration_s=0.9", "controller.horizon_s=1.2", "run.seed=4"]
     summary = lockstep_run.run(resolve("descent", [Override("test", settings)]))
@@ -86,7 +86,7 @@ def test_nothing_measured_is_in_the_results(finished: Path) -> None:
     assert not [name for name in columns if "wall" in name or "host" in name or "speed" in name or "stages_us" in name]
     timing = pq.read_table(finished / "timing.parquet").to_pylist()
     assert all(row["wall_s"] > 0 and row["host"] for row in timing)
-    assert len(timing) == 8
+    assert len(timing) == 12
 
 
 def test_interrupted_and_gone_on_with_by_more_workers_it_gives_the_same_bytes(
@@ -98,10 +98,10 @@ def test_interrupted_and_gone_on_with_by_more_workers_it_gives_the_same_bytes(
     settings, *rows = lines(out)
     (out / "results.jsonl").write_text("".join([settings, *rows[1::2], rows[0][:40]]))  # cut off as it was written
     said = told(capsys, file, "--out", out, "--workers", 2)
-    assert (said["runs"], said["done"], said["failed"]) == (8, 8, 0)
+    assert (said["runs"], said["done"], said["failed"]) == (12, 12, 0)
     assert results(out) == results(finished)
-    assert lines(out)[:5] == [settings, *rows[1::2]]  # not done again
-    assert len(lines(out)) == 9
+    assert lines(out)[:7] == [settings, *rows[1::2]]  # not done again
+    assert len(lines(out)) == 13
 
 
 def started(file: Path, out: Path, log: Path, *options: str) -> subprocess.Popen[bytes]:
@@ -119,10 +119,11 @@ def started(file: Path, out: Path, log: Path, *options: str) -> subprocess.Popen
 
 
 @pytest.mark.timeout(700)
-def test_killed_and_then_interrupted_it_gives_the_rows_of_one_that_was_not(tmp_path: Path) -> None:
-    """For real, by SIGKILL and SIGINT; 40 runs, so that some are left each time."""
-    file, out, whole = tmp_path / "c.toml", tmp_path / "out", tmp_path / "whole"
-    file.write_text(FILE.replace("seeds.count = 2", "seeds.count = 10"))
+def test_killed_and_then_interrupted_it_gives_the_rows_of_one_that_was_not(
+    file: Path, finished: Path, tmp_path: Path
+) -> None:
+    """For real, by SIGKILL and SIGINT; 12 runs, so that some are left each time."""
+    out = tmp_path / "out"
     first = started(file, out, tmp_path / "first.log", "--workers", "1")
     first.send_signal(signal.SIGKILL)
     first.wait()
@@ -131,24 +132,23 @@ def test_killed_and_then_interrupted_it_gives_the_rows_of_one_that_was_not(tmp_p
     second.send_signal(signal.SIGINT)
     assert second.wait(PATIENCE_S) == 130, (tmp_path / "second.log").read_text()
     said = (tmp_path / "second.log").read_text()
-    assert "of 40 runs left: continue with the same command and --out" in said
+    assert "of 12 runs left: continue with the same command and --out" in said
     assert "Traceback" not in said
     interrupted = lines(out)
     whole_lines = [line for line in killed if line.endswith("\n")]
     assert interrupted[: len(whole_lines)] == whole_lines
-    assert 2 <= len(whole_lines) < len(interrupted) < 41
-    assert run(["campaign", str(file), "--out", str(out), "--json"]) == 0
+    assert 2 <= len(whole_lines) < len(interrupted) < 13
+    assert run(["campaign", str(file), "--out", str(out), "--workers", "1", "--json"]) == 0
     assert lines(out)[: len(interrupted)] == interrupted
-    assert len(lines(out)) == 41
-    assert run(["campaign", str(file), "--out", str(whole), "--json"]) == 0
-    assert results(out) == results(whole)
+    assert len(lines(out)) == 13
+    assert results(out) == results(finished)
 
 
 def test_the_best_point_has_the_smallest_mean_and_others_are_paired_with_it(
     finished: Path, file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = pq.read_table(finished / "results.parquet").to_pylist()
-    mean = {p: sum(r["tracking_error_m.mean"] for r in rows if r["point"] == p) / 2 for p in range(4)}
+    mean = {p: sum(r["tracking_error_m.mean"] for r in rows if r["point"] == p) / 3 for p in range(4)}
     best = told(capsys, file, "--out", finished)["best"]
     assert [row["point"] for row in best] == sorted(mean, key=lambda p: mean[p])
     assert best[0]["over_best"] is None
@@ -162,7 +162,7 @@ def test_runs_that_cannot_be_made_are_listed_and_the_rest_goes_on(
 ) -> None:
     """Each value is good alone; a cell of 3 m in a column of 2 m is not."""
     text = FILE.replace("controller.horizon_s = [0.6, 1.2]", "water.cell_m = [1.0, 3.0]\nwater.deepest_m = [2.0, 70.0]")
-    text = text.replace("vehicle.thruster.port.arm_m = [0.15, 0.2]", "").replace("seeds.count = 2", "seeds.count = 1")
+    text = text.replace("vehicle.thruster.port.arm_m = [0.15, 0.2]", "").replace("seeds.count = 3", "seeds.count = 1")
     path = tmp_path / "c.toml"
     path.write_text(text)
     said = told(capsys, path, "--out", tmp_path / "out", "--workers", 1)
@@ -243,5 +243,5 @@ def test_a_cluster_that_loses_a_worker_on_the_way_gives_the_same_bytes(
     campaign = started(file, out, tmp_path / "campaign.log", "--cluster", address)
     first.send_signal(signal.SIGKILL)
     assert campaign.wait(PATIENCE_S) == 0, (tmp_path / "campaign.log").read_text()
-    assert len({json.loads(line)["key"] for line in lines(out)[1:]}) == len(lines(out)) - 1 == 8
+    assert len({json.loads(line)["key"] for line in lines(out)[1:]}) == len(lines(out)) - 1 == 12
     assert results(out) == results(finished)

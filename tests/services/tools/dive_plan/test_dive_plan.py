@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import math
 from pathlib import Path
+from typing import NamedTuple
 
+import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -28,10 +32,25 @@ DURATION_S, DEPTH_M = 10.0, 2.0
 SENSORS = ("paper", "realistic", "examples/sensors/own_adcp.toml", "examples/sensors/600_khz.toml")
 
 
+class Output(NamedTuple):
+    """Output of the command."""
+
+    printed: str
+    folder: Path
+
+
 @pytest.fixture(scope="module")
-def planned() -> DivePlan:
-    dive = Dive("realistic", None, DURATION_S, DEPTH_M, 1, seed=3)
-    return plan.plan(dive, fixes=[1, 4], runs=1, limit_m=0.05, progress=lambda _count: None)
+def output(tmp_path_factory: pytest.TempPathFactory) -> Output:
+    folder, printed = tmp_path_factory.mktemp("plans") / "out", io.StringIO()
+    options = f"--duration-s {DURATION_S:g} --depth-m {DEPTH_M:g} --fixes 1,4 --runs 1 --limit-m 0.05 --json --out"
+    with contextlib.redirect_stdout(printed):
+        assert run(["dive", "plan", "--sensors", "realistic", *options.split(), str(folder)]) == 0
+    return Output(printed.getvalue(), folder)
+
+
+@pytest.fixture(scope="module")
+def planned(output: Output) -> DivePlan:
+    return msgspec.json.decode(output.printed, type=DivePlan)
 
 
 @pytest.mark.parametrize("sensors", SENSORS)
@@ -137,13 +156,11 @@ def test_text_and_picture_show_the_plan(planned: DivePlan, tmp_path: Path) -> No
     assert (tmp_path / "plan.png").stat().st_size > 20_000
 
 
-def test_the_command_prints_json_and_writes_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = "dive plan --duration-s 10 --depth-m 2 --fixes 1 --runs 1 --json --out"
-    assert run([*line.split(), str(tmp_path / "out")]) == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert printed["fixes"] == [1]
-    assert json.loads((tmp_path / "out" / "dive-plan.json").read_text()) == printed
-    assert (tmp_path / "out" / "dive-plan.png").stat().st_size > 20_000
+def test_the_command_prints_json_and_writes_its_folder(output: Output) -> None:
+    printed = json.loads(output.printed)
+    assert (printed["sensors"], printed["fixes"], printed["runs"], printed["limit_m"]) == ("realistic", [1, 4], 1, 0.05)
+    assert json.loads((output.folder / "dive-plan.json").read_text()) == printed
+    assert (output.folder / "dive-plan.png").stat().st_size > 20_000
 
 
 @pytest.mark.parametrize(
