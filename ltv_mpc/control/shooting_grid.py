@@ -16,7 +16,6 @@ import numpy as np
 
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
-from ltv_mpc.newton import find_root
 
 
 def knots(stages: int, horizon: float) -> Array:
@@ -36,10 +35,10 @@ def knots(stages: int, horizon: float) -> Array:
     lengths = np.ones(stages)
     if horizon > stages:
         missing = horizon - near
-        # The logarithm of the sum is convex in log q, with a slope of 1 to N - near: Newton's method converges.
-        log_q = find_root(lambda x: np.log(np.exp(x * far).sum(keepdims=True) / missing), np.zeros(1))
-        assert log_q is not None
-        lengths[near:] = np.exp(log_q * far)
+        from scipy.optimize import brentq  # a fifth of the start of a process
+
+        q = brentq(lambda q: np.sum(q**far) - missing, 1.0, missing)
+        lengths[near:] = q**far
     return np.concatenate([[0.0], np.cumsum(lengths)])
 
 

@@ -14,7 +14,6 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.messages import Array
-from ltv_mpc.newton import find_root
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.flow import STATES, advance_stage
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -137,18 +136,15 @@ def top_speed(vehicle: Vehicle, F: Array) -> float | None:
     p, total_thrust = vehicle.coefficients(), float(F.sum())
     if total_thrust == 0.0:
         return 0.0
+    from scipy.optimize import brentq  # a fifth of the start of a process
+
     sign = math.copysign(1.0, total_thrust)
 
-    def acceleration(speed: Array) -> Array:
-        """Return u' (m/s2) at a speed (m/s), both (1,) and positive in the direction of the thrust."""
-        return np.array([sign * rates(sign * speed[0], 0.0, 0.0, 0.0, F[0], F[1], 0.0, 0.0, 0.0, 0.0, p)[2]])
+    def acceleration(speed: float) -> float:
+        """Return u' (m/s2) at a speed (m/s), both positive in the direction of the thrust."""
+        return sign * rates(sign * speed, 0.0, 0.0, 0.0, F[0], F[1], 0.0, 0.0, 0.0, 0.0, p)[2]
 
-    fastest = np.array([MAX_SPEED_MPS])
-    if acceleration(fastest)[0] >= 0.0:
-        return None
-    speed = find_root(acceleration, fastest)  # drag grows with speed: Newton's method converges from above
-    assert speed is not None
-    return float(speed[0])
+    return float(brentq(acceleration, 0.0, MAX_SPEED_MPS)) if acceleration(MAX_SPEED_MPS) < 0.0 else None
 
 
 def stopping(vehicle: Vehicle, speed_mps: float) -> tuple[float, float] | None:
@@ -199,13 +195,15 @@ def _steady_yaw_rate(vehicle: Vehicle, F: Array) -> float | None:
     if p.linear_yaw + p.quadratic_yaw <= 0.0 or p.linear_sway + p.quadratic_sway <= 0.0:
         return None
 
-    def residual(w: Array) -> Array:
+    def residual(w: Array) -> list[float]:
         """Return u', v', r' at w = [u, v, r]."""
         _, _, du, dv, _, dr = rates(w[0], w[1], 0.0, w[2], F[0], F[1], 0.0, 0.0, 0.0, 0.0, p)
-        return np.array([du, dv, dr])
+        return [du, dv, dr]
 
-    settled = find_root(residual, _settled_motion(vehicle, F))
-    return None if settled is None else float(settled[2])
+    from scipy.optimize import root  # a fifth of the start of a process
+
+    solution = root(residual, _settled_motion(vehicle, F))
+    return float(solution.x[2]) if solution.success else None
 
 
 def _settled_motion(vehicle: Vehicle, F: Array) -> Array:
