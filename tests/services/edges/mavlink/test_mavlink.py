@@ -25,7 +25,6 @@ from services.edges.mavlink.codec import Codec, frames_of
 from services.edges.mavlink.edge import MavlinkEdge, Settings
 from services.edges.mavlink.mission import fence_of, reference_of
 from services.edges.mavlink.navigation import Accuracy, Navigation
-from services.processes import mavlink as process
 from tests.foreign_plant.flight import distance_m
 from tests.foreign_plant.mavlink_flight import EXAMPLE, MavlinkFlight, vehicle
 from tests.services.edges.status import status
@@ -564,13 +563,3 @@ def test_on_a_signed_link_unsigned_and_repeated_frames_are_refused() -> None:
 def test_bad_options_are_refused(line: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(line.format(file=__file__).split()) == 2
     assert says in capsys.readouterr().err
-
-
-def test_by_default_the_thrusters_are_those_of_a_shipped_vehicle(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The line of the page, without a vehicle file."""
-    started: list[process.Config] = []
-    monkeypatch.setattr(process, "main", lambda config: started.append(config) or 0)
-    assert run(["mavlink", "--connect", "udpin:127.0.0.1:14550", "--gcs-sysid", "245"]) == 0
-    (config_,) = started
-    assert (config_.port, config_.listens, config_.edge.ground_station) == (14550, True, 245)
-    assert config_.edge.vehicle.thruster.port.pwm_us
