@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -38,7 +40,7 @@ class Track:
         assert isinstance(message.message, Truth)
         self.truths[message.message.t_ns] = message.message
 
-    def steps(self, due: list[Due]) -> list[list[Message]]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         return [[self.truths[t_ns]] for t_ns, _ in due]
 
 
