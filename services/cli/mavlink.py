@@ -29,7 +29,7 @@ def mavlink(
     ] = 255,
     vehicle: Annotated[
         str, typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle, with pwm_us and pwm_N of each thruster.")
-    ] = "paper",
+    ] = "bluerobotics-boat",
     signing_key: Annotated[
         Path | None, typer.Option("--signing-key", metavar="FILE", help="32 bytes: signed frames alone, both ways.")
     ] = None,
@@ -67,7 +67,7 @@ def mavlink(
         check_endpoint("--router", endpoint, bus.certs)
     of = Vehicle.load(vehicle)
     if missing := [n for n, t in (("port", of.thruster.port), ("starboard", of.thruster.starboard)) if not t.pwm_us]:
-        problem = f"[thruster.{missing[0]}] has no pwm_us and pwm_N: examples/vehicles/bluerobotics_boat.toml has them"
+        problem = f"[thruster.{missing[0]}] has no pwm_us and pwm_N: the vehicle bluerobotics-boat has them"
         raise ConfigError(f"vehicle {vehicle}", "", problem)
     key = None if signing_key is None else _key(signing_key)
     edge = Settings(

@@ -167,7 +167,7 @@ class Edge(abc.ABC):
                 if not isinstance(output, Outgoing) and (reason := rejection_reason(output)) is not None:
                     raise Refused(reason)
         except Refused as refusal:
-            self.refuse(str(refusal))
+            self.refuse(refusal)
             return []
         self.accepted += 1
         for output in outputs:
@@ -175,10 +175,10 @@ class Edge(abc.ABC):
                 self.clock.update(output.t_ns, frame.now_us)
         return outputs
 
-    def refuse(self, reason: str) -> None:
+    def refuse(self, refusal: Refused) -> None:
         """Count a refused foreign frame."""
-        self.reason = reason
-        kind = VALUES.split(reason, maxsplit=1)[0].strip()
+        self.reason = str(refusal)
+        kind = VALUES.split(self.reason, maxsplit=1)[0].strip()
         known = kind in self.refused_by_reason or len(self.refused_by_reason) < MAX_REASONS
         self.refused_by_reason[kind if known else "other"] += 1
 

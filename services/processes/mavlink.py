@@ -54,7 +54,10 @@ def _run(config: Config, request: StopRequest, say: Say) -> None:
         epoch = new_epoch()
         edge = MavlinkEdge(epoch, config.edge, codec)
         way = "listens at" if config.listens else "sends to"
-        say(f"{way} udp {config.host}:{config.port}; watches ground station {config.edge.ground_station}")
+        say(
+            f"{way} udp {config.host}:{config.port}; watches ground station {config.edge.ground_station}, "
+            f"thrusters of {config.edge.vehicle.name}"
+        )
         EdgeLoop(edge, session, mailbox, epoch, say).run(link, round(1e6 / config.rate_hz), request)
 
 

@@ -379,7 +379,7 @@ def mavlink() -> Target:
 
 def new_mavlink_edge() -> MavlinkEdge:
     """Return an edge that has received nothing."""
-    boat = Vehicle.load(str(ROOT / "examples/vehicles/bluerobotics_boat.toml"))
+    boat = Vehicle.load("bluerobotics-boat")
     return MavlinkEdge(1, MavlinkSettings(vehicle=boat), Codec(255))
 
 

@@ -18,11 +18,11 @@ from ltv_mpc.messages import (
     Plan,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received
+from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
 from services.edges.mavlink.actuation import Overrides, State
 from services.edges.mavlink.autopilot import Autopilot
 from services.edges.mavlink.codec import Codec, frames_of
-from services.edges.mavlink.mission import MissionFollower
+from services.edges.mavlink.mission import ListRefused, MissionFollower
 from services.edges.mavlink.navigation import MS, Accuracy, Navigation
 
 INTERVALS_US = {"SYSTEM_TIME": (2, 1_000_000), "ATTITUDE": (30, 50_000), "LOCAL_POSITION_NED": (32, 100_000),
@@ -98,20 +98,19 @@ class MavlinkEdge(Edge):
             return handle(message, frame.now_us)
         return ()
 
-    def refuse(self, reason: str) -> None:
-        """Count a refused frame; a refused mission or fence is also reported to the ground station."""
-        super().refuse(reason)
-        if reason.startswith(("mission", "fence")):
-            self._problem = reason
+    def refuse(self, refusal: Refused) -> None:
+        """Count a refusal; that of a mission or fence is also reported to the ground station."""
+        super().refuse(refusal)
+        if isinstance(refusal, ListRefused):
+            self._problem = str(refusal)
 
     def take(self, message: Message, now_us: int) -> Iterable[Output]:
         """Take a plan, a status or a reply of the controller."""
         super().take(message, now_us)
         match message:
             case Acknowledgement():
-                name = self._mission.acknowledged(message.command_id)
-                if name and not message.accepted:
-                    self.refuse(f"{name} rejected: {message.why}")
+                if (refusal := self._mission.acknowledged(message)) is not None:
+                    self.refuse(refusal)
             case ControllerStatus(error_m=float() as error_m):
                 boot_ms = (self.clock.read(now_us) or 0) // MS & 0xFFFFFFFF
                 return [self._send(self._codec.make.named_value_float_encode(boot_ms, b"mpc_err", error_m))]

@@ -6,6 +6,7 @@ gives no command again.
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
@@ -14,14 +15,13 @@ import numpy as np
 from ltv_mpc import config
 from ltv_mpc.config import to_toml
 from ltv_mpc.geofence.fence import Disc, Fence, Polygon
-from ltv_mpc.messages import Action, Command
+from ltv_mpc.messages import Acknowledgement, Action, Command
 from ltv_mpc.references.geodesy import Origin, Place, local
 from ltv_mpc.validation import rejection_reason
 from services.edges.edge import Output, Refused
 
 POLL_US, RETRY_US = 10_000_000, 500_000
 MAX_ITEMS = 500
-MISSION, FENCE = 0, 1  # MAV_MISSION_TYPE
 WAYPOINT, LOITER, CHANGE_SPEED = 16, 17, 178  # MAV_CMD
 KEEP_IN, KEEP_OUT, CIRCLE_IN, CIRCLE_OUT = 5001, 5002, 5003, 5004  # MAV_CMD_NAV_FENCE
 MARGIN_M = 1.0
@@ -35,10 +35,26 @@ ABSOLUTE, RELATIVE = (0, 5), (3, 6)
 """MAV_FRAME of an altitude above the sea, and above home: global, and the same with integers."""
 
 
+class ListKind(enum.IntEnum):
+    """Kind of a list of items (MAV_MISSION_TYPE)."""
+
+    MISSION = 0
+    FENCE = 1
+
+    @property
+    def label(self) -> str:
+        """Name of the list in a reason."""
+        return self.name.lower()
+
+
+class ListRefused(Refused):
+    """Mission or fence that cannot be used. The ground station receives the reason."""
+
+
 class Download:
     """Download of the items of one kind of list. ``items`` is the list that arrived last."""
 
-    def __init__(self, kind: int) -> None:
+    def __init__(self, kind: ListKind) -> None:
         self._kind = kind
         self._due_us = 0
         self._poll_us = 0
@@ -57,12 +73,12 @@ class Download:
         return make.mission_request_int_encode(*target, missing, self._kind)
 
     def count(self, message: Any, now_us: int) -> bool:
-        """Take a MISSION_COUNT. Return True if the list is empty and was not. Raises ``Refused`` if it is too long."""
+        """Take a MISSION_COUNT. Return True if it empties the list. Raises ``ListRefused`` if it is too long."""
         if message.mission_type != self._kind or self._count is not None:
             return False
         if message.count > MAX_ITEMS:
             self._poll_us = now_us + POLL_US
-            raise Refused(f"mission: {message.count} items, at most {MAX_ITEMS}")
+            raise ListRefused(f"{self._kind.label}: {message.count} items, at most {MAX_ITEMS}")
         if message.count == 0:
             changed, self.items, self._poll_us = bool(self.items), (), now_us + POLL_US
             return changed
@@ -90,10 +106,10 @@ class MissionFollower:
     def __init__(self, speed_mps: float, *, dives: bool) -> None:
         self._speed_mps, self._dives = speed_mps, dives
         self._origin_deg: tuple[float, float] | None = None
-        self._downloads = {MISSION: Download(MISSION), FENCE: Download(FENCE)}
-        self._changed: set[int] = set()
-        self._texts: dict[int, str] = {}  # reference and fence file that the controller has not acknowledged
-        self._sent: dict[int, int] = {}  # newest command of each kind
+        self._downloads = {kind: Download(kind) for kind in ListKind}
+        self._changed: set[ListKind] = set()
+        self._texts: dict[ListKind, str] = {}  # reference and fence file that the controller has not acknowledged
+        self._sent: dict[ListKind, int] = {}  # newest command of each kind
 
     def requests(self, make: Any, target: tuple[int, int], now_us: int) -> Iterator[Any]:
         """Yield the requests that are due."""
@@ -120,37 +136,37 @@ class MissionFollower:
         """Yield the commands that have no reply yet, with new identifiers."""
         for kind, text in list(self._texts.items()):
             self._sent[kind] = command_id()
-            if kind == MISSION:
+            if kind is ListKind.MISSION:
                 yield Command(command_id=self._sent[kind], action=Action.FOLLOW, reference_toml=text)
             else:
                 yield Command(command_id=self._sent[kind], action=Action.FENCE, fence_toml=text)
 
-    def acknowledged(self, command_id: int) -> str:
-        """Take the reply to a command. Return what it was for; empty if it was for another one."""
-        for kind, name in ((MISSION, "mission"), (FENCE, "fence")):
-            if self._sent.get(kind) == command_id:
+    def acknowledged(self, reply: Acknowledgement) -> ListRefused | None:
+        """Take a reply of the controller. Return the refusal if it rejects the newest mission or fence."""
+        for kind in ListKind:
+            if self._sent.get(kind) == reply.command_id:
                 self._texts.pop(kind, None)
-                return name
-        return ""
+                return None if reply.accepted else ListRefused(f"{kind.label} rejected: {reply.why}")
+        return None
 
     def _convert(self) -> Iterable[Output]:
         if self._origin_deg is None:
             return ()
-        if MISSION in self._changed:
-            self._changed.discard(MISSION)
-            items = self._downloads[MISSION].items
+        if ListKind.MISSION in self._changed:
+            self._changed.discard(ListKind.MISSION)
+            items = self._downloads[ListKind.MISSION].items
             if text := reference_of(items, self._origin_deg, self._speed_mps, dives=self._dives):
-                self._texts[MISSION] = text
-        if FENCE in self._changed:
-            self._changed.discard(FENCE)
-            self._texts[FENCE] = fence_of(self._downloads[FENCE].items, self._origin_deg)
+                self._texts[ListKind.MISSION] = text
+        if ListKind.FENCE in self._changed:
+            self._changed.discard(ListKind.FENCE)
+            self._texts[ListKind.FENCE] = fence_of(self._downloads[ListKind.FENCE].items, self._origin_deg)
         return ()
 
 
 def reference_of(items: Iterable[Any], origin_deg: tuple[float, float], speed_mps: float, *, dives: bool) -> str:
     """Return the reference file of a mission; empty if it has no place. Item 0 is the home of ArduPilot.
 
-    Raises ``Refused`` for a place that is not in a global frame.
+    Raises ``ListRefused`` for a place that is not in a global frame.
     """
     places = []
     for item in list(items)[1:]:
@@ -159,7 +175,7 @@ def reference_of(items: Iterable[Any], origin_deg: tuple[float, float], speed_mp
         if item.command not in (WAYPOINT, LOITER):
             continue
         if item.frame not in (*ABSOLUTE, *RELATIVE):
-            raise Refused(f"mission: frame {item.frame} of item {item.seq} must be global")
+            raise ListRefused(f"mission: frame {item.frame} of item {item.seq} must be global")
         place = f"latitude_deg = {item.x * 1e-7:.7f}, longitude_deg = {item.y * 1e-7:.7f}"
         if dives and item.frame in RELATIVE:
             place += f", depth_m = {max(-item.z, 0.0):.3f}"
@@ -177,7 +193,7 @@ def fence_of(items: Iterable[Any], origin_deg: tuple[float, float]) -> str:
     """Return the fence file of the items of a fence; empty if it has no zone.
 
     The vertices of a polygon follow one another, and each has their number. A circle not to leave becomes the polygon
-    in it. Raises ``Refused`` for a polygon that is not complete or that crosses itself.
+    in it. Raises ``ListRefused`` for a polygon that is not complete or that crosses itself.
     """
     origin = Origin(latitude_deg=origin_deg[0], longitude_deg=origin_deg[1])
     polygons: dict[int, list[Polygon]] = {KEEP_IN: [], KEEP_OUT: []}
@@ -187,7 +203,9 @@ def fence_of(items: Iterable[Any], origin_deg: tuple[float, float]) -> str:
         for item in items:
             centre = Place(latitude_deg=item.x * 1e-7, longitude_deg=item.y * 1e-7)
             if ring and item.command != ring[0].command:
-                raise Refused(f"fence: polygon before item {item.seq} has {len(ring)} of {ring[0].param1:g} vertices")
+                raise ListRefused(
+                    f"fence: polygon before item {item.seq} has {len(ring)} of {ring[0].param1:g} vertices"
+                )
             if item.command in polygons:
                 ring.append(item)
                 if len(ring) == item.param1:
@@ -195,7 +213,9 @@ def fence_of(items: Iterable[Any], origin_deg: tuple[float, float]) -> str:
                     polygons[item.command].append(Polygon(vertices=tuple(places)))
                     ring = []
             elif item.command in (CIRCLE_IN, CIRCLE_OUT) and not 0.0 < item.param1 <= MAX_RADIUS_M:
-                raise Refused(f"fence: radius of item {item.seq} = {item.param1:g} m, must be 0 to {MAX_RADIUS_M:g}")
+                raise ListRefused(
+                    f"fence: radius of item {item.seq} = {item.param1:g} m, must be 0 to {MAX_RADIUS_M:g}"
+                )
             elif item.command == CIRCLE_OUT:
                 discs.append(Disc(centre=centre, radius_m=item.param1))
             elif item.command == CIRCLE_IN:
@@ -205,7 +225,7 @@ def fence_of(items: Iterable[Any], origin_deg: tuple[float, float]) -> str:
                 places = (Place(north_m=float(north), east_m=float(east)) for north, east in corners)
                 polygons[KEEP_IN].append(Polygon(vertices=tuple(places)))
         if ring:
-            raise Refused(f"fence: the last polygon has {len(ring)} of {ring[0].param1:g} vertices")
+            raise ListRefused(f"fence: the last polygon has {len(ring)} of {ring[0].param1:g} vertices")
         if not (discs or any(polygons.values())):
             return ""
         fence = Fence(
@@ -217,12 +237,12 @@ def fence_of(items: Iterable[Any], origin_deg: tuple[float, float]) -> str:
         )
         text = to_toml(fence)
         config.parse(config.loads(text), Fence, source="fence")  # with the bounds of each field
-    except Refused:
+    except ListRefused:
         raise
     except ValueError as error:
-        raise Refused(f"fence: {error}") from None
+        raise ListRefused(f"fence: {error}") from None
     if (reason := rejection_reason(Command(command_id=0, action=Action.FENCE, fence_toml=text))) is not None:
-        raise Refused(f"fence: {reason}")
+        raise ListRefused(f"fence: {reason}")
     return text
 
 

@@ -109,7 +109,7 @@ class Ros2Edge(Edge):
                 return [_reply(channel, message.accepted, message.why or message.authority.value)]
             case Acknowledgement(accepted=False):
                 for name in (name for name, of in self._sent.items() if of == message.command_id):
-                    self.refuse(f"{name} rejected: {message.why}")
+                    self.refuse(Refused(f"{name} rejected: {message.why}"))
             case ControllerStatus():
                 t_ns = self.clock.read(now_us) or 0
                 refused = dict(self.refused_by_reason)

@@ -75,7 +75,8 @@ CASES = [
     # --- the files it names ---------------------------------------------------------------------------------------
     (
         "sim --vehicle papr",
-        'vehicle "papr": no shipped name; shipped: low-yaw, paper, surface, weak-reverse; did you mean "paper"?',
+        'vehicle "papr": no shipped name; shipped: bluerobotics-boat, low-yaw, paper, surface, weak-reverse; '
+        'did you mean "paper"?',
     ),
     ("sim --vehicle vehicle-unknown.toml", 'unknown key "arm_meters" in [thruster.port]; did you mean "arm_m"?'),
     ("sim --vehicle vehicle-slew.toml", "[thruster.port] slew_N_per_s = 0.0: must be > 0 and <= 1e+06"),

@@ -23,6 +23,16 @@ def test_the_time_is_that_of_the_least_delayed_of_the_last_messages() -> None:
     assert clock.read(31_005_000) == 36 * SECOND_NS
 
 
+def test_an_answer_is_half_a_round_trip_old_and_a_slow_one_does_not_count() -> None:
+    clock = StampedClock()
+    clock.exchange(5 * SECOND_NS, 1_000_000, 1_040_000)  # 40 ms for both ways
+    assert clock.read(1_040_000) == 5 * SECOND_NS + 20_000_000
+    clock.exchange(9 * SECOND_NS, 2_000_000, 2_090_000)  # more than twice as slow
+    clock.exchange(9 * SECOND_NS, 3_000_000, 2_900_000)  # an answer before its request
+    clock.exchange(9 * SECOND_NS, -(2**62), 3_000_000)  # a request that nobody sent
+    assert clock.read(2_040_000) == 6 * SECOND_NS + 20_000_000
+
+
 def test_a_plan_is_executed_by_vehicle_time_and_not_beyond_its_end() -> None:
     plans = PlanFollower()
     assert plans.thrust_N(7) is None
@@ -101,6 +111,6 @@ def test_a_frame_becomes_messages_or_is_refused_and_both_are_counted() -> None:
 def test_reasons_that_a_sender_can_choose_do_not_take_memory_without_end() -> None:
     edge = Text(epoch=1)
     for number in range(1000):
-        edge.refuse(f"kind {chr(0x100 + number)}: x")
+        edge.refuse(Refused(f"kind {chr(0x100 + number)}: x"))
     assert edge.refused == 1000
     assert len(edge.refused_by_reason) <= 101

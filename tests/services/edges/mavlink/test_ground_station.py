@@ -16,7 +16,6 @@ from tests.foreign_plant.mavlink_flight import ROOT
 from tests.services.edges.mavlink.ground_station import PLACES
 from tests.system.alone import CLI, arm, controller, started
 
-BOAT = ROOT / "examples/vehicles/bluerobotics_boat.toml"
 STATION = "tests.services.edges.mavlink.ground_station"
 MAVSDK_SYSTEM = "245"
 
@@ -27,11 +26,11 @@ def test_a_mission_of_another_ground_station_is_driven() -> None:
     own, station = loopback.free_port(), loopback.free_port()
     simulated = ROOT / "examples/python/simulated_autopilot.py"
     links = (f"udpout:127.0.0.1:{own}", f"udpout:127.0.0.1:{station}", MAVSDK_SYSTEM)
-    arguments = ("--vehicle", str(BOAT), "--reference", "hover")
+    arguments = ("--vehicle", "bluerobotics-boat", "--reference", "hover")
     with controller(loopback.free_port(), arguments) as (endpoint, _):
         edge = (*CLI, "mavlink", "--connect", f"udpin:127.0.0.1:{own}", "--router", endpoint)
         with (
-            started(*edge, "--gcs-sysid", MAVSDK_SYSTEM, "--vehicle", str(BOAT)),
+            started(*edge, "--gcs-sysid", MAVSDK_SYSTEM),
             started(sys.executable, "-P", str(simulated), *links) as (_, autopilot),
             started(sys.executable, "-P", "-m", "tests.services.edges.mavlink.ground_station", str(station)) as (
                 _,

@@ -14,12 +14,11 @@ pytest.importorskip("pymavlink", reason="not installed: pip install pymavlink (e
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ltv_mpc import config, references
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Action, Command, Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
-from services.edges.edge import Received, Refused
+from services.edges.edge import Outgoing, Received, Refused
 from services.edges.mavlink.actuation import Overrides, State, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
 from services.edges.mavlink.codec import Codec, frames_of
@@ -27,9 +26,10 @@ from services.edges.mavlink.edge import MavlinkEdge, Settings
 from services.edges.mavlink.mission import fence_of, reference_of
 from services.edges.mavlink.navigation import Accuracy, Navigation
 from tests.foreign_plant.flight import distance_m
-from tests.foreign_plant.mavlink_flight import EXAMPLE, ROOT, MavlinkFlight, vehicle
+from tests.foreign_plant.mavlink_flight import EXAMPLE, MavlinkFlight, vehicle
+from tests.services.edges.status import status
 
-BOAT = ROOT / "examples/vehicles/bluerobotics_boat.toml"
+BOAT = "bluerobotics-boat"
 KEY = bytes(range(32))
 
 
@@ -44,17 +44,17 @@ def codec(system: int = 1, component: int = 1, key: bytes | None = None) -> Code
     ("thrust_N", "us"), [(0.0, 1500.0), (51.5, 1900.0), (-39.9, 1100.0), (60.0, 1900.0), (4.25, 1576.0), (-6.6, 1390.0)]
 )
 def test_a_thrust_is_the_pwm_of_the_published_curve(thrust_N: float, us: float) -> None:
-    assert pwm_us(Vehicle.load(str(BOAT)).thruster.port, thrust_N) == pytest.approx(us)
+    assert pwm_us(Vehicle.load(BOAT).thruster.port, thrust_N) == pytest.approx(us)
 
 
 def test_the_dead_band_is_stepped_over() -> None:
-    port = Vehicle.load(str(BOAT)).thruster.port
+    port = Vehicle.load(BOAT).thruster.port
     assert pwm_us(port, 1e-6) == pytest.approx(1528.0, abs=0.01)
     assert pwm_us(port, -1e-6) == pytest.approx(1472.0, abs=0.01)
 
 
 def test_a_motor_that_turns_the_other_way_has_a_falling_table() -> None:
-    port = Vehicle.load(str(BOAT)).thruster.port
+    port = Vehicle.load(BOAT).thruster.port
     other = msgspec.structs.replace(port, pwm_N=tuple(reversed(port.pwm_N)))
     assert pwm_us(other, 51.5) == 1100.0
     assert pwm_us(other, -39.9) == 1900.0
@@ -63,7 +63,7 @@ def test_a_motor_that_turns_the_other_way_has_a_falling_table() -> None:
 
 def test_the_mix_is_the_inverse_of_that_of_the_autopilot() -> None:
     """Its throttle has whole percent, 4 us; its own mix then gives the thrusts of the table."""
-    autopilot, boat = EXAMPLE.Autopilot(EXAMPLE.Boat()), Vehicle.load(str(BOAT))
+    autopilot, boat = EXAMPLE.Autopilot(EXAMPLE.Boat()), Vehicle.load(BOAT)
     autopilot.armed, autopilot.mode = True, 0
     rng = np.random.default_rng(0)
     for thrust_N in rng.uniform(-39.0, 51.0, size=(200, 2)):
@@ -92,9 +92,9 @@ def test_a_submarine_has_forward_yaw_and_vertical() -> None:
     ],
 )
 def test_a_table_without_an_inverse_is_rejected(table: dict[str, Any], problem: str) -> None:
-    fields = msgspec.structs.asdict(Vehicle.load(str(BOAT)).thruster.port)
+    fields = msgspec.structs.asdict(Vehicle.load(BOAT).thruster.port)
     with pytest.raises(ValueError, match=problem):
-        type(Vehicle.load(str(BOAT)).thruster.port)(**(fields | {"pwm_us": (), "pwm_N": ()} | table))
+        type(Vehicle.load(BOAT).thruster.port)(**(fields | {"pwm_us": (), "pwm_N": ()} | table))
 
 
 # --- may the edge drive? ---------------------------------------------------------------------------------------------
@@ -228,6 +228,26 @@ def test_an_estimate_has_the_attitude_between_two_samples_on_the_shorter_way() -
     assert (estimate.velocity_north_mps, estimate.velocity_down_mps) == pytest.approx((1.5, 0.1))
     assert estimate.covariance is not None
     assert estimate.covariance[4, 4] == pytest.approx(0.05**2)
+
+
+def test_the_time_base_is_that_of_the_answers_to_its_own_requests() -> None:
+    """Stamps arrive 200 ms late, answers 10 ms: the answers are closer to the autopilot's time."""
+    edge, autopilot = MavlinkEdge(1, Settings(vehicle=vehicle()), codec(255, 191)), codec()
+
+    def receive(message: Any, now_us: int) -> None:
+        edge.receive(Received("", autopilot.encode(message), b"", now_us))
+
+    receive(autopilot.make.heartbeat_encode(11, 3, 0, 0, 4), 1_000_000)
+    receive(autopilot.make.system_time_encode(0, 7_800), 1_000_000)  # the autopilot is at 8 s
+    assert edge.clock.read(1_000_000) == 7_800_000_000
+    receive(autopilot.make.timesync_encode(0, 1_000_000_000), 1_000_000)  # a request of the autopilot, no fast answer
+    assert edge.clock.read(1_000_000) == 7_800_000_000
+    sent = [codec().decode(frame.payload) for frame in edge.step(2_000_000) if isinstance(frame, Outgoing)]
+    (request,) = (message for message in sent if message.get_type() == "TIMESYNC")
+    assert request.tc1 == 0
+    receive(autopilot.make.timesync_encode(9_005_000_000, request.ts1), 2_010_000)
+    assert edge.clock.read(2_010_000) == 9_010_000_000
+    assert edge.refused == 0
 
 
 def test_late_and_repeated_samples_are_left_out_and_a_restart_is_not() -> None:
@@ -469,6 +489,17 @@ def test_a_refused_mission_or_fence_is_a_text_for_the_ground_station() -> None:
     assert flight.edge.refused == 3
 
 
+def test_the_distance_from_the_reference_is_a_named_value() -> None:
+    edge = MavlinkEdge(1, Settings(vehicle=vehicle()), codec(255, 191))
+    edge.clock.update(9_000_000_000, 1_000_000)
+    (frame,) = edge.take(status(error_m=1.25), 1_500_000)
+    assert isinstance(frame, Outgoing)
+    value = codec().decode(frame.payload)
+    assert (value.get_type(), value.name, value.value) == ("NAMED_VALUE_FLOAT", "mpc_err", 1.25)
+    assert value.time_boot_ms == 9_500
+    assert list(edge.take(status(error_m=None), 1_500_000)) == []
+
+
 # --- frames ----------------------------------------------------------------------------------------------------------
 
 
@@ -522,20 +553,13 @@ def test_on_a_signed_link_unsigned_and_repeated_frames_are_refused() -> None:
         ("mavlink --connect serial:/dev/x", "must be udpin:HOST:PORT"),
         ("mavlink --connect udpin:127.0.0.1:0", "must be udpin:HOST:PORT"),
         ("mavlink --vehicle surface", "has no pwm_us and pwm_N"),
-        ("mavlink --signing-key /nowhere --vehicle {boat}", "cannot be read"),
-        ("mavlink --signing-key {boat} --vehicle {boat}", "must be 32"),
+        ("mavlink --signing-key /nowhere", "cannot be read"),
+        ("mavlink --signing-key {file}", "must be 32"),
         ("mavlink --router udp", "must be PROTOCOL/ADDRESS"),
-        ("mavlink --sd 1,2,3 --vehicle {boat}", "must be four numbers"),
-        ("mavlink --sd 1,0,0.1,0.1 --vehicle {boat}", "must be four numbers"),
+        ("mavlink --sd 1,2,3", "must be four numbers"),
+        ("mavlink --sd 1,0,0.1,0.1", "must be four numbers"),
     ],
 )
 def test_bad_options_are_refused(line: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(line.format(boat=BOAT).split()) == 2
+    assert run(line.format(file=__file__).split()) == 2
     assert says in capsys.readouterr().err
-
-
-def test_the_example_vehicle_is_one() -> None:
-    boat = Vehicle.load(str(BOAT))
-    assert boat.thruster.port.pwm_us
-    with pytest.raises(ConfigError):
-        Vehicle.load(str(BOAT.with_name("no.toml")))

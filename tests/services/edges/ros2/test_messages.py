@@ -15,16 +15,13 @@ from ltv_mpc.messages import (
     Acknowledgement,
     Action,
     Authority,
-    ClockMode,
     Command,
-    ControllerStatus,
     CurrentProfile,
     Estimate,
-    Health,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.reference_point import ReferencePoint
-from services.edges.edge import Outgoing, Received
+from services.edges.edge import Outgoing, Received, Refused
 from services.edges.ros2 import cdr
 from services.edges.ros2.conversions import Settings
 from services.edges.ros2.edge import Ros2Edge
@@ -33,6 +30,7 @@ from services.edges.ros2.topics import BY_NAME
 from tests.fuzz.targets import SQUARE_FENCE
 from tests.services.edges.plans import SECOND_NS, plan
 from tests.services.edges.ros2.test_ros2 import odometry
+from tests.services.edges.status import status
 
 PAPER = Vehicle.load("paper")
 T_NS = 1_700_000_000_250_000_000
@@ -290,24 +288,8 @@ def test_the_predicted_path_is_in_enu() -> None:
 
 def test_the_status_of_controller_and_edge_is_diagnostics() -> None:
     edge = edge_with()
-    edge.refuse("no odometry: x")
-    status = ControllerStatus(
-        t_ns=0,
-        estimate_age_ns=None,
-        applied_age_ns=None,
-        cycle_median_us=None,
-        cycle_p99_us=None,
-        received=0,
-        dropped=0,
-        rejected={},
-        clock=ClockMode.SHARED,
-        clock_error_ns=None,
-        authority=Authority.DISARMED,
-        health=Health.FAILSAFE,
-        health_why="no estimate",
-        error_m=None,
-    )
-    controller, own = read(edge.take(status, 0), "diagnostics").status
+    edge.refuse(Refused("no odometry: x"))
+    controller, own = read(edge.take(status(), 0), "diagnostics").status
     assert (controller.level, controller.message) == (2, "no estimate")
     assert (own.level, own.values[0].key, own.values[0].value) == (1, "no odometry", "1")
 
