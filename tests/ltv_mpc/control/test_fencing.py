@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
-from ltv_mpc.control.config import MotionLimits
+from ltv_mpc.control.config import MotionLimits, ResolvedConfig
 from ltv_mpc.control.fencing import Fencing
+from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc, Polygon
 from ltv_mpc.geofence.obstacles import MAX_AGE_NS
@@ -117,6 +119,46 @@ def test_a_vehicle_inside_a_zone_leaves_it_by_the_nearest_exit() -> None:
     depth = clearances(pack_zones(fence), track)[:, 0]
     assert depth.min() > depth[0] - 0.2  # not across it
     assert depth[-1] > HULL_M + 0.45
+
+
+def rows_of_each_qp(fence: Fence, cycles: int) -> list[list[int]]:
+    """Return the numbers of half-planes of a stage in the QPs of each cycle on the way to the point."""
+    counts: list[int] = []
+
+    def make_counted(vehicle: Vehicle, config: ResolvedConfig) -> Solver:
+        solver = make(vehicle, config)
+        build = solver.build
+
+        def counted(lin: Linearisation, target: Array) -> None:
+            counts.append(lin.rows.shape[1])
+            build(lin, target)
+
+        solver.build = counted  # type: ignore[method-assign]
+        return solver
+
+    of, estimate, found = (
+        Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=make_counted),
+        drifting(),
+        [],
+    )
+    of.set_fence(fence)
+    for _ in range(cycles):
+        counts.clear()
+        estimate = advance(CRAFT, estimate, of.plan(estimate), duration_s=0.3)
+        found.append(counts.copy())
+    return found
+
+
+def test_the_qp_has_no_rows_where_no_zone_is_near() -> None:
+    assert rows_of_each_qp(disc(1000.0, 0.0, 3.0), 20) == [[0, 0]] * 20
+
+
+def test_a_step_into_a_zone_is_followed_by_a_qp_with_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ltv_mpc.control.lateral.is_near", lambda *_: False)
+    first = rows_of_each_qp(disc(5.0, 0.0, 2.0), 1)[0]
+    assert len(first) == 3
+    assert first[0] == 0
+    assert first[-1] == 3
 
 
 def test_a_fence_needs_the_hull_and_a_rejected_one_changes_nothing() -> None:
