@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
-from ltv_mpc.control.config import MotionLimits, ResolvedConfig
+from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.nominal_model import advance
@@ -125,7 +125,7 @@ def rows_of_each_qp(fence: Fence, cycles: int) -> list[list[int]]:
     """Return the numbers of half-planes of a stage in the QPs of each cycle on the way to the point."""
     counts: list[int] = []
 
-    def make_counted(vehicle: Vehicle, config: ResolvedConfig) -> Solver:
+    def make_counted(vehicle: Vehicle, config: ControllerConfig) -> Solver:
         solver = make(vehicle, config)
         build = solver.build
 
