@@ -54,7 +54,7 @@ ACTIVE_M = 0.05
 REACH = 4.0
 """Largest slack of a row that is taken, in units of S."""
 
-NEAR = 0.5
+NEAR = 1.0
 """Surplus over a required clearance, in units of S, up to which a QP has the rows."""
 
 

@@ -90,6 +90,8 @@ class Fencing:
         self._labels: list[str] = []
         self._router: Router | None = None
         self._no_way = False  # round the zones to the target
+        self.meeting_margins: tuple[str, ...] = ()
+        """Zones whose required clearances the vehicle lacks at once, because late estimates have made them grow."""
         self._dropped: tuple[int, ...] = ()
 
     @property
@@ -156,6 +158,7 @@ class Fencing:
         growth_m : growth of the standard deviation of the position since the estimate (m).
         """
         self._no_way = False
+        self.meeting_margins = ()
         if not self.is_active:  # in most cycles, which then spend no time here
             return
         self._dropped = self.obstacles.drop_old(start.t_ns)
@@ -169,6 +172,9 @@ class Fencing:
             sd_m += math.sqrt(largest_variance_m2(nn, ne, ee))
         scene.need[:] = hull_radius_m(self._vehicle) + np.maximum(zones.margin, SD_FACTOR * sd_m)
         update_exits(zones, start.lateral[0], start.lateral[1], scene.exits)
+        if growth_m > 0.0:
+            lacking = np.flatnonzero(clearances(zones, start.lateral[None, :2])[0] < scene.need)
+            self.meeting_margins = tuple(self._labels[z] for z in lacking) if len(lacking) > 1 else ()
         router = self._router
         assert router is not None  # there is a fence
         if not router.serves(scene.need):

@@ -20,7 +20,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc, Polygon
 from ltv_mpc.geofence.obstacles import MAX_AGE_NS
 from ltv_mpc.geofence.zones import clearances, pack_zones
-from ltv_mpc.messages import Array, CurrentProfile, Estimate, Pair, Plan, PlanOrigin, SolveStatus
+from ltv_mpc.messages import Array, CurrentProfile, Estimate, Health, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.references import Line, Place, Point, Reference, Waypoints
 from ltv_mpc.vehicle.parameters import Hull, Vehicle
 from tests.ltv_mpc.control.problems import PAPER
@@ -289,6 +289,20 @@ def test_margins_grow_with_the_uncertainty_of_a_late_estimate() -> None:
     assert needed_m == pytest.approx([0.5, 0.5, 3.0])  # the margin, or three standard deviations
 
 
+def test_the_vehicle_stops_between_zones_whose_margins_meet_while_estimates_are_late() -> None:
+    side = HULL_M + 0.55  # half the distance between two walls
+    of = controller(line(24.0))
+    of.set_fence(walls(*([(-5.0, e), (30.0, e), (30.0, e + 3.0), (-5.0, e + 3.0)] for e in (side, -side - 3.0))))
+    estimate = msgspec.structs.replace(drifting(), covariance=np.diag([0.18**2] * 2 + [1e-4] * 4))
+    assert of.plan(estimate).origin is PlanOrigin.SOLVED
+    late = of.plan(estimate, t_ns=estimate.t_ns + 3_000_000_000)
+    assert late.health is Health.DEGRADED
+    assert late.origin is PlanOrigin.STOP
+    assert "margins meet" in late.why
+    fresh = msgspec.structs.replace(estimate, t_ns=estimate.t_ns + 3_300_000_000)
+    assert of.plan(fresh).origin is PlanOrigin.SOLVED
+
+
 def test_a_corridor_does_not_hold_the_vehicle_at_a_zone() -> None:
     fence, of = disc(12.0, 0.5, 3.0), controller(line(24.0), limits=MotionLimits(max_cross_track_m=0.3))
     of.set_fence(fence)
@@ -307,6 +321,9 @@ def test_a_plan_without_control_says_when_the_vehicle_drifts_into_a_zone() -> No
     assert late.fence is not None
     gap_m = 30.0 - 5.0 - HULL_M - late.states[0, 1]
     assert late.fence.time_to_zone_ns == pytest.approx(gap_m / 0.2 * 1e9, rel=0.02)
+    with pytest.MonkeyPatch.context() as patch:  # a cycle that raises
+        patch.setattr("ltv_mpc.control.prediction.Prediction.state_at", None)
+        assert of.plan(estimate).fence.time_to_zone_ns == pytest.approx((25.0 - HULL_M) / 0.2 * 1e9, rel=0.02)
     away = of.plan(drifting((0.0, -0.2)), t_ns=estimate.t_ns + 30_000_000_000)
     assert away.fence is not None
     assert away.fence.time_to_zone_ns is None
