@@ -425,8 +425,11 @@ class Controller:
         """Return the lateral thrusters' plan in this mode.
 
         In FOLLOW it is the QP's plan or that of a fallback level, in HOLD one that stops the vehicle, and in the other
-        modes a ramp to the override or to zero.
+        modes a ramp to the override or to zero. The vehicle stops, too, between zones whose grown margins meet.
         """
+        meeting = self._lateral.fencing.meeting_margins
+        if decision.mode is Mode.FOLLOW and meeting:
+            return self._lateral.stop(start, f"margins meet while estimates are late: {', '.join(meeting)}")
         if decision.mode is Mode.FOLLOW:
             self._lateral.set_reference(path=self.follower.is_path, heading=self.follower.heading_rad is not None)
             self._lateral.bend_target(start)
@@ -491,17 +494,22 @@ class Controller:
         The lateral thrusts ramp to zero and the vertical one to the failsafe thrust (to zero under an override). The
         ramps begin at the commands in force, or at zero if these are not available.
         """
-        self._lateral.distrust_solver()
+        self._lateral.discard_solvers()
         self._lateral.previous.clear()
         delay_ns = self._delay.expected_ns()
         knots = now_ns + delay_ns + self._knots_ns
         command = np.zeros(3)
         with contextlib.suppress(Exception):
             command = self.sent_commands.at(knots[:1])[0]
-        states = np.zeros((len(knots), 6))
+        states, fence = np.zeros((len(knots), 6)), None
         estimate = self.estimate_gate.accepted
         if estimate is not None:
-            states[:, :2], states[:, 4] = (estimate.north_m, estimate.east_m), estimate.heading_rad
+            drift_s = (knots - estimate.t_ns) * 1e-9
+            states[:, 0] = estimate.north_m + drift_s * estimate.velocity_north_mps
+            states[:, 1] = estimate.east_m + drift_s * estimate.velocity_east_mps
+            states[:, 4] = estimate.heading_rad
+            with contextlib.suppress(Exception):
+                fence = self._lateral.fencing.report(states, 0.0, drifts=True)
         vertical_N = 0.0 if override is not None else self.vehicle.failsafe_vertical_N
         health = worst(self.health(now_ns), health)
         plan = Plan(
@@ -517,6 +525,7 @@ class Controller:
             health_why=health.why,
             estimate_t_ns=now_ns if estimate is None else estimate.t_ns,
             expected_delay_ns=delay_ns,
+            fence=fence,
         )
         with contextlib.suppress(Exception):
             self._record(plan)

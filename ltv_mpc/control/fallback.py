@@ -235,7 +235,9 @@ class Fallback:
         """Approach the goal (N+1, 2) in box and slew."""
         X, U = self.empty()
         nominal_trajectory.ramp_to(self._packed, start.lateral, goal, C, X, U)
-        return LateralPlan(np.nan_to_num(X, posinf=0.0, neginf=0.0), U, origin, NOT_RUN, why)
+        if not math.isfinite(np.vdot(X, X)):
+            X = np.nan_to_num(X, posinf=0.0, neginf=0.0)
+        return LateralPlan(X, U, origin, NOT_RUN, why)
 
     def empty(self) -> tuple[Array, Array]:
         """Return uninitialised states (N+1, 8) and commands (N+1, 2) of a plan."""

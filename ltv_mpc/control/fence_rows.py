@@ -48,8 +48,14 @@ CORRIDOR_PENALTY = 500.0
 CORRIDOR_ROWS = 2
 """Rows of the corridor at a knot, behind the ``ROWS`` of the fence."""
 
+ACTIVE_M = 0.05
+"""Surplus over the required clearance up to which a zone counts as active."""
+
 REACH = 4.0
 """Largest slack of a row that is taken, in units of S."""
+
+NEAR = 1.0
+"""Surplus over a required clearance, in units of S, up to which a QP has the rows."""
 
 
 class Scene(NamedTuple):
@@ -140,8 +146,7 @@ def lack_m(scene: Scene, z: int, n: float, e: float, t_s: float) -> float:
         return max(need - float(np.hypot(n - north, e - east)), 0.0)
     if scene.exits[z, 0] != 0.0:
         return float(max(scene.exits[z, 3] + scene.need[z] - scene.exits[z, 1] * n - scene.exits[z, 2] * e, 0.0))
-    circle = scene.zones.circle[z]
-    if np.hypot(n - circle[0], e - circle[1]) - circle[2] > scene.need[z]:
+    if _is_beyond(scene, z, (n, e, n, e)):
         return 0.0
     return float(max(scene.need[z] - nearest(scene.zones, z, n, e)[0], 0.0))
 
@@ -161,22 +166,73 @@ def fence_cost(X: Array, scene: Scene, o: Objective) -> float:
         for k in range(1, X.shape[0]):
             excess = abs(cross_track(scene, k, X[k, 0], X[k, 1])[0]) - scene.half_width_m
             total += 2.0 * CORRIDOR_PENALTY * stage_length(o, k) * max(excess, 0.0) / o.state_scale[0]
-    if count == 0:
-        return total
-    for k in range(1, X.shape[0]):
-        g, steps = stage_length(o, k), _sub_steps(o, k)
-        sag = _sag_m(X, k, g * scene.stage_s)
-        for z in range(count):
+    box = _box(X)
+    for z in range(count):
+        if z < len(scene.need) and _is_beyond(scene, z, box):
+            continue
+        for k in range(1, X.shape[0]):
+            g, steps = stage_length(o, k), _sub_steps(o, k)
             worst = 0.0
             for j in range(1, steps + 1):
                 part = j / steps
                 n, e = X[k - 1, 0] + part * (X[k, 0] - X[k - 1, 0]), X[k - 1, 1] + part * (X[k, 1] - X[k - 1, 1])
                 lack = lack_m(scene, z, n, e, (o.t[k - 1] + part * g) * scene.stage_s)
                 if lack > 0.0 and j < steps:
-                    lack += sag
+                    lack += _sag_m(X, k, g * scene.stage_s)
                 worst = max(worst, lack)
             total += 2.0 * PENALTY * g * worst / o.state_scale[0]
     return total
+
+
+@jit
+def _box(X: Array) -> tuple[float, float, float, float]:
+    """Return the least north and east of a trajectory, and the largest (m)."""
+    n0, e0, n1, e1 = np.inf, np.inf, -np.inf, -np.inf
+    for k in range(X.shape[0]):
+        n0, n1 = min(n0, X[k, 0]), max(n1, X[k, 0])
+        e0, e1 = min(e0, X[k, 1]), max(e1, X[k, 1])
+    return n0, e0, n1, e1
+
+
+@jit
+def _from_box(zones: Zones, z: int, box: tuple[float, float, float, float]) -> float:
+    """Return the distance of a box from the circle around zone z (m); infinitely negative for a keep-in zone."""
+    n, e, radius = zones.circle[z]
+    return float(np.hypot(max(box[0] - n, n - box[2], 0.0), max(box[1] - e, e - box[3], 0.0)) - radius)
+
+
+@jit
+def _is_beyond(scene: Scene, z: int, box: tuple[float, float, float, float]) -> bool:
+    """Return True if every point of a box has the required clearance from zone z; False if that takes a closer look."""
+    return bool(scene.exits[z, 0] == 0.0 and _from_box(scene.zones, z, box) > scene.need[z])
+
+
+@jit
+def is_near(packed: Array, flat: Array, stages: int, scene: Scene) -> bool:
+    """Return True if the nominal trajectory comes near to a zone, an obstacle or the edge of the corridor.
+
+    Parameters
+    ----------
+    packed : packed constants (problem_data.py).
+    flat : ``Linearisation.flat``: its X is read.
+    stages : N.
+    scene : zones and obstacles.
+    """
+    o = unpack_constants(packed).objective
+    spare = NEAR * o.state_scale[0]
+    wide = Scene(
+        scene.zones,
+        scene.need + spare,
+        scene.exits,
+        scene.discs,
+        scene.disc_need_m + spare,
+        scene.stage_s,
+        scene.path,
+        scene.targets,
+        scene.path_reach,
+        scene.half_width_m - spare,
+    )
+    return bool(fence_cost(unpack_linearisation(flat, stages).X, wide, o) > 0.0)
 
 
 @jit
@@ -260,6 +316,45 @@ def _insert_disc(scene: Scene, i: int, t_s: float, k: int, points: Array, reach:
 
 
 @jit
+def entry_s(X: Array, t_s: Array, scene: Scene, hull_m: float) -> float:
+    """Return when the hull enters a zone or an obstacle first (s after the first knot); infinite for never.
+
+    Parameters
+    ----------
+    X, t_s, scene, hull_m : as in ``clearance_table``.
+    """
+    first, box = np.inf, _box(X)
+    for z in range(len(scene.need) + len(scene.discs)):
+        if z < len(scene.need) and _is_beyond(scene, z, box):
+            continue
+        before = 0.0
+        for k in range(X.shape[0]):
+            distance, _ = _clearance(scene, z, X[k, 0], X[k, 1], t_s[k])
+            if distance < hull_m:
+                first = min(first, _crossing_s(t_s, k, before - hull_m, hull_m - distance))
+                break
+            before = distance
+    return float(first)
+
+
+@jit
+def _clearance(scene: Scene, z: int, n: float, e: float, t_s: float) -> tuple[float, float]:
+    """Return the clearance of a point from zone z, or from obstacle z - Z at a time, and the required one (m)."""
+    Z = len(scene.need)
+    if z < Z:
+        return nearest(scene.zones, z, n, e)[0], scene.need[z]
+    north, east, need = _disc(scene, z - Z, t_s)
+    radius = scene.discs[z - Z, 4]
+    return float(np.hypot(n - north, e - east)) - radius, need - radius
+
+
+@jit
+def _crossing_s(t_s: Array, k: int, above: float, below: float) -> float:
+    """Return when a clearance falls below a limit between knot k - 1, where it is above, and knot k."""
+    return float(t_s[k - 1] + above / (above + below) * (t_s[k] - t_s[k - 1])) if k > 0 else 0.0
+
+
+@jit
 def clearance_table(X: Array, t_s: Array, scene: Scene, hull_m: float) -> Array:
     """Return of each zone and each obstacle (Z + O, 5): what the plan keeps from it.
 
@@ -274,26 +369,25 @@ def clearance_table(X: Array, t_s: Array, scene: Scene, hull_m: float) -> Array:
     -------
     Least clearance of the vehicle's origin (m), clearance at the first knot (m), smallest surplus over the required
     clearance (m), number of knots that lack more than 1 cm of it, time at which the hull enters it (s; inf: never).
+    The clearances of a zone that is neither active nor the nearest one are infinite.
     """
-    Z, count = len(scene.need), len(scene.need) + len(scene.discs)
+    count = len(scene.need) + len(scene.discs)
     out = np.zeros((count, 5))
+    least, box = np.inf, _box(X)
     for z in range(count):
-        out[z, 0], out[z, 2], out[z, 4] = np.inf, np.inf, np.inf
+        out[z, 0] = out[z, 1] = out[z, 2] = out[z, 4] = np.inf
+        if z < len(scene.need) and _from_box(scene.zones, z, box) > max(least, scene.need[z] + ACTIVE_M):
+            continue
         before = 0.0
         for k in range(X.shape[0]):
-            if z < Z:
-                distance, need = nearest(scene.zones, z, X[k, 0], X[k, 1])[0], scene.need[z]
-            else:
-                north, east, need = _disc(scene, z - Z, t_s[k])
-                radius = scene.discs[z - Z, 4]
-                distance, need = np.hypot(X[k, 0] - north, X[k, 1] - east) - radius, need - radius
+            distance, need = _clearance(scene, z, X[k, 0], X[k, 1], t_s[k])
             if k == 0:
                 out[z, 1] = distance
             out[z, 0], out[z, 2] = min(out[z, 0], distance), min(out[z, 2], distance - need)
             if distance < need - 0.01:
                 out[z, 3] += 1.0
             if distance < hull_m and np.isinf(out[z, 4]):
-                part = (before - hull_m) / (before - distance) if k > 0 else 0.0
-                out[z, 4] = t_s[k - 1] + part * (t_s[k] - t_s[k - 1]) if k > 0 else 0.0
+                out[z, 4] = _crossing_s(t_s, k, before - hull_m, hull_m - distance)
             before = distance
+        least = min(least, out[z, 0])
     return out

@@ -21,16 +21,16 @@ import math
 
 import numpy as np
 
-from ltv_mpc.control.fence_rows import CORRIDOR_ROWS, NO_PATH, Scene, clearance_table
+from ltv_mpc.control.fence_rows import ACTIVE_M, CORRIDOR_ROWS, NO_PATH, Scene, clearance_table, entry_s
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.terminal_check import closing_speed
 from ltv_mpc.geofence.allowed_path import allowed_path
 from ltv_mpc.geofence.fence import Fence, hull_radius_m
-from ltv_mpc.geofence.half_planes import ROWS, SD_FACTOR
-from ltv_mpc.geofence.obstacles import DISC, ObstacleTable
+from ltv_mpc.geofence.half_planes import ROWS, SD_FACTOR, update_exits
+from ltv_mpc.geofence.obstacles import DISC, ObstacleTable, largest_variance_m2
 from ltv_mpc.geofence.route import Router
-from ltv_mpc.geofence.zones import Zones, clearances, nearest, pack_zones
+from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array, Estimate, FenceInForce, FenceReport, Obstacles, Times
 from ltv_mpc.references.follower import PathBeside
 from ltv_mpc.references.schedule import Schedule
@@ -44,9 +44,6 @@ MIN_SPEED = 0.2
 
 OBSTACLE_MARGIN = 1.0
 """Distance that is kept between the hull and an obstacle, in radii of the hull."""
-
-ACTIVE_M = 0.05
-"""Surplus over the required clearance up to which a zone counts as active."""
 
 ENTERED_M = 0.01
 """Depth in a margin from which it counts as entered: rounding and the linearisation take millimetres."""
@@ -93,6 +90,8 @@ class Fencing:
         self._labels: list[str] = []
         self._router: Router | None = None
         self._no_way = False  # round the zones to the target
+        self.meeting_margins: tuple[str, ...] = ()
+        """Zones whose required clearances the vehicle lacks at once, because late estimates have made them grow."""
         self._dropped: tuple[int, ...] = ()
 
     @property
@@ -159,6 +158,7 @@ class Fencing:
         growth_m : growth of the standard deviation of the position since the estimate (m).
         """
         self._no_way = False
+        self.meeting_margins = ()
         if not self.is_active:  # in most cycles, which then spend no time here
             return
         self._dropped = self.obstacles.drop_old(start.t_ns)
@@ -168,18 +168,16 @@ class Fencing:
         zones = scene.zones
         sd_m = growth_m
         if estimate.covariance is not None:
-            sd_m += math.sqrt(max(float(np.linalg.eigvalsh(estimate.covariance[:2, :2])[-1]), 0.0))
+            (nn, ne), (_, ee) = estimate.covariance[:2, :2].tolist()
+            sd_m += math.sqrt(largest_variance_m2(nn, ne, ee))
         scene.need[:] = hull_radius_m(self._vehicle) + np.maximum(zones.margin, SD_FACTOR * sd_m)
-        north, east = start.lateral[:2]
-        for z in range(len(zones.radius)):
-            distance, mn, me, qn, qe = nearest(zones, z, north, east)
-            if distance >= 0.0:
-                scene.exits[z, 0] = 0.0
-            elif scene.exits[z, 0] == 0.0:
-                scene.exits[z] = 1.0, mn, me, mn * qn + me * qe
+        update_exits(zones, start.lateral[0], start.lateral[1], scene.exits)
+        if growth_m > 0.0:
+            lacking = np.flatnonzero(clearances(zones, start.lateral[None, :2])[0] < scene.need)
+            self.meeting_margins = tuple(self._labels[z] for z in lacking) if len(lacking) > 1 else ()
         router = self._router
         assert router is not None  # there is a fence
-        if (scene.need > router.need + ACTIVE_M).any() or (scene.need < 0.8 * router.need).any():
+        if not router.serves(scene.need):
             self._router = Router(zones, scene.need)
 
     def bend(self, position: Array, current: Array, target: Array) -> None:
@@ -234,7 +232,7 @@ class Fencing:
         hull = self._vehicle.hull
         if hull is None or not self.is_active:
             return math.inf
-        return float(clearance_table(X, self._times_s, self.scene, hull.radius_m)[:, 4].min())
+        return float(entry_s(X, self._times_s, self.scene, hull.radius_m))
 
     def _drift_s(self, X: Array) -> float:
         """Return when the hull enters a zone if it drifts on after the last of the states X (s after the first)."""
@@ -264,28 +262,31 @@ class Fencing:
         dropped, self._dropped = self._dropped, ()
         if hull is None or not (self.is_active or dropped):
             return None
-        table = clearance_table(X, self._times_s, self.scene, hull.radius_m)
-        if not len(table):
+        table = clearance_table(X, self._times_s, self.scene, hull.radius_m).tolist()
+        if not table:
             return FenceReport(clearance_m=None, dropped=dropped)
         labels = [*self._labels, *(f"obstacle {report.id}" for report in self.obstacles.reports)]
-        least, now, surplus, lacking, enters_s = table.T
-        margin = np.concatenate(
-            [self.scene.zones.margin, np.full(len(self.scene.discs), OBSTACLE_MARGIN * hull.radius_m)]
-        )
-        z, first_s = int(np.argmin(least)), float(enters_s.min())
+        margins = [*self.scene.zones.margin.tolist(), *[OBSTACLE_MARGIN * hull.radius_m] * len(self.scene.discs)]
+        least_m, nearest = min((row[0], label) for row, label in zip(table, labels, strict=True))
+        first_s = min(row[4] for row in table)
         if drifts and math.isinf(first_s):
             first_s = self._drift_s(X)
-
-        def _named(which: Array) -> tuple[str, ...]:
-            return tuple(labels[i] for i in np.flatnonzero(which))
-
+        active, in_margin, inside, exceeded = [], [], [], 0
+        for (_, now_m, surplus_m, lacking, _), label, margin_m in zip(table, labels, margins, strict=True):
+            exceeded += int(lacking)
+            if surplus_m < ACTIVE_M:
+                active.append(label)
+            if now_m < hull.radius_m + margin_m - ENTERED_M:
+                in_margin.append(label)
+            if now_m < hull.radius_m:
+                inside.append(label)
         return FenceReport(
-            clearance_m=float(least[z]) - hull.radius_m,
-            nearest=labels[z],
-            active=_named(surplus < ACTIVE_M),
-            in_margin=_named(now < hull.radius_m + margin - ENTERED_M),
-            inside=_named(now < hull.radius_m),
-            exceeded=int(lacking.sum()),
+            clearance_m=least_m - hull.radius_m,
+            nearest=nearest,
+            active=tuple(active),
+            in_margin=tuple(in_margin),
+            inside=tuple(inside),
+            exceeded=exceeded,
             skipped_m=skipped_m,
             no_way=self._no_way,
             time_to_zone_ns=round(first_s * 1e9) if math.isfinite(first_s) else None,

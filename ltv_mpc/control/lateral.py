@@ -4,6 +4,9 @@
                          ^                                                                                     |
                          +---------------------- relinearise, ``sqp_iterations`` times ------------------------+
 
+The QP has the rows of fence and corridor only where the nominal trajectory is near to a zone: without them it is solved
+faster. If the step of a QP without rows leads into a zone, one more QP follows, with the rows.
+
 A cycle whose QP gives no usable commands takes the next fallback level (``fallback.py``).
 
 A weak thruster delivers a share of its command. Every thrust in the planner is the delivered one: the command in force,
@@ -23,9 +26,9 @@ import numpy as np
 from ltv_mpc.control import line_search, nominal_trajectory
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
-from ltv_mpc.control.fence_rows import fill_rows
+from ltv_mpc.control.fence_rows import fill_rows, is_near
 from ltv_mpc.control.fencing import Fencing
-from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.linearisation import Linearisation, storage_size, unpack_linearisation
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
 from ltv_mpc.control.problem_data import pack_constants
 from ltv_mpc.control.solvers import Solver, SolverFactory
@@ -70,14 +73,14 @@ class LateralPlanner:
         self.fencing = Fencing(vehicle, knots_ns, config.limits.max_cross_track_m)
         """Fence, obstacles and corridor in force."""
         self._packed = packed
-        self._lin = Linearisation.empty(config.stages)
+        self._lin = self._without_rows = Linearisation.empty(config.stages)
         self._fallback = Fallback(vehicle, packed, self.previous, config.period_ns)
         self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
         self._shares: Pair = (1.0, 1.0)  # of their commands that port and starboard deliver
         self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
-        self._solver = self._make_solver()
-        self._solver_is_suspect = False
+        self._solvers = {0: self._make_solver()}  # by the half-planes of a stage: a QP has a fixed pattern
+        self._last_solver = self._solvers[0]
         self._stopwatch = stopwatch
 
     def set_current(self, estimate: Estimate, depth_m: Array) -> None:
@@ -90,8 +93,9 @@ class LateralPlanner:
         """
         rows = self.fencing.rows
         if self._lin.rows.shape[1] != rows:
-            self._lin = Linearisation.empty(len(self.target) - 1, rows)
-            self.distrust_solver()
+            stages = len(self.target) - 1
+            self._lin = Linearisation.empty(stages, rows)
+            self._without_rows = unpack_linearisation(self._lin.flat[: storage_size(stages)], stages)
         profile = profile_of(estimate)
         fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._lin.C)
 
@@ -144,7 +148,7 @@ class LateralPlanner:
         self._packed[:] = pack_constants(
             self._weakened_vehicle(), config.weights, config.knots, STAGE_NS * 1e-9, config.limits.state_bounds
         )
-        self.distrust_solver()
+        self.discard_solvers()
 
     def stop(self, start: Start, why: str) -> LateralPlan:
         """Stop the vehicle through the water.
@@ -163,8 +167,6 @@ class LateralPlanner:
         start : the vehicle at the plan's start. Target and current are set before.
         """
         try:
-            if self._solver_is_suspect:  # its workspace may hold numbers that are not finite
-                self._solver, self._solver_is_suspect = self._make_solver(), False
             plan: LateralPlan | Solve = self._solve(start)
         except Exception as error:  # a solver should report a status, but those of others may raise
             plan = Solve(status=SolveStatus.FAILED, why=f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS])
@@ -183,9 +185,9 @@ class LateralPlanner:
         braking = self._fallback.followed_alone(start, self._lin.C, plan, brakes=True)
         return braking if self.fencing.enters_s(braking.X) > enters_s else plan
 
-    def distrust_solver(self) -> None:
-        """Make a new solver before the next solve."""
-        self._solver_is_suspect = True
+    def discard_solvers(self) -> None:
+        """Make new solvers before the next solve: the workspaces of these may hold numbers that are not finite."""
+        self._solvers.clear()
 
     def _solve(self, start: Start) -> LateralPlan | Solve:
         """Solve ``sqp_iterations`` QPs, each along the trajectory of the one before.
@@ -193,17 +195,21 @@ class LateralPlanner:
         Returns the plan, or the report of the solve that gave no usable one.
         """
         lin, packed, target = self._lin, self._packed, self.target
-        self._linearise(start)
+        scene, stages = self.fencing.scene, len(lin.Phi)
+        shift = self._linearise(start)
         X, U = self._fallback.empty()
-        for left in range(self._config.sqp_iterations, 0, -1):
-            if lin.rows.size:
-                fill_rows(packed, lin.flat, len(lin.Phi), self.fencing.scene)
+        left, has_rows = self._config.sqp_iterations, False
+        while left > 0:
+            has_rows = lin.rows.size > 0 and (has_rows or is_near(packed, lin.flat, stages, scene))
+            if has_rows:
+                fill_rows(packed, lin.flat, stages, scene)
+            solver = self._solver(lin if has_rows else self._without_rows, shift)
             self._stopwatch("linearise")
-            self._solver.build(lin, target)
+            solver.build(lin if has_rows else self._without_rows, target)
             self._stopwatch("build")
-            self._solver.update()
+            solver.update()
             self._stopwatch("update")
-            commands, solve = self._solver.solve()
+            commands, solve = solver.solve()
             self._stopwatch("solve")
             if solve.status is not SolveStatus.SOLVED:
                 if not is_usable(commands, solve):
@@ -211,28 +217,52 @@ class LateralPlanner:
                 # The line search brings it into box and slew, and takes it only as far as the cost does not rise.
             elif not math.isfinite(np.vdot(commands, commands)):
                 return Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
-            step = line_search.line_search(packed, lin.flat, target, commands, X, U, self.fencing.scene)
+            step, enters = line_search.line_search(packed, lin.flat, target, commands, X, U, scene)
             # A step above zero has a finite cost, so its states and commands are finite.
             if step == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return Solve(status=SolveStatus.NON_FINITE, why="the predicted motion is not finite")
-            if left > 1:
+            shift = 0.0
+            if enters and lin.rows.size > 0 and not has_rows:
+                has_rows = True  # for another QP
+            else:
+                left -= 1
+            if left > 0:
                 nominal_trajectory.relinearise(packed, lin.flat, X, U)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
-    def _linearise(self, start: Start) -> None:
-        """Linearise along the previous plan on the new knots, or along a steering guess if that costs less."""
+    def _solver(self, lin: Linearisation, shift: float) -> Solver:
+        """Return the solver of a QP of this pattern, with its warm start.
+
+        Parameters
+        ----------
+        lin : the motion along the nominal trajectory, with or without half-planes.
+        shift : by how many first stages the knots of the last QP lie earlier; NaN if it is not related to the next one.
+        """
+        rows = lin.rows.shape[1]
+        if rows not in self._solvers:
+            self._solvers[rows] = self._make_solver()
+        solver = self._solvers[rows]
+        if solver is not self._last_solver or math.isnan(shift):
+            solver.reset_warm_start()
+        elif shift != 0.0:
+            solver.shift_warm_start(shift)
+        self._last_solver = solver
+        return solver
+
+    def _linearise(self, start: Start) -> float:
+        """Linearise along the previous plan on the new knots, or along a steering guess if that costs less.
+
+        Returns by how many first stages the previous plan began earlier; NaN for a steering guess.
+        """
         stages, commands = self.previous.lateral_commands(start.t_ns)
         kind = nominal_trajectory.choose_nominal(
             self._packed, start.lateral, self.target, commands, stages, self._lin.flat, self.fencing.scene
         )
-        if kind == nominal_trajectory.PREVIOUS_PLAN:
-            self._solver.shift_warm_start(stages)
-        else:
-            self._solver.reset_warm_start()
+        return stages if kind == nominal_trajectory.PREVIOUS_PLAN else math.nan
 
     def _fall_back(self, start: Start, solve: Solve) -> LateralPlan:
         """Return the plan of the first fallback level that gives one."""
-        self._solver_is_suspect = True
+        self.discard_solvers()
         np.nan_to_num(self._lin.C, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
         return self._fallback.plan(start, self._lin.C, solve)
 

@@ -19,7 +19,9 @@ STEPS = (1.0, 0.5, 0.25, 0.1)
 
 
 @jit
-def line_search(packed: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array, scene: Scene) -> float:
+def line_search(
+    packed: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array, scene: Scene
+) -> tuple[float, bool]:
     """Find the largest step from the nominal trajectory towards the QP's commands that does not raise the cost.
 
     The solver meets box and slew to its tolerance; the trajectory found here meets them exactly.
@@ -36,11 +38,13 @@ def line_search(packed: Array, flat: Array, target: Array, commands: Array, X: A
 
     Returns
     -------
-    The fraction of the step taken; 0 if no step qualifies, and X and U are then the nominal trajectory.
+    The fraction of the step taken, and True if the whole step comes too near to a zone, where the nominal trajectory
+    does not. The fraction is 0 if no step qualifies, and X and U are then the nominal trajectory.
     """
     c, lin = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1)
     o = c.objective
-    before = cost(lin.X, lin.U, lin.C, target, o) + fence_cost(lin.X, scene, o)
+    fence_before, enters = fence_cost(lin.X, scene, o), False
+    before = cost(lin.X, lin.U, lin.C, target, o) + fence_before
     copy_to(X[0], lin.X[0])
     for part in STEPS:
         for k in range(U.shape[0]):
@@ -48,10 +52,13 @@ def line_search(packed: Array, flat: Array, target: Array, commands: Array, X: A
                 U[k, i] = lin.U[k, i] + part * (commands[k, i] - lin.U[k, i])
         clip_to_limits(U, o.t, o.low, o.high, o.max_change)
         propagate(X, U, lin.C, o.t, c.stage_s, c.p)
-        if cost(X, U, lin.C, target, o) + fence_cost(X, scene, o) <= before:
+        of_fence = fence_cost(X, scene, o)
+        if part == STEPS[0]:
+            enters = of_fence > fence_before == 0.0
+        if cost(X, U, lin.C, target, o) + of_fence <= before:
             if check_terminal(X, lin.C, target, c).stuck and not check_terminal(lin.X, lin.C, target, c).stuck:
                 break  # within the horizon it costs less not to turn
-            return part
+            return part, enters
     copy_to(X, lin.X)
     copy_to(U, lin.U)
-    return 0.0
+    return 0.0, enters

@@ -37,6 +37,28 @@ class HalfPlanes(NamedTuple):
 
 
 @jit
+def update_exits(zones: Zones, north: float, east: float, exits: Array) -> None:
+    """Set the exit of each zone that a point has entered, and clear that of each zone that it is not in.
+
+    Parameters
+    ----------
+    zones : zones of the fence.
+    north, east : position of the vehicle (m).
+    exits : (Z, 4) as ``half_planes`` takes them; those of zones that the vehicle was in before stay.
+    """
+    for z in range(len(zones.radius)):
+        circle = zones.circle[z]
+        if np.hypot(north - circle[0], east - circle[1]) > circle[2]:
+            exits[z, 0] = 0.0
+            continue
+        distance, mn, me, qn, qe = nearest(zones, z, north, east)
+        if distance >= 0.0:
+            exits[z, 0] = 0.0
+        elif exits[z, 0] == 0.0:
+            exits[z, 0], exits[z, 1], exits[z, 2], exits[z, 3] = 1.0, mn, me, mn * qn + me * qe
+
+
+@jit
 def allocate(points: int) -> HalfPlanes:
     """Return room for the rows of a number of points, none of them used."""
     return HalfPlanes(

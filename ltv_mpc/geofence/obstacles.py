@@ -84,8 +84,16 @@ class ObstacleTable:
         for row, report in zip(rows, self._by_id.values(), strict=True):
             age_s = (t_ns - report.t_ns) * 1e-9
             vn, ve = report.velocity_north_mps, report.velocity_east_mps
-            nn, ne, ee = report.covariance_m2
-            variance = 0.5 * (nn + ee) + math.sqrt(0.25 * (nn - ee) ** 2 + ne * ne)
             place = report.north_m + age_s * vn, report.east_m + age_s * ve
-            row[:] = *place, vn, ve, report.radius_m, max(variance, 0.0), max(age_s, 0.0)
+            row[:] = *place, vn, ve, report.radius_m, largest_variance_m2(*report.covariance_m2), max(age_s, 0.0)
         return rows
+
+
+def largest_variance_m2(nn: float, ne: float, ee: float) -> float:
+    """Return the largest variance in any direction (m2): the larger eigenvalue of the covariance [[nn, ne], [ne, ee]].
+
+    Parameters
+    ----------
+    nn, ne, ee : covariance of north and east (m2).
+    """
+    return max(0.5 * (nn + ee) + math.sqrt(0.25 * (nn - ee) ** 2 + ne * ne), 0.0)

@@ -48,6 +48,15 @@ class Router:
         self._lengths = _visible_lengths(zones, self.need, self._nodes)
         self._way = np.empty((0, 2))
 
+    def serves(self, need: Array) -> bool:
+        """Return True if the ways suit other required clearances: at most 5 cm too near, and not a quarter too far.
+
+        Parameters
+        ----------
+        need : (Z,) required clearance (m).
+        """
+        return bool(((need <= self.need + 0.05) & (need >= 0.8 * self.need)).all())
+
     def is_blocked(self, start: Array, end: Array) -> bool:
         """Return True if the line between two points (2,) comes too near to a zone."""
         return bool(is_blocked(self._zones, self.need, start[0], start[1], end[0], end[1]))

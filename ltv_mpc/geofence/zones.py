@@ -71,44 +71,46 @@ def nearest(zones: Zones, z: int, north: float, east: float) -> Nearest:
     Clearance (m), positive on the allowed side; normal north, east; boundary north, east (m).
     """
     begin, end = zones.first[z], zones.first[z + 1]
-    best, qn, qe, on_edge = np.inf, 0.0, 0.0, -1
-    mn, me = 0.0, 0.0  # normal of the nearest edge, or sum of those of both edges of the nearest vertex
+    best, of_edge, of_vertex, along = np.inf, -1, begin, 0.0  # square of the distance
     for i in range(begin, end):
-        n0, e0 = zones.vertices[i, 0], zones.vertices[i, 1]
         j = i + 1 if i + 1 < end else begin
-        tn, te = zones.vertices[j, 0] - n0, zones.vertices[j, 1] - e0
-        length = np.hypot(tn, te)
-        along = (north - n0) * tn + (east - e0) * te
-        if length > 0.0 and 0.0 < along < length * length:
-            distance = abs((north - n0) * te - (east - e0) * tn) / length
-            if distance < best:
-                best, on_edge = distance, i
-                mn, me = -te / length, tn / length
-                share = along / (length * length)
-                qn, qe = n0 + share * tn, e0 + share * te
-        distance = np.hypot(north - n0, east - e0)
-        if distance < best:
-            best, on_edge, qn, qe = distance, -1, n0, e0
-            k = i - 1 if i > begin else end - 1
-            bn, be = n0 - zones.vertices[k, 0], e0 - zones.vertices[k, 1]
-            before = np.hypot(bn, be)
-            mn = me = 0.0
-            if length > 0.0 and before > 0.0:
-                mn, me = -te / length - be / before, tn / length + bn / before
+        dn, de = north - zones.vertices[i, 0], east - zones.vertices[i, 1]
+        tn, te = zones.vertices[j, 0] - zones.vertices[i, 0], zones.vertices[j, 1] - zones.vertices[i, 1]
+        square, product = tn * tn + te * te, dn * tn + de * te
+        if 0.0 < product < square:
+            across = dn * te - de * tn
+            if across * across < best * square:
+                best, of_edge, along = across * across / square, i, product / square
+        if dn * dn + de * de < best:
+            best, of_edge, of_vertex = dn * dn + de * de, -1, i
+    distance, radius = np.sqrt(best), zones.radius[z]
+    i = of_vertex if of_edge < 0 else of_edge
+    qn, qe = zones.vertices[i, 0], zones.vertices[i, 1]
     if end - begin == 1:  # a disc
-        side = 1.0
+        side, mn, me = 1.0, 1.0, 0.0
     else:
-        side = 1.0 if (north - qn) * mn + (east - qe) * me >= 0.0 else -1.0
-    if on_edge < 0:
-        if best > 0.0:
-            mn, me = side * (north - qn) / best, side * (east - qe) / best
-        elif end - begin == 1:
-            mn, me = 1.0, 0.0
+        mn, me, tn, te = _edge_normal(zones, i, i + 1 if i + 1 < end else begin)
+        if of_edge >= 0:
+            qn, qe = qn + along * tn, qe + along * te
         else:
-            size = np.hypot(mn, me)
-            mn, me = mn / size, me / size
-    radius = zones.radius[z]
-    return side * best - radius, mn, me, qn + radius * mn, qe + radius * me
+            bn, be, _, _ = _edge_normal(zones, i - 1 if i > begin else end - 1, i)
+            mn, me = mn + bn, me + be
+        side = 1.0 if (north - qn) * mn + (east - qe) * me >= 0.0 else -1.0
+        size = max(np.hypot(mn, me), 1e-12)
+        mn, me = mn / size, me / size
+    if of_edge < 0 and distance > 0.0:
+        mn, me = side * (north - qn) / distance, side * (east - qe) / distance
+    return side * distance - radius, mn, me, qn + radius * mn, qe + radius * me
+
+
+@jit
+def _edge_normal(zones: Zones, i: int, j: int) -> tuple[float, float, float, float]:
+    """Return the unit normal of the edge from vertex i to vertex j, to starboard, and the edge itself (m)."""
+    tn, te = zones.vertices[j, 0] - zones.vertices[i, 0], zones.vertices[j, 1] - zones.vertices[i, 1]
+    length = np.hypot(tn, te)
+    if length == 0.0:
+        return 0.0, 0.0, tn, te
+    return -te / length, tn / length, tn, te
 
 
 @jit

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.solvers import Solver, make
+from ltv_mpc.control.solvers import Solver, make, riccati_solver
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.half_planes import ROWS
 from ltv_mpc.geofence.zones import pack_zones
@@ -203,14 +205,14 @@ def test_the_cost_of_the_corridor_is_its_excess() -> None:
     assert extra == pytest.approx(2.0 * CORRIDOR_PENALTY * np.maximum(across - 0.2, 0.0).sum() / o.state_scale[0])
 
 
-def along_a_corridor(seed: int) -> tuple[Linearisation, Array]:
+def along_a_corridor(seed: int, angle_rad: float = 0.4, half_width_m: float = 0.05) -> tuple[Linearisation, Array]:
     """Return a problem whose target is off the middle of a narrow corridor, which leads past the walls."""
     free, target = motion(seed, N)
     lin = Linearisation.from_arrays(*free[:-2], np.empty((N, ROWS + CORRIDOR_ROWS, 4)))
     way = target[N - 1] - lin.X[0, :2]
-    angle = np.arctan2(way[1], way[0]) + (0.4 if seed % 2 else -0.4)
+    angle = np.arctan2(way[1], way[0]) + (angle_rad if seed % 2 else -angle_rad)
     path = lin.X[0, :2] + np.outer(np.arange(-1.0, 6.0), [np.cos(angle), np.sin(angle)])
-    of = scene(path=path, path_reach=8, half_width_m=0.05)
+    of = scene(path=path, path_reach=8, half_width_m=half_width_m)
     fill_rows(pack_constants(PAPER, form().weights, equidistant(N), 0.3), lin.flat, N, of)
     return lin, target
 
@@ -230,6 +232,29 @@ def test_every_solver_keeps_to_a_corridor_as_an_independent_one(solver: str) -> 
         without = Linearisation.from_arrays(*lin[:-2], lin.rows[:, :ROWS])
         active += bool(np.abs(best - of.commands(lin, precise(of.build(without, target)))).max() > 1.0)
     assert active >= 4
+
+
+def test_multipliers_of_the_rows_are_the_slope_of_the_least_cost() -> None:
+    """Finite differences of an independent solver's optimum; a larger step would change the active rows."""
+    of, step, seen = form(), 1e-5, set()
+    for seed in range(12):
+        lin, target = along_a_corridor(seed, angle_rad=0.05, half_width_m=0.2)
+        qp, y = of.build(lin, target), np.zeros((N, 4 + lin.rows.shape[1]))
+        *_, error = riccati_solver.solve_packed(of.packed, lin.flat, target, math.nan, 60, y, np.zeros((N + 1, 2)))
+        if error > 1e-8:  # a multiplier may change by 600 where a row moves by 0.1 mm
+            continue
+        inside = np.argwhere((y[:, 4:] < -1.0) & (y[:, 4:] > 1.0 - lin.rows[:, :, 3]))
+        for k, j in inside[:: max(len(inside) // 3, 1)]:
+            row, costs = of.equalities + 4 * N + 2 * (k * lin.rows.shape[1] + j), []
+            bound = qp.l[row]
+            for moved in (bound - step, bound + step):
+                qp.l[row] = moved
+                x = precise(qp)
+                costs.append(0.5 * x @ (qp.P @ x) + qp.q @ x)
+            qp.l[row] = bound
+            assert (costs[0] - costs[1]) / (2.0 * step) == pytest.approx(y[k, 4 + j], rel=1e-3)
+            seen.add("fence" if j < ROWS else "corridor")
+    assert seen == {"fence", "corridor"}
 
 
 def test_without_a_path_the_rows_of_the_corridor_bound_nothing() -> None:

@@ -11,14 +11,16 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.fencing import Fencing
+from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc, Polygon
 from ltv_mpc.geofence.obstacles import MAX_AGE_NS
 from ltv_mpc.geofence.zones import clearances, pack_zones
-from ltv_mpc.messages import Array, CurrentProfile, Estimate, Pair, Plan, PlanOrigin, SolveStatus
+from ltv_mpc.messages import Array, CurrentProfile, Estimate, Health, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.references import Line, Place, Point, Reference, Waypoints
 from ltv_mpc.vehicle.parameters import Hull, Vehicle
 from tests.ltv_mpc.control.problems import PAPER
@@ -117,6 +119,46 @@ def test_a_vehicle_inside_a_zone_leaves_it_by_the_nearest_exit() -> None:
     depth = clearances(pack_zones(fence), track)[:, 0]
     assert depth.min() > depth[0] - 0.2  # not across it
     assert depth[-1] > HULL_M + 0.45
+
+
+def rows_of_each_qp(fence: Fence, cycles: int) -> list[list[int]]:
+    """Return the numbers of half-planes of a stage in the QPs of each cycle on the way to the point."""
+    counts: list[int] = []
+
+    def make_counted(vehicle: Vehicle, config: ControllerConfig) -> Solver:
+        solver = make(vehicle, config)
+        build = solver.build
+
+        def counted(lin: Linearisation, target: Array) -> None:
+            counts.append(lin.rows.shape[1])
+            build(lin, target)
+
+        solver.build = counted  # type: ignore[method-assign]
+        return solver
+
+    of, estimate, found = (
+        Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=make_counted),
+        drifting(),
+        [],
+    )
+    of.set_fence(fence)
+    for _ in range(cycles):
+        counts.clear()
+        estimate = advance(CRAFT, estimate, of.plan(estimate), duration_s=0.3)
+        found.append(counts.copy())
+    return found
+
+
+def test_the_qp_has_no_rows_where_no_zone_is_near() -> None:
+    assert rows_of_each_qp(disc(1000.0, 0.0, 3.0), 20) == [[0, 0]] * 20
+
+
+def test_a_step_into_a_zone_is_followed_by_a_qp_with_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ltv_mpc.control.lateral.is_near", lambda *_: False)
+    first = rows_of_each_qp(disc(5.0, 0.0, 2.0), 1)[0]
+    assert len(first) == 3
+    assert first[0] == 0
+    assert first[-1] == 3
 
 
 def test_a_fence_needs_the_hull_and_a_rejected_one_changes_nothing() -> None:
@@ -247,6 +289,20 @@ def test_margins_grow_with_the_uncertainty_of_a_late_estimate() -> None:
     assert needed_m == pytest.approx([0.5, 0.5, 3.0])  # the margin, or three standard deviations
 
 
+def test_the_vehicle_stops_between_zones_whose_margins_meet_while_estimates_are_late() -> None:
+    side = HULL_M + 0.55  # half the distance between two walls
+    of = controller(line(24.0))
+    of.set_fence(walls(*([(-5.0, e), (30.0, e), (30.0, e + 3.0), (-5.0, e + 3.0)] for e in (side, -side - 3.0))))
+    estimate = msgspec.structs.replace(drifting(), covariance=np.diag([0.18**2] * 2 + [1e-4] * 4))
+    assert of.plan(estimate).origin is PlanOrigin.SOLVED
+    late = of.plan(estimate, t_ns=estimate.t_ns + 3_000_000_000)
+    assert late.health is Health.DEGRADED
+    assert late.origin is PlanOrigin.STOP
+    assert "margins meet" in late.why
+    fresh = msgspec.structs.replace(estimate, t_ns=estimate.t_ns + 3_300_000_000)
+    assert of.plan(fresh).origin is PlanOrigin.SOLVED
+
+
 def test_a_corridor_does_not_hold_the_vehicle_at_a_zone() -> None:
     fence, of = disc(12.0, 0.5, 3.0), controller(line(24.0), limits=MotionLimits(max_cross_track_m=0.3))
     of.set_fence(fence)
@@ -265,6 +321,9 @@ def test_a_plan_without_control_says_when_the_vehicle_drifts_into_a_zone() -> No
     assert late.fence is not None
     gap_m = 30.0 - 5.0 - HULL_M - late.states[0, 1]
     assert late.fence.time_to_zone_ns == pytest.approx(gap_m / 0.2 * 1e9, rel=0.02)
+    with pytest.MonkeyPatch.context() as patch:  # a cycle that raises
+        patch.setattr("ltv_mpc.control.prediction.Prediction.state_at", None)
+        assert of.plan(estimate).fence.time_to_zone_ns == pytest.approx((25.0 - HULL_M) / 0.2 * 1e9, rel=0.02)
     away = of.plan(drifting((0.0, -0.2)), t_ns=estimate.t_ns + 30_000_000_000)
     assert away.fence is not None
     assert away.fence.time_to_zone_ns is None
