@@ -28,7 +28,7 @@ from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
 from ltv_mpc.control.fence_rows import fill_rows, is_near
 from ltv_mpc.control.fencing import Fencing
-from ltv_mpc.control.linearisation import Linearisation, storage_size, unpack_linearisation
+from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
 from ltv_mpc.control.problem_data import pack_constants
 from ltv_mpc.control.solvers import Solver, SolverFactory
@@ -73,7 +73,7 @@ class LateralPlanner:
         self.fencing = Fencing(vehicle, knots_ns, config.limits.max_cross_track_m)
         """Fence, obstacles and corridor in force."""
         self._packed = packed
-        self._lin = self._without_rows = Linearisation.empty(config.stages)
+        self._lin = Linearisation.empty(config.stages)
         self._fallback = Fallback(vehicle, packed, self.previous, config.period_ns)
         self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
@@ -93,9 +93,7 @@ class LateralPlanner:
         """
         rows = self.fencing.rows
         if self._lin.rows.shape[1] != rows:
-            stages = len(self.target) - 1
-            self._lin = Linearisation.empty(stages, rows)
-            self._without_rows = unpack_linearisation(self._lin.flat[: storage_size(stages)], stages)
+            self._lin = Linearisation.empty(len(self.target) - 1, rows)
         profile = profile_of(estimate)
         fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._lin.C)
 
@@ -203,9 +201,10 @@ class LateralPlanner:
             has_rows = lin.rows.size > 0 and (has_rows or is_near(packed, lin.flat, stages, scene))
             if has_rows:
                 fill_rows(packed, lin.flat, stages, scene)
-            solver = self._solver(lin if has_rows else self._without_rows, shift)
+            used = lin if has_rows or lin.rows.size == 0 else lin.without_rows()
+            solver = self._solver(used.rows.shape[1], shift)
             self._stopwatch("linearise")
-            solver.build(lin if has_rows else self._without_rows, target)
+            solver.build(used, target)
             self._stopwatch("build")
             solver.update()
             self._stopwatch("update")
@@ -230,15 +229,14 @@ class LateralPlanner:
                 nominal_trajectory.relinearise(packed, lin.flat, X, U)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
-    def _solver(self, lin: Linearisation, shift: float) -> Solver:
+    def _solver(self, rows: int, shift: float) -> Solver:
         """Return the solver of a QP of this pattern, with its warm start.
 
         Parameters
         ----------
-        lin : the motion along the nominal trajectory, with or without half-planes.
+        rows : half-planes of a stage.
         shift : by how many first stages the knots of the last QP lie earlier; NaN if it is not related to the next one.
         """
-        rows = lin.rows.shape[1]
         if rows not in self._solvers:
             self._solvers[rows] = self._make_solver()
         solver = self._solvers[rows]

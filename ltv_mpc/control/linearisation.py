@@ -73,6 +73,12 @@ class Linearisation(NamedTuple):
             part[...] = values
         return lin
 
+    def without_rows(self) -> Linearisation:
+        """Return the same linearisation without its half-planes; it shares the memory."""
+        stages = len(self.Phi)
+        lin: Linearisation = unpack_linearisation(self.flat[: storage_size(stages)], stages)
+        return lin
+
 
 def storage_size(N: int, rows: int = 0) -> int:
     """Return the length of ``Linearisation.flat`` for N stages with a number of half-planes each."""
