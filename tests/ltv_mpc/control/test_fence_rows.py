@@ -196,13 +196,15 @@ def test_the_cross_track_distance_is_that_from_the_nearest_piece() -> None:
     assert cross_track(near._replace(path_reach=2), 1, 1.0, 1.8)[0] == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize(("target", "east_m", "distance_m"), [(3, 0.9, 0.9), (15, 0.1, 0.9)])
-def test_the_cross_track_distance_is_from_the_leg_of_the_target(target: int, east_m: float, distance_m: float) -> None:
-    """A path that leads north and comes back 1 m beside: the other leg is nearer to the point."""
-    north = np.arange(10.0)
-    path = np.vstack([np.column_stack([north, np.zeros(10)]), np.column_stack([north[::-1], np.ones(10)])])
+@pytest.mark.parametrize(("target", "starboard_m"), [(3, 0.9), (15, 0.1)])
+def test_the_cross_track_distance_is_from_the_leg_of_the_target(target: int, starboard_m: float) -> None:
+    """A path that leads away and comes back 1 m to starboard: the other leg is nearer to the point."""
+    ahead, turn = np.arange(10.0), np.array([[0.8, 0.6], [-0.6, 0.8]])  # ahead and starboard to north and east
+    path = np.vstack([np.column_stack([ahead, np.zeros(10)]), np.column_stack([ahead[::-1], np.ones(10)])]) @ turn
     of = scene(path=path, targets=np.full(N, target), path_reach=3, half_width_m=0.2)
-    assert cross_track(of, 1, 4.5, east_m)[0] == pytest.approx(distance_m)
+    distance, *normal = cross_track(of, 1, *(np.array([4.5, starboard_m]) @ turn))
+    assert distance == pytest.approx(0.9)
+    assert normal == pytest.approx(turn[1] if target == 3 else -turn[1])
 
 
 def test_the_cost_of_the_corridor_is_its_excess() -> None:
