@@ -207,6 +207,14 @@ def test_the_cross_track_distance_is_from_the_leg_of_the_target(target: int, sta
     assert normal == pytest.approx(turn[1] if target == 3 else -turn[1])
 
 
+def test_the_cross_track_distance_is_from_the_nearer_leg_of_a_corner() -> None:
+    of = scene(
+        path=np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0]]), targets=np.full(N, 1), path_reach=2, half_width_m=0.2
+    )
+    assert cross_track(of, 1, 3.0, 2.0) == pytest.approx((1.0, -1.0, 0.0))
+    assert cross_track(of, 1, 2.0, -1.0) == pytest.approx((-1.0, 0.0, 1.0))
+
+
 def test_the_cost_of_the_corridor_is_its_excess() -> None:
     of = corridor(0.2)
     lin, packed = filled(of, 1, ROWS + CORRIDOR_ROWS)
