@@ -142,7 +142,7 @@ def _notes_on_reference_point(vehicle: Vehicle) -> tuple[str, ...]:
 def _notes(scenario: Scenario, settings: ResolvedConfig, prior: WaterPrior | None) -> tuple[str, ...]:
     before, end = settings.knots[-2:]
     growing = f", the last of {(end - before) * STAGE_NS / 1e9:.1f} s" if end - before > 1.0 else ""
-    notes = [f"horizon {settings.reach_s:.1f} s in {settings.stages} stages{growing}"]
+    notes = [f"horizon {settings.reach_s:.3g} s in {settings.stages} stages{growing}"]
     if scenario.water.file:
         profile = read_profile(scenario.water.file)
         first, last = float(profile.depth_m[0]), float(profile.depth_m[-1])

@@ -136,7 +136,7 @@ def metrics() -> dict[str, settings_schema.Type]:
 
 EXCLUDED_METRICS = frozenset(
     {
-        "scenario", "mode", "seed", "speed", "speed_reached", "compute_delay_wall_s", "end_to_end_delay_wall_s",
+        "scenario", "mode", "seed", "speed", "effort", "speed_reached", "compute_delay_wall_s", "end_to_end_delay_wall_s",
         "stages_us", "qp_status", "plan_origin", "health", "fence",
     }
 )  # fmt: skip
