@@ -136,8 +136,8 @@ def metrics() -> dict[str, settings_schema.Type]:
 
 EXCLUDED_METRICS = frozenset(
     {
-        "scenario", "mode", "seed", "speed", "effort", "speed_reached", "compute_delay_wall_s", "end_to_end_delay_wall_s",
-        "stages_us", "qp_status", "plan_origin", "health", "fence",
+        "scenario", "mode", "seed", "speed", "effort", "speed_reached", "compute_delay_wall_s",
+        "end_to_end_delay_wall_s", "stages_us", "qp_status", "plan_origin", "health", "fence",
     }
 )  # fmt: skip
 """Keys of summary.json without a column: identification, wall times, zones, and counts by name, which ``trial.py``
