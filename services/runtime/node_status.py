@@ -19,6 +19,10 @@ from services.runtime.stopping import Say
 PERIOD_US = 500_000
 EARLY_PERIOD_US = 100_000  # before the start: the clock master waits for this status
 HURRIED_PERIOD_US = 50_000  # of a process that falls behind: the clock master slows the clock before much has piled up
+CLOCK_MESSAGE = "a `clock` message, which `ltv-mpc plant` sends in a simulation"
+CLOCK_OR_ESTIMATE = "an estimate, or a clock"
+"""What a process waits for while it has no time: in a simulation, and beside a vehicle."""
+
 CLOCK_TIMEOUT_US = 2_000_000
 """Silence of the clock after which the process reports that it waits for it."""
 
@@ -53,7 +57,7 @@ class WaitingFor:
         clock: VehicleClock,
         inputs: Iterable[type[Message]],
         *,
-        clock_source: str = "a `clock` message, which `ltv-mpc plant` sends in a simulation",
+        clock_source: str = CLOCK_MESSAGE,
         node_waits: Callable[[], str] | None = None,
     ) -> None:
         """``clock_source`` names what the process waits for while it has no time.

@@ -15,6 +15,7 @@ from ltv_mpc.messages import Clock, ClockState, Estimate, Message
 from services.bus.topics import BY_TYPE
 from services.runtime.clock import ClockError, ClockSegment, VehicleClock, monotonic_us
 from services.runtime.clock_sync import ClockSync
+from services.runtime.node_status import CLOCK_MESSAGE, CLOCK_OR_ESTIMATE
 from services.runtime.stopping import Say
 
 FOLLOWS_VEHICLE = f"no clock is announced: following the vehicle's own clock, by the stamps on {BY_TYPE[Estimate].key}"
@@ -30,11 +31,7 @@ class PublicationTime:
     def __init__(self, *, start_ns: int | None, say: Say) -> None:
         self.clock = VehicleClock()
         self.beside_vehicle = start_ns is None
-        self.clock_source = (
-            "an estimate, or a clock"
-            if start_ns is None
-            else "a `clock` message, which `ltv-mpc plant` sends in a simulation"
-        )
+        self.clock_source = CLOCK_OR_ESTIMATE if start_ns is None else CLOCK_MESSAGE
         """What the process waits for while no clock is followed."""
         self._start_ns = start_ns
         self._sync = ClockSync(self.clock, epoch=0)  # a recorder publishes no plans

@@ -26,7 +26,7 @@ from services.runtime.clock import monotonic_us
 from services.runtime.clock_master import ClockMaster
 from services.runtime.clock_sync import ClockSync
 from services.runtime.node_io import NodeIO
-from services.runtime.node_status import NodeStatusReporter, WaitingFor
+from services.runtime.node_status import CLOCK_MESSAGE, CLOCK_OR_ESTIMATE, NodeStatusReporter, WaitingFor
 from services.runtime.process_time import ClockOptions, ProcessTime
 from services.runtime.reporters import NodeReporter, Reporters, SettingsPublisher
 from services.runtime.saved_state import SavedState
@@ -126,9 +126,7 @@ class Runner:
         waiting = WaitingFor(
             time.clock,
             ports.inputs(node),
-            clock_source="an estimate, or a clock"
-            if time.sync
-            else "a `clock` message, which `ltv-mpc plant` sends in a simulation",
+            clock_source=CLOCK_OR_ESTIMATE if time.sync else CLOCK_MESSAGE,
             node_waits=(lambda: node.waiting_for) if isinstance(node, WaitingNode) else None,
         )
         status = NodeStatusReporter(
