@@ -8,12 +8,11 @@ from typing import Any
 import pytest
 
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.options import BusOptions
 from services.dashboard.bus_feed import BusFeed
 from services.supervisor import loopback
 from tests.browser.conftest import SCREEN, tab
 from tests.services.dashboard.synthetic_vehicle import serving, until
-from tests.services.dashboard.test_late_joining import END_S, JOIN_S, Publisher, is_recorded, opened, recorder, verdict
+from tests.services.dashboard.test_late_joining import END_S, JOIN_S, recorded_dive, verdict
 from tests.services.reporting.synthetic_run import CYCLE_NS, SPEED_NORTH_MPS, S
 from tests.services.words import status
 
@@ -26,32 +25,23 @@ BEGINS_S = "document.querySelector('#plot-tracking').data.find(one => one.series
 
 
 def test_a_late_page_in_a_browser_shows_the_figures_of_the_verdict(browser: Any, tmp_path: Path) -> None:
-    endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
-    bus = BusOptions(connect=(endpoint,))
     with (
-        opened(BusOptions(listen=(endpoint,))),
-        opened(bus) as aboard,
-        opened(bus) as ashore,
-        recorder(bus, tmp_path, ashore) as loop,
+        recorded_dive(tmp_path, loopback.free_port()) as (publisher, ashore, bus),
+        serving(BusFeed(ashore, Vehicle.load("paper")), bus) as shown,
+        tab(browser, SCREEN, own=shown.url) as page,
     ):
-        publisher = Publisher(aboard)
-        until(lambda: is_recorded(loop, publisher))
-        for second in range(JOIN_S + 1):  # all at once would be dropped by the full queues
-            wanted = loop.received + publisher.publish(second)
-            until(lambda wanted=wanted: loop.received >= wanted)  # type: ignore[misc]
-        with serving(BusFeed(ashore, Vehicle.load("paper")), bus) as shown, tab(browser, SCREEN, own=shown.url) as page:
-            page.goto(shown.url)
-            until(lambda: publisher.outs["plant"].publish(status("plant")) or page.inner_text("#link") == "live")
-            for tenth in range(JOIN_S * 10 + 1, END_S * 10 + 1):
-                publisher.publish(tenth / 10)
-            tracking, true, *_ = verdict().errors()
-            assert true.final is not None
-            assert tracking.final is not None
-            assert abs(true.final - tracking.final) > 0.1  # one cannot pass for the other
-            for name, figure in (("estimate from the reference", tracking), ("vehicle from the reference", true)):
-                expected = pytest.approx(figure.final, abs=SPEED_NORTH_MPS * CYCLE_NS / S)  # it waits for a plan
-                until(lambda name=name, at=expected: is_shown(page, name, at) or publisher.repeat())  # type: ignore[misc]
-            until(lambda: page.evaluate(BEGINS_S) < 1.0)
+        page.goto(shown.url)
+        until(lambda: publisher.outs["plant"].publish(status("plant")) or page.inner_text("#link") == "live")
+        for tenth in range(JOIN_S * 10 + 1, END_S * 10 + 1):
+            publisher.publish(tenth / 10)
+        tracking, true, *_ = verdict().errors()
+        assert true.final is not None
+        assert tracking.final is not None
+        assert abs(true.final - tracking.final) > 0.1  # one cannot pass for the other
+        for name, figure in (("estimate from the reference", tracking), ("vehicle from the reference", true)):
+            expected = pytest.approx(figure.final, abs=SPEED_NORTH_MPS * CYCLE_NS / S)  # it waits for a plan
+            until(lambda name=name, at=expected: is_shown(page, name, at) or publisher.repeat())  # type: ignore[misc]
+        until(lambda: page.evaluate(BEGINS_S) < 1.0)
 
 
 def is_shown(page: Any, name: str, expected_m: object) -> bool:

@@ -1,4 +1,4 @@
-"""Status of a controller, for the edges."""
+"""Status of a controller that waits, for tests of its readers."""
 
 from __future__ import annotations
 

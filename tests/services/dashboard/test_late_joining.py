@@ -93,6 +93,25 @@ class Publisher:
         return False
 
 
+@contextmanager
+def recorded_dive(folder: Path, port: int) -> Iterator[tuple[Publisher, Session, BusOptions]]:
+    """Record a dive until ``JOIN_S``. Yield its publisher, and session and bus of one who joins it."""
+    endpoint = f"tcp/127.0.0.1:{port}"
+    reached = BusOptions(connect=(endpoint,))
+    with (
+        opened(BusOptions(listen=(endpoint,))),
+        opened(reached) as aboard,
+        opened(reached) as ashore,
+        recorder(reached, folder, ashore) as loop,
+    ):
+        publisher = Publisher(aboard)
+        until(lambda: is_recorded(loop, publisher))
+        for second in range(JOIN_S + 1):  # all at once would be dropped by the full queues
+            wanted = loop.received + publisher.publish(second)
+            until(lambda wanted=wanted: loop.received >= wanted)  # type: ignore[misc]
+        yield publisher, ashore, reached
+
+
 def verdict() -> RunMetrics:
     metrics = RunMetrics(Vehicle.load("paper"))
     for sequence, (_, signal, t_ns) in enumerate(synthetic_run.dive(END_S)):
@@ -101,19 +120,7 @@ def verdict() -> RunMetrics:
 
 
 def test_with_a_recorder_a_late_joiner_shows_the_figures_of_the_verdict(tmp_path: Path, free_port: int) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port}"
-    reached = BusOptions(connect=(endpoint,))
-    with (
-        opened(BusOptions(listen=(endpoint,))),
-        opened(reached) as aboard,
-        opened(reached) as ashore,
-        recorder(reached, tmp_path, ashore) as loop,
-    ):
-        publisher = Publisher(aboard)
-        until(lambda: is_recorded(loop, publisher))
-        for second in range(JOIN_S + 1):  # all at once would be dropped by the full queues
-            wanted = loop.received + publisher.publish(second)
-            until(lambda wanted=wanted: loop.received >= wanted)  # type: ignore[misc]
+    with recorded_dive(tmp_path, free_port) as (publisher, ashore, _):
         feed = BusFeed(ashore, Vehicle.load("paper"))
         follow(feed, publisher)
         _, true, *_ = verdict().errors()

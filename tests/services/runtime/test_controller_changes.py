@@ -11,9 +11,7 @@ import pytest
 from ltv_mpc.messages import (
     Applied,
     Authority,
-    ClockMode,
     ClockStep,
-    ControllerStatus,
     FenceReport,
     Health,
     Plan,
@@ -23,6 +21,7 @@ from ltv_mpc.messages import (
 )
 from services.runtime.console import Level
 from services.runtime.controller_changes import ControllerChanges
+from tests.services.controller_status import status
 
 PLAN = Plan(
     cycle_t_ns=7,
@@ -32,21 +31,7 @@ PLAN = Plan(
     origin=PlanOrigin.SOLVED,
     solve=Solve(status=SolveStatus.SOLVED),
 )
-STATUS = ControllerStatus(
-    t_ns=5,
-    estimate_age_ns=None,
-    applied_age_ns=None,
-    cycle_median_us=None,
-    cycle_p99_us=None,
-    received=0,
-    dropped=0,
-    rejected={},
-    clock=ClockMode.SHARED,
-    clock_error_ns=None,
-    authority=Authority.CONTROLLER,
-    health=Health.NOMINAL,
-    error_m=None,
-)
+STATUS = msgspec.structs.replace(status(), t_ns=5, authority=Authority.CONTROLLER, health=Health.NOMINAL, health_why="")
 APPLIED = Applied(
     t_ns=9,
     thrust_N=(0.0, 0.0, 0.0),

@@ -27,7 +27,7 @@ from services.edges.mavlink.mission import fence_of, reference_of
 from services.edges.mavlink.navigation import Accuracy, Navigation
 from tests.foreign_plant.flight import distance_m
 from tests.foreign_plant.mavlink_flight import EXAMPLE, MavlinkFlight, vehicle
-from tests.services.edges.status import status
+from tests.services.controller_status import status
 
 BOAT = "bluerobotics-boat"
 KEY = bytes(range(32))

@@ -28,9 +28,9 @@ from services.edges.ros2.edge import Ros2Edge
 from services.edges.ros2.middleware import Attachment
 from services.edges.ros2.topics import BY_NAME
 from tests.fuzz.targets import SQUARE_FENCE
+from tests.services.controller_status import status
 from tests.services.edges.plans import SECOND_NS, plan
 from tests.services.edges.ros2.test_ros2 import odometry
-from tests.services.edges.status import status
 
 PAPER = Vehicle.load("paper")
 T_NS = 1_700_000_000_250_000_000
