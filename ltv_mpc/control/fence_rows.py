@@ -321,7 +321,8 @@ def entry_s(X: Array, t_s: Array, scene: Scene, hull_m: float) -> float:
 
     Parameters
     ----------
-    X, t_s, scene, hull_m : as in ``clearance_table``.
+    X, t_s, scene : as in ``clearance_table``.
+    hull_m : radius of the hull (m).
     """
     first, box = np.inf, _box(X)
     for z in range(len(scene.need) + len(scene.discs)):
@@ -331,7 +332,8 @@ def entry_s(X: Array, t_s: Array, scene: Scene, hull_m: float) -> float:
         for k in range(X.shape[0]):
             distance, _ = _clearance(scene, z, X[k, 0], X[k, 1], t_s[k])
             if distance < hull_m:
-                first = min(first, _crossing_s(t_s, k, before - hull_m, hull_m - distance))
+                part = (before - hull_m) / (before - distance) if k > 0 else 0.0
+                first = min(first, t_s[k - 1] + part * (t_s[k] - t_s[k - 1]) if k > 0 else 0.0)
                 break
             before = distance
     return float(first)
@@ -349,36 +351,28 @@ def _clearance(scene: Scene, z: int, n: float, e: float, t_s: float) -> tuple[fl
 
 
 @jit
-def _crossing_s(t_s: Array, k: int, above: float, below: float) -> float:
-    """Return when a clearance falls below a limit between knot k - 1, where it is above, and knot k."""
-    return float(t_s[k - 1] + above / (above + below) * (t_s[k] - t_s[k - 1])) if k > 0 else 0.0
-
-
-@jit
-def clearance_table(X: Array, t_s: Array, scene: Scene, hull_m: float) -> Array:
-    """Return of each zone and each obstacle (Z + O, 5): what the plan keeps from it.
+def clearance_table(X: Array, t_s: Array, scene: Scene) -> Array:
+    """Return of each zone and each obstacle (Z + O, 4): what the plan keeps from it.
 
     Parameters
     ----------
     X : (N+1, 6) or (N+1, 8) states at the knots.
     t_s : (N+1,) times of the knots after the first one (s).
     scene : zones and obstacles.
-    hull_m : radius of the hull (m).
 
     Returns
     -------
     Least clearance of the vehicle's origin (m), clearance at the first knot (m), smallest surplus over the required
-    clearance (m), number of knots that lack more than 1 cm of it, time at which the hull enters it (s; inf: never).
-    The clearances of a zone that is neither active nor the nearest one are infinite.
+    clearance (m), number of knots that lack more than 1 cm of it. The clearances of a zone that is neither active nor
+    the nearest one are infinite.
     """
     count = len(scene.need) + len(scene.discs)
-    out = np.zeros((count, 5))
+    out = np.zeros((count, 4))
     least, box = np.inf, _box(X)
     for z in range(count):
-        out[z, 0] = out[z, 1] = out[z, 2] = out[z, 4] = np.inf
+        out[z, 0] = out[z, 1] = out[z, 2] = np.inf
         if z < len(scene.need) and _from_box(scene.zones, z, box) > max(least, scene.need[z] + ACTIVE_M):
             continue
-        before = 0.0
         for k in range(X.shape[0]):
             distance, need = _clearance(scene, z, X[k, 0], X[k, 1], t_s[k])
             if k == 0:
@@ -386,8 +380,5 @@ def clearance_table(X: Array, t_s: Array, scene: Scene, hull_m: float) -> Array:
             out[z, 0], out[z, 2] = min(out[z, 0], distance), min(out[z, 2], distance - need)
             if distance < need - 0.01:
                 out[z, 3] += 1.0
-            if distance < hull_m and np.isinf(out[z, 4]):
-                out[z, 4] = _crossing_s(t_s, k, before - hull_m, hull_m - distance)
-            before = distance
         least = min(least, out[z, 0])
     return out

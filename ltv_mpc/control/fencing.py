@@ -227,7 +227,7 @@ class Fencing:
 
         Parameters
         ----------
-        X : (N+1, 8) states at the knots.
+        X : (N+1, 6) or (N+1, 8) states at the knots.
         """
         hull = self._vehicle.hull
         if hull is None or not self.is_active:
@@ -262,17 +262,17 @@ class Fencing:
         dropped, self._dropped = self._dropped, ()
         if hull is None or not (self.is_active or dropped):
             return None
-        table = clearance_table(X, self._times_s, self.scene, hull.radius_m).tolist()
+        table = clearance_table(X, self._times_s, self.scene).tolist()
         if not table:
             return FenceReport(clearance_m=None, dropped=dropped)
         labels = [*self._labels, *(f"obstacle {report.id}" for report in self.obstacles.reports)]
         margins = [*self.scene.zones.margin.tolist(), *[OBSTACLE_MARGIN * hull.radius_m] * len(self.scene.discs)]
         least_m, nearest = min((row[0], label) for row, label in zip(table, labels, strict=True))
-        first_s = min(row[4] for row in table)
+        first_s = self.enters_s(X)
         if drifts and math.isinf(first_s):
             first_s = self._drift_s(X)
         active, in_margin, inside, exceeded = [], [], [], 0
-        for (_, now_m, surplus_m, lacking, _), label, margin_m in zip(table, labels, margins, strict=True):
+        for (_, now_m, surplus_m, lacking), label, margin_m in zip(table, labels, margins, strict=True):
             exceeded += int(lacking)
             if surplus_m < ACTIVE_M:
                 active.append(label)
