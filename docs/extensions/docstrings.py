@@ -8,6 +8,7 @@ beside them in the source.
 from __future__ import annotations
 
 import ast
+import dataclasses
 import enum
 import inspect
 import io
@@ -43,13 +44,18 @@ def _docstring(_app: Sphinx, _what: str, _name: str, thing: object, _options: ob
     elif isinstance(thing, type) and issubclass(thing, enum.Enum):
         said = comments(thing)
         lines += ["", *table(("value", ""), [(literal(x.value), escaped(said.get(x.name, ""))) for x in thing])]
+    elif isinstance(thing, type) and (
+        hasattr(thing, "_fields") or dataclasses.is_dataclass(thing)
+    ):  # their types are in the signature
+        said = comments(thing)
+        lines += ["", *table(("field", ""), [(literal(name), escaped(text)) for name, text in said.items()])]
 
 
 def _signature(
     _app: Sphinx, _what: str, _name: str, thing: object, _options: object, _signature: str, _returns: str
 ) -> tuple[str, str] | None:
-    is_table = isinstance(thing, type) and issubclass(thing, (msgspec.Struct, enum.Enum))
-    return ("", "") if is_table else None
+    has_table = isinstance(thing, type) and issubclass(thing, (msgspec.Struct, enum.Enum))
+    return ("", "") if has_table or getattr(thing, "_is_protocol", False) else None
 
 
 # --- text -------------------------------------------------------------------------------------------------------------
@@ -152,7 +158,11 @@ def comments(kind: type) -> dict[str, str]:
 
 def _comments(source: str) -> dict[str, str]:
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-    beside = {token.start[0]: token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT}
+    beside = {
+        token.start[0]: re.sub(r"^# (noqa: \w+ +)?", "", token.string)
+        for token in tokens
+        if token.type == tokenize.COMMENT
+    }
     (body,) = ast.parse(source).body
     assert isinstance(body, ast.ClassDef)
     found = {}
