@@ -2,6 +2,7 @@
 
 Nothing in it leaves the machine of who reads it: Furo brings its own styles and has no fonts, formulas become MathML
 when the site is built, and ``extensions/offline.py`` looks at every file for an address that a browser would fetch.
+``extensions/anchors.py`` looks for links inside the site that lead nowhere.
 """
 
 import sys

@@ -19,7 +19,10 @@ import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from ltv_mpc import references, settings_schema
+from ltv_mpc import Controller, Estimate, references, settings_schema
+from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.messages import Health
+from ltv_mpc.safety.health import HealthState
 from services.bus.topics import TOPICS
 from services.cli.app import app
 from sim.scenario import Scenario
@@ -89,6 +92,23 @@ def test_docstrings_are_read_as_they_are_written(monkeypatch: pytest.MonkeyPatch
         *("::", "", "   x' = |u| u", ""),
         *("and on.", ""),
     ]
+
+
+def test_sections_of_a_docstring_are_lists_and_its_pages_are_links(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = extension("docstrings", monkeypatch).text
+    assert text(["Raises", "------", "ConfigError", "    If the file is missing (docs/notes/paths.md)."]) == [
+        *("**Raises**", "", "* ``ConfigError``: If the file is missing (:doc:`/notes/paths`).", ""),
+    ]
+    assert (
+        text(["Returns", "-------", "The plan; `origin` is", "its source."])[2]
+        == "* The plan; ``origin`` is its source."
+    )
+
+
+def test_the_parameters_of_a_class_are_those_of_its_constructor(monkeypatch: pytest.MonkeyPatch) -> None:
+    constructor = extension("docstrings", monkeypatch).constructor
+    assert "\nmake_solver : " in constructor(Controller)
+    assert [constructor(kind) for kind in (Estimate, HealthState, Health, QP)] == [""] * 4
 
 
 def test_the_comment_beside_a_field_is_what_the_table_says_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,6 +200,8 @@ def test_every_python_name_has_an_example() -> None:
     assert {f"ltv_mpc.references.{name}" for name in references.__all__} <= set(entries)
     examples = {name: re.findall(r"^ +(?:>>>|\.\.\.) (.*)", entry, re.MULTILINE) for name, entry in entries.items()}
     assert [name for name, lines in examples.items() if not lines] == []
+    too_wide = [line for lines in examples.values() for line in lines if len(line) > 80]
+    assert too_wide == [], "the site cuts these lines on a screen of 1280 pixels"
 
 
 def test_every_type_in_a_signature_has_an_entry() -> None:
