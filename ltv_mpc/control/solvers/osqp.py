@@ -143,7 +143,12 @@ class OsqpSolver:
         self._workspace: Workspace | None = None
 
     def shift_warm_start(self, stages: float) -> None:
-        """Shift the duals of the limits to later knots (see ``Solver``)."""
+        """Shift the duals of the limits to later knots (see ``Solver``).
+
+        Parameters
+        ----------
+        stages : by how many first stages the next problem's knots lie later than the last one's.
+        """
         self._shift = stages
 
     def reset_warm_start(self) -> None:
@@ -151,7 +156,13 @@ class OsqpSolver:
         self._shift = math.nan
 
     def build(self, lin: Linearisation, target: Array) -> None:
-        """Compute the problem, its first guess and the scales of its rows (see ``Solver``)."""
+        """Compute the problem, its first guess and the scales of its rows (see ``Solver``).
+
+        Parameters
+        ----------
+        lin : the motion along the nominal trajectory.
+        target : (N+1, 3) as in ``Solver.build``.
+        """
         if self.form.match(lin):
             self._allocate()
         self._lin, form = lin, self.form

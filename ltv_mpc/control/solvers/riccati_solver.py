@@ -131,7 +131,12 @@ class RiccatiSolver:
         self._target = np.zeros((config.stages + 1, 2))
 
     def shift_warm_start(self, stages: float) -> None:
-        """Move the duals with the plan; the last ones are held."""
+        """Move the duals with the plan; the last ones are held.
+
+        Parameters
+        ----------
+        stages : by how many first stages the next problem's knots lie later than the last one's.
+        """
         self._shift = stages
 
     def reset_warm_start(self) -> None:
@@ -139,7 +144,13 @@ class RiccatiSolver:
         self._shift = math.nan
 
     def build(self, lin: Linearisation, target: Array) -> None:
-        """Keep the problem: the sweeps read it as it is."""
+        """Keep the problem: the sweeps read it as it is.
+
+        Parameters
+        ----------
+        lin : the motion along the nominal trajectory.
+        target : (N+1, 3) as in ``Solver.build``.
+        """
         R = HARD_ROWS + self._limited + lin.rows.shape[1]
         if self._duals.shape[1] != R:  # a fence was set or removed
             self._duals = np.zeros((len(self._duals), R))
