@@ -7,7 +7,7 @@ vehicle can follow:
     target at knot k = point of the way at the distance  min(distance of the wanted target, V t_k + lead)
 
 with the speed over ground V that the vehicle reaches in the current, and a lead of ``LEAD`` lengths. The targets bend
-only the reference: the rows of the QP (``fence_rows.py``) keep the vehicle out. The target itself skips what lies in
+only the reference: the rows of the QP (``fence_rows.py``) keep the vehicle out. On a path the target itself goes round
 zones and margins (``geofence/allowed_path.py``).
 
 Required clearance of the vehicle's origin from a zone: hull + max(margin, k sd), with the standard deviation sd of the
