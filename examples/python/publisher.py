@@ -6,6 +6,8 @@
     ltv-mpc ctl arm
 
 Zenoh and msgpack, nothing else. In place of `move` and `estimate` stand your thrusters and your navigation.
+It stamps and follows by CLOCK_MONOTONIC, which also is the vehicle time that the project's estimator needs: a thruster
+driver beside that estimator is this program without its publisher of `estimate`.
 """
 
 import json
@@ -66,7 +68,7 @@ with session:
     epoch, sequence, plans, thrust = secrets.randbits(48), 0, [], (0.0, 0.0)
     x = {"north": 3.0, "east": 0.0, "heading": 2.0, "speed": 0.0, "turn": 0.0}
     while True:
-        now = time.time_ns()
+        now = time.monotonic_ns()
         while sample := subscriber.try_recv():
             plans = [*plans[-5:], msgpack.unpackb(sample.payload.to_bytes())]
         most = SLEW_N_PER_S * PERIOD_S
@@ -78,4 +80,4 @@ with session:
         if sequence % 10 == 0:
             authority = plans[-1]["authority"] if plans else "no plan yet"
             print(f"{x['north']:.2f} m north, {x['east']:.2f} m east, {authority}", flush=True)  # noqa: T201
-        time.sleep(max(0.0, PERIOD_S - (time.time_ns() - now) * 1e-9))
+        time.sleep(max(0.0, PERIOD_S - (time.monotonic_ns() - now) * 1e-9))
