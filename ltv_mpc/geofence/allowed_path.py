@@ -108,7 +108,8 @@ def _shortest_detour(table: Array, left: range, right: range, router: Router) ->
 
     The detour may leave the path, and meet it again, up to one required clearance from the zone. None: there is no way.
     """
-    best_m, best, clearance_m = math.inf, (left[-1], right[0], None), float(router.need.max())
+    best: tuple[int, int, Array | None] = (left[-1], right[0], None)
+    best_m, clearance_m = math.inf, float(router.need.max())
     for leave_m in DETOUR_ENDS * clearance_m:
         i = max(left[0], int(np.searchsorted(table[WAY, : left[-1] + 1], table[WAY, left[-1]] - leave_m)))
         for meet_m in DETOUR_ENDS * clearance_m:
