@@ -142,9 +142,7 @@ def test_batches_equal_single_steps_if_other_messages_are_lost(
 ) -> None:
     """An estimate then waits for them until time continues."""
     arrivals = [
-        m
-        for m in before(said, 20.0)
-        if not (isinstance(m.message, PressureDepth) and m.message.t_ns % (3 * S) < 2 * S)
+        m for m in before(said, 20.0) if not (isinstance(m.message, PressureDepth) and m.message.t_ns % (3 * S) < 2 * S)
     ]
     out, _ = both(run_config, arrivals, 40)
     assert len(out) > 300

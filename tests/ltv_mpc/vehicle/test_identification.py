@@ -148,7 +148,7 @@ def test_a_reference_point_of_the_file_is_corrected_by_what_is_found() -> None:
     assert (point.forward_m, point.starboard_m, point.down_m) == pytest.approx((1.5, -0.1, -1.0), abs=0.005)
 
 
-def test_in_an_unknown_current_the_intervals_contain_truth_current_and_reference_point() -> None:
+def test_the_intervals_contain_truth_unknown_current_and_reference_point() -> None:
     inside, of_point = [], []
     for seed in range(6):
         current = 0.3 * np.array([np.cos(seed), np.sin(seed)])
