@@ -196,10 +196,11 @@ def test_the_folder_holds_the_prior_and_runs_again_without_the_file_it_came_from
     Path("sea").mkdir()
     Path("sea/known.csv").write_text(text)
     # The file's own table and the option name it from where each stands.
-    Path("sea/mine.toml").write_text('title = "x"\n[estimator]\nwater_prior = "known.csv"\n')
+    text_of_scenario = 'title = "x"\n[run]\nsurface_time_s = 1.0\n[estimator]\nwater_prior = "known.csv"\n'
+    Path("sea/mine.toml").write_text(text_of_scenario)
     line = "--lockstep --duration-s 0.5"
     assert run(f"sim sea/mine.toml {line} --out a".split()) == 0
-    assert run(f"sim {line} --water-prior sea/known.csv --out b".split()) == 0
+    assert run(f"sim descent {line} --water-prior sea/known.csv --out b".split()) == 0
     Path("sea/known.csv").unlink()
     for name in ("a", "b"):
         assert Path(name, "config/water-prior.csv").read_text() == text

@@ -130,7 +130,7 @@ def test_a_path_ends_the_dive_where_it_is_complete(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     folder = tmp_path_factory.mktemp("runs") / "recorded"
-    assert run(["sim", "--lockstep", "--duration-s", "4", "--out", str(folder)]) == 0
+    assert run(["sim", "descent", "--lockstep", "--duration-s", "4", "--out", str(folder)]) == 0
     return RunFolder(folder)
 
 
