@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -182,24 +183,30 @@ def test_a_folder_that_is_not_empty_is_written_into_with_force_only(
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 1)])
 def test_an_interrupted_lock_step_exits_with_its_code_and_a_readable_recording(
-    number: signal.Signals, code: int, tmp_path: Path
+    number: signal.Signals,
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    line = "sim descent --lockstep --duration-s 5000 --out r"
-    command = [sys.executable, "-P", "-m", "services.cli", *line.split()]
+    monkeypatch.chdir(tmp_path)
     recording = tmp_path / "r" / "run.mcap"
-    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
-        deadline = time.monotonic() + 60
-        try:
-            while not (recording.exists() and recording.stat().st_size > 600_000):
-                assert process.poll() is None
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
-            process.send_signal(number)
-            assert process.wait(20) == code
-        finally:
-            process.kill()
-        assert process.stderr is not None
-        assert "Traceback" not in process.stderr.read()
+    ended = threading.Event()
+
+    def interrupt() -> None:
+        while not ended.wait(0.05):
+            if recording.exists() and recording.stat().st_size > 600_000:
+                os.kill(os.getpid(), number)
+                return
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    try:
+        assert cli("sim descent --lockstep --duration-s 5000 --out r") == code
+    finally:
+        ended.set()
+        thread.join()
+    assert "stopped early" in capsys.readouterr().err
     messages = Recording(recording)
     assert sum(1 for _ in messages) > 1000
     assert not messages.cut
