@@ -68,6 +68,7 @@ fuzz: setup  ## a million damaged frames and files at every decoder and reader
 	$(BIN)/python -m benchmarks.fuzz --frames 1000000
 
 docs: .venv/docs  ## the site in build/docs, from docs/ and the docstrings; every warning an error
+	rm -rf build/docs
 	$(BIN)/python -P -m sphinx -W --keep-going -E -q -b html -d build/doctrees docs build/docs
 	@echo build/docs/index.html
 

@@ -2,6 +2,7 @@
 
 Nothing in it leaves the machine of who reads it: Furo brings its own styles and has no fonts, formulas become MathML
 when the site is built, and ``extensions/offline.py`` looks at every file for an address that a browser would fetch.
+``extensions/anchors.py`` looks for links inside the site that lead nowhere.
 """
 
 import sys
@@ -18,11 +19,12 @@ version = release = installed_version()
 
 extensions = [
     *("sphinx.ext.autodoc", "sphinx.ext.viewcode", "myst_parser"),
-    *("commands", "docstrings", "glossary", "mathml", "offline", "settings"),  # docs/extensions
+    *("anchors", "commands", "docstrings", "glossary", "mathml", "offline", "settings"),  # docs/extensions
 ]
 exclude_patterns = ["extensions"]
 smartquotes = False  # two dashes are an option
-nitpicky = False  # types in signatures are numpy's and msgspec's, whose pages are elsewhere
+nitpicky = True  # a type in a signature has an entry on the page of Python names
+nitpick_ignore = {("py:class", "collections.abc.Callable"), ("py:class", "scipy.sparse._csc.csc_array")}
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4  # as GitHub makes them, so that the same links work there
@@ -31,7 +33,13 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
-autodoc_type_aliases = {"Array": "Array", "Reference": "Reference", "Pair": "Pair", "Stopwatch": "Stopwatch"}
+autodoc_type_aliases = {
+    "Array": "Array",
+    "Reference": "Reference",
+    "Pair": "Pair",
+    "Triple": "Triple",
+    "Stopwatch": "Stopwatch",
+}
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 80
 add_module_names = False

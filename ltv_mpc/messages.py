@@ -144,10 +144,10 @@ class Message(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknow
 class Health(enum.StrEnum):
     """Timeliness of inputs: of the estimates for the controller, of the plans for the actuators."""
 
-    NOMINAL = "nominal"
-    DEGRADED = "degraded"
-    HOLD = "hold"
-    FAILSAFE = "failsafe"
+    NOMINAL = "nominal"  # the inputs arrive in time
+    DEGRADED = "degraded"  # the controller continues from its prediction, the actuators follow the last plan
+    HOLD = "hold"  # the controller stops the vehicle through the water and holds the depth
+    FAILSAFE = "failsafe"  # no lateral thrust, the vertical thrust is failsafe_vertical_N
 
 
 class MissionAction(enum.StrEnum):
@@ -481,10 +481,10 @@ class SolveStatus(enum.StrEnum):
 class Authority(enum.StrEnum):
     """Source of the thrust commands."""
 
-    DISARMED = "disarmed"
-    CONTROLLER = "controller"
-    MANUAL = "manual"
-    STOPPED = "stopped"
+    DISARMED = "disarmed"  # no thruster is driven
+    CONTROLLER = "controller"  # the plans of the controller
+    MANUAL = "manual"  # a pilot
+    STOPPED = "stopped"  # no thruster is driven; only the command arm leads out of it
 
 
 class Obstacle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

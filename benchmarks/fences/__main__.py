@@ -1,6 +1,6 @@
 """Fences in random scenes: violations and arrivals, beside the rivals.
 
-    .venv/bin/python -m benchmarks.fences --out DIR [--scenes N] [--moving N] [--methods fence bent pid] [--workers N]
+    .venv/bin/python -m benchmarks.fences --out DIR [--scenes N] [--moving N] [--methods NAME ...] [--workers N]
 
 A scene is a point at the far end of a lane, 1 to 8 convex zones between (discs and polygons), a vehicle and a current
 of up to half its top speed from any direction, which the controller knows. The gaps between the zones are at least 1.5
@@ -9,6 +9,7 @@ obstacle crosses the lane instead, reported every 10 s. The vehicle moves as the
 taken every 0.1 s. Methods:
 
     fence   the controller with the fence
+    hard    the controller with one QP a cycle, in which the fence's rows are hard, solved by PIQP
     bent    the controller, with waypoints round the grown zones as its reference, and no fence
     pid     heading and surge to the same waypoints, by a cascade of P laws
     ipopt   the controller with the fence; each of its problems is solved to convergence by CasADi and IPOPT
@@ -110,7 +111,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=1000)
     parser.add_argument("--moving", type=int, default=300)
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:3])
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:4])
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("--out", type=Path, required=True)

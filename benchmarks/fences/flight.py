@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.fences import full_loop
-from benchmarks.fences.rivals import bent_controller, pid_commands, thrust_plan
+from benchmarks.fences.rivals import bent_controller, hard_controller, pid_commands, thrust_plan
 from benchmarks.fences.scenes import Scene, estimate_at_start, obstacle_at, scene_of, settings_of
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.fence_rows import PENALTY
@@ -21,7 +21,7 @@ from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, Obstacles, Pair, SolveStatus
 from ltv_mpc.references import Point
 
-METHODS = ("fence", "bent", "pid", "ipopt", "sensors")
+METHODS = ("fence", "hard", "bent", "pid", "ipopt", "sensors")
 CYCLE_NS = 300_000_000
 REPORT_NS = 10_000_000_000
 PARTS = 3
@@ -122,6 +122,8 @@ def _controller(scene: Scene, method: str) -> Controller:
     """Return the controller of a method."""
     if method == "bent":
         return bent_controller(scene)
+    if method == "hard":
+        return hard_controller(scene)
     controller = Controller(scene.vehicle, Point(north_m=scene.goal[0], east_m=scene.goal[1]), settings_of(scene.name))
     controller.set_fence(scene.fence)
     if method == "ipopt":

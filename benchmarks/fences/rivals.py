@@ -1,20 +1,26 @@
-"""Rivals of the controller with a fence: waypoints bent round the zones, for the controller without one and for PID."""
+"""Rivals of the controller with a fence: hard rows; waypoints bent round the zones, without a fence and for PID."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 
+import msgspec
 import numpy as np
 
 from benchmarks.fences.scenes import Scene, settings_of
+from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.fallback import NOT_RUN
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.control.solvers.interface import Solver
+from ltv_mpc.control.solvers.qpsolvers_backend import QpsolversBackend
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import pack_zones
-from ltv_mpc.messages import Estimate, Pair, Plan, PlanOrigin
+from ltv_mpc.messages import Array, Estimate, Pair, Plan, PlanOrigin
 from ltv_mpc.references import Place, Point, Waypoints
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -26,6 +32,31 @@ def waypoints(scene: Scene) -> list[Pair]:
     zones = pack_zones(scene.fence)
     way = Router(zones, scene.vehicle.hull.radius_m + zones.margin).way(np.zeros(2), np.array(scene.goal))
     return [(float(n), float(e)) for n, e in way]
+
+
+class HardRows(QpsolversBackend):
+    """PIQP on the QP with the rows of the fence as hard constraints: their excesses are zero."""
+
+    def build(self, lin: Linearisation, target: Array) -> None:
+        """Build the QP with no excess. Its last rows are, for each half-plane, the row and its excess."""
+        super().build(lin, target)
+        assert self._qp is not None
+        planes = lin.rows.shape[0] * lin.rows.shape[1]
+        if planes:
+            self._qp.u[-2 * planes + 1 :: 2] = self._qp.l[-2 * planes + 1 :: 2]
+
+
+def hard_controller(scene: Scene) -> Controller:
+    """Return a controller with one QP a cycle, whose fence has hard rows."""
+    settings = msgspec.structs.replace(settings_of(scene.name), solver="piqp", sqp_iterations=1)
+
+    def make_solver(vehicle: Vehicle, config: ResolvedConfig) -> Solver:
+        return HardRows(config, HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9, config.limits.state_bounds))
+
+    goal = Point(north_m=scene.goal[0], east_m=scene.goal[1])
+    controller = Controller(scene.vehicle, goal, settings, make_solver=make_solver)
+    controller.set_fence(scene.fence)
+    return controller
 
 
 def bent_controller(scene: Scene) -> Controller:

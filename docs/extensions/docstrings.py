@@ -8,6 +8,7 @@ beside them in the source.
 from __future__ import annotations
 
 import ast
+import dataclasses
 import enum
 import inspect
 import io
@@ -37,19 +38,30 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def _docstring(_app: Sphinx, _what: str, _name: str, thing: object, _options: object, lines: list[str]) -> None:
-    lines[:] = text(lines)
+    lines[:] = [*text(lines), *text(constructor(thing).splitlines())]
     if isinstance(thing, type) and issubclass(thing, msgspec.Struct):
         lines += ["", *table(*_fields(thing))]
     elif isinstance(thing, type) and issubclass(thing, enum.Enum):
         said = comments(thing)
         lines += ["", *table(("value", ""), [(literal(x.value), escaped(said.get(x.name, ""))) for x in thing])]
+    elif isinstance(thing, type) and (
+        hasattr(thing, "_fields") or dataclasses.is_dataclass(thing)
+    ):  # their types are in the signature
+        said = comments(thing)
+        lines += ["", *table(("field", ""), [(literal(name), escaped(text)) for name, text in said.items()])]
+
+
+def constructor(thing: object) -> str:
+    """Return the docstring of a class's own constructor, which describes the parameters of the class; or ""."""
+    own = vars(thing).get("__init__") if isinstance(thing, type) else None
+    return inspect.cleandoc(getattr(own, "__doc__", None) or "")
 
 
 def _signature(
     _app: Sphinx, _what: str, _name: str, thing: object, _options: object, _signature: str, _returns: str
 ) -> tuple[str, str] | None:
-    is_table = isinstance(thing, type) and issubclass(thing, (msgspec.Struct, enum.Enum))
-    return ("", "") if is_table else None
+    has_table = isinstance(thing, type) and issubclass(thing, (msgspec.Struct, enum.Enum))
+    return ("", "") if has_table or getattr(thing, "_is_protocol", False) else None
 
 
 # --- text -------------------------------------------------------------------------------------------------------------
@@ -75,10 +87,12 @@ def section(paragraph: str) -> list[str]:
     """
     title, _, *lines = paragraph.splitlines()
     made = [f"**{title}**", ""]
-    for entry in re.split(r"\n(?! )", "\n".join(lines)):
+    body = "\n".join(lines)
+    is_sentence = title == "Returns" and " : " not in body
+    for entry in [body] if is_sentence else re.split(r"\n(?! )", body):
         first, _, further = entry.partition("\n")
-        name, _, description = first.partition(" : ")
-        if " : " not in first:  # of Returns: a sentence, not a name
+        name, separator, description = first.partition(" : ")
+        if is_sentence or not (separator or re.fullmatch(r"\w+", name)):
             made.append(f"* {escaped(' '.join(entry.split()))}")
             continue
         description = f"{description} {further}"
@@ -87,11 +101,11 @@ def section(paragraph: str) -> list[str]:
 
 
 def escaped(words: str) -> str:
-    """Prose, in which `code` and ``code`` are literals and no other character means anything."""
+    """Prose, in which `code` and ``code`` are literals, a page is a link and no other character means anything."""
     parts = re.split(r"(``.+?``|`.+?`)", words, flags=re.DOTALL)
-    return "".join(
-        literal(part.strip("`")) if i % 2 else re.sub(r"([\\*|_`<>])", r"\\\1", part) for i, part in enumerate(parts)
-    )
+    plain = [re.sub(r"([\\*|_`<>])", r"\\\1", part) for part in parts]
+    linked = [re.sub(r"\bdocs/([\w/-]+)\.md\b", r":doc:`/\1`", part) for part in plain]
+    return "".join(literal(part.strip("`")) if i % 2 else linked[i] for i, part in enumerate(parts))
 
 
 def literal(words: object) -> str:
@@ -152,7 +166,11 @@ def comments(kind: type) -> dict[str, str]:
 
 def _comments(source: str) -> dict[str, str]:
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-    beside = {token.start[0]: token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT}
+    beside = {
+        token.start[0]: re.sub(r"^# (noqa: \w+ +)?", "", token.string)
+        for token in tokens
+        if token.type == tokenize.COMMENT
+    }
     (body,) = ast.parse(source).body
     assert isinstance(body, ast.ClassDef)
     found = {}

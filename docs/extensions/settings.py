@@ -35,15 +35,16 @@ def _fill(_app: Sphinx, _page: str, source: list[str]) -> None:
         source[0] = source[0].replace(SENSORS_MARK, "\n".join(tables(SensorConfig, ())))
 
 
-def tables(kind: type[msgspec.Struct], place: tuple[str, ...]) -> Iterator[str]:
+def tables(kind: type[msgspec.Struct], place: tuple[str, ...], *, optional: bool = False) -> Iterator[str]:
     """Yield a section for each table of the file, each followed by the tables inside it."""
     info, said = struct.type_info(kind), comments(kind)
     assert isinstance(info, struct.StructType)
     inner = {field.name: part for field in info.fields if (part := table(field.type)) is not None}
+    may_lack = {field.name for field in info.fields if field.default is None}
     own = [field for field in info.fields if field.name not in inner and field.name != "made_by"]
     if place:
         yield f"## `[{'.'.join(place)}]`\n"
-        yield f"{markdown(inspect.cleandoc(kind.__doc__ or ''))}\n"
+        yield f"{markdown(inspect.cleandoc(kind.__doc__ or ''))}{' *This table is optional.*' if optional else ''}\n"
     if own:
         yield "| key | must be | default | |\n|---|---|---|---|"
         for field in own:
@@ -51,7 +52,7 @@ def tables(kind: type[msgspec.Struct], place: tuple[str, ...]) -> Iterator[str]:
             yield f"| {' | '.join((*cells, markdown(said.get(field.name, ''))))} |"
         yield ""
     for name, part in inner.items():
-        yield from tables(part, (*place, name))
+        yield from tables(part, (*place, name), optional=name in may_lack)
 
 
 def table(kind: struct.Type) -> type[msgspec.Struct] | None:

@@ -7,7 +7,7 @@ vehicle can follow:
     target at knot k = point of the way at the distance  min(distance of the wanted target, V t_k + lead)
 
 with the speed over ground V that the vehicle reaches in the current, and a lead of ``LEAD`` lengths. The targets bend
-only the reference: the rows of the QP (``fence_rows.py``) keep the vehicle out. The target itself skips what lies in
+only the reference: the rows of the QP (``fence_rows.py``) keep the vehicle out. On a path the target itself goes round
 zones and margins (``geofence/allowed_path.py``).
 
 Required clearance of the vehicle's origin from a zone: hull + max(margin, k sd), with the standard deviation sd of the
@@ -107,7 +107,16 @@ class Fencing:
         return ROWS if self.is_active else 0
 
     def set_fence(self, fence: Fence | None) -> None:
-        """Keep another fence; None: none. Raises ``ConfigError`` if the hull is not known."""
+        """Keep another fence.
+
+        Parameters
+        ----------
+        fence : keep-in and keep-out zones; None: no fence.
+
+        Raises
+        ------
+        ConfigError : the hull is not known.
+        """
         zones, labels = NO_ZONES, []
         need = np.empty(0)
         if fence is not None:
@@ -143,7 +152,16 @@ class Fencing:
             self.scene = self.scene._replace(path=path.points, targets=path.targets, path_reach=path.reach)
 
     def add_obstacles(self, obstacles: Obstacles) -> None:
-        """Take reports of obstacles. Raises ``ConfigError`` if the hull is not known."""
+        """Take reports of obstacles.
+
+        Parameters
+        ----------
+        obstacles : positions and velocities in the world frame, north and east (m, m/s).
+
+        Raises
+        ------
+        ConfigError : the hull is not known.
+        """
         need = (1.0 + OBSTACLE_MARGIN) * hull_radius_m(self._vehicle)
         self.obstacles.add(obstacles)
         self.scene.disc_need_m[0] = need

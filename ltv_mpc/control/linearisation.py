@@ -81,7 +81,13 @@ class Linearisation(NamedTuple):
 
 
 def storage_size(N: int, rows: int = 0) -> int:
-    """Return the length of ``Linearisation.flat`` for N stages with a number of half-planes each."""
+    """Return the length of ``Linearisation.flat``.
+
+    Parameters
+    ----------
+    N : number of stages.
+    rows : number of half-planes of each stage.
+    """
     return (N + 1) * (STATES + 4) + N * (STATES * (STATES + 5) + 4 * rows)
 
 

@@ -1,16 +1,21 @@
 """Allowed part of a path: the schedule without what lies in zones and margins.
 
 A target inside a zone would wait there for a vehicle that cannot come. So the columns of the schedule within the
-required clearance of a zone are left out: behind the last point before a zone comes the first one behind it, without a
-time between. A path that ends inside ends at the nearest point that is allowed.
+required clearance of a zone are left out. Between the last point before a zone and the first one behind it the target
+takes the shortest way round the zones (route.py), with the speed that it has before the zone; where there is no way, it
+jumps. A path that ends inside ends at the nearest point that is allowed.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
+from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones, clearances, nearest
 from ltv_mpc.messages import Array, Pair
 from ltv_mpc.references.schedule import EAST, NORTH, TIME, WAY, Schedule
@@ -20,6 +25,12 @@ ROUNDING_M = 1e-6
 
 STEP_M = 0.25
 """Largest distance between two columns: a timed track may have longer ones, which could step over a zone."""
+
+SPEED_M, MIN_SPEED_MPS = 2.0, 0.05
+"""Length before a zone of which the largest speed is that of the way round it; its lower bound."""
+
+DETOUR_ENDS = np.array([0.0, 0.25, 0.5, 1.0])
+"""Distances from the zone, in required clearances, at which a detour may leave the path and meet it again."""
 
 MAX_COLUMNS = 100_000
 """Largest number of columns of a schedule whose steps were divided."""
@@ -31,8 +42,11 @@ DIRECTIONS = 64
 """Directions in which an allowed point is searched where the projections find none."""
 
 
+Columns: TypeAlias = npt.NDArray[np.int64]
+
+
 def allowed_path(schedule: Schedule, zones: Zones, need: Array) -> tuple[Schedule, float]:
-    """Return the schedule without its columns nearer to a zone than the required clearance.
+    """Return the schedule with detours for its columns that are nearer to a zone than the required clearance.
 
     Parameters
     ----------
@@ -65,7 +79,61 @@ def allowed_path(schedule: Schedule, zones: Zones, need: Array) -> tuple[Schedul
         left = np.hstack([left, last] if len(kept) else [last, last])
     elif len(kept) == 1:
         left = np.hstack([left, left])
-    return schedule._replace(table=np.ascontiguousarray(left)), skipped_m
+    return schedule._replace(table=_with_detours(left, np.flatnonzero(gap), Router(zones, need))), skipped_m
+
+
+def _with_detours(table: Array, gaps: Columns, router: Router) -> Array:
+    """Return the table (5, M) of a schedule with the ways round the zones behind the columns ``gaps``."""
+    parts, begin, delay_s = [], 0, 0.0
+    ends = np.append(gaps, table.shape[1] - 1)
+    for i, following in itertools.pairwise(ends):
+        before, behind, way = _shortest_detour(table, range(begin, i + 1), range(i + 1, following + 1), router)
+        if way is None:
+            continue
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
+        at = np.linspace(0.0, along[-1], max(math.ceil(along[-1] / STEP_M), 2) + 1)[1:-1]
+        first, last = table[:, before, None], table[:, behind, None]
+        detour = first + (last - first) * (at / along[-1])
+        detour[NORTH], detour[EAST] = np.interp(at, along, way[:, 0]), np.interp(at, along, way[:, 1])
+        speed = _speed_mps(table, before)
+        detour[TIME] = first[TIME] + at / speed
+        parts += [_later(table[:, begin : before + 1], delay_s), _later(detour, delay_s)]
+        begin = behind
+        delay_s += along[-1] / speed - float(last[TIME, 0] - first[TIME, 0])
+    return np.hstack([*parts, _later(table[:, begin:], delay_s)])
+
+
+def _shortest_detour(table: Array, left: range, right: range, router: Router) -> tuple[int, int, Array | None]:
+    """Return the columns of ``left`` and ``right`` between which the detour makes the path shortest, and its points.
+
+    The detour may leave the path, and meet it again, up to one required clearance from the zone. None: there is no way.
+    """
+    best_m, best, clearance_m = math.inf, (left[-1], right[0], None), float(router.need.max())
+    for leave_m in DETOUR_ENDS * clearance_m:
+        i = max(left[0], int(np.searchsorted(table[WAY, : left[-1] + 1], table[WAY, left[-1]] - leave_m)))
+        for meet_m in DETOUR_ENDS * clearance_m:
+            j = min(right[-1], right[0] + int(np.searchsorted(table[WAY, right[0] :], table[WAY, right[0]] + meet_m)))
+            start, end = table[[NORTH, EAST], i], table[[NORTH, EAST], j]
+            way = np.vstack([start, router.way(start, end, remember=False)])
+            longer_m = float(np.hypot(*np.diff(way, axis=0).T).sum() - (table[WAY, j] - table[WAY, i]))
+            if (way[-1] == end).all() and longer_m < best_m - ROUNDING_M:
+                best_m, best = longer_m, (i, j, way)
+    return best
+
+
+def _speed_mps(table: Array, i: int) -> float:
+    """Return the largest speed (m/s) within ``SPEED_M`` before column i of a schedule, which may end in a corner."""
+    first = int(np.searchsorted(table[WAY, : i + 1], table[WAY, i] - SPEED_M))
+    step_s, step_m = np.diff(table[TIME, first : i + 1]), np.diff(table[WAY, first : i + 1])
+    moves = step_s > 0.0
+    return float(np.max(step_m[moves] / step_s[moves], initial=MIN_SPEED_MPS))
+
+
+def _later(table: Array, delay_s: float) -> Array:
+    """Return the table of a schedule that is later by a delay (s)."""
+    later = table.copy()
+    later[TIME] += delay_s
+    return later
 
 
 def nearest_allowed(zones: Zones, need: Array, point: Pair) -> Pair | None:

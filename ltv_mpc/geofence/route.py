@@ -58,11 +58,22 @@ class Router:
         return bool(((need <= self.need + 0.05) & (need >= 0.8 * self.need)).all())
 
     def is_blocked(self, start: Array, end: Array) -> bool:
-        """Return True if the line between two points (2,) comes too near to a zone."""
+        """Return True if the line between two points comes too near to a zone.
+
+        Parameters
+        ----------
+        start, end : (2,) north and east (m).
+        """
         return bool(is_blocked(self._zones, self.need, start[0], start[1], end[0], end[1]))
 
     def chain_is_blocked(self, start: Array, points: Array) -> bool:
-        """Return True if the line from a point (2,) through others (K, 2) comes too near to a zone."""
+        """Return True if the line from a point through others comes too near to a zone.
+
+        Parameters
+        ----------
+        start : (2,) north and east (m).
+        points : (K, 2) north and east (m), in order.
+        """
         return bool(_chain_is_blocked(self._zones, self.need, start, points))
 
     def way(self, start: Array, goal: Array, *, remember: bool = True) -> Array:

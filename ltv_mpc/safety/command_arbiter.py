@@ -74,10 +74,10 @@ def next_authority(authority: Authority, action: Action) -> CommandResult:
 class ThrustOverride(NamedTuple):
     """Thrusts that replace those of the controller."""
 
-    authority: Authority
-    thrust_N: Triple
-    until_ns: int | None  # zero thrust after this time; None: the thrusts are zero in any case
-    why: str
+    authority: Authority  # their source
+    thrust_N: Triple  # port, starboard, vertical (N)
+    until_ns: int | None  # zero thrust after this vehicle time (ns); None: the thrusts are zero in any case
+    why: str  # reason in the plan
 
     def targets(self, knots: Times) -> Array:
         """Return the target thrust (N+1, 3) of each thruster at the knots (N+1,).

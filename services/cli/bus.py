@@ -32,7 +32,7 @@ def _block(
             "--connect",
             "-e",
             metavar="ENDPOINT",
-            help="Connect to this endpoint; repeatable. Default tcp/127.0.0.1:7447.",
+            help="Connect to this endpoint; repeatable. Default tcp/127.0.0.1:7447, with --certs tls/127.0.0.1:7447.",
             rich_help_panel=PANEL,
         ),
     ] = None,

@@ -29,7 +29,7 @@ def router(
 ) -> int:
     """Run the router to which all other processes connect.
 
-    Without --listen it listens at tcp/127.0.0.1:7447.
+    Without --listen it listens at tcp/127.0.0.1:7447, with --certs at tls/127.0.0.1:7447.
     """
     from services.processes import router as process
 

@@ -360,8 +360,9 @@ def _next_commands(summary: Mapping[str, Any], folder: RunFolder) -> list[str]:
         path = latest
     again = _again(path, folder)
     other_mode = again if summary["mode"] == "lockstep" else f"{again} --lockstep"
-    option = next_option(summary) or f"--horizon-s {round(summary['horizon_s'] / 2) or 5}"
-    return [other_mode, f"{again} {option}", f"{_program()} replay {shlex.quote(str(path))}"]
+    option = next_option(summary)
+    proposal = [f"{again} {option}"] if option else []
+    return [other_mode, *proposal, f"{_program()} replay {shlex.quote(str(path))}"]
 
 
 def _again(path: Path, folder: RunFolder) -> str:

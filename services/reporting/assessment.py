@@ -9,6 +9,9 @@ from typing import Any
 LESS_TRACKING_ERROR = "--set controller.effort=high"
 """Option of a further run, if tracking is the larger part of the error and the thrusters have room for it."""
 
+WITHOUT_DRIFT = "--perfect-state"
+"""Option of a further run that shows how much of the error is drift of the estimate."""
+
 OFTEN_SATURATED = 0.1
 """Share of the time at a thrust limit above which the thrusters bound the tracking error."""
 
@@ -29,6 +32,8 @@ def next_option(summary: Mapping[str, Any]) -> str | None:
             return LESS_TRACKING_ERROR
         case _Cause.TRACKING_WITH_HIGH_EFFORT:
             return f"--horizon-s {2 * summary['horizon_s']:.0f}"
+        case _Cause.DRIFT:
+            return WITHOUT_DRIFT
     return None
 
 

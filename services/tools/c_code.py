@@ -32,7 +32,6 @@ from ltv_mpc.control.solvers.osqp import (
     GRADIENT,
     LIMIT_ROW,
     MAX_LIMIT_ROW,
-    MAX_LOOSENING,
     OsqpSolver,
 )
 from ltv_mpc.control.solvers.osqp_workspace import BASE_SETTINGS
@@ -135,7 +134,7 @@ OSQPInt mpc_solve(const OSQPFloat *A, const OSQPFloat *q, const OSQPFloat *l, co
   for (int i = 0; i < MPC_VARIABLES; i++) gradient = fmax(gradient, fabs(q[i])), x[i] = 0;
   for (int i = 0; i < MPC_ROWS; i++) y[i] = scale[i] = 0;
   size = fmax(1, sqrt(gradient / MPC_GRADIENT));
-  mpc_solver.settings->eps_abs = MPC_TOLERANCE * fmin(size, MPC_MAX_LOOSENING);
+  mpc_solver.settings->eps_abs = MPC_TOLERANCE * size;
   mpc_iterations = 0;
   for (int batch = 1;; batch++) {{
     if (rescale(size, A, l, u)) {{
@@ -194,7 +193,6 @@ LAYOUT = """/* Meaning of the numbers of the QP: minimise 1/2 x'Px + q'x subject
 #define MPC_EQUALITIES {equalities}
 #define MPC_ENTRIES {entries}
 #define MPC_TOLERANCE {tolerance!r}
-#define MPC_MAX_LOOSENING {loosening!r}
 #define MPC_MAX_ITERATIONS {max_iterations}
 #define MPC_BATCH {batch}
 #define MPC_CONSTANT_BATCHES {constant_batches}
@@ -273,7 +271,6 @@ def export(folder: Path, solver: OsqpSolver, nominal: Array, config: ResolvedCon
             equalities=form.equalities,
             entries=qp.A.nnz,
             tolerance=PRECISION * config.tolerance,
-            loosening=MAX_LOOSENING,
             max_iterations=MAX_ITERATIONS,
             batch=BATCH,
             constant_batches=CONSTANT_BATCHES,

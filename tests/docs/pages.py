@@ -133,8 +133,14 @@ def slug(heading: str) -> str:
 
 
 def anchors(page: str) -> set[str]:
-    """Return the anchors of all headings of a page."""
-    return {slug(found[1]) for _, line in prose(page) if (found := re.match(r"^#{1,6} +(.*)$", line))}
+    """Return the anchors of all headings of a page, and of a page that it includes."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    included = [
+        ((ROOT / page).parent / path).resolve().relative_to(ROOT).as_posix()
+        for path in re.findall(r"^```\{include\} +(\S+)$", text, re.MULTILINE)
+    ]
+    own = {slug(found[1]) for _, line in prose(page) if (found := re.match(r"^#{1,6} +(.*)$", line))}
+    return own.union(*map(anchors, included))
 
 
 def links(page: str) -> list[tuple[int, str]]:

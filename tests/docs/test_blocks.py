@@ -62,7 +62,7 @@ NOT_RUN = (
     (r"python3? \S*publisher\.py", f"{UNTIL_STOPPED}: tests/examples"),
     (r"\.venv/bin/pytest tests/", "the tests themselves"),
     (
-        r"python3 -m venv|pip install|\. \S+/activate|git (?:clone|worktree)|cd ",
+        r"python3 -m venv|pip (?:install|download)|\. \S+/activate|git (?:clone|worktree)|cd ",
         "makes environments; `make package` does it for real",
     ),
     (r"dask |zenoh-bridge-ros2dds |scp |sudo |systemctl ", ELSEWHERE),

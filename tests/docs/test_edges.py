@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
-import re
 import socket
+import sys
 import threading
 import time
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,16 +25,30 @@ from services.edges.edge import Received
 from services.processes.edge_loop import EdgeLoop
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
-from tests.docs.pages import ROOT
+from tests.docs.changed_tree import build, run
 from tests.services.edges.plans import SECOND_NS, plan
 
+PAGE = "docs/edges.md"
+NAME = "json_lines"
 
-def example() -> dict[str, Any]:
-    """Run the page's blocks of Python; return their names."""
-    names: dict[str, Any] = {}
-    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "edges.md").read_text(), re.DOTALL):
-        exec(block, names)
-    return names
+
+@pytest.fixture(scope="module")
+def names(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+    """Build the files of the page; yield the names in its edge and its process."""
+    folder, found, added = tmp_path_factory.mktemp("edge"), {}, []
+    build(PAGE, folder)
+    for package in ("services.edges", "services.processes"):
+        name = f"{package}.{NAME}"
+        spec = importlib.util.spec_from_file_location(name, folder / f"{name.replace('.', '/')}.py")
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules[name] = module = importlib.util.module_from_spec(spec)
+        added.append(name)
+        spec.loader.exec_module(module)
+        found |= vars(module)
+    yield found
+    for name in added:
+        del sys.modules[name]
 
 
 def line(**fields: Any) -> bytes:
@@ -39,8 +56,8 @@ def line(**fields: Any) -> bytes:
     return json.dumps(state | fields).encode()
 
 
-def test_the_example_converts_both_ways_and_counts_what_it_refuses() -> None:
-    edge = example()["JsonEdge"](epoch=1)
+def test_the_example_converts_both_ways_and_counts_what_it_refuses(names: dict[str, Any]) -> None:
+    edge = names["JsonEdge"](epoch=1)
     (estimate,) = edge.receive(Received("", line(), b"", 1_000))
     assert (estimate.north_m, estimate.east_m, estimate.t_ns) == (3.0, 4.0, 7 * SECOND_NS)
     assert (estimate.velocity_north_mps, estimate.velocity_east_mps) == pytest.approx((0.0, 2.0), abs=1e-12)
@@ -55,8 +72,7 @@ def test_the_example_converts_both_ways_and_counts_what_it_refuses() -> None:
     assert json.loads(frame.payload) == {"port": 0.0, "starboard": 0.0}
 
 
-def test_the_example_runs_as_a_process_does() -> None:
-    names = example()
+def test_the_example_runs_as_a_process_does(names: dict[str, Any]) -> None:
     endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
     vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     vehicle.bind(("127.0.0.1", 0))
@@ -108,3 +124,33 @@ def test_the_example_runs_as_a_process_does() -> None:
         assert found[-1].finished
         assert found[-1].steps >= 1
         vehicle.close()
+
+
+TARGET = """
+import random
+from tests.fuzz.targets import all_targets
+(target,) = (target for target in all_targets() if target.name == "json lines")
+accepted = 0
+for seed in range(500):
+    found = target.take(target.frame(random.Random(seed)))
+    if found is not None:
+        target.check(found)
+        accepted += 1
+assert 0 < accepted < 500
+"""
+
+COMMAND = """
+from services.cli.app import run
+run(["json-lines", "--help"])
+assert run(["json-lines", "--connect", "nowhere"]) == 2
+"""
+
+
+def test_damaged_frames_of_the_example_are_counted_by_its_target(tmp_path: Path) -> None:
+    build(PAGE, tmp_path)
+    run(TARGET, tmp_path)
+
+
+def test_the_command_of_the_example_has_the_options_of_the_bus(tmp_path: Path) -> None:
+    build(PAGE, tmp_path)
+    assert "--certs" in run(COMMAND, tmp_path)

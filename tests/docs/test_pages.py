@@ -28,6 +28,13 @@ HISTORY = re.compile(
 
 PAGES = [name for name in NAMES if not name.startswith(NOTES)]
 
+NOTE = {
+    **dict.fromkeys(("Question", "Method", "Result", "Decision"), r"\s*\S"),
+    "Date": r" 20\d\d-\d\d",
+    "Version": r" (?:Not recorded|[^*]*\b[0-9a-f]{8}\b)",
+}
+"""What a note has: the label of a paragraph, and how the paragraph begins."""
+
 
 def text_of(page: str) -> str:
     return (ROOT / page).read_text(encoding="utf-8")
@@ -56,6 +63,12 @@ def pages_below(caption: str) -> list[str]:
 def test_a_page_begins_with_the_question_that_it_answers(page: str) -> None:
     first = " ".join(re.split(r"\n\n", text_of(page), maxsplit=2)[1].split())
     assert QUESTION.match(first) or page == "docs/index.md", f"{page} begins with: {first[:80]}"
+
+
+@pytest.mark.parametrize("page", [name for name in NAMES if name.startswith(NOTES)])
+def test_a_note_has_question_method_result_decision_date_and_version(page: str) -> None:
+    text = text_of(page)
+    assert [label for label, begin in NOTE.items() if not re.search(rf"\*\*{label}\.\*\*{begin}", text)] == []
 
 
 def test_an_explanation_is_short_enough_to_be_read_in_one_go() -> None:

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import builtins
 import doctest
+import enum
 import importlib
+import inspect
+import pydoc
 import re
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Protocol
 
+import msgspec
 import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from ltv_mpc import references, settings_schema
+from ltv_mpc import Controller, Estimate, references, settings_schema
+from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.messages import Health
+from ltv_mpc.safety.health import HealthState
 from services.bus.topics import TOPICS
 from services.cli.app import app
 from sim.scenario import Scenario
@@ -23,7 +32,7 @@ from tests.docs.pages import ROOT, blocks
 def extension(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Import an extension of the site from docs/extensions, which is not a package."""
     monkeypatch.syspath_prepend(ROOT / "docs" / "extensions")
-    for own in ("commands", "docstrings", "drawings", "glossary", "offline", "settings"):
+    for own in ("anchors", "commands", "docstrings", "drawings", "glossary", "offline", "settings"):
         monkeypatch.delitem(sys.modules, own, raising=False)
     return importlib.import_module(name)
 
@@ -85,6 +94,23 @@ def test_docstrings_are_read_as_they_are_written(monkeypatch: pytest.MonkeyPatch
     ]
 
 
+def test_sections_of_a_docstring_are_lists_and_its_pages_are_links(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = extension("docstrings", monkeypatch).text
+    assert text(["Raises", "------", "ConfigError", "    If the file is missing (docs/notes/paths.md)."]) == [
+        *("**Raises**", "", "* ``ConfigError``: If the file is missing (:doc:`/notes/paths`).", ""),
+    ]
+    assert (
+        text(["Returns", "-------", "The plan; `origin` is", "its source."])[2]
+        == "* The plan; ``origin`` is its source."
+    )
+
+
+def test_the_parameters_of_a_class_are_those_of_its_constructor(monkeypatch: pytest.MonkeyPatch) -> None:
+    constructor = extension("docstrings", monkeypatch).constructor
+    assert "\nmake_solver : " in constructor(Controller)
+    assert [constructor(kind) for kind in (Estimate, HealthState, Health, QP)] == [""] * 4
+
+
 def test_the_comment_beside_a_field_is_what_the_table_says_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     from sim.scenario import Run
 
@@ -142,14 +168,6 @@ def test_the_first_use_of_a_term_links_to_the_glossary(monkeypatch: pytest.Monke
     assert left == {"node": "node"}
 
 
-WITHOUT_EXAMPLE = {
-    *("references", "Reference", "of_plan"),  # a module, a union of types, a method shown in a sentence
-    *("HealthState", "PlanVerdict", "Thruster"),  # what the methods beside them return
-    *("Applied", "CycleTiming"),  # made in the examples of the methods that take them
-}
-"""Entries of the page of Python names that have no example of their own."""
-
-
 def python_names() -> str:
     (block,) = (block for block in blocks("docs/python.md") if block.language == "{eval-rst}")
     return block.text
@@ -165,13 +183,57 @@ def test_the_examples_of_the_python_names_give_what_they_show(tmp_path: Path, mo
     assert result.attempted >= 60
 
 
+def python_entries() -> dict[str, str]:
+    """Return the entries of the page of Python names by their dotted names; an entry has those of its methods."""
+    found: dict[str, str] = {}
+    for entry in re.split(r"^(?=\.\. auto)", python_names(), flags=re.MULTILINE)[1:]:
+        names = re.findall(r"^ *\.\. auto(?!module)\w+:: (\S+)$", entry, re.MULTILINE)
+        parts = re.split(r"^(?=   \.\. auto)", entry, flags=re.MULTILINE)[1:]
+        for i, name in enumerate(names):
+            path = ".".join((names[0], name)[: i + 1])
+            found[path if path.startswith("ltv_mpc.") else f"ltv_mpc.{path}"] = parts[i - 1] if i else entry
+    return found
+
+
 def test_every_python_name_has_an_example() -> None:
-    entries = re.split(r"^ *\.\. auto\w+:: ", python_names(), flags=re.MULTILINE)[1:]
-    names = {entry.split("\n")[0].split(".")[-1]: entry for entry in entries}
-    assert set(references.__all__) <= set(names)
-    of_classes = {name for name, entry in names.items() if re.search(r"\n\n   >>> ", entry)}
-    without = {name for name, entry in names.items() if ">>>" not in entry} - WITHOUT_EXAMPLE
-    # A class whose methods follow has its example there.
-    assert {name for name in without if name[0].islower()} == set()
-    assert without <= {"Vehicle", "ReferencePoint", "PlanGate", "Estimate", "Plan", "Fence"}
-    assert of_classes
+    entries = python_entries()
+    assert {f"ltv_mpc.references.{name}" for name in references.__all__} <= set(entries)
+    examples = {name: re.findall(r"^ +(?:>>>|\.\.\.) (.*)", entry, re.MULTILINE) for name, entry in entries.items()}
+    assert [name for name, lines in examples.items() if not lines] == []
+    too_wide = [line for lines in examples.values() for line in lines if len(line) > 80]
+    assert too_wide == [], "the site cuts these lines on a screen of 1280 pixels"
+
+
+def test_every_type_in_a_signature_has_an_entry() -> None:
+    entries = python_entries()
+    listed = {name.rpartition(".")[2] for name in entries} | set(re.findall(r"py:type:: (\w+)", python_names()))
+    listed |= {*dir(builtins), "SolverFactory", "csc_array"}  # a function that returns a Solver; SciPy's
+    missing = set()
+    for name in entries:
+        thing = pydoc.locate(name)
+        if callable(thing) and not has_table(thing):
+            signature = inspect.signature(thing)
+            types = [signature.return_annotation, *(one.annotation for one in signature.parameters.values())]
+            words = re.findall(r"\w+", " ".join(one for one in types if isinstance(one, str)))
+            missing |= {(name, word) for word in words if word not in listed}
+    assert missing == set()
+
+
+def has_table(thing: object) -> bool:
+    """Return True for a type whose fields are in a table, not in a signature."""
+    return isinstance(thing, type) and issubclass(thing, (msgspec.Struct, enum.Enum, Protocol))
+
+
+def test_a_link_of_the_site_that_leads_nowhere_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "source").mkdir()
+    (tmp_path / "python.html").write_text(
+        '<dt id="ltv_mpc.Plan"><a href="source/messages.html#Plan">[source]</a></dt>'
+        '<a href="https://zenoh.io#top">Zenoh</a><a href="missing.html">x</a><img src="none.png">'
+    )
+    (tmp_path / "source" / "messages.html").write_text(
+        '<div id="Plan"><a href="../python.html#ltv_mpc.Plan">[docs]</a></div><a href="../python.html#ltv_mpc.Applied">'
+    )
+    assert list(extension("anchors", monkeypatch).dead(tmp_path)) == [
+        "python.html: missing.html leads nowhere",
+        "source/messages.html: ../python.html#ltv_mpc.Applied leads nowhere",
+    ]

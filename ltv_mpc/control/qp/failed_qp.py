@@ -32,7 +32,12 @@ class FailedQp:
     solve: Solve
 
     def save(self, path: Path) -> None:
-        """Write the problem to one file in numpy's npz format."""
+        """Write the problem to one file in numpy's npz format.
+
+        Parameters
+        ----------
+        path : name of the file; an existing one is replaced. numpy adds ``.npz`` to a name without it.
+        """
         qp = self.qp
         parts: dict[str, Any] = {"format": FORMAT, "q": qp.q, "l": qp.l, "u": qp.u}
         for name, matrix in (("P", qp.P), ("A", qp.A)):
@@ -47,7 +52,16 @@ class FailedQp:
 
     @classmethod
     def load(cls, path: Path) -> FailedQp:
-        """Read a file that ``save`` wrote. Raises ``ConfigError`` if it is missing, unreadable or no such file."""
+        """Read a file that ``save`` wrote.
+
+        Parameters
+        ----------
+        path : the file.
+
+        Raises
+        ------
+        ConfigError : the file is missing or unreadable, or ``save`` did not write it.
+        """
         try:
             parts = _parts(path)
         except FileNotFoundError:

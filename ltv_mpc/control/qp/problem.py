@@ -20,7 +20,7 @@ class QP:
     P: csc_array  # (n, n) symmetric positive semidefinite, both triangles
     q: Array  # (n,)
     A: csc_array  # (m, n)
-    l: Array  # noqa: E741  (m,) the standard name
+    l: Array  # noqa: E741  (m,)
     u: Array  # (m,)
 
 

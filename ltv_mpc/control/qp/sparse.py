@@ -242,7 +242,12 @@ class SparseQp:
         return self.assemble(numbers)
 
     def assemble(self, numbers: QpNumbers) -> QP:
-        """Return the QP that has these numbers; it shares their memory."""
+        """Return the QP that has these numbers; it shares their memory.
+
+        Parameters
+        ----------
+        numbers : entries of A (in the order of ``pattern``), q (n,), l and u (m,), all without a unit.
+        """
         pattern = self.pattern
         A = csc_array((numbers.A, pattern.indices, pattern.indptr), shape=pattern.shape)
         return QP(self.P, numbers.q, A, numbers.l, numbers.u)

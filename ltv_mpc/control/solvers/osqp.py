@@ -64,9 +64,9 @@ GRADIENT = 0.5
 MAX_LIMIT_ROW = 0.2
 """Largest scale s of inactive box and slew rows."""
 
-MAX_LOOSENING, FENCE_LOOSENING = 5.0, 20.0
-"""Largest factor by which the tolerance grows with the duals, without and with a fence, whose duals are larger. A row
-of the fence then is exact to 0.3 mm.
+ROUNDING = 4e-9
+"""Residual that rounding leaves, over the largest dual of the dynamics: with a fence no tolerance is below it. The dual
+is 1e5 where two zones leave no room between them, and a row of the dynamics then is exact to 1e-6.
 """
 
 ACTIVE = 10.0
@@ -75,7 +75,7 @@ ACTIVE = 10.0
 MOTION_ROW, MOTION_ACTIVE, EXCESS_ROW = 0.05, 1.5, 15.0
 """Scales s of the limits of a state, inactive and active, and of its excess, if the gradient is small."""
 
-PLANE_ACTIVE, PLANE_EXCESS_ROW = 0.3, 5.0
+PLANE_ACTIVE, PLANE_EXCESS_ROW = 0.1, 5.0
 """The same of an active half-plane of the fence and of its excess: its duals are larger, as its penalty is."""
 
 NOT_EXCEEDED = 1e-3
@@ -143,7 +143,12 @@ class OsqpSolver:
         self._workspace: Workspace | None = None
 
     def shift_warm_start(self, stages: float) -> None:
-        """Shift the duals of the limits to later knots (see ``Solver``)."""
+        """Shift the duals of the limits to later knots (see ``Solver``).
+
+        Parameters
+        ----------
+        stages : by how many first stages the next problem's knots lie later than the last one's.
+        """
         self._shift = stages
 
     def reset_warm_start(self) -> None:
@@ -151,15 +156,20 @@ class OsqpSolver:
         self._shift = math.nan
 
     def build(self, lin: Linearisation, target: Array) -> None:
-        """Compute the problem, its first guess and the scales of its rows (see ``Solver``)."""
+        """Compute the problem, its first guess and the scales of its rows (see ``Solver``).
+
+        Parameters
+        ----------
+        lin : the motion along the nominal trajectory.
+        target : (N+1, 3) as in ``Solver.build``.
+        """
         if self.form.match(lin):
             self._allocate()
         self._lin, form = lin, self.form
-        size = prepare(form.packed, lin.flat, target, form.entries, self._shift, self._arrays)
+        size, costate = prepare(form.packed, lin.flat, target, form.entries, self._shift, self._arrays)
         self._finite = size >= 0.0
         self._why = "" if self._finite else describe_non_finite(lin, target)
-        largest = FENCE_LOOSENING if form.half_planes else MAX_LOOSENING
-        self._eps = self._tolerance * min(size, largest)
+        self._eps = max(self._tolerance * size, ROUNDING * costate if form.half_planes else 0.0)
 
     def update(self) -> None:
         """Pass the problem to OSQP; the first one sets it up (see ``Solver``)."""
@@ -234,7 +244,9 @@ class OsqpSolver:
 
 
 @jit
-def prepare(packed: Array, flat: Array, target: Array, entries: EntryMap, shift: float, at: SolveArrays) -> float:
+def prepare(
+    packed: Array, flat: Array, target: Array, entries: EntryMap, shift: float, at: SolveArrays
+) -> tuple[float, float]:
     """Compute a cycle's problem and first guess, unscaled and with scaled rows, into ``at``.
 
     Parameters
@@ -248,15 +260,18 @@ def prepare(packed: Array, flat: Array, target: Array, entries: EntryMap, shift:
 
     Returns
     -------
-    ``dual_scale`` of the problem; -1 if a number is not finite.
+    ``dual_scale`` of the problem, or -1 if a number is not finite; magnitude of the largest dual of the dynamics.
     """
     N = len(target) - 1
     lin = unpack_linearisation(flat, N)
     fill(packed, lin, target, entries, at.problem)
     first_guess(packed, lin, target, shift, at)
     if rescale(entries.row, N, at) < 0:
-        return -1.0
-    return dual_scale(at.problem.q, N)
+        return -1.0, 0.0
+    costate = 0.0
+    for i in range(N * STATES):
+        costate = max(costate, abs(at.y[i]))
+    return dual_scale(at.problem.q, N), costate
 
 
 @jit

@@ -230,7 +230,13 @@ class CompiledWorkspace(Workspace):
         self._loaded: tuple[Array, ...] = ()
 
     def load(self, numbers: QpNumbers, x: Array, y: Array) -> None:
-        """Replace all numbers (see ``Workspace``)."""
+        """Replace all numbers (see ``Workspace``).
+
+        Parameters
+        ----------
+        numbers : entries of A, q (n,), l and u (m,).
+        x, y : (n,) and (m,) first guess, primal and dual.
+        """
         if not (self._loaded and numbers.A is self._loaded[0] and x is self._loaded[4] and y is self._loaded[5]):
             n, m, entries = self._sizes
             lengths = (entries, n, m, m, n, m)
@@ -239,7 +245,13 @@ class CompiledWorkspace(Workspace):
         _check(_load(self.addresses))
 
     def solve(self, iterations: int, tolerance: float) -> OsqpReport:
-        """Solve the problem (see ``Workspace``)."""
+        """Solve the problem (see ``Workspace``).
+
+        Parameters
+        ----------
+        iterations : largest number of iterations.
+        tolerance : absolute residuals at which the solve ends.
+        """
         status, took, primal, dual = _solve(self.addresses, *self._memory, iterations, tolerance)
         return OsqpReport(_status(status), took, primal, dual)
 
@@ -286,7 +298,13 @@ class PublicWorkspace(Workspace):
         self.x, self.y = np.zeros(self._sizes[0]), np.zeros(self._sizes[1])
 
     def load(self, numbers: QpNumbers, x: Array, y: Array) -> None:
-        """Replace all numbers (see ``Workspace``)."""
+        """Replace all numbers (see ``Workspace``).
+
+        Parameters
+        ----------
+        numbers : entries of A, q (n,), l and u (m,).
+        x, y : (n,) and (m,) first guess, primal and dual.
+        """
         n, m, entries = self._sizes
         A, q, l, u, x, y = map(_contiguous, (*numbers, x, y), (entries, n, m, m, n, m))  # noqa: E741
         _check(int((l > u).any()))  # the wrapper would continue with the old bounds
@@ -295,7 +313,13 @@ class PublicWorkspace(Workspace):
         self._solver.warm_start(x=x, y=y)
 
     def solve(self, iterations: int, tolerance: float) -> OsqpReport:
-        """Solve the problem (see ``Workspace``)."""
+        """Solve the problem (see ``Workspace``).
+
+        Parameters
+        ----------
+        iterations : largest number of iterations.
+        tolerance : absolute residuals at which the solve ends.
+        """
         self._solver.update_settings(max_iter=iterations, eps_abs=tolerance)
         result = self._solver.solve(raise_error=False)
         self.x, self.y, info = np.array(result.x), np.array(result.y), result.info

@@ -44,13 +44,24 @@ class QpsolversBackend:
         self._qp: QP | None = None
 
     def shift_warm_start(self, stages: float) -> None:
-        """Do nothing: there is no warm start."""
+        """Do nothing: there is no warm start.
+
+        Parameters
+        ----------
+        stages : is not used.
+        """
 
     def reset_warm_start(self) -> None:
         """Do nothing: there is no warm start."""
 
     def build(self, lin: Linearisation, target: Array) -> None:
-        """Build the QP (see ``Solver``)."""
+        """Build the QP (see ``Solver``).
+
+        Parameters
+        ----------
+        lin : the motion along the nominal trajectory.
+        target : (N+1, 3) as in ``Solver.build``.
+        """
         self._lin, self._qp = lin, self._form.build(lin, target)
 
     def update(self) -> None:

@@ -80,7 +80,8 @@ the length s it is (1 - s)^2, because a short step shows a point far from the ce
 
 INITIAL_SLACK, INITIAL_DUAL = 1.0, 30.0
 """Smallest slack, and dual, at which the interior point starts. Duals reach 500, and a start below them is what makes
-steps short.
+steps short. Where the nominal trajectory already exceeds a soft row, the product of both starts at what this costs:
+below it, two zones that leave no room between them took more than ``MAX_SWEEPS``.
 """
 
 DUAL_REGULARISATION = 1e-7
@@ -89,7 +90,7 @@ DUAL_REGULARISATION = 1e-7
 MU_IDENTIFIED, MU_CONVERGED, WHOLE_STEP = 1e-3, 1e-11, 0.9
 """Mean product of slack and dual below which they show which rows are active; below which the point is the solution
 itself, to rounding; and smallest step for the latter. It ends a solve in which a limit is just reached with a dual of
-zero: no set is right there.
+zero: no set is right there. No step aims far below the second: a slack would be rounded to zero.
 """
 
 TO_BOUNDARY = 0.995
@@ -130,7 +131,12 @@ class RiccatiSolver:
         self._target = np.zeros((config.stages + 1, 2))
 
     def shift_warm_start(self, stages: float) -> None:
-        """Move the duals with the plan; the last ones are held."""
+        """Move the duals with the plan; the last ones are held.
+
+        Parameters
+        ----------
+        stages : by how many first stages the next problem's knots lie later than the last one's.
+        """
         self._shift = stages
 
     def reset_warm_start(self) -> None:
@@ -138,7 +144,13 @@ class RiccatiSolver:
         self._shift = math.nan
 
     def build(self, lin: Linearisation, target: Array) -> None:
-        """Keep the problem: the sweeps read it as it is."""
+        """Keep the problem: the sweeps read it as it is.
+
+        Parameters
+        ----------
+        lin : the motion along the nominal trajectory.
+        target : (N+1, 3) as in ``Solver.build``.
+        """
         R = HARD_ROWS + self._limited + lin.rows.shape[1]
         if self._duals.shape[1] != R:  # a fence was set or removed
             self._duals = np.zeros((len(self._duals), R))
@@ -342,6 +354,7 @@ class _Barrier(NamedTuple):
     t: Array  # (2, N, R) slacks
     e: Array  # excesses, 0 for a hard row
     nu: Array  # duals
+    room: Array  # cap - nu, kept apart: the difference would be lost in the rounding of a cap of 1e4
     dt: Array
     de: Array
     dnu: Array
@@ -360,21 +373,20 @@ def _interior_point(
 ) -> tuple[int, int]:
     """Solve by the interior-point method until the active set is known; return the outcome and the number of sweeps."""
     barrier = _initial_barrier(work)
-    sweeps, step, mu = 0, 1.0, _mean_product(barrier, work)
+    sweeps, step, mu = 0, 1.0, _mean_product(barrier)
     while sweeps < max_sweeps:
-        aim = max(MIN_SIGMA, (1.0 - step) ** 2) * mu
+        aim = max(max(MIN_SIGMA, (1.0 - step) ** 2) * mu, 0.1 * MU_CONVERGED)
         _set_barrier_terms(barrier, aim, work)
         sweeps += 1
         if not sweep(lin, target, o, work, dU):
             return FAILED, sweeps
         primal, dual = _find_step(barrier, aim, work)
         _take_step(barrier, primal, dual)
-        same = _name_active(barrier, work, active)
-        step, mu = min(primal, dual), _mean_product(barrier, work)
+        same = _name_active(barrier, active)
+        step, mu = min(primal, dual), _mean_product(barrier)
         if not np.isfinite(mu):
             return FAILED, sweeps
-        converged = mu < MU_CONVERGED and step > WHOLE_STEP
-        if converged:  # the duals that belong to the commands of the last sweep
+        if mu < MU_CONVERGED and step > WHOLE_STEP:  # the duals that belong to the commands of the last sweep
             for k in range(y.shape[0]):
                 for i in range(y.shape[1]):
                     y[k, i] = work.weight[k, i] * work.g[k, i] + work.linear[k, i]
@@ -393,8 +405,12 @@ def _interior_point(
 def _initial_barrier(work: SweepWorkspace) -> _Barrier:
     """Return the numbers at which the interior point starts."""
     N, R = work.low.shape
-    t, e, nu = np.ones((2, N, R)), np.zeros((2, N, R)), np.zeros((2, N, R))
+    t, e, nu, room = np.ones((2, N, R)), np.zeros((2, N, R)), np.zeros((2, N, R)), np.zeros((2, N, R))
     dt, de, dnu = np.zeros((2, N, R)), np.zeros((2, N, R)), np.zeros((2, N, R))
+    product = INITIAL_SLACK * INITIAL_DUAL
+    for k in range(N):
+        for i in range(HARD_ROWS, R):
+            product = max(product, work.cap[k, i] * max(work.low[k, i], -work.high[k, i]))
     for k in range(N):
         for i in range(R):
             for side in range(2):
@@ -402,22 +418,24 @@ def _initial_barrier(work: SweepWorkspace) -> _Barrier:
                 if np.isinf(within):
                     continue
                 cap = work.cap[k, i]
-                t[side, k, i], nu[side, k, i] = max(within, INITIAL_SLACK), min(INITIAL_DUAL, 0.5 * cap)
+                t[side, k, i] = max(within, INITIAL_SLACK)
+                nu[side, k, i] = min(product / t[side, k, i], 0.5 * cap)
+                room[side, k, i] = cap - nu[side, k, i]
                 if i >= HARD_ROWS:
-                    e[side, k, i] = INITIAL_SLACK * nu[side, k, i] / (cap - nu[side, k, i])
-    return _Barrier(t, e, nu, dt, de, dnu)
+                    e[side, k, i] = product / room[side, k, i]
+    return _Barrier(t, e, nu, room, dt, de, dnu)
 
 
 @jit
 def _set_barrier_terms(barrier: _Barrier, aim: float, work: SweepWorkspace) -> None:
     """Set weight and linear of the next sweep, of both sides of each row."""
-    t, e, nu, cap = barrier.t, barrier.e, barrier.nu, work.cap
-    for k in range(cap.shape[0]):
-        for i in range(cap.shape[1]):
+    t, e, nu = barrier.t, barrier.e, barrier.nu
+    for k in range(t.shape[1]):
+        for i in range(t.shape[2]):
             weight = linear = 0.0
             for side in range(2):
                 sign, bound = (1.0, work.high[k, i]) if side == 0 else (-1.0, work.low[k, i])
-                x, room = nu[side, k, i], cap[k, i] - nu[side, k, i]
+                x, room = nu[side, k, i], barrier.room[side, k, i]
                 if np.isinf(bound):
                     continue
                 w = 1.0 / (t[side, k, i] / x + e[side, k, i] / room + DUAL_REGULARISATION)
@@ -429,13 +447,13 @@ def _set_barrier_terms(barrier: _Barrier, aim: float, work: SweepWorkspace) -> N
 @jit
 def _find_step(barrier: _Barrier, aim: float, work: SweepWorkspace) -> tuple[float, float]:
     """Compute the steps; return the fractions of slacks' and duals' steps that keep all numbers positive."""
-    cap, g = work.cap, work.g
+    g = work.g
     primal = dual = 1.0
-    for k in range(cap.shape[0]):
-        for i in range(cap.shape[1]):
+    for k in range(g.shape[0]):
+        for i in range(g.shape[1]):
             for side in range(2):
                 t, e, nu = barrier.t[side, k, i], barrier.e[side, k, i], barrier.nu[side, k, i]
-                room = cap[k, i] - nu
+                room = barrier.room[side, k, i]
                 beyond = g[k, i] - work.high[k, i] if side == 0 else work.low[k, i] - g[k, i]
                 if np.isinf(beyond):  # no bound
                     continue
@@ -463,20 +481,21 @@ def _take_step(barrier: _Barrier, primal: float, dual: float) -> None:
                 barrier.t[side, k, i] += primal * barrier.dt[side, k, i]
                 barrier.e[side, k, i] += primal * barrier.de[side, k, i]
                 barrier.nu[side, k, i] += dual * barrier.dnu[side, k, i]
+                barrier.room[side, k, i] -= dual * barrier.dnu[side, k, i]
 
 
 @jit
-def _name_active(barrier: _Barrier, work: SweepWorkspace, active: Array) -> bool:
+def _name_active(barrier: _Barrier, active: Array) -> bool:
     """Update the active rows; return True if they are the same as before."""
-    t, e, nu = barrier.t, barrier.e, barrier.nu
+    t, e, nu, room = barrier.t, barrier.e, barrier.nu, barrier.room
     same = True
     for k in range(active.shape[0]):
         for i in range(active.shape[1]):
             now = 0.0
             if nu[0, k, i] > t[0, k, i]:
-                now = BEYOND if e[0, k, i] > work.cap[k, i] - nu[0, k, i] else 1.0
+                now = BEYOND if e[0, k, i] > room[0, k, i] else 1.0
             elif nu[1, k, i] > t[1, k, i]:
-                now = -BEYOND if e[1, k, i] > work.cap[k, i] - nu[1, k, i] else -1.0
+                now = -BEYOND if e[1, k, i] > room[1, k, i] else -1.0
             if now != active[k, i]:
                 active[k, i], same = now, False
     return same
@@ -491,15 +510,15 @@ def _duals(nu: Array, y: Array) -> None:
 
 
 @jit
-def _mean_product(barrier: _Barrier, work: SweepWorkspace) -> float:
+def _mean_product(barrier: _Barrier) -> float:
     """Return mu, the mean product of slack and dual, and of excess and what its dual is below its cap."""
     t, e, nu = barrier.t, barrier.e, barrier.nu
-    N, R = work.cap.shape
+    _, N, R = t.shape
     total = 0.0
     for side in range(2):
         for k in range(N):
             for i in range(R):
                 total += t[side, k, i] * nu[side, k, i]
                 if i >= HARD_ROWS:
-                    total += e[side, k, i] * (work.cap[k, i] - nu[side, k, i])
+                    total += e[side, k, i] * barrier.room[side, k, i]
     return float(total / (2 * N * (2 * R - HARD_ROWS)))

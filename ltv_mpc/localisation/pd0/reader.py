@@ -99,7 +99,13 @@ def parse(data: bytes, *, source: str, max_losses: int = MAX_LISTED_LOSSES) -> R
     places = lost = end = 0
 
     def add_loss(start: int, stop: int, why: str | None = None) -> None:
-        """Count the bytes from start to stop as lost."""
+        """Count bytes as lost.
+
+        Parameters
+        ----------
+        start, stop : offset of the first one, and of the one after the last one.
+        why : reason; None: it is found from the bytes.
+        """
         nonlocal places, lost
         places, lost = places + 1, lost + stop - start
         if len(losses) < max_losses:

@@ -84,6 +84,24 @@ def test_every_solver_has_them(solver: str) -> None:
     assert active >= 4
 
 
+@pytest.mark.parametrize("solver", ["osqp", "riccati"])
+@pytest.mark.parametrize("overlap", [0.1, 0.5, 3.0])
+def test_two_walls_that_leave_no_room_between_them_are_no_hard_problem(solver: str, overlap: float) -> None:
+    """Both walls are exceeded in all stages, and their penalties cancel."""
+    of = form()
+    for seed in range(8):
+        lin, target = problem(seed, 0.05)
+        lin.rows[:, 1, :2] = -lin.rows[:, 0, :2]
+        lin.rows[:, :2, 2] += overlap
+        lin.rows[:, 1, 2] = overlap - lin.rows[:, 0, 2]
+        made: Solver = make(PAPER, msgspec.structs.replace(settings(solver), max_iterations=70))
+        made.build(lin, target)
+        made.update()
+        commands, solve = made.solve()
+        assert solve.status is SolveStatus.SOLVED, solve.why
+        np.testing.assert_allclose(commands, of.commands(lin, precise(of.build(lin, target))), atol=0.1)
+
+
 SMALL = msgspec.structs.replace(PAPER, surge=msgspec.structs.replace(PAPER.surge, mass_kg=0.5 * PAPER.surge.mass_kg))
 """A vehicle whose position scale is not 1 m."""
 

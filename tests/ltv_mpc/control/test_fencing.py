@@ -198,6 +198,8 @@ def test_a_path_through_a_zone_is_followed_on_the_other_side() -> None:
     assert hull_clearance(fence, track) > 0.45
     assert plans[-1].progress == pytest.approx(1.0)
     assert math.dist(track[-1], (24.0, 0.0)) < 0.3
+    progress = np.array([plan.progress for plan in plans])
+    assert np.diff(progress[progress < 1.0])[20:].min() > 0.0  # it does not wait in front of the zone
     (skipped_m,) = {plan.fence.skipped_m for plan in plans if plan.fence is not None}
     assert skipped_m == pytest.approx(2.0 * math.sqrt((3.0 + 0.5 + HULL_M) ** 2 - 0.5**2), abs=0.15)
     north = track[np.abs(track[:, 1]) < 0.2, 0]

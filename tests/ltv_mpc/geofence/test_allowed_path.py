@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 
-from ltv_mpc.geofence.allowed_path import allowed_path, nearest_allowed
+from ltv_mpc.geofence.allowed_path import STEP_M, allowed_path, nearest_allowed
 from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.geofence.route import SLACK_M
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array
 from ltv_mpc.references import Line, Place, Timed
@@ -32,6 +33,11 @@ def discs(*of: tuple[float, float, float]) -> Zones:
 ONE = discs((50.0, 3.0, 4.0))
 NEED = np.ones(1)
 CHORD_M = 2.0 * math.sqrt(5.0**2 - 3.0**2)
+ARC_M = 10.0 * math.acos(3.0 / 5.0)
+TANGENTS_M = 2.0 * math.sqrt(50.0**2 + 3.0**2 - 5.0**2) + 10.0 * (
+    math.pi / 2 - math.atan(3.0 / 50.0) - math.acos(5.0 / math.hypot(50.0, 3.0))
+)
+"""Shortest way from the path's start to its end round the disc."""
 
 
 def test_a_path_that_is_clear_stays_as_it_is() -> None:
@@ -39,21 +45,40 @@ def test_a_path_that_is_clear_stays_as_it_is() -> None:
     assert allowed_path(schedule, ONE, NEED) == (schedule, 0.0)
 
 
-def test_the_target_goes_on_from_the_exit_without_a_time_between() -> None:
+def test_the_target_takes_the_way_round_a_zone_at_the_speed_that_it_has_before_it() -> None:
     """Along a path of 0.3 m/s, a step of the table is 0.05 m."""
     before = line(0.0, 100.0)
     schedule, skipped_m = allowed_path(before, ONE, NEED)
     assert skipped_m == pytest.approx(CHORD_M, abs=0.15)
     table = schedule.table
-    assert (clearances(ONE, np.ascontiguousarray(table[[NORTH, EAST]].T)) >= 1.0).all()
+    points = np.ascontiguousarray(table[[NORTH, EAST]].T)
+    assert (clearances(ONE, points) >= 1.0 - SLACK_M).all()
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    assert steps.max() <= STEP_M
+    beside = np.abs(points[:-1, 0] - 50.0) < 6.0
+    assert (steps[beside] / np.diff(table[TIME])[beside]).max() == pytest.approx(0.3, abs=0.01)
+    assert TANGENTS_M < steps.sum() < 100.0 - CHORD_M + ARC_M
+    assert points[:, 1].min() == pytest.approx(-2.0, abs=0.3)  # the nearer side of the disc
+    assert schedule.duration_s == pytest.approx(before.duration_s + (steps.sum() - 100.0) / 0.3, abs=0.5)
+    assert schedule.length_m == before.length_m
+    assert np.all(np.diff(table[TIME]) > 0.0)
+    assert np.all(np.diff(table[WAY]) > 0.0)
+
+
+def test_where_no_way_leads_round_a_zone_the_target_jumps() -> None:
+    basin = polygon(np.array([[-10.0, -10.0], [-10.0, 10.0], [110.0, 10.0], [110.0, -10.0]]))
+    wall = polygon(np.array([[48.0, -12.0], [48.0, 12.0], [52.0, 12.0], [52.0, -12.0]]))
+    before = line(0.0, 100.0)
+    zones = pack_zones(Fence(margin_m=0.0, keep_in=(basin,), keep_out=(wall,)))
+    schedule, skipped_m = allowed_path(before, zones, np.ones(2))
+    assert skipped_m == pytest.approx(6.0, abs=0.15)
+    table = schedule.table
     k = int(np.argmax(np.diff(table[WAY])))
-    assert table[NORTH, k] == pytest.approx(50.0 - CHORD_M / 2, abs=0.06)
-    assert table[NORTH, k + 1] == pytest.approx(50.0 + CHORD_M / 2, abs=0.06)
+    assert table[NORTH, k] == pytest.approx(47.0, abs=0.06)
+    assert table[NORTH, k + 1] == pytest.approx(53.0, abs=0.06)
     assert table[TIME, k] == table[TIME, k + 1]
     assert target_at(table, float(table[TIME, k]) - 1e-6)[1] < 50.0 < target_at(table, float(table[TIME, k]))[1]
-    assert schedule.duration_s == pytest.approx(before.duration_s - CHORD_M / 0.3, abs=1.0)
-    assert schedule.length_m == before.length_m
-    assert np.all(np.diff(table[TIME]) >= 0.0)
+    assert schedule.duration_s == pytest.approx(before.duration_s - 6.0 / 0.3, abs=1.0)
 
 
 def test_a_path_that_begins_inside_begins_at_the_exit() -> None:
@@ -119,7 +144,7 @@ def test_a_leg_between_two_distant_rows_does_not_step_over_a_zone() -> None:
     assert track.table.shape[1] == 2
     schedule, skipped_m = allowed_path(track, ONE, NEED)
     assert skipped_m == pytest.approx(CHORD_M, abs=0.6)
-    assert schedule.duration_s == pytest.approx(1000.0 - 10.0 * skipped_m)
+    assert 1000.0 < schedule.duration_s < 1000.0 + 10.0 * (ARC_M - CHORD_M)
     assert target_at(schedule.table, 200.0)[1] == pytest.approx(20.0)
 
 

@@ -156,7 +156,7 @@ def test_the_verdict_ends_with_the_folder(
     assert (folder / "run.mcap").is_file()
     commands = [line.split("ltv-mpc ")[1] for line in lines if "ltv-mpc " in line]
     again = "sim runs/latest/scenario.toml"
-    assert commands == [again, f"{again} --horizon-s 7", "replay runs/latest"]  # lock step is not proposed again
+    assert commands == [again, "replay runs/latest"]  # lock step is not proposed again
 
 
 def test_a_run_s_scenario_runs_again_to_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

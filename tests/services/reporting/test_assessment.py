@@ -51,7 +51,7 @@ def test_the_next_command_follows_the_sentence_about_the_error() -> None:
     option = next_option(summary(0.50, 0.51, 0.02))
     assert option is not None
     assert option in assessment(summary(0.50, 0.51, 0.02))[0]
-    assert next_option(summary(0.02, 0.31, 0.30)) is None
+    assert next_option(summary(0.02, 0.31, 0.30)) == "--perfect-state"
     assert next_option(summary(0.50, 0.51, 0.02, thrust=SATURATED)) is None
     assert next_option(summary(0.50, None, None)) is None
 
