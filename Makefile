@@ -39,8 +39,9 @@ sim-secure: .venv/installed  ## the same under mTLS and access control, with cer
 	@certs=$$(mktemp -d) && trap 'rm -rf "$$certs"' EXIT INT TERM && $(BIN)/ltv-mpc certs new "$$certs" >/dev/null \
 		&& $(BIN)/ltv-mpc sim $(SIM_OPTIONS) --certs "$$certs"
 
+# Where Python is told to keep no bytecode, each worker and each process of a test would compile its modules again.
 test: setup  ## lint, spelling, types, import contracts, all tests
-	@$(BIN)/python -P -m tests.warm & warm=$$!; trap 'kill $$warm 2>/dev/null' EXIT; set -ex; \
+	@export PYTHONDONTWRITEBYTECODE=; $(BIN)/python -P -m tests.warm & warm=$$!; trap 'kill $$warm 2>/dev/null' EXIT; set -ex; \
 	$(BIN)/ruff check .; \
 	$(BIN)/ruff format --check .; \
 	$(BIN)/codespell; \

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 from pathlib import Path
 
@@ -19,6 +20,8 @@ settings.load_profile("ltv-mpc")
 
 # Under ``nohup`` the processes that tests start would ignore a hang-up, as they should for a user.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+gc.set_threshold(50_000, 20, 100)  # thousands of tests and trees of syntax are no garbage to look for
 
 HERE = Path(__file__).parent
 LONGEST = (

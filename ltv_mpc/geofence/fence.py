@@ -127,12 +127,13 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def _zone(label: str, of: Zone, vertices: Array, radius_m: float, margin_m: float, *, keep_in: bool) -> ZoneInForce:
+    """Return a zone in which whole numbers are floats: kernels are compiled for these alone."""
     return ZoneInForce(
         label=label,
         keep_in=keep_in,
-        vertices_m=vertices,
-        radius_m=radius_m,
-        margin_m=margin_m if of.margin_m is None else of.margin_m,
+        vertices_m=vertices.astype(float),
+        radius_m=float(radius_m),
+        margin_m=float(margin_m if of.margin_m is None else of.margin_m),
     )
 
 

@@ -77,11 +77,19 @@ class Source:
     @cached_property
     def _nodes(self) -> list[ast.AST]:
         kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef, ast.ImportFrom)
-        return [node for node in ast.walk(self.tree) if isinstance(node, kinds)]
+        return [node for node in statements(self.tree) if isinstance(node, kinds)]
 
     def nodes(self, *kinds: type[ast.AST]) -> Iterator[ast.AST]:
         """Yield every definition or import of these kinds."""
         return (node for node in self._nodes if isinstance(node, kinds))
+
+
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield a node and all statements in it, without their expressions, which are most of a tree."""
+    yield node
+    for name in ("body", "orelse", "handlers", "finalbody", "cases"):
+        for child in getattr(node, name, ()):
+            yield from statements(child)
 
 
 def sources(*folders: str) -> list[Source]:

@@ -151,7 +151,7 @@ def test_everything_that_is_not_run_is_there_to_be_not_run() -> None:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """Return a recorded run that replaces every run of the pages."""
     folder = tmp_path_factory.mktemp("runs") / "recorded"
-    assert run(["sim", "--lockstep", "--duration-s", "3", "--out", str(folder)]) == 0
+    assert run(["sim", "descent", "--lockstep", "--duration-s", "3", "--out", str(folder)]) == 0
     return RunFolder(folder)
 
 

@@ -133,13 +133,15 @@ print(sum(
 
 def test_every_kernel_can_be_cached_and_a_second_process_compiles_nothing():
     """The address of a C function as a constant could not be cached."""
-    for attempt in (1, 2):
+    for _ in range(2):
         done = subprocess.run(
             [sys.executable, "-P", "-c", SECOND_PROCESS], capture_output=True, text=True, check=False, timeout=600
         )
         assert done.returncode == 0, done.stderr[-2000:]
-        if attempt == 2:
-            assert done.stdout.split()[-1] == "0"
+        compiled = done.stdout.split()[-1]
+        if compiled == "0":  # another process has compiled it all
+            break
+    assert compiled == "0"
 
 
 SHARING_PROCESS = """

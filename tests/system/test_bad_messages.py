@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import time
 from collections import Counter
 from pathlib import Path
@@ -36,11 +35,12 @@ from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import BY_KEY, BY_TYPE
 from services.bus.wire import Header, WireError, crc, decode, encode
+from services.cli.app import run
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
 from tests.services.bus.messages import EXAMPLES
 from tests.stepping import step
-from tests.system.alone import CLI, controller
+from tests.system.alone import controller
 from tests.system.damaged import damaged
 
 PERIOD_NS = 300_000_000
@@ -220,10 +220,11 @@ def _besiege(out: Outbox, put: object, box: Mailbox) -> None:
     assert {float(np.abs(plan.states[0, :2] - [1.0, 0.0]).max()) < 0.5 for plan in plans} == {True}
 
 
-def test_a_wrong_file_ends_the_command_with_2_before_anything_starts(tmp_path: Path) -> None:
+def test_a_wrong_file_ends_the_command_with_2_before_anything_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "hull.toml").write_text('name = "x"\n')
-    line = [*CLI, "controller", "--vehicle", str(tmp_path / "hull.toml"), "--connect", "tcp/127.0.0.1:1"]
-    done = subprocess.run(line, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 2
-    assert "hull.toml" in done.stderr
-    assert done.stderr.count("\n") == 1
+    assert run(["controller", "--vehicle", str(tmp_path / "hull.toml"), "--connect", "tcp/127.0.0.1:1"]) == 2
+    said = capsys.readouterr().err
+    assert "hull.toml" in said
+    assert said.count("\n") == 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 from tests.foreign_plant.flight import Figure, Flight, distance_m
 
 STEPS_S = (-86_400.0, -5.0, -1.0, -0.05, 0.05, 1.0, 5.0, 86_400.0)
@@ -15,6 +17,7 @@ def run() -> list[Figure]:
     ]
 
 
+@cache  # the tests read the same flights
 def flown(step_s: float, *, reports: bool) -> Flight:
     """Return a flight of 55 s with a step of the craft's clock after 30 s."""
     flight = Flight(reports=reports, delay_us=20_000)  # a longer exchange would not tell a step of 0.05 s

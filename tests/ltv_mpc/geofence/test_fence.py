@@ -10,8 +10,10 @@ from hypothesis import given, settings
 
 from ltv_mpc import Fence
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.geofence.fence import Disc
 from ltv_mpc.geofence.ring import ring_problem
 from ltv_mpc.messages import Array
+from ltv_mpc.references import Place
 from tests.ltv_mpc.geofence.shapes import rings
 
 HARBOUR = """\
@@ -97,6 +99,13 @@ def test_an_error_names_file_field_and_bound(tmp_path: Path, case: str) -> None:
     with pytest.raises(ConfigError, match=message) as error:
         Fence.load(written(tmp_path, HARBOUR.replace(right, wrong)))
     assert "fence.toml" in str(error.value)
+
+
+def test_whole_numbers_are_floats_to_the_kernels() -> None:
+    """Compiled code exists for these alone: a first plan would wait half a minute for other code."""
+    (zone,) = Fence(margin_m=1, keep_out_disc=(Disc(centre=Place(north_m=3, east_m=4), radius_m=2),)).zones()
+    assert zone.vertices_m.dtype == np.float64
+    assert (type(zone.radius_m), type(zone.margin_m)) == (float, float)
 
 
 def test_a_ring_of_two_vertices_and_a_fence_without_zones_are_refused(tmp_path: Path) -> None:

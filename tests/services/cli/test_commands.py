@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -140,7 +141,7 @@ def test_json_has_stdout_to_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert cli("sim --lockstep --duration-s 0.3 --json --perfect-state --out r") == 0
+    assert cli("sim descent --lockstep --duration-s 0.3 --json --perfect-state --out r") == 0
     assert json.loads(capsys.readouterr().out) == json.loads(Path("r/summary.json").read_text())
 
 
@@ -148,7 +149,7 @@ def test_the_verdict_ends_with_the_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert cli("sim --lockstep --duration-s 0.3 --no-control --perfect-state") == 0
+    assert cli("sim descent --lockstep --duration-s 0.3 --no-control --perfect-state") == 0
     lines = capsys.readouterr().out.splitlines()
     folder = Path(lines[-1])
     assert folder.parent == Path("runs")
@@ -161,7 +162,7 @@ def test_the_verdict_ends_with_the_folder(
 def test_a_run_s_scenario_runs_again_to_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("water.csv").write_text("depth_m,v_north_mps,u_east_mps\n1,0.05,0\n20,0,0.05\n")
-    assert cli("sim --lockstep --duration-s 1 --currents water.csv --sensors realistic --seed 5 --out a") == 0
+    assert cli("sim descent --lockstep --duration-s 1 --currents water.csv --sensors realistic --seed 5 --out a") == 0
     Path("water.csv").unlink()
     Path("a").rename("elsewhere")
     assert cli("sim elsewhere/scenario.toml --lockstep --out b") == 0
@@ -174,7 +175,7 @@ def test_a_folder_that_is_not_empty_is_written_into_with_force_only(
     monkeypatch.chdir(tmp_path)
     Path("r").mkdir()
     Path("r/mine.txt").write_text("keep")
-    line = "sim --lockstep --duration-s 0.3 --perfect-state --out r"
+    line = "sim descent --lockstep --duration-s 0.3 --perfect-state --out r"
     assert cli(line) == 2
     assert cli(f"{line} --force") == 0
     assert Path("r/mine.txt").read_text() == "keep"
@@ -182,24 +183,30 @@ def test_a_folder_that_is_not_empty_is_written_into_with_force_only(
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 1)])
 def test_an_interrupted_lock_step_exits_with_its_code_and_a_readable_recording(
-    number: signal.Signals, code: int, tmp_path: Path
+    number: signal.Signals,
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    line = "sim descent --lockstep --duration-s 5000 --out r"
-    command = [sys.executable, "-P", "-m", "services.cli", *line.split()]
+    monkeypatch.chdir(tmp_path)
     recording = tmp_path / "r" / "run.mcap"
-    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
-        deadline = time.monotonic() + 60
-        try:
-            while not (recording.exists() and recording.stat().st_size > 600_000):
-                assert process.poll() is None
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
-            process.send_signal(number)
-            assert process.wait(20) == code
-        finally:
-            process.kill()
-        assert process.stderr is not None
-        assert "Traceback" not in process.stderr.read()
+    ended = threading.Event()
+
+    def interrupt() -> None:
+        while not ended.wait(0.05):
+            if recording.exists() and recording.stat().st_size > 600_000:
+                os.kill(os.getpid(), number)
+                return
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    try:
+        assert cli("sim descent --lockstep --duration-s 5000 --out r") == code
+    finally:
+        ended.set()
+        thread.join()
+    assert "stopped early" in capsys.readouterr().err
     messages = Recording(recording)
     assert sum(1 for _ in messages) > 1000
     assert not messages.cut
@@ -234,7 +241,7 @@ def test_a_disk_that_is_full_ends_a_run_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(RunFolder, "recording", Path("/dev/full"))
-    assert cli("sim --lockstep --duration-s 20 --perfect-state --out r") == 1
+    assert cli("sim descent --lockstep --duration-s 20 --perfect-state --out r") == 1
     assert os.strerror(errno.ENOSPC) in capsys.readouterr().err.splitlines()[-1]
 
 
@@ -249,7 +256,7 @@ def test_the_recorder_continues_its_own_folder_and_rejects_one_that_is_not_empty
         return 0
 
     monkeypatch.setattr(recorder, "main", main)
-    assert cli("sim --lockstep --duration-s 0.3 --perfect-state --out r") == 0
+    assert cli("sim descent --lockstep --duration-s 0.3 --perfect-state --out r") == 0
     before = Path("r/run.mcap").read_bytes()
     assert cli("recorder r/scenario.toml --out r") == 2  # it holds a run
     assert cli("recorder descent --out .") == 2

@@ -85,7 +85,7 @@ class Page:
         return self.asked_s[-1] - self.asked_s[0] < self._drawn_s
 
 
-class DisturbedRun(NamedTuple):
+class WatchedRun(NamedTuple):
     """Run that several tests look at."""
 
     place: folder.RunFolder
@@ -95,8 +95,8 @@ class DisturbedRun(NamedTuple):
     children_left: dict[int, str]
 
 
-def run_config(duration_s: float, speed: float = 10.0) -> RunConfig:
-    settings = (f"run.duration_s={duration_s}", f"run.speed={speed}", "run.compute_delay_s=0.05")
+def run_config(duration_s: float, *more: str) -> RunConfig:
+    settings = (f"run.duration_s={duration_s}", "run.speed=10", "run.compute_delay_s=0.05", *more)
     return resolve("descent", [Override("test", settings)])
 
 
@@ -181,11 +181,22 @@ def launcher(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
         log.close()
 
 
-def test_a_run_of_processes_records_every_message_and_leaves_no_process(tmp_path: Path) -> None:
-    s = run_config(3.0)
-    run = folder.make("test", s.files, out=tmp_path / "run")
-    screen = Screen()
-    outcome = supervisor.run(s, run, screen)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
+    """Run with a prior of the water, a file that is gone when the run begins."""
+    place = tmp_path_factory.mktemp("whole")
+    known = place / "known.csv"
+    known.write_text("depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0,0,0.1,0\n50,0.5,-0.25,0.001,0\n")
+    s = run_config(8.0, f"estimator.water_prior={known}")
+    run = folder.make("test", s.files, out=place / "run")
+    known.unlink()
+    screen, page = Screen(), Page()
+    outcome = supervisor.run(s, run, screen, page=page)
+    return WatchedRun(run, outcome, screen, page, children_of(os.getpid()))
+
+
+def test_a_run_of_processes_records_every_message_and_leaves_no_process(whole: WatchedRun) -> None:
+    run, outcome, screen, _, children_left = whole
     assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
     recording, count, missing = recorded(run.recording)
     assert not recording.cut
@@ -195,14 +206,14 @@ def test_a_run_of_processes_records_every_message_and_leaves_no_process(tmp_path
     for message in recording:
         if message.kind is StepRecord:
             steps[message.plain["node"]] += len(message.plain["steps"])
-    assert count["world/truth"] == steps["plant"] == 401
+    assert count["world/truth"] == steps["plant"] == 901
     assert count["plan"] == count["timing"]
     assert outcome.summary is not None
     assert run.summary.exists()
     assert outcome.summary.messages.dropped == outcome.summary.messages.rejected == 0
     assert outcome.summary.compute_delay_s.median is not None
     assert outcome.summary.compute_delay_s.median > 0.05  # added in vehicle time
-    assert not children_of(os.getpid())
+    assert not children_left
     assert screen.closed
     assert {view.phase for view in screen.views} >= {"starting", "diving"}
     assert isinstance(screen.views[-1].truth, Truth)
@@ -217,7 +228,7 @@ def test_a_run_of_processes_records_every_message_and_leaves_no_process(tmp_path
 
 
 @pytest.fixture(scope="module")
-def disturbed(tmp_path_factory: pytest.TempPathFactory) -> DisturbedRun:
+def disturbed(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
     """Run with an open page, whose clock must wait; a process is then killed, and another one asked for in vain."""
     s = run_config(6.0)
     run = folder.make("test", s.files, out=tmp_path_factory.mktemp("disturbed") / "run")
@@ -231,17 +242,17 @@ def disturbed(tmp_path_factory: pytest.TempPathFactory) -> DisturbedRun:
 
     screen = Screen(disturb)
     outcome = supervisor.run(s, run, screen, page=page)
-    return DisturbedRun(run, outcome, screen, page, children_of(os.getpid()))
+    return WatchedRun(run, outcome, screen, page, children_of(os.getpid()))
 
 
-def test_the_death_of_the_orphan_cleanup_changes_nothing(disturbed: DisturbedRun) -> None:
+def test_the_death_of_the_orphan_cleanup_changes_nothing(disturbed: WatchedRun) -> None:
     outcome, said = disturbed.outcome, disturbed.screen.said
     assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, said)
     assert disturbed.place.summary.exists()
     assert not disturbed.children_left
 
 
-def test_a_request_to_kill_an_unknown_process_is_refused_and_changes_nothing(disturbed: DisturbedRun) -> None:
+def test_a_request_to_kill_an_unknown_process_is_refused_and_changes_nothing(disturbed: WatchedRun) -> None:
     assert disturbed.outcome.completed
     refused = [line for line in disturbed.screen.said if "kill" in line]
     assert refused == ['kill refused: no process "nobody\\n" in this run']
@@ -295,17 +306,25 @@ def check_wait(screen: Screen, page: Page, limit_s: float) -> None:
     assert page.shown == ["starting the processes"]
 
 
-def test_the_clock_waits_until_an_open_page_is_drawn(disturbed: DisturbedRun) -> None:
+def test_the_clock_waits_until_an_open_page_is_drawn(disturbed: WatchedRun) -> None:
     check_wait(disturbed.screen, disturbed.page, 1.0)
 
 
-def test_the_clock_does_not_wait_for_an_open_page_for_ever(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def unwritten(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
+    """Run with a page that is never drawn, whose results cannot be written: a folder takes the place of the file."""
     s = run_config(1.0)
-    run = folder.make("test", s.files, out=tmp_path / "run")
+    run = folder.make("test", s.files, out=tmp_path_factory.mktemp("unwritten") / "run")
+    run.summary.mkdir()
     screen, page = Screen(), Page(drawn_s=1000.0)
     outcome = supervisor.run(s, run, screen, page=page)
-    assert (outcome.completed, outcome.why) == (True, ""), (outcome, screen.said)
-    check_wait(screen, page, supervisor.DRAWING_TIMEOUT_S)
+    return WatchedRun(run, outcome, screen, page, children_of(os.getpid()))
+
+
+def test_the_clock_does_not_wait_for_an_open_page_for_ever(unwritten: WatchedRun) -> None:
+    assert unwritten.outcome.summary is not None
+    assert unwritten.outcome.summary.duration_s == 1.0
+    check_wait(unwritten.screen, unwritten.page, supervisor.DRAWING_TIMEOUT_S)
 
 
 def test_a_run_whose_recording_found_no_room_is_not_complete(tmp_path: Path) -> None:
@@ -325,28 +344,17 @@ def test_a_run_whose_recording_found_no_room_is_not_complete(tmp_path: Path) -> 
     assert not list(run.path.rglob("*.part"))
 
 
-def test_results_that_cannot_be_written_leave_the_verdict_exit_1_and_no_draft(tmp_path: Path) -> None:
-    """A folder takes the place of the file, as a full disk would."""
-    s = run_config(3.0)
-    run = folder.make("test", s.files, out=tmp_path / "run")
-    run.summary.mkdir()
-    outcome = supervisor.run(s, run, Screen())
+def test_results_that_cannot_be_written_leave_the_verdict_exit_1_and_no_draft(unwritten: WatchedRun) -> None:
+    run, outcome, *_ = unwritten
     assert (outcome.completed, outcome.exit_code) == (False, 1)
     assert outcome.why == f"{run.path}: the results cannot be written: Is a directory"
     assert outcome.summary is not None
     assert not list(run.path.rglob("*.part"))
 
 
-def test_the_estimator_starts_from_the_prior_and_the_run_saves_its_profile(tmp_path: Path) -> None:
+def test_the_estimator_starts_from_the_prior_and_the_run_saves_its_profile(whole: WatchedRun) -> None:
     """A current deeper than the profiler's range, which only the file can have provided."""
-    known = tmp_path / "known.csv"
-    known.write_text("depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0,0,0.1,0\n50,0.5,-0.25,0.001,0\n")
-    s = resolve("descent", [Override("test", ["run.duration_s=8", f"estimator.water_prior={known}"])])
-    run = folder.make("test", s.files, out=tmp_path / "run")
-    known.unlink()
-    outcome = supervisor.run(s, run, Screen())
-    assert outcome.completed, outcome
-    learned = read_prior(run.currents)
+    learned = read_prior(whole.place.currents)
     (at,) = (learned.depth_m == 50.0).nonzero()[0]
     assert learned.north_mps[at] == pytest.approx(0.5, abs=0.03)
     assert learned.east_mps[at] == pytest.approx(-0.25, abs=0.03)

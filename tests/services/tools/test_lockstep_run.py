@@ -38,10 +38,9 @@ CHILD = """
 import sys
 from pathlib import Path
 from services.run import folder
-from services.supervisor.jit_cache import MARK
 from services.tools import lockstep_run
 from services.run.run_config import Override, resolve
-situation = resolve("descent", [Override("test", ["run.duration_s=10", "run.compute_delay_s=0.4"])])
+situation = resolve("descent", [Override("test", ["run.duration_s=3", "run.compute_delay_s=0.4"])])
 lockstep_run.run(situation, folder.make("descent", situation.files, out=Path(sys.argv[1])))
 """
 

@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import math
+import pickle
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from ltv_mpc.messages import Truth
 from services.cli.app import run
 from services.recording.reader import Recording
 from services.run.folder import RunFolder
+from services.tools.batch import executor
 from services.tools.batch.job import Job
 from services.tools.dive_plan import plan, report
 from services.tools.dive_plan.plan import Dive, DivePlan, RecordedDrift
@@ -43,7 +45,8 @@ class Output(NamedTuple):
 def output(tmp_path_factory: pytest.TempPathFactory) -> Output:
     folder, printed = tmp_path_factory.mktemp("plans") / "out", io.StringIO()
     options = f"--duration-s {DURATION_S:g} --depth-m {DEPTH_M:g} --fixes 1,4 --runs 1 --limit-m 0.05 --json --out"
-    with contextlib.redirect_stdout(printed):
+    with contextlib.redirect_stdout(printed), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(executor, "core_count", lambda: 1)  # in this process, which has all compiled code
         assert run(["dive", "plan", "--sensors", "realistic", *options.split(), str(folder)]) == 0
     return Output(printed.getvalue(), folder)
 
@@ -58,6 +61,7 @@ def test_the_drift_is_the_bound_of_the_localisation_check(sensors: str) -> None:
     flight = plan.fly(Dive(sensors, "descent", DURATION_S, DEPTH_M, 2, seed=5))
     settings = (f"sensors={sensors}", "run.seed=5", "run.surface_time_s=2", f"run.duration_s={DURATION_S}")
     record = descend(Job("descent", settings))
+    assert pickle.loads(pickle.dumps((plan.fly, plan.drift, flight.case)))  # the jobs of other processes
     assert flight.drift_m[-1] == pytest.approx(math.sqrt(record.bound_drift_m2.mean()), rel=0.01)
 
 
@@ -126,7 +130,7 @@ def test_a_path_ends_the_dive_where_it_is_complete(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     folder = tmp_path_factory.mktemp("runs") / "recorded"
-    assert run(["sim", "--lockstep", "--duration-s", "4", "--out", str(folder)]) == 0
+    assert run(["sim", "descent", "--lockstep", "--duration-s", "4", "--out", str(folder)]) == 0
     return RunFolder(folder)
 
 

@@ -21,7 +21,7 @@ from sim.evaluation.consistency import band
 from sim.scheduler import LockStep, Observation
 from sim.sensors.node import Sensors
 
-DURATION_S, DEPTH_M, DIVES = 8.0, 1.6, 40
+DURATION_S, DEPTH_M, DIVES = 8.0, 1.6, 24
 SENSORS = ("paper", "examples/sensors/own_adcp.toml", "examples/sensors/600_khz.toml")
 
 
@@ -77,7 +77,7 @@ def drift_m(run_config: RunConfig, track: Track, seed: int) -> Array:
 
 
 @pytest.mark.parametrize("sensors", SENSORS)
-def test_the_drift_of_forty_dives_is_that_of_the_plan(sensors: str) -> None:
+def test_the_drift_of_simulated_dives_is_that_of_the_plan(sensors: str) -> None:
     dive = Dive(sensors, None, DURATION_S, DEPTH_M, 1, seed=1)
     run_config, track = dive.run_config(), Track()
     LockStep(

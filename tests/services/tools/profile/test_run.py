@@ -170,15 +170,6 @@ def test_the_table_has_stages_and_seconds_and_every_figure() -> None:
     assert machine_description.line(here) in text
 
 
-def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--horizons", "2", "--solvers", "piqp, osqp,piqp", "--cycles", "10"]
-    assert run(["profile", *options, "--json"]) == 0
-    shown = capsys.readouterr()
-    assert [row["solver"] for row in json.loads(shown.out)["rows"]][2:] == ["piqp", "osqp"]
-    assert "10 cycles at 2 stages (0.6 s)" in shown.err
-    assert shown.err.count(" median ") == 4  # the rows of a horizon are shown as soon as they are known
-
-
 @pytest.mark.parametrize(
     ("options", "says"),
     [
@@ -357,12 +348,18 @@ def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
         np.testing.assert_array_equal(made.thrust_N, was.thrust_N)
 
 
-def test_a_recorded_run_is_measured_at_any_horizon(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--horizons", "4,8", "--solvers", "osqp", "--cycles", "10", "--json"]
+def test_a_recorded_run_is_measured_at_any_horizon_and_json_has_stdout_to_itself(
+    dive: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--horizons", "2,4", "--solvers", "piqp, osqp,piqp", "--cycles", "10", "--json"]
     assert run(["profile", "--run", str(dive / "run.mcap"), *options]) == 0
-    shown = json.loads(capsys.readouterr().out)
-    assert [(row["stages"], row["cycles"]) for row in shown["rows"]] == [(4, 10)] * 3 + [(8, 10)] * 3
-    assert shown["problems"] == {"dive": 10}
+    shown = capsys.readouterr()
+    printed = json.loads(shown.out)
+    assert [(row["stages"], row["cycles"]) for row in printed["rows"]] == [(2, 10)] * 4 + [(4, 10)] * 4
+    assert [row["solver"] for row in printed["rows"]][2:4] == ["piqp", "osqp"]
+    assert printed["problems"] == {"dive": 10}
+    assert "10 cycles at 2 stages (0.6 s)" in shown.err
+    assert shown.err.count(" median ") == 8  # the rows of a horizon are shown as soon as they are known
 
 
 def test_a_run_without_a_solved_cycle_is_refused(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:
