@@ -7,7 +7,7 @@
 
 Zenoh and msgpack, nothing else. In place of `move` and `estimate` stand your thrusters and your navigation.
 It stamps and follows by CLOCK_MONOTONIC, which also is the vehicle time that the project's estimator needs: a thruster
-driver beside that estimator is this program without its publisher of `estimate`.
+driver beside that estimator is this program with a publisher of `clock` in place of that of `estimate`.
 """
 
 import json
