@@ -73,7 +73,7 @@ Vehicle: TypeAlias = Annotated[
     str | None, short("--vehicle", KEYS["--vehicle"], "NAME|FILE", "Vehicle: paper, or a TOML file.")
 ]
 Reference: TypeAlias = Annotated[
-    str | None, short("--reference", KEYS["--reference"], "NAME|FILE", "Reference: a shipped name, such as descent, hover or square, or a TOML file.")
+    str | None, short("--reference", KEYS["--reference"], "NAME|FILE", "Reference: a shipped name or a TOML file.")
 ]
 Lockstep: TypeAlias = Annotated[
     bool, typer.Option("--lockstep", help="Run in one process on a simulated clock, as fast as the machine allows.")
