@@ -2,7 +2,7 @@
 
 A target inside a zone would wait there for a vehicle that cannot come. So the columns of the schedule within the
 required clearance of a zone are left out. Between the last point before a zone and the first one behind it the target
-takes the shortest way round the zones (route.py), with the speed that it has before the zone; where there is no way, it
+takes the shortest way round the zones (route.py), with the speed that it has beside the zone; where there is no way, it
 jumps. A path that ends inside ends at the nearest point that is allowed.
 """
 
@@ -27,7 +27,7 @@ STEP_M = 0.25
 """Largest distance between two columns: a timed track may have longer ones, which could step over a zone."""
 
 SPEED_M, MIN_SPEED_MPS = 2.0, 0.05
-"""Length before a zone of which the largest speed is that of the way round it; its lower bound."""
+"""Length to both sides of a detour of which the largest speed is that of the detour; its lower bound."""
 
 DETOUR_ENDS = np.array([0.0, 0.25, 0.5, 1.0])
 """Distances from the zone, in required clearances, at which a detour may leave the path and meet it again."""
@@ -95,7 +95,7 @@ def _with_detours(table: Array, gaps: Columns, router: Router) -> Array:
         first, last = table[:, before, None], table[:, behind, None]
         detour = first + (last - first) * (at / along[-1])
         detour[NORTH], detour[EAST] = np.interp(at, along, way[:, 0]), np.interp(at, along, way[:, 1])
-        speed = _speed_mps(table, before)
+        speed = _speed_mps(table, before, behind)
         detour[TIME] = first[TIME] + at / speed
         parts += [_later(table[:, begin : before + 1], delay_s), _later(detour, delay_s)]
         begin = behind
@@ -122,11 +122,12 @@ def _shortest_detour(table: Array, left: range, right: range, router: Router) ->
     return best
 
 
-def _speed_mps(table: Array, i: int) -> float:
-    """Return the largest speed (m/s) within ``SPEED_M`` before column i of a schedule, which may end in a corner."""
-    first = int(np.searchsorted(table[WAY, : i + 1], table[WAY, i] - SPEED_M))
-    step_s, step_m = np.diff(table[TIME, first : i + 1]), np.diff(table[WAY, first : i + 1])
-    moves = step_s > 0.0
+def _speed_mps(table: Array, before: int, behind: int) -> float:
+    """Return the largest speed (m/s) beside the detour between two columns: at a corner or at rest it is small."""
+    way = table[WAY]
+    first, last = np.searchsorted(way, [way[before] - SPEED_M, way[behind] + SPEED_M])
+    step_s, step_m = np.diff(table[TIME, first : last + 1]), np.diff(way[first : last + 1])
+    moves = step_s > 0.0  # the part that is left out takes no time
     return float(np.max(step_m[moves] / step_s[moves], initial=MIN_SPEED_MPS))
 
 

@@ -65,6 +65,14 @@ def test_the_target_takes_the_way_round_a_zone_at_the_speed_that_it_has_before_i
     assert np.all(np.diff(table[WAY]) > 0.0)
 
 
+@pytest.mark.parametrize("begins_m", [45.0, 45.9])
+def test_a_path_that_begins_in_front_of_a_zone_is_not_slow_round_it(begins_m: float) -> None:
+    """The target begins at rest, and the zone begins at 46 m."""
+    before = line(begins_m, 100.0)
+    schedule, _ = allowed_path(before, ONE, NEED)
+    assert before.duration_s < schedule.duration_s < before.duration_s + 1.1 * (ARC_M - CHORD_M) / 0.3
+
+
 def test_where_no_way_leads_round_a_zone_the_target_jumps() -> None:
     basin = polygon(np.array([[-10.0, -10.0], [-10.0, 10.0], [110.0, 10.0], [110.0, -10.0]]))
     wall = polygon(np.array([[48.0, -12.0], [48.0, 12.0], [52.0, 12.0], [52.0, -12.0]]))
