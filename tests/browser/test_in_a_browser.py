@@ -14,16 +14,11 @@ import pytest
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Kill
 from services.dashboard.config import View
 from services.reporting.plots.catalogue import PLOTS
-from tests.browser.conftest import PHONE, SCREEN, fits, tab
+from tests.browser.conftest import PHONE, SCHEMES, SCREEN, fits, tab
 from tests.services.dashboard.synthetic_vehicle import NODES, Served, until
 
 TABLET = (768, 1024)
-LOOKS = [
-    pytest.param(SCREEN, "light", id="screen-light"),
-    pytest.param(TABLET, "dark", id="tablet-dark"),
-    pytest.param(PHONE, "light", id="phone-light"),
-]
-"""Sizes and schemes: no rule of the pages depends on both."""
+SIZES = [pytest.param(SCREEN, id="screen"), pytest.param(TABLET, id="tablet"), pytest.param(PHONE, id="phone")]
 
 POINTS = """name => {
   const lines = document.querySelectorAll(`#plot-${name} .scatterlayer path`);
@@ -70,7 +65,8 @@ def bottom(page: Any, what: str) -> float:
 # --- the report ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("size", "scheme"), LOOKS)
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("size", SIZES)
 def test_a_run_s_report_shows_every_plot(
     browser: Any, reports: tuple[Path, Path], size: tuple[int, int], scheme: str
 ) -> None:
@@ -101,7 +97,8 @@ def test_the_report_of_two_runs_shows_both(browser: Any, reports: tuple[Path, Pa
 # --- the live page ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("size", "scheme"), LOOKS)
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("size", SIZES)
 def test_the_live_page_shows_every_plot(browser: Any, live: Served, size: tuple[int, int], scheme: str) -> None:
     with tab(browser, size, own=live.url, scheme=scheme) as page:
         page.goto(f"{live.url}#{live.token}")
