@@ -88,7 +88,7 @@ class Fencing:
         )
         """Zones and obstacles of this cycle."""
         self._labels: list[str] = []
-        self._router: Router | None = None
+        self._routers: tuple[Router, ...] = ()  # of the margins; then, where these have grown, of the grown ones
         self._no_way = False  # round the zones to the target
         self.meeting_margins: tuple[str, ...] = ()
         """Zones whose required clearances the vehicle lacks at once, because late estimates have made them grow."""
@@ -123,7 +123,7 @@ class Fencing:
             zones, labels = pack_zones(fence), [zone.label for zone in fence.zones()]
             need = hull_radius_m(self._vehicle) + zones.margin
         self.fence, self._labels = fence, labels
-        self._router = None if fence is None else Router(zones, need)
+        self._routers = () if fence is None else (Router(zones, need),)
         self.scene = self.scene._replace(zones=zones, need=need, exits=np.zeros((len(need), 4)))
 
     def allowed_path(self, schedule: Schedule) -> tuple[Schedule, float]:
@@ -133,9 +133,7 @@ class Fencing:
         ----------
         schedule : motion of the target.
         """
-        if self.fence is None:
-            return schedule, 0.0
-        return allowed_path(schedule, self.scene.zones, hull_radius_m(self._vehicle) + self.scene.zones.margin)
+        return allowed_path(schedule, self._routers[0]) if self._routers else (schedule, 0.0)
 
     def set_path(self, path: PathBeside | None) -> None:
         """Set the path of the corridor for this cycle.
@@ -193,10 +191,8 @@ class Fencing:
         if growth_m > 0.0:
             lacking = np.flatnonzero(clearances(zones, start.lateral[None, :2])[0] < scene.need)
             self.meeting_margins = tuple(self._labels[z] for z in lacking) if len(lacking) > 1 else ()
-        router = self._router
-        assert router is not None  # there is a fence
-        if not router.serves(scene.need):
-            self._router = Router(zones, scene.need)
+        if not self._routers[-1].serves(scene.need):
+            self._routers = (self._routers[0], Router(zones, scene.need))
 
     def bend(self, position: Array, current: Array, target: Array) -> None:
         """Lead the targets of a horizon round the zones, where the line through them is blocked.
@@ -207,9 +203,9 @@ class Fencing:
         current : (2,) velocity of the water there (m/s).
         target : (N+1, 3) as in ``Solver.build``; positions and velocity are overwritten.
         """
-        router = self._router
-        if router is None or not router.chain_is_blocked(position, target[:-1, :2]):
+        if not self._routers or not self._routers[-1].chain_is_blocked(position, target[:-1, :2]):
             return
+        router = self._routers[-1]
         self.set_path(None)
         corners, lengths = [position.copy()], [0.0]
         wanted = np.empty(len(target) - 1)  # distance of each target along the way (m)

@@ -45,20 +45,20 @@ DIRECTIONS = 64
 Columns: TypeAlias = npt.NDArray[np.int64]
 
 
-def allowed_path(schedule: Schedule, zones: Zones, need: Array) -> tuple[Schedule, float]:
+def allowed_path(schedule: Schedule, router: Router) -> tuple[Schedule, float]:
     """Return the schedule with detours for its columns that are nearer to a zone than the required clearance.
 
     Parameters
     ----------
     schedule : motion of the target.
-    zones : zones of the fence.
-    need : (Z,) required clearance (m).
+    router : has the zones of the fence and the required clearance.
 
     Returns
     -------
     The schedule, and the length that is left out or, if that is more, the distance by which the end is moved (m). A
     path whose end has no allowed point near it stays as it is.
     """
+    zones, need = router.zones, router.need
     table = _divided(schedule.table)
     points = np.ascontiguousarray(table[[NORTH, EAST]].T)
     kept = np.flatnonzero((clearances(zones, points) >= need).all(axis=1))
@@ -79,7 +79,7 @@ def allowed_path(schedule: Schedule, zones: Zones, need: Array) -> tuple[Schedul
         left = np.hstack([left, last] if len(kept) else [last, last])
     elif len(kept) == 1:
         left = np.hstack([left, left])
-    return schedule._replace(table=_with_detours(left, np.flatnonzero(gap), Router(zones, need))), skipped_m
+    return schedule._replace(table=_with_detours(left, np.flatnonzero(gap), router)), skipped_m
 
 
 def _with_detours(table: Array, gaps: Columns, router: Router) -> Array:

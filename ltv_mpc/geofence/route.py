@@ -40,9 +40,10 @@ class Router:
         zones : zones of the fence.
         need : (Z,) required clearance (m).
         """
+        self.zones = zones
+        """Zones of the fence."""
         self.need = need.copy()
         """(Z,) clearance that the ways keep (m)."""
-        self._zones = zones
         nodes = np.array(list(_nodes(zones, need * OUTSIDE))).reshape(-1, 2)
         self._nodes = nodes[(clearances(zones, nodes) >= need - SLACK_M).all(axis=1)]
         self._lengths = _visible_lengths(zones, self.need, self._nodes)
@@ -64,7 +65,7 @@ class Router:
         ----------
         start, end : (2,) north and east (m).
         """
-        return bool(is_blocked(self._zones, self.need, start[0], start[1], end[0], end[1]))
+        return bool(is_blocked(self.zones, self.need, start[0], start[1], end[0], end[1]))
 
     def chain_is_blocked(self, start: Array, points: Array) -> bool:
         """Return True if the line from a point through others comes too near to a zone.
@@ -74,7 +75,7 @@ class Router:
         start : (2,) north and east (m).
         points : (K, 2) north and east (m), in order.
         """
-        return bool(_chain_is_blocked(self._zones, self.need, start, points))
+        return bool(_chain_is_blocked(self.zones, self.need, start, points))
 
     def way(self, start: Array, goal: Array, *, remember: bool = True) -> Array:
         """Return the way from a point to another: the nodes on it and the goal, (K, 2) in m.
@@ -104,12 +105,12 @@ class Router:
         nodes = self._nodes
         if not len(nodes):
             return start[None]
-        to_goal, first = _distances(self._zones, self.need, self._lengths, nodes, goal)
-        from_start = _seen_from(self._zones, self.need, nodes, start)
+        to_goal, first = _distances(self.zones, self.need, self._lengths, nodes, goal)
+        from_start = _seen_from(self.zones, self.need, nodes, start)
         total = from_start + to_goal
         if not np.isfinite(total).any():
             # No way: to the node that can be reached and is nearest to the goal.
-            to_start, after = _distances(self._zones, self.need, self._lengths, nodes, start)
+            to_start, after = _distances(self.zones, self.need, self._lengths, nodes, start)
             near = np.where(np.isfinite(to_start), np.hypot(*(nodes - goal).T), np.inf)
             k = int(np.argmin(near))
             if not np.isfinite(near[k]) or near[k] >= math.dist(start, goal):

@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 
 from ltv_mpc.geofence.allowed_path import STEP_M, allowed_path, nearest_allowed
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.route import SLACK_M
+from ltv_mpc.geofence.route import SLACK_M, Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array
 from ltv_mpc.references import Line, Place, Timed
@@ -42,13 +42,13 @@ TANGENTS_M = 2.0 * math.sqrt(50.0**2 + 3.0**2 - 5.0**2) + 10.0 * (
 
 def test_a_path_that_is_clear_stays_as_it_is() -> None:
     schedule = line(0.0, 40.0)
-    assert allowed_path(schedule, ONE, NEED) == (schedule, 0.0)
+    assert allowed_path(schedule, Router(ONE, NEED)) == (schedule, 0.0)
 
 
 def test_the_target_takes_the_way_round_a_zone_at_the_speed_that_it_has_before_it() -> None:
     """Along a path of 0.3 m/s, a step of the table is 0.05 m."""
     before = line(0.0, 100.0)
-    schedule, skipped_m = allowed_path(before, ONE, NEED)
+    schedule, skipped_m = allowed_path(before, Router(ONE, NEED))
     assert skipped_m == pytest.approx(CHORD_M, abs=0.15)
     table = schedule.table
     points = np.ascontiguousarray(table[[NORTH, EAST]].T)
@@ -69,7 +69,7 @@ def test_the_target_takes_the_way_round_a_zone_at_the_speed_that_it_has_before_i
 def test_a_path_that_begins_in_front_of_a_zone_is_not_slow_round_it(begins_m: float) -> None:
     """The target begins at rest, and the zone begins at 46 m."""
     before = line(begins_m, 100.0)
-    schedule, _ = allowed_path(before, ONE, NEED)
+    schedule, _ = allowed_path(before, Router(ONE, NEED))
     assert before.duration_s < schedule.duration_s < before.duration_s + 1.1 * (ARC_M - CHORD_M) / 0.3
 
 
@@ -78,7 +78,7 @@ def test_where_no_way_leads_round_a_zone_the_target_jumps() -> None:
     wall = polygon(np.array([[48.0, -12.0], [48.0, 12.0], [52.0, 12.0], [52.0, -12.0]]))
     before = line(0.0, 100.0)
     zones = pack_zones(Fence(margin_m=0.0, keep_in=(basin,), keep_out=(wall,)))
-    schedule, skipped_m = allowed_path(before, zones, np.ones(2))
+    schedule, skipped_m = allowed_path(before, Router(zones, np.ones(2)))
     assert skipped_m == pytest.approx(6.0, abs=0.15)
     table = schedule.table
     k = int(np.argmax(np.diff(table[WAY])))
@@ -90,20 +90,20 @@ def test_where_no_way_leads_round_a_zone_the_target_jumps() -> None:
 
 
 def test_a_path_that_begins_inside_begins_at_the_exit() -> None:
-    schedule, skipped_m = allowed_path(line(50.0, 100.0), ONE, NEED)
+    schedule, skipped_m = allowed_path(line(50.0, 100.0), Router(ONE, NEED))
     assert skipped_m == pytest.approx(CHORD_M / 2, abs=0.1)
     assert schedule.table[TIME, 0] == 0.0
     assert schedule.table[NORTH, 0] == pytest.approx(50.0 + CHORD_M / 2, abs=0.06)
 
 
 def test_a_path_that_ends_inside_ends_at_the_nearest_allowed_point() -> None:
-    schedule, skipped_m = allowed_path(line(0.0, 50.0), ONE, NEED)
+    schedule, skipped_m = allowed_path(line(0.0, 50.0), Router(ONE, NEED))
     np.testing.assert_allclose(schedule.table[[NORTH, EAST], -1], [50.0, -2.0], atol=1e-4)
     assert skipped_m == pytest.approx(CHORD_M / 2, abs=0.1)
 
 
 def test_a_path_that_lies_inside_becomes_a_point() -> None:
-    schedule, skipped_m = allowed_path(line(49.0, 50.0), ONE, NEED)
+    schedule, skipped_m = allowed_path(line(49.0, 50.0), Router(ONE, NEED))
     assert schedule.duration_s == 0.0
     np.testing.assert_allclose(target_at(schedule.table, 3.0)[1:], [50.0, -2.0], atol=1e-4)
     assert skipped_m == pytest.approx(2.0, abs=1e-4)  # the distance by which the end is moved
@@ -144,13 +144,13 @@ def test_a_path_without_an_allowed_point_near_it_stays_as_it_is() -> None:
     wall = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0], [10.0, 0.0]])
     nowhere = pack_zones(Fence(margin_m=0.0, keep_in=(polygon(wall),)))
     schedule = line(0.0, 5.0)
-    assert allowed_path(schedule, nowhere, np.array([50.0])) == (schedule, 0.0)
+    assert allowed_path(schedule, Router(nowhere, np.array([50.0]))) == (schedule, 0.0)
 
 
 def test_a_leg_between_two_distant_rows_does_not_step_over_a_zone() -> None:
     track = Timed(rows=((0.0, 0.0, 0.0), (1000.0, 100.0, 0.0))).schedule(PAPER)
     assert track.table.shape[1] == 2
-    schedule, skipped_m = allowed_path(track, ONE, NEED)
+    schedule, skipped_m = allowed_path(track, Router(ONE, NEED))
     assert skipped_m == pytest.approx(CHORD_M, abs=0.6)
     assert 1000.0 < schedule.duration_s < 1000.0 + 10.0 * (ARC_M - CHORD_M)
     assert target_at(schedule.table, 200.0)[1] == pytest.approx(20.0)
@@ -161,6 +161,6 @@ def test_a_path_with_one_allowed_point_is_a_point() -> None:
         Fence(margin_m=0.0, keep_in=(polygon(np.array([[-1.0, -3.0], [-1.0, 3.0], [1.0, 3.0], [1.0, -3.0]])),))
     )
     track = Timed(rows=((0.0, -0.2, 0.0), (10.0, 0.0, 0.0))).schedule(PAPER)
-    schedule, _ = allowed_path(track, zones, np.array([1.0]))
+    schedule, _ = allowed_path(track, Router(zones, np.array([1.0])))
     assert schedule.table.shape[1] == 2
     assert target_at(schedule.table, 5.0)[1:] == (0.0, 0.0)
