@@ -11,7 +11,7 @@ from benchmarks.fences import full_loop
 from benchmarks.fences.rivals import bent_controller, hard_controller, pid_commands, thrust_plan
 from benchmarks.fences.scenes import Scene, estimate_at_start, obstacle_at, scene_of, settings_of
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.fence_rows import PENALTY
+from ltv_mpc.control.fence_clearance import PENALTY
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction

@@ -1,7 +1,7 @@
 """Controller whose problems are solved to convergence: CasADi and IPOPT, with the fence as soft constraints.
 
 Cost, limits, flow, targets and first guess are the controller's own. The clearance of a zone is exact: the distance
-outside, and the largest signed distance from an edge inside. As in ``fence_rows.py`` each zone and each stage has one
+outside, and the largest signed distance from an edge inside. As in ``fence_clearance.py`` each zone and stage has one
 excess, with the same penalty, over points that are one first stage apart.
 """
 
@@ -17,7 +17,7 @@ from benchmarks.peers import symbolic
 from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.fallback import LateralPlan
-from ltv_mpc.control.fence_rows import PENALTY
+from ltv_mpc.control.fence_clearance import PENALTY
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.lateral import LateralPlanner
 from ltv_mpc.control.linearisation import roll_out

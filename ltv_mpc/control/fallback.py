@@ -30,7 +30,7 @@ from ltv_mpc.control import nominal_trajectory
 from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.vertical import ramp
-from ltv_mpc.messages import Array, Plan, PlanOrigin, Solve, SolveStatus, Times
+from ltv_mpc.messages import Array, Pair, Plan, PlanOrigin, Solve, SolveStatus, Times
 from ltv_mpc.safety.health import REPLACEMENTS_MISSING, plan_end_ns
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -65,8 +65,8 @@ class PreviousPlan:
         """The plan, whatever it came from."""
         self.solved_until_ns = 0
         """Vehicle time (ns) until which the last solved plan may be followed; a shifted plan then ramps to zero."""
-        self.shares = np.ones(2)
-        """(2,) share of their commands that port and starboard deliver."""
+        self.shares: Pair = (1.0, 1.0)
+        """Shares of their commands that port and starboard deliver."""
         self.unbraked: Array | None = None
         """(N+1, 2) commands of a plan that came from a solve, before it got a braking tail (N)."""
         self._no_commands = np.zeros((len(knots_ns), 2))
@@ -139,7 +139,8 @@ class Fallback:
         period_ns : of the plans (ns).
         """
         knots_ns = previous.knots_ns
-        self._end = int(np.searchsorted(knots_ns, plan_end_ns(knots_ns, period_ns, vehicle.plan_timeout_s), "right"))
+        self.end = int(np.searchsorted(knots_ns, plan_end_ns(knots_ns, period_ns, vehicle.plan_timeout_s), "right"))
+        """First knot after the end of a plan that no other one follows: the actuators ramp to zero."""
         self._brake = int(np.searchsorted(knots_ns[:-1], round(REPLACEMENTS_MISSING * period_ns)))
         self._packed = packed
         self._previous = previous
@@ -214,21 +215,19 @@ class Fallback:
         thrust = self._stopping_gain @ start.lateral[[2, 5]]  # by surge and yaw rate
         return self._ramp_to(np.outer(self._decay, thrust), start, C, PlanOrigin.STOP, why)
 
-    def followed_alone(self, start: Start, C: Array, plan: LateralPlan, *, brakes: bool) -> LateralPlan:
-        """Return the motion if no other plan follows this one: zero thrust after its end.
+    def with_braking_tail(self, start: Start, C: Array, plan: LateralPlan) -> LateralPlan:
+        """Return a plan that stops the vehicle from the knot on at which the second plan after it is missing.
 
         Parameters
         ----------
         start : the vehicle at the plan's start.
         C : (N+1, 2) current at the knots (m/s), finite.
         plan : its states and commands.
-        brakes : stop the vehicle from the knot on at which the second plan after this one is missing.
         """
         goal, b = plan.U.copy(), self._brake
-        if brakes:
-            thrust = self._stopping_gain @ plan.X[b, [2, 5]]
-            goal[b + 1 :] = np.outer(self._decay[b + 1 :] / self._decay[b], thrust)
-        goal[self._end :] = 0.0
+        thrust = self._stopping_gain @ plan.X[b, [2, 5]]
+        goal[b + 1 :] = np.outer(self._decay[b + 1 :] / self._decay[b], thrust)
+        goal[self.end :] = 0.0
         return self._ramp_to(goal, start, C, plan.origin, plan.why)._replace(solve=plan.solve)
 
     def _ramp_to(self, goal: Array, start: Start, C: Array, origin: PlanOrigin, why: str) -> LateralPlan:

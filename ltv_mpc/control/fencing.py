@@ -21,13 +21,15 @@ import math
 
 import numpy as np
 
-from ltv_mpc.control.fence_rows import ACTIVE_M, CORRIDOR_ROWS, NO_PATH, Scene, clearance_table, entry_s
+from ltv_mpc.control.fence_clearance import ACTIVE_M, NO_PATH, Scene, clearance_table, entry_s
+from ltv_mpc.control.fence_rows import CORRIDOR_ROWS
+from ltv_mpc.control.nominal_trajectory import coasting_entry_s
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.terminal_check import closing_speed
 from ltv_mpc.geofence.allowed_path import allowed_path
 from ltv_mpc.geofence.fence import Fence, hull_radius_m
-from ltv_mpc.geofence.half_planes import ROWS, SD_FACTOR, update_exits
+from ltv_mpc.geofence.half_planes import ROWS, update_zones
 from ltv_mpc.geofence.obstacles import DISC, ObstacleTable, largest_variance_m2
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
@@ -177,17 +179,19 @@ class Fencing:
         self.meeting_margins = ()
         if not self.is_active:  # in most cycles, which then spend no time here
             return
-        self._dropped = self.obstacles.drop_old(start.t_ns)
-        self.scene = scene = self.scene._replace(discs=self.obstacles.discs(start.t_ns))
+        if len(self.obstacles) or len(self.scene.discs):
+            self._dropped = self.obstacles.drop_old(start.t_ns)
+            self.scene = self.scene._replace(discs=self.obstacles.discs(start.t_ns))
         if self.fence is None:
             return
+        scene = self.scene
         zones = scene.zones
         sd_m = growth_m
         if estimate.covariance is not None:
             (nn, ne), (_, ee) = estimate.covariance[:2, :2].tolist()
             sd_m += math.sqrt(largest_variance_m2(nn, ne, ee))
-        scene.need[:] = hull_radius_m(self._vehicle) + np.maximum(zones.margin, SD_FACTOR * sd_m)
-        update_exits(zones, start.lateral[0], start.lateral[1], scene.exits)
+        north_m, east_m = start.lateral[:2]
+        update_zones(zones, north_m, east_m, hull_radius_m(self._vehicle), sd_m, scene.need, scene.exits)
         if growth_m > 0.0:
             lacking = np.flatnonzero(clearances(zones, start.lateral[None, :2])[0] < scene.need)
             self.meeting_margins = tuple(self._labels[z] for z in lacking) if len(lacking) > 1 else ()
@@ -248,6 +252,18 @@ class Fencing:
             return math.inf
         return float(entry_s(X, self._times_s, self.scene, hull.radius_m))
 
+    def coasting_enters_s(self, packed: Array, X: Array, U: Array, C: Array, end: int) -> float:
+        """Return when the hull enters a zone if the thrusters ramp to zero from a knot on (s); infinite for never.
+
+        Parameters
+        ----------
+        packed, X, U, C, end : as in ``coasting_entry_s`` (nominal_trajectory.py).
+        """
+        hull = self._vehicle.hull
+        if hull is None or not self.is_active:
+            return math.inf
+        return float(coasting_entry_s(packed, X, U, C, end, self._times_s, self.scene, hull.radius_m))
+
     def _drift_s(self, X: Array) -> float:
         """Return when the hull enters a zone if it drifts on after the last of the states X (s after the first)."""
         hull = self._vehicle.hull
@@ -276,13 +292,13 @@ class Fencing:
         dropped, self._dropped = self._dropped, ()
         if hull is None or not (self.is_active or dropped):
             return None
-        table = clearance_table(X, self._times_s, self.scene).tolist()
+        found, first_s = clearance_table(X, self._times_s, self.scene, hull.radius_m)
+        table = found.tolist()
         if not table:
             return FenceReport(clearance_m=None, dropped=dropped)
         labels = [*self._labels, *(f"obstacle {report.id}" for report in self.obstacles.reports)]
         margins = [*self.scene.zones.margin.tolist(), *[OBSTACLE_MARGIN * hull.radius_m] * len(self.scene.discs)]
         least_m, nearest = min((row[0], label) for row, label in zip(table, labels, strict=True))
-        first_s = self.enters_s(X)
         if drifts and math.isinf(first_s):
             first_s = self._drift_s(X)
         active, in_margin, inside, exceeded = [], [], [], 0

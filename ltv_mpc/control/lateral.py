@@ -26,7 +26,7 @@ import numpy as np
 from ltv_mpc.control import line_search, nominal_trajectory
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
-from ltv_mpc.control.fence_rows import fill_rows, is_near
+from ltv_mpc.control.fence_rows import fill_rows
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
@@ -73,11 +73,10 @@ class LateralPlanner:
         self.fencing = Fencing(vehicle, knots_ns, config.limits.max_cross_track_m)
         """Fence, obstacles and corridor in force."""
         self._packed = packed
-        self._lin = Linearisation.empty(config.stages)
+        self._lin = self._lin_without_rows = Linearisation.empty(config.stages)
         self._fallback = Fallback(vehicle, packed, self.previous, config.period_ns)
         self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
-        self._shares: Pair = (1.0, 1.0)  # of their commands that port and starboard deliver
         self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
         self._solvers = {0: self._make_solver()}  # by the half-planes of a stage: a QP has a fixed pattern
         self._last_solver = self._solvers[0]
@@ -94,6 +93,7 @@ class LateralPlanner:
         rows = self.fencing.rows
         if self._lin.rows.shape[1] != rows:
             self._lin = Linearisation.empty(len(self.target) - 1, rows)
+            self._lin_without_rows = self._lin.without_rows() if rows else self._lin
         profile = profile_of(estimate)
         fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._lin.C)
 
@@ -113,7 +113,7 @@ class LateralPlanner:
         ----------
         start, why, goal : as ``Fallback.ramp`` takes them; the current is the one that was set.
         """
-        delivered = None if goal is None else goal[:, :2] * self._shares
+        delivered = None if goal is None else goal[:, :2] * self.previous.shares
         return self._as_commands(self._fallback.ramp(start, self._lin.C, why, delivered))
 
     def set_shares(self, shares: Pair) -> None:
@@ -123,10 +123,9 @@ class LateralPlanner:
         ----------
         shares : of port and starboard, above 0.
         """
-        if shares == self._shares:
+        if shares == self.previous.shares:
             return
-        self._shares = shares
-        self.previous.shares[:] = shares
+        self.previous.shares = shares
         self._repack()
 
     def set_reference(self, *, path: bool, heading: bool) -> None:
@@ -176,11 +175,10 @@ class LateralPlanner:
         """Return a plan with a braking tail, if the vehicle would enter a zone when no other plan follows it."""
         if plan.origin is PlanOrigin.ZERO or not self.fencing.is_active:
             return plan
-        coasting = self._fallback.followed_alone(start, self._lin.C, plan, brakes=False)
-        enters_s = self.fencing.enters_s(coasting.X)
+        enters_s = self.fencing.coasting_enters_s(self._packed, plan.X, plan.U, self._lin.C, self._fallback.end)
         if math.isinf(enters_s):
             return plan
-        braking = self._fallback.followed_alone(start, self._lin.C, plan, brakes=True)
+        braking = self._fallback.with_braking_tail(start, self._lin.C, plan)
         return braking if self.fencing.enters_s(braking.X) > enters_s else plan
 
     def discard_solvers(self) -> None:
@@ -194,14 +192,14 @@ class LateralPlanner:
         """
         lin, packed, target = self._lin, self._packed, self.target
         scene, stages = self.fencing.scene, len(lin.Phi)
-        shift = self._linearise(start)
+        shift, near = self._linearise(start)
         X, U = self._fallback.empty()
         left, has_rows = self._config.sqp_iterations, False
         while left > 0:
-            has_rows = lin.rows.size > 0 and (has_rows or is_near(packed, lin.flat, stages, scene))
+            has_rows = lin.rows.size > 0 and (has_rows or near)
             if has_rows:
                 fill_rows(packed, lin.flat, stages, scene)
-            used = lin if has_rows or lin.rows.size == 0 else lin.without_rows()
+            used = lin if has_rows else self._lin_without_rows
             solver = self._solver(used.rows.shape[1], shift)
             self._stopwatch("linearise")
             solver.build(used, target)
@@ -226,7 +224,7 @@ class LateralPlanner:
             else:
                 left -= 1
             if left > 0:
-                nominal_trajectory.relinearise(packed, lin.flat, X, U)
+                near = nominal_trajectory.relinearise(packed, lin.flat, X, U, scene)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _solver(self, rows: int, shift: float) -> Solver:
@@ -247,16 +245,17 @@ class LateralPlanner:
         self._last_solver = solver
         return solver
 
-    def _linearise(self, start: Start) -> float:
+    def _linearise(self, start: Start) -> tuple[float, bool]:
         """Linearise along the previous plan on the new knots, or along a steering guess if that costs less.
 
-        Returns by how many first stages the previous plan began earlier; NaN for a steering guess.
+        Returns by how many first stages the previous plan began earlier, NaN for a steering guess; and True if the
+        trajectory comes near to a zone.
         """
         stages, commands = self.previous.lateral_commands(start.t_ns)
-        kind = nominal_trajectory.choose_nominal(
+        kind, near = nominal_trajectory.choose_nominal(
             self._packed, start.lateral, self.target, commands, stages, self._lin.flat, self.fencing.scene
         )
-        return stages if kind == nominal_trajectory.PREVIOUS_PLAN else math.nan
+        return stages if kind == nominal_trajectory.PREVIOUS_PLAN else math.nan, near
 
     def _fall_back(self, start: Start, solve: Solve) -> LateralPlan:
         """Return the plan of the first fallback level that gives one."""
@@ -266,12 +265,12 @@ class LateralPlanner:
 
     def _as_commands(self, plan: LateralPlan) -> LateralPlan:
         """Return a plan of delivered thrusts with the commands that lead to them."""
-        if self._shares == (1.0, 1.0):
+        if self.previous.shares == (1.0, 1.0):
             return plan
         port, starboard, _ = self._vehicle.thrusters
         # The quotient may exceed the box by rounding.
         return plan._replace(
-            U=np.clip(plan.U / self._shares, (port.min_N, starboard.min_N), (port.max_N, starboard.max_N))
+            U=np.clip(plan.U / self.previous.shares, (port.min_N, starboard.min_N), (port.max_N, starboard.max_N))
         )
 
     def _weakened_vehicle(self) -> Vehicle:
@@ -280,7 +279,7 @@ class LateralPlanner:
             msgspec.structs.replace(
                 of, min_N=of.min_N * share, max_N=of.max_N * share, slew_N_per_s=of.slew_N_per_s * share
             )
-            for of, share in zip(self._vehicle.thrusters[:2], self._shares, strict=True)
+            for of, share in zip(self._vehicle.thrusters[:2], self.previous.shares, strict=True)
         )
         thruster = msgspec.structs.replace(self._vehicle.thruster, port=port, starboard=starboard)
         return msgspec.structs.replace(self._vehicle, thruster=thruster)

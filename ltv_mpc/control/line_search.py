@@ -6,7 +6,7 @@ The QP knows the motion to first order only. Where that is wrong, a full step ca
 from __future__ import annotations
 
 from ltv_mpc.control.cost import cost
-from ltv_mpc.control.fence_rows import Scene, fence_cost
+from ltv_mpc.control.fence_clearance import Scene, fence_cost
 from ltv_mpc.control.horizon_limits import clip_to_limits
 from ltv_mpc.control.linearisation import propagate, unpack_linearisation
 from ltv_mpc.control.problem_data import unpack_constants

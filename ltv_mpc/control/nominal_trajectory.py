@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.control.cost import cost
-from ltv_mpc.control.fence_rows import Scene, fence_cost
+from ltv_mpc.control.fence_clearance import Scene, entry_s, fence_cost, is_near
 from ltv_mpc.control.horizon_limits import clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
 from ltv_mpc.control.linearisation import linearise_rollout, propagate, unpack_linearisation
@@ -84,7 +84,7 @@ def _shift_into_limits(old: Array, stages: float, objective: Objective, U: Array
 @jit
 def choose_nominal(
     packed: Array, start: Array, target: Array, old: Array, stages: float, flat: Array, scene: Scene
-) -> int:
+) -> tuple[int, bool]:
     """Choose the nominal trajectory, and linearise along it.
 
     The candidates are the previous plan and two steering guesses, ahead and astern; the one of least cost is chosen.
@@ -100,7 +100,7 @@ def choose_nominal(
 
     Returns
     -------
-    PREVIOUS_PLAN, STEERED_AHEAD or STEERED_ASTERN.
+    PREVIOUS_PLAN, STEERED_AHEAD or STEERED_ASTERN; and True if the trajectory comes near to a zone.
     """
     constants, lin = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1)
     objective = constants.objective
@@ -134,11 +134,11 @@ def choose_nominal(
             end = other_end
     if kind != PREVIOUS_PLAN:
         linearise_rollout(lin, objective.t, constants.stage_s, constants.p)
-    return kind
+    return kind, is_near(X, scene, objective)
 
 
 @jit
-def relinearise(packed: Array, flat: Array, X: Array, U: Array) -> None:
+def relinearise(packed: Array, flat: Array, X: Array, U: Array, scene: Scene) -> bool:
     """Linearise along another trajectory, in the same current.
 
     Parameters
@@ -147,11 +147,17 @@ def relinearise(packed: Array, flat: Array, X: Array, U: Array) -> None:
     flat : as there; all but C is overwritten.
     X : (N+1, 8) its states; only the first is used.
     U : (N+1, 2) its commands (N).
+    scene : zones and obstacles.
+
+    Returns
+    -------
+    True if the trajectory comes near to a zone.
     """
     constants, lin = unpack_constants(packed), unpack_linearisation(flat, U.shape[0] - 1)
     copy_to(lin.X, X)
     copy_to(lin.U, U)
     linearise_rollout(lin, constants.objective.t, constants.stage_s, constants.p)
+    return is_near(lin.X, scene, constants.objective)
 
 
 @jit
@@ -169,3 +175,31 @@ def ramp_to(packed: Array, start: Array, goal: Array, C: Array, X: Array, U: Arr
     _set_initial_knot(start, X, U)
     clip_to_limits(U, objective.t, objective.low, objective.high, objective.max_change)
     propagate(X, U, C, objective.t, constants.stage_s, constants.p)
+
+
+@jit
+def coasting_entry_s(
+    packed: Array, X: Array, U: Array, C: Array, end: int, t_s: Array, scene: Scene, hull_m: float
+) -> float:
+    """Return when the hull enters a zone if the lateral thrusters ramp to zero from a knot on; infinite for never.
+
+    Parameters
+    ----------
+    packed, C : as at the head of this file.
+    X, U : a motion and its commands, which are kept until knot ``end`` - 1.
+    end : first knot with the goal zero, at least 1.
+    t_s : (N+1,) times of the knots after the first one (s).
+    scene : zones and obstacles.
+    hull_m : radius of the hull (m).
+
+    Returns
+    -------
+    Time after the first knot (s).
+    """
+    constants = unpack_constants(packed)
+    o, moved, thrust = constants.objective, X.copy(), U.copy()
+    thrust[end:] = 0.0
+    clip_to_limits(thrust, o.t, o.low, o.high, o.max_change)
+    k = end - 1
+    propagate(moved[k:], thrust[k:], C[k:], o.t[k:], constants.stage_s, constants.p)
+    return entry_s(moved, t_s, scene, hull_m)

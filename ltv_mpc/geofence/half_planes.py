@@ -37,16 +37,23 @@ class HalfPlanes(NamedTuple):
 
 
 @jit
-def update_exits(zones: Zones, north: float, east: float, exits: Array) -> None:
-    """Set the exit of each zone that a point has entered, and clear that of each zone that it is not in.
+def update_zones(
+    zones: Zones, north: float, east: float, hull_m: float, sd_m: float, need: Array, exits: Array
+) -> None:
+    """Set the required clearance of each zone, and its exit if a point has entered it.
 
     Parameters
     ----------
     zones : zones of the fence.
     north, east : position of the vehicle (m).
-    exits : (Z, 4) as ``half_planes`` takes them; those of zones that the vehicle was in before stay.
+    hull_m : radius of its hull (m).
+    sd_m : standard deviation of the position (m).
+    need : (Z,) required clearance of the vehicle's origin (m), overwritten.
+    exits : (Z, 4) as ``half_planes`` takes them. Those of zones that the vehicle was in before stay, and those of zones
+        that it is not in are cleared.
     """
     for z in range(len(zones.radius)):
+        need[z] = hull_m + max(zones.margin[z], SD_FACTOR * sd_m)
         circle = zones.circle[z]
         if np.hypot(north - circle[0], east - circle[1]) > circle[2]:
             exits[z, 0] = 0.0

@@ -56,7 +56,7 @@ class Router:
         ----------
         need : (Z,) required clearance (m).
         """
-        return bool(((need <= self.need + 0.05) & (need >= 0.8 * self.need)).all())
+        return bool(_suits(self.need, need))
 
     def is_blocked(self, start: Array, end: Array) -> bool:
         """Return True if the line between two points comes too near to a zone.
@@ -135,6 +135,15 @@ class Router:
             if not self.is_blocked(start, last[k]):
                 return np.vstack([last[k:], goal])
         return None
+
+
+@jit
+def _suits(own: Array, need: Array) -> bool:
+    """Return True if every required clearance (Z,) is near enough to a router's own."""
+    suits = True
+    for z in range(len(own)):
+        suits &= 0.8 * own[z] <= need[z] <= own[z] + 0.05
+    return suits
 
 
 def _length(start: Array, way: Array) -> float:

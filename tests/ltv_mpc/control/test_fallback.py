@@ -256,9 +256,9 @@ def test_a_solver_recovers_one_cycle_after_a_problem_with_nan(solver):
     begin = nominal_trajectory.choose_nominal
 
     def with_nan(numbers, start, target, commands, stages, flat, *scene):
-        kind = begin(numbers, start, target, commands, stages, flat, *scene)
+        chosen = begin(numbers, start, target, commands, stages, flat, *scene)
         flat[-5:] = np.nan
-        return kind
+        return chosen
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(nominal_trajectory, "choose_nominal", with_nan)

@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.fence_rows import (
+from ltv_mpc.control.fence_clearance import (
     CORRIDOR_PENALTY,
-    CORRIDOR_ROWS,
     NO_PATH,
     PENALTY,
     Scene,
     cross_track,
     fence_cost,
-    fill_rows,
-    lack_m,
+    surplus_m,
 )
+from ltv_mpc.control.fence_rows import CORRIDOR_ROWS, fill_rows
 from ltv_mpc.control.horizon_limits import NO_BOUND, HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
@@ -158,9 +157,9 @@ def test_a_row_is_the_derivative_of_the_clearance_of_its_zone() -> None:
             at, t_s = lin.X[k + 1, :2], 0.3 * (k + 1)
 
             def lack(dn: float, de: float, at: Array = at, t_s: float = t_s) -> float:
-                return max(lack_m(of, z, at[0] + dn, at[1] + de, t_s) for z in range(4))
+                return max(-surplus_m(of, z, at[0] + dn, at[1] + de, t_s) for z in range(4))
 
-            if lack(0.0, 0.0) == 0.0:
+            if lack(0.0, 0.0) <= 0.0:
                 assert lin.rows[k, 0, 2] <= 0.0
                 continue
             assert lin.rows[k, 0, 2] * scale == pytest.approx(lack(0.0, 0.0), abs=1e-9)
@@ -178,7 +177,8 @@ def test_the_cost_is_that_of_the_rows_at_the_nominal_trajectory() -> None:
     for seed in range(20):
         lin, packed = filled(of, seed, ROWS)
         o = unpack_constants(packed).objective
-        lacks = np.array([[lack_m(of, z, *lin.X[k, :2], 0.3 * k) for z in range(4)] for k in range(1, N + 1)])
+        surplus = np.array([[surplus_m(of, z, *lin.X[k, :2], 0.3 * k) for z in range(4)] for k in range(1, N + 1)])
+        lacks = np.maximum(-surplus, 0.0)
         assert fence_cost(lin.X, of, o) == pytest.approx(2.0 * PENALTY * lacks.sum() / o.state_scale[0])
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltv_mpc import Vehicle
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.fence_rows import NO_PATH, Scene, fence_cost
+from ltv_mpc.control.fence_clearance import NO_PATH, Scene, fence_cost
 from ltv_mpc.control.fencing import NO_ZONES
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.nominal_trajectory import PREVIOUS_PLAN, STEERED_AHEAD, choose_nominal
@@ -53,7 +53,7 @@ def chosen(of: Scene) -> tuple[int, Array, float]:
     objective = unpack_constants(packed).objective
     astern = objective.low
     start = np.array([0.0, 8.0, -0.25, 0.0, math.pi / 2, 0.0, *astern, *astern])
-    kind = choose_nominal(packed, start, target, np.tile(astern, (N + 1, 1)), 0.0, lin.flat, of)
+    kind, _ = choose_nominal(packed, start, target, np.tile(astern, (N + 1, 1)), 0.0, lin.flat, of)
     return kind, lin.X.copy(), fence_cost(lin.X, of, objective)
 
 
