@@ -32,21 +32,16 @@ class GridProjection:
         ends = np.union1d(node_m, bend_m[(bend_m > node_m[0]) & (bend_m < node_m[-1])])
         h = np.diff(ends)
         self.depth_m = np.concatenate([ends[:-1], ends[:-1] + 0.5 * h, ends[1:]])  # sampling depths, (D,)
-        self._share = np.concatenate([h, 4.0 * h, h]) / (6.0 * (ends[-1] - ends[0]))
+        share = np.concatenate([h, 4.0 * h, h]) / (6.0 * (ends[-1] - ends[0]))
         k = np.clip(np.searchsorted(node_m, self.depth_m, side="right") - 1, 0, len(node_m) - 2)
         t = (self.depth_m - node_m[k]) / (node_m[k + 1] - node_m[k])
         rows = np.arange(len(k))
         hats = np.concatenate([1.0 - t, t]), (np.concatenate([rows, rows]), np.concatenate([k, k + 1]))
-        self._hats = csr_array(hats, shape=(len(k), len(node_m)))
-        self._weighted = self._hats.T @ diags_array(self._share)
-        self._solve = splu((self._weighted @ self._hats).tocsc()).solve
+        hats_at = csr_array(hats, shape=(len(k), len(node_m)))
+        self._weighted = hats_at.T @ diags_array(share)
+        self._solve = splu((self._weighted @ hats_at).tocsc()).solve
 
     def fit(self, water_mps: Array) -> Array:
         """Return c*, (G, 2), for the current at ``depth_m``, (D, 2) (m/s)."""
         fitted: Array = self._solve(self._weighted @ water_mps)
         return fitted
-
-    def subgrid_mps(self, water_mps: Array) -> float:
-        """Return the rms over depth of |c - c*| (m/s) for the current at ``depth_m``, (D, 2)."""
-        rest = water_mps - self._hats @ self.fit(water_mps)
-        return float(np.sqrt(self._share @ np.sum(rest**2, axis=1)))

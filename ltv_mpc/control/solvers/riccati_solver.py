@@ -119,8 +119,6 @@ class RiccatiSolver:
         other : solves the problems whose result here violates the optimality conditions. It also solves the first
             problem, so that it is compiled and set up before it is needed. None: such a problem is not solved.
         """
-        self.handed_over = 0
-        """Number of problems that the other solver solved."""
         self._other, self._other_is_ready = other, False
         self._max_sweeps = config.max_iterations
         self._packed = pack_objective(config.knots, limits, config.weights)
@@ -173,7 +171,6 @@ class RiccatiSolver:
             result = self._hand_over(self._other, lin)
             if not solved:
                 self._shift = math.nan if outcome == FAILED else 0.0
-                self.handed_over += 1
                 return result
         if outcome == FAILED:
             self.reset_warm_start()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.fence_clearance import ACTIVE_M, PENALTY, Scene, clearance_table, entry_s, fence_cost
+from ltv_mpc.control.fence_clearance import ACTIVE_M, PENALTY, Scene, clearance_table, entry_s, fence_cost, surplus_m
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.fence import Fence
@@ -108,3 +108,12 @@ def test_a_zone_that_is_nearly_reached_in_between_is_active() -> None:
     X[:, 0] = [0.0, 1.0, 2.0, 4.0, 2.0, 1.0, 0.0]
     table, _ = clearance_table(X, TIMES_S[:7], of, HULL_M)
     assert table[1, 2] == pytest.approx(0.03)
+
+
+def test_in_a_zone_the_surplus_is_that_over_the_half_plane_of_its_exit() -> None:
+    exits = np.zeros((3, 4))
+    exits[1] = 1.0, 0.8, -0.6, 2.0
+    of = scene(exits=exits)
+    for north_m, east_m in np.random.default_rng(0).uniform(-3.0, 3.0, (10, 2)):
+        beyond_m = 0.8 * north_m - 0.6 * east_m - 2.0 - of.need[1]
+        assert surplus_m(of, 1, north_m, east_m, 0.0) == pytest.approx(beyond_m)
