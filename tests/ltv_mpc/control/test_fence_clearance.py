@@ -9,14 +9,24 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.fence_clearance import ACTIVE_M, PENALTY, Scene, clearance_table, entry_s, fence_cost, surplus_m
+from ltv_mpc.control.fence_clearance import (
+    ACTIVE_M,
+    PENALTY,
+    Scene,
+    clearance_table,
+    entry_s,
+    fence_cost,
+    is_near,
+    surplus_m,
+)
+from ltv_mpc.control.fencing import NO_ZONES
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array
 from tests.ltv_mpc.control.problems import PAPER
-from tests.ltv_mpc.control.test_fence_rows import WALLS, scene
+from tests.ltv_mpc.control.test_fence_rows import SMALL, WALLS, scene
 from tests.ltv_mpc.geofence.shapes import disc, polygon
 
 KNOTS = np.concatenate([np.arange(20.0), 19.0 + 2.5 * np.arange(1.0, 9.0)])
@@ -117,3 +127,57 @@ def test_in_a_zone_the_surplus_is_that_over_the_half_plane_of_its_exit() -> None
     for north_m, east_m in np.random.default_rng(0).uniform(-3.0, 3.0, (10, 2)):
         beyond_m = 0.8 * north_m - 0.6 * east_m - 2.0 - of.need[1]
         assert surplus_m(of, 1, north_m, east_m, 0.0) == pytest.approx(beyond_m)
+
+
+@pytest.mark.parametrize(("within", "near"), [(0.9, True), (1.1, False)])
+def test_near_is_up_to_one_length_scale_beyond_what_is_required(within: float, near: bool) -> None:
+    """A zone, an obstacle and the edge of a corridor, each alone, and a vehicle whose position scale is not 1 m."""
+    o = unpack_constants(pack_constants(SMALL, settled(ControllerConfig(), SMALL).weights, KNOTS, 0.3)).objective
+    scale = o.state_scale[0]
+    assert abs(scale - 1.0) > 0.1
+    empty = {"zones": NO_ZONES, "need": np.empty(0), "exits": np.empty((0, 4)), "discs": np.empty((0, 7))}
+    nothing = scene(**empty)
+    zones = pack_zones(Fence(margin_m=0.2, keep_out_disc=(disc(0.0, 9.0, 1.0),)))
+    ahead = np.array([[-5.0, 0.0], [50.0, 0.0]])
+    targets = np.zeros(len(KNOTS) - 1, dtype=np.int64)
+    need = {"need": np.array([8.0 - within * scale]), "exits": np.zeros((1, 4))}
+    obstacle = {
+        "discs": np.array([[0.0, 9.0, 0.0, 0.0, 1.0, 0.0, 0.0]]),
+        "disc_need_m": np.array([7.5 - within * scale]),
+    }
+    of_zone, of_disc = scene(**empty | {"zones": zones} | need), scene(**empty | obstacle)
+    of_path = scene(**empty, path=ahead, targets=targets, path_reach=1, half_width_m=3.0 + within * scale)
+    of_both = scene(**empty | {"zones": zones} | need | obstacle)
+    X = np.zeros((len(KNOTS), 8))
+    assert not is_near(X, nothing, o)
+    assert is_near(X, of_zone, o) is near
+    assert is_near(X[:2], of_both, o) is near
+    X[:, 1] = 0.5
+    assert is_near(X[:2], of_disc, o) is near
+    X[:, 1] = -3.0
+    assert is_near(X, of_path, o) is near
+
+
+def test_a_place_far_to_the_south_west_changes_nothing() -> None:
+    of, far = scene(), np.array([-70.0, -50.0])
+    zones, discs = of.zones, of.discs.copy()
+    discs[:, :2] += far
+    circle = zones.circle + np.array([*far, 0.0])
+    moved = scene(zones=zones._replace(vertices=zones.vertices + far, circle=circle), discs=discs)
+    o = unpack_constants(pack_constants(PAPER, settled(ControllerConfig(), PAPER).weights, KNOTS, 0.3)).objective
+    for seed in SEEDS:
+        X, away = track(seed), track(seed)
+        away[:, :2] += far
+        assert fence_cost(away, moved, o) == pytest.approx(fence_cost(X, of, o))
+        assert entry_s(away, TIMES_S, moved, HULL_M) == pytest.approx(entry_s(X, TIMES_S, of, HULL_M))
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_long_step_across_the_origin_ends_in_a_zone(axis: int) -> None:
+    place = [0.0, 0.0]
+    place[axis] = 3.2
+    zones = pack_zones(Fence(margin_m=0.2, keep_out_disc=(disc(*place, 1.0),)))
+    of = scene(zones=zones, need=np.array([0.5]), exits=np.zeros((1, 4)), discs=np.empty((0, 7)))
+    X = np.zeros((4, 8))
+    X[:, axis] = [-3.0, 3.0, 3.0, 3.0]
+    assert entry_s(X, TIMES_S[:4], of, HULL_M) == pytest.approx(0.3 * 4.9 / 6.0)

@@ -182,6 +182,39 @@ def test_the_cost_is_that_of_the_rows_at_the_nominal_trajectory() -> None:
         assert fence_cost(lin.X, of, o) == pytest.approx(2.0 * PENALTY * lacks.sum() / o.state_scale[0])
 
 
+def test_the_rows_of_a_long_stage_are_those_of_its_point_of_least_clearance() -> None:
+    """Between the knots the zones have the chord's sag v r h^2 / 8 in addition; obstacles are where they are then."""
+    lengths = np.concatenate([np.ones(5), np.full(N - 5, 2.5)])
+    knots = np.concatenate([[0.0], np.cumsum(lengths)])
+    packed = pack_constants(SMALL, settled(settings(), SMALL).weights, knots, 0.3)
+    scale, of, seen = unpack_constants(packed).objective.state_scale[0], scene(), {"knot": 0, "between": 0}
+    for seed in range(20):
+        lin, rng = Linearisation.empty(N, ROWS), np.random.default_rng(seed)
+        lin.X[...] = 0.0
+        lin.X[:, :2] = rng.uniform((-2.5, -2.5), (4.5, 3.5), (N + 1, 2))
+        lin.X[:, 2], lin.X[:, 5] = 0.5, 0.4
+        fill_rows(packed, lin.flat, N, of)
+        for k, g in enumerate(lengths):
+            parts = np.arange(math.ceil(g), 0, -1) / math.ceil(g)
+            points = lin.X[k, :2] + parts[:, None] * (lin.X[k + 1, :2] - lin.X[k, :2])
+            times_s = 0.3 * (knots[k] + parts * g)
+            lacks = np.array(
+                [[-surplus_m(of, z, *p, t) for z in range(4)] for p, t in zip(points, times_s, strict=True)]
+            )
+            worst = int(np.argmax(np.maximum(lacks, 0.0).max(axis=1)))
+            if lacks[worst].max() <= 0.0:
+                continue
+            sag_m = 0.5 * 0.4 * (0.3 * g) ** 2 / 8.0 if parts[worst] < 1.0 else 0.0
+            expected = max(lacks[worst, :3].max() + sag_m, lacks[worst, 3])
+            assert lin.rows[k, 0, 2] * scale == pytest.approx(expected, abs=1e-9)
+            assert lin.rows[k, 0, 3] == PENALTY * g
+            seen["between" if parts[worst] < 1.0 else "knot"] += 1
+        unused = ~lin.rows[:, :, :2].any(axis=2)
+        assert unused.any()
+        assert (lin.rows[unused][:, 2] == -NO_BOUND).all()
+    assert min(seen.values()) > 20
+
+
 def test_both_rows_of_the_corridor_are_derivatives_of_the_cross_track_distance() -> None:
     of, checked = corridor(0.2), 0
     for seed in range(5):
