@@ -209,10 +209,17 @@ def test_the_rows_of_a_long_stage_are_those_of_its_point_of_least_clearance() ->
             assert lin.rows[k, 0, 2] * scale == pytest.approx(expected, abs=1e-9)
             assert lin.rows[k, 0, 3] == PENALTY * g
             seen["between" if parts[worst] < 1.0 else "knot"] += 1
-        unused = ~lin.rows[:, :, :2].any(axis=2)
-        assert unused.any()
-        assert (lin.rows[unused][:, 2] == -NO_BOUND).all()
     assert min(seen.values()) > 20
+
+
+def test_a_row_without_a_zone_bounds_nothing() -> None:
+    nothing = {"need": np.array([0.5]), "exits": np.zeros((1, 4)), "discs": np.empty((0, 7))}
+    lin, _ = filled(
+        scene(zones=pack_zones(Fence(margin_m=0.2, keep_out_disc=(disc(0.0, 0.0, 1.0),))), **nothing), 0, ROWS
+    )
+    assert (lin.rows[:, 0, :2] != 0.0).any(axis=1).all()
+    np.testing.assert_array_equal(lin.rows[:, 1:, :2], 0.0)
+    np.testing.assert_array_equal(lin.rows[:, 1:, 2], -NO_BOUND)
 
 
 def test_both_rows_of_the_corridor_are_derivatives_of_the_cross_track_distance() -> None:
