@@ -215,7 +215,7 @@ def test_the_rows_of_a_long_stage_are_those_of_its_point_of_least_clearance() ->
 def test_a_row_without_a_zone_bounds_nothing() -> None:
     nothing = {"need": np.array([0.5]), "exits": np.zeros((1, 4)), "discs": np.empty((0, 7))}
     lin, _ = filled(
-        scene(zones=pack_zones(Fence(margin_m=0.2, keep_out_disc=(disc(0.0, 0.0, 1.0),))), **nothing), 0, ROWS
+        scene(zones=pack_zones(Fence(margin_m=0.2, keep_out_disc=(disc(0.0, 0.0, 3.0),))), **nothing), 0, ROWS
     )
     assert (lin.rows[:, 0, :2] != 0.0).any(axis=1).all()
     np.testing.assert_array_equal(lin.rows[:, 1:, :2], 0.0)
