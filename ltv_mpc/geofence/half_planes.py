@@ -67,9 +67,12 @@ def update_zones(
 
 @jit
 def allocate(points: int) -> HalfPlanes:
-    """Return room for the rows of a number of points, none of them used."""
+    """Return room for the rows of a number of points."""
     return HalfPlanes(
-        np.zeros((points, ROWS, 2)), np.zeros((points, ROWS)), np.zeros((points, ROWS)), np.full((points, ROWS), -1)
+        np.empty((points, ROWS, 2)),
+        np.empty((points, ROWS)),
+        np.empty((points, ROWS)),
+        np.empty((points, ROWS), np.int64),
     )
 
 

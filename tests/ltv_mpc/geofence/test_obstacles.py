@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltv_mpc.geofence.obstacles import MAX_AGE_NS, ObstacleTable
+from ltv_mpc.geofence.obstacles import MAX_AGE_NS, MAX_OBSTACLES, ObstacleTable
 from ltv_mpc.messages import Obstacle, Obstacles
 
 
@@ -47,3 +47,10 @@ def test_an_old_obstacle_is_dropped_and_named():
     assert of.drop_old(MAX_AGE_NS) == ()
     assert of.drop_old(MAX_AGE_NS + 1) == (1,)
     assert [each.id for each in of.reports] == [2]
+
+
+def test_of_too_many_the_newest_reports_are_kept():
+    of = table(*(report(number, float(number)) for number in range(MAX_OBSTACLES + 3)))
+    assert sorted(each.id for each in of.reports) == list(range(3, MAX_OBSTACLES + 3))
+    of.add(Obstacles(t_ns=0, obstacles=(report(999, 0.0),)))
+    assert 999 not in {each.id for each in of.reports}

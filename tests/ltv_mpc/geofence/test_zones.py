@@ -61,3 +61,8 @@ def test_zones_keep_the_order_of_the_fence_and_their_margins() -> None:
     assert zones.radius.tolist() == [0.0, 3.0]
     assert zones.margin.tolist() == [2.0, 2.0]
     assert np.isinf(zones.circle[0, 2])
+
+
+def test_the_middle_of_a_disc_has_a_normal() -> None:
+    zones = pack_zones(Fence(margin_m=0.0, keep_out_disc=(disc(0.0, 0.0, 1.0), disc(9.0, 5.0, 2.0))))
+    assert nearest(zones, 1, 9.0, 5.0) == (-2.0, 1.0, 0.0, 11.0, 5.0)
