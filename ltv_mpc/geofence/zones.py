@@ -109,7 +109,7 @@ def _edge_normal(zones: Zones, i: int, j: int) -> tuple[float, float, float, flo
     tn, te = zones.vertices[j, 0] - zones.vertices[i, 0], zones.vertices[j, 1] - zones.vertices[i, 1]
     length = np.hypot(tn, te)
     if length == 0.0:
-        return 0.0, 0.0, tn, te
+        return 0.0, 0.0, 0.0, 0.0
     return -te / length, tn / length, tn, te
 
 

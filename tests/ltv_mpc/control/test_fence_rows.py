@@ -19,6 +19,7 @@ from ltv_mpc.control.fence_clearance import (
     surplus_m,
 )
 from ltv_mpc.control.fence_rows import CORRIDOR_ROWS, fill_rows
+from ltv_mpc.control.fencing import NO_ZONES
 from ltv_mpc.control.horizon_limits import NO_BOUND, HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
@@ -220,6 +221,12 @@ def test_a_row_without_a_zone_bounds_nothing() -> None:
     assert (lin.rows[:, 0, :2] != 0.0).any(axis=1).all()
     np.testing.assert_array_equal(lin.rows[:, 1:, :2], 0.0)
     np.testing.assert_array_equal(lin.rows[:, 1:, 2], -NO_BOUND)
+
+
+def test_every_obstacle_has_a_row_where_there_is_no_fence() -> None:
+    discs = np.array([[0.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0]])
+    lin, _ = filled(scene(zones=NO_ZONES, need=np.empty(0), exits=np.empty((0, 4)), discs=discs), 0, ROWS)
+    np.testing.assert_array_equal((lin.rows[:, :, :2] != 0.0).any(axis=2).sum(axis=1), 2)
 
 
 def test_both_rows_of_the_corridor_are_derivatives_of_the_cross_track_distance() -> None:
