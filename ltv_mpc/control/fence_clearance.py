@@ -7,10 +7,10 @@ and the scale S of a position:
     2 sum over k of  g_k (PENALTY sum over zones z of max(0, c_z - d_z) + CORRIDOR_PENALTY max(0, |x| - w)) / S
 
 The factor 2 is that between the cost and the QP (cost.py). The penalty is exact: it is above the duals that occur,
-because the target is never farther than the vehicle can come (fencing.py). That of the corridor is smaller, so that the
-vehicle leaves its corridor rather than its fence. An obstacle is a disc at its predicted position at knot k. A stage
-longer than the first one counts with its point of the least clearance, among points that are one first stage apart;
-the chord's sag is added to c between the knots.
+because the target is never farther than the vehicle can come (target_detour.py). That of the corridor is smaller, so
+that the vehicle leaves its corridor rather than its fence. An obstacle is a disc at its predicted position at knot k. A
+stage longer than the first one counts with its point of the least clearance, among points that are one first stage
+apart; the chord's sag is added to c between the knots.
 
 A clearance changes by no more than the point moves. So after a point with a surplus over the required clearance, the
 next points are not looked at until the track is longer by that surplus.

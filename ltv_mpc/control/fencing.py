@@ -1,14 +1,7 @@
-"""Fence and obstacles of a controller: what is in force, the targets that lead round the zones, and the report.
+"""Fence and obstacles of a controller: what is in force, and the report of what a plan keeps from it.
 
-A target behind a zone would pull the vehicle against it. So where the line from the vehicle through the targets of the
-horizon is blocked, the targets move along the shortest way round the zones (``geofence/route.py``), no faster than the
-vehicle can follow:
-
-    target at knot k = point of the way at the distance  min(distance of the wanted target, V t_k + lead)
-
-with the speed over ground V that the vehicle reaches in the current, and a lead of ``LEAD`` lengths. The targets bend
-only the reference: the rows of the QP (``fence_rows.py``) keep the vehicle out. On a path the target itself goes round
-zones and margins (``geofence/allowed_path.py``).
+Rows of the QP (fence_rows.py) keep the vehicle out. The reference only leads round the zones: a point by the targets of
+the horizon (target_detour.py), a path by its schedule (``geofence/allowed_path.py``).
 
 Required clearance of the vehicle's origin from a zone: hull + max(margin, k sd), with the standard deviation sd of the
 position at the first knot. It grows while estimates are late. The corridor along a path does not bound while the
@@ -26,7 +19,7 @@ from ltv_mpc.control.fence_rows import CORRIDOR_ROWS
 from ltv_mpc.control.nominal_trajectory import coasting_entry_s
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
-from ltv_mpc.control.terminal_check import closing_speed
+from ltv_mpc.control.target_detour import lead_round
 from ltv_mpc.geofence.allowed_path import allowed_path
 from ltv_mpc.geofence.fence import Fence, hull_radius_m
 from ltv_mpc.geofence.half_planes import ROWS, update_zones
@@ -37,12 +30,6 @@ from ltv_mpc.messages import Array, Estimate, FenceInForce, FenceReport, Obstacl
 from ltv_mpc.references.follower import PathBeside
 from ltv_mpc.references.schedule import Schedule
 from ltv_mpc.vehicle.parameters import Vehicle
-
-LEAD = 0.5
-"""Lead of the bent target, in lengths L of the vehicle (scaling.py)."""
-
-MIN_SPEED = 0.2
-"""Speed of the bent target, at least, over the top speed."""
 
 OBSTACLE_MARGIN = 1.0
 """Distance that is kept between the hull and an obstacle, in radii of the hull."""
@@ -203,42 +190,12 @@ class Fencing:
 
         Parameters
         ----------
-        position : (2,) of the vehicle at the first knot (m).
-        current : (2,) velocity of the water there (m/s).
-        target : (N+1, 3) as in ``Solver.build``; positions and velocity are overwritten.
+        position, current, target : as in ``lead_round``.
         """
-        if not self._routers or not self._routers[-1].chain_is_blocked(position, target[:-1, :2]):
-            return
-        router = self._routers[-1]
-        self.set_path(None)
-        corners, lengths = [position.copy()], [0.0]
-        wanted = np.empty(len(target) - 1)  # distance of each target along the way (m)
-        for k in range(len(wanted)):
-            if k == 0 or (target[k, :2] != target[k - 1, :2]).any():
-                for corner in router.way(corners[-1], target[k, :2].copy(), remember=k == 0):
-                    lengths.append(lengths[-1] + math.dist(corners[-1], corner))
-                    corners.append(corner)
-                self._no_way = bool((corners[-1] != target[k, :2]).any())
-            wanted[k] = lengths[-1]
-        way, along = np.array(corners), np.array(lengths)
-        speed = self._speed_mps(way, current)
-        reach = np.minimum(wanted, speed * self._times_s[1:] + LEAD * self._scales.length_m)
-        for i in range(2):
-            target[:-1, i] = np.interp(reach, along, way[:, i])
-        if reach[-1] < wanted[-1]:
-            leg = min(int(np.searchsorted(along, reach[-1], side="right")), len(way) - 1)
-            step = way[leg] - way[leg - 1]
-            target[-1, :2] = speed * step / max(float(np.hypot(*step)), 1e-9)
-
-    def _speed_mps(self, way: Array, current: Array) -> float:
-        """Return the speed over ground with which the vehicle can follow the first leg of a way (m/s)."""
-        top = self._scales.speed_mps
-        legs = np.diff(way, axis=0)
-        legs = legs[np.hypot(*legs.T) > 1e-6]
-        if not len(legs):
-            return MIN_SPEED * top
-        en, ee = legs[0] / np.hypot(*legs[0])
-        return max(closing_speed(en, ee, -current[0], -current[1], top), MIN_SPEED * top)
+        if self._routers and self._routers[-1].chain_is_blocked(position, target[:-1, :2]):
+            self.set_path(None)
+            arrives = lead_round(self._routers[-1], position, current, target, self._times_s, self._scales)
+            self._no_way = not arrives
 
     def enters_s(self, X: Array) -> float:
         """Return when the hull enters a zone or an obstacle first (s after the first knot); infinite for never.
