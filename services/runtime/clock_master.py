@@ -127,8 +127,9 @@ class ClockMaster:
             return
         self._reported_us, self._reported_slips, self._reported_speed = now_us, self._source.slips, self._rate.speed
         text = (
-            f"clock now at {float(self._rate.speed):.3g} x real time, because the machine is too slow; waits so far:"
-            f" {self._source.slips}, {self._source.slipped_ns / 1e9:.2f} s of vehicle time"
+            f"machine too slow: waits of the clock so far: {self._source.slips},"
+            f" in all {self._source.slipped_ns / 1e9:.2f} s of vehicle time;"
+            f" it continues at {float(self._rate.speed):.3g} x real time"
         )
         self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="slowed", text=text))
 

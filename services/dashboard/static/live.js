@@ -149,7 +149,7 @@
         dirty = false;
         round += 1;
       }
-      const everything = !drawn || round % UNSEEN_ROUNDS === 0;
+      const everything = !drawn || ended() || round % UNSEEN_ROUNDS === 0;
       while (next < plots.length && !everything && !seen.has(panels.get(plots[next].name).section)) next += 1;
       if (next < plots.length) {
         const plot = plots[next];

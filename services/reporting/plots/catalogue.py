@@ -193,9 +193,10 @@ HEADING = Plot(
     name="heading",
     title="Heading",
     x=TIME,
-    y=Axis(label="heading (deg)", min_span=5.0),
+    y=Axis(label="heading, unwrapped (deg)", min_span=5.0),
     group=Group.LINE,
-    note="The reference of an underactuated vehicle has no heading: the controller plans one.",
+    note="The heading counts on beyond 180°. The reference of an underactuated vehicle has no heading: the controller "
+    "plans one.",
     series=(
         Series(label="true", table="truth", x="t_s", y="heading_deg", colour=palette.TRUTH, compared=True),
         Series(label="estimate", table="track", x="t_s", y="heading_deg", colour=palette.ESTIMATE, style=Style.DASHED),

@@ -112,7 +112,7 @@ def test_no_row_is_left_over_from_the_cycle_before() -> None:
     assert rows.zone.tolist() == [[-1] * ROWS]
 
 
-def test_the_required_clearance_is_the_hull_and_the_larger_of_margin_and_three_standard_deviations() -> None:
+def test_the_required_clearance_has_the_margin_or_three_standard_deviations() -> None:
     zones, need = pack_zones(Fence(margin_m=1.0, keep_out=(polygon(SQUARE), polygon(NOTCH, 4.0)))), np.empty(2)
     update_zones(zones, 50.0, 50.0, 0.5, 0.2, need, np.zeros((2, 4)))
     np.testing.assert_allclose(need, [1.5, 4.5])

@@ -164,6 +164,6 @@ def test_repeated_slips_are_reported_ever_more_rarely() -> None:
     machine = Machine(3.0)
     machine.run(60_000_000)
     told = [one.text for one in machine.said if isinstance(one, RunEvent)]
-    times = [int(text.partition("waits so far: ")[2].partition(",")[0]) for text in told]
+    times = [int(text.partition("waits of the clock so far: ")[2].partition(",")[0]) for text in told]
     assert all(later >= 2 * earlier for earlier, later in pairwise(times))
     assert len(times) >= 4
