@@ -23,10 +23,10 @@ from ltv_mpc.control.fencing import NO_ZONES
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.zones import clearances, pack_zones
+from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array
+from tests.ltv_mpc.control.fence_scenes import SMALL, WALLS, scene
 from tests.ltv_mpc.control.problems import PAPER
-from tests.ltv_mpc.control.test_fence_rows import SMALL, WALLS, scene
 from tests.ltv_mpc.geofence.shapes import disc, polygon
 
 KNOTS = np.concatenate([np.arange(20.0), 19.0 + 2.5 * np.arange(1.0, 9.0)])
@@ -163,7 +163,7 @@ def test_a_place_far_to_the_south_west_changes_nothing() -> None:
     zones, discs = of.zones, of.discs.copy()
     discs[:, :2] += far
     circle = zones.circle + np.array([*far, 0.0])
-    moved = scene(zones=zones._replace(vertices=zones.vertices + far, circle=circle), discs=discs)
+    moved = scene(zones=Zones(zones.vertices + far, zones.first, zones.radius, zones.margin, circle), discs=discs)
     o = unpack_constants(pack_constants(PAPER, settled(ControllerConfig(), PAPER).weights, KNOTS, 0.3)).objective
     for seed in SEEDS:
         X, away = track(seed), track(seed)

@@ -30,10 +30,11 @@ from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.half_planes import ROWS
 from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array, SolveStatus
+from tests.ltv_mpc.control.fence_scenes import SMALL, STAGES, scene
 from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, equidistant, motion, precise
-from tests.ltv_mpc.geofence.shapes import disc, polygon
+from tests.ltv_mpc.geofence.shapes import disc
 
-N, M = 17, 3
+N, M = STAGES, 3
 
 
 def settings(solver: str = "osqp") -> ControllerConfig:
@@ -100,33 +101,6 @@ def test_two_walls_that_leave_no_room_between_them_are_no_hard_problem(solver: s
         commands, solve = made.solve()
         assert solve.status is SolveStatus.SOLVED, solve.why
         np.testing.assert_allclose(commands, of.commands(lin, precise(of.build(lin, target))), atol=0.1)
-
-
-SMALL = msgspec.structs.replace(PAPER, surge=msgspec.structs.replace(PAPER.surge, mass_kg=0.5 * PAPER.surge.mass_kg))
-"""A vehicle whose position scale is not 1 m."""
-
-WALLS = Fence(
-    margin_m=0.4,
-    keep_in=(polygon(np.array([[-3.0, -3.0], [-3.0, 4.0], [5.0, 4.0], [5.0, -3.0]])),),
-    keep_out=(polygon(np.array([[1.0, 1.0], [2.5, 1.4], [1.2, 2.6]])),),
-    keep_out_disc=(disc(3.0, -1.5, 0.8),),
-)
-
-
-def scene(**changed) -> Scene:
-    zones = pack_zones(WALLS)
-    return Scene(
-        zones=zones,
-        need=0.3 + zones.margin,
-        exits=np.zeros((len(zones.radius), 4)),
-        discs=np.array([[-2.0, 1.0, 0.05, -0.1, 0.5, 0.04, 1.5]]),
-        disc_need_m=np.array([0.6]),
-        stage_s=0.3,
-        path=NO_PATH,
-        targets=np.zeros(N, dtype=np.int64),
-        path_reach=0,
-        half_width_m=0.0,
-    )._replace(**changed)
 
 
 def corridor(half_width_m: float) -> Scene:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from ltv_mpc import Vehicle
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.fence_clearance import NO_PATH, Scene, fence_cost
+from ltv_mpc.control.fence_clearance import NO_PATH, Scene, entry_s, fence_cost
 from ltv_mpc.control.fencing import NO_ZONES
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.nominal_trajectory import PREVIOUS_PLAN, STEERED_AHEAD, choose_nominal
+from ltv_mpc.control.nominal_trajectory import PREVIOUS_PLAN, STEERED_AHEAD, choose_nominal, coasting_entry_s, ramp_to
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.fence import Fence
@@ -68,3 +69,18 @@ def test_what_follows_the_horizon_counts_only_for_a_way_free_of_zones() -> None:
         assert clearances == 0.0
         assert stay[:, 1].max() < east_m - 1.0
     assert chosen(scene((0.0, east_m + 10.0)))[0] == STEERED_AHEAD
+
+
+def test_a_plan_that_no_other_follows_coasts_from_its_end_on() -> None:
+    """The entry is that of the whole motion with zero thrust as the goal from that knot on, later than under thrust."""
+    packed, end, times_s = pack_constants(WEAK, CONFIG.weights, CONFIG.knots, 0.3), N // 4, 0.3 * CONFIG.knots
+    start, C = np.zeros(10), np.zeros((N + 1, 2))
+    X, coasting, U = np.empty((N + 1, 8)), np.empty((N + 1, 8)), np.empty((N + 1, 2))
+    ramp_to(packed, start, np.full((N + 1, 2), 20.0), C, X, U)
+    of = scene((float(X[end + 3, 0]) + 1.2, 0.0))
+    goal = U.copy()
+    goal[end:] = 0.0
+    ramp_to(packed, start, goal, C, coasting, np.empty((N + 1, 2)))
+    expected = entry_s(coasting, times_s, of, 0.1)
+    assert entry_s(X, times_s, of, 0.1) < expected < times_s[-1]
+    assert coasting_entry_s(packed, X, U, C, end, times_s, of, 0.1) == pytest.approx(expected)
