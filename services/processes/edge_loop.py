@@ -1,11 +1,14 @@
-"""Loop of a process that runs an edge: frames of both sides in, the edge's outputs out, its status every 0.5 s."""
+"""Loop of a process that runs an edge: frames of both sides in, the edge's outputs out, its status every 0.5 s.
+
+The edge steps at its rate, and at once when a plan has come, so that thrusts do not wait for the next period.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Protocol
 
-from ltv_mpc.messages import NodeStatus
+from ltv_mpc.messages import NodeStatus, Plan
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator
 from services.bus.outbox import Outbox
@@ -53,6 +56,8 @@ class EdgeLoop:
                 status_us = now_us + STATUS_US
             if (frame := self._mailbox.take((min(due_us, status_us) - now_us) / 1e6)) is not None:
                 self._put(self._outputs(frame), link)
+                if frame.topic is BY_TYPE[Plan]:
+                    due_us = now_us
         self._put(self._edge.release(monotonic_us()), link)
         self.publish_status(finished=True)
 

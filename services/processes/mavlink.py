@@ -22,6 +22,7 @@ from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 
 MAX_DATAGRAM = 65_536
+PERIOD_US = 50_000
 SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01, from which the stamps of signatures count
 
 
@@ -34,7 +35,6 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     listens: bool  # udpin: the autopilot sends to this address; else the edge sends to it first
     edge: Settings
     signing_key: bytes | None = None
-    rate_hz: float = 20.0
 
 
 def main(config: Config) -> int:
@@ -58,7 +58,7 @@ def _run(config: Config, request: StopRequest, say: Say) -> None:
             f"{way} udp {config.host}:{config.port}; watches ground station {config.edge.ground_station}, "
             f"thrusters of {config.edge.vehicle.name}"
         )
-        EdgeLoop(edge, session, mailbox, epoch, say).run(link, round(1e6 / config.rate_hz), request)
+        EdgeLoop(edge, session, mailbox, epoch, say).run(link, PERIOD_US, request)
 
 
 class UdpLink:

@@ -1,0 +1,70 @@
+"""Loop of an edge: it steps at its rate, and at once when a plan has come."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from queue import SimpleQueue
+
+from ltv_mpc.messages import Estimate, Plan
+from services.bus.mailbox import Mailbox
+from services.bus.options import BusOptions
+from services.bus.session import open_session
+from services.bus.topics import BY_TYPE
+from services.bus.wire import Header, encode
+from services.edges.edge import Edge, Outgoing, Output, Received
+from services.processes.edge_loop import EdgeLoop
+from services.runtime.stopping import StopRequest
+from services.supervisor import loopback
+from tests.services.edges.plans import plan
+
+PERIOD_US = 3_600_000_000
+"""An hour, so that all later steps have another cause."""
+PATIENCE_S = 30.0
+
+
+class CountingEdge(Edge):
+    """Edge that sends in each step whether it has a plan."""
+
+    name = "counting"
+    reads = (Plan,)
+    writes = (Estimate,)
+
+    def convert(self, frame: Received) -> Iterable[Output]:  # noqa: ARG002 (interface)
+        return ()
+
+    def step(self, now_us: int) -> Iterable[Output]:  # noqa: ARG002 (interface)
+        return [Outgoing("", b"plan" if self.plans.has_plan else b"none")]
+
+    def release(self, now_us: int) -> Iterable[Outgoing]:  # noqa: ARG002 (interface)
+        return [Outgoing("", b"release")]
+
+
+class Sent:
+    """Link that keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.payloads: SimpleQueue[bytes] = SimpleQueue()
+
+    def send(self, frame: Outgoing) -> None:
+        self.payloads.put(frame.payload)
+
+
+def test_the_loop_steps_at_once_when_a_plan_has_come() -> None:
+    stop, mailbox, sent = StopRequest(), Mailbox(), Sent()
+    stop.on_request(mailbox.wake)
+    listen = (f"tcp/127.0.0.1:{loopback.free_port()}",)
+    with open_session(BusOptions(listen=listen), stop=stop, say=print) as session:
+        loop = EdgeLoop(CountingEdge(epoch=1), session, mailbox, 1, print)
+        thread = threading.Thread(target=loop.run, args=(sent, PERIOD_US, stop))
+        thread.start()
+        try:
+            assert sent.payloads.get(timeout=PATIENCE_S) == b"none"
+            header = Header(epoch=2, sequence=0, sent_monotonic_us=0)
+            mailbox.offer(BY_TYPE[Plan], "plan", encode(plan(0), header))
+            assert sent.payloads.get(timeout=PATIENCE_S) == b"plan"
+            mailbox.offer(None, "", b"frame of the other side")
+        finally:
+            stop.request()
+            thread.join(PATIENCE_S)
+        assert sent.payloads.get(timeout=PATIENCE_S) == b"release"
