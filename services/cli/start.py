@@ -326,12 +326,13 @@ def _run_processes(
     )
     try:
         outcome = supervisor.run(run_config, folder, screen, certs=certs, page=sidecar if page else None)
+        if outcome.summary is None:
+            typer.echo(str(folder.path), err=True)
+        else:
+            _print_summary(outcome.summary, folder, as_json)
+            sidecar.give_report()
     finally:
         sidecar.stop()
-    if outcome.summary is None:
-        typer.echo(str(folder.path), err=True)
-    else:
-        _print_summary(outcome.summary, folder, as_json)
     return outcome.exit_code
 
 

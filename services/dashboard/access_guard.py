@@ -10,6 +10,8 @@ token    192 random bits in the printed URL after the #, which browsers do not s
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import hmac
 import secrets
 from collections.abc import Iterable
@@ -21,18 +23,20 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 TOKEN_BYTES = 24
 
+SECURITY_POLICY = (
+    "default-src 'none'; script-src 'self'{scripts}; style-src 'self' 'unsafe-inline'; img-src data: blob:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""Inline styles are allowed because plotly sets them; of inline scripts only those that are named by their hashes."""
+
 HEADERS = {
-    "content-security-policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src data: blob:; "
-        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    ),
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
     "referrer-policy": "no-referrer",
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
-"""Headers of every response. Inline styles are allowed because plotly sets them; inline scripts are not."""
+"""Headers of every response, beside the security policy."""
 
 
 class Token:
@@ -66,11 +70,14 @@ def rejection_reason(scope: Scope, allowed: frozenset[str]) -> str:
 
 
 class AccessGuard:
-    """ASGI middleware: rejects with 403 what ``rejection_reason`` names and adds ``HEADERS`` to every response."""
+    """ASGI middleware: rejects with 403 what ``rejection_reason`` names and adds headers to every response."""
 
-    def __init__(self, app: ASGIApp, *, allowed: frozenset[str]) -> None:
+    def __init__(self, app: ASGIApp, *, allowed: frozenset[str], inline_scripts: Iterable[str] = ()) -> None:
+        """Accept the Host headers ``allowed``; a page that this page opens may have ``inline_scripts``."""
         self._app = app
         self._allowed = allowed
+        hashes = "".join(f" 'sha256-{_sha256(script)}'" for script in inline_scripts)
+        self._headers = {**HEADERS, "content-security-policy": SECURITY_POLICY.format(scripts=hashes)}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle a connection (ASGI)."""
@@ -79,17 +86,20 @@ class AccessGuard:
             return
         why = rejection_reason(scope, self._allowed)
         if not why:
-            await self._app(scope, receive, _with_headers(send))
+            await self._app(scope, receive, self._with_headers(send))
         elif scope["type"] == "http":
-            await PlainTextResponse(f"refused: {why}\n", 403)(scope, receive, _with_headers(send))
+            await PlainTextResponse(f"refused: {why}\n", 403)(scope, receive, self._with_headers(send))
         else:  # the server answers a close before the accept with 403
             await send({"type": "websocket.close", "code": 1008, "reason": why})
 
+    def _with_headers(self, send: Send) -> Send:
+        async def sent(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(self._headers)
+            await send(message)
 
-def _with_headers(send: Send) -> Send:
-    async def sent(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            MutableHeaders(scope=message).update(HEADERS)
-        await send(message)
+        return sent
 
-    return sent
+
+def _sha256(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

@@ -16,6 +16,8 @@ class View(enum.StrEnum):
 
     OPENED = "opened"
     DRAWN = "drawn"
+    HAS_REPORT = "has report"
+    CLOSED = "closed"  # by the last browser
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,4 +40,4 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     about: About = About()
     of_a_run: bool = False
     """True if a run serves the page: it lowers its priority, so that it takes no time from the processes of the run. It
-    reads what is being prepared, one line each, and writes when a browser opens and draws it (``View``)."""
+    reads what is being prepared, one line each, and writes what browsers do with it (``View``)."""

@@ -1,6 +1,7 @@
 """Web application of the live page: HTTP for the page itself, one WebSocket for its stream and its buttons.
 
     GET /            the page                 GET /page/NAME   its scripts and styles, and plotly's own
+    GET /report      the report of the run; 204 before it is written. The page keeps it: this server ends with the run
     WS  /stream      to the browser: the texts of ``stream.py`` and a ``ButtonReply`` to each command;
                      from the browser: ``ButtonRequest``
 
@@ -11,12 +12,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 from starlette.applications import Starlette
+from starlette.background import BackgroundTask
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
@@ -40,7 +43,7 @@ Do = Callable[[ButtonRequest, int | None, float], ButtonReply]
 """Executes a command; called in a worker thread, because it waits for the reply."""
 
 OnView = Callable[[View], object]
-"""Is called when a browser opens the page and when it has drawn it."""
+"""Is called with what browsers do with the page."""
 
 REQUEST = msgspec.json.Decoder(ButtonRequest)
 MAX_COMMAND_BYTES = 1024
@@ -52,6 +55,7 @@ def make(
 ) -> Starlette:
     """Return the application. ``allowed`` are the accepted Host headers."""
     stream = Stream(feed)
+    reports = itertools.count(1)
     files = {
         "live.js": HERE / "live.js",
         "live.css": HERE / "live.css",
@@ -74,12 +78,25 @@ def make(
         path = files.get(request.path_params["name"])
         return Response("no such file\n", 404) if path is None else FileResponse(path)
 
+    async def report(_: Request) -> Response:
+        path = Path(about.report)
+        return FileResponse(path, background=BackgroundTask(sent)) if path.is_file() else Response(status_code=204)
+
+    def sent() -> None:
+        if next(reports) >= len(stream.readers):
+            on_view(View.HAS_REPORT)
+
     async def live(socket: WebSocket) -> None:
         await _live(socket, stream, _Commands(feed, token, command, on_view), about)
 
     return Starlette(
-        routes=[Route("/", page), Route("/page/{name}", file), WebSocketRoute("/stream", live)],
-        middleware=[Middleware(AccessGuard, allowed=allowed)],
+        routes=[
+            Route("/", page),
+            Route("/page/{name}", file),
+            Route("/report", report),
+            WebSocketRoute("/stream", live),
+        ],
+        middleware=[Middleware(AccessGuard, allowed=allowed, inline_scripts=static_files.report_scripts())],
         lifespan=lifespan,
     )
 
@@ -109,6 +126,8 @@ async def _live(socket: WebSocket, stream: Stream, commands: _Commands, about: A
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
         stream.readers.discard(reader)
+        if not stream.readers:
+            commands.on_view(View.CLOSED)
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)

@@ -22,10 +22,12 @@ from services.supervisor.entry_point import write_config
 
 NEEDS = ("plotly", "starlette", "uvicorn", "websockets")
 STOP_S = 1.5
+REPORT_S = 5.0
+"""Longest wait for the browsers that take the report."""
 
 
 class Sidecar:
-    """Process of the live page. ``say`` receives its address when it is ready; ``waits``: the clock may wait for it.
+    """Process of the live page. ``say`` receives its address when it is ready; ``waits``: the run may wait for it.
 
     Start it from the main thread: the process ends with the thread that started it.
     """
@@ -49,7 +51,8 @@ class Sidecar:
         self._about = about
         self._open_browser = open_browser
         self._waits = waits
-        self._view: str = View.DRAWN
+        self._view: str = View.CLOSED
+        self._changed = threading.Condition()  # of the view
         self._shown = ""
         self._process: subprocess.Popen[str] | None = None
 
@@ -100,6 +103,12 @@ class Sidecar:
         """Process identifier of the page; None before its start."""
         return None if self._process is None else self._process.pid
 
+    def give_report(self) -> None:
+        """Wait until each browser that shows the page has the report, which has been written."""
+        if self._waits:
+            with self._changed:
+                self._changed.wait_for(lambda: self._view != View.DRAWN, REPORT_S)
+
     def stop(self) -> None:
         """Stop the process; kill it after ``STOP_S``."""
         process, self._process = self._process, None
@@ -123,4 +132,10 @@ class Sidecar:
                 self._say(f"live page: {url}")
             for line in output:  # that of a browser is among it
                 if (word := line.strip()) in tuple(View):
-                    self._view = word
+                    self._set_view(word)
+        self._set_view(View.CLOSED)
+
+    def _set_view(self, view: str) -> None:
+        with self._changed:
+            self._view = view
+            self._changed.notify_all()

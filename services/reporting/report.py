@@ -48,7 +48,7 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
 
     Raises ``NoPlotly``, ``ConfigError`` if a file is not a recording, and ``OSError``.
     """
-    plotly = static_files.plotly()
+    plotly, script = static_files.report_scripts()
     plot_data = [read(run.recording, rows=min(ROWS, ROWS_OF_ALL // len(runs))) for run in runs]
     figures = differences.rows([run.summary for run in runs])
     title = f"{runs[0].name}" if len(runs) == 1 else f"{len(runs)} runs"
@@ -59,7 +59,7 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
         tables="\n".join(_tables(runs, plot_data, figures)),
         plotly=plotly,
         data=_data(runs, plot_data),
-        script=static_files.text("plots.js") + static_files.text("report.js"),
+        script=script,
     )
     with draft_of(out) as draft:
         draft.write_text(text, encoding="utf-8")

@@ -28,7 +28,7 @@ OUTSIDE = """() => {
   const wide = document.documentElement.clientWidth;
   return [...document.querySelectorAll("h1, h2, .legend li, td, th, button, dd")]
     .filter(one => one.getClientRects().length && one.getBoundingClientRect().right > wide + 1)
-    .filter(one => !one.closest(".scroll, .table, details:not([open])"))
+    .filter(one => !one.closest(".scroll, details:not([open])"))
     .map(one => one.textContent.trim());
 }"""
 """Words that do not fit the width."""

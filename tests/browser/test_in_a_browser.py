@@ -185,15 +185,21 @@ def test_without_the_token_the_page_is_read_only_and_it_connects_again_by_itself
         drawn(page)
 
 
-def test_after_the_end_of_a_run_the_page_says_so_and_does_not_connect_again(browser: Any, live: Served) -> None:
+def test_after_the_end_of_a_run_the_page_says_so_and_keeps_the_report(
+    browser: Any, live: Served, reports: tuple[Path, Path]
+) -> None:
     with tab(browser, SCREEN, own=live.url) as page:
         page.goto(f"{live.url}#{live.token}")
         until(lambda: page.locator("#buttons button:enabled").count() > 0)
         live.vehicle.finished = True
         try:
             until(lambda: page.inner_text("#link") == "finished")
-            assert "/runs/one/report.html" in page.inner_text("#finished")
+            assert str(live.report) in page.inner_text("#finished")
             assert "ltv-mpc sim one" in page.inner_text("#finished")
+            assert page.locator("#finished a").count() == 0
+            live.report.write_bytes(reports[0].read_bytes())
+            until(lambda: page.locator("#finished a").count() == 1)
+            until(lambda: live.views[-1] is View.HAS_REPORT)
             live.cut()
             until(lambda: page.inner_text("#link") == "finished")
             assert page.locator("#buttons button:enabled").count() == 0
@@ -201,5 +207,13 @@ def test_after_the_end_of_a_run_the_page_says_so_and_does_not_connect_again(brow
             page.on("websocket", lambda socket: opened.append(socket.url))
             page.wait_for_timeout(1500)  # longer than the page waits before it connects again
             assert opened == []
+            wrong: list[str] = []
+            with page.expect_popup() as popup:
+                page.get_by_role("link", name="Open the report").click()
+            popup.value.on("console", lambda message: wrong.append(message.text))
+            drawn(popup.value, but=UNTIMED)
+            popup.value.close()
+            assert wrong == []
         finally:
             live.vehicle.finished = False
+            live.report.unlink(missing_ok=True)

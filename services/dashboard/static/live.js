@@ -20,6 +20,7 @@
   const rows = new Map(); // of the processes, by name
   let about = {}, plots = [], panels = new Map(), status = null, socket = null, receivedAt = 0, beatAt = 0, number = 0;
   let dirty = false, next = 0, round = 0;
+  let asking = false; // for the report
   let drawn = false; // every plot, once
   let moments = [], stride = 1, ticks = 0, past = null; // states to look back at; the one that is shown, null: now
   const seen = new Set(); // plots in the window
@@ -236,6 +237,20 @@
     if (about.again) byId("again").append("Run it again: ", element("code", about.again));
   }
 
+  // The server ends when each page has the report, so the link leads to a copy that this page keeps.
+  async function takeReport() {
+    if (!about.report || asking || byId("report").querySelector("a")) return;
+    asking = true;
+    const reply = await fetch("/report").catch(() => null); // null: the server has ended
+    if (reply && reply.status === 200) {
+      const link = element("a", "Open the report");
+      link.href = URL.createObjectURL(new Blob([await reply.blob()], { type: "text/html" }));
+      link.target = "_blank";
+      byId("report").firstChild.replaceWith(link, ": ");
+    }
+    asking = false;
+  }
+
   function eventRow(mark) {
     const row = document.createElement("tr");
     row.append(element("td", mark.t_s.toFixed(1), "number"), element("td", mark.node), element("td", mark.text));
@@ -286,7 +301,7 @@
     const live = token !== "" && socket.readyState === WebSocket.OPEN && rows.size > 0 && !ended();
     for (const control of document.querySelectorAll("#buttons button, #buttons select")) control.disabled = !live;
     document.querySelector(".simulated").hidden = !status.simulated;
-    const paused = status.clock === "paused";
+    const paused = status.clock === "paused" && !ended();
     byId("pause").textContent = paused ? "Resume" : "Pause";
     byId("pause").dataset.button = paused ? "resume" : "pause";
     const speed = byId("speed");
@@ -333,6 +348,7 @@
   setInterval(() => {
     showEnd();
     if (socket.readyState !== WebSocket.OPEN) return;
+    if (ended()) takeReport();
     if (Date.now() - receivedAt > SILENT_MS) show("lost", "no data");
     else if (status && status.clock === "silent") show("", status.preparation || "connected; no data yet");
     else if (ended()) show("", "finished");

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TypeVar
 
 import uvicorn
@@ -163,8 +165,12 @@ class SyntheticVehicle:
 class Page:
     """Running page of a bus feed."""
 
-    def __init__(self, feed: BusFeed, token: str, port: int, server: uvicorn.Server, views: list[View]) -> None:
+    def __init__(
+        self, feed: BusFeed, token: str, port: int, server: uvicorn.Server, views: list[View], report: Path
+    ) -> None:
         self.views = views
+        self.report = report
+        """File of the run's report; missing until a test writes it."""
         self.feed = feed
         self.token = token
         self.port = port
@@ -189,21 +195,22 @@ class Served(Page):
     """Running page and the vehicle behind it."""
 
     def __init__(self, shown: Page, vehicle: SyntheticVehicle) -> None:
-        super().__init__(shown.feed, shown.token, shown.port, shown.server, shown.views)
+        super().__init__(shown.feed, shown.token, shown.port, shown.server, shown.views, shown.report)
         self.vehicle = vehicle
 
 
 @contextmanager
 def serving(feed: BusFeed, bus: BusOptions) -> Iterator[Page]:
     """Serve the page of a feed; its buttons act on ``bus``."""
-    with serve.listen("127.0.0.1", 0) as place:
+    with serve.listen("127.0.0.1", 0) as place, tempfile.TemporaryDirectory() as folder:
         place.listen()
+        report = Path(folder) / "report.html"
         port, token, views = place.getsockname()[1], Token(), list[View]()
         app = page.make(
             feed,
             token,
             allowed=hosts(LOOPBACK, port),
-            about=About(name="synthetic descent · paper", report="/runs/one/report.html", again="ltv-mpc sim one"),
+            about=About(name="synthetic descent · paper", report=str(report), again="ltv-mpc sim one"),
             command=page.commander(bus),
             on_view=views.append,
         )
@@ -212,7 +219,7 @@ def serving(feed: BusFeed, bus: BusOptions) -> Iterator[Page]:
         thread.start()
         try:
             until(lambda: server.started)
-            yield Page(feed, token.text, port, server, views)
+            yield Page(feed, token.text, port, server, views, report)
         finally:
             server.should_exit = True
             thread.join(10)

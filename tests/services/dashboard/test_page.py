@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import http.client
 import json
 from collections.abc import Iterator
@@ -14,6 +16,8 @@ from websockets.sync.client import ClientConnection, connect
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Heartbeat, Kill
 from services.cli import app
 from services.dashboard.access_guard import Token, hosts
+from services.dashboard.config import View
+from services.reporting import static_files
 from tests.services.dashboard.synthetic_vehicle import NODES, SPEED, Served, served, until
 from tests.services.reporting.synthetic_run import OFFSET
 
@@ -72,6 +76,29 @@ def test_the_page_and_its_files_come_from_here_and_may_load_nothing_else(page: S
         assert "default-src 'none'" in headers["content-security-policy"]
         assert headers["x-frame-options"] == "DENY"
         assert "access-control-allow-origin" not in headers
+
+
+def test_the_report_is_given_once_it_is_written_and_only_its_own_scripts_may_run(page: Served) -> None:
+    assert get(page, "/report")[:2] == (204, "")
+    plotly, script = static_files.report_scripts()
+    page.report.write_text(f"<script>{script}</script>")
+    try:
+        status, text, headers = get(page, "/report")
+        until(lambda: page.views[-1:] == [View.HAS_REPORT])
+    finally:
+        page.report.unlink()
+    assert (status, text) == (200, f"<script>{script}</script>")
+    hashes = [base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in (plotly, script)]
+    (policy,) = (one for one in headers["content-security-policy"].split("; ") if one.startswith("script-src"))
+    assert policy == f"script-src 'self' 'sha256-{hashes[0]}' 'sha256-{hashes[1]}'"
+
+
+def test_a_page_that_nobody_shows_any_more_is_closed(page: Served) -> None:
+    with stream(page) as first, stream(page) as second:
+        next_text(first, "hello")
+        next_text(second, "hello")
+        del page.views[:]
+    until(lambda: page.views == [View.CLOSED])
 
 
 @pytest.mark.parametrize("path", ["/page/../serve.py", "/page/%2e%2e%2fserve.py", "/page/nothing.js", "/etc/passwd"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import json
 import os
+import threading
 import urllib.request
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,13 +18,15 @@ from services.bus.options import BusOptions
 from services.bus.session import open_session
 from services.dashboard.config import About
 from services.dashboard.serve import NICE
-from services.dashboard.sidecar import NEEDS, Sidecar
+from services.dashboard.sidecar import NEEDS, REPORT_S, Sidecar
 from services.recording.node_settings import VEHICLE as VEHICLE_FILE
 from tests.services.dashboard.synthetic_vehicle import until
 from tests.services.reporting import synthetic_run
 
 
-def page_of(folder: Path, needs: Sequence[str] = NEEDS, *, waits: bool = True) -> tuple[Sidecar, list[str]]:
+def page_of(
+    folder: Path, needs: Sequence[str] = NEEDS, *, waits: bool = True, report: Path | None = None
+) -> tuple[Sidecar, list[str]]:
     said: list[str] = []
     (folder / "logs").mkdir()
     vehicle = folder / VEHICLE_FILE
@@ -33,7 +36,7 @@ def page_of(folder: Path, needs: Sequence[str] = NEEDS, *, waits: bool = True) -
         said.append,
         folder=folder,
         vehicle=vehicle,
-        about=About(),
+        about=About(report="" if report is None else str(report)),
         open_browser=False,
         waits=waits,
         needs=needs,
@@ -93,6 +96,34 @@ def test_the_page_shows_the_preparation_and_is_awaited_from_opened_to_drawn(
             page.stop()
         page.show("starting")  # of one that has ended
         assert not page.awaited
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_the_run_waits_until_a_drawn_page_has_the_report(tmp_path: Path, free_port: int, waits: bool) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    report = tmp_path / "report.html"
+    page, said = page_of(tmp_path, waits=waits, report=report)
+    with open_session(BusOptions(listen=(endpoint,)), stop=lambda: False, say=said.append):
+        page.start(BusOptions(connect=(endpoint,), namespace="a/run"))
+        given = threading.Thread(target=page.give_report)
+        try:
+            until(lambda: said, within_s=60.0)
+            page.give_report()  # nobody shows the page
+            host = urlsplit(said[0].removeprefix("live page: ")).netloc
+            with connect(f"ws://{host}/stream", origin=f"http://{host}", proxy=None, max_size=2**24) as stream:
+                urllib.request.urlopen(f"http://{host}/").close()
+                until(lambda: page.awaited is waits)
+                stream.send(json.dumps({"number": 0, "token": "", "button": "drawn"}))
+                until(lambda: not page.awaited)
+                given.start()
+                given.join(0.5)
+                assert given.is_alive() is waits
+                report.write_text("report")
+                assert urllib.request.urlopen(f"http://{host}/report").read() == b"report"
+                given.join(REPORT_S / 2)
+                assert not given.is_alive()
+        finally:
+            page.stop()
 
 
 def test_without_the_extra_the_run_reports_it_and_continues(tmp_path: Path) -> None:
