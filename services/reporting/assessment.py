@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from enum import Enum
 from typing import Any
 
+from ltv_mpc.messages import Health
+
 LESS_TRACKING_ERROR = "--set controller.effort=high"
 """Option of a further run, if tracking is the larger part of the error and the thrusters have room for it."""
 
@@ -17,11 +19,12 @@ OFTEN_SATURATED = 0.1
 
 
 def assessment(summary: Mapping[str, Any]) -> list[str]:
-    """Return the sentences: the error and what bounds it, fence, thrust, delay, and what was lost.
+    """Return the sentences: the error and what bounds it, fence, thrust, health, delay, and what was lost.
 
     A figure that the summary lacks, such as the truth of a real vehicle, gives no sentence.
     """
-    sentences = [_error(summary), _fence(summary), _thrust(summary), _delay(summary), _losses(summary)]
+    sentences = [_error(summary), _fence(summary), _thrust(summary)]
+    sentences += [_health(summary), _delay(summary), _losses(summary)]
     return [sentence for sentence in sentences if sentence]
 
 
@@ -101,6 +104,18 @@ def _thrust(summary: Mapping[str, Any]) -> str:
     if saturated == 0.0:
         return "No lateral thruster reached its limit."
     return f"A lateral thruster was at its limit for {100 * saturated:.1f} % of the time."
+
+
+def _health(summary: Mapping[str, Any]) -> str:
+    """Count the cycles in which the controller's health was not nominal, and name the most frequent reason."""
+    counts = {text: count for text, count in summary.get("health", {}).items() if text != Health.NOMINAL.value}
+    if not counts:
+        return ""
+    most_frequent = max(counts, key=lambda text: counts[text])
+    return (
+        f"The controller's health was not nominal in {sum(counts.values())} of {summary['cycles']} cycles, "
+        f"most often {most_frequent}."
+    )
 
 
 def _delay(summary: Mapping[str, Any]) -> str:

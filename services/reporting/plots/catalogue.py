@@ -24,8 +24,8 @@ TRACK = Plot(
     follow=("hull", "target", "horizon", "port_arrow", "starboard_arrow", "current_arrow"),
     note=(
         "The true track is shifted to start at the estimate at t = 0, so the error of the satellite fix is removed. "
-        f"An arrow as long as the hull, which is outlined, is the full thrust, or a current of {CURRENT_MPS:g} m/s. "
-        "Kept free: zones of the fence, with margin and hull."
+        "An arrow of thrust as long as the hull is the full thrust. Kept free: zones of the fence, with margin "
+        "and hull."
     ),
     series=(
         Series(label="reference", table="reference", x="east_m", y="north_m", colour=palette.REFERENCE),
@@ -47,10 +47,16 @@ TRACK = Plot(
             colour=palette.MARK,
             style=Style.DASHED,
         ),
-        Series(label="", table="hull", x="east_m", y="north_m", colour=palette.ESTIMATE),
-        Series(label="port", table="port_arrow", x="east_m", y="north_m", colour=palette.PORT),
-        Series(label="starboard", table="starboard_arrow", x="east_m", y="north_m", colour=palette.STARBOARD),
-        Series(label="current", table="current_arrow", x="east_m", y="north_m", colour=palette.CURRENT),
+        Series(label="hull", table="hull", x="east_m", y="north_m", colour=palette.ESTIMATE),
+        Series(label="port thrust", table="port_arrow", x="east_m", y="north_m", colour=palette.PORT),
+        Series(label="starboard thrust", table="starboard_arrow", x="east_m", y="north_m", colour=palette.STARBOARD),
+        Series(
+            label=f"current ({CURRENT_MPS:g} m/s: as long as the hull)",
+            table="current_arrow",
+            x="east_m",
+            y="north_m",
+            colour=palette.CURRENT,
+        ),
     ),
 )
 
@@ -225,7 +231,8 @@ NIS_BY_SENSOR = Plot(
     note=(
         "Mean normalised innovation squared (NIS) per degree of freedom: 1 if the filter knows its own uncertainty. It "
         "is shown in standard deviations (sd) of a mean of so many innovations, so that one band holds 95 % of the "
-        "consistent means of every sensor. Above it the filter is too sure of itself, or the sensor is wrong."
+        "consistent means of every sensor. Above it the filter is too sure of itself, or the sensor is wrong. tdcp: "
+        "displacement between two satellite epochs, by carrier phase."
     ),
     series=tuple(
         Series(label=sensor, table=table, x="t_s", y="deviation", colour=palette.RUNS[i % len(palette.RUNS)])
@@ -274,11 +281,11 @@ LATENCY = Plot(
 STAGES = Plot(
     name="stages",
     title="Delays by step",
-    x=Axis(label="time (ms)", log=True),
+    x=Axis(label="wall time (ms); last two rows: vehicle time", log=True),
     y=Axis(label="step", downwards=True, rows=ROWS_OF_STAGES),
     over_time=False,
     empty=NO_TIMES,
-    note="Percentiles of all cycles so far. Wall time; the delays between processes in vehicle time.",
+    note="Percentiles of all cycles so far.",
     series=(
         Series(label="median", table="stages", x="median_ms", y="row", colour=palette.OTHER, style=Style.DOT),
         Series(label="99 %", table="stages", x="p99_ms", y="row", colour=palette.RARE, style=Style.RING),

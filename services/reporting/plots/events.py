@@ -58,7 +58,7 @@ class Marks:
             case Plan():
                 self._add_plan(message)
             case LocalisationReport() if message.status is not self._filter:
-                self._append(message.t_ns, "estimator", f"filter {message.status.value}{_because(message.why)}")
+                self._append(message.t_ns, "estimator", f"filter: {message.status.value}{_because(message.why)}")
                 self._filter = message.status
             case Command():
                 self._commands[message.command_id] = message, epoch
@@ -78,10 +78,10 @@ class Marks:
             self._append(plan.cycle_t_ns, "controller", f"command authority: {plan.authority.value}")
         self._authority = plan.authority
         if (plan.health, plan.health_why) != self._health:
-            self._append(plan.cycle_t_ns, "controller", f"health {plan.health.value}{_because(plan.health_why)}")
+            self._append(plan.cycle_t_ns, "controller", f"health: {plan.health.value}{_because(plan.health_why)}")
             self._health = plan.health, plan.health_why
         if plan.origin is not self._origin and self._origin is not None:
-            self._append(plan.cycle_t_ns, "controller", f"plan origin {plan.origin.value}{_because(plan.why)}")
+            self._append(plan.cycle_t_ns, "controller", f"plan origin: {plan.origin.value}{_because(plan.why)}")
         self._origin = plan.origin
 
     def _add_acknowledgement(self, answer: Acknowledgement) -> None:

@@ -1,7 +1,7 @@
 """Plot colours by meaning, on a light and on a dark background.
 
 A colour means the same in every panel of page, report and figures: true black, estimate blue, reference grey, port
-orange, starboard green. In a plot of several runs a colour of ``RUNS`` means a run. Most hues
+orange, starboard green, water current indigo. In a plot of several runs a colour of ``RUNS`` means a run. Most hues
 are those of Okabe and Ito. A test checks that colours remain different for the three kinds of colour blindness.
 """
 
@@ -15,7 +15,7 @@ PORT = "#d55e00"
 STARBOARD = "#009e73"
 NORTH = "#7b3294"
 EAST = "#9a6f00"
-CURRENT = "#00798c"
+CURRENT = "#3b2bb0"
 LIMIT = "#8c1d18"
 MARK = "#a0522d"
 RARE = "#b36b00"
@@ -37,7 +37,7 @@ DARK = {
     STARBOARD: "#2bc795",
     NORTH: "#c792ea",
     EAST: "#e0b040",
-    CURRENT: "#4fc3d6",
+    CURRENT: "#7a6cf5",
     LIMIT: "#f28b82",
     MARK: "#dd9a6c",
     RARE: "#f0b45c",

@@ -71,6 +71,13 @@ def test_late_plans_and_losses_are_counted() -> None:
     assert "No plan came too late. No message was lost." in usual
 
 
+def test_cycles_with_less_than_nominal_health_are_counted_with_their_reason() -> None:
+    health = {"nominal": 600, "degraded: no estimate": 7, "degraded: estimate too uncertain": 60}
+    text = " ".join(assessment(summary(0.02, 0.3, 0.3, health=health)))
+    assert "not nominal in 67 of 667 cycles, most often degraded: estimate too uncertain." in text
+    assert "health" not in " ".join(assessment(summary(0.02, 0.3, 0.3, health={"nominal": 667})))
+
+
 def test_lock_step_says_nothing_of_delays_and_losses() -> None:
     text = " ".join(assessment(summary(0.02, 0.3, 0.3, mode="lockstep")))
     assert "too late" not in text

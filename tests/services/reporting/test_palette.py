@@ -14,7 +14,7 @@ from services.reporting.plots import palette
 
 ROOT = Path(__file__).resolve().parents[3]
 
-MEANT = (palette.TRUTH, palette.ESTIMATE, palette.REFERENCE, palette.PORT, palette.STARBOARD)
+MEANT = (palette.TRUTH, palette.ESTIMATE, palette.REFERENCE, palette.PORT, palette.STARBOARD, palette.CURRENT)
 
 VISION = {
     "normal": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),

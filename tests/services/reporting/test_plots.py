@@ -228,8 +228,8 @@ def test_events_and_changes_are_marks() -> None:
     assert [(mark.t_s, mark.node, mark.text) for mark in collector.marks.marks] == [
         (0.0, "controller", "arm accepted"),
         (5.0, "plant", synthetic_run.EVENT.text),
-        (1.0, "controller", "plan origin shifted: OSQP: iteration limit"),
-        (3.0, "controller", "plan origin solved"),
+        (1.0, "controller", "plan origin: shifted: OSQP: iteration limit"),
+        (3.0, "controller", "plan origin: solved"),
         (3.0, "plant", "restarted"),
     ]
 
