@@ -29,11 +29,12 @@ from ltv_mpc.control.fence_clearance import (
     surplus_m,
 )
 from ltv_mpc.control.horizon_limits import NO_BOUND
-from ltv_mpc.control.linearisation import unpack_linearisation
+from ltv_mpc.control.linearisation import multiply_A, unpack_linearisation
 from ltv_mpc.control.problem_data import Objective, stage_length, unpack_constants
 from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, allocate, half_planes, insert_row
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.flow import STATES
 
 CORRIDOR_ROWS = 2
 """Rows of the corridor at a knot, behind the ``ROWS`` of the fence."""
@@ -58,22 +59,13 @@ def fill_rows(packed: Array, flat: Array, stages: int, scene: Scene) -> None:
     scale = o.state_scale[0]
     points, required = np.empty((stages, 2)), np.empty((stages, Z))
     times, reach = np.empty(stages), np.full(stages, REACH * scale)
+    at = _worst_points(X, scene, o)
     for k in range(1, stages + 1):
-        g, steps = stage_length(o, k), sub_steps(o, k)
-        worst, at = -1.0, 1.0
-        for j in range(steps, 0, -1):
-            part = j / steps
-            n, e = X[k - 1, 0] + part * (X[k, 0] - X[k - 1, 0]), X[k - 1, 1] + part * (X[k, 1] - X[k - 1, 1])
-            lack = 0.0
-            if steps > 1:
-                for z in range(Z + len(scene.discs)):
-                    lack = max(lack, -surplus_m(scene, z, n, e, (o.t[k - 1] + part * g) * scene.stage_s))
-            if lack > worst:
-                worst, at = lack, part
+        g = stage_length(o, k)
         for i in range(2):
-            points[k - 1, i] = X[k - 1, i] + at * (X[k, i] - X[k - 1, i])
-        times[k - 1] = (o.t[k - 1] + at * g) * scene.stage_s
-        sag = sag_m(X, k, g * scene.stage_s) if at < 1.0 else 0.0
+            points[k - 1, i] = X[k - 1, i] + at[k - 1] * (X[k, i] - X[k - 1, i])
+        times[k - 1] = (o.t[k - 1] + at[k - 1] * g) * scene.stage_s
+        sag = sag_m(X, k, g * scene.stage_s) if at[k - 1] < 1.0 else 0.0
         for z in range(Z):
             required[k - 1, z] = scene.need[z] + sag
     rows = allocate(stages)
@@ -89,6 +81,59 @@ def fill_rows(packed: Array, flat: Array, stages: int, scene: Scene) -> None:
             lin.rows[k, j, 3] = PENALTY * stage_length(o, k + 1)
         if lin.rows.shape[1] > ROWS:
             _fill_corridor(lin.rows[k, ROWS:], scene, k + 1, X[k + 1], o)
+
+
+@jit
+def _worst_points(X: Array, scene: Scene, o: Objective) -> Array:
+    """Return where each stage has its point of the least clearance, as a share (N,) of the stage; 1 if none lacks."""
+    N, Z = X.shape[0] - 1, len(scene.need)
+    at, worst = np.ones(N), np.zeros(N)
+    for z in range(Z + len(scene.discs)):
+        spare_m = 0.0  # as in ``fence_cost``
+        for k in range(1, N + 1):
+            g, steps = stage_length(o, k), sub_steps(o, k)
+            dn, de = (X[k, 0] - X[k - 1, 0]) / steps, (X[k, 1] - X[k - 1, 1]) / steps
+            moved_m = np.hypot(dn, de)
+            for j in range(1, steps + 1):
+                spare_m -= moved_m
+                if steps == 1 or spare_m > 0.0:
+                    continue
+                t_s = (o.t[k - 1] + j / steps * g) * scene.stage_s
+                surplus = surplus_m(scene, z, X[k - 1, 0] + j * dn, X[k - 1, 1] + j * de, t_s)
+                spare_m = surplus if z < Z else 0.0
+                if -surplus > worst[k - 1]:
+                    at[k - 1], worst[k - 1] = j / steps, -surplus
+    return at
+
+
+@jit
+def least_surplus(flat: Array, stages: int, commands: Array) -> float:
+    """Return by how much the linear model meets every row with some commands; negative: not all are met.
+
+    Parameters
+    ----------
+    flat : ``Linearisation.flat`` with rows.
+    stages : N.
+    commands : (N+1, 2) port and starboard thrust (N).
+
+    Returns
+    -------
+    The least of a' dp_k - b, in units of S.
+    """
+    lin = unpack_linearisation(flat, stages)
+    least, d, last = np.inf, np.zeros(STATES), np.zeros(STATES)
+    for k in range(stages):
+        multiply_A(lin.A, k, last, d)
+        for i in range(STATES):
+            for j in range(2):
+                d[i] += lin.B0[k, i, j] * (commands[k, j] - lin.U[k, j])
+                d[i] += lin.B1[k, i, j] * (commands[k + 1, j] - lin.U[k + 1, j])
+            d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
+        copy_to(last, d)
+        for j in range(lin.rows.shape[1]):
+            row = lin.rows[k, j]
+            least = min(least, row[0] * d[0] + row[1] * d[1] - row[2])
+    return float(least)
 
 
 @jit

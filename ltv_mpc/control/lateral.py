@@ -4,8 +4,10 @@
                          ^                                                                                     |
                          +---------------------- relinearise, ``sqp_iterations`` times ------------------------+
 
-The QP has the rows of fence and corridor only where the nominal trajectory is near to a zone: without them it is solved
-faster. If the step of a QP without rows leads into a zone, one more QP follows, with the rows.
+The QP has the rows of fence and corridor only where they bind: without them it is solved faster. Where the nominal
+trajectory is near to a zone, the QP without them comes first, unless rows bound in the last one. If its solution meets
+all rows, it is that of the QP with the rows; if not, that one is solved. If the step from a trajectory that is not near
+leads into a zone, one more QP follows, with the rows.
 
 A cycle whose QP gives no usable commands takes the next fallback level (``fallback.py``).
 
@@ -26,7 +28,7 @@ import numpy as np
 from ltv_mpc.control import line_search, nominal_trajectory
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
-from ltv_mpc.control.fence_rows import fill_rows
+from ltv_mpc.control.fence_rows import fill_rows, least_surplus
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
@@ -39,6 +41,9 @@ from ltv_mpc.vehicle.parameters import Vehicle
 MAX_PRIMAL_RESIDUAL = 1.0
 """Largest primal residual with which an early-terminated solution is used; scaled, so that 1 is one metre or the whole
 thrust of a thruster."""
+
+BINDING = 1e-3
+"""Surplus of a row up to which it binds, in units of S: the solvers meet rows to their tolerance."""
 
 MAX_WHY_CHARS = 200
 """Longest text of an exception in a plan."""
@@ -81,6 +86,7 @@ class LateralPlanner:
         self._solvers = {0: self._make_solver()}  # by the half-planes of a stage: a QP has a fixed pattern
         self._last_solver = self._solvers[0]
         self._stopwatch = stopwatch
+        self._rows_bind = False  # in the last QP
 
     def set_current(self, estimate: Estimate, depth_m: Array) -> None:
         """Set the current along the horizon.
@@ -194,20 +200,13 @@ class LateralPlanner:
         scene, stages = self.fencing.scene, len(lin.Phi)
         shift, near = self._linearise(start)
         X, U = self._fallback.empty()
-        left, has_rows = self._config.sqp_iterations, False
+        left = self._config.sqp_iterations
         while left > 0:
-            has_rows = lin.rows.size > 0 and (has_rows or near)
-            if has_rows:
+            near = near and lin.rows.size > 0
+            if near:
                 fill_rows(packed, lin.flat, stages, scene)
-            used = lin if has_rows else self._lin_without_rows
-            solver = self._solver(used.rows.shape[1], shift)
             self._stopwatch("linearise")
-            solver.build(used, target)
-            self._stopwatch("build")
-            solver.update()
-            self._stopwatch("update")
-            commands, solve = solver.solve()
-            self._stopwatch("solve")
+            commands, solve = self._solve_qp(shift, near=near)
             if solve.status is not SolveStatus.SOLVED:
                 if not is_usable(commands, solve):
                     return solve
@@ -219,13 +218,34 @@ class LateralPlanner:
             if step == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return Solve(status=SolveStatus.NON_FINITE, why="the predicted motion is not finite")
             shift = 0.0
-            if enters and lin.rows.size > 0 and not has_rows:
-                has_rows = True  # for another QP
+            if enters and not near:
+                self._rows_bind = True
             else:
                 left -= 1
             if left > 0:
-                near = nominal_trajectory.relinearise(packed, lin.flat, X, U, scene)
+                near = nominal_trajectory.relinearise(packed, lin.flat, X, U, scene) or self._rows_bind
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
+
+    def _solve_qp(self, shift: float, *, near: bool) -> tuple[Array, Solve]:
+        """Return the commands of the QP and the solver's report; ``near``: with the rows, which are filled."""
+        has_rows = near and self._rows_bind
+        commands, solve = self._run_solver(shift, has_rows=has_rows)
+        surplus = least_surplus(self._lin.flat, len(self._lin.Phi), commands) if near else math.inf
+        self._rows_bind = surplus < (BINDING if has_rows else 0.0)
+        if self._rows_bind and not has_rows:
+            commands, solve = self._run_solver(0.0, has_rows=True)
+        return commands, solve
+
+    def _run_solver(self, shift: float, *, has_rows: bool) -> tuple[Array, Solve]:
+        lin = self._lin if has_rows else self._lin_without_rows
+        solver = self._solver(lin.rows.shape[1], shift)
+        solver.build(lin, self.target)
+        self._stopwatch("build")
+        solver.update()
+        self._stopwatch("update")
+        commands, solve = solver.solve()
+        self._stopwatch("solve")
+        return commands, solve
 
     def _solver(self, rows: int, shift: float) -> Solver:
         """Return the solver of a QP of this pattern, with its warm start.

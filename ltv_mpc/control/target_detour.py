@@ -44,13 +44,13 @@ def lead_round(router: Router, position: Array, current: Array, target: Array, t
     """
     corners, lengths, arrives = [position.copy()], [0.0], True
     wanted = np.empty(len(target) - 1)  # distance of each target along the way (m)
-    for k in range(len(wanted)):
-        if k == 0 or (target[k, :2] != target[k - 1, :2]).any():
-            for corner in router.way(corners[-1], target[k, :2].copy(), remember=k == 0):
-                lengths.append(lengths[-1] + math.dist(corners[-1], corner))
-                corners.append(corner)
-            arrives = bool((corners[-1] == target[k, :2]).all())
-        wanted[k] = lengths[-1]
+    others = (target[1:-1, :2] != target[:-2, :2]).any(axis=1)
+    for k in (0, *(np.flatnonzero(others) + 1)):
+        for corner in router.way(corners[-1], target[k, :2].copy(), remember=k == 0):
+            lengths.append(lengths[-1] + math.dist(corners[-1], corner))
+            corners.append(corner)
+        arrives = bool((corners[-1] == target[k, :2]).all())
+        wanted[k:] = lengths[-1]
     way, along = np.array(corners), np.array(lengths)
     speed = _speed_mps(way, current, scales.speed_mps)
     reach = np.minimum(wanted, speed * times_s[1:] + LEAD * scales.length_m)

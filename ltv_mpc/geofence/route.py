@@ -8,6 +8,7 @@ the vehicle could change its mind with every estimate.
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -48,6 +49,8 @@ class Router:
         self._nodes = nodes[(clearances(zones, nodes) >= need - SLACK_M).all(axis=1)]
         self._lengths = _visible_lengths(zones, self.need, self._nodes)
         self._way = np.empty((0, 2))
+        self._goal = np.full(2, np.nan)  # of the distances that are kept, as a point keeps it for many cycles
+        self._to_goal = self._lengths[:0], np.empty(0, dtype=np.int64)
 
     def serves(self, need: Array) -> bool:
         """Return True if the ways suit other required clearances: at most 5 cm too near, and not a quarter too far.
@@ -105,7 +108,10 @@ class Router:
         nodes = self._nodes
         if not len(nodes):
             return start[None]
-        to_goal, first = _distances(self.zones, self.need, self._lengths, nodes, goal)
+        if not np.array_equal(goal, self._goal):
+            self._goal = goal.copy()
+            self._to_goal = _distances(self.zones, self.need, self._lengths, nodes, goal)
+        to_goal, first = self._to_goal
         from_start = _seen_from(self.zones, self.need, nodes, start)
         total = from_start + to_goal
         if not np.isfinite(total).any():
@@ -147,7 +153,7 @@ def _suits(own: Array, need: Array) -> bool:
 
 
 def _length(start: Array, way: Array) -> float:
-    return float(np.hypot(*np.diff(np.vstack([start, way]), axis=0).T).sum())
+    return math.dist(start, way[0]) + sum(math.dist(a, b) for a, b in itertools.pairwise(way))
 
 
 def _nodes(zones: Zones, need: Array):  # type: ignore[no-untyped-def]

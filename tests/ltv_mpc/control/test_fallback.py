@@ -213,7 +213,7 @@ def test_a_cycle_in_which_a_part_raises_has_a_plan_and_the_next_one_is_solved(pa
 
 
 def test_a_failed_qp_with_a_fence_is_recorded_with_its_half_planes():
-    wreck = Disc(name="wreck", centre=references.Place(north_m=4.0, east_m=0.0), radius_m=1.0)
+    wreck = Disc(name="wreck", centre=references.Place(north_m=2.5, east_m=0.0), radius_m=1.0)
     solver = Faulty()
     solver.fault = "infeasible"
     recorder = FailureRecorder(solver)

@@ -18,7 +18,7 @@ from ltv_mpc.control.fence_clearance import (
     fence_cost,
     surplus_m,
 )
-from ltv_mpc.control.fence_rows import CORRIDOR_ROWS, fill_rows
+from ltv_mpc.control.fence_rows import CORRIDOR_ROWS, fill_rows, least_surplus
 from ltv_mpc.control.fencing import NO_ZONES
 from ltv_mpc.control.horizon_limits import NO_BOUND, HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
@@ -313,6 +313,20 @@ def test_multipliers_of_the_rows_are_the_slope_of_the_least_cost() -> None:
             assert (costs[0] - costs[1]) / (2.0 * step) == pytest.approx(y[k, 4 + j], rel=1e-3)
             seen.add("fence" if j < ROWS else "corridor")
     assert seen == {"fence", "corridor"}
+
+
+def test_the_least_surplus_of_the_rows_is_that_of_the_linear_model() -> None:
+    rng, signs = np.random.default_rng(0), set()
+    for seed in range(20):
+        lin, _ = along_a_corridor(seed, half_width_m=0.05 + 0.2 * (seed % 4))
+        dU = rng.normal(scale=5.0, size=lin.U.shape)
+        d, least = np.zeros(lin.X.shape[1]), math.inf
+        for k in range(N):
+            d = lin.A[k] @ d + lin.B0[k] @ dU[k] + lin.B1[k] @ dU[k + 1] + lin.Phi[k] - lin.X[k + 1]
+            least = min(least, float((lin.rows[k, :, :2] @ d[:2] - lin.rows[k, :, 2]).min()))
+        assert least_surplus(lin.flat, N, lin.U + dU) == pytest.approx(least, abs=1e-9)
+        signs.add(least > 0.0)
+    assert signs == {True, False}
 
 
 def test_without_a_path_the_rows_of_the_corridor_bound_nothing() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
+from ltv_mpc.control import lateral
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import Linearisation
@@ -158,6 +159,31 @@ def test_a_step_into_a_zone_is_followed_by_a_qp_with_rows() -> None:
     assert len(first) == 3
     assert first[0] == 0
     assert first[-1] == 3
+
+
+def test_rows_that_do_not_bind_are_left_out_of_the_qp() -> None:
+    near = rows_of_each_qp(disc(10.0, 3.0 + 0.5 + HULL_M + 0.3, 3.0), 150)
+    bound = rows_of_each_qp(disc(10.0, 0.3, 3.0), 150)
+    assert near.count([0, 0]) > 140
+    assert bound.count([3, 3]) > 20  # a QP without them is not tried while they bind
+
+
+@pytest.mark.parametrize("east_m", [0.3, 3.5], ids=["in the way", "beside the way"])
+def test_plans_are_those_of_qps_that_always_have_the_rows(east_m: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    fence, (lazy, eager), calls = disc(10.0, east_m, 3.0), (controller(), controller()), []
+    for of in (lazy, eager):
+        of.set_fence(fence)
+    estimate = drifting()
+    for _ in range(120):
+        state = lazy.save(estimate.t_ns)
+        eager.restore(state, estimate.t_ns)
+        with monkeypatch.context() as patch:
+            patch.setattr(lateral, "least_surplus", lambda *_: calls.append(0) or -1.0)
+            expected = eager.plan(estimate)
+        plan = lazy.plan(estimate)
+        np.testing.assert_allclose(plan.thrust_N, expected.thrust_N, atol=0.05)
+        estimate = advance(CRAFT, estimate, plan, duration_s=0.3)
+    assert len(calls) > 40
 
 
 def test_a_fence_needs_the_hull_and_a_rejected_one_changes_nothing() -> None:
