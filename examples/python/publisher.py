@@ -79,5 +79,5 @@ with session:
         sequence += 1
         if sequence % 10 == 0:
             authority = plans[-1]["authority"] if plans else "no plan yet"
-            print(f"{x['north']:.2f} m north, {x['east']:.2f} m east, {authority}", flush=True)  # noqa: T201
+            print(f"{x['north']:.2f} m north, {x['east']:.2f} m east, {authority}", flush=True)
         time.sleep(max(0.0, PERIOD_S - (time.monotonic_ns() - now) * 1e-9))

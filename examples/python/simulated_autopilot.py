@@ -29,10 +29,9 @@ STEP_S = 0.02
 PWM_US = (1100, 1184, 1308, 1472, 1528, 1624, 1728, 1840, 1864, 1900)
 PWM_N = (-39.9, -28.8, -13.2, 0.0, 0.0, 8.5, 21.8, 41.7, 46.2, 51.5)  # T200 at 16 V
 MANUAL, HOLD = 0, 4
-BOAT, ARDUPILOT, GROUND_STATION = 11, 3, 6
+BOAT, ARDUPILOT = 11, 3
 GCS_TIMEOUT_S, OVERRIDE_S = 5.0, 3.0
-Datagram: TypeAlias = tuple[int, bytes]
-"""Datagram with its link; -1 - LINK: to all other links."""
+Datagram: TypeAlias = tuple[int, bytes]  # with its link; -1 - LINK: to all other links
 
 ORIGIN_DEG = 50.2, -5.1
 MISSION_INT = 4 | 8192  # capabilities: missions in integers, MAVLink 2
@@ -124,8 +123,7 @@ class Autopilot:
             self.gcs_s = self.now_s
         elif kind == "STATUSTEXT":
             self.log.append(m.text)
-            sys.stdout.write(f"{m.text}\n")
-            sys.stdout.flush()
+            print(m.text, flush=True)
         elif kind == "RC_CHANNELS_OVERRIDE" and who[0] == self.gcs_sysid:
             self.gcs_s = self.now_s
             for channel in range(1, 9):
@@ -169,10 +167,8 @@ class Autopilot:
             return self.send(make.mission_count_encode(*who, len(items), of), link)
         if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and 0 <= m.seq < len(items):
             item = items[m.seq]
-            fields = (item.param1, item.param2, item.param3, item.param4, item.x, item.y, item.z)
-            return self.send(
-                make.mission_item_int_encode(*who, m.seq, item.frame, item.command, 0, 1, *fields, of), link
-            )
+            item.target_system, item.target_component, item.seq, item.mission_type = *who, m.seq, of
+            return self.send(item, link)
         if kind == "MISSION_COUNT":
             self.upload = m.count, []
         if kind == "MISSION_ITEM_INT" and self.upload is not None and m.seq == len(self.upload[1]):
@@ -209,12 +205,7 @@ class Autopilot:
         north, east, down = self.boat.position()
         speed = self.boat.velocity()
         for number, message in (
-            (
-                0,
-                lambda: make.heartbeat_encode(
-                    BOAT, ARDUPILOT, 0x80 * self.armed + 1, self.mode, 5 if self.failsafe else 4
-                ),
-            ),
+            (0, lambda: make.heartbeat_encode(BOAT, ARDUPILOT, 0x80 * self.armed + 1, self.mode, 4 + self.failsafe)),
             (2, lambda: make.system_time_encode(0, self.ms)),
             (30, lambda: make.attitude_encode(self.ms, *self.boat.attitude())),
             (32, lambda: make.local_position_ned_encode(self.ms, north, east, down, *speed)),
@@ -232,9 +223,8 @@ class Autopilot:
     def degrees(north: float, east: float) -> tuple[int, int]:
         """Return latitude and longitude in 1e-7 degrees, near the origin."""
         latitude = ORIGIN_DEG[0] + math.degrees(north / 6_367_000.0)
-        return round(latitude * 1e7), round(
-            (ORIGIN_DEG[1] + math.degrees(east / 6_367_000.0 / math.cos(math.radians(latitude)))) * 1e7
-        )
+        longitude = ORIGIN_DEG[1] + math.degrees(east / 6_367_000.0 / math.cos(math.radians(latitude)))
+        return round(latitude * 1e7), round(longitude * 1e7)
 
 
 def main(arguments: list[str], autopilot: Autopilot | None = None) -> None:
