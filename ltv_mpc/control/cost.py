@@ -12,9 +12,9 @@ can abandon one as soon as it costs more than another.
 
 from __future__ import annotations
 
-from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY
+from ltv_mpc.control.horizon_limits import LIMITED_STATES
 from ltv_mpc.control.linearisation import velocity_over_ground
-from ltv_mpc.control.problem_data import Objective, heading_slope, stage_length
+from ltv_mpc.control.problem_data import Objective, excess_penalty, heading_slope, stage_length
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
@@ -35,20 +35,21 @@ def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
     -------
     J, without unit.
     """
-    total = 0.0
+    total, penalty = 0.0, excess_penalty(X, target, o)
     for k in range(1, U.shape[0]):
-        total += stage_cost(X, U, target, k, o)
+        total += stage_cost(X, U, target, k, o, penalty)
     return total + terminal_cost(X, C, target, o)
 
 
 @jit
-def stage_cost(X: Array, U: Array, target: Array, k: int, o: Objective) -> float:
+def stage_cost(X: Array, U: Array, target: Array, k: int, o: Objective, penalty: float) -> float:
     """Return the part of J that knot k = 1 .. N adds.
 
     Parameters
     ----------
     X, U, target, o : as in ``cost``.
     k : knot.
+    penalty : ``excess_penalty``.
 
     Returns
     -------
@@ -66,7 +67,7 @@ def stage_cost(X: Array, U: Array, target: Array, k: int, o: Objective) -> float
         state = X[k, LIMITED_STATES[i]]
         excess = max(o.low_state[i] - state, state - o.high_state[i])
         if excess > 0.0:
-            total += PENALTY * g * excess / o.state_scale[LIMITED_STATES[i]]
+            total += penalty * g * excess / o.state_scale[LIMITED_STATES[i]]
     return float(total)
 
 

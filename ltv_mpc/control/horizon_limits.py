@@ -6,9 +6,10 @@ force there. The slew limit is never violated. The box is violated only while a 
 at the slew limit (``command_bounds``).
 
 A state may be required to stay within  low <= x[k] <= high,  k = 1 .. N. The past can make that impossible, so the
-limit is soft: an excess costs ``PENALTY`` for each unit. A penalty proportional to the excess is exact (Fletcher 1987,
+limit is soft: an excess costs a penalty for each unit. A penalty proportional to the excess is exact (Fletcher 1987,
 section 12.3; Kerrigan & Maciejowski 2000): once it is larger than the dual of the limit, the solution is that of the
-hard limit wherever there is one.
+hard limit wherever there is one. The duals grow with the distance of the target, so the penalty does too
+(``problem_data.excess_penalty``).
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from ltv_mpc.vehicle.parameters import Vehicle
 LIMITED_STATES = (2, 5)
 """States that can be limited: surge velocity u through the water (m/s), yaw rate r (rad/s)."""
 
-PENALTY = 100.0
-"""Cost of an excess that is 1 in the QP, over one stage of 0.3 s."""
+MIN_PENALTY = 100.0
+"""Least cost of an excess that is 1 in the QP, over one stage of 0.3 s."""
 
 NO_BOUND = 1e3
 """Bound that is never reached, in units of the QP: hundreds of m/s for a speed. It is finite because some solvers do

@@ -18,7 +18,7 @@ import numpy as np
 
 from ltv_mpc.control.cost import stage_cost, terminal_cost
 from ltv_mpc.control.horizon_limits import command_bounds
-from ltv_mpc.control.problem_data import Constants, Objective, stage_length
+from ltv_mpc.control.problem_data import Constants, Objective, excess_penalty, stage_length
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import advance_by, lag_table
@@ -72,7 +72,7 @@ def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, ma
     N, p, o = len(target) - 1, c.p, c.objective
     fastest = steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
     sign = -1.0 if astern else 1.0
-    total, h = 0.0, stage_length(o, 1) * c.stage_s
+    total, h, penalty = 0.0, stage_length(o, 1) * c.stage_s, excess_penalty(X, target, o)
     lag = lag_table(h, p)
     for k in range(N):
         x = X[k]
@@ -103,7 +103,7 @@ def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, ma
             low, high = command_bounds(U[0, i], o.t[k + 1] * o.max_change[i], o.low[i], o.high[i])
             U[k + 1, i] = min(max(F[i], low, U[k, i] - g * o.max_change[i]), high, U[k, i] + g * o.max_change[i])
         advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])
-        total += stage_cost(X, U, target, k + 1, o)
+        total += stage_cost(X, U, target, k + 1, o, penalty)
         if total > max_cost:
             return np.inf
     return total + terminal_cost(X, C, target, o)

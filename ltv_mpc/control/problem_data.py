@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.horizon_limits import MIN_PENALTY, HorizonLimits
 from ltv_mpc.control.scaling import time_ratio
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
@@ -152,6 +152,30 @@ def heading_slope(X: Array, target: Array, k: int, o: Objective) -> float:
         return 0.0
     off = X[k, 4] - target[k - 1, 2]
     return float(o.heading * stage_length(o, k) * (off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))))
+
+
+@jit
+def excess_penalty(X: Array, target: Array, o: Objective) -> float:
+    """Return the cost of an excess that is 1 in the QP, over one first stage: more than the duals that occur.
+
+    The dual of a speed limit is the gain from passing it: at most the slope of the cost of position, summed over the
+    horizon, times the way that the excess makes. Duals that occur are up to 0.4 times that sum.
+
+    Parameters
+    ----------
+    X : (N+1, 8) states at the knots; the first one counts.
+    target : (N+1, 3) as in ``Solver.build``.
+    o : weights, limits and knots.
+
+    Returns
+    -------
+    S sum over k of w_k |p_0 - ref_k|, at least ``MIN_PENALTY``.
+    """
+    N, pull = target.shape[0] - 1, 0.0
+    for k in range(N):
+        weight = o.position * stage_length(o, k + 1) + (o.terminal_position if k == N - 1 else 0.0)
+        pull += weight * np.hypot(X[0, 0] - target[k, 0], X[0, 1] - target[k, 1])
+    return float(max(MIN_PENALTY, pull * o.state_scale[0]))
 
 
 @jit

@@ -23,9 +23,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control.horizon_limits import LIMITED_STATES, NO_BOUND, PENALTY, command_bounds
+from ltv_mpc.control.horizon_limits import LIMITED_STATES, NO_BOUND, command_bounds
 from ltv_mpc.control.linearisation import Linearisation, velocity_over_ground
-from ltv_mpc.control.problem_data import Objective, heading_slope, is_limited, limited_state_count, stage_length
+from ltv_mpc.control.problem_data import (
+    Objective,
+    excess_penalty,
+    heading_slope,
+    is_limited,
+    limited_state_count,
+    stage_length,
+)
 from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
 
@@ -69,12 +76,13 @@ class SweepWorkspace(NamedTuple):
 
 
 @jit
-def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
+def sweep_workspace(lin: Linearisation, target: Array, o: Objective) -> SweepWorkspace:
     """Return the workspace for the sweeps of one problem.
 
     Parameters
     ----------
     lin : the motion along the nominal trajectory.
+    target : (N+1, 3) as in ``Solver.build``.
     o : weights, limits and scales.
 
     Returns
@@ -83,7 +91,7 @@ def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
     """
     N, L, P = lin.U.shape[0] - 1, limited_state_count(o), lin.rows.shape[1]
     M = L + P
-    R = HARD_ROWS + M
+    R, penalty = HARD_ROWS + M, excess_penalty(lin.X, target, o)
     normal, cap = np.zeros((N, M, NORMAL)), np.full((N, R), np.inf)
     low, high = np.empty((N, R)), np.empty((N, R))
     for k in range(N):
@@ -102,7 +110,7 @@ def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
                 normal[k, m, i] = 1.0 / scale
                 low[k, row] = (o.low_state[j] - lin.X[k + 1, i]) / scale
                 high[k, row] = (o.high_state[j] - lin.X[k + 1, i]) / scale
-                cap[k, row] = PENALTY * reach
+                cap[k, row] = penalty * reach
                 m += 1
         for j in range(P):
             row = HARD_ROWS + L + j

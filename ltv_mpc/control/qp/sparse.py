@@ -8,7 +8,7 @@
                |U_(k+1) - U_k| <= slew h_(k+1),   min <= Ubar_k + dU_k <= max
 
 and for each state x that has a limit (horizon_limits.py), with the additional cost  c g_k e_k / S  of its excess e_k
-and c = ``PENALTY``,
+and c = ``excess_penalty``,
 
                xbar_k + dx_k - e_k <= high_state,   xbar_k + dx_k + e_k >= low_state,   e_k >= 0
 
@@ -54,7 +54,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_array, csc_array
 
 from ltv_mpc.control.config import STAGE_NS, Weights
-from ltv_mpc.control.horizon_limits import LIMITED_STATES, NO_BOUND, PENALTY, HorizonLimits, command_bounds
+from ltv_mpc.control.horizon_limits import LIMITED_STATES, NO_BOUND, HorizonLimits, command_bounds
 from ltv_mpc.control.linearisation import (
     Linearisation,
     linearise,
@@ -64,6 +64,7 @@ from ltv_mpc.control.linearisation import (
 )
 from ltv_mpc.control.problem_data import (
     Objective,
+    excess_penalty,
     heading_slope,
     is_limited,
     pack_objective,
@@ -396,7 +397,7 @@ def fill(packed: Array, lin: Linearisation, target: Array, entries: EntryMap, to
                 U[0, i], objective.t[k + 1] * objective.max_change[i], objective.low[i], objective.high[i]
             )
             l[box], u[box] = (low - U[k + 1, i]) / F[i], (high - U[k + 1, i]) / F[i]
-    _fill_soft_limits(objective, lin, entries, to)
+    _fill_soft_limits(objective, lin, excess_penalty(X, target, objective), entries, to)
     for i in range(2):
         # -(p'_N - ref'_N) + V dX_N = ref'_N - p'bar_N
         l[N * STATES + i] = u[N * STATES + i] = target[N, i] - velocity[i]
@@ -406,7 +407,9 @@ def fill(packed: Array, lin: Linearisation, target: Array, entries: EntryMap, to
 
 
 @jit
-def _fill_soft_limits(objective: Objective, lin: Linearisation, entries: EntryMap, to: QpNumbers) -> None:
+def _fill_soft_limits(
+    objective: Objective, lin: Linearisation, penalty: float, entries: EntryMap, to: QpNumbers
+) -> None:
     """Compute the numbers of the limits of the motion and of the half-planes."""
     N, X = lin.U.shape[0] - 1, lin.X
     data, q, l, u = to.A, to.q, to.l, to.u  # noqa: E741
@@ -420,7 +423,7 @@ def _fill_soft_limits(objective: Objective, lin: Linearisation, entries: EntryMa
                 l[row], u[row] = -NO_BOUND, min((objective.high_state[j] - X[k + 1, i]) / scale, NO_BOUND)
                 l[row + 1], u[row + 1] = max((objective.low_state[j] - X[k + 1, i]) / scale, -NO_BOUND), NO_BOUND
                 l[row + 2], u[row + 2] = 0.0, NO_BOUND
-                q[excess] = PENALTY * stage_length(objective, k + 1)
+                q[excess] = penalty * stage_length(objective, k + 1)
                 excess, row = excess + 1, row + 3
     for k in range(N):
         for j in range(lin.rows.shape[1]):

@@ -389,7 +389,7 @@ def _guess_commands(objective: Objective, lin: Linearisation, target: Array, dU:
             rows[k, HARD_ROWS + m] = _known(y[upper]) + _known(y[upper + 1])
         for m in range(P):
             rows[k, HARD_ROWS + L + m] = _known(y[planes + 2 * (k * P + m)])
-    work = sweep_workspace(lin, objective)
+    work = sweep_workspace(lin, target, objective)
     outcome, _, _ = riccati_solver.solve(lin, target, objective, work, riccati_solver.MAX_SWEEPS, rows, dU)
     if outcome == riccati_solver.FAILED:  # the cost does not determine the commands: y stays
         return

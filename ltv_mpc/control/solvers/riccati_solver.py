@@ -215,7 +215,7 @@ def solve_packed(
     """
     o, lin = unpack_objective(packed), unpack_linearisation(flat, len(target) - 1)
     shift_duals(y, o.t, stages)
-    work = sweep_workspace(lin, o)
+    work = sweep_workspace(lin, target, o)
     outcome, sweeps, violation = solve(lin, target, o, work, max_sweeps, y, commands)
     error = optimality_error(lin, target, o, work, y, commands)
     for k in range(len(target)):

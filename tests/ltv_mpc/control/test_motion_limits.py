@@ -13,8 +13,10 @@ import pytest
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.cost import cost
-from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, HorizonLimits
-from ltv_mpc.control.problem_data import pack_objective, unpack_objective
+from ltv_mpc.control.disturbance import STILL_WATER
+from ltv_mpc.control.horizon_limits import LIMITED_STATES, MIN_PENALTY, HorizonLimits
+from ltv_mpc.control.nominal_model import advance
+from ltv_mpc.control.problem_data import excess_penalty, pack_objective, unpack_objective
 from ltv_mpc.control.qp.problem import QP, residuals
 from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.resolution import settled
@@ -123,7 +125,8 @@ def test_multipliers_are_the_slope_of_the_least_cost() -> None:
         lin, target = motion(seed, N)
         qp, y = form.build(lin, target), np.zeros((N, 4 + len(LIMITED_STATES)))
         riccati_solver.solve_packed(form.packed, lin.flat, target, math.nan, 60, y, np.zeros((N + 1, 2)))
-        soft = np.argwhere((np.abs(y[:, 4:]) > 1e-2) & (np.abs(y[:, 4:]) < PENALTY - 1e-2))
+        penalty = excess_penalty(lin.X, target, unpack_objective(form.packed))
+        soft = np.argwhere((np.abs(y[:, 4:]) > 1e-2) & (np.abs(y[:, 4:]) < penalty - 1e-2))
         for k, m in soft[:3]:
             dual = y[k, 4 + m]
             row = form.equalities + 4 * N + 3 * (2 * k + m) + (dual < 0.0)
@@ -152,9 +155,34 @@ def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
         solver.shift_warm_start(0.0)
         solver.build(lin, target)
         duals = solver.point()[1][solver.form.equalities + 4 * N :].reshape(-1, 3)
-        np.testing.assert_allclose(duals[:, 2], np.minimum(duals[:, 0] - duals[:, 1] - PENALTY, 0.0))
+        penalty = excess_penalty(lin.X, target, unpack_objective(solver.form.packed))
+        np.testing.assert_allclose(duals[:, 2], np.minimum(duals[:, 0] - duals[:, 1] - penalty, 0.0))
         for again, before in zip(solver.point(), solution, strict=True):
             np.testing.assert_allclose(again, before, atol=1e-4)
+
+
+@pytest.mark.parametrize("point", [(40.0, 5.0), (-20.0, 80.0)], ids=["ahead", "abeam"])
+def test_a_target_far_away_does_not_outweigh_them(point: tuple[float, float]) -> None:
+    """The duals grow with the distance of the target: with a constant penalty the vehicle went at full speed."""
+    controller = Controller(PAPER, Point(north_m=point[0], east_m=point[1]), ControllerConfig(limits=BOTH))
+    estimate, surge, yaw_rate = msgspec.structs.replace(Estimate.at_rest(), current=STILL_WATER), [], []
+    for _ in range(100):
+        plan = controller.plan(estimate)
+        assert plan.solve.status is SolveStatus.SOLVED, plan.why
+        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
+        velocity = estimate.velocity_north_mps, estimate.velocity_east_mps
+        surge.append(velocity[0] * math.cos(estimate.heading_rad) + velocity[1] * math.sin(estimate.heading_rad))
+        yaw_rate.append(estimate.yaw_rate_radps)
+    assert 0.24 < max(map(abs, surge)) < 0.27
+    assert max(map(abs, yaw_rate)) < 0.22
+
+
+def test_of_a_target_out_of_reach_only_the_direction_counts() -> None:
+    plans = [
+        Controller(PAPER, Point(north_m=3.0 * far, east_m=4.0 * far)).plan(Estimate.at_rest()) for far in (20.0, 900.0)
+    ]
+    np.testing.assert_allclose(plans[0].thrust_N, plans[1].thrust_N, atol=1e-9)
+    assert plans[0].reference_m == (60.0, 80.0)
 
 
 def test_words_of_their_rows() -> None:
@@ -178,7 +206,7 @@ def test_the_exact_flow_is_judged_by_them_too() -> None:
     X, U, C, target = np.zeros((4, 8)), np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((4, 2))
     X[:, 2], X[:, 5] = [9.0, 0.2, -0.5, 0.1], [9.0, -0.3, 0.0, 0.16]
     scale = limits.state_scale
-    foreseen = PENALTY * ((0.1 + 0.0 * 2) / scale[2] + (0.2 + 0.0 * 2) / scale[5])
+    foreseen = MIN_PENALTY * ((0.1 + 0.0 * 2) / scale[2] + (0.2 + 0.0 * 2) / scale[5])
     assert cost(X, U, C, target, bound) - cost(X, U, C, target, free) == pytest.approx(foreseen)
 
 

@@ -26,7 +26,7 @@ def solution(seed: int, limits: HorizonLimits):
     lin, target = motion(seed, N, gap=0.01)
     target = np.column_stack([target, np.full(N + 1, 1.0)])
     o = unpack_objective(pack_objective(KNOTS, limits, Weights(heading_per_rad2=0.3)))
-    work, y, dU = sweep_workspace(lin, o), np.zeros((N, 4 + len(limits.limited_states))), np.zeros((N + 1, 2))
+    work, y, dU = sweep_workspace(lin, target, o), np.zeros((N, 4 + len(limits.limited_states))), np.zeros((N + 1, 2))
     outcome, _, _ = riccati_solver.solve(lin, target, o, work, 60, y, dU)
     assert outcome == riccati_solver.CONVERGED
     return (lambda y, dU: optimality_error(lin, target, o, work, y, dU)), y, dU, work

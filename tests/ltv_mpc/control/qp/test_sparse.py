@@ -9,7 +9,7 @@ import pytest
 
 from ltv_mpc import Vehicle, build_qp
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon_limits import PENALTY, HorizonLimits
+from ltv_mpc.control.horizon_limits import MIN_PENALTY, HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.qp.sparse import NO_BOUND, SparseQp
 
@@ -146,7 +146,10 @@ def test_rows_of_motion_limits_are_distances_beyond_which_an_excess_costs(lin, t
     )
     np.testing.assert_array_equal(low[:, :, 0], -NO_BOUND)
     np.testing.assert_array_equal(high[:, :, 1:], NO_BOUND)
-    np.testing.assert_allclose(qp.q[10 * N + 2 :].reshape(N, 2), np.outer(PENALTY * LENGTH, [1.0, 1.0]))
+    far = np.hypot(*(target[:-1, :2] - lin.X[0, :2]).T)
+    pull = WEIGHTS.position_per_m2 * LENGTH @ far + WEIGHTS.terminal_position_per_m2 * far[-1]
+    penalty = max(MIN_PENALTY, pull * SCALE[0])
+    np.testing.assert_allclose(qp.q[10 * N + 2 :].reshape(N, 2), np.outer(penalty * LENGTH, [1.0, 1.0]))
 
 
 ONE_SIDED = np.array([[-0.1, -0.15], [0.3, np.inf]])
