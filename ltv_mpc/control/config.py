@@ -139,6 +139,13 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return self
 
     @property
+    def path_speed_mps(self) -> float:
+        """Largest speed through the water on a path, ahead or astern (m/s); infinite without a limit."""
+        limits = self.on(path=True)
+        ahead, astern = limits.state_bounds[1, 0], -limits.state_bounds[0, 0]
+        return float(max(ahead, astern))
+
+    @property
     def state_bounds(self) -> Array:
         """Lower and upper limits (2, 2) of the states ``horizon_limits.LIMITED_STATES``; infinite where none is set."""
         low = [-math.inf if limit is None else limit for limit in (self.min_surge_mps, self.min_yaw_rate_radps)]

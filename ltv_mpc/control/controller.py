@@ -63,6 +63,9 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 STAGE_S = STAGE_NS * 1e-9
 
+LIMIT_SHARE = 0.9
+"""Largest speed of a target, over the limit of the vehicle's speed: the vehicle must be able to catch up."""
+
 SAVE_PERIOD_NS = 5_000_000_000
 """Longest time between two published states."""
 
@@ -116,7 +119,7 @@ class Controller:
             stopwatch=stopwatch,
         )
         self._stopwatch = stopwatch
-        self._followers = [Follower(reference, vehicle)]  # of the reference, and of the hold while it is paused
+        self._followers = [self._follower(reference)]  # of the reference, and of the hold while it is paused
 
     @property
     def follower(self) -> Follower:
@@ -373,7 +376,7 @@ class Controller:
 
     def _follower(self, reference: Reference) -> Follower:
         """Return a follower whose target skips what lies in zones."""
-        follower = Follower(reference, self.vehicle)
+        follower = Follower(reference, self.vehicle, LIMIT_SHARE * self.config.limits.path_speed_mps)
         follower.restrict(self._lateral.fencing.allowed_path)
         return follower
 

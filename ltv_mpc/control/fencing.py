@@ -19,7 +19,7 @@ from ltv_mpc.control.fence_rows import CORRIDOR_ROWS
 from ltv_mpc.control.nominal_trajectory import coasting_entry_s
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
-from ltv_mpc.control.target_detour import lead_round
+from ltv_mpc.control.target_detour import bring_near, lead_round
 from ltv_mpc.geofence.allowed_path import allowed_path
 from ltv_mpc.geofence.fence import Fence, hull_radius_m
 from ltv_mpc.geofence.half_planes import ROWS, update_zones
@@ -186,7 +186,7 @@ class Fencing:
             self._routers = (self._routers[0], Router(zones, scene.need))
 
     def bend(self, position: Array, current: Array, target: Array) -> None:
-        """Lead the targets of a horizon round the zones, where the line through them is blocked.
+        """Lead the targets of a horizon round the zones, where the line through them is blocked; bring far ones nearer.
 
         Parameters
         ----------
@@ -196,6 +196,7 @@ class Fencing:
             self.set_path(None)
             arrives = lead_round(self._routers[-1], position, current, target, self._times_s, self._scales)
             self._no_way = not arrives
+        bring_near(position, current, target, float(self._times_s[-1]), self._scales.speed_mps)
 
     def enters_s(self, X: Array) -> float:
         """Return when the hull enters a zone or an obstacle first (s after the first knot); infinite for never.

@@ -33,7 +33,6 @@ from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
 from ltv_mpc.control.problem_data import pack_constants
-from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.solvers import Solver, SolverFactory
 from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus, Times
 from ltv_mpc.node import Stopwatch
@@ -42,9 +41,6 @@ from ltv_mpc.vehicle.parameters import Vehicle
 MAX_PRIMAL_RESIDUAL = 1.0
 """Largest primal residual with which an early-terminated solution is used; scaled, so that 1 is one metre or the whole
 thrust of a thruster."""
-
-FAR = 2.0
-"""Distance of the farthest target, in ways that the vehicle can make within the horizon."""
 
 BINDING = 1e-3
 """Surplus of a row up to which it binds, in units of S: the solvers meet rows to their tolerance."""
@@ -82,7 +78,7 @@ class LateralPlanner:
         self.fencing = Fencing(vehicle, knots_ns, config.limits.max_cross_track_m)
         """Fence, obstacles and corridor in force."""
         self._packed = packed
-        self._lin = self._lin_without_rows = Linearisation.empty(config.stages)
+        self._lin = Linearisation.empty(config.stages)
         self._fallback = Fallback(vehicle, packed, self.previous, config.period_ns)
         self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
@@ -91,7 +87,6 @@ class LateralPlanner:
         self._last_solver = self._solvers[0]
         self._stopwatch = stopwatch
         self._rows_bind = False  # in the last QP
-        self._top_mps = characteristic_scales(vehicle).speed_mps
 
     def set_current(self, estimate: Estimate, depth_m: Array) -> None:
         """Set the current along the horizon.
@@ -104,28 +99,17 @@ class LateralPlanner:
         rows = self.fencing.rows
         if self._lin.rows.shape[1] != rows:
             self._lin = Linearisation.empty(len(self.target) - 1, rows)
-            self._lin_without_rows = self._lin.without_rows() if rows else self._lin
         profile = profile_of(estimate)
         fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._lin.C)
 
     def bend_target(self, start: Start) -> None:
         """Lead the targets round the zones, where the line through them is blocked, and bring far ones nearer.
 
-        Beyond ``FAR`` times the way that the vehicle can make within the horizon only the direction of a target counts,
-        but the duals of the limits would grow with its distance.
-
         Parameters
         ----------
         start : the vehicle at the plan's start. Target and current are set before.
         """
-        position, current = start.lateral[:2], self._lin.C[0]
-        self.fencing.bend(position, current, self.target)
-        off = self.target[:-1, :2] - position
-        distance = np.hypot(off[:, 0], off[:, 1])
-        horizon_s = float(self.previous.knots_ns[-1]) * 1e-9
-        far = FAR * horizon_s * (self._top_mps + math.hypot(*current))
-        if distance.max() > far:
-            self.target[:-1, :2] = position + off * np.minimum(1.0, far / np.maximum(distance, far))[:, None]
+        self.fencing.bend(start.lateral[:2], self._lin.C[0], self.target)
 
     def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
         """Ramp the lateral thrusters to a goal at their slew limits.
@@ -252,7 +236,7 @@ class LateralPlanner:
         return commands, solve
 
     def _run_solver(self, shift: float, *, has_rows: bool) -> tuple[Array, Solve]:
-        lin = self._lin if has_rows else self._lin_without_rows
+        lin = self._lin if has_rows or not self._lin.rows.size else self._lin.without_rows()
         solver = self._solver(lin.rows.shape[1], shift)
         solver.build(lin, self.target)
         self._stopwatch("build")

@@ -1,11 +1,14 @@
-"""Detour of the targets of a horizon: where the line through them is blocked, they move along the shortest way round.
+"""Targets of a horizon where they cannot stay: behind a zone, and out of reach.
 
-A target behind a zone would pull the vehicle against it. So the targets move along the shortest way round the zones
-(``geofence/route.py``), no faster than the vehicle can follow:
+A target behind a zone would pull the vehicle against it. So where the line through the targets is blocked, they move
+along the shortest way round the zones (``geofence/route.py``), no faster than the vehicle can follow:
 
     target at knot k = point of the way at the distance  min(distance of the wanted target, V t_k + lead)
 
 with the speed over ground V that the vehicle reaches in the current, and a lead of ``LEAD`` lengths.
+
+Of a target out of reach only the direction counts, but the duals of the limits would grow with its distance. So it
+moves nearer, to ``FAR`` times the way that the vehicle can make within the horizon.
 """
 
 from __future__ import annotations
@@ -24,6 +27,25 @@ LEAD = 0.5
 
 MIN_SPEED = 0.2
 """Speed of the target, at least, over the top speed."""
+
+FAR = 2.0
+"""Distance of the farthest target, in ways that the vehicle can make within the horizon."""
+
+
+def bring_near(position: Array, current: Array, target: Array, horizon_s: float, top_mps: float) -> None:
+    """Bring targets that are out of reach nearer.
+
+    Parameters
+    ----------
+    position, current, target : as in ``lead_round``.
+    horizon_s : length of the horizon (s).
+    top_mps : top speed of the vehicle through the water (m/s).
+    """
+    off = target[:-1, :2] - position
+    distance = np.hypot(off[:, 0], off[:, 1])
+    far = FAR * horizon_s * (top_mps + math.hypot(*current))
+    if distance.max() > far:
+        target[:-1, :2] = position + off * np.minimum(1.0, far / np.maximum(distance, far))[:, None]
 
 
 def lead_round(router: Router, position: Array, current: Array, target: Array, times_s: Array, scales: Scales) -> bool:

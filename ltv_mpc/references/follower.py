@@ -6,9 +6,9 @@ decreases. The target waits for the vehicle. With d their distance at the first 
     tau' = rate = min(near, current)
     near = 1 for d <= L / 2,  2 (L - d) / L between,  0 for d >= L,   L = LEASH_S x cruising speed, at least MIN_LEASH_M
 
-holds until the next cycle and along the plan. ``current`` is the rate that the known current allows
-(``schedule.feasible_rate``). A vehicle ahead of the target waits for it. Progress is that of the target along the path,
-so it never decreases. A point, or "here", is a schedule without length: a target at rest.
+holds until the next cycle and along the plan. ``current`` is the rate that the known current and a limit of the speed
+allow (``schedule.feasible_rate``). A vehicle ahead of the target waits for it. Progress is that of the target along the
+path, so it never decreases. A point, or "here", is a schedule without length: a target at rest.
 """
 
 from __future__ import annotations
@@ -122,7 +122,8 @@ class _Track(NamedTuple):
 class Follower:
     """Target of one reference: where the reference started, and how far along it the target is."""
 
-    def __init__(self, reference: Reference, vehicle: Vehicle) -> None:
+    def __init__(self, reference: Reference, vehicle: Vehicle, max_speed_mps: float = math.inf) -> None:
+        """Begin before the reference starts; its target is no faster than ``max_speed_mps`` through the water."""
         self.reference = reference
         """The reference that is followed."""
         self.heading_rad: float | None = None
@@ -130,6 +131,7 @@ class Follower:
         self.skipped_m = 0.0
         """Length of the path that is left out, because it is not allowed (m)."""
         self._vehicle = vehicle
+        self._cruise_mps = min(path_limits(vehicle).cruise_mps, max_speed_mps)
         self._allowed: Allowed = _unrestricted
         self._start: ReferenceStart | None = None
         self._track: _Track | None = None  # None before the reference starts
@@ -137,7 +139,6 @@ class Follower:
         self._rate = 1.0
         self._t_ns = 0
         self._progress = NO_PROGRESS
-        self._target: Pair = (math.nan, math.nan)
 
     @property
     def is_path(self) -> bool:
@@ -147,7 +148,7 @@ class Follower:
     @property
     def target_m(self) -> Pair | None:
         """North and east (m) of the target at the first knot of the last plan; None before the reference starts."""
-        return None if self._start is None else self._target
+        return None if self._track is None else target_at(self._track.table, self._tau_s)[1:]
 
     @property
     def depth_m(self) -> float | None:
@@ -193,7 +194,6 @@ class Follower:
         self._start = start
         self._t_ns = start.t_ns
         self._track = self._track_from(start)
-        self._target = target_at(self._track.table, 0.0)[1:]
 
     def _track_from(self, start: ReferenceStart) -> _Track:
         """Return the allowed part of the reference that starts there."""
@@ -204,7 +204,7 @@ class Follower:
             point, self.skipped_m = self._allowed(Schedule(np.array((column, column)).T.copy(), distance_m))
             return _Track.at_rest(point, self.reference.depth_m)
         schedule, self.skipped_m = self._allowed(self.reference.schedule(self._vehicle, start))
-        return _Track.of(schedule, path_limits(self._vehicle).cruise_mps)
+        return _Track.of(schedule, self._cruise_mps)
 
     def path_beside(self, t_ns: Times) -> PathBeside | None:
         """Return the path beside a plan: from behind the target at its first knot to ahead of that at its last one.
@@ -251,7 +251,6 @@ class Follower:
         self._t_ns = max(now_ns, state.t_ns)
         if self._track is not None:
             self._tau_s = min(max(state.tau_s + way_s, 0.0), self._track.duration_s)
-            self._target = target_at(self._track.table, self._tau_s)[1:]
 
     def advance(self, t_ns: Times, lateral: Array, current: Pair, target: Array) -> None:
         """Advance the target to the first knot of a plan, and write it at all knots.
@@ -271,10 +270,9 @@ class Follower:
         step_s = min(max(now_ns - self._t_ns, 0) * 1e-9, MAX_STEP_S)
         self._t_ns = max(now_ns, self._t_ns)
         self._tau_s = min(self._tau_s + self._rate * step_s, track.duration_s)
-        self._rate, way, north, east, cross = advance_target(
+        self._rate, way, cross = advance_target(
             track.table, self._tau_s, t_ns, lateral, current, track.leash_m, track.cruise_mps, target
         )
-        self._target = (north, east)
         if isinstance(self.reference, Point | Hold):
             self.heading_rad = self.reference.heading_in(current, self.heading_rad)
             if self.heading_rad is not None:

@@ -215,7 +215,7 @@ def feasible_rate(table: Array, tau: float, ahead_s: float, north: float, east: 
     speed : largest speed of the vehicle through the water (m/s).
     """
     square = north * north + east * east
-    if square >= speed * speed or square == 0.0:
+    if square >= speed * speed:
         return 1.0
     M, rate = table.shape[1], 1.0
     i, _, _ = _interval(table, tau)
@@ -302,7 +302,7 @@ def advance_target(
     leash: float,
     speed: float,
     target: Array,
-) -> tuple[float, float, float, float, float]:
+) -> tuple[float, float, float]:
     """Write the target at the knots of a plan, and return its state at the first one.
 
     Parameters
@@ -319,7 +319,7 @@ def advance_target(
     Returns
     -------
     rate : rate of the schedule from here on (s/s).
-    way, n, e : distance along the path, north and east of the target (m).
+    way : distance of the target along the path (m).
     cross : cross-track error of the vehicle (m), positive to starboard; NaN if its position is not finite.
     """
     way, n, e = target_at(table, tau)
@@ -330,4 +330,4 @@ def advance_target(
         rate = min(rate, feasible_rate(table, tau, float(t_ns[-1] - t_ns[0]) * 1e-9, current[0], current[1], speed))
         cross = cross_track_error(table, way, lateral[0], lateral[1], 2.0 * leash)
     fill_targets(table, tau, rate, t_ns, target)
-    return rate, way, n, e, cross
+    return rate, way, cross

@@ -23,7 +23,7 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import Solver, make, riccati_solver, solve_qp
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.messages import Array, Estimate, SolveStatus
-from ltv_mpc.references import Point
+from ltv_mpc.references import Line, Place, Point
 from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, equidistant, motion, precise
 
 N = 17
@@ -163,8 +163,9 @@ def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
 
 @pytest.mark.parametrize("point", [(40.0, 5.0), (-20.0, 80.0)], ids=["ahead", "abeam"])
 def test_a_target_far_away_does_not_outweigh_them(point: tuple[float, float]) -> None:
-    """The duals grow with the distance of the target: with a constant penalty the vehicle went at full speed."""
-    controller = Controller(PAPER, Point(north_m=point[0], east_m=point[1]), ControllerConfig(limits=BOTH))
+    """The duals grow with the distance of the target: with a constant penalty the vehicle was three times as fast."""
+    slow = ControllerConfig(limits=MotionLimits.symmetric(surge_mps=0.12, yaw_rate_radps=0.06))
+    controller = Controller(PAPER, Point(north_m=point[0], east_m=point[1]), slow)
     estimate, surge, yaw_rate = msgspec.structs.replace(Estimate.at_rest(), current=STILL_WATER), [], []
     for _ in range(100):
         plan = controller.plan(estimate)
@@ -173,8 +174,36 @@ def test_a_target_far_away_does_not_outweigh_them(point: tuple[float, float]) ->
         velocity = estimate.velocity_north_mps, estimate.velocity_east_mps
         surge.append(velocity[0] * math.cos(estimate.heading_rad) + velocity[1] * math.sin(estimate.heading_rad))
         yaw_rate.append(estimate.yaw_rate_radps)
-    assert 0.24 < max(map(abs, surge)) < 0.27
-    assert max(map(abs, yaw_rate)) < 0.22
+    assert 0.11 < max(map(abs, surge)) < 0.14
+    assert max(map(abs, yaw_rate)) < 0.066
+
+
+@pytest.mark.parametrize(
+    ("limits", "speed_mps"),
+    [
+        (MotionLimits(), math.inf),
+        (MotionLimits.symmetric(surge_mps=0.2), 0.2),
+        (MotionLimits(max_surge_mps=0.2, min_surge_mps=-0.3), 0.3),
+        (MotionLimits(max_surge_mps=0.2), math.inf),  # astern it is free
+        (MotionLimits(max_surge_mps=0.2, bow="first"), 0.2),
+    ],
+)
+def test_the_speed_on_a_path_is_that_of_the_faster_end(limits: MotionLimits, speed_mps: float) -> None:
+    assert limits.path_speed_mps == speed_mps
+
+
+def test_a_target_on_a_path_is_no_faster_than_they_allow() -> None:
+    line = Line(start=Place(north_m=0.0, east_m=0.0), end=Place(north_m=40.0, east_m=0.0), speed_mps=0.45)
+    controller = Controller(PAPER, line, ControllerConfig(limits=MotionLimits.symmetric(surge_mps=0.2)))
+    estimate, north_m, off_m = msgspec.structs.replace(Estimate.at_rest(), current=STILL_WATER), [], []
+    for _ in range(120):
+        plan = controller.plan(estimate)
+        assert plan.reference_m is not None
+        north_m.append(plan.reference_m[0])
+        off_m.append(math.dist(plan.reference_m, (estimate.north_m, estimate.east_m)))
+        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
+    assert np.diff(north_m)[-40:] == pytest.approx(0.3 * 0.9 * 0.2, rel=0.01)
+    assert max(off_m) < 0.1  # it ran ahead by 0.5 m, the length of its leash
 
 
 def test_of_a_target_out_of_reach_only_the_direction_counts() -> None:
