@@ -136,7 +136,7 @@ def tag_values(kind: Type | None) -> str:
 
 def _bounds(kind: inspect.FloatType | inspect.IntType) -> str:
     words = [
-        f"{sign} {bound:g}" if isinstance(bound, float) else f"{sign} {bound}"
+        f"{sign} {bound:.15g}" if isinstance(bound, float) else f"{sign} {bound}"
         for sign, bound in ((">", kind.gt), (">=", kind.ge), ("<", kind.lt), ("<=", kind.le))
         if bound is not None
     ]

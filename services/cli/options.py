@@ -35,7 +35,8 @@ FenceFile: TypeAlias = Annotated[
     typer.Option("--fence", metavar="FILE", help="Keep-in and keep-out zones: TOML or GeoJSON, docs/fences.md."),
 ]
 Out: TypeAlias = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder to write. Default runs/<UTC time>-<name>.")
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Folder to write. Default: runs/TIME-NAME (UTC)."),
 ]
 CampaignFolder: TypeAlias = Annotated[
     Path | None,

@@ -29,7 +29,7 @@ def report(
         typer.Option(
             "--out",
             metavar="FILE|DIR",
-            help="File or folder to write. Default: in the folder of the run; for several runs runs/<UTC time>-report.",
+            help="File or folder to write. Default: in the folder of the run; for several runs runs/TIME-report.",
         ),
     ] = None,
     as_json: Json = False,

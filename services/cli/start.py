@@ -312,7 +312,7 @@ def _run_processes(
     limits = [(thruster.min_N, thruster.max_N) for thruster in run_config.vehicle.thrusters]
     screen = screen_for(run_config.scenario.title, limits)
     about = About(
-        name=f"{run_config.scenario.title} · {run_config.vehicle.name}",
+        name=f"{run_config.scenario.title} · vehicle {run_config.vehicle.name}",
         report=str(folder.report),
         again=_again(folder.path, folder),
     )

@@ -89,10 +89,10 @@ def _delay(vehicle: Mapping[str, float | None], wall: Mapping[str, float | None]
 
 def _cycles(summary: Mapping[str, Any]) -> str:
     origins = ", ".join(f"{count} {origin}" for origin, count in summary["plan_origin"].items())
-    return (
-        f"{summary['cycles']} ({origins or 'no plan'}), {summary['deadline_misses']} late,"
-        f" {summary['plans_refused']} rejected"
-    )
+    late = summary["deadline_misses"]
+    counts = [f"{late} late"] if late or summary["mode"] != "lockstep" else []  # lock step measures no time
+    counts.append(f"{summary['plans_refused']} rejected")
+    return f"{summary['cycles']} ({origins or 'no plan'}), {', '.join(counts)}"
 
 
 def _messages(messages: Mapping[str, int], restarts: int) -> str:

@@ -175,7 +175,7 @@ def line(view: LiveView, collector: Collector) -> str:
     end = "" if view.end_ns is None else f" of {_seconds(view.end_ns)}"
     words = [f"t {_seconds(view.t_ns)} s{end}", view.phase]
     if view.estimate is not None and view.estimate.depth_m is not None:
-        words.append(f"depth {view.estimate.depth_m:.1f} m")
+        words.append(f"depth {round(view.estimate.depth_m, 1) + 0.0:.1f} m")
     if collector.error_m is not None:
         words.append(f"estimate from the reference {_metres(collector.error_m)}")
     if collector.true_error_m is not None:
@@ -225,7 +225,7 @@ def _motion(view: LiveView, collector: Collector) -> list[Text]:
     estimate, controller = view.estimate, view.controller
     if estimate is None:
         return [Text("motion  no estimate yet"), Text("error   -"), Text(f"control {_control(controller)}")]
-    depth = "" if estimate.depth_m is None else f"depth {estimate.depth_m:.2f} m   "
+    depth = "" if estimate.depth_m is None else f"depth {round(estimate.depth_m, 2) + 0.0:.2f} m   "
     speed_mps = math.hypot(estimate.velocity_north_mps, estimate.velocity_east_mps)
     words = f"{depth}heading {math.degrees(estimate.heading_rad) % 360:.0f} deg   speed {speed_mps:.3f} m/s"
     if (current := estimate.current) is not None:

@@ -48,7 +48,7 @@ def refusal(text: str, kind: Any, source: str = "settings x.toml") -> str:
         ("horizon = 5", 'settings x.toml: unknown key "horizon"; did you mean "horizon_s"?'),
         ('"a\\nb" = 5', 'settings x.toml: unknown key "a\\nb"; known: horizon_s,'),
         ("[weights]\nthrst = 1", 'settings x.toml: unknown key "thrst" in [weights]; did you mean "thrust"?'),
-        ("[weights]\nthrust = -1", "settings x.toml: [weights] thrust = -1: must be >= 0 and <= 1e+06"),
+        ("[weights]\nthrust = -1", "settings x.toml: [weights] thrust = -1: must be >= 0 and <= 1000000"),
         ("weights = 3", "settings x.toml: weights = 3: must be a table with position_per_m2,"),
         ("[[weights]]\nthrust = 1", "settings x.toml: weights = "),
     ],
@@ -63,7 +63,7 @@ def test_a_refusal_names_file_field_value_and_bound(text: str, says: str) -> Non
         ("arm_m ", "arm_meters ", 'vehicle o.toml: unknown key "arm_meters" in [thruster.port]; did you mean "arm_m"?'),
         ("arm_m = 0.2", "", 'vehicle o.toml: key "arm_m" in [thruster.port] is missing: must be a number >= 0'),
         ("lag_s = 0.3", "lag_s = nan", "vehicle o.toml: [thruster.port] lag_s = nan: must be finite"),
-        ("min_N = -62.5", "min_N = 62.5", "vehicle o.toml: [thruster.port] min_N = 62.5: must be >= -1e+06 and <= 0"),
+        ("min_N = -62.5", "min_N = 62.5", "vehicle o.toml: [thruster.port] min_N = 62.5: must be >= -1000000 and <= 0"),
         ("[yaw]", "[yow]", 'vehicle o.toml: unknown key "yow"; did you mean "yaw"?'),
     ],
 )

@@ -274,7 +274,7 @@
     state.textContent = silent ? `silent for ${process.silent_s.toFixed(0)} s` : process.state;
     state.className = silent ? "bad" : "";
     state.title = `${process.state}; ${process.steps} steps; last status ${process.silent_s.toFixed(1)} s ago`;
-    step.textContent = process.step_us.toFixed(0);
+    step.textContent = process.step_us ? process.step_us.toFixed(0) : "–"; // its last status has no step
     lost.textContent = String(process.dropped + process.rejected);
     lost.className = lost.textContent === "0" ? "number" : "number bad";
     last.hidden = !status.simulated || process.state === "finished";

@@ -250,7 +250,8 @@ ENERGY = Plot(
     x=TIME,
     y=Axis(label="energy (J)", min_span=10.0),
     empty="the vehicle file has no torque coefficients",
-    note="Mechanical energy at the shafts since t = 0.",
+    note="Mechanical energy at the shafts since t = 0, or since the time that the legend names.",
+    drifts=True,
     series=(
         Series(label="all thrusters", table="energy", x="t_s", y="all_J", colour=palette.OTHER, compared=True),
         Series(
@@ -285,7 +286,8 @@ STAGES = Plot(
     y=Axis(label="step", downwards=True, rows=ROWS_OF_STAGES),
     over_time=False,
     empty=NO_TIMES,
-    note="Percentiles of all cycles so far.",
+    note="Percentiles of all cycles so far, or since the time that the legend names.",
+    drifts=True,
     series=(
         Series(label="median", table="stages", x="median_ms", y="row", colour=palette.OTHER, style=Style.DOT),
         Series(label="99 %", table="stages", x="p99_ms", y="row", colour=palette.RARE, style=Style.RING),

@@ -319,6 +319,7 @@ def test_the_least_surplus_of_the_rows_is_that_of_the_linear_model() -> None:
     rng, signs = np.random.default_rng(0), set()
     for seed in range(20):
         lin, _ = along_a_corridor(seed, half_width_m=0.05 + 0.2 * (seed % 4))
+        lin.Phi[...] += rng.normal(scale=0.02, size=lin.Phi.shape)  # gaps, as a nominal trajectory may have
         dU = rng.normal(scale=5.0, size=lin.U.shape)
         d, least = np.zeros(lin.X.shape[1]), math.inf
         for k in range(N):

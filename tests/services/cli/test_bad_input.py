@@ -79,7 +79,7 @@ CASES = [
         'did you mean "paper"?',
     ),
     ("sim --vehicle vehicle-unknown.toml", 'unknown key "arm_meters" in [thruster.port]; did you mean "arm_m"?'),
-    ("sim --vehicle vehicle-slew.toml", "[thruster.port] slew_N_per_s = 0.0: must be > 0 and <= 1e+06"),
+    ("sim --vehicle vehicle-slew.toml", "[thruster.port] slew_N_per_s = 0.0: must be > 0 and <= 1000000"),
     ("sim --vehicle vehicle-mass.toml", 'vehicle-mass.toml: [surge] mass_kg = "heavy": must be a number > 0'),
     ("sim --vehicle folder/", "vehicle folder: is a folder"),
     ("sim --sensors sensors-rate.toml", "sensors-rate.toml: [imu] period_ns = 0: must be >= 1000000 and <= "),
@@ -107,7 +107,7 @@ CASES = [
     ("sim --sensors sensors-base.toml", 'sensors-base.toml: base = "good": no shipped name; shipped: paper, realistic'),
     ("sim --sensors sensors-upon.toml", "sensors-upon.toml: [imu] period_ns = 0: must be >= 1000000"),
     # --- options and --set ----------------------------------------------------------------------------------------
-    ("sim --duration-s 0", "option --duration-s: [run] duration_s = 0: must be > 0 and <= 1e+06"),
+    ("sim --duration-s 0", "option --duration-s: [run] duration_s = 0: must be > 0 and <= 1000000"),
     ("sim --duration-s nan", "option --duration-s: [run] duration_s = nan: must be finite"),
     ("sim --duration-s ten", 'option --duration-s: [run] duration_s = "ten": must be a number > 0'),
     ("sim --horizon-s -1", "option --horizon-s: [controller] horizon_s = -1: must be >= 0.3 and <= 120"),
