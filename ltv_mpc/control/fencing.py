@@ -4,8 +4,10 @@ Rows of the QP (fence_rows.py) keep the vehicle out. The reference only leads ro
 the horizon (target_detour.py), a path by its schedule (``geofence/allowed_path.py``).
 
 Required clearance of the vehicle's origin from a zone: hull + max(margin, k sd), with the standard deviation sd of the
-position at the first knot. It grows while estimates are late. The corridor along a path does not bound while the
-targets lead round a zone.
+position at the first knot. It grows while estimates are late. Where the vehicle lacks the clearance of two zones at
+once, each asks for no more than it has now, but for hull + margin at least: two zones that ask for more than there is
+between them would cancel, and nothing would keep the vehicle out of either. The corridor along a path does not bound
+while the targets lead round a zone.
 """
 
 from __future__ import annotations
@@ -179,9 +181,13 @@ class Fencing:
             sd_m += math.sqrt(largest_variance_m2(nn, ne, ee))
         north_m, east_m = start.lateral[:2]
         update_zones(zones, north_m, east_m, hull_radius_m(self._vehicle), sd_m, scene.need, scene.exits)
-        if growth_m > 0.0:
-            lacking = np.flatnonzero(clearances(zones, start.lateral[None, :2])[0] < scene.need)
-            self.meeting_margins = tuple(self._labels[z] for z in lacking) if len(lacking) > 1 else ()
+        stated = hull_radius_m(self._vehicle) + zones.margin
+        if (scene.need > stated).any():
+            now = clearances(zones, start.lateral[None, :2])[0]
+            lacking = np.flatnonzero(now < scene.need)
+            if len(lacking) > 1:
+                self.meeting_margins = tuple(self._labels[z] for z in lacking) if growth_m > 0.0 else ()
+                scene.need[lacking] = np.maximum(stated, now)[lacking]
         if not self._routers[-1].serves(scene.need):
             self._routers = (self._routers[0], Router(zones, scene.need))
 

@@ -186,6 +186,22 @@ def test_plans_are_those_of_qps_that_always_have_the_rows(east_m: float, monkeyp
     assert len(calls) > 40
 
 
+def test_zones_that_ask_for_more_than_there_is_between_them_ask_for_what_there_is() -> None:
+    """Otherwise their rows cancel: a vehicle whose position was known to 4 m was led 3 m into a zone."""
+    zones = tuple(Disc(centre=Place(north_m=0.0, east_m=east_m), radius_m=3.0) for east_m in (-8.0, 8.5, 90.0))
+    estimate = msgspec.structs.replace(drifting(), covariance=np.diag([16.0, 16.0] + [1e-4] * 4))
+    start = Prediction(CRAFT).state_at(estimate, estimate.t_ns, SentCommands(CRAFT, 300_000_000))
+    needed_m = []
+    for some in (zones, zones[1:]):
+        fencing = Fencing(CRAFT, np.arange(3) * 300_000_000)
+        fencing.set_fence(Fence(margin_m=0.5, keep_out_disc=some))
+        fencing.update(start, estimate, 0.0)
+        needed_m.append(fencing.scene.need.tolist())
+        assert fencing.meeting_margins == ()
+    assert needed_m[0] == pytest.approx([5.0, 5.5, 12.0 + HULL_M])
+    assert needed_m[1] == pytest.approx([12.0 + HULL_M] * 2)  # one zone alone: the vehicle leaves
+
+
 def test_a_fence_needs_the_hull_and_a_rejected_one_changes_nothing() -> None:
     bare = Controller(msgspec.structs.replace(PAPER, hull=None), Point(north_m=1.0, east_m=0.0))
     with pytest.raises(ConfigError, match="hull"):
