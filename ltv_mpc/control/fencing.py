@@ -5,9 +5,9 @@ the horizon (target_detour.py), a path by its schedule (``geofence/allowed_path.
 
 Required clearance of the vehicle's origin from a zone: hull + max(margin, k sd), with the standard deviation sd of the
 position at the first knot. It grows while estimates are late. Where the vehicle lacks the clearance of two zones at
-once, each asks for no more than it has now, but for hull + margin at least: two zones that ask for more than there is
-between them would cancel, and nothing would keep the vehicle out of either. The corridor along a path does not bound
-while the targets lead round a zone.
+once, each asks for no more than it has now, less some room, and keeps to that, but for hull + margin at least: two
+zones that ask for more than there is between them would cancel, and nothing would keep the vehicle out of either. The
+corridor along a path does not bound while the targets lead round a zone.
 """
 
 from __future__ import annotations
@@ -38,6 +38,9 @@ OBSTACLE_MARGIN = 1.0
 
 ENTERED_M = 0.01
 """Depth in a margin from which it counts as entered: rounding and the linearisation take millimetres."""
+
+ROOM = 0.5
+"""Room that the vehicle keeps between zones that ask for more than there is, in radii of the hull, to either side."""
 
 MAX_DRIFT_S = 600.0
 """Longest drift after the end of a plan that is looked at."""
@@ -180,6 +183,7 @@ class Fencing:
             (nn, ne), (_, ee) = estimate.covariance[:2, :2].tolist()
             sd_m += math.sqrt(largest_variance_m2(nn, ne, ee))
         north_m, east_m = start.lateral[:2]
+        before = scene.need.copy()
         update_zones(zones, north_m, east_m, hull_radius_m(self._vehicle), sd_m, scene.need, scene.exits)
         stated = hull_radius_m(self._vehicle) + zones.margin
         if (scene.need > stated).any():
@@ -187,7 +191,9 @@ class Fencing:
             lacking = np.flatnonzero(now < scene.need)
             if len(lacking) > 1:
                 self.meeting_margins = tuple(self._labels[z] for z in lacking) if growth_m > 0.0 else ()
-                scene.need[lacking] = np.maximum(stated, now)[lacking]
+                room = ROOM * hull_radius_m(self._vehicle)
+                kept = np.where(before > now + room, now - room, np.maximum(before, now - room))
+                scene.need[lacking] = np.maximum(stated, kept)[lacking]
         if not self._routers[-1].serves(scene.need):
             self._routers = (self._routers[0], Router(zones, scene.need))
 

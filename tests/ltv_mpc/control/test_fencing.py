@@ -186,20 +186,48 @@ def test_plans_are_those_of_qps_that_always_have_the_rows(east_m: float, monkeyp
     assert len(calls) > 40
 
 
+def between(*zones: Disc) -> tuple[Fencing, Estimate]:
+    """Return the fencing of a vehicle whose position is known to 4 m, and its estimate."""
+    fencing = Fencing(CRAFT, np.arange(3) * 300_000_000)
+    fencing.set_fence(Fence(margin_m=0.5, keep_out_disc=zones))
+    return fencing, msgspec.structs.replace(drifting(), covariance=np.diag([16.0, 16.0] + [1e-4] * 4))
+
+
+def needed_m(fencing: Fencing, estimate: Estimate) -> list[float]:
+    start = Prediction(CRAFT).state_at(estimate, estimate.t_ns, SentCommands(CRAFT, 300_000_000))
+    fencing.update(start, estimate, 0.0)
+    assert fencing.meeting_margins == ()
+    needed: list[float] = fencing.scene.need.tolist()
+    return needed
+
+
 def test_zones_that_ask_for_more_than_there_is_between_them_ask_for_what_there_is() -> None:
     """Otherwise their rows cancel: a vehicle whose position was known to 4 m was led 3 m into a zone."""
     zones = tuple(Disc(centre=Place(north_m=0.0, east_m=east_m), radius_m=3.0) for east_m in (-8.0, 8.5, 90.0))
-    estimate = msgspec.structs.replace(drifting(), covariance=np.diag([16.0, 16.0] + [1e-4] * 4))
-    start = Prediction(CRAFT).state_at(estimate, estimate.t_ns, SentCommands(CRAFT, 300_000_000))
-    needed_m = []
-    for some in (zones, zones[1:]):
-        fencing = Fencing(CRAFT, np.arange(3) * 300_000_000)
-        fencing.set_fence(Fence(margin_m=0.5, keep_out_disc=some))
-        fencing.update(start, estimate, 0.0)
-        needed_m.append(fencing.scene.need.tolist())
-        assert fencing.meeting_margins == ()
-    assert needed_m[0] == pytest.approx([5.0, 5.5, 12.0 + HULL_M])
-    assert needed_m[1] == pytest.approx([12.0 + HULL_M] * 2)  # one zone alone: the vehicle leaves
+    fencing, estimate = between(*zones)
+    room, uncapped = 0.5 * HULL_M, 12.0 + HULL_M
+    assert needed_m(fencing, estimate) == pytest.approx([5.0 - room, 5.5 - room, uncapped])
+    for east_m in (-0.1, -0.3, 0.2):  # nearer to one of them by less than the room: they ask for no less
+        moved = msgspec.structs.replace(estimate, east_m=east_m)
+        needed = needed_m(fencing, moved)
+        assert needed[0] > 5.0 - room - 1e-3
+        assert needed[1] > 5.5 - room - 1e-3
+    wider = msgspec.structs.replace(estimate, north_m=4.0)
+    assert needed_m(fencing, wider)[0] == pytest.approx(math.hypot(4.0, 8.0) - 3.0 - room)
+    assert needed_m(*between(zones[1])) == pytest.approx([uncapped])  # one zone alone: the vehicle leaves
+
+
+def test_between_zones_that_ask_for_more_than_there_is_every_cycle_is_solved() -> None:
+    zones = tuple(
+        Disc(centre=Place(north_m=n, east_m=e), radius_m=3.0) for n, e in ((-3.5, -8.0), (3.5, -8.0), (0.0, 8.0))
+    )
+    of, rng, (_, estimate) = controller(Point(north_m=0.0, east_m=0.0)), np.random.default_rng(1), between(*zones)
+    of.set_fence(Fence(margin_m=0.5, keep_out_disc=zones))
+    for _ in range(60):
+        north_m, east_m = rng.normal(scale=0.02, size=2)
+        plan = of.plan(msgspec.structs.replace(estimate, north_m=float(north_m), east_m=float(east_m)))
+        assert plan.solve.status is SolveStatus.SOLVED, plan.solve.why
+        estimate = msgspec.structs.replace(estimate, t_ns=estimate.t_ns + 300_000_000)
 
 
 def test_a_fence_needs_the_hull_and_a_rejected_one_changes_nothing() -> None:
