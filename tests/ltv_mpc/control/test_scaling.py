@@ -112,7 +112,7 @@ def test_the_controller_uses_them_and_says_so() -> None:
 
 def test_a_named_weight_outside_its_bounds_is_refused(tmp_path) -> None:
     (tmp_path / "mine.toml").write_text("[weights]\nthrust = -1.0\n")
-    with pytest.raises(ConfigError, match=r"mine.toml: \[weights\] thrust = -1.0: must be >= 0 and <= 1e"):
+    with pytest.raises(ConfigError, match=r"mine.toml: \[weights\] thrust = -1.0: must be >= 0 and <= 1000000"):
         ControllerConfig.load(str(tmp_path / "mine.toml"))
 
 
