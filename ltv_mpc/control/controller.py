@@ -375,7 +375,7 @@ class Controller:
         self._followers[0].restore(followed, t_ns, moved_until_ns=moved_until_ns)
 
     def _follower(self, reference: Reference) -> Follower:
-        """Return a follower whose target skips what lies in zones."""
+        """Return a follower whose target skips what lies in zones, and is no faster than the vehicle may be."""
         follower = Follower(reference, self.vehicle, LIMIT_SHARE * self.config.limits.path_speed_mps)
         follower.restrict(self._lateral.fencing.allowed_path)
         return follower

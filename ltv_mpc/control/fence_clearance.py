@@ -7,7 +7,7 @@ and the scale S of a position:
     2 sum over k of  g_k (PENALTY sum over zones z of max(0, c_z - d_z) + CORRIDOR_PENALTY max(0, |x| - w)) / S
 
 The factor 2 is that between the cost and the QP (cost.py). The penalty is exact: it is above the duals that occur,
-because the target is never farther than the vehicle can come (target_detour.py). That of the corridor is smaller, so
+because the target is never farther than the vehicle can come (target_placement.py). That of the corridor is smaller, so
 that the vehicle leaves its corridor rather than its fence. An obstacle is a disc at its predicted position at knot k. A
 stage longer than the first one counts with its point of the least clearance, among points that are one first stage
 apart; the chord's sag is added to c between the knots.
@@ -161,6 +161,42 @@ def surplus_m(scene: Scene, z: int, n: float, e: float, t_s: float) -> float:
     return float(nearest(scene.zones, z, n, e)[0] - scene.need[z])
 
 
+@jit
+def stage_lack(
+    scene: Scene, z: int, X: Array, k: int, o: Objective, spare_m: float
+) -> tuple[float, float, float, float]:
+    """Return the largest lack of clearance from one zone or obstacle in the stage that ends at knot k.
+
+    Parameters
+    ----------
+    scene, z : as in ``surplus_m``.
+    X : (N+1, 8) states at the knots.
+    k : knot.
+    o : has the knots.
+    spare_m : length of the track from knot k - 1 on which the clearance is surely kept (m).
+
+    Returns
+    -------
+    Lack at the knot (m), largest lack between the knots (m), where that is as a share of the stage, and the length of
+    ``spare_m`` from knot k on (m). A lack is 0 where there is none.
+    """
+    g, steps = stage_length(o, k), sub_steps(o, k)
+    dn, de = (X[k, 0] - X[k - 1, 0]) / steps, (X[k, 1] - X[k - 1, 1]) / steps
+    moved_m, knot, between, part = np.hypot(dn, de), 0.0, 0.0, 1.0
+    for j in range(1, steps + 1):
+        spare_m -= moved_m
+        if spare_m > 0.0:
+            continue
+        t_s = (o.t[k - 1] + j / steps * g) * scene.stage_s
+        surplus = surplus_m(scene, z, X[k - 1, 0] + j * dn, X[k - 1, 1] + j * de, t_s)
+        spare_m = surplus if z < len(scene.need) else 0.0  # obstacles move, too
+        if j == steps:
+            knot = max(-surplus, 0.0)
+        elif -surplus > between:
+            between, part = -surplus, j / steps
+    return knot, between, part, spare_m
+
+
 @jit_outlined
 def fence_cost(X: Array, scene: Scene, o: Objective) -> float:
     """Return the cost of too small clearances, and of too large cross-track distances, along a trajectory.
@@ -180,20 +216,12 @@ def fence_cost(X: Array, scene: Scene, o: Objective) -> float:
     for z in range(Z + len(scene.discs)):
         if z < Z and _is_beyond(scene, z, box):
             continue
-        spare_m = 0.0  # length of the track on which the clearance is surely kept
+        spare_m = 0.0
         for k in range(1, X.shape[0]):
-            g, steps = stage_length(o, k), sub_steps(o, k)
-            dn, de = (X[k, 0] - X[k - 1, 0]) / steps, (X[k, 1] - X[k - 1, 1]) / steps
-            moved_m, worst = np.hypot(dn, de), 0.0
-            for j in range(1, steps + 1):
-                spare_m -= moved_m
-                if spare_m > 0.0:
-                    continue
-                t_s = (o.t[k - 1] + j / steps * g) * scene.stage_s
-                surplus = surplus_m(scene, z, X[k - 1, 0] + j * dn, X[k - 1, 1] + j * de, t_s)
-                spare_m = surplus if z < Z else 0.0  # obstacles move, too
-                if surplus < 0.0:
-                    worst = max(worst, (sag_m(X, k, g * scene.stage_s) if j < steps else 0.0) - surplus)
+            g = stage_length(o, k)
+            worst, between, _, spare_m = stage_lack(scene, z, X, k, o, spare_m)
+            if between > 0.0:
+                worst = max(worst, sag_m(X, k, g * scene.stage_s) + between)
             total += 2.0 * PENALTY * g * worst / o.state_scale[0]
     return total
 

@@ -25,14 +25,13 @@ from ltv_mpc.control.fence_clearance import (
     cross_track,
     disc_at,
     sag_m,
-    sub_steps,
-    surplus_m,
+    stage_lack,
 )
 from ltv_mpc.control.horizon_limits import NO_BOUND
-from ltv_mpc.control.linearisation import multiply_A, unpack_linearisation
+from ltv_mpc.control.linearisation import advance_deviation, unpack_linearisation
 from ltv_mpc.control.problem_data import Objective, stage_length, unpack_constants
 from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, allocate, half_planes, insert_row
-from ltv_mpc.jit import copy_to, jit
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 
@@ -89,20 +88,13 @@ def _worst_points(X: Array, scene: Scene, o: Objective) -> Array:
     N, Z = X.shape[0] - 1, len(scene.need)
     at, worst = np.ones(N), np.zeros(N)
     for z in range(Z + len(scene.discs)):
-        spare_m = 0.0  # as in ``fence_cost``
+        spare_m = 0.0
         for k in range(1, N + 1):
-            g, steps = stage_length(o, k), sub_steps(o, k)
-            dn, de = (X[k, 0] - X[k - 1, 0]) / steps, (X[k, 1] - X[k - 1, 1]) / steps
-            moved_m = np.hypot(dn, de)
-            for j in range(1, steps + 1):
-                spare_m -= moved_m
-                if steps == 1 or spare_m > 0.0:
-                    continue
-                t_s = (o.t[k - 1] + j / steps * g) * scene.stage_s
-                surplus = surplus_m(scene, z, X[k - 1, 0] + j * dn, X[k - 1, 1] + j * de, t_s)
-                spare_m = surplus if z < Z else 0.0
-                if -surplus > worst[k - 1]:
-                    at[k - 1], worst[k - 1] = j / steps, -surplus
+            knot, between, part, spare_m = stage_lack(scene, z, X, k, o, spare_m)
+            if between > worst[k - 1]:
+                at[k - 1], worst[k - 1] = part, between
+            if knot > worst[k - 1]:
+                at[k - 1], worst[k - 1] = 1.0, knot
     return at
 
 
@@ -121,15 +113,9 @@ def least_surplus(flat: Array, stages: int, commands: Array) -> float:
     The least of a' dp_k - b, in units of S.
     """
     lin = unpack_linearisation(flat, stages)
-    least, d, last = np.inf, np.zeros(STATES), np.zeros(STATES)
+    least, dU, d, last = np.inf, commands - lin.U, np.zeros(STATES), np.zeros(STATES)
     for k in range(stages):
-        multiply_A(lin.A, k, last, d)
-        for i in range(STATES):
-            for j in range(2):
-                d[i] += lin.B0[k, i, j] * (commands[k, j] - lin.U[k, j])
-                d[i] += lin.B1[k, i, j] * (commands[k + 1, j] - lin.U[k + 1, j])
-            d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
-        copy_to(last, d)
+        advance_deviation(lin, k, dU, last, d)
         for j in range(lin.rows.shape[1]):
             row = lin.rows[k, j]
             least = min(least, row[0] * d[0] + row[1] * d[1] - row[2])

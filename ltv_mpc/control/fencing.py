@@ -1,7 +1,7 @@
 """Fence and obstacles of a controller: what is in force, and the report of what a plan keeps from it.
 
 Rows of the QP (fence_rows.py) keep the vehicle out. The reference only leads round the zones: a point by the targets of
-the horizon (target_detour.py), a path by its schedule (``geofence/allowed_path.py``).
+the horizon (target_placement.py), a path by its schedule (``geofence/allowed_path.py``).
 
 Required clearance of the vehicle's origin from a zone: hull + max(margin, k sd), with the standard deviation sd of the
 position at the first knot. It grows while estimates are late. Where the vehicle lacks the clearance of two zones at
@@ -21,7 +21,7 @@ from ltv_mpc.control.fence_rows import CORRIDOR_ROWS
 from ltv_mpc.control.nominal_trajectory import coasting_entry_s
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
-from ltv_mpc.control.target_detour import bring_near, lead_round
+from ltv_mpc.control.target_placement import bring_near, lead_round
 from ltv_mpc.geofence.allowed_path import allowed_path
 from ltv_mpc.geofence.fence import Fence, hull_radius_m
 from ltv_mpc.geofence.half_planes import ROWS, update_zones

@@ -283,6 +283,26 @@ def multiply_A(A: Array, k: int, x: Array, out: Array) -> None:
 
 
 @jit
+def advance_deviation(lin: Linearisation, k: int, dU: Array, last: Array, d: Array) -> None:
+    """Compute the deviation of the states at knot k + 1 from that at knot k, with the gap closed.
+
+    Parameters
+    ----------
+    lin : the motion along the nominal trajectory.
+    k : stage.
+    dU : (N+1, 2) deviations of the commands (N).
+    last : (8,) deviation at knot k; overwritten with that at knot k + 1.
+    d : (8,) is overwritten with the deviation at knot k + 1.
+    """
+    multiply_A(lin.A, k, last, d)
+    for i in range(STATES):
+        for j in range(2):
+            d[i] += lin.B0[k, i, j] * dU[k, j] + lin.B1[k, i, j] * dU[k + 1, j]
+        d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
+    copy_to(last, d)
+
+
+@jit
 def multiply_A_transposed(A: Array, k: int, x: Array, out: Array) -> None:
     """Compute out = A_k' x, using the zeros of A_k.
 

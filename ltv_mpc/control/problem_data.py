@@ -169,8 +169,10 @@ def excess_penalty(X: Array, target: Array, o: Objective) -> float:
 
     Returns
     -------
-    S sum over k of w_k |p_0 - ref_k|, at least ``MIN_PENALTY``.
+    S sum over k of w_k |p_0 - ref_k|, at least ``MIN_PENALTY``; that where no state is limited.
     """
+    if limited_state_count(o) == 0:
+        return MIN_PENALTY
     N, pull = target.shape[0] - 1, 0.0
     for k in range(N):
         weight = o.position * stage_length(o, k + 1) + (o.terminal_position if k == N - 1 else 0.0)

@@ -27,8 +27,8 @@ from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import LIMITED_STATES, HorizonLimits
 from ltv_mpc.control.linearisation import (
     Linearisation,
+    advance_deviation,
     describe_non_finite,
-    multiply_A,
     multiply_A_transposed,
     unpack_linearisation,
     velocity_over_ground,
@@ -358,16 +358,11 @@ def _forward_states(objective: Objective, lin: Linearisation, dU: Array, x: Arra
     """Compute x (n,) from the commands' deviations dU (N+1, 2) by a forward sweep that closes the gaps."""
     N = dU.shape[0] - 1
     x[:] = 0.0
-    # d_(k+1) = A d_k + B0 dU_k + B1 dU_(k+1) + Phi_k - Xbar_(k+1)
     d, last = np.zeros(STATES), np.zeros(STATES)
     for k in range(N):
-        multiply_A(lin.A, k, last, d)
+        advance_deviation(lin, k, dU, last, d)
         for i in range(STATES):
-            for j in range(2):
-                d[i] += lin.B0[k, i, j] * dU[k, j] + lin.B1[k, i, j] * dU[k + 1, j]
-            d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
             x[k * STAGE_VARIABLES + i] = d[i] / state_scale(i, objective)
-        copy_to(last, d)
         for i in range(2):
             x[k * STAGE_VARIABLES + STATES + i] = dU[k + 1, i] / objective.thrust_scale[i]
 
