@@ -40,6 +40,7 @@ class Button(enum.StrEnum):
     KILL = "kill"
     HEARTBEAT = "heartbeat"  # not a button: a page with the token sends it once a second
     DRAWN = "drawn"  # not a button: a page sends it when it has drawn all plots once
+    HAS_REPORT = "has report"  # the same, when it has its copy of the report
 
 
 SIMULATED = frozenset((Button.PAUSE, Button.RESUME, Button.SPEED, Button.KICK, Button.KILL))
@@ -91,7 +92,7 @@ def _done(request: ButtonRequest, session: Session, t_ns: int | None, speed: flo
             return _sent(request, session, ClockCommand(paused=False, speed=request.speed), text)
         case Button.KILL:
             return _sent(request, session, Kill(node=request.node), f"requested: kill {request.node}")
-        case Button.HEARTBEAT | Button.DRAWN:
+        case Button.HEARTBEAT | Button.DRAWN | Button.HAS_REPORT:
             raise AssertionError("the page itself handles them")
         case Button.KICK:
             if t_ns is None:

@@ -12,14 +12,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 from starlette.applications import Starlette
-from starlette.background import BackgroundTask
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
@@ -55,7 +53,6 @@ def make(
 ) -> Starlette:
     """Return the application. ``allowed`` are the accepted Host headers."""
     stream = Stream(feed)
-    reports = itertools.count(1)
     files = {
         "live.js": HERE / "live.js",
         "live.css": HERE / "live.css",
@@ -80,14 +77,10 @@ def make(
 
     async def report(_: Request) -> Response:
         path = Path(about.report)
-        return FileResponse(path, background=BackgroundTask(sent)) if path.is_file() else Response(status_code=204)
-
-    def sent() -> None:
-        if next(reports) >= len(stream.readers):
-            on_view(View.HAS_REPORT)
+        return FileResponse(path) if path.is_file() else Response(status_code=204)
 
     async def live(socket: WebSocket) -> None:
-        await _live(socket, stream, _Commands(feed, token, command, on_view), about)
+        await _live(socket, _Commands(feed, stream, token, command, on_view), about)
 
     return Starlette(
         routes=[
@@ -105,14 +98,24 @@ class _Commands(NamedTuple):
     """Objects that answer the commands of the browsers."""
 
     feed: BusFeed
+    stream: Stream
     token: Token
     command: Do
     on_view: OnView
 
+    def look_at_readers(self) -> None:
+        """Say so if no browser is there any more, or if each has the report."""
+        readers = self.stream.readers
+        if not readers:
+            self.on_view(View.CLOSED)
+        elif all(reader.has_report for reader in readers):
+            self.on_view(View.HAS_REPORT)
 
-async def _live(socket: WebSocket, stream: Stream, commands: _Commands, about: About) -> None:
+
+async def _live(socket: WebSocket, commands: _Commands, about: About) -> None:
     """Serve one browser until it disconnects."""
     await socket.accept()
+    stream = commands.stream
     if len(stream.readers) >= MAX_READERS:
         await socket.close(1013, f"{MAX_READERS} pages are open already, which is the limit")
         return
@@ -126,8 +129,7 @@ async def _live(socket: WebSocket, stream: Stream, commands: _Commands, about: A
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
         stream.readers.discard(reader)
-        if not stream.readers:
-            commands.on_view(View.CLOSED)
+        commands.look_at_readers()
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
@@ -142,20 +144,25 @@ async def _obey(socket: WebSocket, reader: Reader, commands: _Commands) -> None:
     """Execute the commands of a browser one after the other."""
     with contextlib.suppress(WebSocketDisconnect):
         while True:
-            reply = await _reply(await socket.receive_text(), commands)
+            reply = await _reply(await socket.receive_text(), reader, commands)
             if reply is not None:
                 reader.put(msgspec.json.encode(reply).decode())
 
 
-async def _reply(text: str, commands: _Commands) -> ButtonReply | None:
-    """Return the reply to a command; None to a heartbeat and to the report that the page is drawn."""
+async def _reply(text: str, reader: Reader, commands: _Commands) -> ButtonReply | None:
+    """Return the reply to a command; None to a heartbeat, and to what the page says of itself."""
     feed = commands.feed
     try:
         request = REQUEST.decode(text)
     except ValueError as error:  # includes the errors of msgspec
         return ButtonReply(number=0, done=False, text=f"no such command: {error}")
+    if request.button is Button.HAS_REPORT:
+        reader.has_report = True
+        commands.look_at_readers()
+        return None
     if request.button is Button.DRAWN:
-        commands.on_view(View.DRAWN)
+        if not reader.has_report:
+            commands.on_view(View.DRAWN)
         return None
     if not commands.token.matches(request.token):
         return ButtonReply(

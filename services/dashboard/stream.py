@@ -30,6 +30,8 @@ class Reader:
         self._texts: asyncio.Queue[str] = asyncio.Queue(MAX_BACKLOG)
         self.behind = True
         """True if the next text must be the complete state."""
+        self.has_report = False
+        """True once the browser has said so."""
 
     @property
     def idle(self) -> bool:

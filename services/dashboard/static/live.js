@@ -167,9 +167,14 @@
 
   // The clock of a run waits for it.
   function reportDrawn() {
-    if (socket.readyState !== WebSocket.OPEN) return;
-    drawn = true;
-    socket.send(JSON.stringify({ number: 0, token, button: "drawn" }));
+    drawn = tell("drawn");
+  }
+
+  // Return true if the server could be told.
+  function tell(what) {
+    if (socket.readyState !== WebSocket.OPEN) return false;
+    socket.send(JSON.stringify({ number: 0, token, button: what }));
+    return true;
   }
 
   function show(state, text) {
@@ -247,6 +252,7 @@
       link.href = URL.createObjectURL(new Blob([await reply.blob()], { type: "text/html" }));
       link.target = "_blank";
       byId("report").firstChild.replaceWith(link, ": ");
+      tell("has report"); // the end of a run waits for it
     }
     asking = false;
   }

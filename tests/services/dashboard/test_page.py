@@ -84,13 +84,32 @@ def test_the_report_is_given_once_it_is_written_and_only_its_own_scripts_may_run
     page.report.write_text(f"<script>{script}</script>")
     try:
         status, text, headers = get(page, "/report")
-        until(lambda: page.views[-1:] == [View.HAS_REPORT])
     finally:
         page.report.unlink()
     assert (status, text) == (200, f"<script>{script}</script>")
     hashes = [base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in (plotly, script)]
     (policy,) = (one for one in headers["content-security-policy"].split("; ") if one.startswith("script-src"))
     assert policy == f"script-src 'self' 'sha256-{hashes[0]}' 'sha256-{hashes[1]}'"
+
+
+def say(page: Served, socket: ClientConnection, what: str) -> None:
+    socket.send(json.dumps({"number": 0, "token": page.token, "button": what}))
+
+
+def test_the_report_is_with_all_when_the_last_one_has_it_or_leaves(page: Served) -> None:
+    with stream(page) as first, stream(page) as second:
+        for socket in (first, second):
+            next_text(socket, "hello")
+            say(page, socket, "drawn")
+        until(lambda: page.views[-2:] == [View.DRAWN, View.DRAWN])
+        del page.views[:]
+        say(page, first, "has report")
+        say(page, first, "drawn")  # a slow page may have the report before it has drawn everything
+        assert pressed(page, first, button="kill", node="nobody")["done"] is False  # all before it is done
+        assert page.views == []
+        second.close()
+        until(lambda: page.views == [View.HAS_REPORT])
+    until(lambda: page.views[-1] is View.CLOSED)
 
 
 def test_a_page_that_nobody_shows_any_more_is_closed(page: Served) -> None:

@@ -120,6 +120,7 @@ def test_the_run_waits_until_a_drawn_page_has_the_report(tmp_path: Path, free_po
                 assert given.is_alive() is waits
                 report.write_text("report")
                 assert urllib.request.urlopen(f"http://{host}/report").read() == b"report"
+                stream.send(json.dumps({"number": 0, "token": "", "button": "has report"}))
                 given.join(REPORT_S / 2)
                 assert not given.is_alive()
         finally:
