@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ResolvedConfig, Weights
+from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.solvers import riccati_solver
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.riccati_solver import RiccatiSolver
-from ltv_mpc.messages import SolveStatus
+from ltv_mpc.messages import Array, SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, answer, motion, optimum, unlike_any_motion
 
 CONFIG = ResolvedConfig(horizon_s=5.1, weights=Weights())
@@ -37,6 +38,37 @@ def test_its_commands_are_the_optimum(problem, stages, limits):
     if stages >= 17 and problem is motion:
         assert max(sweeps) > riccati_solver.FIRST_SWEEPS, "none of these took the interior point"
     assert max(sweeps) <= riccati_solver.MAX_SWEEPS
+
+
+def wall_seen_twice(seed: int, stages: int) -> tuple[Linearisation, Array]:
+    """Return a problem with a target behind a wall that is two half-planes at almost the same angle, and a third one.
+
+    The third is the opposite wall, in front of the first or behind it.
+    """
+    lin, target = motion(seed, stages)
+    rng, rows = np.random.default_rng(1000 + seed), np.zeros((stages, 3, 4))
+    ahead, origin = rng.uniform(0.0, 2.0 * math.pi), lin.X[0, :2]
+    towards = np.array([math.cos(ahead), math.sin(ahead)])
+    target[:stages] = origin + towards * rng.uniform(5.0, 40.0)
+    room_m = rng.uniform(-0.5, 0.5)
+    for j, (turned, side) in enumerate(((0.0, -1.0), (rng.uniform(1e-4, 3e-2), -1.0), (rng.uniform(0.0, 3e-2), 1.0))):
+        normal = side * np.array([math.cos(ahead + turned), math.sin(ahead + turned)])
+        wall = normal @ (origin + towards * (0.3 if side < 0.0 else 0.3 - room_m))
+        rows[:, j, :2], rows[:, j, 2], rows[:, j, 3] = (
+            normal,
+            wall - lin.X[1:, :2] @ normal,
+            10 ** rng.uniform(3.0, 4.5),
+        )
+    return Linearisation.from_arrays(*lin[:-2], rows), target
+
+
+@pytest.mark.parametrize("seed", [11, 54])
+def test_half_planes_at_almost_the_same_angle_are_solved(seed):
+    """Their duals still change when all products of slack and dual are zero: that is not the solution yet."""
+    lin, target = wall_seen_twice(seed, 34)
+    config = msgspec.structs.replace(CONFIG, horizon_s=10.2, max_iterations=riccati_solver.MAX_SWEEPS)
+    ours = answer(RiccatiSolver(config, LIMITS), lin, target)
+    assert ours.solve.status is SolveStatus.SOLVED, ours.solve.why
 
 
 def test_stages_that_grow_and_gaps():
