@@ -142,6 +142,8 @@ class MavlinkFlight(Flight):
                 self.send("to autopilot", output.payload)
             elif isinstance(output, Estimate):
                 fields = {name: getattr(output, name) for name in self.hull.estimate(0)}
+                assert output.covariance is not None
+                fields["covariance"] = output.covariance.tolist()  # by it the controller weighs the change of velocity
                 self._receive("estimate", self.sender, fields)
             else:
                 self.outputs.append(output)

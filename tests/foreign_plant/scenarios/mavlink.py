@@ -17,7 +17,7 @@ def run() -> list[Figure]:
     """Return the distances from the point and from the outline, and what the edge refused."""
     figures = []
     for name, faults, hold_m, square_m in (("good link", Faults(), 0.3, 0.6), ("bad link", BAD, 0.5, 0.8)):
-        flight = MavlinkFlight(faults=faults, heading_rad=1.0, config=ControllerConfig(horizon_s=5.1, effort="high"))
+        flight = MavlinkFlight(faults=faults, heading_rad=1.0, config=ControllerConfig(effort="high"))
         flight.hull.x[0], flight.hull.x[1] = 3.0, -2.0
         flight.fly(5.0)
         flight.arm()
