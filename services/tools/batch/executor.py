@@ -9,6 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import (
@@ -20,6 +21,7 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
+from multiprocessing.connection import wait as wait_for_any
 from typing import Protocol, TypeVar
 
 from ltv_mpc.errors import ConfigError, one_line
@@ -34,6 +36,9 @@ MAX_LOSSES = 3
 
 POLL_S = 0.2
 """Interval at which a stop request is noticed."""
+
+TERM_S = 5.0
+"""Time for all workers to end after SIGTERM; those that are left are killed."""
 
 AHEAD = 3
 """Jobs submitted for each worker, so that the next one is ready when one ends."""
@@ -165,10 +170,23 @@ class _Processes:
         return isinstance(error, BrokenExecutor)
 
     def close(self, *, early: bool) -> None:
-        self.executor.shutdown(wait=not early, cancel_futures=True)
+        """Return when no worker is left.
+
+        The pool's own thread waits for the end of each worker, so this one must not: of two threads that wait for the
+        same process, one is told that it still runs.
+        """
         if early:
-            for process in set(multiprocessing.active_children()) - self._others:
+            workers = set(multiprocessing.active_children()) - self._others
+            for process in workers:
                 process.terminate()
+            running, until = [process.sentinel for process in workers], time.monotonic() + TERM_S
+            while running and (left_s := until - time.monotonic()) > 0.0:
+                ended = wait_for_any(running, left_s)
+                running = [sentinel for sentinel in running if sentinel not in ended]
+            for process in workers:
+                if process.sentinel in running:
+                    process.kill()
+        self.executor.shutdown(cancel_futures=True)
 
 
 def _begin(parent: int) -> None:

@@ -78,9 +78,21 @@ def test_told_to_stop_it_ends_what_runs() -> None:
     threading.Timer(2.0, stop.set).start()
     assert list(run_each(time.sleep, [60.0, 60.0, 60.0], workers=2, stop=stop.is_set)) == []
     assert time.monotonic() - began < 30.0
-    for process in set(multiprocessing.active_children()) - before:
-        process.join(20)
     assert not set(multiprocessing.active_children()) - before
+
+
+def ignore_terminate(folder: Path, job: int) -> None:
+    """Ignore SIGTERM, as a library may, and work for longer than the test."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    write_pid_and_sleep(folder, job)
+
+
+def test_a_worker_that_ignores_the_request_to_end_is_killed(tmp_path: Path) -> None:
+    before = set(multiprocessing.active_children())
+    running = partial(ignore_terminate, tmp_path)
+    assert list(run_each(running, [0, 1], workers=2, stop=lambda: len(list(tmp_path.glob("*.pid"))) == 2)) == []
+    assert not set(multiprocessing.active_children()) - before
+    assert not any(is_alive(int(path.read_text())) for path in tmp_path.glob("*.pid"))
 
 
 def write_pid_and_sleep(folder: Path, job: int) -> None:
