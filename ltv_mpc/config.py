@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import stat
@@ -144,8 +143,8 @@ def missing_file_hint(path: Path) -> str:
         names = [file.stem for file in folder.iterdir() if file.suffix == path.suffix]
     except OSError:
         return f"no such file: there is no folder {folder}"
-    if meant := difflib.get_close_matches(path.stem, names, n=1):
-        return f"no such file; did you mean {folder / meant[0]}{path.suffix}?"
+    if meant := settings_schema.closest_name(path.stem, names):
+        return f"no such file; did you mean {folder / meant}{path.suffix}?"
     return "no such file: name an existing file"
 
 
@@ -178,10 +177,12 @@ def find(name: str, *, what: str, package: str | None, suffix: str = ".toml") ->
     hints = ["no shipped name"]
     if files:
         hints.append(f"shipped: {', '.join(sorted(files))}")
-    if meant := settings_schema.closest_name(name, files):
+    if name not in ("", "..") and Path(name).is_file():
+        hints.append(f"for the file here write ./{name}")
+    elif meant := settings_schema.closest_name(name, files):
         hints.append(f"did you mean {format_value(meant)}?")
-    here = name not in ("", "..") and Path(name).is_file()
-    hints.append(f"for the file here write ./{name}" if here else "a file has a suffix or a slash")
+    else:
+        hints.append("a file has a suffix or a slash")
     raise ConfigError(f"{what} {format_value(name)}", "", "; ".join(hints))
 
 

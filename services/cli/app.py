@@ -106,8 +106,11 @@ def run(arguments: Sequence[str]) -> int:
     try:
         code = _tree()(list(arguments), prog_name="ltv-mpc", standalone_mode=False)
     except typer.TyperException as error:
-        context = getattr(error, "ctx", None)
-        return _refuse_usage(context.command_path if context else "ltv-mpc", error.format_message())
+        if not error.format_message():  # a group without a command: typer has printed its help
+            return BAD_INPUT
+        from services.cli.usage_errors import usage_error
+
+        return _refuse(f"ltv-mpc: {usage_error(error, _tree(), arguments)}")
     except ValueError as error:
         if not _is_config_error(error):
             raise
@@ -144,14 +147,6 @@ def _is_config_error(error: ValueError) -> bool:
     from ltv_mpc.errors import ConfigError
 
     return isinstance(error, ConfigError)
-
-
-def _refuse_usage(command: str, problem: str) -> int:
-    """Print a usage error; it is empty after a group without a command, which has printed its help."""
-    if not problem:
-        return BAD_INPUT
-    end = problem if problem.endswith("?") else f"{problem.rstrip('.')};"
-    return _refuse(f"{command}: {end} `{command} --help` lists the options")
 
 
 def _refuse(text: str, code: int = BAD_INPUT) -> int:
