@@ -6,6 +6,7 @@ Commands import what they need inside their functions, so that help and completi
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
@@ -150,5 +151,10 @@ def _is_config_error(error: ValueError) -> bool:
 
 
 def _refuse(text: str, code: int = BAD_INPUT) -> int:
-    typer.echo(" ".join(text.split()), err=True)
+    line = " ".join(text.split())
+    if sys.stderr.isatty():
+        from services.runtime.console import fold
+
+        line = fold(line, shutil.get_terminal_size().columns)
+    typer.echo(line, err=True)
     return code

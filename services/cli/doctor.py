@@ -6,6 +6,9 @@ import typer
 
 from services.cli.options import Json
 
+INDENT = 25
+"""Columns before what was found: severity and check."""
+
 
 def doctor(as_json: Json = False) -> int:
     """Check this machine and print a remedy for each problem.
@@ -15,6 +18,7 @@ def doctor(as_json: Json = False) -> int:
     import json
     from dataclasses import asdict
 
+    from services.runtime.console import fold
     from services.tools.doctor import Level, examine
 
     found = examine()
@@ -23,8 +27,8 @@ def doctor(as_json: Json = False) -> int:
         typer.echo(json.dumps({"findings": [asdict(finding) for finding in found], "counts": counts}))
     else:
         for finding in found:
-            typer.echo(f"{finding.level:<8} {finding.check:<15} {finding.found}")
+            typer.echo(fold(f"{finding.level:<8} {finding.check:<15} {finding.found}", indent=INDENT))
             if finding.remedy:
-                typer.echo(f"{'':<24} -> {finding.remedy}")
-        typer.echo("\n`ltv-mpc completion --install` adds completion of commands and options to your shell.")
+                typer.echo(fold(f"{'':<{INDENT}}-> {finding.remedy}", indent=INDENT + 3))
+        typer.echo("\n`ltv-mpc completion --install` adds completion of commands and options.")
     return int(any(finding.level is Level.PROBLEM for finding in found))

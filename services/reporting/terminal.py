@@ -25,6 +25,7 @@ from rich.text import Text
 
 from ltv_mpc.messages import ControllerStatus, LocalisationReport, SensorStatus
 from services.reporting.plots.collector import Collector
+from services.runtime.console import WIDTH, fold
 from services.supervisor.screen import LiveView, Screen, in_order
 
 Limits = Sequence[tuple[float, float]]
@@ -79,8 +80,8 @@ class LiveScreen:
             self._live.update(self._waiting.get_renderable(), refresh=True)
 
     def say(self, text: str) -> None:
-        """Print a line above the screen."""
-        self._live.console.print(Text(text))
+        """Print a note above the screen."""
+        self._live.console.print(Text(fold(text, self._live.console.width)), soft_wrap=True)
 
     def close(self) -> None:
         """Stop redrawing and leave the last screen visible."""
@@ -210,7 +211,8 @@ def times(speed: float, asked: float) -> str:
 
 def _progress(view: LiveView) -> Text:
     if view.end_ns is None:
-        return Text(f"t {_seconds(view.t_ns):>8} s  {view.phase}", no_wrap=True)
+        t = "-" if view.estimate is None and not view.status else f"{_seconds(view.t_ns)} s"
+        return Text(f"t {t:>10}  {view.phase}", no_wrap=True, overflow="ellipsis")
     share = (view.t_ns - view.start_ns) / max(1, view.end_ns - view.start_ns)
     done = round(PROGRESS * min(max(share, 0.0), 1.0))
     return Text(
@@ -227,7 +229,7 @@ def _motion(view: LiveView, collector: Collector) -> list[Text]:
         return [Text("motion  no estimate yet"), Text("error   -"), Text(f"control {_control(controller)}")]
     depth = "" if estimate.depth_m is None else f"depth {round(estimate.depth_m, 2) + 0.0:.2f} m   "
     speed_mps = math.hypot(estimate.velocity_north_mps, estimate.velocity_east_mps)
-    words = f"{depth}heading {math.degrees(estimate.heading_rad) % 360:.0f} deg   speed {speed_mps:.3f} m/s"
+    words = f"{depth}heading {round(math.degrees(estimate.heading_rad)) % 360} deg   speed {speed_mps:.3f} m/s"
     if (current := estimate.current) is not None:
         at = (estimate.depth_m or 0.0, current.depth_m)
         current_mps = math.hypot(np.interp(*at, current.north_mps), np.interp(*at, current.east_mps))
@@ -260,14 +262,15 @@ def _filter(report: LocalisationReport | None) -> str:
 
 def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
     """Return a line for each thruster: its force, and a bar if its limits are known."""
-    thrusts_N = (0.0, 0.0, 0.0) if view.applied is None else view.applied.thrust_N
+    if view.applied is None:
+        return [Text(f"{name:<10}{'-':>8} N") for name in THRUSTERS]
     lines = []
-    for i, (name, thrust_N) in enumerate(zip(THRUSTERS, thrusts_N, strict=True)):
+    for i, (name, thrust_N) in enumerate(zip(THRUSTERS, view.applied.thrust_N, strict=True)):
         text, style = f"{name:<10}{thrust_N:z8.1f} N", ""
         if limits:
             least, most = limits[i]
             text += f"  {bar(thrust_N, least, most)}"
-            if view.applied is not None and (thrust_N >= 0.999 * most or thrust_N <= 0.999 * least):
+            if thrust_N >= 0.999 * most or thrust_N <= 0.999 * least:
                 style = "yellow"
         lines.append(Text(text, style=style))
     return lines
@@ -281,9 +284,11 @@ def _ages(view: LiveView) -> list[Text]:
     if view.timing is None:
         lines.append("cycle   -")
     else:
-        longest = sorted(view.timing.stage_us.items(), key=lambda stage: -stage[1])[:4]
-        stages = "  ".join(f"{name} {us / 1000:.2f}" for name, us in longest)
-        lines.append(f"cycle   {view.timing.compute_wall_ns / 1e6:.1f} ms, most of it {stages}")
+        words = f"cycle   {view.timing.compute_wall_ns / 1e6:.1f} ms, most of it:"
+        for name, us in sorted(view.timing.stage_us.items(), key=lambda stage: -stage[1])[:4]:
+            stage = f"  {name} {us / 1000:.2f}"
+            words += stage if len(words) + len(stage) <= WIDTH else ""
+        lines.append(words)
     return [Text(text, no_wrap=True, overflow="ellipsis") for text in lines]
 
 
@@ -321,7 +326,7 @@ def _since(collector: Collector) -> str:
 
 
 def _seconds(t_ns: int, digits: int = 1) -> str:
-    return f"{t_ns / 1e9:.{digits}f}"
+    return f"{t_ns / 1e9:z.{digits}f}"
 
 
 def _metres(distance: float | None) -> str:

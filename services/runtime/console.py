@@ -14,13 +14,36 @@ from __future__ import annotations
 import contextlib
 import enum
 import json
+import re
+import shutil
 import sys
+import textwrap
 from datetime import UTC, datetime
 from typing import Protocol, TextIO
 
 from ltv_mpc.errors import one_line
 
 ERASE = "\r\x1b[2K"
+
+
+WIDTH = 80
+
+
+def fold(text: str, width: int = WIDTH, *, indent: int = 4) -> str:
+    """Break a text into lines that end where a clause ends, or between words if a clause is longer than a line.
+
+    A longer word, such as a path or an address, stays whole. All lines but the first are indented.
+    """
+    lines: list[str] = []
+    margin = " " * indent
+    wrapper = textwrap.TextWrapper(width, subsequent_indent=margin, break_long_words=False, break_on_hyphens=False)
+    for clause in re.split(r"(?<=[.,;:]) (?! )", text):
+        if lines and len(lines[-1]) + 1 + len(clause) <= width:
+            lines[-1] += f" {clause}"
+            continue
+        wrapper.initial_indent = margin if lines else ""
+        lines += wrapper.wrap(clause)
+    return "\n".join(lines)
 
 
 class Level(enum.StrEnum):
@@ -78,7 +101,10 @@ class Console:
         return sys.stderr if self._given is None else self._given
 
     def _write_line(self, text: str) -> None:
-        self._write(f"{ERASE if self._shown else ''}{self._name}: {text}\n{self._shown}")
+        line = f"{self._name}: {text}"
+        if self._out.isatty():
+            line = fold(line, shutil.get_terminal_size().columns)
+        self._write(f"{ERASE if self._shown else ''}{line}\n{self._shown}")
 
     def _write_json(self, level: Level, kind: str, text: str, t_ns: int | None, fields: dict[str, str | int]) -> None:
         line = {"t_ns": t_ns, "time": _utc(), "level": level, "process": self._name, "kind": kind, "text": text}

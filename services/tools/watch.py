@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 
 from ltv_mpc.messages import NodeStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.options import BusOptions
+from services.bus.roles import ROUTER
 from services.bus.session import open_session
+from services.bus.topics import BY_TYPE, Topic
 from services.reporting.terminal import screen_for
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
@@ -16,6 +19,7 @@ from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.live_view import live_view
 
 UPDATE_S = 0.1
+STATUS = BY_TYPE[NodeStatus].key
 SILENT_S = 3.0
 """Wall time without a message of a process after which it counts as silent; a status comes once a second."""
 
@@ -29,6 +33,30 @@ def state_of(monitor: BusMonitor, node: str, now_s: float) -> str:
     return f"silent for {silent_s:.0f} s" if silent_s > SILENT_S else "running"
 
 
+class NamespaceFinder:
+    """Receiver of every status on the bus, which remembers the namespaces of their keys."""
+
+    def __init__(self) -> None:
+        self._found: set[str] = set()
+
+    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:  # noqa: ARG002  # the key says it all
+        """Take the namespace of a key; called on Zenoh's thread."""
+        self._found.add(key.rpartition(f"/{STATUS}/")[0])
+
+    def found(self) -> list[str]:
+        """Return the namespaces in which processes publish."""
+        return sorted(self._found.copy() - {""})
+
+
+def silence(monitor: BusMonitor, now_s: float) -> str:
+    """Return that no message has arrived yet, or for how long none has (s); empty while messages arrive."""
+    activity = monitor.last_activity(ROUTER)
+    if activity is None or activity.arrived_s == 0.0:
+        return "no message yet"
+    silent_s = now_s - activity.arrived_s
+    return f"no message for {silent_s:.0f} s" if silent_s > SILENT_S else ""
+
+
 def main(bus: BusOptions, vehicle: str | None) -> int:
     """Show the screen until a signal stops it; with ``vehicle`` also bars of its thrusts. Return the exit code."""
     limits = [] if vehicle is None else [(one.min_N, one.max_N) for one in Vehicle.load(vehicle).thrusters]
@@ -36,14 +64,21 @@ def main(bus: BusOptions, vehicle: str | None) -> int:
 
     def work(request: StopRequest, say: Say) -> None:
         with open_session(bus, stop=request, say=say) as session:
-            monitor = BusMonitor(session, ["*"])
+            monitor, others, named = BusMonitor(session, ["*"]), NamespaceFinder(), set[str]()
+            if not bus.namespace:
+                session.subscribe(f"**/{STATUS}/*", BY_TYPE[NodeStatus], others)
             started_s = time.monotonic()
             screen = screen_for(title, limits)
             try:
                 while not request.wait(UPDATE_S):
                     now_s = time.monotonic()
                     states = {node: state_of(monitor, node, now_s) for node in monitor.nodes()}
-                    screen.update(live_view(monitor, states, now_s - started_s))
+                    view = live_view(monitor, states, now_s - started_s)
+                    screen.update(dataclasses.replace(view, phase=silence(monitor, now_s) or view.phase))
+                    for namespace in others.found() if not states else ():
+                        if namespace not in named:
+                            screen.say(f"processes publish in another namespace: add --namespace {namespace}")
+                            named.add(namespace)
             finally:
                 screen.close()
 

@@ -181,6 +181,34 @@ def test_a_vehicle_without_truth_and_known_limits_has_no_bars_and_no_end() -> No
     assert any(line.split() == ["starboard", "31.2", "N"] for line in lines)
 
 
+def test_without_a_message_nothing_looks_like_a_measurement() -> None:
+    lines = drawn(dataclasses.replace(EMPTY, end_ns=None, phase="no message yet"))
+    assert lines[1].split() == ["t", "-", "no", "message", "yet"]
+    assert [line.split() for line in lines if line.endswith(" N")] == [
+        [name, "-", "N"] for name in ("port", "starboard", "vertical")
+    ]
+
+
+def test_the_cycle_names_as_many_stages_as_fit_and_cuts_none() -> None:
+    (line,) = (text for text in drawn(FULL) if text.startswith("cycle"))
+    assert line == "cycle   1234.5 ms, most of it:  solve 1234.56  linearise 300.00  build 200.00"
+
+
+def test_a_note_above_the_screen_breaks_between_clauses_and_leaves_the_screen_whole() -> None:
+    file = io.StringIO()
+    screen = LiveScreen("x", LIMITS, Console(file=file, width=80, height=24))
+    screen.say("-29.8 s  plant: machine too slow: waits of the clock so far: 1, in all 0.07 s of vehicle time; slower")
+    screen.say(f"report: {'/folder' * 12}/report.html")
+    screen.update(FULL)
+    screen.close()
+    lines = file.getvalue().splitlines()
+    assert lines[0] == "-29.8 s  plant: machine too slow: waits of the clock so far: 1,"
+    assert lines[1] == "    in all 0.07 s of vehicle time; slower"
+    assert lines[2:4] == ["report:", f"    {'/folder' * 12}/report.html"]
+    assert lines[4].startswith("x")
+    assert [line.rstrip() for line in lines[5:]] == [line.rstrip() for line in drawn(FULL)[1:]]
+
+
 def test_a_bar_is_full_at_the_limit_and_points_where_the_thrust_goes() -> None:
     assert bar(62.5, -62.5, 62.5, width=9) == "|    +====|"
     assert bar(-31.25, -62.5, 62.5, width=9) == "|  ==+    |"

@@ -254,3 +254,10 @@ def test_it_speaks_of_a_missing_package_instead_of_failing_with_it() -> None:
     heavy = ("numpy", "scipy", "msgspec", "numba", "osqp", "zenoh", "mcap", "rich", "typer", "ltv_mpc", "sim")
     done = subprocess.run([sys.executable, "-P", "-c", code, *heavy], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_its_lines_fit_80_columns_unless_a_path_is_longer(capsys: pytest.CaptureFixture[str]) -> None:
+    run(["doctor"])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.startswith(" " * 25)]  # the packages need several lines
+    assert not [line for line in lines if len(line) > 80 and len(line[25:].split()) > 1]
