@@ -41,6 +41,7 @@ def campaign(
 
     _check_packages(cluster, workers)
     from services.run import folder
+    from services.runtime.console import counted
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.tools.campaign import file as files
     from services.tools.campaign import table, text
@@ -61,7 +62,7 @@ def campaign(
     best = ranked(scores(rows, design.minimise, design.varied), text.SHOWN)
     _print_result(place, rows, best, runs=planned.runs, minimise=design.minimise, as_json=as_json)
     if len(rows) < planned.runs:
-        left = f"{planned.runs - len(rows)} of {planned.runs} runs left"
+        left = f"{planned.runs - len(rows)} of {counted(planned.runs, 'run')} left"
         typer.echo(f"{left}: continue with the same command and --out {place}", err=True)
         return INTERRUPTED if request.interrupted else FAILED
     return FAILED if all(row["failed"] is not None for row in rows) else DONE

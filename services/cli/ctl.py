@@ -31,7 +31,7 @@ def ctl(
     file: Annotated[
         str | None,
         typer.Argument(
-            metavar="[NAME|FILE]",
+            metavar="NAME|FILE",
             help="Reference for follow: a shipped name or a TOML file. Fence for fence: a TOML or GeoJSON file, or "
             "`none`. Source of estimates for source: its name, "
             "`default` for the plain key; without it, the order of the settings again.",

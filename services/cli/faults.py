@@ -49,6 +49,7 @@ def faults(
     from rich.console import Console
     from rich.progress import Progress
 
+    from services.runtime.console import counted
     from services.tools.batch.results_store import open_store
     from services.tools.faults import campaign, judge, result, text
 
@@ -60,7 +61,7 @@ def faults(
         open_store(Path(place), asked.settings(seed=seed, quick=quick), force=force) as store,
         Progress(console=Console(stderr=True)) as progress,
     ):
-        task = progress.add_task(f"{asked.total} faults", total=asked.total)
+        task = progress.add_task(counted(asked.total, "fault"), total=asked.total)
         seen = campaign.run(asked, store, seed=seed, quick=quick, progress=lambda count: progress.advance(task, count))
         window_chance = judge.chance(list(campaign.without_faults(store).values()))
     load = os.getloadavg()[0] / (os.cpu_count() or 1)
@@ -72,7 +73,6 @@ def faults(
         (out / "faults.json").write_text(plain + "\n", encoding="utf-8")
         typer.echo(str(out), err=as_json)
     if of.injected < asked.total:
-        typer.echo(
-            f"{asked.total - of.injected} of {asked.total} faults were not injected: their runs ended first", err=True
-        )
+        missing = f"{asked.total - of.injected} of {counted(asked.total, 'fault')} not injected"
+        typer.echo(f"{missing}: the run ended first", err=True)
     return 0 if result.kept(of) and of.injected == asked.total else 1

@@ -86,12 +86,14 @@ def _trial(common: Fleet, vehicles: int, processes: int) -> Row:
     from msgspec.structs import replace
 
     from services.reporting.terminal import progress_bar
+    from services.runtime.console import counted
     from services.supervisor.loopback import free_port
     from services.tools.fleet import trial
 
-    typer.echo(f"{vehicles} vehicles: {common.warm_up_s:g} s to warm up, {common.seconds:g} s measured", err=True)
+    count = counted(vehicles, "vehicle")
+    typer.echo(f"{count}: {common.warm_up_s:g} s to warm up, {common.seconds:g} s measured", err=True)
     fleet_of = replace(common, vehicles=vehicles, router=f"tcp/127.0.0.1:{free_port()}")
-    with progress_bar(f"{vehicles} vehicles") as progress:
+    with progress_bar(count) as progress:
         return trial.run(fleet_of, processes, on_progress=progress)
 
 

@@ -27,7 +27,9 @@ def inject(
     ] = None,
     fault: Annotated[
         list[str] | None,
-        typer.Option("--fault", metavar="HARM,KEY,START,END[,SIZE[,SEED]]", help="One more fault; repeatable."),
+        typer.Option(
+            "--fault", metavar="FAULT", help="One more fault, HARM,KEY,START,END,SIZE,SEED; the last two are optional."
+        ),
     ] = None,
     *,
     bus: BusOptions,

@@ -61,30 +61,32 @@ def profile(
     with a current of 4 cm/s that the controller does not know, a quarter that start 2 m off with a heading error of up
     to 3 rad. Every solver solves each cycle, in random order. The ratios compare it with PIQP by its own interface.
     """
-    import msgspec
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-    from services.run import folder
-    from services.tools.profile import problems, table
-    from services.tools.profile import run as latency
+    columns = TextColumn("{task.description}"), BarColumn(20), TaskProgressColumn(), TimeElapsedColumn()
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("loading and compiling", total=None)  # before the imports, which take seconds
+        import msgspec
 
-    stages = latency.parse_horizons(horizons)
-    recorded = None if run is None else [problems.recorded(run, N, cycles) for N in stages]
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task("preparing the problems and compiling", total=None)
+        from services.run import folder
+        from services.tools.profile import problems, table
+        from services.tools.profile import run as latency
+
+        stages = latency.parse_horizons(horizons)
+        recorded = None if run is None else [problems.recorded(run, N, cycles) for N in stages]
         by_horizon = recorded or [problems.simulated(N, cycles, seed) for N in stages]
         named = latency.parse_solvers(solvers, by_horizon[0][0])
         written = None if out is None else folder.open_folder(out, force=force)
-        configs = [episodes[0].config for episodes in by_horizon]
-        names = ", ".join(f"{config.stages} stages ({problems.length_s(config):.1f} s)" for config in configs)
-        progress.update(task, description=f"{cycles} cycles at {names}", total=cycles * len(stages))
+        names = ", ".join(str(episodes[0].config.stages) for episodes in by_horizon)
+        progress.update(task, description=f"cycles at {names} stages", total=(latency.WARM_UP + cycles) * len(stages))
         measured = latency.run(
             by_horizon,
             named,
             seed=seed,
             progress=lambda: progress.advance(task),
-            on_horizon=lambda rows: progress.console.out(*map(table.short, rows), sep="\n", highlight=False),
+            on_rows=lambda rows: console.out(*map(table.short, rows), sep="\n", highlight=False),
         )
     plain = msgspec.json.format(msgspec.json.encode(measured.profile), indent=2).decode()
     typer.echo(plain if as_json else table.text(measured.profile))

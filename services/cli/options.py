@@ -28,7 +28,7 @@ ReferenceFile: TypeAlias = Annotated[
     str, typer.Option("--reference", metavar="NAME|FILE", help="Reference to follow: a shipped name or a TOML file.")
 ]
 ScenarioName: TypeAlias = Annotated[
-    str, typer.Argument(metavar="[SCENARIO]", help="Scenario: a shipped name (demo, descent, hover) or a TOML file.")
+    str, typer.Argument(metavar="SCENARIO", help="Scenario: a shipped name (demo, descent, hover) or a TOML file.")
 ]
 FenceFile: TypeAlias = Annotated[
     str | None,

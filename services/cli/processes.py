@@ -115,7 +115,7 @@ def recorder(
     scenario: Annotated[
         str | None,
         typer.Argument(
-            metavar="[SCENARIO]", help="Simulated scenario, whose settings are recorded. None: a real vehicle."
+            metavar="SCENARIO", help="Simulated scenario, whose settings are recorded. None: a real vehicle."
         ),
     ] = None,
     out: Out = None,

@@ -19,7 +19,7 @@ def report(
     runs: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[RUN]...",
+            metavar="RUN",
             help="Folder of a run, its run.mcap, latest, or the folder of a campaign.",
             show_default="latest",
         ),

@@ -12,7 +12,7 @@ from services.cli.options import Json
 
 def topics(
     topic: Annotated[
-        str | None, typer.Argument(metavar="[TOPIC]", help="Key of one topic: list its fields and types.")
+        str | None, typer.Argument(metavar="TOPIC", help="Key of one topic: list its fields and types.")
     ] = None,
     as_json: Json = False,
     schema: Annotated[

@@ -93,7 +93,7 @@ def _label(parameter: Any) -> str:
     """Return what the help calls a parameter: its longest option, or the argument's name."""
     if isinstance(parameter, TyperOption):
         return str(max(parameter.opts, key=len))
-    return str(parameter.metavar or parameter.name.upper()).strip("[]")
+    return str(parameter.metavar or parameter.name.upper())
 
 
 def _near(name: str, names: Any, otherwise: str = "") -> str:

@@ -36,7 +36,7 @@ def _about() -> None:
 
 @vehicle.command()
 def new(
-    file: Annotated[Path, typer.Argument(metavar="[FILE]", help="File to write.")] = Path("vehicle.toml"),
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="File to write.")] = Path("vehicle.toml"),
     force: Overwrite = False,
 ) -> None:
     """Write a commented vehicle file to fill in. It loads as it is."""

@@ -10,6 +10,7 @@ from services.recording.info import Info, Key, Segment
 from services.recording.perfetto import TraceSummary
 from services.recording.recover import Recovery
 from services.recording.writer import VEHICLE_MODE
+from services.runtime.console import counted, fold
 
 MAX_EVENTS = 20
 """Number of events that are printed; --json lists all of them."""
@@ -22,14 +23,14 @@ def text(info: Info) -> str:
     """Format the contents of a recording: source, duration, completeness, a line for each key, gaps and events."""
     vehicle = info.mode == VEHICLE_MODE
     since_s = info.start_s if vehicle else 0.0
-    lines = [f"{info.recording}: {f'vehicle {info.vehicle}' if vehicle else info.scenario}"]
+    lines = [fold(f"{info.recording}: {f'vehicle {info.vehicle}' if vehicle else info.scenario}")]
     versions = info.made_by
     packages = ("ltv_mpc", "python", "numpy", "osqp", "numba")
     by = ", ".join(f"{name} {versions[name]}" for name in packages if name in versions)
     how = _start(info) if vehicle else f"mode {info.mode}, seed {info.seed}"
-    lines.append(f"{how}, {info.duration_s:.1f} s{'; ' if by else ''}{by}")
+    lines.append(fold(f"{how}, {info.duration_s:.1f} s{'; ' if by else ''}{by}"))
     lines += [_segment(segment, since_s) for segment in info.segments]
-    lines.append(f"{info.messages} messages, {info.missing or 'none'} missing{_unreadable(info)}")
+    lines.append(f"{counted(info.messages, 'message')}, {info.missing or 'none'} missing{_unreadable(info)}")
     lines += ["", *_columns([_HEAD, *(_row(key, since_s) for key in info.keys)])]
     if sources := [line for key in info.keys for line in _sources(key, since_s)]:
         lines += ["", "keys with several sources", *sources]
@@ -53,11 +54,11 @@ def recovered(recovery: Recovery) -> str:
     lines = []
     for part in recovery.segments:
         state = "complete" if part.whole else f"{part.lost_bytes} bytes lost"
-        lines.append(f"{part.file}: {part.messages} messages saved, {state} of {part.size_bytes}")
+        lines.append(f"{part.file}: {counted(part.messages, 'message')} saved, {state} of {part.size_bytes}")
         lines += [f"  byte {loss.offset}: {loss.length} bytes: {loss.why}" for loss in part.losses]
         if part.orphans:
-            lines.append(f"  {part.orphans} messages left out: their channel record is lost")
-    lines.append(f"{recovery.messages} messages saved, {recovery.lost_bytes} bytes lost")
+            lines.append(f"  {counted(part.orphans, 'message')} left out: their channel record is lost")
+    lines.append(f"{counted(recovery.messages, 'message')} saved, {recovery.lost_bytes} bytes lost")
     return "\n".join(lines)
 
 
@@ -70,7 +71,7 @@ def exported(result: ExportResult | TraceSummary) -> str:
         rows = [(file.file, str(file.rows), str(file.columns)) for file in result.files]
         lines = _columns([("file", "rows", "columns"), *rows])
     if result.unreadable:
-        lines.append(f"{result.unreadable} messages left out: their content does not match their key")
+        lines.append(f"{counted(result.unreadable, 'message')} left out: their content does not match their key")
     return "\n".join(lines)
 
 
@@ -89,7 +90,7 @@ def _segment(segment: Segment, since_s: float) -> str:
     if segment.first_s is not None and segment.last_s is not None:
         times = f", {segment.first_s - since_s:.1f} to {segment.last_s - since_s:.1f} s"
     state = "complete" if segment.whole else f"INCOMPLETE, {segment.lost_bytes} bytes unreadable"
-    return f"{segment.file}: {segment.bytes / 1e6:.2f} MB, {segment.messages} messages{times}, {state}"
+    return f"{segment.file}: {segment.bytes / 1e6:.2f} MB, {counted(segment.messages, 'message')}{times}, {state}"
 
 
 def _start(info: Info) -> str:
@@ -101,7 +102,7 @@ def _sources(key: Key, since_s: float) -> Iterable[str]:
     if len(key.sources) > 1:
         for source in key.sources:
             times = f"{source.first_s - since_s:.2f} to {source.last_s - since_s:.2f} s"
-            yield f"  {key.key}, epoch {source.epoch}: {source.messages} messages, {times}"
+            yield f"  {key.key}, epoch {source.epoch}: {counted(source.messages, 'message')}, {times}"
 
 
 def _silences(key: Key, since_s: float) -> Iterable[str]:

@@ -46,6 +46,11 @@ def fold(text: str, width: int = WIDTH, *, indent: int = 4) -> str:
     return "\n".join(lines)
 
 
+def counted(number: int, noun: str, plural: str | None = None) -> str:
+    """Format a number of things: ``1 run``, ``2 runs``."""
+    return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+
+
 class Level(enum.StrEnum):
     """Importance of a line."""
 

@@ -27,6 +27,7 @@ from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
 from services.runtime.clock import monotonic_us
 from services.runtime.clock_sync import STAMPED_INPUTS
+from services.runtime.console import counted
 from services.runtime.deadlines import DeadlineQueue
 from services.runtime.node_status import NodeStatusReporter, WaitingFor
 from services.runtime.publication_time import PublicationTime
@@ -133,7 +134,7 @@ class RecordingLoop:
         self._settle()
         if lost := self._account():
             self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="loss", text=lost))
-        self._say(f"{self.received} messages recorded, {lost or 'none lost'}")
+        self._say(f"{counted(self.received, 'message')} recorded, {lost or 'none lost'}")
         self._status.publish(monotonic_us(), finished=True)
         while self._take(0.05):
             pass

@@ -18,6 +18,7 @@ import numpy as np
 from services.reporting import static_files
 from services.reporting.plots import palette
 from services.run.folder import draft_of
+from services.runtime.console import counted
 from services.tools.campaign.campaign import reopen_campaign
 from services.tools.campaign.file import Campaign, Range
 from services.tools.campaign.ranking import ConfidenceInterval, Scores, Standing, interval, ranked, scores
@@ -34,8 +35,9 @@ def write(folder: Path) -> Path:
     of = scores(rows, campaign.minimise, campaign.varied)
     best = ranked(of, MAX_POINTS)
     failed = [row for row in rows if row["failed"] is not None]
+    counts = f"{counted(len(rows), 'run')} at {counted(len(of.values), 'point')}"
     lines = [
-        html.escape(f"{len(rows)} runs at {len(of.values)} points, {campaign.design.kind} design: {campaign.scenario}"),
+        html.escape(f"{counts}, {campaign.design.kind} design: {campaign.scenario}"),
         f"{html.escape(campaign.minimise)}: mean over seeds, 95 % intervals by bootstrap, differences paired by seed",
         *(f'<span class="bad">{html.escape(line)}</span>' for line in failures(failed)),
     ]

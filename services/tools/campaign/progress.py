@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
+from services.runtime.console import counted
 from services.tools.campaign import text
 from services.tools.campaign.file import Campaign
 from services.tools.campaign.ranking import ranked, scores
@@ -50,8 +51,9 @@ class Progress:
             self._live.update(Group(text.standings(best, self._campaign.minimise), self._bar))
         else:
             each_s = (self._said_s - self._began_s) / (len(self.rows) - self._first)
+            done = f"{len(self.rows)} of {counted(self._runs, 'run')}"
             left_s = each_s * (self._runs - len(self.rows))
-            self._console.print(f"{len(self.rows)} of {self._runs} runs, about {left_s:.0f} s left", highlight=False)
+            self._console.print(f"{done}, about {left_s:.0f} s left", highlight=False)
 
     def __enter__(self) -> Progress:
         if self._console.is_terminal:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from services.runtime.console import counted
 from services.tools.faults.fault import RECOVERED
 from services.tools.faults.result import Campaign, Row, problems
 
@@ -18,7 +19,8 @@ HEAD = (
 def table(of: Campaign) -> str:
     """Return the report of a campaign as text."""
     lines = [
-        f"{of.injected} faults in {of.classes} classes, {of.in_processes} of them in processes, seed {of.seed}, "
+        f"{counted(of.injected, 'fault')} in {counted(of.classes, 'class', 'classes')}, "
+        f"{of.in_processes} of them in processes, seed {of.seed}, "
         f"{of.wall_s:.0f} s, load {of.load:.1f} a core{', quick' if of.quick else ''}",
         HEAD,
         *(_line(row) for row in of.rows),

@@ -136,13 +136,16 @@ def measure(
     *,
     warm_up: Episode,
     order: random.Random,
-    progress: Callable[[], None],
+    progress: Callable[[Sequence[Samples]], None],
 ) -> list[Samples]:
-    """Measure each candidate over all episodes of one horizon; ``progress`` is called after each cycle."""
-    _run(warm_up, candidates, [Samples(warm_up.config) for _ in candidates], order, lambda: None)
+    """Measure each candidate over all episodes of one horizon.
+
+    ``progress`` is called after each cycle with the measurements so far, none of which is of the warm-up.
+    """
     samples = [Samples(episodes[0].config) for _ in candidates]
+    _run(warm_up, candidates, [Samples(warm_up.config) for _ in candidates], order, lambda: progress(samples))
     for episode in episodes:
-        _run(episode, candidates, samples, order, progress)
+        _run(episode, candidates, samples, order, lambda: progress(samples))
     return samples
 
 

@@ -7,7 +7,7 @@ are equally near the exact solution.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import msgspec
 import numpy as np
@@ -28,6 +28,9 @@ WARM_UP = 20
 """Cycles of a descent that are solved before any is measured: cold caches, and what is set up at first use."""
 
 MOST_STAGES = 400
+
+PARTIAL = (0.1, 0.5)
+"""Shares of a horizon's cycles after which its rows are reported, before all are measured."""
 
 
 class Spread(msgspec.Struct, frozen=True, kw_only=True):
@@ -128,7 +131,7 @@ def run(
     *,
     seed: int,
     progress: Callable[[], None],
-    on_horizon: Callable[[Sequence[Row]], None] = lambda _: None,
+    on_rows: Callable[[Sequence[Row]], None] = lambda _: None,
 ) -> Measured:
     """Measure PIQP and each solver on the episodes of each horizon. Raises ``ConfigError`` if no cycle was solved.
 
@@ -137,8 +140,8 @@ def run(
     by_horizon : the episodes of each horizon.
     solvers : measured beside PIQP.
     seed : of the order of the solvers.
-    progress : called after each cycle.
-    on_horizon : called with the rows of each horizon that is finished.
+    progress : called after each cycle, also of the warm-up.
+    on_rows : called with the rows of a horizon, first of the shares ``PARTIAL`` of its cycles, then of all.
     """
     candidates: tuple[Piqp | SolverByName, ...] = (YARDSTICK, RELAXED, *solvers)
     order = random.Random(seed)
@@ -148,12 +151,20 @@ def run(
         stages = episodes[0].config.stages
         (warm_up,) = problems.simulated(stages, 1, seed)[:1]
         warm_up = warm_up._replace(cycles=WARM_UP)
-        measured = measure(episodes, candidates, warm_up=warm_up, order=order, progress=progress)
+        cycles = sum(episode.cycles for episode in episodes)
+        partial = {int(share * cycles) for share in PARTIAL}
+
+        def after_cycle(so_far: Sequence[Samples], partial: Collection[int] = partial) -> None:
+            progress()
+            if len(so_far[0].cycle_us) in partial:
+                on_rows(_rows(candidates, so_far))
+
+        measured = measure(episodes, candidates, warm_up=warm_up, order=order, progress=after_cycle)
         if not measured[0].cycle_us:
             raise ConfigError("option --run", "", "has no solved cycle of the controller: name another run")
         rows += _rows(candidates, measured)
         samples += measured
-        on_horizon(rows[-len(candidates) :])
+        on_rows(rows[-len(candidates) :])
     kinds = dict.fromkeys((episode.kind for episode in by_horizon[0]), 0)
     for episode in by_horizon[0]:
         kinds[episode.kind] += episode.cycles

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from services.runtime.console import counted, fold
 from services.tools.profile import machine_description
 from services.tools.profile.measure import STAGES
 from services.tools.profile.run import Profile, Row
@@ -20,12 +21,18 @@ def text(profile: Profile) -> str:
             "",
             *_stages(profile.rows),
             "",
-            f"cycles at each horizon: {kinds}; solvers interleaved, in a new random order each cycle",
-            "hot: the same cycle repeated at once; turns: after the other candidates; cold: after a flush of caches",
-            "a service sees cold: between two of its cycles other processes use the caches",
-            "off: of the first free thrust from the exact solution of the same QP; of PIQP: whole cycle over that of"
-            " PIQP native, by its own interface, in the same column",
-            machine_description.line(profile.machine),
+            *map(
+                fold,
+                (
+                    f"cycles at each horizon: {kinds}; solvers interleaved, in a new random order each cycle",
+                    "hot: the same cycle repeated at once; turns: after the other candidates; cold: after a flush of"
+                    " caches",
+                    "a service sees cold: between two of its cycles other processes use the caches",
+                    "off: of the first free thrust from the exact solution of the same QP; of PIQP: whole cycle over"
+                    " that of PIQP native, by its own interface, in the same column",
+                    machine_description.line(profile.machine),
+                ),
+            ),
         ]
     )
 
@@ -50,8 +57,9 @@ def _cycles(rows: Sequence[Row]) -> list[str]:
 
 
 def short(row: Row) -> str:
-    """Format the time of a cycle in one line."""
-    return f"{_names(row)} median {row.cycle_us.median:.0f} us, p99 {row.cycle_us.p99:.0f} us"
+    """Format the time of a cycle in one line of 80 columns."""
+    times = f"median {row.cycle_us.median:.0f} us, p99 {row.cycle_us.p99:.0f} us"
+    return f"{_names(row)} {times} of {counted(row.cycles, 'cycle')}"
 
 
 def _stages(rows: Sequence[Row]) -> list[str]:
