@@ -68,8 +68,6 @@ def profile(
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("loading and compiling", total=None)  # before the imports, which take seconds
-        import msgspec
-
         from services.run import folder
         from services.tools.profile import problems, table
         from services.tools.profile import run as latency
@@ -88,13 +86,21 @@ def profile(
             progress=lambda: progress.advance(task),
             on_rows=lambda rows: console.out(*map(table.short, rows), sep="\n", highlight=False),
         )
+    _print(measured, written, as_json)
+    return 0
+
+
+def _print(measured: Measured, folder: Path | None, as_json: bool) -> None:
+    import msgspec
+
+    from services.tools.profile import table
+
     plain = msgspec.json.format(msgspec.json.encode(measured.profile), indent=2).decode()
     typer.echo(plain if as_json else table.text(measured.profile))
-    if written is not None:
-        (written / "profile.json").write_text(plain + "\n", encoding="utf-8")
-        _draw(measured, written / "profile.png")
-        typer.echo(str(written), err=as_json)
-    return 0
+    if folder is not None:
+        (folder / "profile.json").write_text(plain + "\n", encoding="utf-8")
+        _draw(measured, folder / "profile.png")
+        typer.echo(str(folder), err=as_json)
 
 
 def _draw(measured: Measured, path: Path) -> None:

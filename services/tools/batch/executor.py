@@ -172,8 +172,8 @@ class _Processes:
     def close(self, *, early: bool) -> None:
         """Return when no worker is left.
 
-        The pool's own thread waits for the end of each worker, so this one must not: of two threads that wait for the
-        same process, one is told that it still runs.
+        The pool's own thread waits for the end of each worker, so this one must not: if two threads wait for the same
+        process, ``multiprocessing`` reports to one of them that it still runs.
         """
         if early:
             workers = set(multiprocessing.active_children()) - self._others
