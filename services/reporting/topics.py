@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from inspect import cleandoc
 from typing import Any
 
@@ -12,6 +13,7 @@ from ltv_mpc.settings_schema import suggestion
 from services.bus.protocol import unit, words
 from services.bus.schema import message, schema
 from services.bus.topics import TOPICS, Topic
+from services.runtime.console import WIDTH
 
 
 def text(key: str | None, *, as_json: bool) -> str:
@@ -23,7 +25,8 @@ def text(key: str | None, *, as_json: bool) -> str:
     if as_json:
         fields = {name: words(field.value) for name, field in message(topic.message_type).items()}
         return json.dumps(_row(topic) | {"fields": fields}, indent=2) + "\n"
-    about = cleandoc(topic.message_type.__doc__ or "").replace("``", "")
+    paragraphs = cleandoc(topic.message_type.__doc__ or "").replace("``", "").split("\n\n")
+    about = "\n\n".join(textwrap.fill(paragraph, WIDTH) for paragraph in paragraphs)
     return (
         "\n".join([f"{key}: {topic.message_type.__name__}", about, "", *_columns(_fields(topic.message_type))]) + "\n"
     )
@@ -72,7 +75,7 @@ def _table(rows: list[dict[str, Any]]) -> str:
 
 
 def _period(period_ns: int) -> str:
-    return f"{period_ns / 1e6:.4g} ms" if period_ns else "on events"
+    return f"{round(period_ns / 1e6, 1):g} ms" if period_ns else "on events"
 
 
 def _fields(message_type: type[Message]) -> list[tuple[str, ...]]:

@@ -16,6 +16,7 @@ from ltv_mpc.vehicle.performance import Performance, performance
 from ltv_mpc.vehicle.plausibility import warnings
 from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from ltv_mpc.vehicle.reference_point import ReferencePoint
+from services.runtime.console import fold
 from services.tools.mission_check import MissionCheck
 
 
@@ -102,8 +103,9 @@ def table(of: Check) -> str:
         ("", f"thrust {w.thrust:g}, its change {w.thrust_change:g}"),
     ]
     kind = "dives" if of.dives else "surface craft"
-    lines = [f"{of.name} ({kind}): {of.description}", *(f"  {name:<34}{value}" for name, value in rows)]
-    lines += [f"  warning: {warning}" for warning in of.warnings] or ["  no warnings"]
+    lines = [fold(f"{of.name} ({kind}): {of.description}")]
+    lines += [fold(f"  {name:<34}{value}", indent=36) for name, value in rows]
+    lines += [fold(f"  warning: {warning}") for warning in of.warnings] or ["  no warnings"]
     return "\n".join(lines)
 
 

@@ -212,7 +212,7 @@ def format_text(report: IdentifyReport) -> str:
         f"current that the estimates do not contain: {north:.3f} +- {half_north:.3f} m/s north, "
         f"{east:.3f} +- {half_east:.3f} m/s east",
         f"taken from the file: {report.known[0]} and {report.known[1]}",
-        f"{'':<18}{'file':>12}{'found':>12}   95 % interval",
+        f"{'':<20}{'file':>10}{'found':>12}   95 % interval",
     ]
     for coefficient in report.found:
         interval = (
@@ -221,7 +221,7 @@ def format_text(report: IdentifyReport) -> str:
             else "  not excited: file value kept"
         )
         value = f"{coefficient.value:12.4g}" if coefficient.excited else f"{'':>12}"
-        lines.append(f"{coefficient.name:<18}{coefficient.file:>12.4g}{value} {interval}".rstrip())
+        lines.append(f"{coefficient.name:<20}{coefficient.file:>10.4g}{value} {interval}".rstrip())
     return "\n".join(lines)
 
 

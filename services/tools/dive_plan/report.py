@@ -14,6 +14,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate, Truth
 from services.recording.reader import RecordedMessage
 from services.reporting.plots import palette
+from services.runtime.console import counted
 from services.tools.dive_plan.plan import POINTS, DivePlan, RecordedDrift
 
 if TYPE_CHECKING:
@@ -67,7 +68,8 @@ def text(of: DivePlan) -> str:
     names = _names(of)
     shown = [POINTS * k // 4 - 1 for k in range(1, 5)]
     lines = [
-        f"dive of {of.duration_s:.0f} s to {of.depth_m:.0f} m, sensors {of.sensors}, {of.runs} simulated dives",
+        f"dive of {of.duration_s:.0f} s to {of.depth_m:.0f} m, sensors {of.sensors}, "
+        f"{counted(of.runs, 'simulated dive')}",
         "expected drift since submergence, standard deviation of one horizontal axis (m)",
         "  ".join([f"{'':12}", *(f"{of.t_s[k]:>6.0f} s" for k in shown), f"{'95 % within':>12}"])
         + (f"  {of.limit_m:g} m reached" if of.limit_m is not None else ""),
@@ -126,4 +128,4 @@ def _bars(panel: Axes, values: Mapping[str, float], label: str) -> None:
 
 
 def _names(of: DivePlan) -> list[str]:
-    return ["1 fix" if n == 1 else f"{n} fixes" for n in of.fixes]
+    return [counted(n, "fix", "fixes") for n in of.fixes]

@@ -56,8 +56,8 @@ def test_check_prints_the_performance(capsys: pytest.CaptureFixture[str]) -> Non
 def test_check_says_of_which_point_the_estimates_must_be(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "mine.toml").write_text(PAPER + "[reference_point]\nforward_m = 0.5\n")
     assert run(["vehicle", "check", "mine.toml"]) == 0
-    out = capsys.readouterr().out
-    assert "estimates are of the point        0.5 m forward, 0 m starboard, 0 m down of the origin" in out
+    out = " ".join(capsys.readouterr().out.split())
+    assert "estimates are of the point 0.5 m forward, 0 m starboard, 0 m down of the origin" in out
 
 
 def test_check_warns_of_a_vehicle_whose_drag_is_faster_than_a_stage(

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from services.runtime.console import ERASE, Console, Level, tenfold
+from services.runtime.console import ERASE, Console, Level, counted, fold, tenfold
 
 DEGRADED = "health: degraded (the estimates are too old)"
 
@@ -93,3 +93,24 @@ def test_a_growing_count_is_told_at_each_power_of_ten() -> None:
             told.append(count)
         before = count
     assert told == [1, 10, 100, 1000]
+
+
+def test_a_text_breaks_where_a_clause_ends_and_else_between_words() -> None:
+    assert fold("short: one, two; three.", 80) == "short: one, two; three."
+    assert fold("first part: second, third; the fourth part", 30).splitlines() == [
+        "first part: second, third;",
+        "    the fourth part",
+    ]
+    words = "a clause that has no end " * 4
+    assert all(len(line) <= 30 for line in fold(words, 30).splitlines())
+    assert fold(words, 30).split() == words.split()
+
+
+def test_a_path_or_an_address_stays_whole_however_long() -> None:
+    path = "/folder" * 9
+    assert fold(f"see {path}: full", 30, indent=2).splitlines() == ["see", f"  {path}:", "  full"]
+
+
+def test_one_thing_has_no_plural() -> None:
+    assert [counted(n, "run") for n in (0, 1, 2)] == ["0 runs", "1 run", "2 runs"]
+    assert counted(2, "class", "classes") == "2 classes"
