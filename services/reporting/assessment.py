@@ -12,24 +12,30 @@ LESS_TRACKING_ERROR = "--set controller.effort=high"
 """Option of a further run, if tracking is the larger part of the error and the thrusters have room for it."""
 
 WITHOUT_DRIFT = "--perfect-state"
-"""Option of a further run that shows how much of the error is drift of the estimate."""
+"""Option of a further run without drift of the estimate."""
+
+GOOD_M = 0.05
+"""Mean error (m) below which a run gets no advice: a fortieth of the length of the shipped vehicle."""
 
 OFTEN_SATURATED = 0.1
-"""Share of the time at a thrust limit above which the thrusters bound the tracking error."""
+"""Share of the time at a thrust limit above which that limit is explained, as a bound of the tracking error."""
+
+AT_ITS_LARGEST = 0.95
+"""Ratio of the last error to the largest one above which the vehicle was not held at the reference."""
 
 
 def assessment(summary: Mapping[str, Any]) -> list[str]:
-    """Return the sentences: the error and what bounds it, fence, thrust, health, delay, and what was lost.
+    """Return one sentence each on the error and what bounds it, fence, thrust, health, delay, and what was lost.
 
     A figure that the summary lacks, such as the truth of a real vehicle, gives no sentence.
     """
-    sentences = [_error(summary), _fence(summary), _thrust(summary)]
+    sentences = [*_error(summary), _fence(summary), _lateral_thrust(summary), _vertical_thrust(summary)]
     sentences += [_health(summary), _delay(summary), _losses(summary)]
     return [sentence for sentence in sentences if sentence]
 
 
 def next_option(summary: Mapping[str, Any]) -> str | None:
-    """Return the option that the sentence about the error proposes and the run did not have; None if there is none."""
+    """Return the option that the sentences about the error propose and the run did not have; None if there is none."""
     match _cause(summary):
         case _Cause.TRACKING:
             return LESS_TRACKING_ERROR
@@ -41,13 +47,17 @@ def next_option(summary: Mapping[str, Any]) -> str | None:
 
 
 class _Cause(Enum):
-    """Larger part of the error of the vehicle, with the end of its sentence."""
+    """What bounds the error of the vehicle, with the sentence that says what reduces it."""
 
-    DRIFT = "drift of the estimate: better sensors or more fixes reduce it, more thrust does not."
-    SATURATION = "tracking, which the thrust limits bound."
-    NO_THRUST = "tracking, because the lateral thrusts were zero."
-    TRACKING = f"tracking: a longer horizon or `{LESS_TRACKING_ERROR}` reduces it."
-    TRACKING_WITH_HIGH_EFFORT = "tracking: a longer horizon reduces it."
+    GOOD = ""
+    DRIFT = (
+        "Better sensors or more fixes reduce the drift, more thrust does not; "
+        f"`{WITHOUT_DRIFT}` shows the same run without drift."
+    )
+    SATURATION = "The thrust limits bound it: a slower reference, a weaker current or stronger thrusters reduce it."
+    NO_THRUST = "The lateral thrusts were zero, so the water carried the vehicle."
+    TRACKING = f"`{LESS_TRACKING_ERROR}` reduces the tracking error, for more thrust."
+    TRACKING_WITH_HIGH_EFFORT = "A longer horizon may reduce the tracking error."
 
 
 def _cause(summary: Mapping[str, Any]) -> _Cause | None:
@@ -55,26 +65,49 @@ def _cause(summary: Mapping[str, Any]) -> _Cause | None:
     tracking, true, localisation = _errors_m(summary)
     if tracking is None or true is None or localisation is None:
         return None
+    if true < GOOD_M:
+        return _Cause.GOOD
     if localisation > tracking:
         return _Cause.DRIFT
-    if (_figure(summary, "thrust", "saturated_fraction") or 0.0) > OFTEN_SATURATED:
-        return _Cause.SATURATION
     if _figure(summary, "thrust", "mean_abs_N") == 0.0:
         return _Cause.NO_THRUST
+    if (_figure(summary, "thrust", "saturated_fraction") or 0.0) > OFTEN_SATURATED:
+        return _Cause.SATURATION
     return _Cause.TRACKING_WITH_HIGH_EFFORT if summary.get("effort") == "high" else _Cause.TRACKING
 
 
-def _error(summary: Mapping[str, Any]) -> str:
-    """Name the error and the part that is larger."""
-    (tracking, true, _), cause = _errors_m(summary), _cause(summary)
+def _error(summary: Mapping[str, Any]) -> list[str]:
+    """Name the error, the part that is larger, and what reduces it."""
+    (tracking, true, localisation), cause = _errors_m(summary), _cause(summary)
     if tracking is None:
-        return ""
+        return []
     if cause is None:
-        return f"The estimate stayed {tracking:.3f} m from the reference on average."
-    sentence = f"The vehicle was {true:.3f} m from the reference on average. Most of this is {cause.value}"
+        good = f", which is good: less than {GOOD_M:g} m" if tracking < GOOD_M else ""
+        return [f"The estimate was {tracking:.3f} m from the reference on average{good}."]
+    average = f"The vehicle was {true:.3f} m from the reference on average"
+    perfect = ""
+    if summary.get("perfect_state"):
+        perfect = f"All of this is tracking, because `{WITHOUT_DRIFT}` gave the true state to the controller."
+    if cause is _Cause.GOOD:
+        return [f"{average}, which is good: less than {GOOD_M:g} m.", perfect]
     if cause is _Cause.DRIFT:
-        return f"The controller held the estimate within {tracking:.3f} m of the reference on average. {sentence}"
-    return sentence
+        parts = (
+            f"Drift of the estimate is the larger part, {localisation:.3f} m; the tracking error is {tracking:.3f} m."
+        )
+    else:
+        parts = (
+            perfect
+            or f"Tracking is the larger part, {tracking:.3f} m; the drift of the estimate is {localisation:.3f} m."
+        )
+    return [f"{average}.", parts, _not_held(summary, cause), cause.value]
+
+
+def _not_held(summary: Mapping[str, Any], cause: _Cause) -> str:
+    """Say so if thrusters at their limits could not hold the vehicle at the reference."""
+    largest, last = (_figure(summary, "true_error_m", name) for name in ("max", "final"))
+    if cause is not _Cause.SATURATION or largest is None or last is None or last < AT_ITS_LARGEST * largest:
+        return ""
+    return f"The distance ended at {last:.3f} m, about its largest: the thrust was not sufficient to hold the vehicle."
 
 
 def _errors_m(summary: Mapping[str, Any]) -> tuple[float | None, float | None, float | None]:
@@ -97,13 +130,27 @@ def _fence(summary: Mapping[str, Any]) -> str:
     return f"{least}; {entered}." if in_margin_s else f"{least}, and kept out of every margin."
 
 
-def _thrust(summary: Mapping[str, Any]) -> str:
+def _lateral_thrust(summary: Mapping[str, Any]) -> str:
     saturated = _figure(summary, "thrust", "saturated_fraction")
-    if saturated is None:
+    if saturated is None or _figure(summary, "thrust", "mean_abs_N") == 0.0:
         return ""
     if saturated == 0.0:
         return "No lateral thruster reached its limit."
     return f"A lateral thruster was at its limit for {100 * saturated:.1f} % of the time."
+
+
+def _vertical_thrust(summary: Mapping[str, Any]) -> str:
+    """Tell how long the vertical thruster was at its limit, and what asks for so much thrust."""
+    saturated = _figure(summary, "thrust", "vertical_saturated_fraction")
+    if not saturated:
+        return ""
+    sentence = f"The vertical thruster was at its limit for {100 * saturated:.1f} % of the time"
+    if saturated <= OFTEN_SATURATED:
+        return f"{sentence}."
+    return (
+        f"{sentence}, because the vertical speed of the reference and the buoyancy need all of its thrust: "
+        "a smaller `descent_rate_mps` or ballast leaves a reserve."
+    )
 
 
 def _health(summary: Mapping[str, Any]) -> str:

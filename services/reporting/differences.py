@@ -32,6 +32,7 @@ FIGURES = (
     Figure("propulsive energy, lateral", "J", ("thrust", "lateral_energy_J"), 0),
     Figure("relative power, lateral", "%", ("thrust", "relative_power"), 2, 100.0),
     Figure("lateral thrust saturated", "%", ("thrust", "saturated_fraction"), 1, 100.0),
+    Figure("vertical thrust saturated", "%", ("thrust", "vertical_saturated_fraction"), 1, 100.0),
     Figure("cycle, median", "ms", ("compute_delay_wall_s", "median"), 2, 1e3),
     Figure("cycle, p99", "ms", ("compute_delay_wall_s", "p99"), 2, 1e3),
     Figure("end to end, median", "s", ("end_to_end_delay_s", "median"), 3),

@@ -7,6 +7,7 @@ stays below 8 MB, of which plotly takes 5 MB.
 from __future__ import annotations
 
 import html
+import re
 import string
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -34,6 +35,8 @@ ROWS_OF_ALL = 4 * ROWS
 
 SCENARIO = "scenario.toml"
 
+_CODE = r"<code>\1</code>"
+
 
 class Run(msgspec.Struct, frozen=True, kw_only=True):
     """Run to be reported: name, recording and the contents of summary.json (empty if there is none)."""
@@ -55,7 +58,7 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
     text = string.Template(static_files.text("report.html")).substitute(
         title=html.escape(title),
         style=static_files.text("style.css") + static_files.text("report.css"),
-        lines="\n".join(f"<p>{line}</p>" for line in _lines(runs, plot_data)),
+        lines="\n".join(_lines(runs, plot_data)),
         tables="\n".join(_tables(runs, plot_data, figures)),
         plotly=plotly,
         data=_data(runs, plot_data),
@@ -111,9 +114,10 @@ def _lines(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[str]:
         if data.cut:
             words.append('<span class="bad">the recording was cut off: the report shows its readable part</span>')
         name = f"{html.escape(run.name)}: " if len(runs) > 1 else ""
-        lines.append(name + " · ".join(words))
+        lines.append(f"<p>{name}{' · '.join(words)}</p>")
         if len(runs) == 1 and run.summary:
-            lines.append(html.escape(" ".join(assessment(run.summary))))
+            found = html.escape(" ".join(assessment(run.summary)))
+            lines.append(f'<p class="found">{re.sub("`([^`]*)`", _CODE, found)}</p>')
     return lines
 
 

@@ -36,7 +36,7 @@ def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[st
     lines = [f"{name:<13} {text}" for name, text in rows]
     lines.append("")
     for sentence in assessment(summary):
-        lines += textwrap.wrap(sentence, WIDTH)
+        lines += textwrap.wrap(sentence, WIDTH, break_on_hyphens=False)  # an option is copied whole
     if next_commands:
         lines += ["", "next:", *(f"  {command}" for command in next_commands)]
     return "\n".join([*lines, "", str(folder)])

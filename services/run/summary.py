@@ -65,7 +65,8 @@ def summarise(
         messages=messages,
         stages=run_config.controller.stages,
         horizon_s=run_config.controller.reach_s,
-        effort=run_config.scenario.controller.effort,
+        effort=scenario.controller.effort,
+        perfect_state=scenario.run.perfect_state,
     )
 
 

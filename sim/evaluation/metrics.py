@@ -20,6 +20,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import (
@@ -119,13 +120,12 @@ class ThrustCommands:
         self._vehicle = vehicle
         self._velocity_mps = 0.0, 0.0  # through the water, ahead and down, at the last truth
         self._delivered: list[tuple[float, ...]] = []  # thrust of port, starboard and vertical, velocity ahead and down
-        self._box = np.array([[t.min_N, t.max_N] for t in vehicle.thrusters[:2]])  # (2, 2): thruster, bound
-        self._command: list[tuple[int, float, float, float]] = []  # t, port, starboard, slew
+        self._box = np.array([[t.min_N, t.max_N] for t in vehicle.thrusters])  # (3, 2): thruster, bound
+        self._command: list[tuple[int, float, float, float, float]] = []  # t, port, starboard, vertical, slew
 
     def add(self, applied: Applied) -> None:
         """Add the command in force."""
-        port, starboard, _vertical = applied.command_N
-        self._command.append((applied.t_ns, port, starboard, max(applied.command_slew_N_per_s[:2])))
+        self._command.append((applied.t_ns, *applied.command_N, max(applied.command_slew_N_per_s[:2])))
         self._delivered.append((*applied.thrust_N, *self._velocity_mps))
 
     def add_truth(self, truth: Truth) -> None:
@@ -135,7 +135,7 @@ class ThrustCommands:
 
     def thrust(self) -> Thrust:
         """Return statistics of the commands in force from t = 0 on."""
-        rows = np.array([row for row in self._command if row[0] >= 0]).reshape(-1, 4)
+        rows = np.array([row for row in self._command if row[0] >= 0]).reshape(-1, 5)
         if len(rows) < 2:
             return Thrust(
                 saturated_fraction=None,
@@ -148,23 +148,32 @@ class ThrustCommands:
                 relative_power=None,
             )
         h, F = np.diff(rows[:, 0]), rows[:, 1:3]  # (K-1,), (K, 2)
+        limited = self._at_limits(rows[:, 1:4])
+        vertical = float(np.average(limited[:, 2], weights=h)) if self._vehicle.can_dive else None
         delivered = np.array(self._delivered[-len(rows) :])
         power = propulsive_power_W(self._vehicle, delivered[:, :3], delivered[:, 3], delivered[:, 4])
         energy = None if power is None else (0.5 * (power[:-1] + power[1:]) * (h * 1e-9)[:, None]).sum(axis=0)
         relative = relative_power(self._vehicle, delivered[:, :2])
-        low, high = self._box.T
         a, b = F[:-1], F[1:]
-        at_box = ((a <= low + AT_BOX_N) & (b <= low + AT_BOX_N)) | ((a >= high - AT_BOX_N) & (b >= high - AT_BOX_N))
         return Thrust(
-            saturated_fraction=float(np.average(at_box.any(axis=1), weights=h)),
+            saturated_fraction=float(np.average(limited[:, :2].any(axis=1), weights=h)),
             max_abs_N=float(np.max(np.abs(F))),
             mean_abs_N=float(np.average(_mean_abs(a, b).mean(axis=1), weights=h)),
             travel_N=float(np.sum(np.abs(b - a))),
-            max_slew_N_per_s=float(np.max(rows[1:, 3])),
+            max_slew_N_per_s=float(np.max(rows[1:, 4])),
             propulsive_energy_J=None if energy is None else float(energy.sum()),
             lateral_energy_J=None if energy is None else float(energy[:2].sum()),
             relative_power=float(np.average(0.5 * (relative[:-1] + relative[1:]), weights=h)),
+            vertical_saturated_fraction=vertical,
         )
+
+    def _at_limits(self, F: Array) -> npt.NDArray[np.bool_]:
+        """Return where each command is at one limit from one report to the next, (K-1, 3), for commands (K, 3) in N."""
+        low, high = self._box.T
+        a, b = F[:-1], F[1:]
+        limited: npt.NDArray[np.bool_]
+        limited = (np.maximum(a, b) <= low + AT_BOX_N) | (np.minimum(a, b) >= high - AT_BOX_N)
+        return limited
 
 
 class ClockSpeed:

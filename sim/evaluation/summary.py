@@ -26,7 +26,7 @@ class Quantiles(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Thrust(msgspec.Struct, frozen=True, kw_only=True):
-    """Statistics of the commands to the two lateral thrusters, and the energy of all thrusters."""
+    """Statistics of the commands to the thrusters, of the lateral ones where none is named, and the energy of all."""
 
     saturated_fraction: float | None  # share of the time with either at its minimum or maximum
     max_abs_N: float | None
@@ -36,6 +36,7 @@ class Thrust(msgspec.Struct, frozen=True, kw_only=True):
     propulsive_energy_J: float | None = None  # at the shafts of all propellers; null without torque coefficients
     lateral_energy_J: float | None = None  # its part of the two lateral thrusters
     relative_power: float | None = None  # mean of the lateral |F|^1.5 over that at full thrust, 0 to 1
+    vertical_saturated_fraction: float | None = None  # as saturated_fraction; null without a vertical thruster
 
 
 class ZoneFigures(msgspec.Struct, frozen=True, kw_only=True):
@@ -87,3 +88,4 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     stages: int  # N of the horizon
     horizon_s: float  # length of the horizon
     effort: str  # low, normal or high: the weights of thrust
+    perfect_state: bool = False  # the controller was given the true state

@@ -28,29 +28,83 @@ SATURATED = {"saturated_fraction": 0.4, "mean_abs_N": 60.0, "max_abs_N": 100.0}
 
 
 @pytest.mark.parametrize(
-    ("figures", "words"),
+    ("figures", "sentences"),
     [
-        (summary(0.02, 0.31, 0.30), "0.310 m from the reference on average. Most of this is drift of the estimate"),
+        (
+            summary(0.02, 0.31, 0.30),
+            ["Drift of the estimate is the larger part, 0.300 m; the tracking error is 0.020 m.", "Better sensors"],
+        ),
         (
             summary(0.50, 0.51, 0.02),
-            "0.510 m from the reference on average. Most of this is tracking: a longer horizon",
+            ["Tracking is the larger part, 0.500 m; the drift of the estimate is 0.020 m.", "`--set controller"],
         ),
-        (summary(0.50, 0.51, 0.02, thrust=SATURATED), "Most of this is tracking, which the thrust limits bound."),
+        (summary(0.50, 0.51, 0.02, thrust=SATURATED), ["Tracking is the larger part", "The thrust limits bound it"]),
         (
             summary(0.50, 0.51, 0.02, thrust={**SATURATED, "saturated_fraction": 0.0, "mean_abs_N": 0.0}),
-            "Most of this is tracking, because the lateral thrusts were zero.",
+            ["Tracking is the larger part", "The lateral thrusts were zero"],
         ),
-        (summary(0.50, None, None), "The estimate stayed 0.500 m from the reference on average."),
     ],
 )
-def test_the_larger_part_of_the_error_is_named(figures: dict[str, Any], words: str) -> None:
-    assert words in assessment(figures)[0]
+def test_the_larger_part_of_the_error_is_named(figures: dict[str, Any], sentences: list[str]) -> None:
+    found = assessment(figures)
+    assert found[0].startswith("The vehicle was 0.")
+    for sentence, beginning in zip(found[1:], sentences, strict=False):
+        assert sentence.startswith(beginning)
+
+
+def test_without_a_truth_only_the_estimate_is_judged() -> None:
+    assert assessment(summary(0.50, None, None))[0] == "The estimate was 0.500 m from the reference on average."
+    assert "which is good" in assessment(summary(0.004, None, None))[0]
+
+
+def test_an_error_of_centimetres_is_good_and_gets_no_advice() -> None:
+    """A millimetre more than the floor gets advice again."""
+    for figures in (summary(0.004, 0.006, 0.002), summary(0.002, 0.006, 0.004), summary(0.049, 0.049, 0.0)):
+        found = assessment(figures)
+        assert found[0].endswith("on average, which is good: less than 0.05 m.")
+        assert found[1] == "No lateral thruster reached its limit."
+        assert next_option(figures) is None
+    assert next_option(summary(0.051, 0.051, 0.0)) is not None
+
+
+def test_with_the_true_state_the_error_is_that_of_the_control_alone() -> None:
+    given = "All of this is tracking, because `--perfect-state` gave the true state to the controller."
+    assert given in assessment(summary(0.5, 0.5, 0.0, perfect_state=True))
+    assert given in assessment(summary(0.01, 0.01, 0.0, perfect_state=True))
+    assert given not in assessment(summary(0.5, 0.5, 0.0))
+
+
+def test_a_vehicle_that_the_thrust_could_not_hold_is_named() -> None:
+    """A distance that became smaller again was held."""
+    lost, held = ({"mean": 0.51, "max": 2.0, "final": final} for final in (1.99, 0.3))
+    assert "The distance ended at 1.990 m" in " ".join(
+        assessment(summary(0.50, 0.51, 0.02, thrust=SATURATED, true_error_m=lost))
+    )
+    for thrust, error in ((SATURATED, held), (summary(None, None, None)["thrust"], lost)):
+        text = " ".join(assessment(summary(0.50, 0.51, 0.02, thrust=thrust, true_error_m=error)))
+        assert "ended at" not in text
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [
+        (0.97, "for 97.0 % of the time, because the vertical speed of the reference and the buoyancy"),
+        (0.02, "The vertical thruster was at its limit for 2.0 % of the time."),
+    ],
+)
+def test_a_vertical_thruster_at_its_limit_is_explained(share: float, words: str) -> None:
+    thrust = summary(None, None, None)["thrust"]
+    assert words in " ".join(
+        assessment(summary(0.5, 0.5, 0.0, thrust={**thrust, "vertical_saturated_fraction": share}))
+    )
+    assert "vertical" not in " ".join(assessment(summary(0.5, 0.5, 0.0)))
 
 
 def test_the_next_command_follows_the_sentence_about_the_error() -> None:
-    option = next_option(summary(0.50, 0.51, 0.02))
-    assert option is not None
-    assert option in assessment(summary(0.50, 0.51, 0.02))[0]
+    for figures in (summary(0.50, 0.51, 0.02), summary(0.02, 0.31, 0.30)):
+        option = next_option(figures)
+        assert option is not None
+        assert f"`{option}`" in assessment(figures)[2]
     assert next_option(summary(0.02, 0.31, 0.30)) == "--perfect-state"
     assert next_option(summary(0.50, 0.51, 0.02, thrust=SATURATED)) is None
     assert next_option(summary(0.50, None, None)) is None
@@ -59,7 +113,7 @@ def test_the_next_command_follows_the_sentence_about_the_error() -> None:
 def test_a_run_with_high_effort_is_not_proposed_again() -> None:
     figures = summary(0.50, 0.51, 0.02, effort="high", horizon_s=13.8)
     assert next_option(figures) == "--horizon-s 28"
-    assert "controller.effort" not in assessment(figures)[0]
+    assert "controller.effort" not in " ".join(assessment(figures))
 
 
 def test_late_plans_and_losses_are_counted() -> None:

@@ -51,7 +51,8 @@ def test_a_run_s_report_is_one_small_file_in_its_folder(
     assert out.splitlines()[-1] == str(report)
     assert re.search(r"true error, mean \(m\) +0\.250", out)
     text = report.read_text()
-    assert "The vehicle was 0.250 m from the reference on average. Most of this is drift" in text
+    assert "The vehicle was 0.250 m from the reference on average. Drift of the estimate is the larger part" in text
+    assert "<code>--perfect-state</code>" in text
     assert report.stat().st_size < 8e6
     assert not re.search(r"<(script|link|img|iframe)[^>]*(src|href)=.?(http|/|\.)", text)
     (run,) = data(text)["runs"]

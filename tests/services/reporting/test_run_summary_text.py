@@ -59,6 +59,14 @@ def test_every_verdict_has_its_horizon_and_fits_the_terminal() -> None:
     assert max(map(len, lines)) <= 80
 
 
+def test_an_option_is_not_broken_at_the_end_of_a_line() -> None:
+    """Wherever it stands in the sentence."""
+    for more in range(80):
+        health = {f"degraded: {'x' * more} --perfect-state": 1}
+        lines = verdict(SUMMARY | {"health": health}, Path("x")).splitlines()
+        assert sum("--perfect-state" in line for line in lines) == 1
+
+
 def test_lock_step_leaves_out_what_it_cannot_measure() -> None:
     rows = {mode: {line.split("  ")[0] for line in verdict(SUMMARY | {"mode": mode}, Path("x")).splitlines()}
             for mode in ("services", "lockstep")}  # fmt: skip

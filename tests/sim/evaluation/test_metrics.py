@@ -231,6 +231,23 @@ def test_each_thruster_is_held_against_its_own_box(vehicle: Vehicle) -> None:
     assert metrics.thrust().saturated_fraction == 0.5
 
 
+def test_a_vertical_thruster_at_its_limit_counts_by_itself(metrics: RunMetrics) -> None:
+    for t_s, vertical_N in enumerate((62.5, 62.5, 62.5, 10.0, -62.5, -62.5)):
+        feed(metrics, msgspec.structs.replace(applied(t_s * S, 0.0, 0.0), command_N=(0.0, 0.0, vertical_N)))
+    thrust = metrics.thrust()
+    assert thrust.vertical_saturated_fraction == pytest.approx(3 / 5)
+    assert thrust.saturated_fraction == 0.0
+
+
+def test_a_surface_craft_has_no_vertical_thruster_to_be_at_a_limit(vehicle: Vehicle) -> None:
+    craft = msgspec.structs.replace(
+        vehicle, heave=None, net_buoyancy_N=0.0, thruster=msgspec.structs.replace(vehicle.thruster, vertical=None)
+    )
+    metrics = RunMetrics(craft)
+    feed(metrics, applied(0, 0.0, 0.0), applied(S, 0.0, 0.0))
+    assert metrics.thrust().vertical_saturated_fraction is None
+
+
 def test_end_to_end_delay_ends_at_the_plans_start_or_its_later_arrival(
     metrics: RunMetrics,
 ) -> None:
