@@ -36,6 +36,7 @@ from services.bus.topics import BY_TYPE, OPERATOR, expression
 from services.bus.wire import Header, WireError, decode
 from services.dashboard.late_joining import HistoryQuery
 from services.reporting.plots.collector import Collector
+from services.reporting.safety import process_state
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.supervisor.screen import in_order
 
@@ -212,7 +213,7 @@ class BusFeed:
         return tuple(
             Process(
                 name=name,
-                state=_state(status, paused=paused),
+                state="paused" if paused and not status.finished else process_state(status),
                 silent_s=round(now_s - came_s, 2),
                 steps=status.steps,
                 step_us=round(status.step_us, 1),
@@ -238,11 +239,3 @@ def _decoded(kind: type[Message], payload: bytes) -> tuple[Message, Header] | No
 
 def _age(t_ns: int | None, then_ns: int | None) -> float | None:
     return None if t_ns is None or then_ns is None else round((t_ns - then_ns) / 1e9, 3)
-
-
-def _state(status: NodeStatus, *, paused: bool) -> str:
-    if status.finished:
-        return "finished"
-    if paused:
-        return "paused"
-    return f"waits for {status.waiting_for}" if status.waiting_for else "running"

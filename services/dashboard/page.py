@@ -20,7 +20,7 @@ import msgspec
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -36,6 +36,14 @@ from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS
 
 HERE = Path(__file__).parent / "static"
+
+_SAFE = static_files.safe_part(
+    facts="",
+    processes="",
+    events="",
+    ages='<p class="quiet" id="ages"></p>',
+    command='<th><span class="hidden">command</span></th>',
+)
 
 Do = Callable[[ButtonRequest, int | None, float], ButtonReply]
 """Executes a command; called in a worker thread, because it waits for the reply."""
@@ -53,6 +61,7 @@ def make(
 ) -> Starlette:
     """Return the application. ``allowed`` are the accepted Host headers."""
     stream = Stream(feed)
+    index = static_files.filled((HERE / "index.html").read_text(encoding="utf-8"), safe=_SAFE)
     files = {
         "live.js": HERE / "live.js",
         "live.css": HERE / "live.css",
@@ -69,7 +78,7 @@ def make(
 
     async def page(_: Request) -> Response:
         on_view(View.OPENED)
-        return FileResponse(HERE / "index.html")
+        return HTMLResponse(index)
 
     async def file(request: Request) -> Response:
         path = files.get(request.path_params["name"])

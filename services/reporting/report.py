@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import html
 import re
-import string
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from ltv_mpc.config import loads
 from services.recording.info import utc
 from services.recording.node_settings import vehicle_name
 from services.recording.writer import VEHICLE_MODE
-from services.reporting import differences, static_files
+from services.reporting import differences, safety_part, static_files
 from services.reporting.assessment import assessment
 from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS, REVIEW
@@ -27,6 +26,7 @@ from services.reporting.plots.collector import ROWS
 from services.reporting.plots.description import NO_DATA, Plot, Series
 from services.reporting.plots.recorded import PlotData, read
 from services.reporting.run_summary_text import how
+from services.reporting.safety_part import number
 from services.run.folder import draft_of
 
 MAX_RUNS = 40
@@ -55,10 +55,12 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
     plot_data = [read(run.recording, rows=min(ROWS, ROWS_OF_ALL // len(runs))) for run in runs]
     figures = differences.rows([run.summary for run in runs])
     title = f"{runs[0].name}" if len(runs) == 1 else f"{len(runs)} runs"
-    text = string.Template(static_files.text("report.html")).substitute(
+    text = static_files.filled(
+        static_files.text("report.html"),
         title=html.escape(title),
         style=static_files.text("style.css") + static_files.text("report.css"),
         lines="\n".join(_lines(runs, plot_data)),
+        safe=safety_part.part([run.name for run in runs], plot_data),
         tables="\n".join(_tables(runs, plot_data, figures)),
         plotly=plotly,
         data=_data(runs, plot_data),
@@ -113,11 +115,13 @@ def _lines(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[str]:
         words = [_vehicle(data)] if data.metadata.get("mode") == VEHICLE_MODE else [_how(run.summary, data.metadata)]
         if data.cut:
             words.append('<span class="bad">the recording was cut off: the report shows its readable part</span>')
+        found = [html.escape(sentence) for sentence in assessment(run.summary)] if run.summary else []
+        if len(runs) > 1:  # of several, what the first sentence says: how far the vehicle was from the reference
+            words += found[:1]
         name = f"{html.escape(run.name)}: " if len(runs) > 1 else ""
         lines.append(f"<p>{name}{' · '.join(words)}</p>")
-        if len(runs) == 1 and run.summary:
-            found = html.escape(" ".join(assessment(run.summary)))
-            lines.append(f'<p class="found">{re.sub("`([^`]*)`", _CODE, found)}</p>')
+        if len(runs) == 1 and found:
+            lines.append(f'<p class="found">{re.sub("`([^`]*)`", _CODE, " ".join(found))}</p>')
     return lines
 
 
@@ -145,14 +149,12 @@ def _vehicle(data: PlotData) -> str:
 
 def _tables(runs: Sequence[Run], plot_data: Sequence[PlotData], figures: Sequence[differences.Row]) -> list[str]:
     sections = [_figures(runs, figures)] if figures else []
-    sections += [_events(run, data, several=len(runs) > 1) for run, data in zip(runs, plot_data, strict=True)]
-    if len(runs) == 1:
-        files = plot_data[0].metadata
-        if SCENARIO in files:
-            sections.append(_file(f"{SCENARIO}: every setting and the program versions", files[SCENARIO]))
-        else:
-            sections += [_file(name, text) for name, text in files.items() if name.startswith("config/")]
-    return sections
+    if len(runs) > 1:
+        return sections + [_events(run, data) for run, data in zip(runs, plot_data, strict=True)]
+    files = plot_data[0].metadata
+    if SCENARIO in files:
+        return [*sections, _file(f"{SCENARIO}: every setting and the program versions", files[SCENARIO])]
+    return sections + [_file(name, text) for name, text in files.items() if name.startswith("config/")]
 
 
 def _file(title: str, text: str) -> str:
@@ -168,8 +170,8 @@ def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
         head += "".join(f'<th class="number">{html.escape(run.name)} − first</th>' for run in runs[1:])
     body = "".join(
         f"<tr><td>{html.escape(row.label)}{f' ({row.unit})' if row.unit else ''}</td>"
-        + "".join(f'<td class="number">{_number(value, row.digits)}</td>' for value in row.values)
-        + "".join(f'<td class="number">{_number(value, row.digits, signed=True)}</td>' for value in row.differences)
+        + "".join(f'<td class="number">{number(value, row.digits)}</td>' for value in row.values)
+        + "".join(f'<td class="number">{number(value, row.digits, signed=True)}</td>' for value in row.differences)
         + "</tr>"
         for row in figures
     )
@@ -180,24 +182,9 @@ def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
     return f'<section class="panel{wide}"><h3>Results</h3>{table}</section>'
 
 
-def _events(run: Run, data: PlotData, *, several: bool) -> str:
-    body = "".join(
-        f'<tr><td class="number">{mark.t_s:.1f}</td><td>{html.escape(mark.node)}</td>'
-        f"<td>{html.escape(mark.text)}</td></tr>"
-        for mark in data.marks
-    )
-    if data.omitted_marks:
-        body += f'<tr><td></td><td></td><td class="quiet">and {data.omitted_marks} more</td></tr>'
-    if not body:
-        body = '<tr><td></td><td></td><td class="quiet">no events</td></tr>'
-    title = f"Events of {html.escape(run.name)}" if several else "Events"
+def _events(run: Run, data: PlotData) -> str:
+    title = f"Events of {html.escape(run.name)}"
     head = '<tr><th class="number">time (s)</th><th>process</th><th>what happened</th></tr>'
-    table = f'<table class="sortable"><thead>{head}</thead><tbody>{body}</tbody></table>'
+    table = f'<table class="sortable"><thead>{head}</thead><tbody>{safety_part.event_rows(data)}</tbody></table>'
     table = f'<div class="scroll events" tabindex="0" role="region" aria-label="{title}">{table}</div>'
     return f'<section class="panel"><h3>{title}</h3>{table}</section>'
-
-
-def _number(value: float | None, digits: int, *, signed: bool = False) -> str:
-    if value is None:
-        return "–"
-    return f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import string
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+
+from services.reporting.plots.description import Group
 
 HERE = Path(__file__).parent / "static"
 
@@ -18,6 +21,22 @@ class NoPlotly(Exception):
 def text(name: str) -> str:
     """Return the contents of a file of this folder."""
     return (HERE / name).read_text(encoding="utf-8")
+
+
+def filled(template: str, **parts: str) -> str:
+    """Return a template with its ``$parts`` filled in."""
+    return string.Template(template).substitute(parts)
+
+
+def safe_part(*, facts: str, processes: str, events: str, **page_only: str) -> str:
+    """Return the first part of the live page and of the report, which answers whether the vehicle is safe.
+
+    ``page_only`` are ``ages`` and ``command`` of the live page, ``sortable`` of the report.
+    """
+    parts = {"ages": "", "command": "", "sortable": "", **page_only}
+    return filled(
+        text("safe.html"), question=Group.SAFE.value, facts=facts, processes=processes, events=events, **parts
+    )
 
 
 def plotly_path() -> Path:

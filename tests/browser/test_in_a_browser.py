@@ -14,6 +14,7 @@ import pytest
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Kill
 from services.dashboard.config import View
 from services.reporting.plots.catalogue import PLOTS
+from services.reporting.plots.description import Group
 from tests.browser.conftest import PHONE, SCHEMES, SCREEN, fits, tab
 from tests.services.dashboard.synthetic_vehicle import NODES, Served, until
 
@@ -81,6 +82,22 @@ def test_a_run_s_report_shows_every_plot(
         fits(page, size)
 
 
+def test_report_and_page_have_the_same_parts_in_the_same_order(
+    browser: Any, reports: tuple[Path, Path], live: Served
+) -> None:
+    """The report has one more, for reviewers."""
+    parts = {}
+    report = reports[0].as_uri()
+    for what, address, own in (("report", report, report), ("page", f"{live.url}#{live.token}", live.url)):
+        with tab(browser, SCREEN, own=own) as page:
+            page.goto(address)
+            until(lambda page=page: page.locator("h2").count() > 2)
+            parts[what] = page.locator("h2").all_inner_texts()
+            assert page.locator(".safe h3").all_inner_texts() == ["Processes", "Events"]
+    assert parts["report"] == [group.value for group in Group]
+    assert parts["page"] == parts["report"][:-1]
+
+
 def test_the_report_of_two_runs_shows_both(browser: Any, reports: tuple[Path, Path]) -> None:
     with tab(browser, SCREEN, own=reports[1].as_uri()) as page:
         page.goto(reports[1].as_uri())
@@ -108,7 +125,7 @@ def test_the_live_page_shows_every_plot(browser: Any, live: Served, size: tuple[
         until(lambda: page.inner_text("#link") == "live")
         until(lambda: live.views[-2:] == [View.OPENED, View.DRAWN])
         assert page.locator("#processes td:first-child").all_inner_texts() == list(NODES)
-        words = " ".join(page.inner_text("#figures").split())
+        words = " ".join(page.inner_text("#facts").split())
         assert "clock running at 10×" in words
         assert "vehicle from the reference" in words
         assert page.locator("#events tr").count() > 0

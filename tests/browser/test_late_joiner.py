@@ -17,7 +17,7 @@ from tests.services.reporting.synthetic_run import CYCLE_NS, SPEED_NORTH_MPS, S
 from tests.services.words import status
 
 FIGURE = """name => {
-  const row = [...document.querySelectorAll("#figures div")].find(row => row.firstChild.textContent === name);
+  const row = [...document.querySelectorAll("#facts div")].find(row => row.firstChild.textContent === name);
   return row ? row.lastChild.textContent : "";
 }"""
 

@@ -219,7 +219,7 @@
       ...(["", "default"].includes(now.source) ? [] : [["estimates from", now.source]]),
       ...(now.progress === null ? [] : [["progress", `${(100 * now.progress).toFixed(0)} %`]]),
     ];
-    byId("figures").replaceChildren(...entries.map(([name, value, mood]) => {
+    byId("facts").replaceChildren(...entries.map(([name, value, mood]) => {
       const row = document.createElement("div");
       row.append(element("dt", name), element("dd", value, mood));
       return row;

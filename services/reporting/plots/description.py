@@ -26,8 +26,9 @@ class Style(enum.StrEnum):
 
 
 class Group(enum.StrEnum):
-    """Question that a plot helps to answer; the page and the report show them in this order."""
+    """Question that a part of the page and of the report answers; they show the parts in this order."""
 
+    SAFE = "Is it safe?"  # in words and tables, no plots
     LINE = "Is it on its line?"
     WHY = "Why, or why not?"
     REVIEW = "What does a reviewer ask?"

@@ -37,6 +37,7 @@ from services.reporting.plots import analysis
 from services.reporting.plots.collector import ROWS, Collector
 from services.reporting.plots.events import Mark
 from services.reporting.plots.table import Columns
+from services.reporting.safety import RunSafety
 
 RARE = frozenset(
     (
@@ -57,6 +58,7 @@ class PlotData(msgspec.Struct, frozen=True, kw_only=True):
     marks: tuple[Mark, ...]
     omitted_marks: int
     start_s: float  # vehicle time of the first message beside a vehicle, from which all times count; otherwise 0
+    safety: RunSafety
     cut: bool  # the recording is incomplete, usually at its end
     metadata: dict[str, str]  # of the recording, with the settings files that processes published
 
@@ -99,6 +101,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
     metadata: dict[str, str] = {}
     files: dict[str, str] = {}  # of the processes that published their settings
     start_ns = 0
+    safety = RunSafety()
     collector: Collector | None = None
     newest: dict[str, Any] | None = None
     source_epoch = 0  # of the estimates in use; 0: unknown
@@ -128,6 +131,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
             elif kind is not Estimate or source_epoch in (0, header.epoch):  # else it is of a source not in use
                 collector.add(message, header.epoch)
                 newest = whole if kind is Estimate else newest
+            safety.add(message, header.epoch)
             if isinstance(message, NodeSettings):
                 files |= message.files
         elif isinstance(record, Channel):
@@ -148,6 +152,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
         marks=tuple(collector.marks.marks),
         omitted_marks=collector.marks.omitted,
         start_s=start_ns / 1e9,
+        safety=safety,
         cut=not all(part.whole for part in parts),
         metadata=metadata,
     )

@@ -15,6 +15,7 @@ from services.bus.wire import Header
 from services.cli import app
 from services.recording.writer import VEHICLE_MODE, RunWriter
 from services.reporting import static_files
+from services.reporting.plots.description import Group
 from tests.services.reporting import synthetic_run
 
 SUMMARY = {
@@ -66,6 +67,18 @@ def test_nothing_of_a_recording_can_become_markup(runs: tuple[Path, Path]) -> No
     text = (runs[0] / "report.html").read_text()
     assert "<b>a mark</b>" not in text
     assert [mark["text"] for mark in data(text)["runs"][0]["marks"]][-1] == synthetic_run.EVENT.text
+
+
+def test_the_first_part_says_whether_the_run_was_safe(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    """Before the plots; of several runs as a table, below the distance of each from the reference."""
+    assert app.run(["report", str(runs[0])]) == 0
+    assert app.run(["report", *map(str, runs), "--out", str(tmp_path / "both")]) == 0
+    one, both = ((folder / "report.html").read_text() for folder in (runs[0], tmp_path / "both"))
+    for text in (one, both):
+        assert text.index(f"<h2>{Group.SAFE.value}</h2>") < text.index('<div id="plots">')
+        assert "nominal in all 70 cycles" in text
+    assert one.index("arm accepted") < one.index('<div id="plots">')
+    assert "first: made up, vehicle paper, as processes at 10 x real time, seed 3 · The vehicle was 0.250 m" in both
 
 
 def test_several_runs_lie_over_each_other_with_their_differences(

@@ -1,0 +1,77 @@
+"""Facts about the safety of a run: what was not nominal is counted over the run, with its most frequent reason."""
+
+from __future__ import annotations
+
+import msgspec
+
+from ltv_mpc.messages import Authority, FenceReport, FilterStatus, Health, Message, PlanOrigin
+from services.reporting.safety import Fact, Mood, RunSafety
+from tests.services.reporting import synthetic_run
+from tests.services.reporting.synthetic_run import EPOCH, WRECK, S
+from tests.services.words import status
+
+
+def facts(*messages: Message) -> dict[str, Fact]:
+    safety = RunSafety()
+    for message in messages:
+        safety.add(message, EPOCH)
+    return {fact.name: fact for fact in safety.facts()}
+
+
+def test_a_nominal_run_is_good() -> None:
+    found = facts(*(message for _, message, _ in synthetic_run.dive()))
+    assert (found["health"].text, found["health"].mood) == ("nominal in all 70 cycles", Mood.GOOD)
+    assert found["command authority"].text == "controller in all cycles"
+    assert found["plan"].text == "solved in all cycles"
+    assert (found["filter"].text, found["filter"].mood) == ("nominal in all 22 reports", Mood.GOOD)
+    assert (found["fence"].text, found["fence"].mood) == (f"plans keep 3.00 m or more from {WRECK}", Mood.GOOD)
+
+
+def test_what_was_not_nominal_is_counted_with_its_most_frequent_reason() -> None:
+    late, unsure = (
+        msgspec.structs.replace(synthetic_run.plan(0), health=Health.DEGRADED, health_why=why)
+        for why in ("no new estimates", "estimate too uncertain")
+    )
+    report = msgspec.structs.replace(synthetic_run.report(0), status=FilterStatus.INCONSISTENT, why="adcp")
+    found = facts(synthetic_run.plan(0), late, unsure, unsure, synthetic_run.report(0), report)
+    assert found["health"].mood is found["filter"].mood is Mood.BAD
+    assert found["health"].text == "nominal in 1 of 4 cycles, otherwise most often degraded: estimate too uncertain"
+    assert found["filter"].text == "nominal in 1 of 2 reports, otherwise most often inconsistent: adcp"
+
+
+def test_each_authority_and_origin_has_its_number_of_cycles() -> None:
+    solved, shifted = synthetic_run.plan(0), synthetic_run.plan(S, origin=PlanOrigin.SHIFTED)
+    manual = msgspec.structs.replace(solved, authority=Authority.MANUAL)
+    found = facts(solved, shifted, manual)
+    assert found["command authority"].text == "2 controller, 1 manual"
+    assert found["plan"].text == "2 solved, 1 shifted"
+
+
+def test_the_nearest_zone_and_a_hull_in_a_margin_are_named() -> None:
+    def plan(clearance_m: float, in_margin: tuple[str, ...] = ()) -> Message:
+        fence = FenceReport(clearance_m=clearance_m, nearest=f"zone at {clearance_m:g}", in_margin=in_margin)
+        return msgspec.structs.replace(synthetic_run.plan(0), fence=fence)
+
+    found = facts(plan(5.0), plan(0.5, ("reef",)), plan(7.0))["fence"]
+    text = "plans keep 0.50 m or more from zone at 0.5; the hull was in a zone or its margin in 1 cycles"
+    assert (found.text, found.mood) == (text, Mood.BAD)
+    assert "fence" not in facts(msgspec.structs.replace(synthetic_run.plan(0), fence=None))
+
+
+def test_a_process_is_counted_over_all_of_its_starts() -> None:
+    """Each report counts by its steps: 10 of 100 us, 30 of 20 us and, after a restart, 40 of 60 us."""
+    safety = RunSafety()
+    safety.add(status("recorder"), 1)
+    for epoch, steps, step_us, lost in ((1, 10, 100.0, 2), (1, 40, 20.0, 3), (2, 40, 60.0, 4)):
+        safety.add(status("estimator", steps=steps, step_us=step_us, dropped=lost, rejected=1), epoch)
+    safety.add(status("estimator", steps=40, step_us=0.0, dropped=4, rejected=1, finished=True), 2)
+    estimator, recorder = safety.processes()
+    assert (estimator.name, estimator.state, estimator.starts) == ("estimator", "finished", 2)
+    assert estimator.lost == 3 + 1 + 4 + 1
+    assert estimator.step_us == (10 * 100 + 30 * 20 + 40 * 60) / 80
+    assert (recorder.state, recorder.step_us, recorder.lost) == ("running", None, 0)
+
+
+def test_without_messages_there_is_no_fact() -> None:
+    assert facts() == {}
+    assert RunSafety().processes() == []
