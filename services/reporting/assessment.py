@@ -47,7 +47,7 @@ def next_option(summary: Mapping[str, Any]) -> str | None:
 
 
 class _Cause(Enum):
-    """What bounds the error of the vehicle, with the sentence that says what reduces it."""
+    """Larger part of the error of the vehicle, with the sentence that says what reduces it."""
 
     GOOD = ""
     DRIFT = (

@@ -116,10 +116,9 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
                     sieve = sieves.setdefault((kind, passing.epoch), _Sieve(OFTEN[kind], rows))
                     if not sieve.passes(passing.t_ns):
                         continue
-                plain = decode(record.data)
-                whole = plain
-                if kind is Estimate:  # the profile is the largest part, and only the last one is drawn
-                    plain = {**whole, "current": None}
+                whole = decode(record.data)
+                # The profile of the current is the largest part, and only the last one is drawn.
+                plain = {**whole, "current": None} if kind is Estimate else whole
                 message, header = wire.from_map(kind, plain)
             except (wire.WireError, msgspec.DecodeError):
                 continue
@@ -135,9 +134,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
             if isinstance(message, NodeSettings):
                 files |= message.files
         elif isinstance(record, Channel):
-            topic = topics.topic_at(record.topic)
-            shown = topic is not None and (topic.message_type in RARE or topic.message_type in OFTEN)
-            kinds[record.id] = topic.message_type if topic is not None and shown else None
+            kinds[record.id] = _shown_type(record.topic)
         elif isinstance(record, Metadata) and record.name == RUN:
             metadata = record.metadata
     metadata = {**files, **metadata}
@@ -156,3 +153,9 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
         cut=not all(part.whole for part in parts),
         metadata=metadata,
     )
+
+
+def _shown_type(key: str) -> type[Message] | None:
+    """Return the message type of a key if a report shows it."""
+    topic = topics.topic_at(key)
+    return topic.message_type if topic is not None and topic.message_type in (*RARE, *OFTEN) else None
