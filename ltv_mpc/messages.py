@@ -77,6 +77,8 @@ Residual: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e300, extra={"unit": "di
 VehicleState: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "m, m/s, rad, rad/s"})]
 FilterState: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9, extra={"unit": "m, m/s, rad, rad/s, m/s2, share"})]
 Covariance: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "squares of m, m/s, rad, rad/s"})]
+Innovation: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9, extra={"unit": "m, m/s or rad"})]
+InnovationDeviation: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e9, extra={"unit": "m, m/s or rad"})]
 RotationEntry: TypeAlias = Annotated[float, Meta(ge=-1.0001, le=1.0001, extra={"unit": "dimensionless"})]
 ModelProduct: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "squares of noise deviations"})]
 # Bounded because a reference is parsed within a control cycle.
@@ -379,6 +381,21 @@ class SensorReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     last_t_ns: Annotated[Time | None, Meta(description="time of validity of the newest message; null: none yet")]
 
 
+class InnovationSample(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Innovations of one message of a sensor that passed the gate: measurement minus its prediction by the filter."""
+
+    sensor: Annotated[str, Meta(description="name in the sensors file")]
+    t_ns: ValidityTime
+    rows: Annotated[
+        tuple[Index, ...],
+        Meta(
+            description="index of each measurement in its message; gnss: 0, 1 position, 2, 3 velocity; lbl: transponder"
+        ),
+    ]
+    innovations: Annotated[tuple[Innovation, ...], Meta(description="in the unit of the measurement")]
+    sd: Annotated[tuple[InnovationDeviation, ...], Meta(description="standard deviation that the filter expects")]
+
+
 class LocalisationReport(Message, frozen=True, kw_only=True, eq=False):
     """Health report of the localisation filter and its sensors."""
 
@@ -391,6 +408,10 @@ class LocalisationReport(Message, frozen=True, kw_only=True, eq=False):
         Meta(description="random walk added to that of the current because the innovations require it; 0: none"),
     ]
     sensors: Annotated[tuple[SensorReport, ...], Meta(description="one report for each sensor")]
+    innovations: Annotated[
+        tuple[InnovationSample, ...],
+        Meta(description="at most four innovations of the newest message of each sensor since the last report"),
+    ] = ()
 
 
 class DroppedGridPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -21,6 +21,7 @@ from ltv_mpc.localisation.filter.alignment import Alignment
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.localisation.health import HealthMonitor, filter_status
+from ltv_mpc.localisation.innovation_samples import InnovationSamples
 from ltv_mpc.localisation.out_of_sequence import snapshot_spacing_ns
 from ltv_mpc.localisation.reinitialisation import RESTARTED_NS, Reinitialisation, is_finite, is_usable
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -68,8 +69,8 @@ class Supervision:
         self._recent: deque[ImuSample | Measurement] = deque(maxlen=_MAX_RECENT)
         self._replacement: Alignment | None = None  # of the filter that will replace the diverged one
         self._shadow: ShadowFilter | None = None
-        self._shadow_took_over_ns: int | None = None  # time at which the shadow filter took over
-        self._warm_started_ns: int | None = None
+        self._samples = InnovationSamples()
+        self._restarted: tuple[int, str] | None = None  # time of a warm restart or shadow's takeover (ns), and why
         self._report_ns = 0  # of the next report
 
     @property
@@ -106,7 +107,7 @@ class Supervision:
         """
         self._report_ns = (belief.t_ns // REPORT_NS + 1) * REPORT_NS
         if warm:
-            self._warm_started_ns = belief.t_ns
+            self._restarted = belief.t_ns, "restarted from a checkpoint"
         self._set_filter(ErrorStateFilter(self._sensor_config, self._config, belief))
 
     def receive(self, message: ImuSample | Measurement) -> None:
@@ -194,10 +195,8 @@ class Supervision:
     ) -> LocalisationReport:
         """Return the report. A restart takes precedence over the status from the sensors."""
         t_ns = filter_.belief.t_ns
-        if self._warm_started_ns is not None and t_ns - self._warm_started_ns < RESTARTED_NS:
-            status, why = FilterStatus.RESTARTED, why or "restarted from a checkpoint"
-        elif self._shadow_took_over_ns is not None and t_ns - self._shadow_took_over_ns < RESTARTED_NS:
-            status, why = FilterStatus.RESTARTED, why or "the shadow filter has replaced the active filter"
+        if self._restarted is not None and t_ns - self._restarted[0] < RESTARTED_NS:
+            status, why = FilterStatus.RESTARTED, why or self._restarted[1]
         elif self._reinitialisation.recent(t_ns):
             status, why = FilterStatus.RESTARTED, why or "reinitialised at its last good position"
         elif status is FilterStatus.NOMINAL and walk > 0.0:
@@ -214,6 +213,7 @@ class Supervision:
             restarts=self._reinitialisation.count,
             water_walk_mps_per_rts=walk,
             sensors=sensors,
+            innovations=self._samples.take(),
         )
 
     def _active(self) -> ErrorStateFilter:
@@ -222,8 +222,8 @@ class Supervision:
         return filter_
 
     def _set_filter(self, filter_: ErrorStateFilter) -> None:
-        """Make ``filter_`` the active one, observed by the monitor alone."""
-        filter_.observers[:] = [self._monitor.observe]
+        """Make ``filter_`` the active one, observed by the monitor and the samples for the report alone."""
+        filter_.observers[:] = [self._monitor.observe, self._samples.observe]
         self._sequencing.set_filter(filter_)
 
     def _set_shadow(self, shadow: ShadowFilter | None) -> None:
@@ -260,4 +260,4 @@ class Supervision:
             shadow.filter.process_noise.reset_tests(shadow.filter.belief)
             self._set_filter(shadow.filter)
             self._reinitialisation.restore(shadow.past_beliefs)
-            self._shadow_took_over_ns = t_ns
+            self._restarted = t_ns, "the shadow filter has replaced the active filter"

@@ -27,7 +27,7 @@ from services.reporting.plots.table import Columns
 Dash: TypeAlias = tuple[float, Sequence[float]] | None
 
 LINES: dict[Style, Dash] = {Style.LINE: None, Style.DASHED: (0, (5, 2)), Style.DOTTED: (0, (1, 1.2))}
-MARKERS = {Style.CROSS: "+", Style.DOT: "o", Style.RING: "o"}
+MARKERS = {Style.CROSS: "+", Style.POINT: ".", Style.DOT: "o", Style.RING: "o"}
 COMPARED: tuple[Dash, ...] = (None, (0, (4, 1.5)), (0, (1, 1.2)))
 """Dash patterns of the first, second and third compared series, if several runs are overlaid."""
 
@@ -121,8 +121,9 @@ def _line(axes: Axes, run: Run, series: Series, drawn: _Drawn) -> Line2D | None:
     drawn.add(x, y)
     if (marker := MARKERS.get(series.style)) is not None:
         face = "none" if series.style is Style.RING else series.colour
+        size, edge = (3, 0.0) if series.style is Style.POINT else (7, 1.8)
         (line,) = axes.plot(
-            x, y, marker, color=series.colour, markersize=7, mfc=face, markeredgewidth=1.8, label=series.label
+            x, y, marker, color=series.colour, markersize=size, mfc=face, markeredgewidth=edge, label=series.label
         )
     else:
         style = LINES[series.style]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from services.reporting.plots import palette
-from services.reporting.plots.collector import NIS
+from services.reporting.plots.collector import INNOVATIONS, NIS
 from services.reporting.plots.delays import STAGES as ROWS_OF_STAGES
 from services.reporting.plots.description import Axis, Group, Level, Plot, Series, Style
 from services.reporting.plots.vehicle_from_above import CURRENT_MPS
@@ -215,6 +215,9 @@ YAW_RATE = Plot(
     title="Yaw rate",
     x=TIME,
     y=Axis(label="yaw rate (deg/s)", min_span=1.0),
+    note="Positive to starboard. There is no reference: the thrusters that turn the vehicle also drive it, so the "
+    "controller plans the yaw rate. The estimate is the reading of the gyro without its bias, so it has the noise of "
+    "the gyro. Points are 0.2 s apart or more, so oscillations above 2 Hz do not show.",
     series=(
         Series(label="true", table="truth", x="t_s", y="yaw_rate_dps", colour=palette.TRUTH, compared=True),
         Series(label="estimate", table="track", x="t_s", y="yaw_rate_dps", colour=palette.ESTIMATE, style=Style.DASHED),
@@ -374,5 +377,43 @@ RESIDUALS = Plot(
     ),
 )
 
-REVIEW = (OVER_DEPTH, HISTOGRAM, SPECTRUM, RESIDUALS)
-"""Plots of a recorded run, which the report shows below the others; their tables are those of ``analysis.py``."""
+UNITS = {"adcp": "m/s", "bottom_track": "m/s", "gnss_velocity": "m/s", "compass": "deg"}
+"""Units of innovations that are not in metres."""
+
+
+def _innovations(measured: str, table: str) -> Plot:
+    """Return the plot of the innovations of a sensor in their own unit."""
+    return Plot(
+        name=table,
+        title=f"Innovations: {measured.replace('_', ' ')}",
+        x=TIME,
+        y=Axis(label=f"innovation ({UNITS.get(measured, 'm')})"),
+        group=Group.REVIEW,
+        note=(
+            "Measurement minus its prediction by the filter, of measurements that passed the gate: at most four of the "
+            "newest message each second, of a profiler about one a beam. The band is two standard deviations that "
+            "the filter expects, and holds 95 % of the points if it is consistent. Points that are mostly on one side "
+            "of zero show a bias."
+        ),
+        series=(
+            Series(
+                label="2 sd",
+                table=table,
+                x="t_s",
+                y="minus_2_sd",
+                y_high="plus_2_sd",
+                colour=palette.REFERENCE,
+                style=Style.BAND,
+            ),
+            Series(
+                label="innovation", table=table, x="t_s", y="innovation", colour=palette.ESTIMATE, style=Style.POINT
+            ),
+        ),
+    )
+
+
+REVIEW = (
+    *(OVER_DEPTH, HISTOGRAM, SPECTRUM, RESIDUALS),
+    *(_innovations(measured, table) for measured, table in INNOVATIONS.items()),
+)
+"""Plots of a recorded run, which the report shows below the others, most of them from tables of ``analysis.py``."""

@@ -16,6 +16,7 @@ from ltv_mpc.messages import (
     CycleTiming,
     Estimate,
     FenceInForce,
+    InnovationSample,
     LocalisationReport,
     Message,
     NodeSettings,
@@ -53,6 +54,14 @@ CORRECTING = (
 NIS = {sensor: f"nis_{sensor}" for sensor in CORRECTING}
 """Tables of the normalised innovations, by sensor."""
 
+MEASURED = (
+    *("gnss_position", "gnss_velocity"),
+    *(sensor for sensor in CORRECTING if sensor != "gnss"),
+)
+"""Measurements by sensor; those of the satellite receiver have two units."""
+INNOVATIONS = {measured: f"innovation_{measured}" for measured in MEASURED}
+"""Tables of the innovations in the unit of the measurement, degrees for an angle."""
+
 HISTORY = {
     "track": MOTION,
     "truth": MOTION,
@@ -63,6 +72,7 @@ HISTORY = {
     "thrust": ("t_s", "port_N", "starboard_N", "vertical_N"),
     "energy": ("t_s", "all_J", "lateral_J"),
     **dict.fromkeys(NIS.values(), ("t_s", "deviation")),
+    **dict.fromkeys(INNOVATIONS.values(), ("t_s", "innovation", "minus_2_sd", "plus_2_sd")),
     "true_current": ("depth_m", "north_mps", "east_mps"),
     "latency": ("t_s", "cycle_ms", "deadline_ms"),
 }
@@ -70,6 +80,9 @@ PEAKS = {"latency": "cycle_ms"}
 
 NIS_BAND = 1.96
 """Half width of the band that holds 95 % of all consistent means (standard deviations)."""
+
+VELOCITY_ROW = 2
+"""First row of a satellite fix that is a velocity."""
 
 LATE_S = 1.0
 """Vehicle time of the first estimate (s) after which the data do not begin with the run."""
@@ -218,6 +231,22 @@ class Collector:
             if sensor.nis is not None and count and sensor.sensor in NIS:
                 self.tables[NIS[sensor.sensor]].add(self.seconds(report.t_ns), nis_deviation(sensor.nis, count))
                 self.values |= {"nis_low": -NIS_BAND, "nis_high": NIS_BAND}
+        for sample in report.innovations:
+            if sample.sensor in NIS:
+                self._add_innovations(sample)
+
+    def _add_innovations(self, sample: InnovationSample) -> None:
+        """Add a row for each innovation; the band is that of their mean square."""
+        kinds: dict[str, list[tuple[float, float]]] = {}
+        for row, innovation, sd in zip(sample.rows, sample.innovations, sample.sd, strict=True):
+            kind = "position" if row < VELOCITY_ROW else "velocity"
+            measured = f"gnss_{kind}" if sample.sensor == "gnss" else sample.sensor
+            kinds.setdefault(measured, []).append((innovation, sd))
+        for measured, pairs in kinds.items():
+            scale = math.degrees(1.0) if measured == "compass" else 1.0
+            band = 2.0 * scale * math.sqrt(sum(sd * sd for _, sd in pairs) / len(pairs))
+            for innovation, _ in pairs:
+                self.tables[INNOVATIONS[measured]].add(self.seconds(sample.t_ns), scale * innovation, -band, band)
 
     def _add_fence(self, fence: FenceInForce) -> None:
         self.newest.fence = fence

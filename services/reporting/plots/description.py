@@ -20,6 +20,7 @@ class Style(enum.StrEnum):
     DASHED = "dashed"
     DOTTED = "dotted"
     CROSS = "cross"  # current position of something
+    POINT = "point"  # one of many
     DOT = "dot"
     RING = "ring"
     BAND = "band"  # filled between x and x_high, or y and y_high

@@ -7,7 +7,8 @@
 const Plots = (() => {
   const DASHES = { line: "solid", dashed: "dash", dotted: "dot" };
   const COMPARED_DASHES = ["solid", "dash", "dot"];
-  const SYMBOLS = { cross: "cross-thin", dot: "circle", ring: "circle-open" };
+  const SYMBOLS = { cross: "cross-thin", point: "circle", dot: "circle", ring: "circle-open" };
+  const SIZES = { cross: 11, point: 4, dot: 9, ring: 9 };
   const MARK = "#a0522d"; // the same colour as in palette.py
   const CONFIG = { displayModeBar: false, responsive: true, displaylogo: false };
   const GAP_S = 1, GAP_STEPS = 5; // a line ends where data are missing for longer than both
@@ -38,7 +39,9 @@ const Plots = (() => {
 
   // Return the rows after which data are missing: later than GAP_S and GAP_STEPS mean steps.
   function gaps(times) {
-    const known = times.length > 2 ? (times[times.length - 1] - times[0]) / (times.length - 1) : 0;
+    let steps = 0; // several points may have one time
+    for (let i = 1; i < times.length; i++) if (times[i] > times[i - 1]) steps += 1;
+    const known = steps > 1 ? (times[times.length - 1] - times[0]) / steps : 0;
     const longest = Math.max(GAP_S, GAP_STEPS * known);
     const rows = [];
     for (let i = 1; i < times.length; i++) if (times[i] - times[i - 1] > longest) rows.push(i);
@@ -75,7 +78,8 @@ const Plots = (() => {
     close();
     return {
       type: "scatter", mode: "lines", fill: "toself", hoverinfo: "skip", line: { width: 0 }, ...outline, series,
-      fillcolor: transparent(colour(series.colour), 0.16), showlegend: false,
+      fillcolor: transparent(colour(series.colour), 0.16), name: series.label, showlegend: series.label !== "",
+      edges: { x, y, ...(series.x_high ? { xHigh } : { yHigh }) },
     };
   }
 
@@ -92,8 +96,8 @@ const Plots = (() => {
       hovertemplate: "%{x:.4~g}, %{y:.4~g}",
     };
     if (series.style in SYMBOLS) {
-      const stroke = { width: 2, color: colour(series.colour) };
-      const marker = { symbol: SYMBOLS[series.style], size: series.style === "cross" ? 11 : 9, color: stroke.color, line: stroke };
+      const stroke = { width: series.style === "point" ? 0 : 2, color: colour(series.colour) };
+      const marker = { symbol: SYMBOLS[series.style], size: SIZES[series.style], color: stroke.color, line: stroke };
       return { ...trace, mode: "markers", marker };
     }
     return { ...trace, mode: "lines", line: { color: colour(series.colour), dash: DASHES[series.style], width: 1.6 } };
@@ -269,11 +273,19 @@ const Plots = (() => {
 
   // --- panels -------------------------------------------------------------------------------------------------------
 
+  // Return name and cells of each column of a series: of a band both of its edges, not its outline.
+  function columnsOf(plot, { series, x, y, edges, name: shown }) {
+    const name = shown || `${series.table} ${series.x_high ? series.x : series.y}`;
+    const columns = [[`${name} ${plot.x.label}`, edges ? edges.x : x], [`${name} ${plot.y.label}`, edges ? edges.y : y]];
+    if (edges && edges.xHigh) columns.push([`${name}, other edge ${plot.x.label}`, edges.xHigh]);
+    if (edges && edges.yHigh) columns.push([`${name}, other edge ${plot.y.label}`, edges.yHigh]);
+    return columns;
+  }
+
   function save(panel, plot, format) {
-    const file = `${document.title.replace(/[^\w.-]+/g, "-")}-${plot.name}`;
+    const file = [document.title, plot.name, ...panel.of].join("-").replace(/[^\w.-]+/g, "-");
     if (format === "csv") {
-      const columns = panel.place.data.filter((trace) => trace.series)
-        .flatMap(({ series, x, y }) => [[`${series.label || series.table} ${plot.x.label}`, x], [`${series.label || series.table} ${plot.y.label}`, y]]);
+      const columns = panel.place.data.filter((trace) => trace.series).flatMap((trace) => columnsOf(plot, trace));
       const rows = Math.max(0, ...columns.map(([, cells]) => cells.length));
       const lines = [columns.map(([name]) => `"${name}"`).join(",")];
       for (let i = 0; i < rows; i++) lines.push(columns.map(([, cells]) => cells[i] ?? "").join(","));
@@ -285,7 +297,7 @@ const Plots = (() => {
       return;
     }
     const { data, layout: shown } = panel.place;
-    const figure = { data, layout: { ...shown, title: { text: plot.title, font: { size: 14 } }, showlegend: true,
+    const figure = { data, layout: { ...shown, title: { text: [plot.title, ...panel.of].join(", "), font: { size: 14 } }, showlegend: true,
       legend: { orientation: "h", y: 1.02, yanchor: "bottom" }, margin: { l: 60, r: 20, t: 90, b: 50 }, paper_bgcolor: theme("--paper") } };
     Plotly.downloadImage(figure, { format, filename: file, width: 900, height: plot.equal ? 900 : 500, scale: format === "png" ? 2 : 1 });
   }
@@ -322,11 +334,13 @@ const Plots = (() => {
     return button;
   }
 
-  // Add a panel to `parent` and return it: {section, legend, place, follow}.
+  // Add a panel to `parent` and return it: {section, legend, place, follow, of}. A title that is not that of the plot
+  // names the run that it shows, in files of the plot too.
   function panelOf(parent, plot, title, id) {
     const section = element("section", "", "panel");
     section.id = `panel-${id}`;
-    const panel = { section, legend: element("ul", "", "legend"), place: element("div", "", "plot"), follow: false };
+    const panel = { section, legend: element("ul", "", "legend"), place: element("div", "", "plot"), follow: false,
+      of: title === plot.title ? [] : [title] };
     panel.place.id = `plot-${id}`;
     panel.place.setAttribute("role", "img");
     panel.place.setAttribute("aria-label", `Plot: ${title}, ${plot.y.label} over ${plot.x.label}`);

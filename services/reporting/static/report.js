@@ -39,6 +39,13 @@
     show();
   }
 
+  // Return the value of a cell: a number if it is one, null if there is none.
+  function cell(td) {
+    const text = td ? td.textContent.replace("−", "-") : "";
+    if (text === "" || text === "–") return null;
+    return Number.isNaN(Number(text)) ? text : Number(text);
+  }
+
   // A press on a heading sorts the table by its column, up and then down.
   function sortable(table) {
     const heads = [...table.querySelectorAll("th")];
@@ -52,10 +59,11 @@
         heads.forEach((one) => one.removeAttribute("aria-sort"));
         head.setAttribute("aria-sort", down ? "descending" : "ascending");
         const body = table.tBodies[table.tBodies.length - 1];
-        const key = (row) => row.cells[column].textContent.replace("−", "-");
-        const compare = (a, b) => (Number.isNaN(Number(key(a)) + Number(key(b)))
-          ? key(a).localeCompare(key(b)) : Number(key(a)) - Number(key(b)));
-        body.append(...[...body.rows].sort((a, b) => (down ? -1 : 1) * compare(a, b)));
+        const key = (row) => cell(row.cells[column]);
+        const compare = (a, b) => (typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b)));
+        const sorted = [...body.rows].sort((a, b) => (down ? -1 : 1) * compare(key(a), key(b)));
+        // A row without a value stays at the end in both orders.
+        body.append(...sorted.filter((row) => key(row) !== null), ...sorted.filter((row) => key(row) === null));
       });
     });
   }

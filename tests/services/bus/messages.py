@@ -39,6 +39,7 @@ from ltv_mpc.messages import (
     InboxEntry,
     Injection,
     InjectorFrame,
+    InnovationSample,
     InputReport,
     Kill,
     LblRange,
@@ -171,6 +172,11 @@ EXAMPLES: tuple[Message, ...] = (
                 rejected={"gate": 12, "no_return": 8},
                 nis=3.1,
                 last_t_ns=6_999_999_993,
+            ),
+        ),
+        innovations=(
+            InnovationSample(
+                sensor="adcp", t_ns=6_999_999_993, rows=(0, 14), innovations=(0.01, -0.02), sd=(0.01, 0.01)
             ),
         ),
     ),

@@ -25,6 +25,7 @@ from ltv_mpc.messages import (
     FenceInForce,
     FenceReport,
     FilterStatus,
+    InnovationSample,
     LocalisationReport,
     Message,
     Obstacle,
@@ -53,6 +54,7 @@ TARGET = (1.0, 2.0)
 CYCLE_NS = 300_000_000
 EPOCH = 7
 NIS = 0.9
+INNOVATIONS, INNOVATION_SDS = (0.1, -0.1, 0.02, 0.0), (0.3, 0.4, 0.01, 0.01)
 BASIN, WRECK = 'keep_in[0] "basin"', 'keep_out_disc[0] "wreck"'
 
 VEHICLE = (Path(__file__).parents[3] / "ltv_mpc" / "vehicle" / "files" / "paper.toml").read_text()
@@ -149,8 +151,18 @@ def report(t_ns: int) -> LocalisationReport:
         SensorReport(sensor=name, status=SensorStatus.OK, used=20, rejected={}, nis=NIS, last_t_ns=t_ns)
         for name in collector.NIS
     )
+    innovations = tuple(
+        InnovationSample(sensor=name, t_ns=t_ns, rows=(0, 1, 2, 3), innovations=INNOVATIONS, sd=INNOVATION_SDS)
+        for name in collector.NIS
+    )
     return LocalisationReport(
-        t_ns=t_ns, status=FilterStatus.NOMINAL, why="", restarts=0, water_walk_mps_per_rts=0.0, sensors=sensors
+        t_ns=t_ns,
+        status=FilterStatus.NOMINAL,
+        why="",
+        restarts=0,
+        water_walk_mps_per_rts=0.0,
+        sensors=sensors,
+        innovations=innovations,
     )
 
 

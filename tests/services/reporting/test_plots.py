@@ -18,7 +18,7 @@ from services.recording.node_settings import vehicle_of
 from services.recording.writer import RunWriter
 from services.reporting.plots import analysis, palette
 from services.reporting.plots.catalogue import PLOTS, REVIEW
-from services.reporting.plots.collector import CORRECTING, HISTORY, Collector, nis_deviation
+from services.reporting.plots.collector import CORRECTING, HISTORY, INNOVATIONS, Collector, nis_deviation
 from services.reporting.plots.delays import STAGES
 from services.reporting.plots.description import Style
 from services.reporting.plots.percentiles import Percentiles
@@ -30,6 +30,9 @@ from tests.services.runtime.test_controller_status import STATUS as CONTROLLER_S
 from tests.services.words import status
 
 COLOURS = [value for name, value in vars(palette).items() if name.isupper() and isinstance(value, str)]
+
+
+SPEEDS = ("gnss_velocity", "adcp", "bottom_track")
 
 
 @pytest.fixture
@@ -159,6 +162,24 @@ def test_the_band_of_the_innovations_is_that_of_chi_squared(collector: Collector
     assert nis_deviation(34.170 / 20, 20) == pytest.approx(collector.values["nis_high"], abs=0.02)
     shown = collector.tables["nis_adcp"].since(0)["deviation"]
     assert shown == pytest.approx([nis_deviation(synthetic_run.NIS, 20)] * len(shown), abs=1e-4)
+
+
+def test_innovations_have_the_unit_of_their_sensor_and_the_band_of_the_filter() -> None:
+    """A fix of a satellite has two positions and two velocities; a heading is shown in degrees."""
+    collector = Collector()
+    collector.add(synthetic_run.report(0), EPOCH)
+    tables = {name: collector.tables[table].since(0) for name, table in INNOVATIONS.items()}
+    assert tables["gnss_position"]["innovation"] == [0.1, -0.1]
+    assert tables["gnss_position"]["plus_2_sd"] == pytest.approx([2.0 * math.sqrt((0.3**2 + 0.4**2) / 2)] * 2, abs=1e-4)
+    assert tables["gnss_velocity"]["innovation"] == [0.02, 0.0]
+    assert tables["gnss_velocity"]["minus_2_sd"] == pytest.approx([-0.02] * 2)
+    assert tables["adcp"]["innovation"] == list(synthetic_run.INNOVATIONS)
+    in_degrees = [math.degrees(x) for x in synthetic_run.INNOVATIONS]
+    assert tables["compass"]["innovation"] == pytest.approx(in_degrees, abs=1e-4)
+    assert {plot.name: plot.y.label for plot in REVIEW if plot.name in INNOVATIONS.values()} == {
+        table: f"innovation ({'deg' if name == 'compass' else 'm/s' if name in SPEEDS else 'm'})"
+        for name, table in INNOVATIONS.items()
+    }
 
 
 def test_the_energy_is_that_of_the_delivered_thrusts(collector: Collector) -> None:

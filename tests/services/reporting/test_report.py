@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from ltv_mpc.messages import Clock, NodeSettings, Truth
-from services.bus.wire import Header
+from ltv_mpc.messages import Clock, LocalisationReport, NodeSettings, Truth
+from services.bus.wire import Header, from_map, to_map
 from services.cli import app
 from services.recording.writer import VEHICLE_MODE, RunWriter
 from services.reporting import static_files
@@ -148,6 +148,23 @@ def test_a_run_ends_with_its_report(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert data((out / "report.html").read_text())["runs"][0]["tables"]["truth"]["t_s"]
 
 
+def test_a_recording_without_innovations_has_no_plot_of_them(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    """As an older version recorded it: the field is missing in the message."""
+    with RunWriter(tmp_path / "run.mcap", start_ns=-synthetic_run.S, metadata={}) as writer:
+        for i, (node, message, t_ns) in enumerate(synthetic_run.dive()):
+            header = Header(epoch=synthetic_run.EPOCH, sequence=i)
+            if isinstance(message, LocalisationReport):
+                plain = to_map(message, header)
+                del plain["innovations"]
+                message, header = from_map(LocalisationReport, plain)
+            writer.write(node, message, header, t_ns)
+    for folder, shown in ((runs[0], True), (tmp_path, False)):
+        assert app.run(["report", str(folder)]) == 0
+        names = [plot["name"] for plot in data((folder / "report.html").read_text())["plots"]]
+        assert "nis" in names
+        assert ("innovation_adcp" in names) is shown
+
+
 def test_beside_a_vehicle_no_plot_of_a_truth_is_drawn_and_times_count_from_the_start(tmp_path: Path) -> None:
     """The same dive, as a recorder beside a vehicle has it whose clock counts from 1970."""
     began_ns = 1_790_000_000 * synthetic_run.S
@@ -158,7 +175,12 @@ def test_beside_a_vehicle_no_plot_of_a_truth_is_drawn_and_times_count_from_the_s
         for i, (node, message, t_ns) in enumerate(synthetic_run.dive()):
             if isinstance(message, (Truth, Clock)):
                 continue
-            later = {name: getattr(message, name) + began_ns for name in times & {*message.__struct_fields__}}
+            later: dict[str, Any] = {
+                name: getattr(message, name) + began_ns for name in times & {*message.__struct_fields__}
+            }
+            if isinstance(message, LocalisationReport):
+                samples = (msgspec.structs.replace(one, t_ns=one.t_ns + began_ns) for one in message.innovations)
+                later["innovations"] = tuple(samples)
             moved = msgspec.structs.replace(message, **later)
             writer.write(node, moved, Header(epoch=synthetic_run.EPOCH, sequence=i), t_ns + began_ns)
     assert app.run(["report", str(tmp_path)]) == 0
