@@ -111,6 +111,50 @@ def test_the_report_of_two_runs_shows_both(browser: Any, reports: tuple[Path, Pa
         fits(page, PHONE)
 
 
+def test_every_plot_of_a_report_is_saved_as_png_svg_and_csv(browser: Any, reports: tuple[Path, Path]) -> None:
+    """A CSV has a column with a name of its own for each edge of a band, and as many cells in each row."""
+    with tab(browser, SCREEN, own=reports[0].as_uri()) as page:
+        page.goto(reports[0].as_uri())
+        drawn(page, but=UNTIMED)
+        menus = page.locator(".menu").all()
+        assert len(menus) > len(PLOTS)
+        for menu in menus:
+            menu.locator("summary").click()
+            for kind, begins in (("PNG", b"\x89PNG"), ("SVG", b"<svg"), ("CSV", b"")):
+                with page.expect_download() as download:
+                    menu.get_by_role("button").filter(has_text=kind).click()
+                content = Path(download.value.path()).read_bytes()
+                assert download.value.suggested_filename.endswith(f".{kind.lower()}")
+                assert content.startswith(begins)
+                assert len(content) > 3000 or kind == "CSV"
+            lines = content.decode().splitlines()
+            assert len({line.count(",") for line in lines[1:]}) <= 1
+            if "panel-errors" in str(menu.evaluate("one => one.closest('section').id")):
+                assert lines[0].startswith('"2 sigma time (s)","2 sigma error (m)","2 sigma, other edge error (m)"')
+                _, low, high = (float(cell) for cell in lines[5].split(",")[:3])
+                assert low == -high
+            menu.locator("summary").click()
+
+
+def test_a_table_is_sorted_by_its_column_and_rows_without_a_value_stay_last(
+    browser: Any, reports: tuple[Path, Path]
+) -> None:
+    cells = "rows => rows.map(row => row.cells[1].textContent)"
+    with tab(browser, SCREEN, own=reports[0].as_uri()) as page:
+        page.goto(reports[0].as_uri())
+        page.evaluate("document.querySelector('#figures tbody tr td:nth-child(2)').textContent = '–'")
+        head = page.locator("#figures button.sort").nth(1)
+        orders = []
+        for _ in range(2):
+            head.click()
+            *values, missing = page.locator("#figures tbody tr").evaluate_all(cells)
+            assert missing == "–"
+            orders.append([float(value) for value in values])
+        assert orders[0] == sorted(orders[0])
+        assert orders[1] == sorted(orders[0], reverse=True)
+        assert orders[0][0] < orders[0][-1]
+
+
 # --- the live page ---------------------------------------------------------------------------------------------------
 
 
