@@ -30,7 +30,7 @@ def assessment(summary: Mapping[str, Any]) -> list[str]:
     A figure that the summary lacks, such as the truth of a real vehicle, gives no sentence.
     """
     sentences = [*_error(summary), _fence(summary), _lateral_thrust(summary), _vertical_thrust(summary)]
-    sentences += [_health(summary), _delay(summary), _losses(summary)]
+    sentences += [_health(summary), *_delay(summary), _losses(summary)]
     return [sentence for sentence in sentences if sentence]
 
 
@@ -91,9 +91,7 @@ def _error(summary: Mapping[str, Any]) -> list[str]:
     if cause is _Cause.GOOD:
         return [f"{average}, which is good: less than {GOOD_M:g} m.", perfect]
     if cause is _Cause.DRIFT:
-        parts = (
-            f"Drift of the estimate is the larger part, {localisation:.3f} m; the tracking error is {tracking:.3f} m."
-        )
+        parts = f"Drift of the estimate is the larger part, {localisation:.3f} m; tracking is {tracking:.3f} m."
     else:
         parts = (
             perfect
@@ -165,14 +163,16 @@ def _health(summary: Mapping[str, Any]) -> str:
     )
 
 
-def _delay(summary: Mapping[str, Any]) -> str:
+def _delay(summary: Mapping[str, Any]) -> list[str]:
     """Tell the delay from estimate to effect, and how many plans came after their start."""
     delay_s = _figure(summary, "end_to_end_delay_s", "median")
     if summary.get("mode") == "lockstep" or delay_s is None:
-        return ""
+        return []
     late = summary["deadline_misses"]
-    plans = "No plan came" if late == 0 else f"{late} of {summary['cycles']} plans came"
-    return f"A plan took effect {delay_s:.2f} s after its estimate, and was made for that time. {plans} too late."
+    plans = "No plan came too late."
+    if late:
+        plans = f"{late} of {summary['cycles']} plans came too late: a lower `--speed` gives them more time."
+    return [f"A plan took effect {delay_s:.2f} s after its estimate, and was made for that time.", plans]
 
 
 def _losses(summary: Mapping[str, Any]) -> str:

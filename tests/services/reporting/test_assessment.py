@@ -32,7 +32,7 @@ SATURATED = {"saturated_fraction": 0.4, "mean_abs_N": 60.0, "max_abs_N": 100.0}
     [
         (
             summary(0.02, 0.31, 0.30),
-            ["Drift of the estimate is the larger part, 0.300 m; the tracking error is 0.020 m.", "Better sensors"],
+            ["Drift of the estimate is the larger part, 0.300 m; tracking is 0.020 m.", "Better sensors"],
         ),
         (
             summary(0.50, 0.51, 0.02),
@@ -119,7 +119,7 @@ def test_a_run_with_high_effort_is_not_proposed_again() -> None:
 def test_late_plans_and_losses_are_counted() -> None:
     messages = {"published": 9, "dropped": 3, "rejected": 0, "denied": 0}
     text = " ".join(assessment(summary(0.02, 0.3, 0.3, deadline_misses=4, messages=messages, restarts=1)))
-    assert "4 of 667 plans came too late" in text
+    assert "4 of 667 plans came too late: a lower `--speed` gives them more time." in text
     assert "dropped messages: 3, restarts of processes: 1. The report" in text
     usual = " ".join(assessment(summary(0.02, 0.3, 0.3)))
     assert "No plan came too late. No message was lost." in usual
