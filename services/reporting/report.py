@@ -92,16 +92,24 @@ def _data(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> str:
 def plots_with_data(plot_data: Sequence[PlotData]) -> list[Plot]:
     """Return the plots for which a run has data, each with the series that have some.
 
-    A plot that says itself why it is empty stays, if its run is a simulation.
+    A plot that says itself why it is empty stays, if its run is a simulation. Surface craft have no plots of depth.
     """
     plots = []
+    only_surface = all(_is_surface_craft(data) for data in plot_data)
     for plot in (*PLOTS, *REVIEW):
+        if plot.diving and only_surface:
+            continue
         series = [part for part in plot.series if any(_has_data(data, part) for data in plot_data)]
         simulated = any(data.metadata.get("mode") != VEHICLE_MODE for data in plot_data)
         if series or (simulated and plot.empty != NO_DATA):
             levels = tuple(level for level in plot.levels if any(level.value in data.values for data in plot_data))
             plots.append(msgspec.structs.replace(plot, series=tuple(series) or plot.series, levels=levels))
     return plots
+
+
+def _is_surface_craft(data: PlotData) -> bool:
+    """Return True if the limits of the thrusters are known, and there is no vertical one."""
+    return "port_max_N" in data.values and "vertical_max_N" not in data.values
 
 
 def _has_data(data: PlotData, series: Series) -> bool:

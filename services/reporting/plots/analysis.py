@@ -81,6 +81,8 @@ def _residuals(errors: Columns) -> Columns:
         for axis in ("north", "east"):
             ratio = _floats(errors[f"{axis}_m"]) / sigma
             columns[axis] = [short(x) for x in np.where(sigma > 1e-3, ratio, np.nan)]
+    if all(cell is None for axis in ("north", "east") for cell in columns[axis]):
+        return {}
     columns |= {"low": [-2.0] * len(sigma), "high": [2.0] * len(sigma)}
     return columns
 

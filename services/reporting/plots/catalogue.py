@@ -66,6 +66,7 @@ DEPTH = Plot(
     x=TIME,
     y=Axis(label="depth (m)", downwards=True, min_span=1.0),
     group=Group.LINE,
+    diving=True,
     series=(
         Series(
             label="reference", table="reference", x="t_s", y="depth_m", colour=palette.REFERENCE, style=Style.DOTTED
@@ -185,6 +186,7 @@ VERTICAL = Plot(
     x=TIME,
     y=Axis(label="thrust (N), down", min_span=10.0),
     empty="no vertical thruster",
+    diving=True,
     series=(
         Series(label="delivered", table="thrust", x="t_s", y="vertical_N", colour=palette.OTHER, compared=True),
         Series(label="planned", table="ahead", x="t_s", y="vertical_N", colour=palette.PLAN, style=Style.DASHED),
@@ -311,6 +313,7 @@ OVER_DEPTH = Plot(
     y=Axis(label="depth (m)", downwards=True, min_span=1.0),
     over_time=False,
     group=Group.REVIEW,
+    diving=True,
     series=(
         Series(
             label="vehicle",

@@ -83,4 +83,5 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
     note: str = ""  # explanation shown with the title
     group: Group = Group.WHY
     drifts: bool = False  # counts from the first message: a plot that began late says from when
+    diving: bool = False  # the report of a surface craft leaves the plot out
     follow: tuple[str, ...] = ()  # tables around which the view can follow the vehicle

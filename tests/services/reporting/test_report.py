@@ -148,6 +148,23 @@ def test_a_run_ends_with_its_report(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert data((out / "report.html").read_text())["runs"][0]["tables"]["truth"]["t_s"]
 
 
+def test_the_report_of_a_surface_craft_has_no_plot_of_depth(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    """A run of it beside one of a vehicle that dives has it, for the other."""
+    craft = re.sub(
+        r"\[(heave|thruster\.vertical)\][^\[]*|(net_buoyancy|failsafe_vertical)_N.*", "", synthetic_run.VEHICLE
+    )
+    with RunWriter(tmp_path / "run.mcap", start_ns=0, metadata={"config/vehicle.toml": craft}) as writer:
+        for i, (node, message, t_ns) in enumerate(synthetic_run.dive()):
+            writer.write(node, message, Header(epoch=synthetic_run.EPOCH, sequence=i), t_ns)
+    both = tmp_path / "both"
+    assert app.run(["report", str(tmp_path)]) == 0
+    assert app.run(["report", str(tmp_path), str(runs[0]), "--out", str(both)]) == 0
+    for folder, shown in ((tmp_path, set()), (both, {"depth", "vertical", "over_depth"})):
+        names = {plot["name"] for plot in data((folder / "report.html").read_text())["plots"]}
+        assert names & {"depth", "vertical", "over_depth"} == shown
+        assert "thrust" in names
+
+
 def test_a_recording_without_innovations_has_no_plot_of_them(runs: tuple[Path, Path], tmp_path: Path) -> None:
     """As an older version recorded it: the field is missing in the message."""
     with RunWriter(tmp_path / "run.mcap", start_ns=-synthetic_run.S, metadata={}) as writer:
