@@ -1,8 +1,15 @@
-"""Outputs that the tutorials show have the shape of those that their commands print: only numbers may differ."""
+"""Tutorials: each shown line is one that the commands above it print, and the steps take the time of the title.
+
+The commands run in the page's order and one folder. What runs in lock step is the same on every machine, so that its
+numbers are compared too. Of the demo, which the reader runs as processes, a summary with known figures is formatted,
+and a short run in lock step takes its place. tests/examples/test_python_publisher.py has the terminals of step 5, and
+``python -m benchmarks.tutorials`` runs all of it as the reader does.
+"""
 
 from __future__ import annotations
 
 import re
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +17,12 @@ import pytest
 
 from services.cli.app import run
 from services.reporting.run_summary_text import verdict
-from tests.docs.pages import ROOT, blocks
+from tests.docs.pages import ROOT, Block, Command, blocks, commands
+from tests.docs.shown_output import PrintedLine, edited, printed_lines, take_shown
 from tests.services.reporting.test_run_summary_text import SUMMARY
 
-PAGES = ("README.md", "docs/tutorial.md", "docs/tutorial-vehicle.md")
-NUMBER = re.compile(r"-?\d+(\.\d+)?")
+TUTORIALS = ("docs/tutorial.md", "docs/tutorial-vehicle.md")
+PAGES = ("README.md", *TUTORIALS)
 SPREAD = dict.fromkeys(("mean", "max", "final", "median", "p99"), 0.1)
 THRUST = {
     **dict.fromkeys(("mean_abs_N", "max_abs_N", "max_slew_N_per_s", "propulsive_energy_J", "lateral_energy_J"), 1.0),
@@ -28,43 +36,107 @@ DEMO: dict[str, Any] = {
 }
 """Summary of a run as processes in which each figure is known."""
 
-PUBLISHER = ("# m north, # m east, disarmed", "# m north, # m east, controller")
+DEMO_LINES = printed_lines(verdict(DEMO, Path("runs/demo")), exact=False)
+IN_LOCK_STEP = ("sim", "--lockstep", "--surface-time-s", "2", "--duration-s", "5", "--seed", "1")
+SEVERAL_TERMINALS = "ltv-mpc router"
+MINUTES = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+TITLES = {"fifteen": 15, "twenty": 20}
 
 
-def shape(text: str) -> str:
-    """Return a text with # for each number and one space for several, as for a line break."""
-    return " ".join(NUMBER.sub("#", text).split())
+class Session:
+    """Terminal in which the blocks of a page are typed."""
+
+    def __init__(self, captured: pytest.CaptureFixture[str]) -> None:
+        self.printed: deque[PrintedLine] = deque()
+        """Output after the last line that the page shows."""
+        self._captured = captured
+        self._exact = True
+        self._last: Command | None = None
+
+    def type(self, block: Block) -> None:
+        """Do what a block says."""
+        if block.language == "toml":
+            Path(block.text.split()[1]).write_text(block.text)
+        elif block.language == "python":
+            exec(compile(block.text, block.place, "exec"), {})
+            self._take_output()
+        elif block.language == "diff":
+            self._edit(block)
+        elif SEVERAL_TERMINALS not in block.text:
+            for command in commands(block):
+                self._run(command)
+
+    def _run(self, command: Command, code: int = 0) -> None:
+        if command.words[:2] == ("make", "sim"):
+            self._exact = False  # the reader's run is longer, and as processes
+            assert run(list(IN_LOCK_STEP)) == 0
+            self._captured.readouterr()
+            self.printed += DEMO_LINES
+        elif command.ltv_mpc is not None:
+            self._last = command
+            self._exact = self._exact or "--lockstep" in command.words
+            assert run(list(command.ltv_mpc)) == code, command.place
+            self._take_output()
+
+    def _take_output(self) -> None:
+        output = self._captured.readouterr()
+        self.printed += printed_lines(output.err + output.out, exact=self._exact)
+
+    def _edit(self, block: Block) -> None:
+        """Change the file of the last command, run it again, and change the file back."""
+        assert self._last is not None
+        path = Path(self._last.words[-1])
+        text = path.read_text()
+        path.write_text(edited(text, block.text))
+        self._run(self._last, code=2)
+        path.write_text(text)
 
 
-@pytest.fixture(scope="module")
-def printed(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return the shape of all that the commands of the tutorials print."""
-    folder = tmp_path_factory.mktemp("tutorial")
-    (boat,) = (one.text for one in blocks("docs/tutorial-vehicle.md") if one.language == "toml")
-    (folder / "my_boat.toml").write_text(boat)
-    (folder / "my_auv.toml").write_text(boat.replace("max_N = 119.7", "max_N = -30", 1))
-    options = ["--lockstep", "--perfect-state", "--surface-time-s", "1", "--duration-s", "2", "--out", "boat"]
-    output = []
-    with pytest.MonkeyPatch.context() as patched:
-        patched.chdir(folder)
-        patched.setattr("typer.echo", lambda text="", **_: output.append(str(text)))
-        assert run(["vehicle", "check", "my_boat.toml"]) == 0
-        assert run(["vehicle", "check", "my_auv.toml"]) == 2
-        assert run(["sim", "hover", *options, "--vehicle", "my_boat.toml", "--reference", "square"]) == 0
-    return shape(" ".join((*output, *PUBLISHER, verdict(DEMO, Path("runs/demo")))))
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("page", TUTORIALS)
+def test_each_shown_line_is_printed_by_the_commands_above_it(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    session, in_terminals = Session(capsys), False
+    for block in blocks(page):
+        if block.language != "text":
+            in_terminals = SEVERAL_TERMINALS in block.text
+            session.type(block)
+        elif not in_terminals:
+            missing = take_shown(block.text, session.printed)
+            assert missing is None, f"{block.place}: not printed here: {missing}"
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_each_shown_line_has_the_shape_of_a_printed_one(page: str, printed: str) -> None:
-    shown = [line for block in blocks(page) if block.language == "text" for line in block.text.splitlines() if line]
-    assert len(shown) > 2
-    paragraph = re.compile(r"^[A-Z]|^[a-z\d].*\.$")  # sentences break where their numbers let them
-    for line in shown:
-        if not paragraph.match(line):
-            assert shape(line) in printed, f"{page}: {line}"
+def test_each_line_of_a_summary_in_the_readme_has_the_shape_of_a_printed_one() -> None:
+    (shown,) = (block for block in blocks("README.md") if block.language == "text")
+    assert take_shown(shown.text, deque(DEMO_LINES)) is None
 
 
-def test_each_picture_of_a_tutorial_is_there() -> None:
+@pytest.mark.parametrize("page", TUTORIALS)
+def test_the_steps_together_take_the_time_of_the_title(page: str) -> None:
+    title, *headings = re.findall(r"^##? (.*)$", (ROOT / page).read_text(), re.MULTILINE)
+    steps = [heading for heading in headings if re.match(r"\d\. ", heading)]
+    minutes = [re.search(r"\((\w+) minutes?\)$", step) for step in steps]
+    assert all(minutes), steps
+    whole = re.search(rf"in ({'|'.join(TITLES)}) minutes", title)
+    assert whole is not None
+    assert sum(MINUTES.index(found[1]) for found in minutes if found) == TITLES[whole[1]]
+
+
+def test_each_picture_of_a_tutorial_is_there_and_small() -> None:
     for page in PAGES:
         for name in re.findall(r"!\[[^]]+\]\(([^)]+)\)", (ROOT / page).read_text()):
-            assert (ROOT / page).parent.joinpath(name).is_file(), name
+            picture = (ROOT / page).parent / name
+            assert picture.is_file(), name
+            assert page == "README.md" or picture.stat().st_size < 100_000, name
+
+
+def test_a_shown_line_equals_a_whole_line_in_the_order_of_the_output() -> None:
+    printed = printed_lines("depth 4.0 m\nspeed 1.00 m/s, slow\nheading 5 deg\n", exact=True)
+    shapes = [PrintedLine(line.text, exact=False) for line in printed]
+    assert take_shown("depth 4.0 m\nheading 5 deg\n", deque(printed)) is None
+    assert take_shown("depth 4.1 m\n", deque(printed)) == "depth 4.1 m"
+    assert take_shown("depth 14.1 m\n", deque(shapes)) is None
+    assert take_shown("speed 1.00 m/s\n", deque(shapes)) == "speed 1.00 m/s"
+    assert take_shown("heading 5 deg\ndepth 4.0 m\n", deque(printed)) == "depth 4.0 m"

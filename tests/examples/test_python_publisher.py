@@ -7,6 +7,8 @@ import re
 import subprocess
 import sys
 import threading
+from collections import deque
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,8 @@ from services.bus.wire import Header, encode
 from services.runtime.clock import boot_id
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
+from tests.docs.pages import blocks
+from tests.docs.shown_output import printed_lines, take_shown
 from tests.system.alone import CLI, arm, controller, started
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "python" / "publisher.py"
@@ -56,8 +60,17 @@ def test_it_comes_to_its_point_once_armed(tmp_path: Path) -> None:
         started(sys.executable, "-P", str(EXAMPLE), endpoint) as (_, vehicle),
     ):
         assert "3.00 m north" in vehicle.until(lambda line: "disarmed" in line)  # nothing moves before
-        arm(CLI, endpoint)
+        output = arm(CLI, endpoint)
         vehicle.until(has_come, within_s=180.0)
+        printed = deque(printed_lines(output + "".join(vehicle.said), exact=False))
+    assert [take_shown(text, printed) for text in shown_by_the_tutorial()] == [None, None]
+
+
+def shown_by_the_tutorial() -> list[str]:
+    """Return the outputs that the tutorial shows below the commands of its terminals: of `arm` and of the publisher."""
+    page = blocks("docs/tutorial.md")
+    terminals = next(i for i, block in enumerate(page) if "examples/python/publisher.py" in block.text)
+    return [block.text for block in takewhile(lambda block: block.language == "text", page[terminals + 1 :])]
 
 
 def announce_clock(endpoint: str, stop: StopRequest) -> None:

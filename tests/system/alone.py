@@ -77,13 +77,16 @@ def controller(port: int, arguments: Sequence[str]) -> Iterator[tuple[str, Lines
         yield endpoint, said
 
 
-def arm(cli: Sequence[str], endpoint: str, within_s: float = PATIENCE_S) -> None:
-    """Send ``ctl arm`` until the controller accepts it: it rejects the command before its first estimate."""
+def arm(cli: Sequence[str], endpoint: str, within_s: float = PATIENCE_S) -> str:
+    """Send ``ctl arm`` until the controller accepts it, and return what it printed.
+
+    The controller rejects the command before its first estimate.
+    """
     deadline = time.monotonic() + within_s
     while True:
         command = [*cli, "ctl", "arm", "--connect", endpoint]
         sent = subprocess.run(command, capture_output=True, text=True, check=False)
         if sent.returncode == 0:
-            return
+            return sent.stdout + sent.stderr
         assert time.monotonic() < deadline, sent.stderr
         assert "no estimate received yet" in sent.stderr or "no reply" in sent.stderr, sent.stderr

@@ -297,7 +297,8 @@ const Plots = (() => {
       return;
     }
     const { data, layout: shown } = panel.place;
-    const figure = { data, layout: { ...shown, title: { text: [plot.title, ...panel.of].join(", "), font: { size: 14 } }, showlegend: true,
+    const title = { text: [plot.title, ...panel.of].join(", "), font: { size: 14 }, yref: "container", y: 1, yanchor: "top", pad: { t: 8 } }; // above the legend
+    const figure = { data, layout: { ...shown, title, showlegend: true,
       legend: { orientation: "h", y: 1.02, yanchor: "bottom" }, margin: { l: 60, r: 20, t: 90, b: 50 }, paper_bgcolor: theme("--paper") } };
     Plotly.downloadImage(figure, { format, filename: file, width: 900, height: plot.equal ? 900 : 500, scale: format === "png" ? 2 : 1 });
   }
