@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack
 from io import BytesIO
@@ -29,8 +28,8 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from benchmarks.dashboard_cost import SAYS
 from tests.browser.conftest import SCREEN, executable
+from tests.docs.page_reader import PageReader, printed_lines
 from tests.docs.pages import ROOT, Block, Command, blocks, commands, links, prose
-from tests.docs.shown_output import PrintedLine, edited, printed_lines, take_shown
 from tests.system.alone import Lines, started
 
 PAGES = ("docs/tutorial.md", "docs/tutorial-vehicle.md")
@@ -63,36 +62,13 @@ COLOURS = 256
 """Colours of a picture: a page has few more, and the file has a third of the size."""
 
 
-class Walk:
-    """Reader of one page: a working folder, a browser, and the output after the last line that the page shows."""
+class Walk(PageReader):
+    """Reader of one page who runs each command as a process and has a browser."""
 
     def __init__(self, folder: Path, browser: Browser, *, pictures: bool, output: bool) -> None:
-        self._folder, self._browser, self._pictures, self._output = folder, browser, pictures, output
+        super().__init__(folder)
+        self._browser, self._pictures, self._output = browser, pictures, output
         self._environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-        self._printed: deque[PrintedLine] = deque()
-        self._last: Command | None = None
-
-    def read(self, block: Block) -> None:
-        """Do what a block says."""
-        if block.language == "text":
-            missing = take_shown(block.text, self._printed)
-            assert missing is None, f"{block.place}: not printed: {missing}"
-        elif block.language == "diff":
-            self._edit(block)
-        elif block.language in ("toml", "python"):
-            file = re.match(r"# (\S+)\n", block.text)
-            assert file is not None, f"{block.place}: the first line must be a comment with the file's name"
-            (self._folder / file[1]).write_text(block.text)
-            if block.language == "python":
-                self._run(Command(block.place, ("python", file[1])))
-        elif "ltv-mpc router" in block.text:
-            self._control_a_publisher(block)
-        else:
-            for command in commands(block):
-                if command.words[:2] == ("make", "sim"):
-                    self._simulate()
-                elif command.words[0] != ".":
-                    self._run(command)
 
     def save_plot(self, name: str) -> None:
         """Save a plot of a report as the reader does, with its menu."""
@@ -109,13 +85,15 @@ class Walk:
         page.close()
 
     def _print(self, line: str) -> None:
-        self._printed += printed_lines(line, exact=False)
+        self.printed += printed_lines(line, exact=False)
         if self._output:
             print(f"    {line.rstrip()}", flush=True)
 
-    def _run(self, command: Command, code: int = 0) -> None:
-        """Run a command until it ends."""
-        self._last = command
+    def run(self, command: Command, code: int = 0) -> None:
+        """Run a command until it ends with this exit code."""
+        if command.words[:2] == ("make", "sim"):
+            self._simulate()
+            return
         ended = subprocess.run(
             command.words, cwd=self._folder, env=self._environment, text=True, check=False,
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
@@ -123,15 +101,6 @@ class Walk:
         assert ended.returncode == code, f"{command.place}: {command.text}: {ended.returncode}\n{ended.stdout}"
         for line in ended.stdout.splitlines():
             self._print(line)
-
-    def _edit(self, block: Block) -> None:
-        """Change a line of the file of the last command, run the command again, which fails, and change it back."""
-        assert self._last is not None
-        path = self._folder / self._last.words[-1]
-        text = path.read_text()
-        path.write_text(edited(text, block.text))
-        self._run(self._last, code=2)
-        path.write_text(text)
 
     def _simulate(self) -> None:
         """Run the demo with the live page in a browser."""
@@ -149,7 +118,7 @@ class Walk:
         assert process.returncode == 0
         page.close()
 
-    def _control_a_publisher(self, block: Block) -> None:
+    def run_side_by_side(self, block: Block) -> None:
         """Run the controller alone, each command in a terminal of its own, until the vehicle is at its point."""
         with ExitStack() as terminals:
             opened: dict[str, Lines] = {}
@@ -177,7 +146,7 @@ class Walk:
         deadline = time.monotonic() + PATIENCE_S
         while True:
             try:
-                return self._run(command)
+                return self.run(command)
             except AssertionError:
                 assert time.monotonic() < deadline
 

@@ -6,6 +6,7 @@ Needs chromium or chrome on PATH. Without one these tests skip; with REQUIRE_BRO
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +112,7 @@ def test_the_report_of_two_runs_shows_both(browser: Any, reports: tuple[Path, Pa
         fits(page, PHONE)
 
 
+<<<<<<< HEAD
 def test_every_plot_of_a_report_is_saved_as_png_svg_and_csv(browser: Any, reports: tuple[Path, Path]) -> None:
     """A CSV has a column with a name of its own for each edge of a band, and as many cells in each row."""
     with tab(browser, SCREEN, own=reports[0].as_uri()) as page:
@@ -153,6 +155,22 @@ def test_a_table_is_sorted_by_its_column_and_rows_without_a_value_stay_last(
         assert orders[0] == sorted(orders[0])
         assert orders[1] == sorted(orders[0], reverse=True)
         assert orders[0][0] < orders[0][-1]
+=======
+def test_title_axis_and_legend_of_a_saved_plot_do_not_overlap(browser: Any, reports: tuple[Path, Path]) -> None:
+    """The view from above has the longest legend."""
+    with tab(browser, SCREEN, own=reports[0].as_uri()) as page:
+        page.goto(reports[0].as_uri())
+        menu = page.locator("#panel-track details.menu")
+        menu.locator("summary").click()
+        with page.expect_download() as saved:
+            menu.get_by_role("button", name="SVG").click()
+        svg = Path(saved.value.path()).read_text()
+    with tab(browser, SCREEN, own=reports[0].as_uri()) as page:
+        page.set_content(svg)
+        boxes = [page.locator(part).bounding_box() for part in (".gtitle", "g.cartesianlayer", ".xtitle", "g.legend")]
+        for above, below in pairwise(boxes):
+            assert above["y"] + above["height"] <= below["y"]
+>>>>>>> 7c56ea57 (Tutorials: one reader of a page for the test and for the walk; a saved plot has its legend below, where it cannot cover the title)
 
 
 # --- the live page ---------------------------------------------------------------------------------------------------

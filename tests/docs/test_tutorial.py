@@ -9,6 +9,7 @@ and a short run in lock step takes its place. tests/examples/test_python_publish
 from __future__ import annotations
 
 import re
+import runpy
 from collections import deque
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,8 @@ import pytest
 
 from services.cli.app import run
 from services.reporting.run_summary_text import verdict
-from tests.docs.pages import ROOT, Block, Command, blocks, commands
-from tests.docs.shown_output import PrintedLine, edited, printed_lines, take_shown
+from tests.docs.page_reader import SEVERAL_TERMINALS, PageReader, PrintedLine, printed_lines, take_shown
+from tests.docs.pages import ROOT, Block, Command, blocks
 from tests.services.reporting.test_run_summary_text import SUMMARY
 
 TUTORIALS = ("docs/tutorial.md", "docs/tutorial-vehicle.md")
@@ -38,58 +39,34 @@ DEMO: dict[str, Any] = {
 
 DEMO_LINES = printed_lines(verdict(DEMO, Path("runs/demo")), exact=False)
 IN_LOCK_STEP = ("sim", "--lockstep", "--surface-time-s", "2", "--duration-s", "5", "--seed", "1")
-SEVERAL_TERMINALS = "ltv-mpc router"
 MINUTES = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 TITLES = {"fifteen": 15, "twenty": 20}
 
 
-class Session:
-    """Terminal in which the blocks of a page are typed."""
+class Session(PageReader):
+    """Reader that runs each command in this process."""
 
-    def __init__(self, captured: pytest.CaptureFixture[str]) -> None:
-        self.printed: deque[PrintedLine] = deque()
-        """Output after the last line that the page shows."""
+    def __init__(self, folder: Path, captured: pytest.CaptureFixture[str]) -> None:
+        super().__init__(folder)
         self._captured = captured
         self._exact = True
-        self._last: Command | None = None
 
-    def type(self, block: Block) -> None:
-        """Do what a block says."""
-        if block.language == "toml":
-            Path(block.text.split()[1]).write_text(block.text)
-        elif block.language == "python":
-            exec(compile(block.text, block.place, "exec"), {})
-            self._take_output()
-        elif block.language == "diff":
-            self._edit(block)
-        elif SEVERAL_TERMINALS not in block.text:
-            for command in commands(block):
-                self._run(command)
-
-    def _run(self, command: Command, code: int = 0) -> None:
-        if command.words[:2] == ("make", "sim"):
-            self._exact = False  # the reader's run is longer, and as processes
+    def run(self, command: Command, code: int = 0) -> None:
+        """Run a command."""
+        demo = command.words[:2] == ("make", "sim")
+        if demo:
             assert run(list(IN_LOCK_STEP)) == 0
-            self._captured.readouterr()
-            self.printed += DEMO_LINES
         elif command.ltv_mpc is not None:
-            self._last = command
-            self._exact = self._exact or "--lockstep" in command.words
             assert run(list(command.ltv_mpc)) == code, command.place
-            self._take_output()
-
-    def _take_output(self) -> None:
+        else:
+            runpy.run_path(str(self._folder / command.words[1]))
         output = self._captured.readouterr()
-        self.printed += printed_lines(output.err + output.out, exact=self._exact)
+        if demo or "--lockstep" in command.words:
+            self._exact = not demo  # the reader's demo is longer, and as processes
+        self.printed += DEMO_LINES if demo else printed_lines(output.err + output.out, exact=self._exact)
 
-    def _edit(self, block: Block) -> None:
-        """Change the file of the last command, run it again, and change the file back."""
-        assert self._last is not None
-        path = Path(self._last.words[-1])
-        text = path.read_text()
-        path.write_text(edited(text, block.text))
-        self._run(self._last, code=2)
-        path.write_text(text)
+    def run_side_by_side(self, block: Block) -> None:
+        """Run nothing."""
 
 
 @pytest.mark.timeout(900)
@@ -98,14 +75,12 @@ def test_each_shown_line_is_printed_by_the_commands_above_it(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    session, in_terminals = Session(capsys), False
+    session, side_by_side = Session(tmp_path, capsys), False
     for block in blocks(page):
         if block.language != "text":
-            in_terminals = SEVERAL_TERMINALS in block.text
-            session.type(block)
-        elif not in_terminals:
-            missing = take_shown(block.text, session.printed)
-            assert missing is None, f"{block.place}: not printed here: {missing}"
+            side_by_side = SEVERAL_TERMINALS in block.text
+        if block.language != "text" or not side_by_side:
+            session.read(block)
 
 
 def test_each_line_of_a_summary_in_the_readme_has_the_shape_of_a_printed_one() -> None:

@@ -21,8 +21,8 @@ from services.bus.wire import Header, encode
 from services.runtime.clock import boot_id
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
+from tests.docs.page_reader import printed_lines, take_shown
 from tests.docs.pages import blocks
-from tests.docs.shown_output import printed_lines, take_shown
 from tests.system.alone import CLI, arm, controller, started
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "python" / "publisher.py"

@@ -297,9 +297,9 @@ const Plots = (() => {
       return;
     }
     const { data, layout: shown } = panel.place;
-    const title = { text: [plot.title, ...panel.of].join(", "), font: { size: 14 }, yref: "container", y: 1, yanchor: "top", pad: { t: 8 } }; // above the legend
-    const figure = { data, layout: { ...shown, title, showlegend: true,
-      legend: { orientation: "h", y: 1.02, yanchor: "bottom" }, margin: { l: 60, r: 20, t: 90, b: 50 }, paper_bgcolor: theme("--paper") } };
+    const legend = { orientation: "h", yref: "container", y: 0, yanchor: "bottom" }; // below the plot: a long one would cover the title
+    const figure = { data, layout: { ...shown, title: { text: [plot.title, ...panel.of].join(", "), font: { size: 14 } }, showlegend: true, legend,
+      margin: { l: 60, r: 20, t: 50, b: 50 }, paper_bgcolor: theme("--paper") } };
     Plotly.downloadImage(figure, { format, filename: file, width: 900, height: plot.equal ? 900 : 500, scale: format === "png" ? 2 : 1 });
   }
 
