@@ -239,7 +239,25 @@
     if (!ended() || byId("report").hasChildNodes()) return;
     const report = about.report ? ["Report: ", element("code", about.report)] : ["The report is in the run's folder."];
     byId("report").append(...report);
-    if (about.again) byId("again").append("Run it again: ", element("code", about.again));
+    if (about.again) byId("again").append("Run it again: ", ...copied(about.again));
+  }
+
+  // Return a command with a button that copies it. Where the browser refuses, because the page comes from another host
+  // without https, the button selects the command instead.
+  function copied(text) {
+    const command = element("code", text), button = element("button", "Copy", "small"), result = element("output", "");
+    button.type = "button";
+    button.setAttribute("aria-label", "Copy the command");
+    button.addEventListener("click", async () => {
+      try {
+        await navigator.clipboard.writeText(text);
+        result.textContent = "copied";
+      } catch {
+        getSelection().selectAllChildren(command);
+        result.textContent = "selected: copy it with Ctrl+C";
+      }
+    });
+    return [command, " ", button, result];
   }
 
   // The server ends when each page has the report, so the link leads to a copy that this page keeps.

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import http.client
 import json
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -76,6 +77,13 @@ def test_the_page_and_its_files_come_from_here_and_may_load_nothing_else(page: S
         assert "default-src 'none'" in headers["content-security-policy"]
         assert headers["x-frame-options"] == "DENY"
         assert "access-control-allow-origin" not in headers
+
+
+def test_no_button_works_before_there_are_data(page: Served) -> None:
+    """The script of the page enables them."""
+    buttons = re.findall(r"<button[^>]*data-button=[^>]*>", get(page)[1])
+    assert len(buttons) > 5
+    assert all(" disabled" in button for button in buttons)
 
 
 def test_the_report_is_given_once_it_is_written_and_only_its_own_scripts_may_run(page: Served) -> None:
