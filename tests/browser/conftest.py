@@ -6,9 +6,10 @@ Needs chromium or chrome on PATH. Without one the tests of this folder skip; wit
 from __future__ import annotations
 
 import os
+import re
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,21 +18,75 @@ import pytest
 
 from services.cli import app
 from services.supervisor import loopback
-from tests.services.dashboard.synthetic_vehicle import Served, served
+from tests.services.dashboard.synthetic_vehicle import Served, served, until
 
-SCREEN, PHONE = (1280, 800), (390, 844)
+SCREEN, TABLET, PHONE = (1280, 800), (768, 1024), (390, 844)
 SCHEMES = ["light", "dark"]
+LOOKS = (
+    *((SCREEN, "light"), (SCREEN, "dark"), (TABLET, "dark")),
+    *((TABLET, "light"), (PHONE, "light"), (PHONE, "dark")),
+)
+"""Every size of the window in both colour schemes; each differs from the one before in one of both."""
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 PATIENCE_MS = 30_000
 
-OUTSIDE = """() => {
-  const wide = document.documentElement.clientWidth;
-  return [...document.querySelectorAll("h1, h2, .legend li, td, th, button, dd")]
-    .filter(one => one.getClientRects().length && one.getBoundingClientRect().right > wide + 1)
-    .filter(one => !one.closest(".scroll, details:not([open])"))
-    .map(one => one.textContent.trim());
+UNFIT = """() => {
+  scrollTo(0, 0);  // else the header lies over what has been scrolled
+  const wide = document.documentElement.clientWidth, wrong = [];
+  if (document.documentElement.scrollWidth > wide) wrong.push("the page scrolls sideways");
+
+  // What is seen of a box in a list that scrolls; null if nothing.
+  const seen = (box, one) => {
+    const list = one.closest(".scroll")?.getBoundingClientRect() ?? box;
+    const left = Math.max(box.left, list.left), right = Math.min(box.right, list.right);
+    const top = Math.max(box.top, list.top), bottom = Math.min(box.bottom, list.bottom);
+    return right > left && bottom > top ? { one, left, right, top, bottom } : null;
+  };
+  const parts = [];
+  const hidden = ".hidden, .js-plotly-plot, script, style, option";
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const text = walker.currentNode, one = text.parentElement;
+    if (!text.data.trim() || one.closest(hidden) || !one.checkVisibility({ visibilityProperty: true })) continue;
+    const range = document.createRange();
+    range.selectNodeContents(text);
+    const within = one.closest("button, .panel, header, main").getBoundingClientRect();
+    for (const line of range.getClientRects()) {
+      const outside = line.left < within.left - 1 || line.right > Math.min(wide, within.right) + 1;
+      if (outside && !one.closest("table")) wrong.push(`outside: ${text.data}`);
+      parts.push(seen(line, one));
+    }
+  }
+  for (const one of document.querySelectorAll("button, select, input, summary, a")) {
+    if (!one.checkVisibility({ visibilityProperty: true })) continue;
+    const box = one.getBoundingClientRect(), list = one.closest(".scroll")?.getBoundingClientRect();
+    const cut = list && (box.right > list.right || box.bottom > list.bottom);
+    if (box.left < 0 || box.right > wide || cut) wrong.push(`outside: ${one.outerHTML}`);
+    if (one.scrollWidth > one.clientWidth && one.clientWidth) wrong.push(`cut: ${one.outerHTML}`);
+    parts.push(seen(box, one));
+  }
+  for (const one of document.querySelectorAll("body *")) {
+    const clips = ["hidden", "clip"].includes(getComputedStyle(one).overflowX);
+    if (clips && one.checkVisibility() && one.scrollWidth > one.clientWidth + 1 && !one.closest(`svg, ${hidden}`)) {
+      wrong.push(`cut: ${one.textContent.trim()}`);
+    }
+  }
+  const boxes = parts.filter(box => box !== null);
+  boxes.forEach((a, i) => boxes.slice(0, i).forEach((b) => {
+    const width = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+    const height = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+    const inside = a.one.contains(b.one) || b.one.contains(a.one);
+    if (!inside && width > 1 && height > 3) wrong.push(`overlap: ${a.one.outerHTML} and ${b.one.outerHTML}`);
+  }));
+  for (const title of document.querySelectorAll(".xtitle, .ytitle")) {
+    const box = title.getBoundingClientRect(), plot = title.closest(".plot").getBoundingClientRect();
+    const over = Math.max(plot.left - box.left, box.right - plot.right, plot.top - box.top, box.bottom - plot.bottom);
+    if (over > 1) wrong.push(`cut: axis ${title.textContent}`);
+  }
+  return wrong;
 }"""
-"""Words that do not fit the width."""
+"""What a reader cannot see or use: words and controls that are cut, outside the window or over each other."""
 
 
 def executable() -> str | None:
@@ -40,7 +95,8 @@ def executable() -> str | None:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def launch() -> Iterator[Callable[..., Any]]:
+    """Return a function that starts a browser with an option of its own."""
     path = executable()
     missing = "" if path else f"no browser: none of {', '.join(NAMES)} is on PATH"
     if find_spec("playwright") is None:
@@ -51,10 +107,25 @@ def browser() -> Iterator[Any]:
         pytest.skip(missing)
     from playwright.sync_api import sync_playwright
 
-    with sync_playwright() as play:
-        opened = play.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield opened
-        opened.close()
+    with sync_playwright() as play, ExitStack() as opened:
+
+        def start(*options: str) -> Any:
+            started = play.chromium.launch(executable_path=path, args=["--no-sandbox", *options])
+            opened.callback(started.close)
+            return started
+
+        yield start
+
+
+@pytest.fixture(scope="module")
+def browser(launch: Callable[..., Any]) -> Any:
+    return launch()
+
+
+@pytest.fixture(scope="module")
+def large_letters(launch: Callable[..., Any]) -> Any:
+    """Return a browser whose reader has set letters of twice the size."""
+    return launch("--blink-settings=defaultFontSize=32")
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +163,46 @@ def tab(browser: Any, size: tuple[int, int], *, own: str, scheme: str = "light")
     assert wrong == []
 
 
-def fits(page: Any, size: tuple[int, int]) -> None:
-    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
-    assert page.evaluate(OUTSIDE) == []
+def fits(page: Any) -> None:
+    """Check that the reader sees and reaches everything at this size of the window."""
+    assert page.evaluate(UNFIT) == []
+
+
+SETTLED = """() => [...document.querySelectorAll(".plot")].every((plot) => {
+  const drawn = plot.querySelector(".main-svg"), close = (a, b) => Math.abs(a - b) <= 1;
+  return drawn && close(drawn.clientWidth, plot.clientWidth) && close(drawn.clientHeight, plot.clientHeight);
+})"""
+"""True if each plot is drawn in the size of its place: the plots follow the window one after the other."""
+
+
+def background(page: Any) -> str:
+    """Return "light" or "dark", by the background of the page and of a plot; "mixed" while they differ."""
+    rgb = (
+        page.evaluate(f"getComputedStyle(document.querySelector('{what}')).{key}")
+        for what, key in (("body", "backgroundColor"), ("#plot-depth .bglayer rect, #plot-depth .bg", "fill"))
+    )
+    shades = {"light" if sum(map(int, re.findall(r"\d+", one)[:3])) > 384 else "dark" for one in rgb}
+    return shades.pop() if len(shades) == 1 else "mixed"
+
+
+def looks(page: Any) -> Iterator[tuple[tuple[int, int], str]]:
+    """Show an open page in each of ``LOOKS``, and check in each that everything fits."""
+    for size, scheme in LOOKS:
+        page.set_viewport_size({"width": size[0], "height": size[1]})
+        page.emulate_media(color_scheme=scheme)
+        until(lambda: page.evaluate(SETTLED))
+        until(lambda scheme=scheme: background(page) == scheme)  # type: ignore[misc]
+        fits(page)
+        yield size, scheme
+
+
+@contextmanager
+def ended(live: Served, report: Path) -> Iterator[None]:
+    """Let the synthetic run end, with this report."""
+    live.vehicle.finished = True
+    live.report.write_bytes(report.read_bytes())
+    try:
+        yield
+    finally:
+        live.vehicle.finished = False
+        live.report.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tests.browser.conftest import SCHEMES, SCREEN, fits, tab
+from tests.browser.conftest import SCHEMES, SCREEN, background, ended, looks, tab
 from tests.services.dashboard.synthetic_vehicle import Served, until
 
 AXE = Path(__file__).parent / "node_modules" / "axe-core" / "axe.min.js"
@@ -31,22 +31,13 @@ CONTROLS = """() => {
 }"""
 """Number every control that can be seen and used."""
 
-FOCUSED = "document.activeElement.dataset.reach === undefined ? -1 : Number(document.activeElement.dataset.reach)"
-
-OUTLINED = "getComputedStyle(document.activeElement).outlineStyle !== 'none'"
-
-TWICE = """new MutationObserver((_, seen) => {
-  if (!document.documentElement) return;
-  document.documentElement.style.fontSize = "200%";
-  seen.disconnect();
-}).observe(document, { childList: true });"""
-"""Set the size of text before anything is drawn."""
-
-CUT_OFF = """() => [...document.querySelectorAll("body *")]
-  .filter(one => one.checkVisibility() && one.textContent.trim() && !one.closest("svg, .hidden, .js-plotly-plot"))
-  .filter(one => ["hidden", "clip"].includes(getComputedStyle(one).overflowX) && one.scrollWidth > one.clientWidth + 1)
-  .map(one => one.textContent.trim())"""
-"""Words of which a part is not shown."""
+FOCUSED = """() => {
+  const one = document.activeElement, box = one.getBoundingClientRect(), style = getComputedStyle(one);
+  const hit = document.elementFromPoint(box.left + box.width / 2, box.top + Math.min(box.height, 20) / 2);
+  const shown = one.contains(hit) && style.outlineStyle !== "none" && parseFloat(style.outlineWidth) >= 2;
+  return shown && one.dataset.reach !== undefined ? Number(one.dataset.reach) : -1;
+}"""
+"""Number of the control with the focus, if it is in the window, under nothing else, and has an outline; else -1."""
 
 
 @pytest.fixture(scope="module")
@@ -90,44 +81,61 @@ def test_axe_finds_no_serious_violation_in_a_report(
         assert page.evaluate(VIOLATIONS) == []
 
 
-def reached(page: Any) -> tuple[set[int], int]:
-    """Return the controls that the tab key reaches with a visible outline, and the number of all."""
+def check_keyboard(page: Any, least: int, keys: tuple[str, ...] = ("Tab", "Shift+Tab")) -> None:
+    """Check that each of ``keys`` comes to every control, and that the page shows the one that it is at."""
     number = page.evaluate(CONTROLS)
-    found = set()
-    for _ in range(number + 10):
-        page.keyboard.press("Tab")
-        if page.evaluate(OUTLINED):
-            found.add(page.evaluate(FOCUSED))
-    return found - {-1}, number
+    assert number >= least
+    for key in keys:
+        left, presses = set(range(number)), 0
+        while left and presses < number + 10:
+            page.keyboard.press(key)
+            left.discard(page.evaluate(FOCUSED))
+            presses += 1
+        assert [page.locator(f"[data-reach='{i}']").evaluate("one => one.outerHTML") for i in left] == []
 
 
 def test_the_keyboard_reaches_every_control(browser: Any, live: Served, reports: tuple[Path, Path]) -> None:
+    """Buttons, speed, the earlier moments, lists that scroll, menus with their files, whole track."""
     with tab(browser, SCREEN, own=live.url) as page:
         shown_live(page, live)
-        found, number = reached(page)
-        assert number > 15
-        assert found == set(range(number))
+        page.focus("#moment")
+        page.keyboard.press("Home")
+        until(lambda: page.locator("#now:enabled").count() == 1)
+        page.focus("#panel-depth summary")
+        page.keyboard.press("Enter")
+        until(lambda: page.locator("#panel-depth .menu button:visible").count() == 3)
+        check_keyboard(page, 28)
     with tab(browser, SCREEN, own=reports[0].as_uri()) as page:
         shown_report(page, reports[0])
-        found, number = reached(page)
-        assert number > 10
-        assert found == set(range(number))
+        check_keyboard(page, 20)
 
 
-@pytest.mark.parametrize("size", [SCREEN, (768, 1024)], ids=["screen", "tablet"])
+def test_after_the_end_everyone_can_use_the_page(
+    browser: Any, live: Served, reports: tuple[Path, Path], axe: str
+) -> None:
+    with tab(browser, SCREEN, own=live.url) as page, ended(live, reports[0]):
+        page.goto(f"{live.url}#{live.token}")
+        until(lambda: page.locator("#finished a").count() == 1)
+        page.evaluate(axe)
+        for scheme in SCHEMES:
+            page.emulate_media(color_scheme=scheme)
+            until(lambda scheme=scheme: background(page) == scheme)  # type: ignore[misc]
+            assert page.evaluate(VIOLATIONS) == []
+        check_keyboard(page, 18, ("Tab",))
+        assert page.locator("#finished [data-reach]").count() == 2
+
+
 @pytest.mark.parametrize("what", ["live page", "report"])
 def test_text_of_twice_the_size_loses_nothing(
-    browser: Any, live: Served, reports: tuple[Path, Path], size: tuple[int, int], what: str
+    large_letters: Any, live: Served, reports: tuple[Path, Path], what: str
 ) -> None:
-    """All letters grow as with the browser's own setting, and the page stays as wide as the window."""
     own = live.url if what == "live page" else reports[0].as_uri()
-    with tab(browser, size, own=own) as page:
-        page.add_init_script(TWICE)
+    with tab(large_letters, SCREEN, own=own) as page:
         if what == "live page":
             shown_live(page, live)
         else:
             shown_report(page, reports[0])
         assert page.evaluate("getComputedStyle(document.querySelector('h1')).fontSize") == "32px"
         assert page.evaluate("getComputedStyle(document.querySelector('#plot-depth .xtitle')).fontSize") == "22px"
-        fits(page, size)
-        assert page.evaluate(CUT_OFF) == []
+        for _ in looks(page):
+            assert page.locator(".panel h3").count() > 10

@@ -286,12 +286,13 @@ LATENCY = Plot(
 
 STAGES = Plot(
     name="stages",
-    title="Delays by step",
-    x=Axis(label="wall time (ms); last two rows: vehicle time", log=True),
+    title="Delays by step (last two in vehicle time)",
+    x=Axis(label="delay (ms)", log=True),
     y=Axis(label="step", downwards=True, rows=ROWS_OF_STAGES),
     over_time=False,
     empty=NO_TIMES,
-    note="Percentiles of all cycles so far, or since the time that the legend names.",
+    note="Percentiles of all cycles so far, or since the time that the legend names. The steps of a cycle are in wall "
+    "time.",
     drifts=True,
     series=(
         Series(label="median", table="stages", x="median_ms", y="row", colour=palette.OTHER, style=Style.DOT),
