@@ -121,7 +121,11 @@ class BusFeed:
         """Process the messages received since the last call; nothing while the history is awaited."""
         if self._history.awaited:
             return
-        for message, header in self._history.take():
+        past = self._history.take()
+        if past:
+            self._reset()  # the history has what was received before it was asked
+            self._seen.clear()
+        for message, header in past:
             self._receive(message, header, time.monotonic())
         for key, newest in sorted(self._newest.items(), key=_clock_first):
             if self._seen.get(key) is newest.payload:
@@ -134,6 +138,8 @@ class BusFeed:
             decoded = None if frame.topic is None else _decoded(frame.topic.message_type, frame.payload)
             if decoded is not None and not self._history.had(*decoded):
                 self._receive(*decoded, 0.0)
+        if "since_s" in self.collector.values:
+            self._history = self._history.again()
 
     def status(self) -> PageStatus:
         """Return the current status."""

@@ -1,4 +1,8 @@
-"""History of a run for a page that joins late: asked from the recorder once, before the page shows anything."""
+"""History of a run for a page that joins late: asked from the recorder before the page shows anything.
+
+A page that was there before the recorder asks in vain. If a busy machine then keeps it from reading, so that its data
+begin late, it asks once more.
+"""
 
 from __future__ import annotations
 
@@ -33,12 +37,18 @@ class Past(NamedTuple):
 class HistoryQuery:
     """Query of the recorder's history, part by part. It is done when the last part has come, or after ``TIMEOUT_S``."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, *, last: bool = False) -> None:
+        self._session = session
+        self._last = last
         self._parts: list[list[tuple[str, bytes]]] = []
         self._given: set[tuple[type[Message], int, int]] | None = None
         self._until_s = time.monotonic() + TIMEOUT_S
         self._complete = threading.Event()
-        threading.Thread(target=self._ask, args=(session,), name="history", daemon=True).start()
+        threading.Thread(target=self._ask, name="history", daemon=True).start()
+
+    def again(self) -> HistoryQuery:
+        """Return a second query; this one if it is the second."""
+        return self if self._last else HistoryQuery(self._session, last=True)
 
     @property
     def awaited(self) -> bool:
@@ -71,10 +81,10 @@ class HistoryQuery:
             found = [past for past in found if not isinstance(past.message, Estimate) or past.header.epoch in sources]
         return sorted(found, key=_order)
 
-    def _ask(self, session: Session) -> None:
+    def _ask(self) -> None:
         first: int | None = 0
         while first is not None and self.awaited and len(self._parts) < MAX_REPLIES:
-            reply = session.ask(HISTORY, query_of(first), timeout_s=TIMEOUT_S)
+            reply = self._session.ask(HISTORY, query_of(first), timeout_s=TIMEOUT_S)
             try:
                 part, first = ([], None) if reply is None else read_reply(reply)
             except WireError:

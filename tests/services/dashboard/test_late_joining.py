@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -94,22 +94,28 @@ class Publisher:
 
 
 @contextmanager
-def recorded_dive(folder: Path, port: int) -> Iterator[tuple[Publisher, Session, BusOptions]]:
-    """Record a dive until ``JOIN_S``. Yield its publisher, and session and bus of one who joins it."""
+def recorded_dive(
+    folder: Path, port: int, before: Callable[[Publisher, Session], object] = lambda *_: None
+) -> Iterator[tuple[Publisher, Session, BusOptions]]:
+    """Record a dive until ``JOIN_S``. Yield its publisher, and session and bus of one who joins it.
+
+    ``before`` is called before the recorder starts.
+    """
     endpoint = f"tcp/127.0.0.1:{port}"
     reached = BusOptions(connect=(endpoint,))
     with (
         opened(BusOptions(listen=(endpoint,))),
         opened(reached) as aboard,
         opened(reached) as ashore,
-        recorder(reached, folder, ashore) as loop,
     ):
         publisher = Publisher(aboard)
-        until(lambda: is_recorded(loop, publisher))
-        for second in range(JOIN_S + 1):  # all at once would be dropped by the full queues
-            wanted = loop.received + publisher.publish(second)
-            until(lambda wanted=wanted: loop.received >= wanted)  # type: ignore[misc]
-        yield publisher, ashore, reached
+        before(publisher, ashore)
+        with recorder(reached, folder, ashore) as loop:
+            until(lambda: is_recorded(loop, publisher))
+            for second in range(JOIN_S + 1):  # all at once would be dropped by the full queues
+                wanted = loop.received + publisher.publish(second)
+                until(lambda wanted=wanted: loop.received >= wanted)  # type: ignore[misc]
+            yield publisher, ashore, reached
 
 
 def verdict() -> RunMetrics:
@@ -123,9 +129,31 @@ def test_with_a_recorder_a_late_joiner_shows_the_figures_of_the_verdict(tmp_path
     with recorded_dive(tmp_path, free_port) as (publisher, ashore, _):
         feed = BusFeed(ashore, Vehicle.load("paper"))
         follow(feed, publisher)
-        _, true, *_ = verdict().errors()
-        shown = pytest.approx(true.final, abs=SPEED_NORTH_MPS * CYCLE_NS / S)  # the newest waits for a plan
-        until(lambda: distance_m(feed) == shown or publisher.repeat())
+        check_whole(feed, publisher)
+
+
+def test_a_page_that_a_busy_machine_kept_from_reading_lacks_nothing(tmp_path: Path, free_port: int) -> None:
+    """It was there before the recorder, which it asked in vain."""
+    feeds: list[BusFeed] = []
+
+    def look(publisher: Publisher, ashore: Session) -> None:
+        feed = BusFeed(ashore, Vehicle.load("paper"))
+        until(lambda: publisher.outs["plant"].publish(status("plant")) or feed.update() or feed.status().processes)
+        feeds.append(feed)
+
+    with recorded_dive(tmp_path, free_port, before=look) as (publisher, _, _):
+        (feed,) = feeds
+        follow(feed, publisher)
+        check_whole(feed, publisher)
+    assert "arm accepted" in [mark.text for mark in feed.collector.marks.marks]
+    assert feed.status().clock == "running"  # which the history has not
+
+
+def check_whole(feed: BusFeed, publisher: Publisher) -> None:
+    """Check that the page shows the figures of the verdict, and the dive from its start."""
+    _, true, *_ = verdict().errors()
+    shown = pytest.approx(true.final, abs=SPEED_NORTH_MPS * CYCLE_NS / S)  # the newest waits for a plan
+    until(lambda: distance_m(feed) == shown or publisher.repeat())
     assert "since_s" not in feed.collector.values
     energy = feed.collector.tables["energy"].since(0)["all_J"][-1]
     assert energy == pytest.approx(verdict().thrust().propulsive_energy_J, rel=0.02)
