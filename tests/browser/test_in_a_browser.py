@@ -13,11 +13,15 @@ import pytest
 
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Kill
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.options import BusOptions
+from services.bus.session import open_session
+from services.dashboard.bus_feed import BusFeed
 from services.dashboard.config import View
 from services.reporting.plots.catalogue import PLOTS
-from services.reporting.plots.description import Group
+from services.reporting.plots.description import NO_DATA, Group
+from services.supervisor import loopback
 from tests.browser.conftest import PHONE, SCREEN, SETTLED, TABLET, background, ended, fits, looks, tab
-from tests.services.dashboard.synthetic_vehicle import NODES, Served, until
+from tests.services.dashboard.synthetic_vehicle import NODES, Served, serving, until
 from tests.services.reporting.synthetic_run import OFFSET, SPEED_NORTH_MPS
 
 FRESH = [
@@ -194,6 +198,22 @@ def test_the_live_page_shows_every_plot(browser: Any, live: Served, size: tuple[
             assert bottom(page, "#panel-status") < bottom(page, "#panel-tracking") <= size[1]
             page.evaluate(MANY_EVENTS)
             assert bottom(page, "#panel-tracking") <= size[1]  # the list of events scrolls
+
+
+def test_before_there_are_data_no_plot_says_why_it_is_empty(browser: Any) -> None:
+    """Whether the vehicle has a vertical thruster, or an estimator, is not known yet."""
+    bus = BusOptions(listen=(f"tcp/127.0.0.1:{loopback.free_port()}",))
+    with (
+        open_session(bus, stop=lambda: False, say=print) as session,
+        serving(BusFeed(session, None), bus) as shown,
+        tab(browser, SCREEN, own=shown.url) as page,
+    ):
+        page.goto(f"{shown.url}#{shown.token}")
+        until(lambda: page.locator(".plot .annotation-text").count() == len(PLOTS))
+        assert set(page.locator(".plot .annotation-text").all_text_contents()) == {NO_DATA}
+        until(lambda: page.inner_text("#link") == "connected; no data yet")
+        assert page.locator("#buttons button:enabled").count() == 0
+        fits(page)
 
 
 def test_the_buttons_do_what_they_say(browser: Any, live: Served) -> None:

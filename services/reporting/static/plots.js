@@ -10,6 +10,7 @@ const Plots = (() => {
   const SYMBOLS = { cross: "cross-thin", point: "circle", dot: "circle", ring: "circle-open" };
   const SIZES = { cross: 11, point: 4, dot: 9, ring: 9 };
   const MARK = "#a0522d"; // the same colour as in palette.py
+  const NO_DATA = "no data yet"; // the same text as in description.py
   const CONFIG = { displayModeBar: false, responsive: true, displaylogo: false };
   const GAP_S = 1, GAP_STEPS = 5; // a line ends where data are missing for longer than both
 
@@ -197,7 +198,11 @@ const Plots = (() => {
     return range({ label: "time" }, columns, "x");
   }
 
-  // View: {follow: around the vehicle, at_s: a moment that time plots mark, ranges: of the axes, in place of their own}.
+  // Return true if any run has data: before that a plot cannot say why it is empty.
+  const begun = (runs) => runs.some((run) => Object.values(run.tables).some((table) => (table.t_s || []).length > 0));
+
+  // View: {follow: around the vehicle, at_s: a moment that time plots mark, ranges: of the axes, in place of their own,
+  // empty: the text without data}.
   function layout(plot, traces, timeRange, view) {
     const around = view.follow ? traces.filter((trace) => plot.follow.includes(trace.series.table)) : [];
     const x = axisLayout(plot.x, around.length ? around : traces, "x");
@@ -209,7 +214,7 @@ const Plots = (() => {
       font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", size: letters(11), color: theme("--ink") },
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: theme("--paper"),
       xaxis: plot.over_time ? { ...x, range: timeRange } : x, yaxis: plot.equal ? { ...y, scaleanchor: "x", scaleratio: 1 } : y,
-      annotations: empty ? [{ text: plot.empty, xref: "paper", yref: "paper", x: 0.5, y: 0.5, showarrow: false,
+      annotations: empty ? [{ text: view.empty, xref: "paper", yref: "paper", x: 0.5, y: 0.5, showarrow: false,
         font: { size: letters(12), color: theme("--quiet") } }] : [],
       shapes: plot.over_time && !missing(view.at_s) ? [{ type: "line", yref: "paper", y0: 0, y1: 1, x0: view.at_s, x1: view.at_s,
         line: { color: theme("--accent"), width: 2 } }] : [],
@@ -222,7 +227,8 @@ const Plots = (() => {
   function draw(panel, plot, runs, timeRange, view = {}) {
     const several = runs.length > 1;
     const traces = several ? ofSeveral(plot, runs) : ofOneRun(plot, runs[0]);
-    const made = layout(plot, traces, timeRange, { ...view, follow: panel.follow });
+    const empty = begun(runs) ? plot.empty : NO_DATA;
+    const made = layout(plot, traces, timeRange, { ...view, follow: panel.follow, empty });
     const events = plot.over_time && !several && runs[0].marks.length > 0;
     showLegend(panel.legend, several ? comparedChips(plot) : chips(plot, traces, events, runs[0]));
     return Plotly.react(panel.place, events ? traces.concat(marks(runs[0])) : traces, made, CONFIG);
