@@ -327,6 +327,29 @@ def test_the_clock_does_not_wait_for_an_open_page_for_ever(unwritten: WatchedRun
     check_wait(unwritten.screen, unwritten.page, supervisor.DRAWING_TIMEOUT_S)
 
 
+IMPATIENT = """
+import sys
+from services.cli import app
+from services.supervisor import supervisor
+supervisor.DRAWING_TIMEOUT_S = 1000.0
+sys.exit(app.run(sys.argv[1:]))
+"""
+"""Program of a run that would wait for the drawing of its page until the test gives up."""
+
+
+def test_with_json_the_clock_waits_for_no_page(tmp_path: Path) -> None:
+    """The page is opened, by a browser that never draws it."""
+    options = ["--open", "--json", "--duration-s", "1", "--speed", "10", "--out", str(tmp_path / "run")]
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", IMPATIENT, "sim", *options],
+        env={**os.environ, "BROWSER": "true %s"},
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "live page: http://" in done.stderr
+    assert json.loads(done.stdout)["duration_s"] == 1.0
+
+
 def test_a_run_whose_recording_found_no_room_is_not_complete(tmp_path: Path) -> None:
     """The disk takes the settings, and not a second of the recording."""
     s = run_config(3.0)
