@@ -301,7 +301,7 @@
     step.textContent = process.step_us ? process.step_us.toFixed(0) : "–"; // its last status has no step
     lost.textContent = String(process.dropped + process.rejected);
     lost.className = lost.textContent === "0" ? "number" : "number bad";
-    last.hidden = !status.simulated || process.state === "finished";
+    last.hidden = !status.simulated || ended() || process.state === "finished";
   }
 
   function killer(node) {
