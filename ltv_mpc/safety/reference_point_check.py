@@ -5,7 +5,8 @@ with the vehicle. In complex numbers, z is the change of velocity from one estim
 predicted by the model (north + i east), and l is the lever arm (forward + i starboard):
 
     z = l d + e,     d = i (r1 exp(i psi1) - r0 exp(i psi0))          heading psi and yaw rate r of both estimates
-    l = sum(conj(d) z) / sum |d|^2                                    least squares over the last minutes
+    l = sum(w conj(d) z) / sum w |d|^2                                least squares over the last minutes
+    w = 1 / (1 + (MODEL_ERROR |v1 - v0| / NOISE_MPS)^2)               predicted change of velocity v
 
 This neglects that drag and Coriolis forces also change within an interval, so l is found too small, by up to a half. A
 steady course has d = 0 and shows nothing. A wrong model of the thrusters or of sway appears as a lever arm of up to
@@ -40,6 +41,9 @@ UNDECLARED = "the estimates turn as if measured away from the declared [referenc
 NOISE_MPS, NOISE_ROWS = 0.005, 20.0
 """Prior of the residuals' standard deviation, and its weight in estimates."""
 
+MODEL_ERROR = 0.1
+"""Error of a predicted change of velocity over the change: a thruster follows its command otherwise than the model."""
+
 
 class ReferencePointCheck:
     """Least-squares estimate of the lever arm, and the alarm that it raises."""
@@ -49,9 +53,9 @@ class ReferencePointCheck:
         """Degraded with the reason while the alarm is on."""
         self._last: Estimate | None = None
         self._last_turning = 0j
-        self._weight = 0.0  # sum |d|^2
-        self._product = 0j  # sum conj(d) z
-        self._rows, self._squares = NOISE_ROWS, NOISE_ROWS * NOISE_MPS**2  # sum |z|^2
+        self._weight = 0.0  # sum w |d|^2
+        self._product = 0j  # sum w conj(d) z
+        self._rows, self._squares = NOISE_ROWS, NOISE_ROWS * NOISE_MPS**2  # sum w, sum w |z|^2
         self._exceeded_s = 0.0
 
     def update(self, estimate: Estimate, predicted_mps: Pair | None) -> None:
@@ -71,15 +75,18 @@ class ReferencePointCheck:
         if last is None or predicted_mps is None or not 0 < estimate.t_ns - last.t_ns <= MAX_INTERVAL_NS:
             return
         d = self._last_turning - before
-        z = complex(estimate.velocity_north_mps, estimate.velocity_east_mps) - complex(*predicted_mps)
+        predicted = complex(*predicted_mps)
+        z = complex(estimate.velocity_north_mps, estimate.velocity_east_mps) - predicted
         if not cmath.isfinite(z):
             return
         interval_s = (estimate.t_ns - last.t_ns) * 1e-9
         kept = math.exp(-interval_s / MEMORY_S)
-        self._weight = kept * self._weight + abs(d) ** 2
-        self._product = kept * self._product + d.conjugate() * z
-        self._rows = kept * self._rows + 1.0
-        self._squares = kept * self._squares + abs(z) ** 2
+        change = predicted - complex(last.velocity_north_mps, last.velocity_east_mps)
+        w = 1.0 / (1.0 + (MODEL_ERROR * abs(change) / NOISE_MPS) ** 2)
+        self._weight = kept * self._weight + w * abs(d) ** 2
+        self._product = kept * self._product + w * d.conjugate() * z
+        self._rows = kept * self._rows + w
+        self._squares = kept * self._squares + w * abs(z) ** 2
         self._decide(interval_s)
 
     @property

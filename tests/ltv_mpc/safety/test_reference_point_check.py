@@ -82,3 +82,15 @@ def test_a_straight_course_tells_nothing() -> None:
 
 def test_it_takes_more_than_the_first_turn() -> None:
     assert checked(ReferencePoint(forward_m=0.5), cycles=30).health.health == "nominal"
+
+
+def test_a_thruster_that_follows_its_command_late_is_no_lever_arm() -> None:
+    """The vehicle starts with full thrust and turns a little: the model predicts a tenth more speed than it gets."""
+    check, rest = ReferencePointCheck(), Estimate.at_rest()
+    check.update(rest, None)
+    first = msgspec.structs.replace(rest, t_ns=PERIOD_NS, velocity_north_mps=0.5, yaw_rate_radps=-0.015)
+    check.update(first, (0.55, 0.0))
+    for k in range(2, 100):
+        later = msgspec.structs.replace(first, t_ns=k * PERIOD_NS, yaw_rate_radps=0.0005 * (-1) ** k)
+        check.update(later, (0.5, 0.0))
+    assert check.health.health == "nominal"
