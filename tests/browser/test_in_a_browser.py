@@ -262,7 +262,7 @@ def test_the_reader_can_look_back_and_return(browser: Any, live: Served) -> None
         until(lambda: page.evaluate("document.querySelector('#plot-depth').layout.shapes.length") == 1)
         for _ in looks(page):
             assert page.inner_text("#at") == f"t = {then_s:.1f} s"
-            assert f"{then_s:.1f} s" in page.inner_text("#figures")
+            assert f"{then_s:.1f} s" in page.inner_text("#facts")
         page.click("#now")
         until(lambda: hull_north_m(page) > north_m + 20 * SPEED_NORTH_MPS)
         assert page.inner_text("#at") == "now"
