@@ -29,7 +29,14 @@ TRACK = Plot(
     ),
     series=(
         Series(label="reference", table="reference", x="east_m", y="north_m", colour=palette.REFERENCE),
-        Series(label="2 sigma", table="ellipse", x="east_m", y="north_m", colour=palette.ESTIMATE, style=Style.DOTTED),
+        Series(
+            label="2 sigma of the estimate",
+            table="ellipse",
+            x="east_m",
+            y="north_m",
+            colour=palette.ESTIMATE,
+            style=Style.DOTTED,
+        ),
         Series(label="true", table="truth", x="east_m", y="north_m", colour=palette.TRUTH, compared=True),
         Series(label="estimate", table="track", x="east_m", y="north_m", colour=palette.ESTIMATE),
         Series(label="plan", table="horizon", x="east_m", y="north_m", colour=palette.PLAN, style=Style.DASHED),
@@ -86,12 +93,12 @@ ERRORS = Plot(
     drifts=True,
     series=(
         Series(
-            label="2 sigma",
+            label="2 sigma of the estimate",
             table="errors",
             x="t_s",
             y="minus_2_sigma_m",
             y_high="plus_2_sigma_m",
-            colour=palette.REFERENCE,
+            colour=palette.ESTIMATE,
             style=Style.BAND,
         ),
         Series(label="north", table="errors", x="t_s", y="north_m", colour=palette.NORTH, compared=True),

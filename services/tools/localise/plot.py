@@ -57,7 +57,14 @@ def _above(panel: Axes, data: PlotData) -> None:
     ring = (
         track.position_m[-1] + 3 * (np.stack([np.cos(angle), np.sin(angle)], axis=1) * np.sqrt(spread.clip(0))) @ axes.T
     )
-    panel.plot(ring[:, 1], ring[:, 0], color=palette.ESTIMATE, linewidth=0.8, linestyle=":", label="3 sigma at the end")
+    panel.plot(
+        ring[:, 1],
+        ring[:, 0],
+        color=palette.ESTIMATE,
+        linewidth=0.8,
+        linestyle=":",
+        label="3 sigma of the filter at the end",
+    )
     panel.plot(0, 0, "+", color=palette.TRUTH, markersize=9)
     panel.set(xlabel="east (m)", ylabel="north (m)")
     panel.set_aspect("equal", adjustable="datalim")
@@ -67,7 +74,8 @@ def _above(panel: Axes, data: PlotData) -> None:
 def _error(panel: Axes, data: PlotData) -> None:
     track = data.track
     sigma = np.sqrt(np.linalg.eigvalsh(track.position_covariance)[:, -1].clip(0))
-    panel.fill_between(track.t_s, 0, 3 * sigma, color=palette.ESTIMATE, alpha=0.2, linewidth=0, label="3 sigma")
+    label = "3 sigma of the filter"
+    panel.fill_between(track.t_s, 0, 3 * sigma, color=palette.ESTIMATE, alpha=0.2, linewidth=0, label=label)
     error = np.hypot(*(track.position_m - data.truth_m).T)
     panel.plot(track.t_s, error, color=palette.ESTIMATE, label="filter from bottom track")
     if data.constant_velocity_mps is not None:

@@ -16,6 +16,11 @@ ROOT = Path(__file__).resolve().parents[3]
 
 MEANT = (palette.TRUTH, palette.ESTIMATE, palette.REFERENCE, palette.PORT, palette.STARBOARD, palette.CURRENT)
 
+EVERY_MEANING = tuple(colour for name, colour in vars(palette).items() if name.isupper() and isinstance(colour, str))
+
+WITH_RUNS = (palette.TRUTH, palette.REFERENCE, palette.LIMIT, palette.OTHER)
+"""Colours that stand beside those of runs in one plot."""
+
 VISION = {
     "normal": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     "protanopia": ((0.152286, 1.052583, -0.204868), (0.114503, 0.786281, 0.099216), (-0.003882, -0.048116, 1.051998)),
@@ -30,6 +35,11 @@ XYZ = np.array([[0.41246, 0.35758, 0.18044], [0.21267, 0.71515, 0.07217], [0.019
 
 LEAST = 9.0
 """Least distance of two colours in CIELAB (1976). A difference of 2.3 is just visible where the two areas touch."""
+
+ANOTHER = 20.0
+"""Least distance of the colour of a run from one with a meaning: a reader does not take one for the other even if the
+two are in different plots.
+"""
 
 
 def lab(colour: str, vision: str) -> Array:
@@ -49,6 +59,22 @@ def test_colours_remain_different_for_each_kind_of_colour_blindness(
 ) -> None:
     shown = [palette.DARK[colour] if dark else colour for colour in colours]
     for one, other in itertools.combinations(shown, 2):
+        assert np.linalg.norm(lab(one, vision) - lab(other, vision)) > LEAST, (one, other)
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_no_colour_of_a_run_is_near_one_with_a_meaning(dark: bool) -> None:
+    assert len(EVERY_MEANING) > 10
+    for run, meant in itertools.product(palette.RUNS, EVERY_MEANING):
+        one, other = (palette.DARK[colour] if dark else colour for colour in (run, meant))
+        assert np.linalg.norm(lab(one, "normal") - lab(other, "normal")) > ANOTHER, (one, other)
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("vision", VISION)
+def test_runs_differ_from_what_is_drawn_with_them(vision: str, dark: bool) -> None:
+    for run, meant in itertools.product(palette.RUNS, WITH_RUNS):
+        one, other = (palette.DARK[colour] if dark else colour for colour in (run, meant))
         assert np.linalg.norm(lab(one, vision) - lab(other, vision)) > LEAST, (one, other)
 
 

@@ -20,7 +20,7 @@ from services.reporting.plots import analysis, palette
 from services.reporting.plots.catalogue import PLOTS, REVIEW
 from services.reporting.plots.collector import CORRECTING, HISTORY, INNOVATIONS, Collector, nis_deviation
 from services.reporting.plots.delays import STAGES
-from services.reporting.plots.description import Style
+from services.reporting.plots.description import Plot, Style
 from services.reporting.plots.percentiles import Percentiles
 from services.reporting.plots.recorded import read
 from services.reporting.plots.table import Table
@@ -64,12 +64,21 @@ def test_each_plot_says_its_units() -> None:
             assert named, (plot.name, axis.label)
 
 
-@pytest.mark.parametrize("colour", sorted({*COLOURS, *palette.RUNS} - {"#56b4e9"}))
+@pytest.mark.parametrize("colour", sorted({*COLOURS, *palette.RUNS}))
 def test_lines_are_told_from_white_paper(colour: str) -> None:
     """Contrast by the relative luminance of WCAG; 2.8 is that of the palest used colour of Okabe and Ito."""
     channels = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
     assert 1.05 / (np.dot([0.2126, 0.7152, 0.0722], linear) + 0.05) > 2.8
+
+
+@pytest.mark.parametrize("plot", [*PLOTS, *REVIEW], ids=lambda plot: plot.name)
+def test_a_band_has_the_colour_of_what_it_belongs_to(plot: Plot) -> None:
+    """A line of the plot, the estimate if the legend names it, or the reference for a limit that is no uncertainty."""
+    for band in (one for one in plot.series if one.style is Style.BAND):
+        lines = {one.colour for one in plot.series if one.style is not Style.BAND}
+        named = palette.ESTIMATE if "estimate" in band.label else palette.REFERENCE
+        assert band.colour in (lines if not band.label else {named}), (plot.name, band.label)
 
 
 def test_errors_are_drifts_since_the_start_and_so_is_their_spread(collector: Collector) -> None:

@@ -207,7 +207,7 @@ def test_beside_a_vehicle_no_plot_of_a_truth_is_drawn_and_times_count_from_the_s
     shown = data(text)
     labels = {plot["name"]: [series["label"] for series in plot["series"]] for plot in shown["plots"]}
     assert labels["tracking"] == ["estimate"]
-    assert labels["errors"] == ["2 sigma"]
+    assert labels["errors"] == ["2 sigma of the estimate"]
     assert not any("true" in label for of_plot in labels.values() for label in of_plot)
     (run,) = shown["runs"]
     assert run["values"]["port_max_N"] == 62.5
