@@ -18,7 +18,7 @@ import typer
 
 from benchmarks import page_tables
 from benchmarks.paper import descents, tables, timing, water
-from benchmarks.paper.settings import RECORDED
+from benchmarks.paper.settings import README, RECORDED
 from ltv_mpc.errors import ConfigError
 from services.reporting.figures import paper, readme
 from services.reporting.figures.renderer import Run
@@ -103,7 +103,7 @@ def checked(options: Options) -> str:
         raise ConfigError("option --page", "", f"cannot be read: {error}", value=str(options.page)) from None
     for name in TABLES:
         page_tables.table_text(page, name)
-    for variant in RECORDED:
+    for variant in (*RECORDED, *README):
         descents.RecordedDescent(variant, options.runs, options.duration_s, options.surface_s).run_config()
     for path in (options.out, options.runs, options.readme.parent):
         folder.open_folder(path, force=True)
@@ -135,7 +135,7 @@ def make(options: Options) -> tables.Figures:
         f" {options.duration_s:g} s after {options.surface_s:g} s afloat",
         machine=machine_description.line(timed.machine),
         tables=(
-            tables.descents({key: summary for key, (_, summary) in recorded.items()}),
+            tables.descents({variant.key: recorded[variant.key][1] for variant in RECORDED}),
             tables.seeds(averaged),
             tables.timing(timed),
             tables.water(synthetic, profiles),
@@ -149,8 +149,7 @@ def draw(options: Options, runs: Mapping[str, Sequence[Run]], measured: Sequence
     """Draw every figure as PNG and SVG, and the README's picture."""
     for sheet in paper.sheets(measured):
         paper.write(sheet, runs, [options.out / f"{sheet.name}.png", options.runs / f"{sheet.name}.svg"])
-    shown = [run for key in (paper.NONE, paper.OURS_SHORT, paper.OURS_LONG, paper.DEFAULT) for run in runs[key]]
-    readme.write(shown, options.readme)
+    readme.write([run for variant in README for run in runs[variant.key]], options.readme)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.paper.settings import AVERAGED, PERFECT_STATE, RECORDED, SCENARIO, Variant
+from benchmarks.paper.settings import AVERAGED, DEMO, PERFECT_STATE, README, RECORDED, SCENARIO, Variant
 from services.reporting.figures.renderer import Run
 from services.reporting.plots.recorded import read
 from services.run import folder
@@ -21,7 +21,7 @@ from services.tools.batch.job import Job
 from sim.evaluation.summary import Summary
 
 SEED = 1
-"""Seed of the recorded descents."""
+"""Seed of the recorded descents of the paper; the demo has its own."""
 
 SURFACE_S = 30.0
 """Time at the surface before a recorded descent (s): thirty TDCP fixes, one a second."""
@@ -40,12 +40,14 @@ class RecordedDescent(NamedTuple):
 
     def run_config(self) -> RunConfig:
         """Return the settings of the run. Raises ``ConfigError``."""
+        of_demo = self.variant in README
+        seed = () if of_demo else (f"run.seed={SEED}",)
         return resolve(
-            SCENARIO,
+            DEMO if of_demo else SCENARIO,
             [
                 Override("option --surface-s", [f"run.surface_time_s={self.surface_s!r}"]),
                 Override("option --duration-s", [f"run.duration_s={self.duration_s!r}"]),
-                Override("figures", [f"run.seed={SEED}", *self.variant.overrides]),
+                Override("figures", [*seed, *self.variant.overrides]),
             ],
         )
 
@@ -68,7 +70,8 @@ def recorded(
     workers : number of processes; one a core if None.
     progress : called after each descent.
     """
-    descents = [RecordedDescent(variant, runs / variant.key, duration_s, surface_s) for variant in RECORDED]
+    variants = (*RECORDED, *README)
+    descents = [RecordedDescent(variant, runs / variant.key, duration_s, surface_s) for variant in variants]
     summaries: dict[str, Summary] = {}
     for index, summary in run_each(run_descent, descents, workers=workers):
         summaries[descents[index].variant.key] = summary
@@ -118,4 +121,4 @@ def averaged(
 
 def count(seeds: int) -> int:
     """Return the number of descents, recorded and averaged, with this number of seeds for each averaged variant."""
-    return len(RECORDED) + seeds * len(AVERAGED)
+    return len(RECORDED) + len(README) + seeds * len(AVERAGED)

@@ -11,6 +11,9 @@ from services.reporting.figures.paper import DEFAULT, NONE, OURS_LONG, OURS_SHOR
 
 SCENARIO = "descent"
 
+DEMO = "demo"
+"""Scenario of the README's picture, which ``make sim`` runs; it has its own seed."""
+
 SHORT_S, LONG_S = 2.5, 5.0
 """Horizons of the paper (s). The controller rounds them to whole stages of 0.3 s: 2.4 s and 5.1 s."""
 
@@ -32,6 +35,9 @@ PERFECT_STATE = ("run.perfect_state=true",)
 """Override that replaces the localisation by the true state, to show the performance of the controller alone."""
 
 
+WITHOUT_CONTROL = "controller.lateral=false"
+
+
 class Variant(NamedTuple):
     """Variant of the descent; a row of the tables."""
 
@@ -42,7 +48,7 @@ class Variant(NamedTuple):
     @property
     def lateral(self) -> bool:
         """True if the lateral thrusters are used."""
-        return self.key != NONE
+        return WITHOUT_CONTROL not in self.overrides
 
 
 def _variant(key: str, name: str, horizon_s: float, *, with_delay: bool, cost: tuple[str, ...] = ()) -> Variant:
@@ -52,7 +58,7 @@ def _variant(key: str, name: str, horizon_s: float, *, with_delay: bool, cost: t
 
 
 RECORDED = (
-    Variant(NONE, "no control", ("controller.lateral=false",)),
+    Variant(NONE, "no control", (WITHOUT_CONTROL,)),
     _variant(PAPER_SHORT, "the paper's cost and delay", SHORT_S, with_delay=True, cost=PAPER_COST),
     _variant(PAPER_LONG, "the paper's cost and delay", LONG_S, with_delay=True, cost=PAPER_COST),
     _variant(OURS_SHORT, "this project's cost", SHORT_S, with_delay=False),
@@ -60,6 +66,13 @@ RECORDED = (
     Variant(DEFAULT, "this project's defaults", ()),
 )
 """Variants that are recorded for the figures, with localisation; each is one run."""
+
+README = (
+    Variant("demo-none", "no control", (WITHOUT_CONTROL,)),
+    *(Variant(f"demo-{s:g}s", f"horizon {s:g} s", (f"controller.horizon_s={s}",)) for s in (SHORT_S, LONG_S)),
+    Variant("demo", "default horizon", ()),
+)
+"""Variants of the demo in the README's picture. They differ in the horizon alone; the last one is the demo itself."""
 
 AVERAGED = (
     *RECORDED,

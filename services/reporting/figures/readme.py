@@ -1,4 +1,4 @@
-"""Figure of the README: distances of several runs, and the thrusts of the last two beside each other."""
+"""Figure of the README: what a longer horizon buys, as error of the controller and as energy."""
 
 from __future__ import annotations
 
@@ -12,33 +12,29 @@ from services.reporting.figures import paper, renderer, sheet
 from services.reporting.figures.renderer import Run
 from services.reporting.plots import catalogue
 
-TRUE_DISTANCE = msgspec.structs.replace(
-    paper.DISTANCE, series=tuple(one for one in paper.DISTANCE.series if one.table == "true_distance")
+CONTROL_ERROR = msgspec.structs.replace(
+    paper.DISTANCE, series=tuple(one for one in paper.DISTANCE.series if one.table == "distance")
 )
-"""Distance of the vehicle from the reference, on a logarithmic axis."""
+"""Distance of the estimate from the reference, on a logarithmic axis: the drift of the estimate is not in it."""
 
-THRUST = msgspec.structs.replace(catalogue.THRUST, levels=())
-"""Thrusts without their limits, for a short legend."""
+LEAST_M = 1e-3
+"""Lower end of the axis of the distance (m): a passage through zero would fill half of a logarithmic axis."""
+
+LATERAL_ENERGY = msgspec.structs.replace(
+    catalogue.ENERGY,
+    series=tuple(one for one in catalogue.ENERGY.series if one.y == "lateral_J"),
+)
+"""Energy of the lateral thrusters; the vertical one needs the same with each horizon."""
 
 
 def write(runs: Sequence[Run], out: Path) -> None:
-    """Draw the figure. All ``runs`` are compared, and the last two are also shown with their thrusts.
-
-    The last run is the one with the default horizon.
-    """
+    """Draw error and energy of all ``runs``; the last one has the default horizon."""
     shown = [renderer.from_zero(run) for run in runs]
-    named = [*shown[:-1], shown[-1]._replace(name=f"{shown[-1].name} (default)")]
+    shown[-1] = shown[-1]._replace(name=f"{shown[-1].name} (default)")
     with sheet.style(page=True):
         picture = Figure(figsize=(sheet.HALF_PAGE_IN, 4.4), layout="constrained")
-        grid = picture.add_gridspec(2, 2, height_ratios=(1.25, 1.0))
-        renderer.draw(
-            picture.add_subplot(grid[0, :]), TRUE_DISTANCE, named, title="distance of the vehicle from the line"
-        )
-        first = None
-        for column, run in enumerate(shown[-2:]):
-            axes = picture.add_subplot(grid[1, column], sharey=first)
-            renderer.draw(axes, THRUST, [run], title=f"thrust, {run.name}")
-            if first is not None:
-                axes.set_ylabel("")
-            first = axes
+        above, below = picture.subplots(2, 1, sharex=True, height_ratios=(1.2, 1.0))
+        renderer.draw(above, CONTROL_ERROR, shown, title="distance of the estimate from the line")
+        renderer.draw(below, LATERAL_ENERGY, shown, title="energy of the lateral thrusters", legend=False)
+        above.set(xlabel="", ylim=(LEAST_M, None))
         sheet.write(picture, [out])

@@ -66,11 +66,11 @@ def _from_zero(columns: Columns) -> Columns:
     return {name: [cells[i] for i in kept] for name, cells in columns.items()}
 
 
-def draw(axes: Axes, plot: Plot, runs: Sequence[Run], *, title: str | None = None) -> None:
+def draw(axes: Axes, plot: Plot, runs: Sequence[Run], *, title: str | None = None, legend: bool = True) -> None:
     """Draw a plot with labels, limits and legend. ``title`` replaces the one of the description; "" for none."""
     drawn = _of_one(axes, plot, runs[0]) if len(runs) == 1 else _of_several(axes, plot, runs)
     axes.set(xlabel=plot.x.label, ylabel=plot.y.label)
-    sheet.legend_above(axes, plot.title if title is None else title, drawn.legend)
+    sheet.legend_above(axes, plot.title if title is None else title, drawn.legend if legend else ())
     if not drawn.x:
         axes.text(0.5, 0.5, plot.empty, transform=axes.transAxes, ha="center", va="center", color=palette.REFERENCE)
         return

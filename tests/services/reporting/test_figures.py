@@ -132,12 +132,16 @@ def test_a_legend_covers_no_line(dive: Run) -> None:
     assert box.x1 <= picture.bbox.x1
 
 
-def test_the_readme_s_picture_has_one_distance_a_run(dive: Run) -> None:
+def test_the_readme_s_picture_has_one_distance_and_one_energy_a_run(dive: Run) -> None:
     runs = [from_zero(dive), from_zero(dive)._replace(name="another")]
-    axes = drawn(readme.TRUE_DISTANCE, *runs)
-    assert said(axes) == [run.name for run in runs]
-    for line in axes.get_lines():
-        np.testing.assert_array_equal(line.get_ydata(), runs[0].tables["true_distance"]["distance_m"])
+    for plot, table, column in (
+        (readme.CONTROL_ERROR, "distance", "distance_m"),
+        (readme.LATERAL_ENERGY, "energy", "lateral_J"),
+    ):
+        axes = drawn(plot, *runs)
+        assert said(axes) == [run.name for run in runs]
+        for line in axes.get_lines():
+            np.testing.assert_array_equal(line.get_ydata(), runs[0].tables[table][column])
 
 
 def test_every_sheet_of_the_paper_draws_a_description_of_the_catalogue() -> None:
