@@ -122,10 +122,10 @@ def draw(points: list[Point], path: Path) -> None:
         for of in points:
             for effort, factor in THRUST_WEIGHT_FACTOR.items():
                 if of.horizon_s == proposed.horizon_s and math.isclose(of.thrust, factor * proposed.weights.thrust):
-                    mark, size, label = ("*", 14, "default") if effort == "normal" else ("s", 7, None)
+                    mark, size, label = ("*", 12, "default") if effort == "normal" else ("s", 7, None)
                     at = of.power, 1e3 * of.error_m
                     panel.plot(*at, mark, color=palette.TRUTH, markersize=size, label=label)
-                    panel.annotate(effort, at, (7, 6), textcoords="offset points")
+                    panel.annotate(f"effort {effort}", at, (7, 6), textcoords="offset points")
         panel.set(xscale="log", yscale="log", xlabel="propulsive power, mean $|F|^{1.5}$ (N$^{1.5}$)")
         panel.set(ylabel="tracking error, mean (mm)")
         panel.set_xticks(ticks := (10, 15, 20, 30, 40, 60, 80), map(str, ticks))

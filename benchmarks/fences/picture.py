@@ -36,7 +36,7 @@ WATER_MPS = 0.1 * math.sqrt(0.5), -0.1 * math.sqrt(0.5)
 
 CYCLE_S = 0.3
 MAX_CYCLES = 3000
-SHOWN = {"reference": "path", "track": "vehicle", "horizon": "one plan", "zones": "", "kept_free": "", "bounding": ""}
+SHOWN = {"reference": "path", "truth": "vehicle", "horizon": "one plan", "zones": "", "kept_free": "", "bounding": ""}
 """Tables of the view from above that are shown, with another label for some of their series."""
 
 
@@ -85,7 +85,7 @@ def draw(flown: Flown, out: Path) -> None:
     out : the file.
     """
     path = references.load(str(REFERENCE)).path().points  # type: ignore[union-attr]
-    lines = {"reference": path, "track": flown.track, "horizon": flown.shown.states[:, :2]}
+    lines = {"reference": path, "truth": flown.track, "horizon": flown.shown.states[:, :2]}
     tables = {
         name: {"north_m": points[:, 0].tolist(), "east_m": points[:, 1].tolist()} for name, points in lines.items()
     }
