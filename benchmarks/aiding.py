@@ -79,7 +79,7 @@ def draw(drifts: dict[str, Drift], path: Path) -> None:
         for panel, (name, drift) in zip(panels.flat, drifts.items(), strict=True):
             minutes = drift.t_s / 60.0
             band = {"color": palette.ESTIMATE, "alpha": 0.2, "linewidth": 0}
-            panel.fill_between(minutes, 0.0, 3.0 * drift.sd_m, **band, label="3 sigma of the estimate")
+            panel.fill_between(minutes, 0.0, 3.0 * drift.sd_m, **band, label="3 sigma of the filter")
             panel.plot(minutes, drift.error_m, color=palette.ESTIMATE, label="error of the estimate")
             panel.set_title(f"With {name}" if name != "none" else "Without fixes below the surface")
             panel.set_yscale("symlog", linthresh=1.0)
