@@ -16,6 +16,7 @@ from services.reporting.figures import renderer, sheet
 from services.reporting.figures.renderer import Run
 from services.reporting.figures.water import structure
 from services.reporting.plots import catalogue
+from services.reporting.plots.delays import CYCLE, STAGES
 from services.reporting.plots.description import Axis, Plot
 
 NONE, PAPER_SHORT, PAPER_LONG = "none", "paper-2.5s", "paper-5s"
@@ -26,7 +27,7 @@ SYNTHETIC, MEASURED = "synthetic", "measured"
 """Groups of current profiles, in table ``profile`` like those of a run."""
 
 STRUCTURE, TIMING = "structure", "timing"
-"""Groups with one run each, which holds the tables of ``water.structure`` or of ``catalogue.STAGES``."""
+"""Groups with one run each, which holds the tables of ``water.structure`` or of ``TIMES``."""
 
 THE_PAPER, OURS = "the paper's cost and delays", "this project's"
 
@@ -34,6 +35,14 @@ DISTANCE = msgspec.structs.replace(catalogue.TRACKING, y=Axis(label="distance (m
 """Tracking error on a logarithmic axis, from 1 cm to 10 m."""
 
 PROFILES = msgspec.structs.replace(catalogue.CURRENT, empty="no measured profiles")
+
+
+TIMES = msgspec.structs.replace(
+    catalogue.STAGES,
+    x=Axis(label="wall time (ms)", log=True),
+    y=msgspec.structs.replace(catalogue.STAGES.y, rows=STAGES[: STAGES.index(CYCLE) + 1]),
+)
+"""Steps of a cycle, without the rows of a running vehicle: the way to the actuators and the age of the estimate."""
 
 
 class Panel(NamedTuple):
@@ -71,7 +80,7 @@ def sheets(measured: Sequence[str]) -> tuple[Sheet, ...]:
         Sheet("localisation", 3.6, _both(catalogue.ERRORS, (PAPER_LONG,), (OURS_LONG,))),
         Sheet("current", 2.8, (Panel("estimated at the end, with 2 sigma", catalogue.CURRENT, (OURS_LONG,)),)),
         Sheet("depth", 2.0, (Panel("", catalogue.DEPTH, (OURS_LONG,)),)),
-        Sheet("timing", 2.4, (Panel("cycles of this project, 5.1 s of horizon", catalogue.STAGES, (TIMING,)),)),
+        Sheet("timing", 2.4, (Panel("cycles of this project, 5.1 s of horizon", TIMES, (TIMING,)),)),
     )
 
 
