@@ -15,9 +15,11 @@ import pytest
 from benchmarks import page_tables
 from benchmarks.paper import __main__ as command
 from benchmarks.paper import tables, water
-from benchmarks.paper.settings import AVERAGED, RECORDED
+from benchmarks.paper.descents import RecordedDescent
+from benchmarks.paper.settings import AVERAGED, README, RECORDED
 from benchmarks.paper.water import Profile
 from services.reporting.figures import paper, sheet
+from services.run.run_config import resolve
 
 mpl.use("Agg")
 from matplotlib.image import imread
@@ -101,6 +103,21 @@ def test_each_run_is_made_as_its_row_says(made: Path) -> None:
     assert re.search(r"^terminal_velocity_s2_per_m2 = 0.0$", cost, flags=re.M)
     for row in by_name["timing"].rows:
         assert 0.0 < row[2] <= row[3] <= row[4]  # type: ignore[operator]
+
+
+def test_the_readme_s_last_run_is_the_demo_and_the_others_differ_in_one_setting() -> None:
+    usual = command.Options()
+    *others, demo = (
+        RecordedDescent(variant, Path(), usual.duration_s, usual.surface_s).run_config().files for variant in README
+    )
+    assert demo == resolve("demo", []).files
+    for other, key in zip(others, ("lateral", "horizon_s", "horizon_s"), strict=True):
+        changed = {
+            line.partition(" = ")[0]
+            for name, text in other.items()
+            for line in set(text.splitlines()) ^ set(demo[name].splitlines())
+        }
+        assert changed == {key}
 
 
 def test_measured_currents_that_are_not_there_are_named(made: Path) -> None:
