@@ -50,7 +50,7 @@ LIMITS = {70: 0.005, 500: 0.10}
 
 
 class Curve(NamedTuple):
-    """Curve of the figure: what is measured, with which setting, and its colour (Okabe and Ito) and marker."""
+    """Curve of the figure: what is measured, with which setting, and its colour and marker."""
 
     name: str
     node: bool  # the whole, not the filter alone
