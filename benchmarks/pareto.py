@@ -122,10 +122,12 @@ def draw(points: list[Point], path: Path) -> None:
         for of in points:
             for effort, factor in THRUST_WEIGHT_FACTOR.items():
                 if of.horizon_s == proposed.horizon_s and math.isclose(of.thrust, factor * proposed.weights.thrust):
-                    mark, size, label = ("*", 12, "default") if effort == "normal" else ("s", 7, None)
+                    labels = {"normal": "effort normal, default", "low": "effort low or high"}
+                    mark, size, label = ("*" if effort == "normal" else "s"), 8, labels.get(effort)
                     at = of.power, 1e3 * of.error_m
                     panel.plot(*at, mark, color=palette.TRUTH, markersize=size, label=label)
-                    panel.annotate(f"effort {effort}", at, (7, 6), textcoords="offset points")
+                    place = (9, -4) if effort == "high" else (7, 6)  # beside the line of a shorter horizon
+                    panel.annotate(effort, at, place, textcoords="offset points")
         panel.set(xscale="log", yscale="log", xlabel="propulsive power, mean $|F|^{1.5}$ (N$^{1.5}$)")
         panel.set(ylabel="tracking error, mean (mm)")
         panel.set_xticks(ticks := (10, 15, 20, 30, 40, 60, 80), map(str, ticks))
