@@ -197,18 +197,20 @@ class Fencing:
         if not self._routers[-1].serves(scene.need):
             self._routers = (self._routers[0], Router(zones, scene.need))
 
-    def bend(self, position: Array, current: Array, target: Array) -> None:
+    def bend(self, position: Array, current: Array, target: Array, *, limited: bool) -> None:
         """Lead the targets of a horizon round the zones, where the line through them is blocked; bring far ones nearer.
 
         Parameters
         ----------
         position, current, target : as in ``lead_round``.
+        limited : True if a limit of motion is set. Without one, and without a fence, far targets stay where they are.
         """
         if self._routers and self._routers[-1].chain_is_blocked(position, target[:-1, :2]):
             self.set_path(None)
             arrives = lead_round(self._routers[-1], position, current, target, self._times_s, self._scales)
             self._no_way = not arrives
-        bring_near(position, current, target, float(self._times_s[-1]), self._scales.speed_mps)
+        if limited or self.is_active:
+            bring_near(position, current, target, float(self._times_s[-1]), self._scales.speed_mps)
 
     def enters_s(self, X: Array) -> float:
         """Return when the hull enters a zone or an obstacle first (s after the first knot); infinite for never.

@@ -109,7 +109,8 @@ class LateralPlanner:
         ----------
         start : the vehicle at the plan's start. Target and current are set before.
         """
-        self.fencing.bend(start.lateral[:2], self._lin.C[0], self.target)
+        limited = bool(np.isfinite(self._config.limits.state_bounds).any())
+        self.fencing.bend(start.lateral[:2], self._lin.C[0], self.target, limited=limited)
 
     def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
         """Ramp the lateral thrusters to a goal at their slew limits.

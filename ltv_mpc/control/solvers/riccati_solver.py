@@ -84,19 +84,18 @@ steps short. Where the nominal trajectory already exceeds a soft row, the produc
 below it, two zones that leave no room between them took more than ``MAX_SWEEPS``.
 """
 
-DUAL_REGULARISATION = 1e-8
+DUAL_REGULARISATION, LAST_REGULARISATION = 1e-7, 1e-8
 """A dual that a step changes by d counts as a violation of this times d: the largest weight is its inverse.
 
-Where rows nearly depend on each other, as two half-planes at a wall do, duals grow by the violation over this in each
-sweep until one of the rows is released. With 1e-7 that took more than ``MAX_SWEEPS``. Rounding leaves errors of 1e-5
-with 1e-8, and of 1e-3 with less, where duals are 1e4.
+Where rows nearly depend on each other, as two half-planes at a wall do, their duals grow in each sweep by the violation
+over this, until one of the rows is released. The second value is for duals that still change when all products are
+zero: with the first one that took more than ``MAX_SWEEPS``. Rounding, times the weight, is larger with the second.
 """
 
 MU_IDENTIFIED, MU_CONVERGED, WHOLE_STEP = 1e-3, 1e-11, 0.9
-"""Mean product of slack and dual below which they show which rows are active; below which the point is the solution
-itself, to rounding, unless its duals still change; and smallest step for the latter. It ends a solve in which a limit
-is just reached with a dual of zero: no set is right there. No step aims far below the second: a slack would be rounded
-to zero.
+"""Mean product of slack and dual below which they show which rows are active; below which the point may be the solution
+itself, to rounding; and smallest step for the latter. It ends a solve in which a limit is just reached with a dual of
+zero: no set is right there. No step aims far below the second: a slack would be rounded to zero.
 """
 
 TO_BOUNDARY = 0.995
@@ -376,26 +375,26 @@ def _interior_point(
 ) -> tuple[int, int]:
     """Solve by the interior-point method until the active set is known; return the outcome and the number of sweeps."""
     barrier = _initial_barrier(work)
-    sweeps, step, mu = 0, 1.0, _mean_product(barrier)
+    sweeps, step, mu, regularisation = 0, 1.0, _mean_product(barrier), DUAL_REGULARISATION
     while sweeps < max_sweeps:
         aim = max(max(MIN_SIGMA, (1.0 - step) ** 2) * mu, 0.1 * MU_CONVERGED)
-        _set_barrier_terms(barrier, aim, work)
+        _set_barrier_terms(barrier, aim, regularisation, work)
         sweeps += 1
         if not sweep(lin, target, o, work, dU):
             return FAILED, sweeps
-        primal, dual = _find_step(barrier, aim, work)
+        primal, dual = _find_step(barrier, aim, regularisation, work)
         _take_step(barrier, primal, dual)
         same = _name_active(barrier, active)
         step, mu = min(primal, dual), _mean_product(barrier)
         if not np.isfinite(mu):
             return FAILED, sweeps
-        at_solution = mu < MU_CONVERGED and step > WHOLE_STEP
-        if at_solution and DUAL_REGULARISATION * np.abs(barrier.dnu).max() < VIOLATION_TOLERANCE:
-            # the duals that belong to the commands of the last sweep
-            for k in range(y.shape[0]):
+        if mu < MU_CONVERGED and step > WHOLE_STEP:
+            for k in range(y.shape[0]):  # the duals that belong to the commands of the last sweep
                 for i in range(y.shape[1]):
                     y[k, i] = work.weight[k, i] * work.g[k, i] + work.linear[k, i]
-            return CONVERGED, sweeps
+            if optimality_error(lin, target, o, work, y, dU) < MAX_OPTIMALITY_ERROR:
+                return CONVERGED, sweeps
+            regularisation = LAST_REGULARISATION
         if mu < MU_IDENTIFIED and same:
             _duals(barrier.nu, y)
             outcome, more = _active_set(lin, target, o, work, active, LATER_SWEEPS, y, dU)
@@ -432,7 +431,7 @@ def _initial_barrier(work: SweepWorkspace) -> _Barrier:
 
 
 @jit
-def _set_barrier_terms(barrier: _Barrier, aim: float, work: SweepWorkspace) -> None:
+def _set_barrier_terms(barrier: _Barrier, aim: float, regularisation: float, work: SweepWorkspace) -> None:
     """Set weight and linear of the next sweep, of both sides of each row."""
     t, e, nu = barrier.t, barrier.e, barrier.nu
     for k in range(t.shape[1]):
@@ -443,14 +442,14 @@ def _set_barrier_terms(barrier: _Barrier, aim: float, work: SweepWorkspace) -> N
                 x, room = nu[side, k, i], barrier.room[side, k, i]
                 if np.isinf(bound):
                     continue
-                w = 1.0 / (t[side, k, i] / x + e[side, k, i] / room + DUAL_REGULARISATION)
+                w = 1.0 / (t[side, k, i] / x + e[side, k, i] / room + regularisation)
                 weight += w
                 linear += sign * (x + w * (aim / x - aim / room)) - w * bound
             work.weight[k, i], work.linear[k, i] = weight, linear
 
 
 @jit
-def _find_step(barrier: _Barrier, aim: float, work: SweepWorkspace) -> tuple[float, float]:
+def _find_step(barrier: _Barrier, aim: float, regularisation: float, work: SweepWorkspace) -> tuple[float, float]:
     """Compute the steps; return the fractions of slacks' and duals' steps that keep all numbers positive."""
     g = work.g
     primal = dual = 1.0
@@ -463,7 +462,7 @@ def _find_step(barrier: _Barrier, aim: float, work: SweepWorkspace) -> tuple[flo
                 if np.isinf(beyond):  # no bound
                     continue
                 # e + de - (t + dt) = beyond - regularisation dnu, and both products are the aim to first order
-                dnu = (beyond + aim / nu - aim / room) / (t / nu + e / room + DUAL_REGULARISATION)
+                dnu = (beyond + aim / nu - aim / room) / (t / nu + e / room + regularisation)
                 dt, de = aim / nu - t - t * dnu / nu, aim / room - e + e * dnu / room
                 barrier.dt[side, k, i], barrier.de[side, k, i], barrier.dnu[side, k, i] = dt, de, dnu
                 if dt < 0.0:

@@ -207,11 +207,14 @@ def test_a_target_on_a_path_is_no_faster_than_they_allow() -> None:
 
 
 def test_of_a_target_out_of_reach_only_the_direction_counts() -> None:
-    plans = [
-        Controller(PAPER, Point(north_m=3.0 * far, east_m=4.0 * far)).plan(Estimate.at_rest()) for far in (20.0, 900.0)
-    ]
-    np.testing.assert_allclose(plans[0].thrust_N, plans[1].thrust_N, atol=1e-9)
-    assert plans[0].reference_m == (60.0, 80.0)
+    def thrust_N(far: float, limits: MotionLimits) -> Array:
+        controller = Controller(PAPER, Point(north_m=3.0 * far, east_m=4.0 * far), ControllerConfig(limits=limits))
+        plan = controller.plan(Estimate.at_rest())
+        assert plan.reference_m == (3.0 * far, 4.0 * far)
+        return plan.thrust_N
+
+    np.testing.assert_allclose(thrust_N(20.0, BOTH), thrust_N(900.0, BOTH), atol=1e-9)
+    assert np.abs(thrust_N(20.0, MotionLimits()) - thrust_N(900.0, MotionLimits())).max() > 1.0
 
 
 def test_words_of_their_rows() -> None:
