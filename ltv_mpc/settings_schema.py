@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterable, Sequence
 from functools import cache
-from itertools import takewhile
-from operator import eq
 from typing import Any, TypeAlias
 
 from msgspec import inspect
@@ -17,10 +16,6 @@ Type: TypeAlias = inspect.Type
 
 Path: TypeAlias = Sequence[str | int]
 """Keys and list positions from the outermost table down: ``("thruster", "port", "arm_m")``."""
-
-
-MIN_PART = 3
-"""Shortest part of a name that suggests it by itself: "sim" of "simulate", "mass" inside "dry_mass_kg"."""
 
 
 def type_at(kind: Any, table: Any, path: Path) -> Type | None:
@@ -57,65 +52,31 @@ def closest_name(name: str, names: Iterable[str]) -> str | None:
     """Return the name that was probably meant, or None.
 
     Upper case, ``_`` and leading ``-`` do not count, and the tables before a key may be left out: ``speed`` means
-    ``run.speed``. In this order: a name with few wrong characters, one that begins so, one that holds this name, one
-    that this name begins with.
+    ``run.speed``. In this order: a similar name, one that begins like this one, one that holds it.
 
     Parameters
     ----------
     name : wrong name.
     names : valid names.
     """
-    given = _parts(name)
-    known = [(_parts(x), x) for x in names]
-    for count in (len(given), 1):  # as it is written, then its last part alone
-        ranked = [
-            (rank, len(parts), x) for parts, x in known if (rank := _rank(given[-count:], parts[-count:])) is not None
-        ]
-        if ranked:
-            return min(ranked, key=lambda row: row[:2])[2]
+    names = sorted(names, key=len)
+    for part in (_plain, _last_part):  # as it is written, then its last part alone
+        known = {part(valid): valid for valid in reversed(names)}  # of equal ones the shortest
+        given = part(name)
+        meant = difflib.get_close_matches(given, known, n=1)
+        meant = meant or [x for x in known if given and (x.startswith(given) or (len(x) > 2 and given.startswith(x)))]
+        meant = meant or [x for x in known if len(given) > 3 and given in x]
+        if meant:
+            return known[meant[0]]
     return None
 
 
-def _parts(name: str) -> list[str]:
-    return re.split(r"[./]", name.casefold().replace("_", "-").lstrip("-"))
+def _plain(name: str) -> str:
+    return name.casefold().replace("_", "-").lstrip("-")
 
 
-def _rank(given: Sequence[str], known: Sequence[str]) -> tuple[int, ...] | None:
-    """Return how far apart two names are, smaller is closer; None if a part of them is too far."""
-    if len(given) != len(known):
-        return None
-    ranks = [_rank_part(a, b) for a, b in zip(given, known, strict=True)]
-    return None if None in ranks else tuple(map(sum, zip(*filter(None, ranks), strict=True)))
-
-
-def _rank_part(given: str, known: str) -> tuple[int, int, int] | None:
-    """Return kind and number of the differences, and minus the length of the common beginning."""
-    wrong, wrong_before_end = _wrong_characters(given, known)
-    alike = -sum(1 for _ in takewhile(bool, map(eq, given, known)))
-    if wrong <= max(len(given) // 3, min(len(given) - 1, 1)):
-        return 0, wrong, alike
-    if given and wrong_before_end <= len(given) // 3:
-        return 1, wrong_before_end, len(known)
-    if len(given) > MIN_PART and given in known:
-        return 2, len(known), alike
-    if len(known) >= MIN_PART and given.startswith(known):
-        return 3, -len(known), alike
-    return None
-
-
-def _wrong_characters(a: str, b: str) -> tuple[int, int]:
-    """Return the optimal string alignment distance of two texts, and the least one of ``a`` and a beginning of ``b``.
-
-    It counts inserted, missing, replaced and swapped neighbouring characters.
-    """
-    before, row = [0] * (len(b) + 1), list(range(len(b) + 1))
-    for i, left in enumerate(a):
-        older, before, row = before, row, [i + 1]
-        for j, right in enumerate(b):
-            row.append(min(row[j] + 1, before[j + 1] + 1, before[j] + (left != right)))
-            if i and j and left == b[j - 1] and a[i - 1] == right:
-                row[-1] = min(row[-1], older[j - 1] + 1)
-    return row[-1], min(row)
+def _last_part(name: str) -> str:
+    return re.split(r"[./]", _plain(name))[-1]
 
 
 def suggestion(name: str, names: Iterable[str]) -> str:
