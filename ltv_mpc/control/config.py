@@ -146,6 +146,12 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return float(max(ahead, astern))
 
     @property
+    def has_state_limit(self) -> bool:
+        """True if a limit of ``state_bounds`` is set."""
+        bounds = self.min_surge_mps, self.min_yaw_rate_radps, self.max_surge_mps, self.max_yaw_rate_radps
+        return bounds != (None,) * 4
+
+    @property
     def state_bounds(self) -> Array:
         """Lower and upper limits (2, 2) of the states ``horizon_limits.LIMITED_STATES``; infinite where none is set."""
         low = [-math.inf if limit is None else limit for limit in (self.min_surge_mps, self.min_yaw_rate_radps)]

@@ -109,7 +109,7 @@ class LateralPlanner:
         ----------
         start : the vehicle at the plan's start. Target and current are set before.
         """
-        limited = bool(np.isfinite(self._config.limits.state_bounds).any())
+        limited = self._config.limits.has_state_limit
         self.fencing.bend(start.lateral[:2], self._lin.C[0], self.target, limited=limited)
 
     def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:

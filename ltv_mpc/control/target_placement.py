@@ -20,6 +20,7 @@ import numpy as np
 from ltv_mpc.control.scaling import Scales
 from ltv_mpc.control.terminal_check import closing_speed
 from ltv_mpc.geofence.route import Router
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
 LEAD = 0.5
@@ -32,6 +33,7 @@ FAR = 2.0
 """Distance of the farthest target, in ways that the vehicle can make within the horizon."""
 
 
+@jit
 def bring_near(position: Array, current: Array, target: Array, horizon_s: float, top_mps: float) -> None:
     """Bring targets that are out of reach nearer.
 
@@ -41,11 +43,13 @@ def bring_near(position: Array, current: Array, target: Array, horizon_s: float,
     horizon_s : length of the horizon (s).
     top_mps : top speed of the vehicle through the water (m/s).
     """
-    off = target[:-1, :2] - position
-    distance = np.hypot(off[:, 0], off[:, 1])
-    far = FAR * horizon_s * (top_mps + math.hypot(*current))
-    if distance.max() > far:
-        target[:-1, :2] = position + off * np.minimum(1.0, far / np.maximum(distance, far))[:, None]
+    far = FAR * horizon_s * (top_mps + math.hypot(current[0], current[1]))
+    for k in range(len(target) - 1):
+        north, east = target[k, 0] - position[0], target[k, 1] - position[1]
+        distance = math.hypot(north, east)
+        if distance > far:
+            target[k, 0] = position[0] + north * far / distance
+            target[k, 1] = position[1] + east * far / distance
 
 
 def lead_round(router: Router, position: Array, current: Array, target: Array, times_s: Array, scales: Scales) -> bool:
