@@ -50,6 +50,7 @@ PATIENCE_S, POLL_MS = 300.0, 100.0
 REPORTS = {
     "tutorial-distance.png": ("latest", "tracking"),
     "tutorial-horizons.png": ("horizons", "tracking"),
+    "tutorial-longer.png": ("longer", "tracking"),
     "tutorial-boat.png": ("boat", "track"),
     "tutorial-heavy.png": ("both", "tracking"),
 }

@@ -132,7 +132,8 @@ def test_every_plot_of_a_report_is_saved_as_png_svg_and_csv(browser: Any, report
             lines = content.decode().splitlines()
             assert len({line.count(",") for line in lines[1:]}) <= 1
             if "panel-errors" in str(menu.evaluate("one => one.closest('section').id")):
-                assert lines[0].startswith('"2 sigma time (s)","2 sigma error (m)","2 sigma, other edge error (m)"')
+                of = "2 sigma of the estimate"
+                assert lines[0].startswith(f'"{of} time (s)","{of} error (m)","{of}, other edge error (m)"')
                 _, low, high = (float(cell) for cell in lines[5].split(",")[:3])
                 assert low == -high
             menu.locator("summary").click()

@@ -2,7 +2,7 @@
 
 The commands run in the page's order and one folder. What runs in lock step is the same on every machine, so that its
 numbers are compared too. Of the demo, which the reader runs as processes, a summary with known figures is formatted,
-and a short run in lock step takes its place. tests/examples/test_python_publisher.py has the terminals of step 5, and
+and a short run in lock step takes its place. tests/examples/test_python_publisher.py has the terminals of step 4, and
 ``python -m benchmarks.tutorials`` runs all of it as the reader does.
 """
 
