@@ -183,19 +183,33 @@ class Fencing:
             (nn, ne), (_, ee) = estimate.covariance[:2, :2].tolist()
             sd_m += math.sqrt(largest_variance_m2(nn, ne, ee))
         north_m, east_m = start.lateral[:2]
-        before = scene.need.copy()
+        before = scene.need.copy() if sd_m > 0.0 else scene.need
         update_zones(zones, north_m, east_m, hull_radius_m(self._vehicle), sd_m, scene.need, scene.exits)
-        stated = hull_radius_m(self._vehicle) + zones.margin
-        if (scene.need > stated).any():
-            now = clearances(zones, start.lateral[None, :2])[0]
-            lacking = np.flatnonzero(now < scene.need)
-            if len(lacking) > 1:
-                self.meeting_margins = tuple(self._labels[z] for z in lacking) if growth_m > 0.0 else ()
-                room = ROOM * hull_radius_m(self._vehicle)
-                kept = np.where(before > now + room, now - room, np.maximum(before, now - room))
-                scene.need[lacking] = np.maximum(stated, kept)[lacking]
+        if sd_m > 0.0:
+            self._limit_need(start, before, grows=growth_m > 0.0)
         if not self._routers[-1].serves(scene.need):
             self._routers = (self._routers[0], Router(zones, scene.need))
+
+    def _limit_need(self, start: Start, before: Array, *, grows: bool) -> None:
+        """Lower what zones ask for between which there is less: to what there is, less some room.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        before : (Z,) required clearances of the cycle before (m).
+        grows : True while the position becomes more uncertain without estimates.
+        """
+        zones, need = self.scene.zones, self.scene.need
+        stated = hull_radius_m(self._vehicle) + zones.margin
+        if not (need > stated).any():
+            return
+        now = clearances(zones, start.lateral[None, :2])[0]
+        lacking = np.flatnonzero(now < need)
+        if len(lacking) > 1:
+            self.meeting_margins = tuple(self._labels[z] for z in lacking) if grows else ()
+            room = ROOM * hull_radius_m(self._vehicle)
+            kept = np.where(before > now + room, now - room, np.maximum(before, now - room))
+            need[lacking] = np.maximum(stated, kept)[lacking]
 
     def bend(self, position: Array, current: Array, target: Array, *, limited: bool) -> None:
         """Lead the targets of a horizon round the zones, where the line through them is blocked; bring far ones nearer.
