@@ -376,6 +376,7 @@ def _interior_point(
     """Solve by the interior-point method until the active set is known; return the outcome and the number of sweeps."""
     barrier = _initial_barrier(work)
     sweeps, step, mu, regularisation = 0, 1.0, _mean_product(barrier), DUAL_REGULARISATION
+    failed = False
     while sweeps < max_sweeps:
         aim = max(max(MIN_SIGMA, (1.0 - step) ** 2) * mu, 0.1 * MU_CONVERGED)
         _set_barrier_terms(barrier, aim, regularisation, work)
@@ -395,12 +396,14 @@ def _interior_point(
             if optimality_error(lin, target, o, work, y, dU) < MAX_OPTIMALITY_ERROR:
                 return CONVERGED, sweeps
             regularisation = LAST_REGULARISATION
-        if mu < MU_IDENTIFIED and same:
+        failed = failed and same  # with these rows, from other duals
+        if mu < MU_IDENTIFIED and same and (mu < MU_CONVERGED or not failed):
             _duals(barrier.nu, y)
             outcome, more = _active_set(lin, target, o, work, active, LATER_SWEEPS, y, dU)
             sweeps += more
             if outcome != NOT_CONVERGED:
                 return outcome, sweeps
+            failed = True
     _duals(barrier.nu, y)
     return NOT_CONVERGED, sweeps
 
