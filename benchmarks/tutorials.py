@@ -51,6 +51,7 @@ REPORTS = {
     "tutorial-distance.png": ("latest", "tracking"),
     "tutorial-horizons.png": ("horizons", "tracking"),
     "tutorial-longer.png": ("longer", "tracking"),
+    "tutorial-hull.png": ("still", "track"),
     "tutorial-boat.png": ("boat", "track"),
     "tutorial-heavy.png": ("both", "tracking"),
 }
