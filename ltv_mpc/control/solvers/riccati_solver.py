@@ -101,8 +101,8 @@ zero: no set is right there. No step aims far below the second: a slack would be
 TO_BOUNDARY = 0.995
 """Largest part of the step to where a slack or a dual would be zero."""
 
-MAX_SWEEPS = 60
-"""Limit of sweeps. Rows that nearly depend on each other take 20 to 60, other problems seen at most half of it."""
+MAX_SWEEPS = 100
+"""Limit of sweeps. Rows that nearly depend on each other take 20 to 72, other problems seen at most 30."""
 
 FAILED, NOT_CONVERGED, CONVERGED = -1, 0, 1
 """Outcome of a method: no usable result; nearly a solution; the solution."""
