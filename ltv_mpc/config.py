@@ -148,6 +148,21 @@ def missing_file_hint(path: Path) -> str:
     return "no such file: name an existing file"
 
 
+def number_or_text(text: str) -> int | float | str:
+    """Return the number that a text of the command line is, or the text.
+
+    Parameters
+    ----------
+    text : value of an option or argument, or a part of it.
+    """
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
 def is_path(name: str) -> bool:
     """Return True if NAME|FILE is a path: it has a suffix or a slash. A bare name means a shipped file."""
     return "/" in name or "\\" in name or PurePath(name).suffix != ""

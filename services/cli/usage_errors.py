@@ -12,6 +12,7 @@ from typing import Annotated, Any, get_args
 from msgspec import Meta, inspect
 from typer.core import TyperOption
 
+from ltv_mpc.config import number_or_text
 from ltv_mpc.errors import ConfigError, format_value
 from ltv_mpc.settings_schema import closest_name, expected
 
@@ -65,7 +66,7 @@ def _of_value(error: Exception, parameter: Any, see: str) -> ConfigError:
     if descriptor.choices:
         choices = [str(getattr(choice, "value", choice)) for choice in descriptor.choices]
         return ConfigError(source, "", f"must be one of {', '.join(choices)}{_near(value, choices)}", value=value)
-    return ConfigError(source, "", f"must be {_bound(parameter, value)}", value=_number(value))
+    return ConfigError(source, "", f"must be {_bound(parameter, value)}", value=number_or_text(value))
 
 
 def _bound(parameter: Any, value: str) -> str:
@@ -74,7 +75,7 @@ def _bound(parameter: Any, value: str) -> str:
     kinds = get_args(annotation) or (annotation,)
     kind = next((kind for kind in (int, float) if kind in kinds), str)
     bounds = {name: bound for name, bound in (("ge", parameter.min), ("le", parameter.max)) if bound is not None}
-    return expected(inspect.type_info(Annotated[kind, Meta(**bounds)]), _number(value))
+    return expected(inspect.type_info(Annotated[kind, Meta(**bounds)]), number_or_text(value))
 
 
 def _of_option(option: str, command: Any, arguments: Sequence[str], see: str) -> ConfigError:
@@ -101,13 +102,3 @@ def _near(name: str, names: Any, otherwise: str = "") -> str:
     if meant is not None:
         return f"; did you mean {format_value(meant)}?"
     return f"; {otherwise}" if otherwise else ""
-
-
-def _number(text: Any) -> Any:
-    """Return a text as the number that it is, so that the error shows it without quotes."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text

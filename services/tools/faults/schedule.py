@@ -97,15 +97,6 @@ def parse(texts: Sequence[str]) -> list[Injection]:
         values = [value.strip() for value in text.split(",")]
         if not 4 <= len(values) <= len(names):
             raise ConfigError("option --fault", "", f"must be {WORDS}", value=text)
-        table = {name: _number(value) for name, value in zip(names, values, strict=False)}
+        table = {name: config.number_or_text(value) for name, value in zip(names, values, strict=False)}
         injections.append(config.parse(table, Entry, source="option --fault").injection("option --fault"))
     return injections
-
-
-def _number(text: str) -> str | int | float:
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
