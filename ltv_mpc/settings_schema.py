@@ -61,8 +61,9 @@ def closest_name(name: str, names: Iterable[str]) -> str | None:
     """
     names = sorted(names, key=len)
     for part in (_plain, _last_part):  # as it is written, then its last part alone
-        known = {part(valid): valid for valid in reversed(names)}  # of equal ones the shortest
-        given = part(name)
+        given, known = part(name), dict[str, str]()
+        for valid in names:
+            known.setdefault(part(valid), valid)  # of equal ones the shortest
         meant = difflib.get_close_matches(given, known, n=1)
         meant = meant or [x for x in known if given and (x.startswith(given) or (len(x) > 2 and given.startswith(x)))]
         meant = meant or [x for x in known if len(given) > 3 and given in x]

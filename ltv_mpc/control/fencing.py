@@ -183,7 +183,7 @@ class Fencing:
             (nn, ne), (_, ee) = estimate.covariance[:2, :2].tolist()
             sd_m += math.sqrt(largest_variance_m2(nn, ne, ee))
         north_m, east_m = start.lateral[:2]
-        before = scene.need.copy() if sd_m > 0.0 else scene.need
+        before = scene.need.copy()
         update_zones(zones, north_m, east_m, hull_radius_m(self._vehicle), sd_m, scene.need, scene.exits)
         if sd_m > 0.0:
             self._limit_need(start, before, grows=growth_m > 0.0)

@@ -396,7 +396,7 @@ def _interior_point(
             if optimality_error(lin, target, o, work, y, dU) < MAX_OPTIMALITY_ERROR:
                 return CONVERGED, sweeps
             regularisation = LAST_REGULARISATION
-        failed = failed and same  # with these rows, from other duals
+        failed = failed and same  # the active-set method, with these rows and earlier duals
         if mu < MU_IDENTIFIED and same and (mu < MU_CONVERGED or not failed):
             _duals(barrier.nu, y)
             outcome, more = _active_set(lin, target, o, work, active, LATER_SWEEPS, y, dU)
