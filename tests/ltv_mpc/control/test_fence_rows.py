@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import msgspec
 import numpy as np
@@ -293,26 +294,30 @@ def test_every_solver_keeps_to_a_corridor_as_an_independent_one(solver: str) -> 
 
 
 def test_multipliers_of_the_rows_are_the_slope_of_the_least_cost() -> None:
-    """Finite differences of an independent solver's optimum; a larger step would change the active rows."""
-    of, step, seen = form(), 1e-5, set()
-    for seed in range(12):
+    """Finite differences of an independent solver's optimum, where these are exact: to both sides they are the same.
+
+    They differ where a row becomes active within the step, or where the other solver is not exact enough.
+    """
+    of, step, seen = form(), 1e-5, Counter[str]()
+    for seed in range(24):
         lin, target = along_a_corridor(seed, angle_rad=0.05, half_width_m=0.2)
         qp, y = of.build(lin, target), np.zeros((N, 4 + lin.rows.shape[1]))
-        *_, error = riccati_solver.solve_packed(of.packed, lin.flat, target, math.nan, 60, y, np.zeros((N + 1, 2)))
-        if error > 1e-8:  # a multiplier may change by 600 where a row moves by 0.1 mm
-            continue
+        riccati_solver.solve_packed(of.packed, lin.flat, target, math.nan, 60, y, np.zeros((N + 1, 2)))
         inside = np.argwhere((y[:, 4:] < -1.0) & (y[:, 4:] > 1.0 - lin.rows[:, :, 3]))
         for k, j in inside[:: max(len(inside) // 3, 1)]:
             row, costs = of.equalities + 4 * N + 2 * (k * lin.rows.shape[1] + j), []
             bound = qp.l[row]
-            for moved in (bound - step, bound + step):
+            for moved in (bound - step, bound, bound + step):
                 qp.l[row] = moved
                 x = precise(qp)
                 costs.append(0.5 * x @ (qp.P @ x) + qp.q @ x)
             qp.l[row] = bound
-            assert (costs[0] - costs[1]) / (2.0 * step) == pytest.approx(y[k, 4 + j], rel=1e-3)
-            seen.add("fence" if j < ROWS else "corridor")
-    assert seen == {"fence", "corridor"}
+            before, behind = (costs[0] - costs[1]) / step, (costs[1] - costs[2]) / step
+            if abs(before - behind) < 5e-3 * abs(before + behind):
+                assert 0.5 * (before + behind) == pytest.approx(y[k, 4 + j], rel=1e-3)
+                seen["fence" if j < ROWS else "corridor"] += 1
+    assert seen["fence"] >= 8
+    assert seen["corridor"] >= 2, seen
 
 
 def test_the_least_surplus_of_the_rows_is_that_of_the_linear_model() -> None:

@@ -62,13 +62,14 @@ def wall_seen_twice(seed: int, stages: int) -> tuple[Linearisation, Array]:
     return Linearisation.from_arrays(*lin[:-2], rows), target
 
 
-@pytest.mark.parametrize("seed", [11, 54])
+@pytest.mark.parametrize("seed", [11, 54, 228])
 def test_half_planes_at_almost_the_same_angle_are_solved(seed):
-    """Their duals still change when all products of slack and dual are zero: that is not the solution yet."""
+    """Their duals still change when all products of slack and dual are nearly zero, the longer the more regularised."""
     lin, target = wall_seen_twice(seed, 34)
     config = msgspec.structs.replace(CONFIG, horizon_s=10.2)
     ours = answer(RiccatiSolver(config, LIMITS), lin, target)
     assert ours.solve.status is SolveStatus.SOLVED, ours.solve.why
+    assert ours.solve.iterations < 40  # 54 to 59 with the regularisations in the other order
 
 
 def test_stages_that_grow_and_gaps():
