@@ -3,10 +3,7 @@
 Rows of the QP (fence_rows.py) keep the vehicle out. The reference only leads round the zones: a point by the targets of
 the horizon (target_placement.py), a path by its schedule (``geofence/allowed_path.py``).
 
-Required clearance of the vehicle's origin from a zone: hull + max(margin, k sd), with the standard deviation sd of the
-position at the first knot. It grows while estimates are late. Where the vehicle lacks the clearance of two zones at
-once, each asks for no more than it has now, less some room, and keeps to that, but for hull + margin at least: two
-zones that ask for more than there is between them would cancel, and nothing would keep the vehicle out of either. The
+What a zone asks for, and what it asks for where another zone is too near, is in ``geofence/required_clearance.py``. The
 corridor along a path does not bound while the targets lead round a zone.
 """
 
@@ -24,8 +21,9 @@ from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.target_placement import bring_near, lead_round
 from ltv_mpc.geofence.allowed_path import allowed_path
 from ltv_mpc.geofence.fence import Fence, hull_radius_m
-from ltv_mpc.geofence.half_planes import ROWS, update_zones
+from ltv_mpc.geofence.half_planes import ROWS
 from ltv_mpc.geofence.obstacles import DISC, ObstacleTable, largest_variance_m2
+from ltv_mpc.geofence.required_clearance import SD_FACTOR, update_required
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array, Estimate, FenceInForce, FenceReport, Obstacles, Times
@@ -38,9 +36,6 @@ OBSTACLE_MARGIN = 1.0
 
 ENTERED_M = 0.01
 """Depth in a margin from which it counts as entered: rounding and the linearisation take millimetres."""
-
-ROOM = 0.5
-"""Room that the vehicle keeps between zones that ask for more than there is, in radii of the hull, to either side."""
 
 MAX_DRIFT_S = 600.0
 """Longest drift after the end of a plan that is looked at."""
@@ -176,40 +171,18 @@ class Fencing:
             self.scene = self.scene._replace(discs=self.obstacles.discs(start.t_ns))
         if self.fence is None:
             return
-        scene = self.scene
-        zones = scene.zones
-        sd_m = growth_m
+        zones, need, hull_m, sd_m = self.scene.zones, self.scene.need, hull_radius_m(self._vehicle), growth_m
         if estimate.covariance is not None:
             (nn, ne), (_, ee) = estimate.covariance[:2, :2].tolist()
             sd_m += math.sqrt(largest_variance_m2(nn, ne, ee))
         north_m, east_m = start.lateral[:2]
-        before = scene.need.copy()
-        update_zones(zones, north_m, east_m, hull_radius_m(self._vehicle), sd_m, scene.need, scene.exits)
-        if sd_m > 0.0:
-            self._limit_need(start, before, grows=growth_m > 0.0)
-        if not self._routers[-1].serves(scene.need):
-            self._routers = (self._routers[0], Router(zones, scene.need))
-
-    def _limit_need(self, start: Start, before: Array, *, grows: bool) -> None:
-        """Lower what zones ask for between which there is less: to what there is, less some room.
-
-        Parameters
-        ----------
-        start : the vehicle at the plan's start.
-        before : (Z,) required clearances of the cycle before (m).
-        grows : True while the position becomes more uncertain without estimates.
-        """
-        zones, need = self.scene.zones, self.scene.need
-        stated = hull_radius_m(self._vehicle) + zones.margin
-        if not (need > stated).any():
-            return
-        now = clearances(zones, start.lateral[None, :2])[0]
-        lacking = np.flatnonzero(now < need)
-        if len(lacking) > 1:
-            self.meeting_margins = tuple(self._labels[z] for z in lacking) if grows else ()
-            room = ROOM * hull_radius_m(self._vehicle)
-            kept = np.where(before > now + room, now - room, np.maximum(before, now - room))
-            need[lacking] = np.maximum(stated, kept)[lacking]
+        lacking = update_required(zones, north_m, east_m, hull_m, sd_m, need, self.scene.exits)
+        if growth_m > 0.0 and lacking > 1 and SD_FACTOR * sd_m > zones.margin.min():
+            asked = hull_m + np.maximum(zones.margin, SD_FACTOR * sd_m)
+            lacks = clearances(zones, start.lateral[None, :2])[0] < asked
+            self.meeting_margins = tuple(self._labels[z] for z in np.flatnonzero(lacks))
+        if not self._routers[-1].serves(need):
+            self._routers = (self._routers[0], Router(zones, need))
 
     def bend(self, position: Array, current: Array, target: Array, *, limited: bool) -> None:
         """Lead the targets of a horizon round the zones, where the line through them is blocked; bring far ones nearer.

@@ -23,9 +23,6 @@ from ltv_mpc.messages import Array
 ROWS = 3
 """Largest number of rows M of one point."""
 
-SD_FACTOR = 3.0
-"""k: standard deviations of the position that the clearance covers."""
-
 
 class HalfPlanes(NamedTuple):
     """Rows of the points of a track; those that are not used have the zone -1."""
@@ -34,35 +31,6 @@ class HalfPlanes(NamedTuple):
     offset: Array  # (P, M) (m)
     slack: Array  # (P, M) m . p - b (m), ascending
     zone: npt.NDArray[np.int64]  # (P, M)
-
-
-@jit
-def update_zones(
-    zones: Zones, north: float, east: float, hull_m: float, sd_m: float, need: Array, exits: Array
-) -> None:
-    """Set the required clearance of each zone, and its exit if a point has entered it.
-
-    Parameters
-    ----------
-    zones : zones of the fence.
-    north, east : position of the vehicle (m).
-    hull_m : radius of its hull (m).
-    sd_m : standard deviation of the position (m).
-    need : (Z,) required clearance of the vehicle's origin (m), overwritten.
-    exits : (Z, 4) as ``half_planes`` takes them. Those of zones that the vehicle was in before stay, and those of zones
-        that it is not in are cleared.
-    """
-    for z in range(len(zones.radius)):
-        need[z] = hull_m + max(zones.margin[z], SD_FACTOR * sd_m)
-        circle = zones.circle[z]
-        if np.hypot(north - circle[0], east - circle[1]) > circle[2]:
-            exits[z, 0] = 0.0
-            continue
-        distance, mn, me, qn, qe = nearest(zones, z, north, east)
-        if distance >= 0.0:
-            exits[z, 0] = 0.0
-        elif exits[z, 0] == 0.0:
-            exits[z, 0], exits[z, 1], exits[z, 2], exits[z, 3] = 1.0, mn, me, mn * qn + me * qe
 
 
 @jit

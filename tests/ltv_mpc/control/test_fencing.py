@@ -217,6 +217,18 @@ def test_zones_that_ask_for_more_than_there_is_between_them_ask_for_what_there_i
     assert needed_m(*between(zones[1])) == pytest.approx([uncapped])  # one zone alone: the vehicle leaves
 
 
+@pytest.mark.parametrize("margin_m", [0.2, 1.0])
+def test_between_walls_that_are_too_near_for_their_margins_the_hull_stays_free(margin_m: float) -> None:
+    """There is 0.3 m to either side of the hull: with penalties that cancel, the current led it 0.2 m into one."""
+    corners = ((-5.0, 0.0), (15.0, 0.0), (15.0, 3.0), (-5.0, 3.0))
+    sides = ([(n, side * (e + HULL_M + 0.3)) for n, e in corners] for side in (-1.0, 1.0))
+    fence, of = msgspec.structs.replace(walls(*sides), margin_m=margin_m), controller(Point(north_m=8.0, east_m=0.0))
+    of.set_fence(fence)
+    track, plans = fly(of, 120, (0.0, 0.08))
+    assert hull_clearance(fence, track) > 0.03
+    assert all(plan.solve.status is SolveStatus.SOLVED for plan in plans)
+
+
 def test_between_zones_that_ask_for_more_than_there_is_every_cycle_is_solved() -> None:
     zones = tuple(
         Disc(centre=Place(north_m=n, east_m=e), radius_m=3.0) for n, e in ((-3.5, -8.0), (3.5, -8.0), (0.0, 8.0))

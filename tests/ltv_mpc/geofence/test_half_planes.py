@@ -1,4 +1,4 @@
-"""Half-planes along a track: which rows a point has, what they ask for, and the clearance they include."""
+"""Half-planes along a track: which rows a point has, and what they ask for."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, allocate, half_planes, update_zones
+from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, allocate, half_planes
 from ltv_mpc.geofence.zones import Zones, clearance, pack_zones
 from ltv_mpc.messages import Array
 from tests.ltv_mpc.geofence.shapes import boundary_distance, contains, disc, fence_of, point, polygon, rings
@@ -110,25 +110,3 @@ def test_no_row_is_left_over_from_the_cycle_before() -> None:
     rows, exits = rows_of(zones, np.zeros(2)), np.zeros((1, 4))
     half_planes(zones, np.full((1, 2), 900.0), np.ones((1, 1)), exits, np.ones(1), rows)
     assert rows.zone.tolist() == [[-1] * ROWS]
-
-
-def test_the_required_clearance_has_the_margin_or_three_standard_deviations() -> None:
-    zones, need = pack_zones(Fence(margin_m=1.0, keep_out=(polygon(SQUARE), polygon(NOTCH, 4.0)))), np.empty(2)
-    update_zones(zones, 50.0, 50.0, 0.5, 0.2, need, np.zeros((2, 4)))
-    np.testing.assert_allclose(need, [1.5, 4.5])
-    update_zones(zones, 50.0, 50.0, 0.5, 0.7, need, np.zeros((2, 4)))
-    np.testing.assert_allclose(need, [2.6, 4.5])
-
-
-def test_an_exit_is_that_of_the_entry_until_the_vehicle_is_out() -> None:
-    zones, exits, need = pack_zones(fence_of(SQUARE - 25.0, keep_in=False)), np.zeros((1, 4)), np.empty(1)
-
-    def exit_at(north_m: float, east_m: float) -> list[float]:
-        update_zones(zones, north_m, east_m, 0.5, 0.0, need, exits)
-        return list(exits[0])
-
-    assert exit_at(-14.9, -20.0)[0] == 0.0  # outside, and in the circle around the zone
-    assert exit_at(-16.0, -20.0) == pytest.approx([1.0, 1.0, 0.0, -15.0])  # out to the north
-    assert exit_at(-20.0, -24.9) == pytest.approx([1.0, 1.0, 0.0, -15.0])  # the west is nearer now
-    assert exit_at(-10.0, -30.0)[0] == 0.0
-    assert exit_at(-20.0, -24.9) == pytest.approx([1.0, 0.0, -1.0, 25.0])
