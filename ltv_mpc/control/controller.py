@@ -186,8 +186,7 @@ class Controller:
         ConfigError : the vehicle's file has no [hull].
         """
         self._lateral.fencing.set_fence(fence)
-        for follower in self._followers:
-            follower.restrict(self._lateral.fencing.allowed_path)
+        self._restrict_paths()
 
     def add_obstacles(self, obstacles: Obstacles) -> None:
         """Avoid obstacles from the next cycle on, until their reports are too old.
@@ -308,6 +307,8 @@ class Controller:
         delay_ns = self._delay.expected_ns()
         start = self._prediction.state_at(decision.estimate, now_ns + delay_ns, self.sent_commands)
         knots = start.t_ns + self._knots_ns
+        if self._lateral.fencing.predict_obstacles(start.t_ns):
+            self._restrict_paths()
         if decision.follows:
             current = start.current_north_mps, start.current_east_mps
             self.follower.advance(knots, start.lateral, current, self._lateral.target)
@@ -379,6 +380,11 @@ class Controller:
         follower = Follower(reference, self.vehicle, LIMIT_SHARE * self.config.limits.path_speed_mps)
         follower.restrict(self._lateral.fencing.allowed_path)
         return follower
+
+    def _restrict_paths(self) -> None:
+        """Move the targets along the part of their paths that is allowed now."""
+        for follower in self._followers:
+            follower.restrict(self._lateral.fencing.allowed_path)
 
     # --- parts of a cycle ---
 

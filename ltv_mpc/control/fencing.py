@@ -1,7 +1,7 @@
 """Fence and obstacles of a controller: what is in force, and the report of what a plan keeps from it.
 
-Rows of the QP (fence_rows.py) keep the vehicle out. The reference only leads round the zones: a point by the targets of
-the horizon (target_placement.py), a path by its schedule (``geofence/allowed_path.py``).
+Rows of the QP (fence_rows.py) keep the vehicle out. The reference only leads round what stands in the way
+(``geofence/routes.py``): a point by the targets of the horizon (target_placement.py), a path by its schedule.
 
 What a zone asks for, and what it asks for where another zone is too near, is in ``geofence/required_clearance.py``. The
 corridor along a path does not bound while the targets lead round a zone.
@@ -19,13 +19,12 @@ from ltv_mpc.control.nominal_trajectory import coasting_entry_s
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.target_placement import bring_near, lead_round
-from ltv_mpc.geofence.allowed_path import allowed_path
 from ltv_mpc.geofence.fence import Fence, hull_radius_m
 from ltv_mpc.geofence.half_planes import ROWS
 from ltv_mpc.geofence.obstacles import DISC, ObstacleTable, largest_variance_m2
 from ltv_mpc.geofence.required_clearance import SD_FACTOR, update_required
-from ltv_mpc.geofence.route import Router
-from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
+from ltv_mpc.geofence.routes import NO_ZONES, Routes
+from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, Estimate, FenceInForce, FenceReport, Obstacles, Times
 from ltv_mpc.references.follower import PathBeside
 from ltv_mpc.references.schedule import Schedule
@@ -37,10 +36,11 @@ OBSTACLE_MARGIN = 1.0
 ENTERED_M = 0.01
 """Depth in a margin from which it counts as entered: rounding and the linearisation take millimetres."""
 
+SLOW = 0.1
+"""Largest speed of an obstacle that the reference leads round, over the vehicle's top speed."""
+
 MAX_DRIFT_S = 600.0
 """Longest drift after the end of a plan that is looked at."""
-
-NO_ZONES = Zones(np.empty((0, 2)), np.zeros(1, dtype=np.int64), np.empty(0), np.empty(0), np.empty((0, 3)))
 
 
 class Fencing:
@@ -77,7 +77,7 @@ class Fencing:
         )
         """Zones and obstacles of this cycle."""
         self._labels: list[str] = []
-        self._routers: tuple[Router, ...] = ()  # of the margins; then, where these have grown, of the grown ones
+        self._routes = Routes()
         self._no_way = False  # round the zones to the target
         self.meeting_margins: tuple[str, ...] = ()
         """Zones whose required clearances the vehicle lacks at once, because late estimates have made them grow."""
@@ -112,17 +112,17 @@ class Fencing:
             zones, labels = pack_zones(fence), [zone.label for zone in fence.zones()]
             need = hull_radius_m(self._vehicle) + zones.margin
         self.fence, self._labels = fence, labels
-        self._routers = () if fence is None else (Router(zones, need),)
+        self._routes.set_zones(zones, need)
         self.scene = self.scene._replace(zones=zones, need=need, exits=np.zeros((len(need), 4)))
 
     def allowed_path(self, schedule: Schedule) -> tuple[Schedule, float]:
-        """Return the part of a schedule outside zones and margins, and the length that is left out (m).
+        """Return the part of a schedule that is allowed, and the length that is left out (m): ``Routes``.
 
         Parameters
         ----------
         schedule : motion of the target.
         """
-        return allowed_path(schedule, self._routers[0]) if self._routers else (schedule, 0.0)
+        return self._routes.allowed_path(schedule)
 
     def set_path(self, path: PathBeside | None) -> None:
         """Set the path of the corridor for this cycle.
@@ -153,8 +153,26 @@ class Fencing:
         self.obstacles.add(obstacles)
         self.scene.disc_need_m[0] = need
 
+    def predict_obstacles(self, t_ns: int) -> bool:
+        """Begin a cycle: drop old obstacles, and predict the others.
+
+        Parameters
+        ----------
+        t_ns : time of the first knot (ns).
+
+        Returns
+        -------
+        True if other obstacles stand in the way than before: the allowed part of a path has changed.
+        """
+        if not (len(self.obstacles) or len(self.scene.discs)):
+            return False
+        self._dropped = self.obstacles.drop_old(t_ns)
+        self.scene = self.scene._replace(discs=self.obstacles.discs(t_ns))
+        slow_mps, need_m = SLOW * self._scales.speed_mps, float(self.scene.disc_need_m[0])
+        return self._routes.set_standing(self.obstacles.standing(t_ns, slow_mps, need_m))
+
     def update(self, start: Start, estimate: Estimate, growth_m: float) -> None:
-        """Begin a cycle: required clearances, exits and predicted obstacles.
+        """Update required clearances and exits for this cycle.
 
         Parameters
         ----------
@@ -164,12 +182,7 @@ class Fencing:
         """
         self._no_way = False
         self.meeting_margins = ()
-        if not self.is_active:  # in most cycles, which then spend no time here
-            return
-        if len(self.obstacles) or len(self.scene.discs):
-            self._dropped = self.obstacles.drop_old(start.t_ns)
-            self.scene = self.scene._replace(discs=self.obstacles.discs(start.t_ns))
-        if self.fence is None:
+        if self.fence is None:  # in most cycles, which then spend no time here
             return
         zones, need, hull_m, sd_m = self.scene.zones, self.scene.need, hull_radius_m(self._vehicle), growth_m
         if estimate.covariance is not None:
@@ -181,8 +194,7 @@ class Fencing:
             asked = hull_m + np.maximum(zones.margin, SD_FACTOR * sd_m)
             lacks = clearances(zones, start.lateral[None, :2])[0] < asked
             self.meeting_margins = tuple(self._labels[z] for z in np.flatnonzero(lacks))
-        if not self._routers[-1].serves(need):
-            self._routers = (self._routers[0], Router(zones, need))
+        self._routes.require(need)
 
     def bend(self, position: Array, current: Array, target: Array, *, limited: bool) -> None:
         """Lead the targets of a horizon round the zones, where the line through them is blocked; bring far ones nearer.
@@ -192,9 +204,10 @@ class Fencing:
         position, current, target : as in ``lead_round``.
         limited : True if a limit of motion is set. Without one, and without a fence, far targets stay where they are.
         """
-        if self._routers and self._routers[-1].chain_is_blocked(position, target[:-1, :2]):
+        router = self._routes.router
+        if router is not None and router.chain_is_blocked(position, target[:-1, :2]):
             self.set_path(None)
-            arrives = lead_round(self._routers[-1], position, current, target, self._times_s, self._scales)
+            arrives = lead_round(router, position, current, target, self._times_s, self._scales)
             self._no_way = not arrives
         if limited or self.is_active:
             bring_near(position, current, target, float(self._times_s[-1]), self._scales.speed_mps)

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from ltv_mpc.geofence.required_clearance import SD_FACTOR
 from ltv_mpc.messages import Array, Obstacle, Obstacles
 
 GROWTH_MPS = 0.05
@@ -22,6 +23,9 @@ MAX_AGE_NS = 60_000_000_000
 
 MAX_OBSTACLES = 64
 """Largest number of obstacles; of more, those with the oldest reports are dropped."""
+
+STANDING_AGE_S = 10.0
+"""Least age of a report for the distance that the reference keeps: with the true one it would change in every cycle."""
 
 DISC = 7
 """Numbers of an obstacle for compiled code."""
@@ -87,6 +91,31 @@ class ObstacleTable:
             place = report.north_m + age_s * vn, report.east_m + age_s * ve
             row[:] = *place, vn, ve, report.radius_m, largest_variance_m2(*report.covariance_m2), max(age_s, 0.0)
         return rows
+
+    def standing(self, t_ns: int, max_speed_mps: float, need_m: float) -> Array:
+        """Return where the obstacles that hardly move are, in the order of their ids (S, 3).
+
+        Parameters
+        ----------
+        t_ns : time of the first knot (ns).
+        max_speed_mps : speed up to which an obstacle counts (m/s).
+        need_m : distance that is kept between the vehicle's origin and an obstacle (m).
+
+        Returns
+        -------
+        Of each: north, east and required clearance (m), with the uncertainty at the age ``STANDING_AGE_S`` at least.
+        """
+        rows = []
+        for report in sorted(self._by_id.values(), key=lambda report: report.id):
+            vn, ve = report.velocity_north_mps, report.velocity_east_mps
+            if math.hypot(vn, ve) > max_speed_mps:
+                continue
+            age_s = (t_ns - report.t_ns) * 1e-9
+            growth_m = GROWTH_MPS * max(age_s, STANDING_AGE_S)
+            sd_m = math.sqrt(largest_variance_m2(*report.covariance_m2) + growth_m**2)
+            required_m = report.radius_m + SD_FACTOR * sd_m + need_m
+            rows.append((report.north_m + age_s * vn, report.east_m + age_s * ve, required_m))
+        return np.array(rows).reshape(-1, 3)
 
 
 def largest_variance_m2(nn: float, ne: float, ee: float) -> float:

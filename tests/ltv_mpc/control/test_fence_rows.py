@@ -20,7 +20,6 @@ from ltv_mpc.control.fence_clearance import (
     surplus_m,
 )
 from ltv_mpc.control.fence_rows import CORRIDOR_ROWS, fill_rows, least_surplus
-from ltv_mpc.control.fencing import NO_ZONES
 from ltv_mpc.control.horizon_limits import NO_BOUND, HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
@@ -29,6 +28,7 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import Solver, make, riccati_solver
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.half_planes import ROWS
+from ltv_mpc.geofence.routes import NO_ZONES
 from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array, SolveStatus
 from tests.ltv_mpc.control.fence_scenes import SMALL, STAGES, scene

@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
 from ltv_mpc.control import lateral
-from ltv_mpc.control.config import MotionLimits
+from ltv_mpc.control.config import MotionLimits, Weights
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.nominal_model import advance
@@ -91,6 +91,15 @@ def test_it_goes_round_a_disc_and_keeps_its_margin(water: Pair) -> None:
     assert len(reports) == len(plans)
     assert any(report.active == ('keep_out_disc[0] "wreck"',) for report in reports)
     assert not any(report.inside or report.in_margin for report in reports[1:])
+
+
+def test_larger_weights_of_the_target_do_not_outweigh_the_fence() -> None:
+    """The duals of the zones grow with them: with a constant penalty the vehicle came 4 cm nearer than its margin."""
+    fence, weights = disc(10.0, 0.3, 3.0), Weights()
+    of = controller(weights=msgspec.structs.replace(weights, position_per_m2=100.0, terminal_position_per_m2=4000.0))
+    of.set_fence(fence)
+    track, _ = fly(of, 150, (0.15, 0.0))
+    assert hull_clearance(fence, track) > 0.49
 
 
 def test_without_a_fence_the_straight_line_goes_through_it() -> None:
@@ -273,6 +282,40 @@ def test_it_avoids_a_moving_obstacle_and_says_when_it_is_dropped() -> None:
     assert dropped == [7]
 
 
+def at_anchor(t_ns: int, number: int = 7) -> Obstacles:
+    drifts = Obstacle(
+        id=number, t_ns=t_ns, north_m=12.0, east_m=0.0, velocity_north_mps=0.0, velocity_east_mps=0.01, radius_m=1.0
+    )
+    return Obstacles(t_ns=t_ns, obstacles=(drifts,))
+
+
+@pytest.mark.parametrize("every", [7, 33], ids=["2 s", "10 s"])
+def test_a_path_leads_round_an_obstacle_at_anchor(every: int) -> None:
+    """Otherwise the target waits behind it for a vehicle that stands in front of it."""
+    of, estimate, track = controller(line(24.0)), drifting(), []
+    for cycle in range(420):
+        if cycle % every == 0:
+            of.add_obstacles(at_anchor(estimate.t_ns))
+        plan = of.plan(estimate)
+        track.append((estimate.north_m - 12.0, estimate.east_m - 0.01 * estimate.t_ns * 1e-9))
+        estimate = advance(CRAFT, estimate, plan, duration_s=0.3)
+    assert np.hypot(*np.array(track).T).min() > 1.0 + 2.0 * HULL_M
+    assert plan.progress == pytest.approx(1.0)
+    assert (estimate.north_m, estimate.east_m) == pytest.approx((24.0, 0.0), abs=0.3)
+
+
+def test_a_path_is_whole_again_when_an_obstacle_leaves() -> None:
+    of, skipped_m = controller(line(24.0)), []
+    for cycle in range(MAX_AGE_NS // 300_000_000 + 3):
+        if cycle == 1:
+            of.add_obstacles(at_anchor(300_000_000))
+        plan = of.plan(msgspec.structs.replace(drifting(), t_ns=cycle * 300_000_000))
+        skipped_m.append(plan.fence.skipped_m if plan.fence is not None else 0.0)
+    assert skipped_m[0] == skipped_m[-1] == 0.0
+    assert min(skipped_m[1:-3]) > 5.0
+    assert len(set(skipped_m)) < 20  # a detour is not computed in every cycle
+
+
 def test_a_path_through_a_zone_is_followed_on_the_other_side() -> None:
     fence, of = disc(12.0, 0.5, 3.0), controller(line(24.0))
     of.set_fence(fence)
@@ -315,7 +358,9 @@ def test_a_fence_set_or_removed_under_way_keeps_the_progress() -> None:
     assert np.diff(progress).max() < 0.01
 
 
-def test_a_target_without_a_way_to_it_is_reported() -> None:
+@pytest.mark.parametrize("water", [(0.0, 0.0), (0.1, 0.05), (-0.1, 0.05)], ids=["still", "onwards", "back"])
+def test_before_a_target_without_a_way_to_it_the_vehicle_rests(water: Pair) -> None:
+    """In the last 30 s it stays where it is, with no more thrust than the current needs and a tenth."""
     closed = [
         [(8.0, -4.0), (8.0, 4.0), (9.0, 4.0), (9.0, -4.0)],
         [(15.0, -4.0), (15.0, 4.0), (16.0, 4.0), (16.0, -4.0)],
@@ -324,9 +369,14 @@ def test_a_target_without_a_way_to_it_is_reported() -> None:
     ]
     fence, of = walls(*closed), controller(Point(north_m=12.0, east_m=0.0))
     of.set_fence(fence)
-    track, plans = fly(of, 200)
+    track, plans = fly(of, 480, water)
     assert hull_clearance(fence, track) > 0.15
     assert all(plan.fence is not None and plan.fence.no_way for plan in plans)
+    assert np.ptp(track[-100:], axis=0).max() < 0.02
+    surge, speed_mps = CRAFT.surge, math.hypot(*water)
+    drag_N = (surge.linear_damping_kgps + surge.quadratic_damping_kgpm * speed_mps) * speed_mps
+    thrust_N = np.array([plan.thrust_N[0, :2] for plan in plans[-100:]])
+    assert np.abs(thrust_N).sum(axis=1).max() < 1.1 * drag_N + 0.05
 
 
 def test_a_corridor_keeps_the_vehicle_nearer_to_its_path_at_a_corner() -> None:

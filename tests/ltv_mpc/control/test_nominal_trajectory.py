@@ -10,12 +10,12 @@ import pytest
 from ltv_mpc import Vehicle
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.fence_clearance import NO_PATH, Scene, entry_s, fence_cost
-from ltv_mpc.control.fencing import NO_ZONES
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.nominal_trajectory import PREVIOUS_PLAN, STEERED_AHEAD, choose_nominal, coasting_entry_s, ramp_to
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.geofence.routes import NO_ZONES
 from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array
 from tests.ltv_mpc.geofence.shapes import disc
