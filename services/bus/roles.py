@@ -11,7 +11,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from ltv_mpc.messages import Acknowledgement, Command, ControllerStatus, Estimate, Plan, Truth
+from ltv_mpc.messages import (
+    Acknowledgement,
+    Command,
+    ControllerStatus,
+    Estimate,
+    FenceInForce,
+    Obstacles,
+    Plan,
+    Truth,
+)
 from services.bus.topics import BY_TYPE, OPERATOR, TOPICS, Topic, expression
 
 ANYONE = "*"
@@ -35,7 +44,8 @@ SOURCE_PREFIX = f"{BY_TYPE[Estimate].written_by}-"
 EDGES = ("ros2", "mavlink")
 """Roles of the edges, which replace the estimator and command as operators do."""
 
-EDGE_WRITES, EDGE_READS = (Estimate, Command), (Plan, Acknowledgement, ControllerStatus, Estimate)
+EDGE_WRITES = (Estimate, Command, Obstacles)
+EDGE_READS = (Plan, Acknowledgement, ControllerStatus, Estimate, FenceInForce)
 
 ROS_PREFIX = "ros-"
 """Start of the role of the nodes of a ROS 2 domain."""

@@ -46,6 +46,7 @@ from ltv_mpc.messages import (
     CurrentProfile,
     Estimate,
     Message,
+    Obstacles,
     Plan,
     Solve,
     SolveStatus,
@@ -242,6 +243,9 @@ def ros2() -> Target:
     edge = Ros2Edge(1, Ros2Settings(vehicle=Vehicle.load("paper")))
     seeds = {row.name: cdr.encode(ros2_example(row.ros_type)) for row in TABLE if row.direction is not OUT}
     seeds["odometry"] = odometry(position=(1.0, 2.0, -3.0), frame="a" * 40, pose_covariance=np.eye(6))
+    reported = next(message for message in EXAMPLES if isinstance(message, Obstacles))
+    text = msgspec.json.encode(reported).decode()
+    seeds["obstacles"] = cdr.encode(cdr.make("std_msgs/msg/String", data=text))
     doubles = (math.nan, math.inf, -math.inf, 1e308, 5e-324, 1e10, -1.0)
     names = sorted(seeds)
 

@@ -17,7 +17,16 @@ import numpy as np
 from ltv_mpc.config import to_toml
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.messages import Array, ControllerStatus, CurrentProfile, Estimate, Health, Plan
+from ltv_mpc.messages import (
+    Array,
+    ControllerStatus,
+    CurrentProfile,
+    Estimate,
+    FenceReport,
+    Health,
+    Obstacles,
+    Plan,
+)
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.edges.edge import Refused
 from services.edges.ros2.cdr import make
@@ -80,6 +89,14 @@ def fence_of(text: str) -> str:
         raise Refused(str(error)) from None
 
 
+def obstacles_of(text: str) -> Obstacles:
+    """Return the message of a JSON text with its fields. Raises ``Refused``."""
+    try:
+        return msgspec.json.decode(text, type=Obstacles)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        raise Refused(f"obstacles: {error}") from None
+
+
 def _place(position: Array, settings: Settings) -> dict[str, float]:
     place = {"north_m": float(position[1]), "east_m": float(position[0])}
     return place | ({"depth_m": max(float(-position[2]), 0.0)} if settings.vehicle.can_dive else {})
@@ -137,8 +154,10 @@ LEVELS = {Health.NOMINAL: 0, Health.DEGRADED: 1, Health.HOLD: 1, Health.FAILSAFE
 """Level of a DiagnosticStatus (OK, WARN, ERROR) of each health."""
 
 
-def diagnostics_of(status: ControllerStatus, refused: dict[str, int], t_ns: int, settings: Settings) -> Any:
-    """Return the status of the controller and of this edge as diagnostic_msgs/DiagnosticArray."""
+def diagnostics_of(
+    status: ControllerStatus, fence: FenceReport | None, refused: dict[str, int], t_ns: int, settings: Settings
+) -> Any:
+    """Return the status of controller, fence and this edge as diagnostic_msgs/DiagnosticArray."""
     controller = {
         "authority": status.authority.value,
         "error_m": status.error_m,
@@ -152,7 +171,29 @@ def diagnostics_of(status: ControllerStatus, refused: dict[str, int], t_ns: int,
         _status("controller", LEVELS[status.health], status.health_why or status.health.value, controller, settings),
         _status("ros2", 1 if refused else 0, "frames refused" if refused else "no frame refused", refused, settings),
     ]
+    if fence is not None:
+        rows.append(_fence_status(fence, settings))
     return make("diagnostic_msgs/msg/DiagnosticArray", header=header(t_ns, ""), status=rows)
+
+
+def _fence_status(fence: FenceReport, settings: Settings) -> Any:
+    """Return the row of the fence: an error inside a zone, a warning in a margin or if a zone lies ahead."""
+    inside, in_margin = ", ".join(fence.inside), ", ".join(fence.in_margin)
+    values = {
+        "nearest": fence.nearest,
+        "clearance_m": fence.clearance_m,
+        "inside": inside,
+        "in_margin": in_margin,
+        "time_to_zone_ns": fence.time_to_zone_ns,
+    }
+    if inside:
+        return _status("fence", 2, f"in a zone: {inside}", values, settings)
+    if in_margin:
+        return _status("fence", 1, f"in a margin: {in_margin}", values, settings)
+    if fence.time_to_zone_ns is not None:
+        text = f"the hull will be in a zone in {fence.time_to_zone_ns * 1e-9:.0f} s"
+        return _status("fence", 1, text, values, settings)
+    return _status("fence", 0, "outside all margins", values, settings)
 
 
 def _status(name: str, level: int, text: str, values: dict[str, Any], settings: Settings) -> Any:

@@ -12,12 +12,16 @@ from ltv_mpc.messages import (
     ControllerStatus,
     CurrentProfile,
     Estimate,
+    FenceInForce,
+    FenceReport,
     Message,
+    Obstacles,
     Plan,
 )
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
 from services.edges.ros2 import cdr, conversions
 from services.edges.ros2.conversions import Settings
+from services.edges.ros2.markers import zones_of
 from services.edges.ros2.middleware import Attachment
 from services.edges.ros2.odometry import estimate_of
 from services.edges.ros2.topics import ACTIONS, BY_NAME, SERVICE
@@ -37,8 +41,8 @@ class Ros2Edge(Edge):
     """Edge to ROS 2. The channel of a frame is the name of a row; that of a request has a number behind a ``?``."""
 
     name = "ros2"
-    reads = (Plan, Acknowledgement, ControllerStatus, Estimate)
-    writes = (Estimate, Command)
+    reads = (Plan, Acknowledgement, ControllerStatus, Estimate, FenceInForce)
+    writes = (Estimate, Command, Obstacles)
 
     def __init__(self, epoch: int, settings: Settings) -> None:
         super().__init__(epoch)
@@ -50,6 +54,7 @@ class Ros2Edge(Edge):
         self._sent = {"goal": 0, "fence": 0}  # newest command of a goal or a route, and of a fence
         self._numbers = LossCounter()
         self._water_us = 0
+        self._fence: FenceReport | None = None  # of the newest plan
 
     def start(self) -> list[Outgoing]:
         """Return the first frames: the static transform."""
@@ -93,6 +98,8 @@ class Ros2Edge(Edge):
                 self._sent["fence"] = self.command_id()
                 fence = conversions.fence_of(message.data)
                 return [Command(command_id=self._sent["fence"], action=Action.FENCE, fence_toml=fence)]
+            case "obstacles":
+                return [conversions.obstacles_of(message.data)]
             case "goal":
                 return [self._follow([message.pose], message.header)]
             case _:
@@ -103,6 +110,7 @@ class Ros2Edge(Edge):
         super().take(message, now_us)
         match message:
             case Plan():
+                self._fence = message.fence
                 return [_frame("path", conversions.path_of(message, self._settings))]
             case Acknowledgement() if message.command_id in self._requests:
                 channel, _ = self._requests.pop(message.command_id)
@@ -113,7 +121,10 @@ class Ros2Edge(Edge):
             case ControllerStatus():
                 t_ns = self.clock.read(now_us) or 0
                 refused = dict(self.refused_by_reason)
-                return [_frame("diagnostics", conversions.diagnostics_of(message, refused, t_ns, self._settings))]
+                array = conversions.diagnostics_of(message, self._fence, refused, t_ns, self._settings)
+                return [_frame("diagnostics", array)]
+            case FenceInForce():
+                return [_frame("zones", zones_of(message, self._settings))]
             case Estimate(current=CurrentProfile() as profile) if now_us >= self._water_us + WATER_US:
                 self._water_us = now_us
                 return [_frame("water", conversions.cloud_of(message, profile, self._settings))]

@@ -18,6 +18,8 @@ from ltv_mpc.messages import (
     Command,
     CurrentProfile,
     Estimate,
+    FenceInForce,
+    FenceReport,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.reference_point import ReferencePoint
@@ -28,6 +30,7 @@ from services.edges.ros2.edge import Ros2Edge
 from services.edges.ros2.middleware import Attachment
 from services.edges.ros2.topics import BY_NAME
 from tests.fuzz.targets import SQUARE_FENCE
+from tests.services.bus.messages import EXAMPLES
 from tests.services.controller_status import status
 from tests.services.edges.plans import SECOND_NS, plan
 from tests.services.edges.ros2.test_ros2 import odometry
@@ -188,6 +191,26 @@ def test_a_fence_comes_as_geojson_and_an_empty_text_removes_it() -> None:
     assert edge.refused == 5
 
 
+OBSTACLES = """{"t_ns": 9, "obstacles": [{"id": 7, "t_ns": 8, "north_m": 40.0, "east_m": -15, "velocity_north_mps": 0.0,
+"velocity_east_mps": 0.4, "radius_m": 4.0, "covariance_m2": [4.0, 1.0, 4.0]}]}"""
+
+
+def test_obstacles_come_as_the_json_of_their_message() -> None:
+    edge = edge_with()
+
+    def of(text: str) -> list[Any]:
+        return give(edge, "obstacles", cdr.make("std_msgs/msg/String", data=text))
+
+    (message,) = of(OBSTACLES)
+    (ship,) = message.obstacles
+    assert (message.t_ns, ship.id, ship.t_ns, ship.north_m, ship.east_m) == (9, 7, 8, 40.0, -15.0)
+    assert (ship.velocity_east_mps, ship.radius_m, ship.covariance_m2) == (0.4, 4.0, (4.0, 1.0, 4.0))
+    for broken in ("", "{", "[]", "[" * 9999, OBSTACLES.replace("radius", "length"), OBSTACLES.replace("40.0", "4e9")):
+        assert of(broken) == []
+        assert edge.reason
+    assert (edge.accepted, edge.refused) == (1, 6)
+
+
 def acknowledged(command: Command, *, accepted: bool = True, why: str = "") -> Acknowledgement:
     return Acknowledgement(
         t_ns=0, command_id=command.command_id, accepted=accepted, authority=Authority.CONTROLLER, why=why
@@ -292,6 +315,47 @@ def test_the_status_of_controller_and_edge_is_diagnostics() -> None:
     controller, own = read(edge.take(status(), 0), "diagnostics").status
     assert (controller.level, controller.message) == (2, "no estimate")
     assert (own.level, own.values[0].key, own.values[0].value) == (1, "no odometry", "1")
+
+
+@pytest.mark.parametrize(
+    ("report", "level", "text"),
+    [
+        (FenceReport(clearance_m=3.0, nearest="pier"), 0, "outside all margins"),
+        (FenceReport(clearance_m=3.0, time_to_zone_ns=20 * SECOND_NS), 1, "the hull will be in a zone in 20 s"),
+        (FenceReport(clearance_m=1.0, in_margin=("pier", "buoy")), 1, "in a margin: pier, buoy"),
+        (FenceReport(clearance_m=-1.0, in_margin=("pier", "buoy"), inside=("pier",)), 2, "in a zone: pier"),
+    ],
+)
+def test_the_fence_of_the_newest_plan_is_in_the_diagnostics(report: FenceReport, level: int, text: str) -> None:
+    edge = edge_with()
+    list(edge.take(msgspec.structs.replace(plan(T_NS), fence=report), 0))
+    row = read(edge.take(status(), 0), "diagnostics").status[-1]
+    assert (row.name, row.level, row.message) == ("ltv_mpc: fence", level, text)
+    assert {pair.key: pair.value for pair in row.values} == {
+        "nearest": report.nearest,
+        "clearance_m": str(report.clearance_m),
+        "inside": ", ".join(report.inside),
+        "in_margin": ", ".join(report.in_margin),
+        "time_to_zone_ns": str(report.time_to_zone_ns),
+    }
+    list(edge.take(plan(T_NS), 0))
+    assert len(read(edge.take(status(), 0), "diagnostics").status) == 2
+
+
+def test_the_fence_in_force_is_markers_in_enu() -> None:
+    (fence,) = (message for message in EXAMPLES if isinstance(message, FenceInForce))
+    (zone,), (ship,) = fence.zones, fence.obstacles
+    disc = msgspec.structs.replace(zone, label="buoy", vertices_m=np.array([[3.0, 4.0]]), radius_m=2.0)
+    later = msgspec.structs.replace(fence, t_ns=ship.t_ns + 10 * SECOND_NS, zones=(zone, disc))
+    clear, line, buoy, obstacle = read(edge_with().take(later, 0), "zones").markers
+    assert (clear.action, line.action) == (clear.DELETEALL, line.ADD)
+    assert (line.type, line.text) == (line.LINE_STRIP, zone.label)
+    assert [(p.y, p.x) for p in line.points] == [*map(tuple, zone.vertices_m.tolist()), tuple(zone.vertices_m[0])]
+    assert (buoy.type, buoy.pose.position.y, buoy.pose.position.x, buoy.scale.x) == (buoy.CYLINDER, 3.0, 4.0, 4.0)
+    assert (obstacle.type, obstacle.text, obstacle.scale.y) == (obstacle.CYLINDER, "obstacle 12", 2.0 * ship.radius_m)
+    assert (obstacle.pose.position.y, obstacle.pose.position.x) == (ship.north_m + 10.0, ship.east_m)
+    assert len({(marker.ns, marker.id) for marker in (line, buoy, obstacle)}) == 3
+    assert all(marker.color.a == 1.0 for marker in (line, buoy, obstacle))
 
 
 def test_the_water_is_a_cloud_once_a_second() -> None:
