@@ -544,7 +544,9 @@ class FenceReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     active: Annotated[tuple[str, ...], Meta(description="zones and obstacles that bound the plan")] = ()
     in_margin: Annotated[tuple[str, ...], Meta(description="those whose margin the hull is in at the first knot")] = ()
     inside: Annotated[tuple[str, ...], Meta(description="those that the hull is in at the first knot")] = ()
-    exceeded: Annotated[Count, Meta(description="rows of the QP whose clearance the plan does not keep")] = 0
+    exceeded: Annotated[
+        Count, Meta(description="knots that lack more than 1 cm of a required clearance, of all zones and obstacles")
+    ] = 0
     skipped_m: Annotated[Length, Meta(description="length of the path that is left out: zones and margins")] = 0.0
     no_way: Annotated[bool, Meta(description="no way round the zones leads to the target")] = False
     time_to_zone_ns: Annotated[

@@ -48,6 +48,7 @@ class RunSafety:
         self._filter: Counter[str] = Counter()
         self._nearest: tuple[float, str] | None = None  # least planned clearance (m), and the zone
         self._entered = 0  # cycles that began in a zone or margin
+        self._lacking = 0  # plans that lack a required clearance
         self._statuses: dict[str, dict[int, NodeStatus]] = {}  # the newest by process and epoch
         self._wall_us: dict[str, float] = {}  # sum over the steps of a process
 
@@ -77,7 +78,9 @@ class RunSafety:
             text = f"plans keep {clearance_m:.2f} m or more from {zone}"
             if self._entered:
                 text += f"; the hull was in a zone or its margin in {self._entered} cycles"
-            facts.append(Fact(name="fence", text=text, mood=Mood.BAD if self._entered else Mood.GOOD))
+            if self._lacking:
+                text += f"; {self._lacking} plans lack more than 1 cm of a required clearance"
+            facts.append(Fact(name="fence", text=text, mood=Mood.BAD if self._entered or self._lacking else Mood.GOOD))
         return [fact for fact in facts if fact.text]
 
     def processes(self) -> list[ProcessFigures]:
@@ -97,6 +100,7 @@ class RunSafety:
         if plan.fence is None or plan.fence.clearance_m is None:
             return
         self._entered += bool(plan.fence.inside or plan.fence.in_margin)
+        self._lacking += plan.fence.exceeded > 0
         planned = plan.fence.clearance_m, plan.fence.nearest
         self._nearest = planned if self._nearest is None else min(self._nearest, planned)
 

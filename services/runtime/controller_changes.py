@@ -1,13 +1,15 @@
 """Changes of a controller's state, each reported once: health, authority, source, fence, clocks, rejected messages.
 
 state    reported when it changes, and once at the start: health with its reason, authority, source of the estimates
-event    reported each time: a step of a publisher's clock, a zone or margin that the hull enters or leaves
+event    reported each time: a step of a publisher's clock, a zone or margin that the hull enters or leaves, a plan that
+lacks clearance; the time until the hull is in a zone when it falls below 300, 60 and 20 s
 count    reported at the first one, then at 10, 100, ...: rejected messages by reason, plans that the actuators
 rejected, plans that arrived late
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 
 from ltv_mpc.messages import Applied, Authority, ClockStep, ControllerStatus, FenceReport, Health, Message, Plan
@@ -20,28 +22,63 @@ LEVELS = {Health.NOMINAL: Level.INFO, Health.DEGRADED: Level.WARNING}
 
 NO_FENCE = FenceReport(clearance_m=None)
 
+WARNED_S = (300.0, 60.0, 20.0)
+"""Times until the hull is in a zone below which this is reported, once each (s)."""
 
-def fence_changes(before: FenceReport, after: FenceReport) -> Iterator[tuple[Level, str]]:
-    """Yield what has changed beside the hull from one plan to the next: zones and margins entered or left."""
-    for what, entered, old, new in (
-        ("zone", Level.ERROR, before.inside, after.inside),
-        ("margin", Level.WARNING, before.in_margin, after.in_margin),
-    ):
-        for label in new:
-            if label not in old:
-                yield entered, f"{what} entered: {label}"
-        for label in old:
-            if label not in new:
-                yield Level.INFO, f"{what} left: {label}"
-    if after.no_way != before.no_way:
-        text = "no way round the zones leads to the target" if after.no_way else "a way to the target is found"
-        yield (Level.WARNING if after.no_way else Level.INFO), text
-    if after.skipped_m > 0.0 and after.skipped_m != before.skipped_m:
-        yield Level.WARNING, f"reference in a zone or margin: {after.skipped_m:.1f} m left out"
-    if after.time_to_zone_ns is not None and before.time_to_zone_ns is None:
-        yield Level.WARNING, f"the hull will be in a zone in {after.time_to_zone_ns * 1e-9:.0f} s"
-    for number in after.dropped:
-        yield Level.WARNING, f"obstacle {number} dropped: its last report is too old"
+FORGOTTEN = 1.5
+"""Share of such a time above which it may be reported again: the time of a drift is not steady."""
+
+
+class FenceChanges:
+    """Detector of what changes beside the hull from one plan to the next."""
+
+    def __init__(self) -> None:
+        self._before = NO_FENCE
+        self._warned_s = math.inf  # of WARNED_S, the last one that was reported
+
+    def update(self, fence: FenceReport | None) -> list[tuple[Level, str]]:
+        """Take in the fence of the next plan, None without one; return what is to be reported."""
+        before, after = self._before, fence or NO_FENCE
+        self._before = after
+        found = [*_entered_or_left("zone", Level.ERROR, before.inside, after.inside)]
+        found += _entered_or_left("margin", Level.WARNING, before.in_margin, after.in_margin)
+        if after.exceeded and not before.exceeded:
+            text = f"the plan lacks more than 1 cm of a required clearance, at {after.exceeded} knots"
+            found.append((Level.WARNING, text))
+        if before.exceeded and not after.exceeded:
+            found.append((Level.INFO, "the plan keeps the required clearances again"))
+        if after.no_way != before.no_way:
+            text = "no way round the zones leads to the target" if after.no_way else "a way to the target is found"
+            found.append((Level.WARNING if after.no_way else Level.INFO, text))
+        if after.skipped_m > 0.0 and after.skipped_m != before.skipped_m:
+            found.append((Level.WARNING, f"reference in a zone or margin: {after.skipped_m:.1f} m left out"))
+        time_s = math.inf if after.time_to_zone_ns is None else after.time_to_zone_ns * 1e-9
+        if self._is_new(time_s):
+            found.append((Level.WARNING, f"the hull will be in a zone in {time_s:.0f} s"))
+        dropped = (f"obstacle {number} dropped: its last report is too old" for number in after.dropped)
+        return found + [(Level.WARNING, text) for text in dropped]
+
+    def _is_new(self, time_s: float) -> bool:
+        """Return True if a time to a zone is below a time of WARNED_S that has not been reported."""
+        near = min((bound for bound in WARNED_S if time_s <= FORGOTTEN * bound), default=math.inf)
+        self._warned_s = max(self._warned_s, near)
+        below = min((bound for bound in WARNED_S if time_s < bound), default=math.inf)
+        if below < self._warned_s:
+            self._warned_s = below
+            return True
+        return False
+
+
+def _entered_or_left(
+    what: str, entered: Level, before: tuple[str, ...], after: tuple[str, ...]
+) -> Iterator[tuple[Level, str]]:
+    """Yield the labels that are new and those that are gone."""
+    for label in after:
+        if label not in before:
+            yield entered, f"{what} entered: {label}"
+    for label in before:
+        if label not in after:
+            yield Level.INFO, f"{what} left: {label}"
 
 
 class ControllerChanges:
@@ -50,7 +87,7 @@ class ControllerChanges:
     def __init__(self, tell: Tell) -> None:
         self._tell = tell
         self._states: dict[str, object] = {}  # newest, by kind
-        self._fence = NO_FENCE
+        self._fence = FenceChanges()
         self._reported_at: dict[str, int] = {}  # counts that were reported last, by their text
         self._reported: Mapping[str, int] | None = None  # counts in the newest report of the actuators
         self._since_start: dict[str, int] = {}  # what these counts have grown by
@@ -61,10 +98,8 @@ class ControllerChanges:
             case Plan():
                 self._health(message.cycle_t_ns, message.health, message.health_why)
                 self._authority(message.cycle_t_ns, message.authority)
-                after = message.fence or NO_FENCE
-                for level, text in fence_changes(self._fence, after):
+                for level, text in self._fence.update(message.fence):
                     self._tell(level, "fence", text, t_ns=message.cycle_t_ns, fields={})
-                self._fence = after
             case Applied():
                 self._actuators(message)
             case ClockStep():

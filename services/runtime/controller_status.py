@@ -12,7 +12,7 @@ from ltv_mpc.node import DEFAULT_SOURCE
 from ltv_mpc.safety.health import HealthState
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
-from services.runtime.controller_changes import NO_FENCE, ControllerChanges, fence_changes
+from services.runtime.controller_changes import ControllerChanges, FenceChanges
 from services.runtime.saved_state import SavedState
 
 PERIOD_US = 1_000_000
@@ -44,7 +44,7 @@ class ControllerStatusReporter:
         self._applied_ns: int | None = None
         self._clock_steps = 0
         self._mission_action = MissionAction.GO_ON
-        self._fence = NO_FENCE
+        self._fence = FenceChanges()
         self._cycles: deque[tuple[int, int]] = deque()  # end and duration of each (us)
         self.due_us = 0
 
@@ -70,12 +70,12 @@ class ControllerStatusReporter:
             self._changes.on_message(plan)
         self._cycles.append((now_us, took_us))
         changes = []
-        mission, fence = self._node.mission.state, plan.fence or NO_FENCE
+        mission = self._node.mission.state
         if mission.action is not self._mission_action:
             why = f": {mission.why}" if mission.why else ""
             changes.append(("mission", f"mission: {mission.action.value}{why}"))
-        changes += [("fence", text) for _, text in fence_changes(self._fence, fence)]
-        self._mission_action, self._fence = mission.action, fence
+        changes += [("fence", text) for _, text in self._fence.update(plan.fence)]
+        self._mission_action = mission.action
         return [RunEvent(t_ns=plan.cycle_t_ns, node=self._node.name, kind=kind, text=text) for kind, text in changes]
 
     def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: ClockOffset) -> ControllerStatus:

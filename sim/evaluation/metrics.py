@@ -276,6 +276,7 @@ class RunMetrics:
     def __init__(self, vehicle: Vehicle, *, fence: Fence | None = None, speed: float = 1.0) -> None:
         self._fence = FenceDistances(vehicle, fence)
         self.cycles = 0
+        self.fence_exceeded = 0
         self.deadline_misses = 0
         self.plans_refused = 0
         self.qp_status: Counter[str] = Counter()
@@ -352,6 +353,7 @@ class RunMetrics:
 
     def _add_plan(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> None:
         self.cycles += 1
+        self.fence_exceeded += plan.fence is not None and plan.fence.exceeded > 0
         self.qp_status[plan.solve.status.value] += 1
         self.plan_origin[plan.origin.value] += 1
         self.health[f"{plan.health.value}: {plan.health_why}" if plan.health_why else plan.health.value] += 1

@@ -72,7 +72,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     localisation_error_m: Spread  # estimate to truth: the estimator's part
     localisation_error_absolute_m: Spread  # including the error at t = 0
     thrust: Thrust
-    fence: tuple[ZoneFigures, ...]  # zones of the run's fence; not those of a fence that was set under way
+    fence: tuple[ZoneFigures, ...]  # zones of all fences that were in force
+    fence_exceeded: int  # number of plans that lack more than 1 cm of a required clearance at one knot or more
     compute_delay_s: Quantiles  # from the start of a cycle to its plan's publication
     compute_delay_wall_s: Quantiles
     end_to_end_delay_s: Quantiles  # from an estimate's validity time to the effect of its plan

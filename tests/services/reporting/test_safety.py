@@ -55,6 +55,10 @@ def test_the_nearest_zone_and_a_hull_in_a_margin_are_named() -> None:
     found = facts(plan(5.0), plan(0.5, ("reef",)), plan(7.0))["fence"]
     text = "plans keep 0.50 m or more from zone at 0.5; the hull was in a zone or its margin in 1 cycles"
     assert (found.text, found.mood) == (text, Mood.BAD)
+    lacking = FenceReport(clearance_m=9.0, nearest="buoy", exceeded=4)
+    found = facts(plan(5.0), msgspec.structs.replace(synthetic_run.plan(0), fence=lacking))["fence"]
+    text = "plans keep 5.00 m or more from zone at 5; 1 plans lack more than 1 cm of a required clearance"
+    assert (found.text, found.mood) == (text, Mood.BAD)
     assert "fence" not in facts(msgspec.structs.replace(synthetic_run.plan(0), fence=None))
 
 

@@ -25,7 +25,7 @@ def test_the_fence_of_a_scenario_is_published_saved_and_kept_by_a_replay(tmp_pat
     settings = [f"fence={file}", "run.duration_s=2", "run.perfect_state=true"]
     run_config = resolve("descent", [Override("test", settings)])
     run = folder.make("descent", run_config.files, out=tmp_path / "run")
-    lockstep_run.run(run_config, run)
+    assert lockstep_run.run(run_config, run).fence_exceeded == 0
     file.unlink()
     assert Fence.load(str(run.path / "config" / "fence.toml")) == FENCE
     assert resolve(str(run.scenario)).fence == FENCE
@@ -60,4 +60,5 @@ def test_the_summary_has_the_distance_of_the_true_hull_from_each_zone(tmp_path: 
     (zone,) = summary.fence
     assert zone.zone == "keep_out_disc[0]"
     assert zone.least_clearance_m == pytest.approx(1.0, abs=0.5)
+    assert 0 < summary.fence_exceeded <= summary.cycles
     assert (zone.in_margin_s, zone.inside_s) == (pytest.approx(2.0, abs=0.02), 0.0)

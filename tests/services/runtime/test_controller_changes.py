@@ -20,7 +20,7 @@ from ltv_mpc.messages import (
     SolveStatus,
 )
 from services.runtime.console import Level
-from services.runtime.controller_changes import ControllerChanges
+from services.runtime.controller_changes import ControllerChanges, FenceChanges
 from tests.services.controller_status import status
 
 PLAN = Plan(
@@ -144,6 +144,8 @@ def test_zones_and_margins_are_reported_when_they_are_entered_and_left():
         FenceReport(clearance_m=-0.1, in_margin=(buoy,), inside=(buoy,)),
         FenceReport(clearance_m=1.0, in_margin=(buoy,)),
         FenceReport(clearance_m=5.0, dropped=(12,)),
+        FenceReport(clearance_m=5.0, exceeded=3),
+        FenceReport(clearance_m=5.0, exceeded=8),
         FenceReport(clearance_m=5.0, no_way=True, skipped_m=4.0),
         FenceReport(clearance_m=5.0, skipped_m=4.0, time_to_zone_ns=85_000_000_000),
         FenceReport(clearance_m=5.0, skipped_m=4.0, time_to_zone_ns=84_000_000_000),
@@ -158,8 +160,20 @@ def test_zones_and_margins_are_reported_when_they_are_entered_and_left():
         (Level.INFO, f"zone left: {buoy}"),
         (Level.INFO, f"margin left: {buoy}"),
         (Level.WARNING, "obstacle 12 dropped: its last report is too old"),
+        (Level.WARNING, "the plan lacks more than 1 cm of a required clearance, at 3 knots"),
+        (Level.INFO, "the plan keeps the required clearances again"),
         (Level.WARNING, "no way round the zones leads to the target"),
         (Level.WARNING, "reference in a zone or margin: 4.0 m left out"),
         (Level.INFO, "a way to the target is found"),
         (Level.WARNING, "the hull will be in a zone in 85 s"),
     ]
+
+
+def test_the_time_to_a_zone_is_reported_below_each_bound_once_until_it_is_far_again():
+    reporter, told = FenceChanges(), []
+    for time_s in (None, 500, 310, 243, 280, 61, 59, 70, 59, 22, 19, 25, 19, 31, 19, None, 15, 400, 451, 299, None):
+        time_ns = None if time_s is None else time_s * 1_000_000_000
+        for level, text in reporter.update(FenceReport(clearance_m=5.0, time_to_zone_ns=time_ns)):
+            told.append((level, time_s))
+            assert text == f"the hull will be in a zone in {time_s} s"
+    assert told == [(Level.WARNING, time_s) for time_s in (243, 59, 19, 19, 15, 299)]
