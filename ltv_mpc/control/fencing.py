@@ -39,8 +39,8 @@ ENTERED_M = 0.01
 SLOW = 0.1
 """Largest speed of an obstacle that the reference leads round, over the vehicle's top speed."""
 
-MAX_DRIFT_S = 600.0
-"""Longest drift after the end of a plan that is looked at."""
+DRIFT_S = np.arange(0.0, 600.0, 0.25)
+"""Times after the end of a plan at which its drift is looked at (s)."""
 
 
 class Fencing:
@@ -237,19 +237,13 @@ class Fencing:
         return float(coasting_entry_s(packed, X, U, C, end, self._times_s, self.scene, hull.radius_m))
 
     def _drift_s(self, X: Array) -> float:
-        """Return when the hull enters a zone if it drifts on after the last of the states X (s after the first)."""
-        hull = self._vehicle.hull
-        last, before = X[-1, :2], X[-2, :2]
-        velocity = (last - before) / (self._times_s[-1] - self._times_s[-2])
-        speed, drifted_s = float(np.hypot(*velocity)), 0.0
-        if self.fence is None or hull is None or speed < 1e-3:
+        """Return when the hull enters a zone or obstacle if it drifts on after the last of the states X (s)."""
+        hull, end_s = self._vehicle.hull, float(self._times_s[-1])
+        if hull is None:
             return math.inf
-        while drifted_s < MAX_DRIFT_S:  # each step is as long as the distance to the nearest zone
-            gap = float(clearances(self.scene.zones, (last + drifted_s * velocity)[None]).min()) - hull.radius_m
-            if gap < 0.01:
-                return float(self._times_s[-1]) + drifted_s
-            drifted_s += gap / speed
-        return math.inf
+        velocity = (X[-1, :2] - X[-2, :2]) / (end_s - self._times_s[-2])
+        drift = X[-1, :2] + DRIFT_S[:, None] * velocity
+        return float(entry_s(drift, end_s + DRIFT_S, self.scene, hull.radius_m))
 
     def report(self, X: Array, skipped_m: float, *, drifts: bool) -> FenceReport | None:
         """Return what a plan keeps from zones and obstacles; None without any.

@@ -9,19 +9,21 @@ import numpy as np
 
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import clearances, pack_zones
-from ltv_mpc.messages import FenceInForce, Truth, ZoneInForce
+from ltv_mpc.messages import FenceInForce, Plan, Truth, ZoneInForce
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.evaluation.summary import ZoneFigures
 
 
 class FenceDistances:
-    """True positions of a run, and the fences in force meanwhile. The hull counts as the circle around it."""
+    """True positions of a run, fences in force meanwhile, plans that keep too little. The hull counts as a circle."""
 
     def __init__(self, vehicle: Vehicle, fence: Fence | None) -> None:
         self._hull_m = 0.0 if vehicle.hull is None else vehicle.hull.radius_m
         self._zones: tuple[ZoneInForce, ...] = () if fence is None else tuple(fence.zones())
         self._truth: list[tuple[int, float, float]] = []  # since these zones are in force
         self._figures: dict[str, ZoneFigures] = {}  # of the time before
+        self.exceeded = 0
+        """Number of plans that lack more than 1 cm of a required clearance."""
 
     def add_fence(self, fence: FenceInForce) -> None:
         """Add the fence that the controller publishes."""
@@ -34,6 +36,10 @@ class FenceDistances:
         """Add the true position, from t = 0 on."""
         if self._zones and truth.t_ns >= 0:
             self._truth.append((truth.t_ns, truth.position_m[0], truth.position_m[1]))
+
+    def add_plan(self, plan: Plan) -> None:
+        """Count a plan that lacks more than 1 cm of a required clearance."""
+        self.exceeded += plan.fence is not None and plan.fence.exceeded > 0
 
     def figures(self) -> tuple[ZoneFigures, ...]:
         """Return the figures of each zone that was in force, the times of zones of one name added; none without any."""

@@ -276,7 +276,6 @@ class RunMetrics:
     def __init__(self, vehicle: Vehicle, *, fence: Fence | None = None, speed: float = 1.0) -> None:
         self._fence = FenceDistances(vehicle, fence)
         self.cycles = 0
-        self.fence_exceeded = 0
         self.deadline_misses = 0
         self.plans_refused = 0
         self.qp_status: Counter[str] = Counter()
@@ -324,6 +323,10 @@ class RunMetrics:
         """Return the distance of the true hull from each zone of the fence."""
         return self._fence.figures()
 
+    def fence_exceeded(self) -> int:
+        """Return the number of plans that lack more than 1 cm of a required clearance."""
+        return self._fence.exceeded
+
     def speed_reached(self) -> float | None:
         """Return vehicle seconds per wall second, from the clock's start to its last change, pauses included."""
         return self._clock.reached()
@@ -353,7 +356,7 @@ class RunMetrics:
 
     def _add_plan(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> None:
         self.cycles += 1
-        self.fence_exceeded += plan.fence is not None and plan.fence.exceeded > 0
+        self._fence.add_plan(plan)
         self.qp_status[plan.solve.status.value] += 1
         self.plan_origin[plan.origin.value] += 1
         self.health[f"{plan.health.value}: {plan.health_why}" if plan.health_why else plan.health.value] += 1

@@ -460,3 +460,22 @@ def test_a_plan_without_control_says_when_the_vehicle_drifts_into_a_zone() -> No
     away = of.plan(drifting((0.0, -0.2)), t_ns=estimate.t_ns + 30_000_000_000)
     assert away.fence is not None
     assert away.fence.time_to_zone_ns is None
+
+
+@pytest.mark.parametrize(("ship_mps", "closing_mps"), [(0.0, 0.1), (-0.4, 0.5), (0.05, 0.05), (0.2, None)])
+def test_a_plan_without_control_says_when_the_vehicle_drifts_into_an_obstacle(ship_mps, closing_mps) -> None:
+    of, estimate = controller(Point(north_m=0.0, east_m=0.0)), drifting((0.0, 0.1))
+    ship = Obstacle(
+        id=3, t_ns=0, north_m=0.0, east_m=17.0, velocity_north_mps=0.0, velocity_east_mps=ship_mps, radius_m=1.0
+    )
+    of.add_obstacles(Obstacles(t_ns=0, obstacles=(ship,)))
+    assert of.plan(estimate).fence is not None
+    late = of.plan(estimate, t_ns=estimate.t_ns + 30_000_000_000)
+    assert late.origin is not PlanOrigin.SOLVED
+    assert late.fence is not None
+    if closing_mps is None:
+        assert late.fence.time_to_zone_ns is None
+        return
+    age_s = late.t_ns[0] * 1e-9
+    gap_m = 17.0 + ship_mps * age_s - late.states[0, 1] - 1.0 - HULL_M
+    assert late.fence.time_to_zone_ns == pytest.approx(max(gap_m, 0.0) / closing_mps * 1e9, rel=0.02)
