@@ -24,8 +24,10 @@ TRACK = Plot(
     follow=("hull", "target", "horizon", "port_arrow", "starboard_arrow", "current_arrow"),
     note=(
         "The true track is shifted to start at the estimate at t = 0, so the error of the satellite fix is removed. "
-        "An arrow of thrust as long as the hull is the full thrust. Kept free: zones of the fence, with margin "
-        "and hull."
+        "An arrow of thrust as long as the hull is the full thrust. Kept free: no centre of the vehicle within "
+        "hull and margin of a zone or obstacle. Round a zone the line has the stated margin; the controller keeps 3 "
+        "standard deviations of the position if they are more. Round an obstacle the lines have 3 standard deviations "
+        "of its position too, at both ends of the plan."
     ),
     series=(
         Series(label="reference", table="reference", x="east_m", y="north_m", colour=palette.REFERENCE),
@@ -43,7 +45,14 @@ TRACK = Plot(
         Series(label="target", table="target", x="east_m", y="north_m", colour=palette.REFERENCE, style=Style.CROSS),
         # Overlays: a table of lines in metres and a series here; None in the table separates two lines.
         Series(label="zone", table="zones", x="east_m", y="north_m", colour=palette.LIMIT),
-        Series(label="kept free", table="kept_free", x="east_m", y="north_m", colour=palette.LIMIT, style=Style.DOTTED),
+        Series(
+            label="kept free (stated margin)",
+            table="kept_free",
+            x="east_m",
+            y="north_m",
+            colour=palette.LIMIT,
+            style=Style.DOTTED,
+        ),
         Series(label="bounds the plan", table="bounding", x="east_m", y="north_m", colour=palette.PLAN),
         Series(label="obstacle", table="obstacles", x="east_m", y="north_m", colour=palette.MARK),
         Series(
@@ -53,6 +62,14 @@ TRACK = Plot(
             y="north_m",
             colour=palette.MARK,
             style=Style.DASHED,
+        ),
+        Series(
+            label="kept free (obstacle)",
+            table="obstacles_kept_free",
+            x="east_m",
+            y="north_m",
+            colour=palette.MARK,
+            style=Style.DOTTED,
         ),
         Series(label="hull", table="hull", x="east_m", y="north_m", colour=palette.ESTIMATE),
         Series(label="port thrust", table="port_arrow", x="east_m", y="north_m", colour=palette.PORT),

@@ -1,23 +1,31 @@
 """Fence and obstacles in the view from above: boundaries, and the lines that the centre of the vehicle may not cross.
 
-The line of a zone or obstacle is the boundary grown by hull and margin. Everything is a line in metres, north and east;
-None separates two lines.
+The line of a zone is its boundary grown by hull and stated margin: the message does not have the clearance in force,
+which is larger where 3 standard deviations of the position are more than the margin. An obstacle has two such lines,
+at both ends of the plan. They are grown by 3 standard deviations of its predicted position too. Everything is a line
+in metres, north and east; None separates two lines.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from ltv_mpc.geofence.obstacles import GROWTH_MPS, largest_variance_m2
 from ltv_mpc.messages import Array, FenceInForce, Obstacle, Plan
 from services.reporting.plots.table import Cell, Columns, short
 
 CIRCLE = 48  # points
 
+SD_FACTOR, OBSTACLE_MARGIN = 3.0, 1.0
+"""As the controller has them (half_planes.py, fencing.py). To import these would import the compiler."""
+
 
 def tables(fence: FenceInForce | None, plan: Plan | None) -> dict[str, Columns]:
-    """Return the tables ``zones``, ``kept_free``, ``bounding``, ``obstacles`` and ``obstacle_paths``; empty if unknown.
+    """Return the tables of zones and obstacles, and of the lines around them; empty if unknown.
 
-    ``bounding`` has those lines of ``kept_free`` that bound the newest plan.
+    ``bounding`` has those lines of ``kept_free`` and ``obstacles_kept_free`` that bound the newest plan.
 
     Parameters
     ----------
@@ -28,21 +36,26 @@ def tables(fence: FenceInForce | None, plan: Plan | None) -> dict[str, Columns]:
     kept_free: list[Array] = []
     bounding: list[Array] = []
     obstacles: list[Array] = []
+    around_obstacles: list[Array] = []
     paths: list[Array] = []
     report = None if plan is None else plan.fence
     active = () if report is None else report.active
+    hull_m = 0.0 if fence is None else fence.hull_radius_m
     for zone in () if fence is None else fence.zones:
-        distance_m = (fence.hull_radius_m if fence else 0.0) + zone.margin_m
+        distance_m = hull_m + zone.margin_m
         outwards = -distance_m if zone.keep_in else distance_m
         disc = zone.radius_m > 0.0
         zones.append(_circle(zone.vertices_m[0], zone.radius_m) if disc else _closed(zone.vertices_m))
         free = _circle(zone.vertices_m[0], zone.radius_m + distance_m) if disc else _grown(zone.vertices_m, outwards)
         (bounding if zone.label in active else kept_free).append(free)
-    ends_ns = () if plan is None else (int(plan.t_ns[0]), int(plan.t_ns[-1]))
+    ends_ns = [] if plan is None else plan.t_ns[[0, -1]].tolist()
     for obstacle in fence.obstacles if fence is not None and ends_ns else ():
         way = np.array([_predicted(obstacle, t_ns) for t_ns in ends_ns])
         obstacles.append(_circle(way[0], obstacle.radius_m))
         paths.append(way)
+        lines = bounding if f"obstacle {obstacle.id}" in active else around_obstacles
+        for centre, t_ns in zip(way, ends_ns, strict=True):
+            lines.append(_circle(centre, _kept_free_m(obstacle, ends_ns[0], t_ns, hull_m)))
     return {
         name: _lines(parts)
         for name, parts in (
@@ -50,6 +63,7 @@ def tables(fence: FenceInForce | None, plan: Plan | None) -> dict[str, Columns]:
             ("kept_free", kept_free),
             ("bounding", bounding),
             ("obstacles", obstacles),
+            ("obstacles_kept_free", around_obstacles),
             ("obstacle_paths", paths),
         )
     }
@@ -62,6 +76,13 @@ def _predicted(obstacle: Obstacle, t_ns: int) -> tuple[float, float]:
         obstacle.north_m + age_s * obstacle.velocity_north_mps,
         obstacle.east_m + age_s * obstacle.velocity_east_mps,
     )
+
+
+def _kept_free_m(obstacle: Obstacle, start_ns: int, t_ns: int, hull_m: float) -> float:
+    """Return how far from an obstacle the centre of the vehicle stays at a time of a plan (m)."""
+    age_s = (max(start_ns - obstacle.t_ns, 0) + t_ns - start_ns) * 1e-9
+    sd_m = math.hypot(math.sqrt(largest_variance_m2(*obstacle.covariance_m2)), GROWTH_MPS * age_s)
+    return obstacle.radius_m + (1.0 + OBSTACLE_MARGIN) * hull_m + SD_FACTOR * sd_m
 
 
 def _closed(ring: Array) -> Array:

@@ -6,12 +6,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import Array, FenceInForce, FenceReport, Obstacle, ZoneInForce
+from ltv_mpc.control.fence_clearance import disc_at
+from ltv_mpc.control.fencing import Fencing
+from ltv_mpc.messages import Array, FenceInForce, FenceReport, Obstacle, Obstacles, ZoneInForce
+from ltv_mpc.vehicle.parameters import Hull, Vehicle
 from services.reporting.plots import fence as view
 from tests.services.runtime.test_controller_changes import PLAN
 
 SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 SHIP = Obstacle(id=3, t_ns=0, north_m=5.0, east_m=0.0, velocity_north_mps=0.0, velocity_east_mps=2.0, radius_m=4.0)
+HULL_OF_1_M = msgspec.structs.replace(Vehicle.load("paper"), hull=Hull(length_m=1.6, beam_m=1.2))
 
 
 def in_force(ring: Array, *, keep_in: bool, radius_m: float = 0.0) -> FenceInForce:
@@ -51,3 +55,24 @@ def test_an_obstacle_is_drawn_where_it_is_and_where_it_will_be():
     drawn = view.tables(in_force(SQUARE, keep_in=False), plan)
     np.testing.assert_allclose(points(drawn["obstacle_paths"]), [[5.0, 2.0], [5.0, 22.0]])
     np.testing.assert_allclose(np.hypot(*(points(drawn["obstacles"]) - [5.0, 2.0]).T), 4.0, atol=1e-3)
+
+
+@pytest.mark.parametrize(("active", "table"), [((), "obstacles_kept_free"), (("obstacle 3",), "bounding")])
+@pytest.mark.parametrize("start_ns", [1_000_000_000, -3_000_000_000])
+def test_round_an_obstacle_are_the_circles_that_the_controller_keeps_free(active, table, start_ns):
+    """At both ends of the plan, where the uncertainty has grown; those of an active obstacle are marked."""
+    ends_ns = np.array([start_ns, start_ns + 10_000_000_000])
+    ship = msgspec.structs.replace(SHIP, covariance_m2=(2.0, 1.0, 5.0))
+    report = FenceReport(clearance_m=1.0, active=active)
+    plan = msgspec.structs.replace(PLAN, t_ns=ends_ns, fence=report)
+    fence = msgspec.structs.replace(in_force(SQUARE, keep_in=False), zones=(), obstacles=(ship,))
+    drawn = view.tables(fence, plan)
+    assert {name for name in ("obstacles_kept_free", "bounding") if drawn[name]["north_m"]} == {table}
+
+    fencing = Fencing(HULL_OF_1_M, ends_ns - start_ns)
+    fencing.add_obstacles(Obstacles(t_ns=0, obstacles=(ship,)))
+    scene = fencing.scene._replace(discs=fencing.obstacles.discs(start_ns))
+    circles = points(drawn[table])
+    for k, part in enumerate((circles[: view.CIRCLE + 1], circles[-view.CIRCLE - 1 :])):
+        north, east, need_m = disc_at(scene, 0, 10.0 * k)
+        np.testing.assert_allclose(np.hypot(*(part - [north, east]).T), need_m, atol=1e-3)
