@@ -1,10 +1,10 @@
-"""Picture of a harbour with a pier, a wreck and a buoy: the path, the way that the vehicle takes, and one plan.
+"""Picture of a harbour or a survey with a wreck: the path, the way that the vehicle takes, and one plan.
 
-    .venv/bin/python -m benchmarks.fences.picture [--out FILE]
+    .venv/bin/python -m benchmarks.fences.picture {harbour,survey} [--out FILE]
 
-The vehicle ``paper`` follows examples/references/harbour.toml with the fence examples/fences/harbour.toml, in a current
-of 0.1 m/s towards the south-east that the controller knows. It begins at rest on the first waypoint, and moves as the
-model predicts.
+The vehicle ``paper`` follows the example of that name in examples/references with the fence of that name in
+examples/fences, in a current of 0.1 m/s towards the south-east that the controller knows. It begins at rest on the
+first point of the path, and moves as the model predicts.
 """
 
 from __future__ import annotations
@@ -29,20 +29,22 @@ from services.reporting.figures import renderer, sheet
 from services.reporting.plots import catalogue, fence
 
 ROOT = Path(__file__).resolve().parents[2]
-REFERENCE, FENCE = ROOT / "examples/references/harbour.toml", ROOT / "examples/fences/harbour.toml"
-OUT = ROOT / "docs/figures/fences.png"
+OUT = {"harbour": ROOT / "docs/figures/fences.png", "survey": ROOT / "docs/figures/fences-survey.png"}
+"""Picture of each example."""
+
 WATER_MPS = 0.1 * math.sqrt(0.5), -0.1 * math.sqrt(0.5)
 """Current to the east and to the north."""
 
 CYCLE_S = 0.3
-MAX_CYCLES = 3000
+MAX_CYCLES = 5000
 SHOWN = {"reference": "path", "truth": "vehicle", "horizon": "one plan", "zones": "", "kept_free": "", "bounding": ""}
 """Tables of the view from above that are shown, with another label for some of their series."""
 
 
 class Flown(NamedTuple):
-    """One lap of the harbour."""
+    """One run along the path."""
 
+    path: Array  # (P, 2) points of the reference (m)
     track: Array  # (K, 2) positions at the cycles (m)
     fence: FenceInForce
     shown: Plan  # the first plan that the wreck bounds
@@ -50,15 +52,22 @@ class Flown(NamedTuple):
     skipped_m: float  # length of the path that is left out
 
 
-def fly() -> Flown:
-    """Fly one lap."""
-    vehicle, zones = Vehicle.load("paper"), Fence.load(str(FENCE))
+def fly(example: str) -> Flown:
+    """Follow the reference of an example once.
+
+    Parameters
+    ----------
+    example : name of its files.
+    """
+    vehicle, zones = Vehicle.load("paper"), Fence.load(str(ROOT / f"examples/fences/{example}.toml"))
     assert vehicle.hull is not None
-    controller = Controller(vehicle, references.load(str(REFERENCE)))
+    reference = references.load(str(ROOT / f"examples/references/{example}.toml"))
+    controller = Controller(vehicle, reference)
     controller.set_fence(zones)
+    path = reference.path().points  # type: ignore[union-attr]
     at, east, north = np.array([0.0, 1.0]), np.full(2, WATER_MPS[0]), np.full(2, WATER_MPS[1])
     estimate = msgspec.structs.replace(
-        Estimate.at_rest(),
+        Estimate.at_rest(north_m=path[0, 0], east_m=path[0, 1]),
         velocity_north_mps=WATER_MPS[1],
         velocity_east_mps=WATER_MPS[0],
         current=CurrentProfile(depth_m=at, north_mps=north, east_mps=east),
@@ -73,19 +82,19 @@ def fly() -> Flown:
     assert shown is not None, "no plan is bounded by the wreck"
     assert plan.fence is not None
     least_m = float(clearances(pack_zones(zones), np.array(track)).min()) - vehicle.hull.radius_m
-    return Flown(np.array(track), controller.fence_in_force(0), shown, least_m, plan.fence.skipped_m)
+    return Flown(path, np.array(track), controller.fence_in_force(0), shown, least_m, plan.fence.skipped_m)
 
 
-def draw(flown: Flown, out: Path) -> None:
+def draw(example: str, flown: Flown, out: Path) -> None:
     """Draw the picture as PNG or SVG.
 
     Parameters
     ----------
-    flown : one lap.
+    example : its name.
+    flown : one run along its path.
     out : the file.
     """
-    path = references.load(str(REFERENCE)).path().points  # type: ignore[union-attr]
-    lines = {"reference": path, "truth": flown.track, "horizon": flown.shown.states[:, :2]}
+    lines = {"reference": flown.path, "truth": flown.track, "horizon": flown.shown.states[:, :2]}
     tables = {
         name: {"north_m": points[:, 0].tolist(), "east_m": points[:, 1].tolist()} for name, points in lines.items()
     }
@@ -98,19 +107,22 @@ def draw(flown: Flown, out: Path) -> None:
     with sheet.style(page=True):
         picture = Figure(figsize=(sheet.PAGE_IN, 6.2), layout="constrained")
         plot = msgspec.structs.replace(catalogue.TRACK, series=series)
-        renderer.draw(picture.add_subplot(), plot, [renderer.Run("harbour", tables)], title="Harbour from above")
+        renderer.draw(
+            picture.add_subplot(), plot, [renderer.Run(example, tables)], title=f"{example.capitalize()} from above"
+        )
         sheet.write(picture, [out])
 
 
 def main() -> None:
     """Fly, draw, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=OUT, help="the picture, PNG or SVG")
+    parser.add_argument("example", choices=OUT, help="the reference and its fence")
+    parser.add_argument("--out", type=Path, help="the picture, PNG or SVG; default: that of docs/figures")
     options = parser.parse_args()
-    flown = fly()
-    draw(flown, options.out)
+    flown, out = fly(options.example), options.out or OUT[options.example]
+    draw(options.example, flown, out)
     print(
-        f"{options.out}: {len(flown.track) * CYCLE_S:.0f} s, least clearance of the hull {flown.least_m:.2f} m, "
+        f"{out}: {len(flown.track) * CYCLE_S:.0f} s, least clearance of the hull {flown.least_m:.2f} m, "
         f"{flown.skipped_m:.1f} m of the path left out"
     )
 

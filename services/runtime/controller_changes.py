@@ -2,7 +2,7 @@
 
 state    reported when it changes, and once at the start: health with its reason, authority, source of the estimates
 event    reported each time: a step of a publisher's clock, a zone or margin that the hull enters or leaves, a plan that
-lacks clearance; the time until the hull is in a zone when it falls below 300, 60 and 20 s
+lacks clearance; the time until the hull is in a zone or obstacle, when it falls below 300, 60 and 20 s
 count    reported at the first one, then at 10, 100, ...: rejected messages by reason, plans that the actuators
 rejected, plans that arrived late
 """
@@ -54,7 +54,7 @@ class FenceChanges:
             found.append((Level.WARNING, f"reference in a zone or margin: {after.skipped_m:.1f} m left out"))
         time_s = math.inf if after.time_to_zone_ns is None else after.time_to_zone_ns * 1e-9
         if self._is_new(time_s):
-            found.append((Level.WARNING, f"the hull will be in a zone in {time_s:.0f} s"))
+            found.append((Level.WARNING, f"the hull will be in a zone or obstacle in {time_s:.0f} s"))
         dropped = (f"obstacle {number} dropped: its last report is too old" for number in after.dropped)
         return found + [(Level.WARNING, text) for text in dropped]
 

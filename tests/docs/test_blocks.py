@@ -59,7 +59,7 @@ NOT_RUN = (
         r"\.venv/bin/python -m benchmarks\.",
         f"{MINUTES} whoever needs its figures: that it has these options is looked at",
     ),
-    (r"python3? \S*publisher\.py", f"{UNTIL_STOPPED}: tests/examples"),
+    (r"python3? \S*(publisher|publish_obstacles)\.py", f"{UNTIL_STOPPED}: tests/examples"),
     (r"\.venv/bin/pytest tests/", "the tests themselves"),
     (
         r"python3 -m venv|pip (?:install|download)|\. \S+/activate|git (?:clone|worktree)|cd ",

@@ -1,4 +1,4 @@
-"""The example of a publisher moves its vehicle to the point after the controller is armed."""
+"""The examples in Python: a vehicle comes to its point once armed, and an obstacle is known to the controller."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from ltv_mpc.messages import Clock, ClockState
+from ltv_mpc.messages import Clock, ClockState, FenceInForce, Obstacle
+from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.session import open_session
-from services.bus.topics import BY_TYPE
-from services.bus.wire import Header, encode
+from services.bus.topics import BY_TYPE, expression
+from services.bus.wire import Header, decode, encode
 from services.runtime.clock import boot_id
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
@@ -25,26 +26,29 @@ from tests.docs.page_reader import printed_lines, take_shown
 from tests.docs.pages import blocks
 from tests.system.alone import CLI, arm, controller, started
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "python" / "publisher.py"
+FOLDER = Path(__file__).resolve().parents[2] / "examples" / "python"
+EXAMPLE, OBSTACLE = FOLDER / "publisher.py", FOLDER / "publish_obstacles.py"
 
 
-def test_it_needs_zenoh_and_msgpack_alone() -> None:
+@pytest.mark.parametrize("example", [EXAMPLE, OBSTACLE])
+def test_it_needs_zenoh_and_msgpack_alone(example: Path) -> None:
     imported = {
         alias.name
-        for node in ast.walk(ast.parse(EXAMPLE.read_text()))
+        for node in ast.walk(ast.parse(example.read_text()))
         if isinstance(node, ast.Import)
         for alias in node.names
     }
     assert imported - set(sys.stdlib_module_names) == {"msgpack", "zenoh"}
 
 
-def test_without_a_router_it_ends_with_one_line() -> None:
+@pytest.mark.parametrize("example", [EXAMPLE, OBSTACLE])
+def test_without_a_router_it_ends_with_one_line(example: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
     ended = subprocess.run(
-        [sys.executable, "-P", str(EXAMPLE), endpoint], capture_output=True, text=True, check=False, timeout=60
+        [sys.executable, "-P", str(example), endpoint], capture_output=True, text=True, check=False, timeout=60
     )
     assert ended.returncode == 1
-    assert ended.stderr == f"publisher.py: no router answers at {endpoint}: start one with `ltv-mpc router`\n"
+    assert ended.stderr == f"{example.name}: no router answers at {endpoint}: start one with `ltv-mpc router`\n"
 
 
 @pytest.mark.timeout(400)
@@ -64,6 +68,31 @@ def test_it_comes_to_its_point_once_armed(tmp_path: Path) -> None:
         vehicle.until(has_come, within_s=180.0)
         printed = deque(printed_lines(output + "".join(vehicle.said), exact=False))
     assert [take_shown(text, printed) for text in shown_by_the_tutorial()] == [None, None]
+
+
+@pytest.mark.timeout(400)
+def test_the_controller_knows_the_obstacle_that_is_published_every_ten_seconds(tmp_path: Path) -> None:
+    (tmp_path / "point.toml").write_text('kind = "point"\nnorth_m = 0.0\neast_m = 0.0\n')
+    fences = Mailbox()
+    with (
+        controller(loopback.free_port(), ("--reference", str(tmp_path / "point.toml"))) as (endpoint, _),
+        open_session(BusOptions(connect=(endpoint,)), stop=StopRequest(), say=print) as bus,
+        started(sys.executable, "-P", str(OBSTACLE), endpoint) as (_, obstacle),
+        started(sys.executable, "-P", str(EXAMPLE), endpoint) as (_, vehicle),
+    ):
+        bus.subscribe(expression(BY_TYPE[FenceInForce]), BY_TYPE[FenceInForce], fences)
+        vehicle.until(lambda line: "disarmed" in line)
+        assert obstacle.until(lambda line: "east" in line) == "40.0 m north, -30.0 m east\n"
+        obstacle.until(lambda line: "-26.0 m east" in line or "-25.9 m east" in line)  # at 0.4 m/s
+        reports: list[Obstacle] = []
+        while len({report.t_ns for report in reports}) < 2:
+            frame = fences.take(60.0)
+            assert frame is not None, reports
+            reports += decode(FenceInForce, frame.payload)[0].obstacles
+    assert {report.id for report in reports} == {257123456}
+    assert reports[-1].velocity_east_mps == pytest.approx(0.4)
+    assert reports[-1].covariance_m2 == (9.0, 0.0, 9.0)
+    assert 10e9 <= reports[-1].t_ns - reports[0].t_ns < 12e9
 
 
 def shown_by_the_tutorial() -> list[str]:

@@ -191,7 +191,7 @@ def _fence_status(fence: FenceReport, settings: Settings) -> Any:
     if in_margin:
         return _status("fence", 1, f"in a margin: {in_margin}", values, settings)
     if fence.time_to_zone_ns is not None:
-        text = f"the hull will be in a zone in {fence.time_to_zone_ns * 1e-9:.0f} s"
+        text = f"the hull will be in a zone or obstacle in {fence.time_to_zone_ns * 1e-9:.0f} s"
         return _status("fence", 1, text, values, settings)
     return _status("fence", 0, "outside all margins", values, settings)
 

@@ -165,7 +165,7 @@ def test_zones_and_margins_are_reported_when_they_are_entered_and_left():
         (Level.WARNING, "no way round the zones leads to the target"),
         (Level.WARNING, "reference in a zone or margin: 4.0 m left out"),
         (Level.INFO, "a way to the target is found"),
-        (Level.WARNING, "the hull will be in a zone in 85 s"),
+        (Level.WARNING, "the hull will be in a zone or obstacle in 85 s"),
     ]
 
 
@@ -175,5 +175,5 @@ def test_the_time_to_a_zone_is_reported_below_each_bound_once_until_it_is_far_ag
         time_ns = None if time_s is None else time_s * 1_000_000_000
         for level, text in reporter.update(FenceReport(clearance_m=5.0, time_to_zone_ns=time_ns)):
             told.append((level, time_s))
-            assert text == f"the hull will be in a zone in {time_s} s"
+            assert text == f"the hull will be in a zone or obstacle in {time_s} s"
     assert told == [(Level.WARNING, time_s) for time_s in (243, 59, 19, 19, 15, 299)]

@@ -321,7 +321,11 @@ def test_the_status_of_controller_and_edge_is_diagnostics() -> None:
     ("report", "level", "text"),
     [
         (FenceReport(clearance_m=3.0, nearest="pier"), 0, "outside all margins"),
-        (FenceReport(clearance_m=3.0, time_to_zone_ns=20 * SECOND_NS), 1, "the hull will be in a zone in 20 s"),
+        (
+            FenceReport(clearance_m=3.0, time_to_zone_ns=20 * SECOND_NS),
+            1,
+            "the hull will be in a zone or obstacle in 20 s",
+        ),
         (FenceReport(clearance_m=1.0, in_margin=("pier", "buoy")), 1, "in a margin: pier, buoy"),
         (FenceReport(clearance_m=-1.0, in_margin=("pier", "buoy"), inside=("pier",)), 2, "in a zone: pier"),
     ],
