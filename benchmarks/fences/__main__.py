@@ -1,12 +1,13 @@
 """Fences in random scenes: violations and arrivals, beside the rivals.
 
-    .venv/bin/python -m benchmarks.fences --out DIR [--scenes N] [--moving N] [--methods NAME ...] [--workers N]
+    .venv/bin/python -m benchmarks.fences --out DIR [--scenes N] [--moving N] [--methods NAME ...] [--report-s S]
+        [--workers N]
 
 A scene is a point at the far end of a lane, 1 to 8 convex zones between (discs and polygons), a vehicle and a current
 of up to half its top speed from any direction, which the controller knows. The gaps between the zones are at least 1.5
 times hull, two margins and the drift of a turn into the current, as ``vehicle check`` counts it. With ``--moving`` an
-obstacle crosses the lane instead, reported every 10 s. The vehicle moves as the model predicts, and its clearance is
-taken every 0.1 s. Methods:
+obstacle crosses the lane instead, reported every 10 s or ``--report-s``. The vehicle moves as the model predicts, and
+its clearance is taken every 0.1 s. Methods:
 
     fence   the controller with the fence
     hard    the controller with one QP a cycle, in which the fence's rows are hard, solved by PIQP
@@ -32,7 +33,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.fences.flight import METHODS, Job, fly
+from benchmarks.fences.flight import METHODS, REPORT_S, Job, fly
 from benchmarks.fences.full_loop import DIVING
 from benchmarks.fences.scenes import scene_of
 from services.tools.batch.executor import run_each
@@ -103,7 +104,8 @@ def _kind(moving: bool) -> str:
 
 
 def _key(job: Job) -> str:
-    return f"{_kind(job.moving)} {job.method} {job.seed}"
+    often = "" if job.report_s == REPORT_S else f" every {job.report_s:g} s"
+    return f"{_kind(job.moving)} {job.method} {job.seed}{often}"
 
 
 def main() -> None:
@@ -112,6 +114,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, default=1000)
     parser.add_argument("--moving", type=int, default=300)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:4])
+    parser.add_argument("--report-s", type=float, default=REPORT_S, help="time between two reports of an obstacle")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("--out", type=Path, required=True)
@@ -124,7 +127,10 @@ def main() -> None:
         if method != "sensors" or name in DIVING
     ]
     jobs += [
-        Job(seed, method, True) for seed in range(options.moving) for method in options.methods if method != "sensors"
+        Job(seed, method, True, options.report_s)
+        for seed in range(options.moving)
+        for method in options.methods
+        if method != "sensors"
     ]
     end_s = time.monotonic() + 60.0 * options.minutes
     with open_store(options.out, {"benchmark": "fences"}) as store, Progress(console=Console(stderr=True)) as progress:

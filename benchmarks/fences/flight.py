@@ -23,7 +23,7 @@ from ltv_mpc.references import Point
 
 METHODS = ("fence", "hard", "bent", "pid", "ipopt", "sensors")
 CYCLE_NS = 300_000_000
-REPORT_NS = 10_000_000_000
+REPORT_S = 10.0
 PARTS = 3
 """Positions per cycle of which the clearance is taken."""
 
@@ -34,6 +34,7 @@ class Job(NamedTuple):
     seed: int
     method: str
     moving: bool
+    report_s: float = REPORT_S  # time between two reports of an obstacle
 
 
 class Flown(NamedTuple):
@@ -70,7 +71,7 @@ def fly(job: Job) -> Flown:
             plan = thrust_plan(vehicle, t_ns, CYCLE_NS, law(estimate), commands)
         else:
             assert controller is not None
-            if scene.obstacle is not None and job.method != "bent" and t_ns % REPORT_NS < CYCLE_NS:
+            if scene.obstacle is not None and job.method != "bent" and t_ns % round(job.report_s * 1e9) < CYCLE_NS:
                 controller.add_obstacles(Obstacles(t_ns=t_ns, obstacles=(obstacle_at(scene.obstacle, t_ns),)))
             plan = controller.plan(estimate)
             if plan.solve.status is not SolveStatus.SOLVED:

@@ -87,6 +87,17 @@ def test_the_controller_arrives_without_a_violation_and_the_table_counts_it() ->
     assert row.startswith("| zones | fence | 1 | 1 | -0.250 |")
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_an_obstacle_that_is_reported_every_2_or_10_s_is_kept_clear_of(seed) -> None:
+    """AIS has such rates; the ways differ, because the uncertainty has grown less where reports are frequent."""
+    often, rare = (fly(Job(seed, "fence", True, report_s)) for report_s in (2.0, 10.0))
+    assert often.clearance_m > 0.0
+    assert rare.clearance_m > 0.0
+    assert often.arrived
+    assert rare.arrived
+    assert often.track_m != rare.track_m
+
+
 def test_a_flight_with_sensors_is_judged_by_the_true_positions() -> None:
     """A straight track over the first zone."""
     scene = scene_of(1, moving=False)

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.fence_clearance import disc_at
-from ltv_mpc.control.fencing import Fencing
+from ltv_mpc.control.fencing import OBSTACLE_MARGIN
+from ltv_mpc.geofence.obstacles import ObstacleTable
 from ltv_mpc.messages import Array, FenceInForce, FenceReport, Obstacle, Obstacles, ZoneInForce
-from ltv_mpc.vehicle.parameters import Hull, Vehicle
 from services.reporting.plots import fence as view
+from tests.ltv_mpc.control.fence_scenes import scene
 from tests.services.runtime.test_controller_changes import PLAN
 
 SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 SHIP = Obstacle(id=3, t_ns=0, north_m=5.0, east_m=0.0, velocity_north_mps=0.0, velocity_east_mps=2.0, radius_m=4.0)
-HULL_OF_1_M = msgspec.structs.replace(Vehicle.load("paper"), hull=Hull(length_m=1.6, beam_m=1.2))
 
 
 def in_force(ring: Array, *, keep_in: bool, radius_m: float = 0.0) -> FenceInForce:
@@ -69,10 +69,10 @@ def test_round_an_obstacle_are_the_circles_that_the_controller_keeps_free(active
     drawn = view.tables(fence, plan)
     assert {name for name in ("obstacles_kept_free", "bounding") if drawn[name]["north_m"]} == {table}
 
-    fencing = Fencing(HULL_OF_1_M, ends_ns - start_ns)
-    fencing.add_obstacles(Obstacles(t_ns=0, obstacles=(ship,)))
-    scene = fencing.scene._replace(discs=fencing.obstacles.discs(start_ns))
+    known = ObstacleTable()
+    known.add(Obstacles(t_ns=0, obstacles=(ship,)))
+    kept = scene(discs=known.discs(start_ns), disc_need_m=np.array([(1.0 + OBSTACLE_MARGIN) * fence.hull_radius_m]))
     circles = points(drawn[table])
     for k, part in enumerate((circles[: view.CIRCLE + 1], circles[-view.CIRCLE - 1 :])):
-        north, east, need_m = disc_at(scene, 0, 10.0 * k)
+        north, east, need_m = disc_at(kept, 0, 10.0 * k)
         np.testing.assert_allclose(np.hypot(*(part - [north, east]).T), need_m, atol=1e-3)
