@@ -47,9 +47,9 @@ def table(found: dict[str, dict[str, Any]]) -> str:
         "median time (s) | cycles unsolved |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    for moving in (False, True):
+    for kind in sorted({key.rsplit(" ", 2)[0] for key in found}, reverse=True):
         for method in METHODS:
-            flown = [row for key, row in found.items() if key.startswith(f"{_kind(moving)} {method} ")]
+            flown = [row for key, row in found.items() if key.startswith(f"{kind} {method} ")]
             flown = [row for row in flown if math.isfinite(row["clearance_m"])]
             if not flown:
                 continue
@@ -58,7 +58,7 @@ def table(found: dict[str, dict[str, Any]]) -> str:
             times = [row["duration_s"] for row in flown if row["arrived"]]
             unsolved, cycles = sum(len(row["unsolved_s"]) for row in flown), sum(row["cycles"] for row in flown)
             lines.append(
-                f"| {_kind(moving)} | {method} | {len(flown)} | {(least < 0.0).sum()} | {least.min():.3f} | "
+                f"| {kind} | {method} | {len(flown)} | {(least < 0.0).sum()} | {least.min():.3f} | "
                 f"{entered:.3f} | {len(times)} | {np.median(times) if times else math.nan:.0f} | "
                 f"{unsolved} of {cycles} |"
             )
@@ -99,13 +99,9 @@ def against_ipopt(found: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _kind(moving: bool) -> str:
-    return "moving" if moving else "zones"
-
-
 def _key(job: Job) -> str:
-    often = "" if job.report_s == REPORT_S else f" every {job.report_s:g} s"
-    return f"{_kind(job.moving)} {job.method} {job.seed}{often}"
+    kind = "zones" if not job.moving else "moving" if job.report_s == REPORT_S else f"moving, {job.report_s:g} s"
+    return f"{kind} {job.method} {job.seed}"
 
 
 def main() -> None:
