@@ -17,7 +17,10 @@ import msgspec
 import pytest
 
 from ltv_mpc import config, references
+from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.messages import Authority, ControllerStatus, Estimate, Plan, RunEvent
+from ltv_mpc.references.geodesy import Origin, Place
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.latest_cache import LatestCache
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
@@ -150,6 +153,28 @@ def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(
             until(lambda there=wanted[words[0]]: alone.plan().reference_m == there)
     now_ns = time.time_ns()
     assert abs(alone.plan().cycle_t_ns - now_ns) < 10_000_000_000  # its knots are in the other side's time
+
+
+@pytest.mark.parametrize("name", ["fence.toml", "fence.geojson"])
+def test_a_fence_is_in_force_until_another_one_or_none_is_sent(
+    alone: Alone, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    buoy = Disc(name="buoy", centre=Place(north_m=51.0, east_m=0.0), radius_m=3.0)
+    origin = Origin(latitude_deg=50.0, longitude_deg=-5.0)
+    Fence(margin_m=2.0, origin=origin, keep_out_disc=(buoy,)).save(str(tmp_path / name))
+    assert alone.ctl("fence", str(tmp_path / name)) == 0
+    assert "accepted" in capsys.readouterr().out
+    until(lambda: alone.plan().fence is not None)
+    assert alone.plan().fence.nearest == 'keep_out_disc[0] "buoy"'
+    assert alone.plan().fence.clearance_m == pytest.approx(50.0 - 3.0 - Vehicle.load("paper").hull.radius_m, abs=1.0)
+    (tmp_path / "broken.toml").write_text("margin_m = 2.0\n")
+    assert alone.ctl("fence", str(tmp_path / "broken.toml")) == 2
+    assert "no zone" in capsys.readouterr().err
+    after = alone.plan().cycle_t_ns
+    until(lambda: alone.plan().cycle_t_ns > after)
+    assert alone.plan().fence.nearest == 'keep_out_disc[0] "buoy"'
+    assert alone.ctl("fence", "none") == 0
+    until(lambda: alone.plan().fence is None)
 
 
 def test_arm_is_refused_by_a_pre_arm_check_and_forced_with_what_it_skips(
