@@ -18,6 +18,7 @@ from ltv_mpc.messages import (
     CycleTiming,
     Estimate,
     FenceInForce,
+    FenceReport,
     Heartbeat,
     LocalisationReport,
     Message,
@@ -75,6 +76,7 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     source: str  # of the estimates that the controller uses
     origin: str
     why: str
+    fence: FenceReport | None  # of the newest plan
     error_m: float | None  # estimate from the reference
     true_error_m: float | None  # vehicle from the reference, since the start; None without a known truth
     depth_m: float | None
@@ -168,6 +170,7 @@ class BusFeed:
             source="" if controller is None else controller.source,
             origin="" if plan is None else plan.origin.value,
             why="" if plan is None else plan.why,
+            fence=None if plan is None else plan.fence,
             error_m=self.collector.error_m,
             true_error_m=self.collector.true_error_m,
             depth_m=None if estimate is None else estimate.depth_m,

@@ -22,7 +22,7 @@ from services.reporting.plots.description import NO_DATA, Group
 from services.supervisor import loopback
 from tests.browser.conftest import PHONE, SCREEN, SETTLED, TABLET, background, ended, fits, looks, tab
 from tests.services.dashboard.synthetic_vehicle import NODES, Served, serving, until
-from tests.services.reporting.synthetic_run import OFFSET, SPEED_NORTH_MPS
+from tests.services.reporting.synthetic_run import OFFSET, SPEED_NORTH_MPS, WRECK
 
 FRESH = [
     pytest.param(SCREEN, "light", id="screen"),
@@ -190,6 +190,7 @@ def test_the_live_page_shows_every_plot(browser: Any, live: Served, size: tuple[
         words = " ".join(page.inner_text("#facts").split())
         assert "clock running at 10×" in words
         assert "vehicle from the reference" in words
+        assert f"fence plan keeps 3.00 m from {WRECK}" in words
         assert page.locator("#events tr").count() > 0
         fits(page)
         if size == SCREEN:  # the first look tells whether it is safe, and begins to tell whether it is on its line

@@ -201,6 +201,16 @@
 
   const figure = (value, digits, unit) => (value === null ? "–" : `${value.toFixed(digits)} ${unit}`);
 
+  // Return the fact about the fence: what the newest plan keeps, and the zones and margins that the hull is in.
+  function fenceFacts(fence) {
+    if (fence === null || fence.clearance_m === null) return [];
+    const parts = [`plan keeps ${figure(fence.clearance_m, 2, "m")} from ${fence.nearest}`];
+    if (fence.inside.length) parts.push(`the hull is in ${fence.inside.join(", ")}`);
+    else if (fence.in_margin.length) parts.push(`the hull is in the margin of ${fence.in_margin.join(", ")}`);
+    if (fence.time_to_zone_ns) parts.push(`in a zone or obstacle in ${figure(fence.time_to_zone_ns / 1e9, 0, "s")}`);
+    return [["fence", parts.join("; "), parts.length > 1 ? "bad" : "good"]];
+  }
+
   function showStatus(now) {
     if (now === null) return;
     const degrees = now.heading_rad === null ? null : (((now.heading_rad * 180) / Math.PI) % 360 + 360) % 360;
@@ -210,6 +220,7 @@
       ["health", now.health_why ? `${now.health}: ${now.health_why}` : now.health || "–", health],
       ["command authority", now.authority || "–"],
       ["plan", now.why ? `${now.origin}: ${now.why}` : now.origin || "–"],
+      ...fenceFacts(now.fence),
       ["time", figure(now.t_s, 1, "s")],
       ["estimate from the reference", figure(now.error_m, 3, "m")],
       ...(now.simulated ? [["vehicle from the reference", figure(now.true_error_m, 3, "m") + since]] : []),
