@@ -25,8 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ltv_mpc.control.problem_data import Objective, stage_length
-from ltv_mpc.geofence.obstacles import GROWTH_MPS
-from ltv_mpc.geofence.required_clearance import SD_FACTOR
+from ltv_mpc.geofence.obstacles import GROWTH_MPS, SD_FACTOR
 from ltv_mpc.geofence.zones import Zones, nearest
 from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array

@@ -21,17 +21,14 @@ from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.target_placement import bring_near, lead_round
 from ltv_mpc.geofence.fence import Fence, hull_radius_m
 from ltv_mpc.geofence.half_planes import ROWS
-from ltv_mpc.geofence.obstacles import DISC, ObstacleTable, largest_variance_m2
-from ltv_mpc.geofence.required_clearance import SD_FACTOR, update_required
+from ltv_mpc.geofence.obstacles import DISC, OBSTACLE_MARGIN, SD_FACTOR, ObstacleTable, largest_variance_m2
+from ltv_mpc.geofence.required_clearance import update_required
 from ltv_mpc.geofence.routes import NO_ZONES, Routes
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, Estimate, FenceInForce, FenceReport, Obstacles, Times
 from ltv_mpc.references.follower import PathBeside
 from ltv_mpc.references.schedule import Schedule
 from ltv_mpc.vehicle.parameters import Vehicle
-
-OBSTACLE_MARGIN = 1.0
-"""Distance that is kept between the hull and an obstacle, in radii of the hull."""
 
 ENTERED_M = 0.01
 """Depth in a margin from which it counts as entered: rounding and the linearisation take millimetres."""

@@ -12,8 +12,13 @@ import math
 
 import numpy as np
 
-from ltv_mpc.geofence.required_clearance import SD_FACTOR
 from ltv_mpc.messages import Array, Obstacle, Obstacles
+
+SD_FACTOR = 3.0
+"""k: standard deviations of a position that a required clearance covers; also of the vehicle's, beside a zone."""
+
+OBSTACLE_MARGIN = 1.0
+"""Distance that is kept between the hull and an obstacle, in radii of the hull."""
 
 GROWTH_MPS = 0.05
 """Growth q of the standard deviation of a predicted position (m/s)."""

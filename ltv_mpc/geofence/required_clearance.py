@@ -14,12 +14,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ltv_mpc.geofence.obstacles import SD_FACTOR
 from ltv_mpc.geofence.zones import Zones, nearest
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
-
-SD_FACTOR = 3.0
-"""k: standard deviations of the position that the clearance covers."""
 
 ROOM = 0.5
 """Room that the vehicle keeps between zones that ask for more than there is, in radii of the hull, to either side."""

@@ -12,14 +12,11 @@ import math
 
 import numpy as np
 
-from ltv_mpc.geofence.obstacles import GROWTH_MPS, largest_variance_m2
+from ltv_mpc.geofence.obstacles import GROWTH_MPS, OBSTACLE_MARGIN, SD_FACTOR, largest_variance_m2
 from ltv_mpc.messages import Array, FenceInForce, Obstacle, Plan
 from services.reporting.plots.table import Cell, Columns, short
 
 CIRCLE = 48  # points
-
-SD_FACTOR, OBSTACLE_MARGIN = 3.0, 1.0
-"""As the controller has them (half_planes.py, fencing.py). To import these would import the compiler."""
 
 
 def tables(fence: FenceInForce | None, plan: Plan | None) -> dict[str, Columns]:

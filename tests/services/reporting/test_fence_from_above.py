@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.fence_clearance import disc_at
-from ltv_mpc.control.fencing import OBSTACLE_MARGIN
-from ltv_mpc.geofence.obstacles import ObstacleTable
+from ltv_mpc.geofence.obstacles import OBSTACLE_MARGIN, ObstacleTable
 from ltv_mpc.messages import Array, FenceInForce, FenceReport, Obstacle, Obstacles, ZoneInForce
 from services.reporting.plots import fence as view
 from tests.ltv_mpc.control.fence_scenes import scene
