@@ -8,7 +8,6 @@ track) is reached as soon as possible, and all later rows are delayed by the sam
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -17,11 +16,10 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references.base import BaseReference
-from ltv_mpc.references.geodesy import Place, local
+from ltv_mpc.references.csv_places import DEPTH, METRES, check_bounds, read_places
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.references.path import Path as Track
 from ltv_mpc.references.path import with_lead_in
@@ -31,10 +29,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 Row: TypeAlias = Annotated[tuple[float, ...], Meta(min_length=3, max_length=4)]
 
-METRES = ("north_m", "east_m")
-DEGREES = ("latitude_deg", "longitude_deg")
 MAX_ROWS = 20_000
-MAX_TIME_S = 1e6
 IN_TIME = 0.99
 """Share of the time between two rows: a step that needs at most 1 / IN_TIME of its time counts as in time."""
 
@@ -57,7 +52,7 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         if len(self.rows) < 2 or len({len(row) for row in self.rows}) > 1:
             raise ValueError("rows: at least 2, all with the same number of columns")
         for k, row in enumerate(self.rows):
-            _check_bounds(dict(zip(("t_s", *METRES, "depth_m"), row, strict=False)), f"rows[{k}] ")
+            check_bounds(dict(zip(("t_s", *METRES, DEPTH), row, strict=False)), f"rows[{k}] ")
         t = [row[0] for row in self.rows]
         late = next((k for k in range(1, len(t)) if t[k] <= t[k - 1]), None)
         if late is not None:
@@ -161,17 +156,10 @@ def from_csv(timed: Timed, path: Path, *, source: str) -> Timed:
     ConfigError
         If the file cannot be read or a row is not valid.
     """
-    text = config.read_text(path, what="track")
     source = f"{source}: track {path.name}"
-    lines = [(k, line) for k, line in enumerate(text.splitlines(), start=1) if line.strip()]
-    lines = [(k, line) for k, line in lines if not line.lstrip().startswith("#")]
-    header = _header(lines[0][1], source) if lines else {}
-    if len(lines) < 3:
-        raise ConfigError(source, "", "needs a header and two rows of numbers")
-    if len(lines) - 1 > MAX_ROWS:
-        raise ConfigError(source, "", f"has {len(lines) - 1} rows: at most {MAX_ROWS}")
-    rows = tuple(_row(line, f"line {k} ", header, timed, source) for k, line in lines[1:])
-    for (k, _), before, after in zip(lines[2:], rows, rows[1:], strict=False):
+    table = read_places(path, columns=("t_s",), origin=timed.origin, rows=(2, MAX_ROWS), what="track", source=source)
+    rows = tuple(tuple(row[name] for name in ("t_s", *METRES, DEPTH) if name in row) for row in table.values())
+    for k, before, after in zip(list(table)[1:], rows, rows[1:], strict=False):
         if after[0] <= before[0]:
             problem = f"must be later than the row before it, {before[0]:g} s"
             raise ConfigError(source, f"line {k} t_s", problem, value=after[0])
@@ -179,60 +167,3 @@ def from_csv(timed: Timed, path: Path, *, source: str) -> Timed:
         return msgspec.structs.replace(timed, file="", rows=rows)
     except ValueError as error:
         raise ConfigError(source, "", str(error)) from None
-
-
-def _header(line: str, source: str) -> dict[str, int]:
-    names = [cell.strip() for cell in next(csv.reader([line]), [])]
-    place = DEGREES if DEGREES[0] in names else METRES
-    for name in ("t_s", *place):
-        if name not in names:
-            problem = "the header must name t_s, north_m, east_m (or latitude_deg, longitude_deg), optionally depth_m"
-            raise ConfigError(source, "", f"missing column {name}; {problem}")
-    for name in names:
-        if names.count(name) > 1:
-            raise ConfigError(source, "", f"column {name} occurs twice")
-    return {name: names.index(name) for name in ("t_s", *place, "depth_m") if name in names}
-
-
-def _row(line: str, where: str, header: dict[str, int], timed: Timed, source: str) -> tuple[float, ...]:
-    """Return t_s, north_m, east_m, and depth_m if there is such a column."""
-    cells = next(csv.reader([line]), [])
-    values: dict[str, float] = {}
-    for name, position in header.items():
-        if position >= len(cells):
-            raise ConfigError(
-                source, f"{where}{name}", f"missing: column {position + 1} of a line that has {len(cells)}"
-            )
-        cell = cells[position].strip()
-        try:
-            values[name] = float(cell) if "_" not in cell else math.nan  # Python accepts 1_0 as ten
-        except ValueError:
-            values[name] = math.nan
-        if not math.isfinite(values[name]):
-            raise ConfigError(source, f"{where}{name}", "must be a number", value=cell[:40])
-    try:
-        _check_bounds(values, where)
-        if DEGREES[0] in values:
-            place = Place(latitude_deg=values[DEGREES[0]], longitude_deg=values[DEGREES[1]])
-            values["north_m"], values["east_m"] = local(place, timed.origin)
-    except ValueError as error:
-        raise ConfigError(source, "", str(error)) from None
-    return tuple(values[name] for name in ("t_s", *METRES, "depth_m") if name in values)
-
-
-_BOUNDS = {
-    "t_s": (0.0, MAX_TIME_S),
-    "north_m": (-1e6, 1e6),
-    "east_m": (-1e6, 1e6),
-    "latitude_deg": (-89.0, 89.0),
-    "longitude_deg": (-180.0, 180.0),
-    "depth_m": (0.0, 11_000.0),
-}
-
-
-def _check_bounds(values: dict[str, float], where: str) -> None:
-    """Raise ``ValueError`` if a number is out of bounds."""
-    for name, value in values.items():
-        low, high = _BOUNDS[name]
-        if not low <= value <= high:
-            raise ValueError(f"{where}{name} = {value:g}: must be >= {low:g} and <= {high:g}")

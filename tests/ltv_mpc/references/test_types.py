@@ -99,7 +99,7 @@ def test_an_error_names_its_field_and_bound(text, says):
     [
         ("", "is empty"),
         ("t_s,north_m\n0,0\n1,1", "missing column east_m"),
-        ("t_s,north_m,east_m\n0,0,0", "needs a header and two rows"),
+        ("t_s,north_m,east_m\n0,0,0", "needs a header and at least 2 rows"),
         ("t_s,north_m,east_m\n0,0,0\n1,x,0", 'line 3 north_m = "x": must be a number'),
         ("t_s,north_m,east_m\n0,0,0\n1,1_0,0", 'line 3 north_m = "1_0": must be a number'),
         ("t_s,north_m,east_m\n0,0,0\n1,nan,0", 'line 3 north_m = "nan": must be a number'),
