@@ -23,6 +23,7 @@ import math
 
 import numpy as np
 
+from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import Belief, CurrentBias
@@ -188,6 +189,19 @@ class Controller:
         self._lateral.fencing.set_fence(fence)
         self._restrict_paths()
 
+    def set_bathymetry(self, bathymetry: Bathymetry) -> None:
+        """Keep the least altitude above the bottom of a bathymetry, too, from the next cycle on.
+
+        Parameters
+        ----------
+        bathymetry : soundings of the bottom.
+
+        Raises
+        ------
+        ConfigError : the settings have no ``limits.min_altitude_m``.
+        """
+        self._vertical.depth_limits.set_bathymetry(bathymetry)
+
     def add_obstacles(self, obstacles: Obstacles) -> None:
         """Avoid obstacles from the next cycle on, until their reports are too old.
 
@@ -314,6 +328,8 @@ class Controller:
             self.follower.advance(knots, start.lateral, current, self._lateral.target)
         self._lateral.fencing.set_path(self.follower.path_beside(knots) if decision.follows else None)
         self._lateral.fencing.update(start, decision.estimate, self._estimates.growth_m)
+        follower = self.follower if decision.follows else None
+        self._vertical.depth_limits.look_ahead(start, self._lateral.previous.plan, follower)
         vertical = self._plan_vertical(decision, start, knots)
         self._lateral.set_current(decision.estimate, vertical.depth_m)
         self._stopwatch("predict")

@@ -11,7 +11,7 @@ at -l), so that the vehicle comes to rest at the limit without overshoot:
 
 From a steady speed w the vehicle begins to slow down at a distance of 2 w / l. The rate l is that of the depth law, or
 smaller if the thruster brakes weakly. Where the limits contradict each other, the lower one is kept: the bottom is
-harder than the surface.
+harder than the surface. With a bathymetry the bottom ahead counts, too (``bottom_ahead.py``); the shallower one counts.
 """
 
 from __future__ import annotations
@@ -20,9 +20,13 @@ import math
 
 import numpy as np
 
+from ltv_mpc.bathymetry import Bathymetry, least_altitude_m
+from ltv_mpc.control.bottom_ahead import BottomAhead
 from ltv_mpc.control.config import MotionLimits
+from ltv_mpc.control.prediction import Start
 from ltv_mpc.jit import jit
-from ltv_mpc.messages import Array, Estimate
+from ltv_mpc.messages import Array, Estimate, Plan
+from ltv_mpc.references.follower import Follower
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 
 MIN_RATE_RADPS = 0.01
@@ -42,7 +46,10 @@ class DepthLimits:
         max_rate_radps : largest rate l.
         """
         self._max_depth_m = math.inf if limits.max_depth_m is None else limits.max_depth_m
-        self._min_altitude_m = limits.min_altitude_m
+        self._limits = limits
+        self._seen_m = self._max_depth_m  # largest depth above the bottom that was seen last
+        self._ahead: BottomAhead | None = None
+        self._ascent_mps = ascent_speed_mps(vehicle)
         min_depth_m = -math.inf if limits.min_depth_m is None else limits.min_depth_m
         self.bounds = np.array([min_depth_m, self._max_depth_m, min(max_rate_radps, braking_rate_radps(vehicle))])
         """(3,) least and largest depth (m), infinite where there is none, and rate l (rad/s)."""
@@ -71,9 +78,35 @@ class DepthLimits:
         ----------
         estimate : newest plausible one.
         """
-        if self._min_altitude_m is not None and estimate.altitude_m is not None and estimate.depth_m is not None:
+        least_m = self._limits.min_altitude_m
+        if least_m is not None and estimate.altitude_m is not None and estimate.depth_m is not None:
             bottom_m = estimate.depth_m + estimate.altitude_m
-            self.bounds[1] = min(self._max_depth_m, bottom_m - self._min_altitude_m)
+            self._seen_m = self.bounds[1] = min(self._max_depth_m, bottom_m - least_m)
+
+    def set_bathymetry(self, bathymetry: Bathymetry) -> None:
+        """Keep the least altitude above the bottom of a bathymetry, too.
+
+        Parameters
+        ----------
+        bathymetry : soundings of the bottom.
+
+        Raises
+        ------
+        ConfigError : there is no least altitude.
+        """
+        least_altitude_m(self._limits)
+        self._ahead = BottomAhead(bathymetry, self._ascent_mps, float(self.bounds[2]))
+
+    def look_ahead(self, start: Start, previous: Plan | None, follower: Follower | None) -> None:
+        """Take in the bottom of the bathymetry, if there is one.
+
+        Parameters
+        ----------
+        start, previous, follower : as ``BottomAhead.bottom_m`` takes them.
+        """
+        if self._ahead is not None:
+            bottom_m = self._ahead.bottom_m(start, previous, follower)
+            self.bounds[1] = min(self._seen_m, bottom_m - least_altitude_m(self._limits))
 
 
 def braking_rate_radps(vehicle: Vehicle) -> float:
@@ -97,6 +130,19 @@ def braking_rate_radps(vehicle: Vehicle) -> float:
         if speed_mps > 0.0:
             rate = min(rate, brake_N / heave.mass_kg / speed_mps)
     return max(rate, MIN_RATE_RADPS)
+
+
+def ascent_speed_mps(vehicle: Vehicle) -> float:
+    """Return the steady speed of an ascent at full thrust (m/s); 0 if the vehicle cannot rise.
+
+    Parameters
+    ----------
+    vehicle : its vertical thruster and its net buoyancy.
+    """
+    if vehicle.heave is None:
+        return 0.0
+    up_N = vehicle.net_buoyancy_N - vehicle.thrusters[2].min_N
+    return _steady_speed_mps(up_N, vehicle.heave.linear_damping_kgps, vehicle.heave.quadratic_damping_kgpm)
 
 
 def _steady_speed_mps(force_N: float, linear_kgps: float, quadratic_kgpm: float) -> float:

@@ -295,6 +295,29 @@ class Follower:
             return None
         return depths_at(track.table, self._tau_s, self._rate, t_ns, start.t_ns, start.depth_m, rate)
 
+    def places_ahead(self, lateral: Array, current: Pair, seconds: Array) -> Array | None:
+        """Return where the vehicle will be: on the path from the target on, or on the straight line to a point.
+
+        Parameters
+        ----------
+        lateral : state of the vehicle, which starts with n, e (m).
+        current : velocity of the water there, north and east (m/s).
+        seconds : (P,) times from now (s).
+
+        Returns
+        -------
+        (P, 2) north and east (m), at the earliest; None before the reference starts.
+        """
+        if self._track is None:
+            return None
+        table = self._track.table
+        if self.is_path:
+            tau = self._tau_s + seconds
+            return np.column_stack([np.interp(tau, table[TIME], table[row]) for row in (NORTH, EAST)])
+        line = table[(NORTH, EAST), 0] - lateral[:2]
+        way = (self._cruise_mps + math.hypot(*current)) * seconds
+        return lateral[:2] + np.minimum(way / max(math.hypot(*line), 1e-9), 1.0)[:, None] * line
+
 
 def _unrestricted(schedule: Schedule) -> tuple[Schedule, float]:
     return schedule, 0.0

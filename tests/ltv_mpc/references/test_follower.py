@@ -12,6 +12,7 @@ import pytest
 from ltv_mpc import Controller, CurrentProfile, Estimate, Plan, Vehicle, advance, references
 from ltv_mpc.references import Hold, Line, Place, Point, Reference, Timed, Waypoints
 from ltv_mpc.references.follower import MAX_STEP_S, Follower
+from ltv_mpc.references.limits import path_limits
 
 PAPER = Vehicle.load("paper")
 LINE = Line(speed_mps=0.3, start=Place(north_m=0.0, east_m=0.0), end=Place(north_m=12.0, east_m=0.0))
@@ -237,3 +238,24 @@ def test_a_restored_controller_continues_at_the_same_target():
     mine, theirs = one.plan(estimate), other.plan(estimate)
     assert theirs.reference_m == mine.reference_m
     assert theirs.progress == pytest.approx(mine.progress, rel=1e-12)
+
+
+def test_ahead_the_vehicle_is_on_its_path_from_the_target_on():
+    follower, seconds = has_started(LINE), np.array([0.0, 10.0, 1000.0])
+    for k in range(40):
+        target = go(follower, 0.3 * (k + 1), *(follower.target_m or STILL))
+    ahead = follower.places_ahead(np.zeros(6), STILL, seconds)
+    assert ahead is not None
+    assert ahead[:, 0] == pytest.approx([target[0], target[0] + 3.0, 12.0])
+    assert ahead[:, 1] == pytest.approx(0.0)
+    assert Follower(LINE, PAPER).places_ahead(np.zeros(6), STILL, seconds) is None
+
+
+def test_ahead_the_vehicle_is_on_the_line_to_its_point_as_early_as_the_current_allows():
+    follower, lateral = has_started(Point(north_m=30.0, east_m=40.0)), np.zeros(6)
+    cruise_mps = path_limits(PAPER).cruise_mps
+    for current, speed_mps in ((STILL, cruise_mps), ((0.3, -0.4), cruise_mps + 0.5)):
+        ahead = follower.places_ahead(lateral, current, np.array([0.0, 10.0, 1000.0]))
+        assert ahead == pytest.approx(np.outer([0.0, 10.0 * speed_mps, 50.0], [0.6, 0.8]))
+    there = follower.places_ahead(np.array([30.0, 40.0, 0.0]), STILL, np.array([0.0, 10.0]))
+    assert there == pytest.approx(np.array([[30.0, 40.0], [30.0, 40.0]]))

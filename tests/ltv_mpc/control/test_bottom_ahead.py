@@ -1,0 +1,155 @@
+"""Bottom ahead by closed loop: the vehicle rises before rising ground that its own bottom track would see too late."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.bathymetry import Bathymetry
+from ltv_mpc.control.config import ControllerConfig, MotionLimits
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.nominal_model import advance
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Array, Estimate, Plan
+from ltv_mpc.references import Line, Place, Point, Reference, Waypoints
+from ltv_mpc.vehicle.parameters import Vehicle
+
+PAPER = Vehicle.load("paper")
+LEAST_M = 3.0
+CLIFF = ((-100.0, 20.0), (30.0, 20.0), (30.5, 12.0), (300.0, 12.0))
+RIDGE = ((-100.0, 20.0), (29.5, 20.0), (30.0, 12.0), (30.5, 20.0), (300.0, 20.0))
+SLOPE = ((-100.0, 20.0), (25.0, 20.0), (41.0, 12.0), (300.0, 12.0))
+
+
+def ground(profile: tuple[tuple[float, float], ...]) -> Bathymetry:
+    """Return a bottom whose depth depends on north alone."""
+    return Bathymetry(np.array([(north, east, depth) for north, depth in profile for east in (-500.0, 500.0)]))
+
+
+def controller(reference: Reference, bathymetry: Bathymetry | None, vehicle: Vehicle = PAPER) -> Controller:
+    made = Controller(vehicle, reference, ControllerConfig(limits=MotionLimits(min_altitude_m=LEAST_M)))
+    if bathymetry is not None:
+        made.set_bathymetry(bathymetry)
+    return made
+
+
+def travel(
+    of: Controller, over: Bathymetry, seconds: float, *, true: Vehicle = PAPER, range_m: float = math.inf
+) -> tuple[Array, list[Plan]]:
+    """Follow plans over a bottom that the bottom track sees within its range.
+
+    Returns north, depth and altitude (K, 3), and the plans.
+    """
+    estimate, way, plans = Estimate.at_rest(depth_m=15.0), [], []
+    for _ in range(round(seconds / 0.3)):
+        depth_m = estimate.depth_m or 0.0
+        altitude = float(over.depths(np.array([[estimate.north_m, estimate.east_m]]))[0]) - depth_m
+        way.append((estimate.north_m, depth_m, altitude))
+        seen = altitude if 0.0 <= altitude < range_m else None
+        plans.append(of.plan(msgspec.structs.replace(estimate, altitude_m=seen)))
+        estimate = advance(true, estimate, plans[-1], duration_s=0.3)
+    return np.array(way), plans
+
+
+def line(north_m: float = 60.0) -> Line:
+    start, end = Place(north_m=0.0, east_m=0.0), Place(north_m=north_m, east_m=0.0)
+    return Line(start=start, end=end, depth_m=15.0, speed_mps=0.4)
+
+
+POINT = Point(north_m=60.0, east_m=0.0, depth_m=15.0)
+
+
+@pytest.mark.parametrize("reference", [line(), POINT], ids=["path", "point"])
+@pytest.mark.parametrize("profile", [CLIFF, RIDGE, SLOPE], ids=["cliff", "ridge", "slope"])
+def test_a_vehicle_rises_in_time_within_box_and_slew(
+    profile: tuple[tuple[float, float], ...], reference: Reference
+) -> None:
+    over = ground(profile)
+    way, plans = travel(controller(reference, over), over, 150.0)
+    assert way[-1, 0] > 50.0
+    assert way[:, 2].min() > LEAST_M
+    assert way[way[:, 0] < 5.0, 1].max() < 15.1  # it begins at the depth of its reference
+    thruster = PAPER.thrusters[2]
+    for plan in plans:
+        F = plan.thrust_N[:, 2]
+        assert thruster.min_N - 1e-9 <= F.min()
+        assert F.max() <= thruster.max_N + 1e-9
+        assert np.all(np.abs(np.diff(F)) <= thruster.slew_N_per_s * np.diff(plan.t_ns) * 1e-9 + 1e-9)
+
+
+@pytest.mark.parametrize("profile", [CLIFF, SLOPE], ids=["cliff", "slope"])
+def test_with_the_bottom_track_alone_the_same_vehicle_rises_too_late(profile: tuple[tuple[float, float], ...]) -> None:
+    over = ground(profile)
+    way, _ = travel(controller(line(), None), over, 150.0)
+    assert way[:, 2].min() < LEAST_M - 1.0
+
+
+def test_beyond_a_ridge_the_vehicle_descends_again() -> None:
+    over = ground(RIDGE)
+    way, _ = travel(controller(line(90.0), over), over, 300.0)
+    assert way[-1, 1] == pytest.approx(15.0, abs=0.1)
+
+
+def test_a_buoyancy_that_is_6_N_too_small_leaves_the_altitude() -> None:
+    over, true = ground(CLIFF), msgspec.structs.replace(PAPER, net_buoyancy_N=24.5)
+    way, _ = travel(controller(line(), over), over, 150.0, true=true)
+    assert way[:, 2].min() > LEAST_M
+
+
+def test_the_path_after_a_corner_counts_not_the_ground_straight_on() -> None:
+    """The path turns 15 m before a cliff. A straight line would meet it, so a vehicle at a point beyond it rises."""
+    over = ground(CLIFF)
+    corner = [Place(north_m=0.0, east_m=0.0), Place(north_m=15.0, east_m=0.0), Place(north_m=15.0, east_m=60.0)]
+    way, _ = travel(controller(Waypoints(waypoints=tuple(corner), depth_m=15.0, speed_mps=0.4), over), over, 150.0)
+    assert way[:, 1].min() > 14.9
+    on, _ = travel(controller(POINT, over), over, 60.0)
+    assert on[on[:, 0] < 20.0, 1].min() < 13.0
+
+
+def test_the_shallower_of_chart_and_bottom_track_counts() -> None:
+    """Without a reference in force ahead: the vehicle stays at its place."""
+    here = Point(north_m=0.0, east_m=0.0, depth_m=30.0)
+    flat, deeper = ground(((-100.0, 14.0), (100.0, 14.0))), ground(((-100.0, 16.0), (100.0, 16.0)))
+    for chart, truth in ((flat, deeper), (deeper, flat)):
+        of = controller(here, chart)
+        estimate = Estimate.at_rest(depth_m=5.0)
+        bottom = float(truth.depths(np.zeros((1, 2)))[0])
+        plan = of.plan(msgspec.structs.replace(estimate, altitude_m=bottom - 5.0))
+        assert plan.depth_limit_m == pytest.approx(14.0 - LEAST_M)
+
+
+def test_where_the_chart_ends_the_bottom_track_remains() -> None:
+    chart, truth = ground(((-100.0, 14.0), (-50.0, 14.0))), ground(((-100.0, 18.0), (100.0, 18.0)))
+    here = Point(north_m=0.0, east_m=0.0, depth_m=30.0)
+    way, plans = travel(controller(here, chart), truth, 30.0, range_m=10.0)
+    assert way[:, 2].min() > LEAST_M - 0.02
+    assert plans[-1].depth_limit_m == pytest.approx(18.0 - LEAST_M)
+    blind = controller(here, chart).plan(Estimate.at_rest(depth_m=5.0))
+    assert blind.depth_limit_m is None
+
+
+def test_a_chart_that_begins_ahead_counts_already() -> None:
+    """The vehicle begins outside it, and its path ends beyond it."""
+    chart, truth = ground(((20.0, 20.0), *CLIFF[1:3], (50.0, 12.0))), ground(CLIFF)
+    way, _ = travel(controller(line(), chart), truth, 150.0, range_m=5.5)
+    assert way[:, 2].min() > LEAST_M
+
+
+def test_a_vehicle_that_cannot_rise_does_not_descend_into_what_is_ahead() -> None:
+    """Its thruster has no thrust up, and its buoyancy is zero."""
+    assert PAPER.thruster.vertical is not None
+    vertical = msgspec.structs.replace(PAPER.thruster.vertical, min_N=0.0)
+    heavy = msgspec.structs.replace(
+        PAPER, thruster=msgspec.structs.replace(PAPER.thruster, vertical=vertical), net_buoyancy_N=0.0
+    )
+    deep = Point(north_m=60.0, east_m=0.0, depth_m=30.0)
+    plan = controller(deep, ground(CLIFF), heavy).plan(Estimate.at_rest(depth_m=5.0))
+    assert plan.depth_limit_m == pytest.approx(12.0 - LEAST_M)
+
+
+def test_a_controller_without_a_least_altitude_refuses_a_bathymetry() -> None:
+    with pytest.raises(ConfigError, match=r"min_altitude_m: is missing: a bathymetry needs it"):
+        Controller(PAPER, POINT).set_bathymetry(ground(CLIFF))
