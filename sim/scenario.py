@@ -97,6 +97,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
     sensors: str = "paper"  # NAME or FILE
     reference: str = "descent"  # NAME or FILE
     fence: str = ""  # FILE; empty: none
+    bathymetry: str = ""  # FILE that the controller has; empty: none. The sea bed of the simulation is [water] bottom_m
     run: Run = Run()
     water: Water = Water()
     plant: Plant = Plant()
@@ -122,6 +123,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
                 sensors=_beside(here, scenario.sensors),
                 reference=_beside(here, scenario.reference),
                 fence=str(here / scenario.fence) if scenario.fence else "",
+                bathymetry=str(here / scenario.bathymetry) if scenario.bathymetry else "",
                 water=msgspec.structs.replace(water, file=str(here / water.file) if water.file else ""),
             ),
             source=source,

@@ -189,6 +189,11 @@ class Controller:
         self._lateral.fencing.set_fence(fence)
         self._restrict_paths()
 
+    @property
+    def bathymetry(self) -> Bathymetry | None:
+        """Soundings of the bottom, if there are any."""
+        return self._vertical.depth_limits.bathymetry
+
     def set_bathymetry(self, bathymetry: Bathymetry) -> None:
         """Keep the least altitude above the bottom of a bathymetry, too, from the next cycle on.
 

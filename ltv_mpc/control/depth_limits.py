@@ -49,6 +49,8 @@ class DepthLimits:
         self._limits = limits
         self._seen_m = self._max_depth_m  # largest depth above the bottom that was seen last
         self._ahead: BottomAhead | None = None
+        self.bathymetry: Bathymetry | None = None
+        """Soundings of the bottom, if there are any."""
         self._ascent_mps = ascent_speed_mps(vehicle)
         min_depth_m = -math.inf if limits.min_depth_m is None else limits.min_depth_m
         self.bounds = np.array([min_depth_m, self._max_depth_m, min(max_rate_radps, braking_rate_radps(vehicle))])
@@ -95,6 +97,7 @@ class DepthLimits:
         ConfigError : there is no least altitude.
         """
         least_altitude_m(self._limits)
+        self.bathymetry = bathymetry
         self._ahead = BottomAhead(bathymetry, self._ascent_mps, float(self.bounds[2]))
 
     def look_ahead(self, start: Start, previous: Plan | None, follower: Follower | None) -> None:

@@ -34,6 +34,10 @@ FenceFile: TypeAlias = Annotated[
     str | None,
     typer.Option("--fence", metavar="FILE", help="Keep-in and keep-out zones: TOML or GeoJSON, docs/fences.md."),
 ]
+BathymetryFile: TypeAlias = Annotated[
+    str | None,
+    typer.Option("--bathymetry", metavar="FILE", help="Soundings of the bottom: CSV, docs/motion-limits.md."),
+]
 Out: TypeAlias = Annotated[
     Path | None,
     typer.Option("--out", metavar="DIR", help="Folder to write. Default: runs/TIME-NAME (UTC)."),

@@ -9,7 +9,7 @@ import typer
 
 from services.cli.bus import with_bus
 from services.cli.localise import localise
-from services.cli.options import ControllerSettings, FenceFile, LogJson, ReferenceFile, VehicleFile
+from services.cli.options import BathymetryFile, ControllerSettings, FenceFile, LogJson, ReferenceFile, VehicleFile
 from services.cli.topics import topics
 from services.cli.vehicle_file import vehicle as vehicle_file
 
@@ -79,6 +79,7 @@ def controller(
     reference: ReferenceFile = "descent",
     settings: ControllerSettings = None,
     fence: FenceFile = None,
+    bathymetry: BathymetryFile = None,
     compute_delay_s: ComputeDelay = 0.0,
     rate_hz: Rate = None,
     horizon_s: Horizon = None,
@@ -126,6 +127,7 @@ def controller(
             vehicle=vehicle,
             reference=reference,
             fence=fence or "",
+            bathymetry=bathymetry or "",
             settings=control,
             compute_delay_s=compute_delay_s,
             input_delay_s=input_delay_s,

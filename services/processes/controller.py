@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc import references
+from ltv_mpc.bathymetry import bathymetry_for
 from ltv_mpc.config import to_toml
 from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.linearisation import Linearisation
@@ -64,6 +65,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     vehicle: str = "paper"  # NAME or FILE
     reference: str = "descent"  # NAME or FILE
     fence: str = ""  # FILE; empty: none
+    bathymetry: str = ""  # FILE; empty: none
     settings: ResolvedConfig
     compute_delay_s: float = 0.0  # added between a plan and its publication
     input_delay_s: float = 0.0  # smallest delay of an estimate, if no clock exchange measures it
@@ -77,8 +79,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 def main(config: Config) -> int:
     """Run the controller node until it is stopped. Returns the exit code."""
     vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
-    fence = fence_for(vehicle, config.fence)
     settings, bus = config.settings, config.bus
+    fence, bottom = fence_for(vehicle, config.fence), bathymetry_for(reference, settings.limits, config.bathymetry)
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
     SERVICE_MANAGER.connect(os.environ)
     with contextlib.ExitStack() as stack:
@@ -97,11 +99,13 @@ def main(config: Config) -> int:
         warm_up(vehicle, reference, settings)
         SERVICE_MANAGER.status("waiting for the router")
         node_stages = StageTimer()
-        files = controller_files(config.vehicle, config.reference, config.fence, settings)
+        files = controller_files(config.vehicle, config.reference, config.fence, config.bathymetry, settings)
         published = node_settings(ControllerNode.name, files)
         recorder = FailureRecorder()
         make_solver = make if config.failed_qps is None else recorder
-        node = ControllerNode(vehicle, reference, settings, fence=fence, make_solver=make_solver, stopwatch=node_stages)
+        node = ControllerNode(
+            vehicle, reference, settings, fence=fence, bathymetry=bottom, make_solver=make_solver, stopwatch=node_stages
+        )
         estimates_on = key_in(bus, BY_TYPE[Estimate])
         stack.callback(console.close)
 

@@ -17,6 +17,7 @@ from typing import Protocol
 import msgspec
 
 from ltv_mpc import config, references
+from ltv_mpc.bathymetry import bathymetry_for
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.resolution import settled
@@ -33,6 +34,7 @@ from services.recording.reader import Recording
 from services.replay.verdict import Change
 from services.run.nodes import make_nodes
 from services.run.run_config import SCENARIO, RunConfig, resolve
+from services.run.settings_files import BATHYMETRY
 from services.run.water import load_prior, resolve_prior_path
 
 SETTINGS: Mapping[str, type[ControllerConfig] | type[EstimatorConfig]] = {
@@ -162,7 +164,9 @@ class VehicleNodes:
             vehicle, reference = Vehicle.load(str(folder / "vehicle.toml")), str(folder / "reference.toml")
             fence = folder / "fence.toml"
             kept = fence_for(vehicle, str(fence) if fence.exists() else "")
-            return ControllerNode(vehicle, references.load(reference), settings, fence=kept)
+            followed, soundings = references.load(reference), place / BATHYMETRY
+            bottom = bathymetry_for(followed, settings.limits, str(soundings) if soundings.exists() else "")
+            return ControllerNode(vehicle, followed, settings, fence=kept, bathymetry=bottom)
 
     def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
         """Return the settings of a node at its newest start."""

@@ -27,6 +27,7 @@ def make_nodes(
             run_config.reference,
             run_config.controller,
             fence=run_config.fence,
+            bathymetry=run_config.bathymetry,
             make_solver=make_solver,
         )
     ]

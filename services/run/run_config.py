@@ -10,6 +10,7 @@ from typing import NamedTuple
 import msgspec
 
 from ltv_mpc import config, references
+from ltv_mpc.bathymetry import Bathymetry, bathymetry_for
 from ltv_mpc.control import solvers
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.resolution import settled
@@ -19,7 +20,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.provenance import provenance_table
-from services.run.settings_files import FENCE, PRIOR, controller_files, estimator_files
+from services.run.settings_files import BATHYMETRY, FENCE, PRIOR, controller_files, estimator_files
 from services.run.water import load_prior, resolve_prior_path
 from sim import water
 from sim.scenario import Scenario, checked, with_overrides
@@ -49,6 +50,7 @@ class RunConfig:
     sensor_config: SensorConfig
     reference: Reference
     fence: Fence | None
+    bathymetry: Bathymetry | None
     water: water.WaterColumn
     prior: WaterPrior | None  # water prior of the estimator; None: only the prior of the settings
     files: Mapping[str, str]  # texts by path in the run's folder, with which it can be run again
@@ -80,6 +82,7 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
         sensor_config=sensor_config,
         reference=reference,
         fence=fence,
+        bathymetry=bathymetry_for(reference, controller.limits, scenario.bathymetry),
         water=water.make(scenario.water, scenario.run.seed),
         prior=prior,
         files=_files(msgspec.structs.replace(scenario, controller=controller), called) | _files_at_origin(measured),
@@ -97,7 +100,9 @@ def _called(name: str, scenario: Scenario) -> str:
 def _files(scenario: Scenario, called: str) -> dict[str, str]:
     """Return the settings files as read, with comments; files for use aboard hold nothing of the true values."""
     measured = scenario.water.file
-    files = controller_files(scenario.vehicle, scenario.reference, scenario.fence, scenario.controller)
+    files = controller_files(
+        scenario.vehicle, scenario.reference, scenario.fence, scenario.bathymetry, scenario.controller
+    )
     files |= estimator_files(scenario.sensors, scenario.estimator)
     if measured:
         files["config/currents.csv"] = config.read_text(Path(measured), what="currents")
@@ -120,6 +125,7 @@ def scenario_text(scenario: Scenario, called: str) -> str:
         sensors="config/sensors.toml",
         reference="config/reference.toml",
         fence=FENCE if scenario.fence else "",
+        bathymetry=BATHYMETRY if scenario.bathymetry else "",
         water=msgspec.structs.replace(scenario.water, file="config/currents.csv" if measured else ""),
         estimator=msgspec.structs.replace(scenario.estimator, water_prior=f"config/{PRIOR}" if prior else ""),
         made_by={ORIGIN: called, **provenance_table()},

@@ -35,11 +35,16 @@ TOO_LARGE = f"its settings have more than {MAX_CHARACTERS} characters: a recordi
 FENCE = "config/fence.toml"
 """File of the fence in a run's folder, if there is one."""
 
+BATHYMETRY = "config/bathymetry.csv"
+"""File of the bathymetry in a run's folder, if there is one."""
 
-def controller_files(vehicle: str, reference: str, fence: str, settings: ControllerConfig) -> dict[str, str]:
+
+def controller_files(
+    vehicle: str, reference: str, fence: str, bathymetry: str, settings: ControllerConfig
+) -> dict[str, str]:
     """Return the files of a controller. Raises ``ConfigError``.
 
-    ``vehicle`` and ``reference`` are NAME or FILE, ``fence`` is a FILE or empty.
+    ``vehicle`` and ``reference`` are NAME or FILE, ``fence`` and ``bathymetry`` are a FILE or empty.
     """
     reference_text = _text(reference, what="reference", package="ltv_mpc.references.files")
     loaded_reference = references.load(reference)
@@ -52,6 +57,8 @@ def controller_files(vehicle: str, reference: str, fence: str, settings: Control
     }
     if fence:
         files[FENCE] = config.to_toml(Fence.load(fence))
+    if bathymetry:
+        files[BATHYMETRY] = config.read_text(Path(bathymetry), what="bathymetry")
     return files
 
 

@@ -9,7 +9,7 @@ import msgspec
 from services.bus.options import BusOptions
 from services.run.folder import RunFolder
 from services.run.run_config import RunConfig
-from services.run.settings_files import PRIOR
+from services.run.settings_files import BATHYMETRY, PRIOR
 from sim.scenario import Scenario
 
 
@@ -80,6 +80,7 @@ def config_of(name: str, run_config: RunConfig, context: RunContext) -> msgspec.
                 vehicle=str(folder.config("vehicle")),
                 reference=str(folder.config("reference")),
                 fence=str(folder.config("fence")) if run_config.fence is not None else "",
+                bathymetry=str(folder.path / BATHYMETRY) if run_config.bathymetry is not None else "",
                 settings=run_config.controller,
                 compute_delay_s=scenario.run.compute_delay_s,
                 failed_qps=folder.path / "failed-qps",

@@ -26,7 +26,7 @@ def settings(locked_run: RunFolder) -> dict[str, NodeSettings]:
     """Return what the two processes aboard would have published."""
     of = locked_run.config
     controller = controller_files(
-        str(of("vehicle")), str(of("reference")), "", ControllerConfig.load(str(of("controller")))
+        str(of("vehicle")), str(of("reference")), "", "", ControllerConfig.load(str(of("controller")))
     )
     estimator = estimator_files(str(of("sensors")), EstimatorConfig.load(str(of("estimator"))))
     made = node_settings("controller", controller), node_settings("estimator", estimator)

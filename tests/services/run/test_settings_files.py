@@ -14,7 +14,7 @@ from services.run.settings_files import MAX_CHARACTERS, PRIOR, controller_files,
 def test_a_track_in_a_file_of_its_own_is_in_the_reference(tmp_path: Path) -> None:
     (tmp_path / "track.csv").write_text("t_s,north_m,east_m\n0,0,0\n100,10,0\n200,10,10\n")
     (tmp_path / "track.toml").write_text('kind = "timed"\nfile = "track.csv"\n')
-    files = controller_files("paper", str(tmp_path / "track.toml"), "", ControllerConfig())
+    files = controller_files("paper", str(tmp_path / "track.toml"), "", "", ControllerConfig())
     (tmp_path / "elsewhere").mkdir()
     alone = tmp_path / "elsewhere" / "reference.toml"
     alone.write_text(files["config/reference.toml"])
