@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from services.cli.options import ControllerSettings, FenceFile, Json
+from services.cli.options import BathymetryFile, ControllerSettings, FenceFile, Json
 
 vehicle = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
 
@@ -61,6 +61,7 @@ def check(
     bottom_m: Annotated[
         float | None, typer.Option("--bottom-m", metavar="D", help="Depth of the bottom (m).", min=0, max=11_000)
     ] = None,
+    bathymetry: BathymetryFile = None,
     settings: ControllerSettings = None,
     as_json: Json = False,
 ) -> None:
@@ -74,7 +75,8 @@ def check(
     from ltv_mpc.errors import ConfigError
     from ltv_mpc.vehicle.parameters import Vehicle
 
-    for name, value in (("--fence", fence), ("--current", current), ("--bottom-m", bottom_m), ("--settings", settings)):
+    needing = {"--fence": fence, "--current": current, "--bottom-m": bottom_m, "--bathymetry": bathymetry}
+    for name, value in (needing | {"--settings": settings}).items():
         if reference is None and value:
             raise ConfigError(f"option {name}", "", "needs --reference NAME|FILE, the mission to check")
     loaded = Vehicle.load(file)
@@ -83,14 +85,17 @@ def check(
     result = vehicle_check.check(loaded)
     if reference is not None:
         from ltv_mpc import Fence, references
+        from ltv_mpc.bathymetry import Bathymetry
         from ltv_mpc.control.config import ControllerConfig
 
+        followed = references.load(reference)
         mission = mission_check.check_mission(
             loaded,
-            references.load(reference),
+            followed,
             None if fence is None else Fence.load(fence),
             current_mps=current,
             bottom_m=bottom_m,
+            bathymetry=None if bathymetry is None else Bathymetry.load(bathymetry, followed.origin),
             limits=None if settings is None else ControllerConfig.load(str(settings)).limits,
         )
         result = replace(result, mission=mission)

@@ -7,6 +7,7 @@ import math
 import msgspec
 import numpy as np
 
+from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Fence
@@ -38,6 +39,18 @@ class ZoneCheck(msgspec.Struct, frozen=True, kw_only=True):
     in_margin_m: float  # length of the path on which the hull is in the zone or its margin
 
 
+class BottomCheck(msgspec.Struct, frozen=True, kw_only=True):
+    """Altitude of the reference above the bottom of a bathymetry, where it is least."""
+
+    altitude_m: float  # negative: below the bottom
+    depth_m: float  # of the reference
+    way_m: float  # distance along the path
+    north_m: float
+    east_m: float
+    too_deep_m: float  # length of the path on which the altitude is less than min_altitude_m
+    unknown_m: float  # length of the path on which the bottom is not known
+
+
 class MissionCheck(msgspec.Struct, frozen=True, kw_only=True):
     """Result of the check of a mission."""
 
@@ -49,6 +62,7 @@ class MissionCheck(msgspec.Struct, frozen=True, kw_only=True):
     stopping_m: float | None  # from the speed of the reference, with the drift meanwhile; null: it does not stop
     corridor_m: float | None  # narrowest free width along the path; null: open
     needed_m: float | None  # width that the vehicle needs: hull, two margins and the drift
+    bottom: BottomCheck | None  # null: without a bathymetry, or the bottom is not known below the reference
     zones: list[ZoneCheck]
     problems: list[str]  # what cannot be
 
@@ -60,6 +74,7 @@ def check_mission(
     *,
     current_mps: float = 0.0,
     bottom_m: float | None = None,
+    bathymetry: Bathymetry | None = None,
     limits: MotionLimits | None = None,
 ) -> MissionCheck:
     """Check a reference against a fence, a current and the depths.
@@ -71,6 +86,7 @@ def check_mission(
     fence : None: only current and depths are checked.
     current_mps : speed of the water, from any direction.
     bottom_m : depth of the bottom; None: not known.
+    bathymetry : soundings of the bottom; None: none.
     limits : limits of the controller's settings: depths and cross-track distance.
     """
     points, depth, way, duration_s, speed_mps = _samples(vehicle, reference)
@@ -82,7 +98,8 @@ def check_mission(
     problems = _current_problems(vehicle, reference, current_mps)
     limits = limits or MotionLimits()
     problems += _corridor_problems(reference, limits.max_cross_track_m, drift_m, current_mps)
-    problems += _depth_problems(largest, bottom_m, limits)
+    bottom, too_deep = _check_bottom(bathymetry, points, depth, way, limits)
+    problems += _depth_problems(largest, bottom_m, limits) + too_deep
     zones, corridor_m, needed_m = [], None, None
     if fence is not None and len(points):
         hull_m = _hull_radius_m(vehicle)
@@ -110,6 +127,7 @@ def check_mission(
         stopping_m=stopping_m,
         corridor_m=corridor_m,
         needed_m=needed_m,
+        bottom=bottom,
         zones=zones,
         problems=problems,
     )
@@ -126,6 +144,8 @@ def table(of: MissionCheck) -> str:
     if of.zones:
         rows.append(("narrowest corridor", "open" if of.corridor_m is None else f"{of.corridor_m:.3g} m"))
         rows.append(("width that the vehicle needs", _metres(of.needed_m)))
+    if of.bottom is not None:
+        rows.append(("altitude of the reference", f"{of.bottom.altitude_m:.3g} m or more, {_place(of.bottom)}"))
     for zone in of.zones:
         where = f"{zone.clearance_m:.3g} m at {zone.way_m:.0f} m of the path, margin {zone.margin_m:g} m"
         rows.append((f"hull from {zone.zone}", where))
@@ -247,6 +267,42 @@ def _depth_problems(largest: float | None, bottom_m: float | None, limits: Motio
     if limits.max_depth_m is not None and largest > limits.max_depth_m:
         problems.append(f"the reference descends to {largest:g} m: max_depth_m = {limits.max_depth_m:g}")
     return problems
+
+
+def _check_bottom(
+    bathymetry: Bathymetry | None, points: Array, depth: Array, way: Array, limits: MotionLimits
+) -> tuple[BottomCheck | None, list[str]]:
+    """Return where the altitude of the reference is least, and what is wrong with it."""
+    if bathymetry is None or not len(points) or np.isnan(depth).all():
+        return None, []
+    least_m = limits.min_altitude_m or 0.0
+    altitude, step = bathymetry.depths(points) - depth, float(way[-1]) / max(len(way) - 1, 1)
+    if np.isnan(altitude).all():
+        return None, ["the bathymetry does not reach the reference"]
+    k = int(np.nanargmin(altitude))
+    bottom = BottomCheck(
+        altitude_m=float(altitude[k]),
+        depth_m=float(depth[k]),
+        way_m=float(way[k]),
+        north_m=float(points[k, 0]),
+        east_m=float(points[k, 1]),
+        too_deep_m=step * int(np.count_nonzero(altitude < least_m)),
+        unknown_m=step * int(np.count_nonzero(np.isnan(altitude))),
+    )
+    problems = []
+    if bottom.altitude_m < least_m:
+        problems.append(
+            f"the reference is too deep for {bottom.too_deep_m:.1f} m of the path, by up to "
+            f"{least_m - bottom.altitude_m:.1f} m {_place(bottom)}: depth {bottom.depth_m:.1f} m, bottom "
+            f"{bottom.depth_m + bottom.altitude_m:.1f} m, min_altitude_m = {least_m:g}"
+        )
+    if bottom.unknown_m > 0.0:
+        problems.append(f"the bathymetry does not reach {bottom.unknown_m:.1f} m of the path")
+    return bottom, problems
+
+
+def _place(of: BottomCheck) -> str:
+    return f"at {of.way_m:.0f} m of the path (north {of.north_m:.0f} m, east {of.east_m:.0f} m)"
 
 
 def _corridor(zones: Zones, points: Array, way: Array) -> Array:

@@ -154,5 +154,18 @@ def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(
     assert 'keep_out_disc[0] "buoy"' in capsys.readouterr().out
     assert run(["vehicle", "check", "paper", "--reference", "descent", "--bottom-m", "500", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["mission"]["problems"] == []
+    (here / "bottom.csv").write_text("north_m,east_m,depth_m\n-50,-50,9\n-50,50,9\n50,-50,9\n50,50,9\n")
+    (here / "line.toml").write_text(
+        'kind = "line"\nspeed_mps = 0.3\ndepth_m = 8.0\nstart = { north_m = 0, east_m = 0 }\n'
+        "end = { north_m = 40, east_m = 0 }\n"
+    )
+    (here / "mine.toml").write_text("[limits]\nmin_altitude_m = 2.0\n")
+    check = ["vehicle", "check", "paper", "--reference", "line.toml", "--bathymetry", "bottom.csv"]
+    assert run(check) == 0
+    assert "altitude of the reference             1 m or more" in capsys.readouterr().out
+    assert run([*check, "--settings", "mine.toml"]) == 1
+    assert "by up to 1.0 m" in capsys.readouterr().out
+    assert run(["vehicle", "check", "paper", "--bathymetry", "bottom.csv"]) == 2
+    assert "option --bathymetry: needs --reference" in capsys.readouterr().err
     assert run(["vehicle", "check", "paper", "--fence", "fence.toml"]) == 2
     assert "option --fence: needs --reference" in capsys.readouterr().err

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 
 import msgspec
+import numpy as np
 import pytest
 
+from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc, Fence, Polygon
-from ltv_mpc.references import Line, Place, Point
+from ltv_mpc.references import Hold, Line, Place, Point
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.tools.mission_check import MissionCheck, check_mission, table
 
@@ -139,3 +141,52 @@ def test_a_corridor_must_be_wider_than_the_drift_while_the_vehicle_turns() -> No
     )
     point = Point(north_m=1.0, east_m=0.0)
     assert check_mission(PAPER, point, None, current_mps=0.1, limits=narrow).problems == []
+
+
+def ground(*profile: tuple[float, float], half_width_m: float = 50.0) -> Bathymetry:
+    """Return a bottom whose depth depends on north alone."""
+    return Bathymetry(np.array([(n, e, z) for n, z in profile for e in (-half_width_m, half_width_m)]))
+
+
+def over(bathymetry: Bathymetry, least_m: float | None = 3.0, depth_m: float | None = 15.0) -> MissionCheck:
+    reference = msgspec.structs.replace(NORTH, depth_m=depth_m)
+    limits = MotionLimits(min_altitude_m=least_m)
+    return check_mission(PAPER, reference, None, bathymetry=bathymetry, limits=limits)
+
+
+def test_a_reference_too_deep_for_a_bathymetry_is_found_with_place_depth_and_lack() -> None:
+    """The bottom rises from 22 m by 1 m in 10 m: from north 40 m on it is less than 18 m deep."""
+    result = over(ground((-10.0, 23.0), (110.0, 11.0)))
+    [problem] = result.problems
+    assert problem.startswith("the reference is too deep for 60.")
+    assert problem.endswith(
+        " m of the path, by up to 6.0 m at 100 m of the path (north 100 m, east 0 m): depth 15.0 m, bottom 12.0 m, "
+        "min_altitude_m = 3"
+    )
+    assert result.bottom is not None
+    assert (result.bottom.altitude_m, result.bottom.depth_m) == (pytest.approx(-3.0), 15.0)
+    assert "altitude of the reference             -3 m or more, at 100 m of the path" in table(result)
+
+
+def test_a_reference_above_the_bottom_of_a_bathymetry_has_no_problem() -> None:
+    result = over(ground((-10.0, 23.0), (110.0, 18.2)))
+    assert result.problems == []
+    assert result.bottom is not None
+    assert (result.bottom.altitude_m, result.bottom.way_m) == (pytest.approx(3.6), pytest.approx(100.0))
+    assert (result.bottom.too_deep_m, result.bottom.unknown_m) == (0.0, 0.0)
+    assert over(ground((-10.0, 16.0), (110.0, 16.0)), None).problems == []
+    assert over(ground((-10.0, 14.0), (110.0, 14.0)), depth_m=None).problems == []
+
+
+def test_a_path_beyond_the_soundings_is_found() -> None:
+    [problem] = over(ground((-10.0, 30.0), (80.0, 30.0))).problems
+    assert problem == "the bathymetry does not reach 20.0 m of the path"
+    [problem] = over(ground((-50.0, 30.0), (-10.0, 30.0))).problems
+    assert problem == "the bathymetry does not reach the reference"
+
+
+def test_a_point_below_the_bottom_of_a_bathymetry_is_found_and_here_has_no_place() -> None:
+    point, flat = Point(north_m=10.0, east_m=0.0, depth_m=30.0), ground((-50.0, 25.0), (50.0, 25.0))
+    [problem] = check_mission(PAPER, point, None, bathymetry=flat).problems
+    assert "by up to 5.0 m at 0 m of the path (north 10 m, east 0 m)" in problem
+    assert check_mission(PAPER, Hold(depth_m=30.0), None, bathymetry=flat).bottom is None
