@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ltv_mpc import references
+    from ltv_mpc.bathymetry import Bathymetry
     from ltv_mpc.control.config import ControllerConfig
     from ltv_mpc.control.controller import Controller
     from ltv_mpc.control.nominal_model import advance
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from ltv_mpc.vehicle.parameters import Vehicle
 
 _HOME = {
+    "Bathymetry": "ltv_mpc.bathymetry",
     "Controller": "ltv_mpc.control.controller",
     "ControllerConfig": "ltv_mpc.control.config",
     "CurrentProfile": "ltv_mpc.messages",
@@ -38,6 +40,7 @@ _HOME = {
 }
 
 __all__ = [
+    "Bathymetry",
     "Controller",
     "ControllerConfig",
     "CurrentProfile",

@@ -251,7 +251,7 @@ def test_ahead_the_vehicle_is_on_its_path_from_the_target_on():
     assert Follower(LINE, PAPER).places_ahead(np.zeros(6), STILL, seconds) is None
 
 
-def test_ahead_the_vehicle_is_on_the_line_to_its_point_as_early_as_the_current_allows():
+def test_ahead_the_vehicle_is_on_the_line_to_its_point_as_early_as_possible():
     follower, lateral = has_started(Point(north_m=30.0, east_m=40.0)), np.zeros(6)
     cruise_mps = path_limits(PAPER).cruise_mps
     for current, speed_mps in ((STILL, cruise_mps), ((0.3, -0.4), cruise_mps + 0.5)):
