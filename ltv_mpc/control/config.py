@@ -104,7 +104,7 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     max_cross_track_m: Annotated[float, Meta(gt=0, le=10_000)] | None = None  # from a path, to either side
     min_depth_m: Annotated[float, Meta(ge=0, le=11_000)] | None = None
     max_depth_m: Annotated[float, Meta(gt=0, le=11_000)] | None = None
-    min_altitude_m: Annotated[float, Meta(gt=0, le=11_000)] | None = None  # above the bottom that estimates have seen
+    min_altitude_m: Annotated[float, Meta(gt=0, le=11_000)] | None = None  # above the bottom, seen or sounded
 
     def __post_init__(self) -> None:
         """Reject depth limits without a depth between them."""
