@@ -26,6 +26,7 @@ from ltv_mpc.messages import (
     DroppedGridPoint,
     Estimate,
     EstimatorState,
+    Obstacle,
     Plan,
     TdcpFix,
     Times,
@@ -297,6 +298,13 @@ def _estimator_state(s: EstimatorState) -> Reason:
     return None if s.measured_grid_points.ndim == 1 else "measured_grid_points: must be a list"
 
 
+def _obstacle(s: Obstacle) -> Reason:
+    north, cross, east = s.covariance_m2
+    if north >= 0.0 and east >= 0.0 and cross * cross <= north * east * (1.0 + ASYMMETRY):
+        return None
+    return f"covariance_m2 = {s.covariance_m2}: must be positive semidefinite"
+
+
 def _zone(s: ZoneInForce) -> Reason:
     vertices = s.vertices_m
     if vertices.ndim != 2 or vertices.shape[1] != 2 or not 1 <= len(vertices) <= MAX_VERTICES:
@@ -314,6 +322,7 @@ RELATIONS: Mapping[type, Validator] = {
     ControllerState: _controller_state,
     DroppedGridPoint: _dropped_grid_point,
     EstimatorState: _estimator_state,
+    Obstacle: _obstacle,
     ZoneInForce: _zone,
 }
 """Checks of relations between fields, by message type: shapes, order, covariances."""

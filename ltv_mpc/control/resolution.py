@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import msgspec
 
-from ltv_mpc.config import toml_key
+from ltv_mpc.config import parse, toml_key
 from ltv_mpc.control.config import Bow, ControllerConfig, ResolvedConfig
 from ltv_mpc.control.horizon_selection import proposed_horizon_s
 from ltv_mpc.control.scaling import default_weights
@@ -34,10 +34,11 @@ def settled(
 
     Raises
     ------
-    ConfigError : the period is longer than the horizon.
+    ConfigError : a value is out of its bounds, or the period is longer than the horizon.
     """
     if isinstance(config, ResolvedConfig):
         return config
+    parse(msgspec.to_builtins(config), ControllerConfig, source=source)  # settings made in Python are not checked yet
     given = {name: value for name, value in msgspec.structs.asdict(config.weights).items() if value is not None}
     weights = msgspec.structs.replace(default_weights(vehicle, config.effort), **given)
     horizon_s = proposed_horizon_s(vehicle, weights) if config.horizon_s is None else config.horizon_s

@@ -12,7 +12,9 @@ import math
 
 import numpy as np
 
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Obstacle, Obstacles
+from ltv_mpc.validation import rejection_reason
 
 SD_FACTOR = 3.0
 """k: standard deviations of a position that a required clearance covers; also of the vehicle's, beside a zone."""
@@ -58,7 +60,14 @@ class ObstacleTable:
         Parameters
         ----------
         obstacles : some or all obstacles.
+
+        Raises
+        ------
+        ConfigError : a value is out of its bounds; then none of the reports is taken.
         """
+        reason = rejection_reason(obstacles)
+        if reason is not None:
+            raise ConfigError("obstacles", "", reason)
         for report in obstacles.obstacles:
             known = self._by_id.get(report.id)
             if known is None or report.t_ns >= known.t_ns:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import msgspec
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Vehicle, config, references
-from ltv_mpc.control.config import WeightSettings
+from ltv_mpc.control.config import MotionLimits, WeightSettings
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import default_weights
 from ltv_mpc.errors import ConfigError
@@ -91,6 +92,13 @@ def test_a_period_longer_than_the_horizon_is_rejected_with_file_and_field() -> N
     with pytest.raises(ConfigError, match=r"period_s = 20\.0: must be <= horizon_s = 5: a plan"):
         settled(msgspec.structs.replace(long, horizon_s=5.0), vehicle)
     assert settled(msgspec.structs.replace(long, horizon_s=30.0), vehicle).period_s == 20.0
+
+
+@pytest.mark.parametrize("width_m", [-1.0, math.nan, math.inf])
+def test_settings_made_in_python_have_the_bounds_of_the_file(width_m: float) -> None:
+    wrong = ControllerConfig(limits=MotionLimits(max_cross_track_m=width_m))
+    with pytest.raises(ConfigError, match=rf"controller settings: \[limits\] max_cross_track_m = {width_m}: must be"):
+        settled(wrong, Vehicle.load("paper"))
 
 
 def test_a_run_writes_the_horizon_that_it_had_and_is_repeated_with_it(tmp_path) -> None:

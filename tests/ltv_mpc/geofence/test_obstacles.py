@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
+import msgspec
 import numpy as np
 import pytest
 
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.obstacles import MAX_AGE_NS, MAX_OBSTACLES, ObstacleTable
 from ltv_mpc.messages import Obstacle, Obstacles
 
@@ -47,6 +51,27 @@ def test_an_old_obstacle_is_dropped_and_named():
     assert of.drop_old(MAX_AGE_NS) == ()
     assert of.drop_old(MAX_AGE_NS + 1) == (1,)
     assert [each.id for each in of.reports] == [2]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"north_m": math.nan},
+        {"radius_m": -1.0},
+        {"covariance_m2": (math.inf, 0.0, 0.0)},
+        {"covariance_m2": (-1.0, 0.0, 0.0)},
+        {"covariance_m2": (1.0, 5.0, 1.0)},
+        {"covariance_m2": (1.0, 0.0, -1.0)},
+    ],
+    ids=str,
+)
+def test_a_wrong_report_is_an_error_and_leaves_the_known_ones(wrong):
+    of, (name,) = table(report(1, 0.0)), wrong
+    with pytest.raises(ConfigError, match=rf"obstacles\[1\]\.{name} = .*: must be"):
+        of.add(Obstacles(t_ns=0, obstacles=(report(2, 1.0), msgspec.structs.replace(report(1, 1.0), **wrong))))
+    assert of.reports == (report(1, 0.0),)
+    of.add(Obstacles(t_ns=0, obstacles=(report(1, 1.0, covariance_m2=(4.0, 6.0, 9.0)),)))  # known in one direction
+    assert of.discs(0)[0, 5] == pytest.approx(13.0)
 
 
 def test_of_too_many_the_newest_reports_are_kept():
