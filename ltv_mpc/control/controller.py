@@ -37,7 +37,7 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan
-from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.geofence.fence import Fence, compare_origins
 from ltv_mpc.messages import (
     Applied,
     Array,
@@ -148,7 +148,12 @@ class Controller:
         Parameters
         ----------
         reference : begins at the first estimate after its start.
+
+        Raises
+        ------
+        ConfigError : its origin is not that of the fence.
         """
+        compare_origins(self.fence, reference)
         self._followers[0] = self._follower(reference)
 
     def pause(self, estimate: Estimate | None) -> None:
@@ -184,8 +189,9 @@ class Controller:
 
         Raises
         ------
-        ConfigError : the vehicle's file has no [hull].
+        ConfigError : the vehicle's file has no [hull], or the fence's origin is not that of the reference.
         """
+        compare_origins(fence, self._followers[0].reference)
         self._lateral.fencing.set_fence(fence)
         self._restrict_paths()
 
@@ -216,7 +222,7 @@ class Controller:
 
         Raises
         ------
-        ConfigError : the vehicle's file has no [hull].
+        ConfigError : the vehicle's file has no [hull], or a value is out of its bounds.
         """
         self._lateral.fencing.add_obstacles(obstacles)
 

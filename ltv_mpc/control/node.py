@@ -334,9 +334,12 @@ class ControllerNode:
     def _restore(self, state: ControllerState, t_ns: int) -> None:
         """Continue where another node ended: with its authority and its reference, from the plan in force."""
         self.arbiter.authority = state.authority
+        other_fence = state.fence_toml != self._commands.fence_toml
+        if other_fence:  # its origin need not be that of the saved reference
+            self._commands.set_fence("")
         if state.reference_toml and state.reference_toml != self._commands.reference_toml:
             self._commands.follow(state.reference_toml)
-        if state.fence_toml != self._commands.fence_toml:
+        if other_fence:
             self._commands.set_fence(state.fence_toml)
         self._commands.arm_continues = state.arm_continues
         if state.model_products is not None:

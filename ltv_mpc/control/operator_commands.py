@@ -98,7 +98,10 @@ class OperatorCommands:
             return self._reject(reference)
         if isinstance(reference, Timed) and reference.file:
             return self._reject("reference: file: a message cannot name a file: give rows instead")
-        self._set_reference(reference, toml)
+        try:
+            self._set_reference(reference, toml)
+        except ConfigError as error:
+            return self._reject(str(error))
         return self._arbiter.request(Action.FOLLOW)
 
     def set_fence(self, toml: str) -> CommandResult:
@@ -172,9 +175,9 @@ class OperatorCommands:
         return CommandResult(self._arbiter.authority, why)
 
     def _set_reference(self, reference: Reference, toml: str) -> None:
+        self._controller.follow(reference)
         self.reference, self.reference_toml = reference, toml
         self.arm_continues = False
-        self._controller.follow(reference)
 
 
 def toml_text(settled: Reference | Fence) -> str:

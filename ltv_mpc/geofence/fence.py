@@ -19,12 +19,16 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence import geojson
 from ltv_mpc.geofence.ring import ring_problem
 from ltv_mpc.messages import Array, ZoneInForce
-from ltv_mpc.references.geodesy import Origin, Place, local
+from ltv_mpc.references.base import BaseReference
+from ltv_mpc.references.geodesy import Origin, Place, local, origin_distance_m
 from ltv_mpc.validation import MAX_VERTICES
 from ltv_mpc.vehicle.parameters import Vehicle
 
 MAX_ZONES = 100
 """Largest number of zones of one kind."""
+
+MAX_ORIGIN_DISTANCE_M = 1.0
+"""Largest distance between the origins of a fence and a reference."""
 
 GEOJSON = (".geojson", ".json")
 """Suffixes of a GeoJSON file; every other file is TOML."""
@@ -90,7 +94,11 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         text : contents of the file.
         source : name of the text in errors.
         """
-        return config.parse(geojson.parse(text, source), cls, source=source)
+        table, numbers = geojson.parse(text, source)
+        try:
+            return config.parse(table, cls, source=source)
+        except ConfigError as error:
+            raise geojson.with_features(error, numbers) from None
 
     def save(self, path: str) -> None:
         """Write the fence: GeoJSON if the file's suffix is .geojson or .json, else TOML. Raises ``ConfigError``.
@@ -103,7 +111,10 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             text = geojson.text(msgspec.to_builtins(self), self.origin, f"fence {path}")
         else:
             text = config.to_toml(self)
-        Path(path).write_text(text, encoding="utf-8")
+        try:
+            Path(path).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"fence {path}", "", f"cannot be written: {error.strerror}") from None
 
     def zones(self) -> Iterator[ZoneInForce]:
         """Yield the zones in the local frame: keep-in polygons, keep-out polygons, keep-out discs."""
@@ -137,22 +148,49 @@ def _zone(label: str, of: Zone, vertices: Array, radius_m: float, margin_m: floa
     )
 
 
-def fence_for(vehicle: Vehicle, path: str) -> Fence | None:
-    """Read the fence of a vehicle, or return None for an empty path.
+def fence_for(vehicle: Vehicle, reference: BaseReference, path: str) -> Fence | None:
+    """Read the fence of a mission, or return None for an empty path.
 
     Parameters
     ----------
     vehicle : a fence needs [hull] in its file.
+    reference : has the same origin.
     path : as ``Fence.load`` takes it.
 
     Raises
     ------
-    ConfigError : the file cannot be read, or the vehicle has no hull.
+    ConfigError : the file cannot be read, the vehicle has no hull, or the origins differ.
     """
     if not path:
         return None
     hull_radius_m(vehicle)
-    return Fence.load(path)
+    fence = Fence.load(path)
+    compare_origins(fence, reference, source=f"fence {path}")
+    return fence
+
+
+def compare_origins(fence: Fence | None, reference: BaseReference, *, source: str = "fence") -> None:
+    """Compare the origins of a fence and a reference: metres mean the same place only from the same origin.
+
+    Parameters
+    ----------
+    fence, reference : those without an origin pass.
+    source : name of the fence in errors.
+
+    Raises
+    ------
+    ConfigError : the origins are farther apart than ``MAX_ORIGIN_DISTANCE_M``.
+    """
+    own, other = None if fence is None else fence.origin, reference.origin
+    if own is None or other is None:
+        return
+    distance_m = origin_distance_m(own, other)
+    if distance_m > MAX_ORIGIN_DISTANCE_M:
+        problem = (
+            f"latitude {own.latitude_deg:.6f}, longitude {own.longitude_deg:.6f} is {distance_m:,.1f} m away from the "
+            f"origin of the reference, {other.latitude_deg:.6f}, {other.longitude_deg:.6f}: give both the same origin"
+        )
+        raise ConfigError(source, "[origin]", problem)
 
 
 def hull_radius_m(vehicle: Vehicle) -> float:

@@ -5,14 +5,16 @@
     keep_out         Polygon            name, margin_m
     keep_out_disc    Point              name, margin_m, radius_m
 
-Coordinates are longitude and latitude (degrees). A polygon has one ring. The collection's own members ``margin_m`` and
-``origin`` are those of the fence.
+Coordinates are longitude and latitude (degrees). A polygon has one ring; a MultiPolygon of one polygon counts as that
+polygon. The collection's own members ``margin_m`` and ``origin`` are those of the fence. Other properties, such as
+colours, and properties that are null are ignored: programs that draw maps add them.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import msgspec
 
@@ -22,9 +24,20 @@ from ltv_mpc.references.geodesy import Origin, Place, degrees, local
 GEOMETRY = {"keep_in": "Polygon", "keep_out": "Polygon", "keep_out_disc": "Point"}
 """Type of the geometry by zone."""
 
+PROPERTIES = ("name", "margin_m", "radius_m")
+"""Properties of a feature that a fence has, besides ``zone``."""
 
-def parse(content_text: str | bytes, source: str) -> dict[str, Any]:
-    """Return the table of a fence, as ``fence.toml`` holds it. Raises ``ConfigError``.
+ORDER = "positions are [longitude, latitude]"
+"""Reminder in errors of positions that are far away: a program may have written the latitude first."""
+
+Numbers: TypeAlias = dict[str, list[int]]
+"""Numbers of the features of each kind of zone, in their order."""
+
+
+def parse(content_text: str | bytes, source: str) -> tuple[dict[str, Any], Numbers]:
+    """Return the table of a fence, as ``fence.toml`` holds it, and the numbers of its features.
+
+    Raises ``ConfigError``.
 
     Parameters
     ----------
@@ -41,22 +54,53 @@ def parse(content_text: str | bytes, source: str) -> dict[str, Any]:
     if not isinstance(features, list):
         raise ConfigError(source, "features", "must be a list of features")
     table: dict[str, Any] = {key: content[key] for key in ("margin_m", "origin") if key in content}
+    numbers: Numbers = {}
     for k, feature in enumerate(features):
         zone, entry = _entry(feature, f"features[{k}]", source)
         table.setdefault(zone, []).append(entry)
-    return table
+        numbers.setdefault(zone, []).append(k)
+    return table, numbers
+
+
+def with_features(error: ConfigError, numbers: Numbers) -> ConfigError:
+    """Return an error about the table of a fence that names the features of the GeoJSON text instead.
+
+    Parameters
+    ----------
+    error : names zones as ``fence.toml`` holds them, ``keep_in[0]`` or ``[keep_in.0]``.
+    numbers : as ``parse`` returns them.
+    """
+    names = {
+        written: f"features[{k}]"
+        for zone, features in numbers.items()
+        for i, k in enumerate(features)
+        for written in (f"{zone}[{i}]", f"[{zone}.{i}]")
+    }
+
+    def named(text: str) -> str:
+        return re.sub(r"\w+\[\d+\]|\[\w+\.\d+\]", lambda match: names.get(match[0], match[0]), text)
+
+    far = "from the origin" in error.problem or ".latitude_deg" in error.field
+    problem = f"{error.problem}; {ORDER}" if far else error.problem
+    return ConfigError(error.source, named(error.field), named(problem), value=error.value)
 
 
 def _entry(feature: Any, where: str, source: str) -> tuple[str, dict[str, Any]]:
     """Return table and entry of one feature."""
     try:
-        properties, geometry = dict(feature["properties"]), feature["geometry"]
+        given, geometry = dict(feature["properties"]), feature["geometry"]
         kind, coordinates = geometry["type"], geometry["coordinates"]
     except (TypeError, KeyError, ValueError):
         raise ConfigError(source, where, "must be a Feature with properties and a geometry") from None
-    zone = properties.pop("zone", None)
-    if zone not in GEOMETRY:
+    zone = given.get("zone")
+    properties = {key: given[key] for key in PROPERTIES if given.get(key) is not None}
+    if not isinstance(zone, str) or zone not in GEOMETRY:
         raise ConfigError(source, f"{where}.properties.zone", f"must be one of {', '.join(GEOMETRY)}", value=zone)
+    if kind == "MultiPolygon":
+        if not isinstance(coordinates, list) or len(coordinates) != 1:
+            problem = "must be one polygon: give each polygon a feature of its own"
+            raise ConfigError(source, f"{where}.geometry.coordinates", problem)
+        kind, coordinates = "Polygon", coordinates[0]
     if kind != GEOMETRY[zone]:
         raise ConfigError(source, f"{where}.geometry.type", f'must be "{GEOMETRY[zone]}" for {zone}', value=kind)
     if kind == "Point":

@@ -75,6 +75,19 @@ def local(place: Place, origin: Origin | None) -> Pair:
     return north, east
 
 
+def origin_distance_m(first: Origin, second: Origin) -> float:
+    """Return the distance between two origins (m), straight through the Earth.
+
+    Parameters
+    ----------
+    first, second : origins on the ellipsoid.
+    """
+    step = pymap3d.geodetic2ned(
+        first.latitude_deg, first.longitude_deg, 0.0, second.latitude_deg, second.longitude_deg, 0.0
+    )
+    return math.hypot(*step)
+
+
 def tangent_plane(latitude_deg: float, longitude_deg: float, origin: Origin) -> Pair:
     """Return north and east (m) in the tangent plane of a point on the ellipsoid.
 

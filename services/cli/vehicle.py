@@ -110,8 +110,7 @@ def controller(
     if resume_armed and state is None:
         raise ConfigError("option --resume-armed", "", "needs --state DIR, the folder of the checkpoint")
     parameters = Vehicle.load(vehicle)
-    references.load(reference)
-    fence_for(parameters, fence or "")
+    fence_for(parameters, references.load(reference), fence or "")
     control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
     if rate_hz is not None:
         control = replace(control, period_s=1.0 / rate_hz)

@@ -79,8 +79,9 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 def main(config: Config) -> int:
     """Run the controller node until it is stopped. Returns the exit code."""
     vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
+    fence = fence_for(vehicle, reference, config.fence)
     settings, bus = config.settings, config.bus
-    fence, bottom = fence_for(vehicle, config.fence), bathymetry_for(reference, settings.limits, config.bathymetry)
+    bottom = bathymetry_for(reference, settings.limits, config.bathymetry)
     metrics, console = prometheus.Metrics(), Console(ControllerNode.name, as_json=config.log_json)
     SERVICE_MANAGER.connect(os.environ)
     with contextlib.ExitStack() as stack:

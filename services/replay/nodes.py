@@ -161,12 +161,11 @@ class VehicleNodes:
             settings = self._settings(name, folder)
             if isinstance(settings, EstimatorConfig):
                 return Estimator(SensorConfig.load(str(folder / "sensors.toml")), settings, load_prior(settings))
-            vehicle, reference = Vehicle.load(str(folder / "vehicle.toml")), str(folder / "reference.toml")
-            fence = folder / "fence.toml"
-            kept = fence_for(vehicle, str(fence) if fence.exists() else "")
-            followed, soundings = references.load(reference), place / BATHYMETRY
-            bottom = bathymetry_for(followed, settings.limits, str(soundings) if soundings.exists() else "")
-            return ControllerNode(vehicle, followed, settings, fence=kept, bathymetry=bottom)
+            vehicle, fence = Vehicle.load(str(folder / "vehicle.toml")), folder / "fence.toml"
+            reference, soundings = references.load(str(folder / "reference.toml")), place / BATHYMETRY
+            kept = fence_for(vehicle, reference, str(fence) if fence.exists() else "")
+            bottom = bathymetry_for(reference, settings.limits, str(soundings) if soundings.exists() else "")
+            return ControllerNode(vehicle, reference, settings, fence=kept, bathymetry=bottom)
 
     def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
         """Return the settings of a node at its newest start."""

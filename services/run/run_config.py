@@ -71,7 +71,7 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
     controller = settled(scenario.controller, vehicle, source=f"scenario {name}", table=("controller",))
     solvers.make(vehicle, controller)  # raises ConfigError if the solver is not installed
     reference = references.load(scenario.reference)
-    fence = fence_for(vehicle, scenario.fence)
+    fence = fence_for(vehicle, reference, scenario.fence)
     prior = load_prior(scenario.estimator)
     called = _called(name, scenario)
     return RunConfig(

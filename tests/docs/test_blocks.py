@@ -23,6 +23,7 @@ from pyarrow import parquet
 from typer.core import TyperGroup
 from typer.main import get_command
 
+from ltv_mpc import Fence
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.messages import Action
@@ -36,7 +37,7 @@ from services.tools.campaign import file as campaigns
 from services.tools.faults import schedule
 from tests.docs.pages import NAMES, ROOT, Command, blocks, commands, prose, spoken
 
-RUN_HERE = {"sh", "python", "toml"}
+RUN_HERE = {"sh", "python", "toml", "json"}
 SHOWN = {"text", "diff", "{toctree}", "{eval-rst}", "{include}"}
 """Outputs, equations and drawings; changes of the code (test_add_sensor.py builds them); the site's own directives."""
 
@@ -193,6 +194,8 @@ def test_what_a_page_says_to_type_works(page: str, session: Path, capsys: pytest
             exec(code, names)
         elif block.language == "toml":
             write_toml(block.text, session, page, block.place)
+        elif block.language == "json":
+            Fence.from_geojson(block.text, block.place)
         elif block.language == "sh":
             for command in commands(block):
                 typed(command, capsys)

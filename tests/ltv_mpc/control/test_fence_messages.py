@@ -8,8 +8,10 @@ import pytest
 from ltv_mpc import Fence, Vehicle, references
 from ltv_mpc.config import to_toml
 from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.controller import SAVE_PERIOD_NS
 from ltv_mpc.control.fence_publisher import FENCE_PERIOD_NS, OBSTACLES_PERIOD_NS
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc
 from ltv_mpc.messages import Action, Command, FenceInForce, Health, Obstacle, Obstacles
 from ltv_mpc.references.geodesy import Place
@@ -86,6 +88,45 @@ def test_a_node_that_replaces_another_one_keeps_its_fence():
     again, state = flight.handed_over(0.0)
     again.step(state)
     assert again.node.controller.fence is None
+
+
+def surveyed(latitude_deg: float) -> tuple[references.Point, Fence]:
+    """Return a point and a fence of one origin."""
+    origin = references.Origin(latitude_deg=latitude_deg, longitude_deg=5.0)
+    return msgspec.structs.replace(POINT, origin=origin), msgspec.structs.replace(FAR, origin=origin)
+
+
+def follow(flight: Flight, reference: references.Reference) -> str:
+    """Send another reference; return why it was rejected."""
+    flight.step(Command(command_id=8, action=Action.FOLLOW, reference_toml=to_toml(reference)))
+    return flight.answers[-1].why
+
+
+def test_a_fence_and_a_reference_from_other_origins_are_rejected_where_they_meet():
+    (here, fence), (there, other) = surveyed(60.0), surveyed(50.0)
+    flight = armed(here, 2)
+    assert "is 1,111," in command(flight, to_toml(other))
+    assert flight.node.controller.fence is None
+    assert command(flight, to_toml(fence)) == ""
+    assert "away from the origin of the reference, 50.000000, 5.000000" in follow(flight, there)
+    assert flight.node.controller.fence == fence
+    assert flight.node.controller.follower.reference == here
+    flight.fly(SAVE_PERIOD_NS // PERIOD_NS + 1)
+    assert flight.states[-1].reference_toml == to_toml(here)
+    assert follow(flight, POINT) == ""  # in metres, without an origin
+    with pytest.raises(ConfigError, match="origin"):
+        ControllerNode(Vehicle.load("paper"), here, ControllerConfig(), fence=other)
+
+
+def test_a_node_that_replaces_another_one_keeps_a_mission_from_another_origin():
+    (here, fence), (there, other) = surveyed(60.0), surveyed(50.0)
+    flight = armed(here, 2)
+    assert follow(flight, there) == command(flight, to_toml(other)) == ""
+    _, state = flight.handed_over(0.0)
+    after = Flight(None, node=ControllerNode(Vehicle.load("paper"), here, ControllerConfig(), fence=fence))
+    after.step(state)
+    assert after.node.controller.fence == other
+    assert after.node.controller.follower.reference == there
 
 
 def test_obstacles_are_published_once_a_second_from_the_first_report_on():

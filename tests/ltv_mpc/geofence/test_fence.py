@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ from hypothesis import given, settings
 
 from ltv_mpc import Fence
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.geofence.fence import Disc
+from ltv_mpc.geofence.fence import Disc, fence_for
 from ltv_mpc.geofence.ring import ring_problem
 from ltv_mpc.messages import Array
-from ltv_mpc.references import Place
+from ltv_mpc.references import Origin, Place, Point
+from ltv_mpc.vehicle.parameters import Vehicle
 from tests.ltv_mpc.geofence.shapes import rings
 
 HARBOUR = """\
@@ -140,6 +142,91 @@ def test_a_ring_of_two_vertices_and_a_fence_without_zones_are_refused(tmp_path: 
 def test_an_error_of_geojson_names_the_feature(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         Fence.load(written(tmp_path, text, "fence.geojson"))
+
+
+def feature(zone: str, geometry: str, **properties: object) -> dict[str, object]:
+    """Return a feature at 60.39, 5.32: a Polygon, a MultiPolygon or a Point."""
+    ring = [[5.32, 60.39], [5.321, 60.39], [5.321, 60.391], [5.32, 60.39]]
+    coordinates = {"Polygon": [ring], "MultiPolygon": [[ring]], "Point": ring[0]}[geometry]
+    return {
+        "type": "Feature",
+        "properties": {"zone": zone, **properties},
+        "geometry": {"type": geometry, "coordinates": coordinates},
+    }
+
+
+def collection(*features: object, latitude_deg: float = 60.39) -> str:
+    origin = {"latitude_deg": latitude_deg, "longitude_deg": 5.32}
+    content = {"type": "FeatureCollection", "margin_m": 2.0, "origin": origin, "features": features}
+    return json.dumps(content)
+
+
+def test_geojson_of_programs_that_draw_maps_is_read() -> None:
+    style: dict[str, object] = {"stroke": "#555555", "fill-opacity": 0.5, "name": None, "margin_m": None}
+    text = collection(
+        feature("keep_out_disc", "Point", radius_m=3.0, **{"marker-color": "#ff0000"}),
+        feature("keep_in", "MultiPolygon", **style),
+        feature("keep_in", "Polygon", name="basin"),
+    )
+    first, second, disc = Fence.from_geojson(text).zones()
+    assert [first.label, second.label, disc.label] == ["keep_in[0]", 'keep_in[1] "basin"', "keep_out_disc[0]"]
+    np.testing.assert_array_equal(first.vertices_m, second.vertices_m)
+    assert (first.margin_m, disc.radius_m) == (2.0, 3.0)
+
+
+def test_errors_about_the_zones_of_geojson_name_the_feature() -> None:
+    """The faulty feature is the third, and the second one that is to be kept in."""
+    before = feature("keep_out_disc", "Point", radius_m=3.0), feature("keep_in", "Polygon", name="keep_in[7]")
+    two = feature("keep_in", "MultiPolygon")
+    two["geometry"]["coordinates"] *= 2  # type: ignore[index]
+    swapped = feature("keep_in", "Polygon")
+    swapped["geometry"]["coordinates"] = [[[60.39, 5.32], [60.39, 5.33], [60.4, 5.33], [60.39, 5.32]]]  # type: ignore[index]
+    line = feature("keep_in", "Polygon")
+    line["geometry"]["coordinates"] = [[[5.32, 60.39], [5.33, 60.39], [5.32, 60.39], [5.32, 60.39]]]  # type: ignore[index]
+    for third, message in (
+        (two, r"features\[2\].geometry.coordinates: must be one polygon"),
+        (feature("keep_in", "Polygon", margin_m=-1.0), r"features\[2\].margin_m = -1.0: must be"),
+        (feature("keep_out_disc", "Point"), r'key "radius_m" in features\[2\] is missing'),
+        (line, r"features\[2\]: vertices\[2\] and vertices\[0\] are the same position"),
+        (swapped, r"features\[2\]: vertices\[0\]: .* from the origin; positions are \[longitude, latitude\]"),
+        (feature([], "Polygon"), r"features\[2\].properties.zone"),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(ConfigError, match=message):
+            Fence.from_geojson(collection(*before, third))
+
+
+def test_a_latitude_above_90_degrees_is_explained_as_a_longitude() -> None:
+    swapped = feature("keep_out_disc", "Point", radius_m=3.0)
+    swapped["geometry"]["coordinates"] = [-33.8, 151.2]  # type: ignore[index]
+    with pytest.raises(ConfigError, match=r"features\[0\].centre.latitude_deg = 151.2: .*; positions are"):
+        Fence.from_geojson(collection(swapped))
+    with pytest.raises(ConfigError, match=r"\[origin\] latitude_deg = 95.0: must be .* 89$"):
+        Fence.from_geojson(collection(feature("keep_in", "Polygon"), latitude_deg=95.0))
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".geojson"])
+def test_a_fence_that_cannot_be_written_is_an_error_of_its_file(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / "missing" / f"fence{suffix}"
+    with pytest.raises(ConfigError, match=f"{path}: cannot be written: No such file or directory"):
+        Fence.load(written(tmp_path, HARBOUR)).save(str(path))
+
+
+def at_origin(latitude_deg: float, longitude_deg: float = 5.32) -> Point:
+    origin = Origin(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+    return Point(north_m=0.0, east_m=0.0, origin=origin)
+
+
+def test_a_fence_and_a_reference_must_have_the_same_origin(tmp_path: Path) -> None:
+    """A metre of latitude is 9e-6 degrees; the same meridian on the far side of the Earth is far away, too."""
+    vehicle, path = Vehicle.load("surface"), written(tmp_path, HARBOUR)
+    assert fence_for(vehicle, Point(north_m=0.0, east_m=0.0), path) == fence_for(vehicle, at_origin(60.39 + 8e-6), path)
+    for reference, metres in ((at_origin(60.39 + 1e-5), r"1\.1"), (at_origin(-60.39, -174.68), r"12,7\d\d,\d\d\d\.\d")):
+        with pytest.raises(
+            ConfigError, match=rf"fence {path}: \[origin\]: latitude 60.39.* is {metres} m away"
+        ) as error:
+            fence_for(vehicle, reference, path)
+        assert reference.origin is not None
+        assert f"{reference.origin.latitude_deg:.6f}, {reference.origin.longitude_deg:.6f}" in str(error.value)
 
 
 def test_geojson_needs_an_origin(tmp_path: Path) -> None:
