@@ -78,6 +78,7 @@ def with_features(error: ConfigError, numbers: Numbers) -> ConfigError:
     }
 
     def named(text: str) -> str:
+        """Return a text with the names of features."""
         return re.sub(r"\w+\[\d+\]|\[\w+\.\d+\]", lambda match: names.get(match[0], match[0]), text)
 
     far = "from the origin" in error.problem or ".latitude_deg" in error.field

@@ -169,6 +169,19 @@ def stopping(vehicle: Vehicle, speed_mps: float) -> tuple[float, float] | None:
     return float(motion.X[0]), motion.t_s
 
 
+def sideways_drag_N(vehicle: Vehicle, current_mps: float, angle_deg: float) -> float:
+    """Return the force with which a current pushes the hull sideways while the vehicle is at rest over ground (N).
+
+    Parameters
+    ----------
+    vehicle : parameters of the vehicle.
+    current_mps : speed of the water (m/s).
+    angle_deg : angle between heading and current (degrees).
+    """
+    sway_mps = current_mps * abs(math.sin(math.radians(angle_deg)))
+    return (vehicle.sway.linear_damping_kgps + vehicle.sway.quadratic_damping_kgpm * sway_mps) * sway_mps
+
+
 def fastest_drag_rate_per_s(vehicle: Vehicle) -> float:
     """Return the largest rate (1/s) at which drag changes the motion.
 

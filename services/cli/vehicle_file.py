@@ -55,6 +55,10 @@ def check(
         typer.Option("--reference", metavar="NAME|FILE", help="Check this mission too; exit code 1 if it cannot be."),
     ] = None,
     fence: FenceFile = None,
+    start: Annotated[
+        str | None,
+        typer.Option("--start", metavar="NORTH,EAST", help="Position of the vehicle (m). Default: the path's start."),
+    ] = None,
     current: Annotated[
         float, typer.Option("--current", metavar="V", help="Speed of the water, from any side (m/s).", min=0, max=5)
     ] = 0.0,
@@ -67,16 +71,23 @@ def check(
 ) -> None:
     """Print performance, suitable horizon and weights, and warnings about implausible values. Warnings exit with 0.
 
-    With a reference, also what of the mission cannot be: start outside, path through a zone, corridor or margin too
-    narrow in the current, descent into the bottom.
+    With a reference, also what of the mission cannot be: start or point in a zone, no way round a zone, corridor or
+    margin too narrow in the current, descent into the bottom.
     """
     from msgspec.structs import replace
 
     from ltv_mpc.errors import ConfigError
     from ltv_mpc.vehicle.parameters import Vehicle
 
-    needing = {"--fence": fence, "--current": current, "--bottom-m": bottom_m, "--bathymetry": bathymetry}
-    for name, value in (needing | {"--settings": settings}).items():
+    needing = (
+        ("--fence", fence),
+        ("--start", start),
+        ("--current", current),
+        ("--bottom-m", bottom_m),
+        ("--bathymetry", bathymetry),
+        ("--settings", settings),
+    )
+    for name, value in needing:
         if reference is None and value:
             raise ConfigError(f"option {name}", "", "needs --reference NAME|FILE, the mission to check")
     loaded = Vehicle.load(file)
@@ -84,15 +95,17 @@ def check(
 
     result = vehicle_check.check(loaded)
     if reference is not None:
-        from ltv_mpc import Fence, references
+        from ltv_mpc import references
         from ltv_mpc.bathymetry import Bathymetry
         from ltv_mpc.control.config import ControllerConfig
+        from ltv_mpc.geofence.fence import fence_for
 
         followed = references.load(reference)
         mission = mission_check.check_mission(
             loaded,
             followed,
-            None if fence is None else Fence.load(fence),
+            fence_for(loaded, followed, fence or ""),
+            start=None if start is None else _place(start),
             current_mps=current,
             bottom_m=bottom_m,
             bathymetry=None if bathymetry is None else Bathymetry.load(bathymetry, followed.origin),
@@ -140,6 +153,21 @@ def identify(
 
         identified = with_coefficients(loaded, identification.coefficients)
         _write(out, vehicle_identify.format_toml(report, identified), force=force, quiet=as_json)
+
+
+def _place(text: str) -> tuple[float, float]:
+    """Return north and east (m) of the option --start."""
+    import math
+
+    from ltv_mpc.errors import ConfigError
+
+    try:
+        north, east = (float(part) for part in text.split(","))
+    except ValueError:
+        north = east = math.nan
+    if not (abs(north) <= 1e6 and abs(east) <= 1e6):
+        raise ConfigError("option --start", "", "must be NORTH,EAST in metres, for example 3.5,-2", value=text)
+    return north, east
 
 
 def _json(result: object) -> str:

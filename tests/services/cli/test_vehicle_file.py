@@ -169,3 +169,18 @@ def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(
     assert "option --bathymetry: needs --reference" in capsys.readouterr().err
     assert run(["vehicle", "check", "paper", "--fence", "fence.toml"]) == 2
     assert "option --fence: needs --reference" in capsys.readouterr().err
+
+
+def test_check_takes_the_start_of_the_vehicle(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "fence.toml").write_text(
+        "margin_m = 1.0\n[[keep_out_disc]]\ncentre = { north_m = 0.0, east_m = 0.0 }\nradius_m = 3.0\n"
+    )
+    point = ["vehicle", "check", "paper", "--reference", "point.toml", "--fence", "fence.toml", "--start"]
+    (here / "point.toml").write_text('kind = "point"\nnorth_m = 20.0\neast_m = -1.0\n')
+    assert run([*point, "1,-2.5"]) == 1
+    assert "the start is not allowed: hull 1.4 m beyond the boundary of keep_out_disc[0]" in capsys.readouterr().out
+    assert run([*point, "-20,1"]) == 0
+    assert "note: the way from the start leads round the zones: 4" in capsys.readouterr().out
+    for text in ("3", "1,2,3", "1,nan", "1,1e9", "north,east"):
+        assert run([*point, text]) == 2
+        assert f'option --start: "{text}": must be NORTH,EAST in metres' in capsys.readouterr().err.replace(" = ", ": ")

@@ -12,8 +12,9 @@ from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc, Fence, Polygon
-from ltv_mpc.references import Hold, Line, Place, Point
+from ltv_mpc.references import Hold, Line, Origin, Place, Point, load
 from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.performance import performance
 from services.tools.mission_check import MissionCheck, check_mission, table
 
 PAPER = Vehicle.load("paper")
@@ -53,18 +54,68 @@ def test_a_start_outside_is_found() -> None:
     assert problem == f"the start is not allowed: hull {5.0 + HULL_M:.1f} m beyond the boundary of keep_in[0]"
 
 
-def test_a_path_through_a_zone_is_found_with_its_length() -> None:
+def test_a_path_through_a_zone_is_led_round_it_and_the_length_is_printed() -> None:
     """A disc of 5 m and the hull leave a chord of 2 sqrt((5 + hull)^2 - 3^2)."""
     result = checked(Fence(margin_m=2.0, keep_out_disc=(disc(50, 3, 5),)))
     assert result.zones[0].inside_m == pytest.approx(2.0 * math.sqrt((5.0 + HULL_M) ** 2 - 9.0), abs=0.5)
-    assert any("the path is not allowed for" in problem for problem in result.problems)
+    assert result.problems == []
+    left_m = result.zones[0].in_margin_m
+    assert left_m == pytest.approx(2.0 * math.sqrt((7.0 + HULL_M) ** 2 - 9.0), abs=0.5)
+    assert result.notes == [f"the path is led round keep_out_disc[0]: {left_m:.1f} m are left out"]
+    assert result.corridor_m is None  # the other side is open
 
 
-def test_a_margin_that_is_entered_is_found() -> None:
+def test_a_wall_without_a_way_round_it_is_a_problem() -> None:
+    """The path meets the wall at 45 m and ends 30 m behind it; a second zone has a way round it."""
+    basin, wall = box(-20, 120, -20, 20), box(50, 53, -30, 30)
+    result = checked(Fence(margin_m=1.0, keep_in=(basin,), keep_out=(wall,), keep_out_disc=(disc(20, 0, 2),)))
+    left_m = 3.0 + 2.0 * (1.0 + HULL_M)
+    assert result.zones[1].in_margin_m == pytest.approx(left_m, abs=0.3)
+    (problem,) = result.problems
+    assert problem.startswith("there is no way round keep_out[0]: ")
+    assert problem.endswith(f"{result.zones[1].in_margin_m:.1f} m of the path cannot be followed")
+    (note,) = result.notes
+    assert note.startswith("the path is led round keep_out_disc[0]")
+
+
+def test_the_corridor_is_that_of_the_way_round_a_zone() -> None:
+    """The way between disc and box is 4 m wide; the path itself has an open side, or lies in the disc."""
+    zones = Fence(margin_m=0.5, keep_out_disc=(disc(50, -1, 3),), keep_out=(box(40, 60, 6, 12),))
+    still, moving = checked(zones), checked(zones, current_mps=0.25)
+    assert still.problems == []
+    assert still.corridor_m == pytest.approx(4.0, abs=0.1)
+    wide = "the corridor is 4.0 m wide at 50 m of the path: the vehicle needs "
+    assert any(problem.startswith(wide) for problem in moving.problems)
+
+
+def test_a_path_that_leaves_the_fence_and_comes_back_is_led_along_it() -> None:
+    notch = ring((-20, -20), (-20, 20), (120, 20), (120, -20), (60, -20), (60, 5), (40, 5), (40, -20))
+    result = checked(Fence(margin_m=1.0, keep_in=(notch,)))
+    assert result.problems == []
+    (note,) = result.notes
+    assert note.startswith("the path leaves keep_in[0] or enters its margin: 2")
+
+
+def test_a_path_that_ends_in_a_zone_ends_beside_it() -> None:
+    result = checked(Fence(margin_m=1.0, keep_out_disc=(disc(100, 3, 5),)))
+    (problem,) = result.problems
+    east_m = 3.0 - 6.0 - HULL_M
+    assert problem == (
+        f"the end of the path is not allowed (keep_out_disc[0]): the vehicle holds at (100.0, {east_m:.1f}) instead, "
+        f"{-east_m:.1f} m away"
+    )
+    nowhere = checked(Fence(margin_m=1.0, keep_in=(box(-1, 101, -1, 1),)))
+    assert "the end of the path is not allowed (keep_in[0]), and no allowed point is near it" in nowhere.problems
+    assert nowhere.notes == []
+
+
+def test_a_path_through_a_margin_is_led_round_it_too() -> None:
     result = checked(Fence(margin_m=2.0, keep_out_disc=(disc(50, 7, 5),)))
     assert result.zones[0].inside_m == 0.0
     assert result.zones[0].in_margin_m > 2.0
-    assert any("enters the margin of keep_out_disc[0]" in problem for problem in result.problems)
+    assert result.problems == []
+    (note,) = result.notes
+    assert note.startswith("the path is led round keep_out_disc[0]")
 
 
 def test_a_corridor_is_too_narrow_only_in_a_current() -> None:
@@ -97,7 +148,20 @@ def test_a_fixed_heading_in_a_current_is_found() -> None:
     facing = Point(north_m=0.0, east_m=0.0, heading_deg=90.0)
     assert check_mission(PAPER, facing, None).problems == []
     [problem] = check_mission(PAPER, facing, None, current_mps=0.2).problems
-    assert problem.startswith("heading_deg = 90 is not held in a current of 0.2 m/s across it")
+    assert problem.startswith(
+        "heading_deg = 90 is held in a current of 0.2 m/s only with bow or stern into the current"
+    )
+    across_N = PAPER.sway.quadratic_damping_kgpm * 0.2**2
+    assert PAPER.sway.linear_damping_kgps == 0.0
+    assert (
+        f"45 degrees the water pushes sideways with {across_N / 2:.1f} N, at 90 degrees with {across_N:.1f} N"
+        in problem
+    )
+    weak = Vehicle.load("weak-reverse")
+    astern_mps = performance(weak).strongest_current_stern_mps
+    assert astern_mps is not None
+    (problem,) = check_mission(weak, facing, None, current_mps=1.01 * astern_mps).problems
+    assert "only with the bow into the current (0 degrees)" in problem
     turning = Point(north_m=0.0, east_m=0.0, into_current=True)
     assert check_mission(PAPER, turning, None, current_mps=0.2).problems == []
 
@@ -116,16 +180,76 @@ def test_a_descent_into_the_bottom_is_found() -> None:
 def test_a_point_in_a_zone_is_found_and_a_fence_needs_a_hull() -> None:
     fence = Fence(margin_m=1.0, keep_out_disc=(disc(0, 0, 5),))
     point = Point(north_m=1.0, east_m=0.0)
-    assert "the start is not allowed" in check_mission(PAPER, point, fence).problems[0]
+    assert check_mission(PAPER, point, fence).problems == [
+        f"the point is not allowed (keep_out_disc[0]): the vehicle holds at ({6.0 + HULL_M:.1f}, 0.0) instead, "
+        f"{5.0 + HULL_M:.1f} m away"
+    ]
     with pytest.raises(ConfigError, match=r"\[hull\] is missing|\[hull\]: is missing"):
         check_mission(msgspec.structs.replace(PAPER, hull=None), point, fence)
 
 
-def test_the_text_has_the_numbers_and_the_problems() -> None:
-    text = table(checked(Fence(margin_m=2.0, keep_out_disc=(disc(50, 3, 5),)), current_mps=0.1))
+def test_a_start_in_a_zone_or_its_margin_is_found_and_the_way_from_it() -> None:
+    fence, point = Fence(margin_m=2.0, keep_out_disc=(disc(10, 0, 3),)), Point(north_m=20.0, east_m=0.0)
+
+    def from_(north_m: float) -> MissionCheck:
+        return check_mission(PAPER, point, fence, start=(north_m, 0.0))
+
+    assert from_(9.0).problems == [
+        f"the start is not allowed: hull {2.0 + HULL_M:.1f} m beyond the boundary of keep_out_disc[0]"
+    ]
+    free_m = 4.5 - 3.0 - HULL_M
+    assert from_(5.5).problems == [
+        f"the start is in the margin of keep_out_disc[0]: hull {free_m:.1f} m from it, margin 2 m"
+    ]
+    behind, beside = from_(0.0), from_(40.0)
+    assert behind.problems == beside.problems == beside.notes == []
+    (note,) = behind.notes
+    assert note.startswith("the way from the start leads round the zones: 2")
+    here = check_mission(PAPER, Hold(), fence, start=(9.0, 0.0))
+    assert [problem.split(" is not allowed")[0] for problem in here.problems] == ["the start", "the point"]
+
+
+def test_a_start_without_a_way_to_the_point_is_found() -> None:
+    fence = Fence(margin_m=1.0, keep_in=(box(-20, 60, -20, 20),), keep_out=(box(20, 25, -30, 30),))
+    point = Point(north_m=40.0, east_m=0.0)
+    assert check_mission(PAPER, point, fence, start=(0.0, 0.0)).problems == [
+        "there is no way round the zones from the start to (40.0, 0.0)"
+    ]
+    result = check_mission(PAPER, NORTH, fence, start=(30.0, 10.0))
+    assert result.length_m == pytest.approx(100.0 + math.hypot(30.0, 10.0), abs=0.1)
+    assert any(problem.startswith("there is no way round keep_out[0]") for problem in result.problems)
+
+
+def test_the_harbour_of_the_page_has_notes_and_no_problems() -> None:
+    fence = Fence.load("examples/fences/harbour.toml")
+    result = check_mission(PAPER, load("examples/references/harbour.toml"), fence, current_mps=0.1)
+    assert result.problems == []
+    assert [note.split(": ")[0] for note in result.notes] == [
+        'the path is led round keep_out[0] "pier"',
+        'the path is led round keep_out[1] "wreck"',
+        'the path is led round keep_out_disc[0] "mooring buoy"',
+    ]
+    assert result.corridor_m is not None
+    assert result.corridor_m > 5.0  # also beside the zones that the path crosses
+    rows = [line for line in table(result).splitlines() if line.startswith("  hull from")]
+    assert any('"mooring buoy"  -1.88 m at' in row for row in rows)
+    assert len({row.index(" m at ") - len(row.split(" m at ")[0].rsplit(" ", 1)[1]) for row in rows}) == 1  # one column
+
+
+def test_origins_that_differ_are_an_error() -> None:
+    fence = msgspec.structs.replace(
+        Fence.load("examples/fences/harbour.toml"), origin=Origin(latitude_deg=60.4, longitude_deg=5.33)
+    )
+    with pytest.raises(ConfigError, match=r"latitude 60.4.* away from the origin of the reference, 50.2"):
+        check_mission(PAPER, load("examples/references/harbour.toml"), fence)
+
+
+def test_the_text_has_the_numbers_the_notes_and_the_problems() -> None:
+    text = table(checked(Fence(margin_m=2.0, keep_out_disc=(disc(50, 3, 5), disc(0, 0, 1))), current_mps=0.1))
     assert text.startswith("mission: 100 m in ")
     assert "hull from keep_out_disc[0]" in text
-    assert "problem: the path is not allowed" in text
+    assert "note: the path is led round keep_out_disc[0]" in text
+    assert "problem: the start is not allowed" in text
     assert table(checked()).endswith("no problems")
 
 
