@@ -196,7 +196,7 @@ def _heading_problems(vehicle: Vehicle, reference: Reference, current_mps: float
     return [
         f"heading_deg = {reference.heading_deg:g} is held in a current of {current_mps:g} m/s only with {ends}: at 45 "
         f"degrees the water pushes sideways with {oblique_N:.1f} N, at 90 degrees with {across_N:.1f} N, and the "
-        "vehicle has no side thrust, so it turns to hold its position"
+        "vehicle has no side thrust, so the bow turns and swings to hold the position"
     ]
 
 
