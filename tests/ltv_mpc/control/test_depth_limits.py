@@ -7,18 +7,20 @@ import math
 import msgspec
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from ltv_mpc.config import parse
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.depth_limits import MIN_RATE_RADPS, braking_rate_radps, clip_to_depths
+from ltv_mpc.control.depth_limits import MIN_RATE_RADPS, DepthLimits, braking_rate_radps, clip_to_depths
 from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Authority, Estimate, Plan
 from ltv_mpc.references import Hold, Point
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.health import Health, HealthState
-from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.dynamics import heave_acceleration
+from ltv_mpc.vehicle.parameters import Translation, Vehicle
 
 PAPER = Vehicle.load("paper")
 DIVING = ("paper", "low-yaw", "weak-reverse")
@@ -148,6 +150,47 @@ def test_the_rate_leaves_a_weak_thruster_the_force_to_brake() -> None:
     assert 58.0 < depths(way).max() < 60.02
     helpless = msgspec.structs.replace(heavy, net_buoyancy_N=-5.0)
     assert braking_rate_radps(helpless) == MIN_RATE_RADPS
+
+
+@pytest.mark.parametrize("w", [-0.4, 0.15, 0.9])
+@pytest.mark.parametrize(("wanted_N", "limit_m"), [(-1e4, 3.0), (1e4, 11.0)], ids=["least", "largest"])
+def test_the_thrust_at_a_limit_gives_the_acceleration_of_the_barrier(w: float, wanted_N: float, limit_m: float) -> None:
+    """z'' + 2 l z' + l^2 (z - limit) = 0; the depth law's integral stands for buoyancy that the model lacks."""
+    rate, z, integral_N = 0.3, 7.0, 4.0
+    p = msgspec.structs.replace(
+        PAPER,
+        net_buoyancy_N=9.0,
+        heave=Translation(mass_kg=700.0, linear_damping_kgps=30.0, quadratic_damping_kgpm=200.0),
+    ).coefficients()
+    thrust_N = clip_to_depths(wanted_N, z, w, integral_N, np.array([3.0, 11.0, rate]), p)
+    acceleration = heave_acceleration(w, thrust_N - integral_N, p)
+    assert acceleration + 2.0 * rate * w + rate**2 * (z - limit_m) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("buoyancy_N", [-8.0, 8.0])
+def test_the_rate_is_the_weaker_brake_over_the_speed_that_it_has_to_stop(buoyancy_N: float) -> None:
+    heave = Translation(mass_kg=700.0, linear_damping_kgps=30.0, quadratic_damping_kgpm=200.0)
+    vehicle = msgspec.structs.replace(PAPER, net_buoyancy_N=buoyancy_N, heave=heave)
+    p, thruster, rates = vehicle.coefficients(), vehicle.thrusters[2], []
+    for full, back in ((thruster.max_N, thruster.min_N), (thruster.min_N, thruster.max_N)):
+        speed = brentq(lambda w, full=full: heave_acceleration(w, full, p), -5.0, 5.0)
+        still_N = (30.0 + 200.0 * abs(speed)) * speed  # drag, which brakes too, does not count
+        rates.append(abs((heave_acceleration(speed, back, p) * 700.0 + still_N) / 700.0 / speed))
+    assert braking_rate_radps(vehicle) == pytest.approx(min(rates))
+    assert max(rates) > 1.05 * min(rates)
+
+
+def test_a_limit_is_named_for_a_depth_beyond_it_alone() -> None:
+    both = DepthLimits(PAPER, MotionLimits(min_depth_m=2.0, max_depth_m=30.0), 0.3)
+    assert both.is_limited
+    assert [both.limit_before(depth_m) for depth_m in (1.0, 2.0, 30.0, 31.0)] == [2.0, None, None, 30.0]
+    none = DepthLimits(PAPER, MotionLimits(min_altitude_m=3.0), 0.3)
+    assert not none.is_limited
+    assert none.limit_before(-1.0) is none.limit_before(1e6) is None
+    none.update(Estimate.at_rest(depth_m=5.0))
+    assert not none.is_limited
+    none.update(msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), altitude_m=10.0))
+    assert none.limit_before(13.0) == 12.0
 
 
 def test_far_from_its_limits_the_law_is_not_changed() -> None:

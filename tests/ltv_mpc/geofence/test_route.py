@@ -5,10 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.geofence.fence import Disc, Fence, Polygon
+from ltv_mpc.geofence.fence import Disc, Fence, Polygon, Zone
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array
@@ -61,6 +62,54 @@ def test_a_way_keeps_the_clearance_and_reaches_the_goal(name: str) -> None:
     assert clearances(zones, along(START, way)).min() > 1.0 - 2e-3
 
 
+def moved(fence: Fence) -> Fence:
+    """Return the fence turned by 90 degrees, and moved to the south and the west of the origin."""
+
+    def place(of: Place) -> Place:
+        assert of.north_m is not None
+        assert of.east_m is not None
+        return Place(north_m=-of.east_m - 40.0, east_m=of.north_m - 70.0)
+
+    def zone(of: Zone) -> Zone:
+        if isinstance(of, Disc):
+            return msgspec.structs.replace(of, centre=place(of.centre))
+        assert isinstance(of, Polygon)
+        return msgspec.structs.replace(of, vertices=tuple(place(corner) for corner in of.vertices))
+
+    kinds = ("keep_in", "keep_out", "keep_out_disc")
+    return msgspec.structs.replace(fence, **{kind: tuple(zone(of) for of in getattr(fence, kind)) for kind in kinds})
+
+
+@pytest.mark.parametrize("name", FENCES)
+def test_a_way_is_the_same_where_the_whole_scene_is_turned_and_moved(name: str) -> None:
+    (_, of), (_, other) = router(FENCES[name]), router(moved(FENCES[name]))
+    way = of.way(START, GOAL)
+    expected = np.column_stack([-way[:, 1] - 40.0, way[:, 0] - 70.0])
+    start, goal = np.array([-40.0, -70.0]), np.array([-40.0, -50.0])
+    np.testing.assert_allclose(other.way(start, goal), expected, atol=1e-6)
+
+
+def test_a_point_that_is_seen_is_reached_at_once() -> None:
+    _, of = router(FENCES["disc"])
+    np.testing.assert_array_equal(of.way(START, np.array([0.0, 9.0])), [[0.0, 9.0]])
+
+
+def test_the_way_to_another_point_is_not_that_to_the_one_before() -> None:
+    """The second point is the first one seen from the other side of the origin."""
+    fence = Fence(margin_m=0.0, keep_out_disc=(disc(10.0, 0.5, 3.0), disc(-10.0, 0.5, 3.0)))
+    zones, of = router(fence)
+    for goal in (GOAL, -GOAL):
+        way = of.way(START, goal, remember=False)
+        assert clearances(zones, along(START, way)).min() > 1.0 - 2e-3
+        assert length(START, way) < 21.5
+
+
+def test_a_router_serves_clearances_that_are_a_little_larger_or_up_to_a_fifth_smaller() -> None:
+    _, of = router(FENCES["two"])
+    for need, serves in (([1.04, 1.0], True), ([1.0, 1.06], False), ([0.81, 1.0], True), ([1.0, 0.79], False)):
+        assert of.serves(np.array(need)) is serves
+
+
 def test_a_way_round_a_disc_is_hardly_longer_than_the_tangents() -> None:
     _, of = router(FENCES["disc"])
     # both points are at distance d from the centre: tangents and the arc between them
@@ -73,7 +122,13 @@ def test_a_way_round_a_disc_is_hardly_longer_than_the_tangents() -> None:
 def test_a_way_is_kept_until_another_is_clearly_shorter() -> None:
     _, of = router(FENCES["disc"])
     assert of.way(START, GOAL)[0][1] < 0.5  # to port, where the disc reaches less far
-    for east, side in ((0.7, -1.0), (0.9, -1.0), (4.0, 1.0)):
+    for east, side in (
+        (0.7, -1.0),
+        (0.9, -1.0),
+        (1.5, -1.0),
+        (1.8, 1.0),
+        (4.0, 1.0),
+    ):
         way = of.way(np.array([3.0, east]), GOAL)
         assert np.sign(way[0][1] - 0.5) == side
     _, fresh = router(FENCES["disc"])
