@@ -117,13 +117,14 @@ def table(of: MissionCheck) -> str:
         ("drift while turning into the current", _metres(of.drift_m)),
         ("stopping distance with drift", _metres(of.stopping_m)),
     ]
-    if of.zones:
+    if of.zones and of.length_m > 0.0:
         rows.append(("narrowest corridor", "open" if of.corridor_m is None else f"{of.corridor_m:.3g} m"))
         rows.append(("width that the vehicle needs", _metres(of.needed_m)))
     if of.bottom is not None:
         rows.append(("altitude of the reference", f"{of.bottom.altitude_m:.3g} m or more, {of.bottom.place}"))
     for zone in of.zones:
-        where = f"{zone.clearance_m:.3g} m at {zone.way_m:.0f} m of the path, margin {zone.margin_m:g} m"
+        at = f" at {zone.way_m:.0f} m of the path" if of.length_m > 0.0 else ""
+        where = f"{zone.clearance_m:.3g} m{at}, margin {zone.margin_m:g} m"
         rows.append((f"hull from {zone.zone}", where))
     width = max(LABEL_WIDTH, *(len(name) + 2 for name, _ in rows))
     lines += [f"  {name:<{width}}{value}" for name, value in rows]

@@ -183,6 +183,7 @@ def test_the_rate_is_the_weaker_brake_over_the_speed_that_it_has_to_stop(buoyanc
 def test_a_limit_is_named_for_a_depth_beyond_it_alone() -> None:
     both = DepthLimits(PAPER, MotionLimits(min_depth_m=2.0, max_depth_m=30.0), 0.3)
     assert both.is_limited
+    assert both.bounds.tolist() == [2.0, 30.0, 0.3]
     assert [both.limit_before(depth_m) for depth_m in (1.0, 2.0, 30.0, 31.0)] == [2.0, None, None, 30.0]
     none = DepthLimits(PAPER, MotionLimits(min_altitude_m=3.0), 0.3)
     assert not none.is_limited

@@ -44,7 +44,7 @@ def test_targets_run_ahead_at_the_speed_that_the_vehicle_reaches_over_ground(wat
     through_water = np.hypot(speeds * along[0] - water[0], speeds * along[1] - water[1])
     speed = float(speeds[through_water <= SCALES.speed_mps].max())
     table = targets((57.0, 84.0))
-    assert lead_round(router(), START, np.array(water), table, TIMES_S, SCALES)
+    assert lead_round(router(), START, np.array(water), table, TIMES_S, SCALES) is True
     way = (table[:-1, :2] - START) @ along
     np.testing.assert_allclose(way, speed * TIMES_S[1:] + LEAD * SCALES.length_m, atol=1e-3)
     np.testing.assert_allclose(table[:-1, :2], START + way[:, None] * along, atol=1e-9)
@@ -72,13 +72,19 @@ def test_targets_behind_a_zone_lead_round_it_and_in_their_order() -> None:
     of = router((-3.0, 12.0, 3.0))
     table = targets((-3.0, 20.0), (5.0, 20.0), (5.0, 12.0))
     assert lead_round(of, START, STILL, table, TIMES_S, SCALES)
-    assert not of.chain_is_blocked(START, table[:-1, :2])
-    steps = np.hypot(*np.diff(np.vstack([START, table[:-1, :2]]), axis=0).T)
+    way = table[:-1, :2]
+    assert not of.chain_is_blocked(START, way)
+    steps = np.hypot(*np.diff(np.vstack([START, way]), axis=0).T)
     assert steps[1:].max() < 1.001 * SCALES.speed_mps
-    np.testing.assert_allclose(steps[1:5], SCALES.speed_mps, atol=1e-2)
-    passed = np.hypot(*(table[:-1, :2] - [-3.0, 20.0]).T).min()
-    assert passed < 0.5 * SCALES.speed_mps  # the first of the three places is on the way
-    assert table[-2, 0] > -3.0
+    first, second = (np.hypot(*(way - place).T) for place in ((-3.0, 20.0), (5.0, 20.0)))
+    assert first.min() < 0.5 * SCALES.speed_mps
+    assert first.argmin() < second.argmin()
+    assert (way[-1] != (5.0, 12.0)).any()  # on the way to the third place
+    np.testing.assert_allclose(table[-1, :2], [0.0, -SCALES.speed_mps], atol=1e-9)
+    np.testing.assert_allclose(table[-1, :2], (way[-1] - way[-2]) / (TIMES_S[-1] - TIMES_S[-2]), atol=1e-9)
+    later = targets((-3.0, 20.0), (5.0, 20.0), (5.0, 12.0))
+    assert lead_round(of, START, STILL, later, 3.0 * TIMES_S, SCALES)
+    np.testing.assert_array_equal(later[-2:], [[5.0, 12.0, 0.0], [0.0, 0.0, 0.0]])
 
 
 def test_where_there_is_no_way_the_targets_end_as_near_as_possible() -> None:

@@ -8,12 +8,15 @@ import math
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given, settings
 
 from ltv_mpc.geofence.fence import Disc, Fence, Polygon, Zone
-from ltv_mpc.geofence.route import Router
+from ltv_mpc.geofence.route import SLACK_M, Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
 from ltv_mpc.messages import Array
 from ltv_mpc.references import Place
+from tests.ltv_mpc.geofence import shapes
+from tests.ltv_mpc.geofence.shapes import point, rings
 
 
 def polygon(*corners: tuple[float, float]) -> Polygon:
@@ -147,6 +150,31 @@ def test_without_a_way_it_leads_to_the_nearest_point_that_can_be_reached() -> No
     way = of.way(START, goal)
     assert clearances(zones, along(START, way)).min() > 1.0 - 2e-3
     assert math.dist(way[-1], goal) < math.dist(START, goal)
+
+
+@settings(max_examples=100, deadline=None)
+@given(rings(), rings(), point, point)
+def test_a_line_is_blocked_if_its_points_are_too_near(
+    first: Array, second: Array, start: tuple[float, float], end: tuple[float, float]
+) -> None:
+    """A zone that an end is in does not count; an end that is too near lowers the clearance that counts."""
+    zones, of = router(Fence(margin_m=0.0, keep_out=(shapes.polygon(first), shapes.polygon(second))))
+    points = np.linspace(start, end, 100)
+    free, step_m = clearances(zones, points), math.dist(start, end) / 99
+    least = np.minimum(free[[0, -1]].min(axis=0), 1.0) - SLACK_M
+    lacking = np.where(least > -SLACK_M, np.maximum(least, 0.0) - free.min(axis=0), -math.inf).max()
+    if of.is_blocked(points[0], points[-1]):
+        assert lacking > -0.5 * step_m - 1e-9
+    else:
+        assert lacking < 1e-9
+
+
+def test_from_inside_a_margin_only_lines_that_come_nearer_to_the_zone_are_blocked() -> None:
+    _, of = router(FENCES["disc"])
+    inside = np.array([6.5, 0.5])  # clearance 0.5 m of 1 m
+    assert not of.is_blocked(inside, np.array([0.0, 0.5]))
+    assert not of.is_blocked(inside, np.array([6.0, 8.0]))
+    assert of.is_blocked(inside, np.array([8.0, -8.0])) is of.is_blocked(inside, np.array([8.0, 9.0])) is True
 
 
 def test_nothing_is_blocked_where_nothing_is_between() -> None:

@@ -180,6 +180,10 @@ def test_a_descent_into_the_bottom_is_found() -> None:
 def test_a_point_in_a_zone_is_found_and_a_fence_needs_a_hull() -> None:
     fence = Fence(margin_m=1.0, keep_out_disc=(disc(0, 0, 5),))
     point = Point(north_m=1.0, east_m=0.0)
+    text = table(check_mission(PAPER, point, fence))
+    assert f"hull from keep_out_disc[0]            {-4.0 - HULL_M:.3g} m, margin 1 m" in text
+    assert "path" not in text
+    assert "corridor" not in text
     assert check_mission(PAPER, point, fence).problems == [
         f"the point is not allowed (keep_out_disc[0]): the vehicle holds at ({6.0 + HULL_M:.1f}, 0.0) instead, "
         f"{5.0 + HULL_M:.1f} m away"
