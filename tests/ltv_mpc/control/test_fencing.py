@@ -23,6 +23,7 @@ from ltv_mpc.geofence.obstacles import MAX_AGE_NS
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, CurrentProfile, Estimate, Health, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.references import Line, Place, Point, Reference, Waypoints
+from ltv_mpc.references.follower import PathBeside
 from ltv_mpc.vehicle.parameters import Hull, Vehicle
 from tests.ltv_mpc.control.problems import PAPER
 
@@ -193,6 +194,27 @@ def test_plans_are_those_of_qps_that_always_have_the_rows(east_m: float, monkeyp
         np.testing.assert_allclose(plan.thrust_N, expected.thrust_N, atol=0.05)
         estimate = advance(CRAFT, estimate, plan, duration_s=0.3)
     assert len(calls) > 40
+
+
+def test_hull_and_margin_are_kept_free_and_the_corridor_has_rows_of_its_own() -> None:
+    fencing = Fencing(CRAFT, np.arange(3) * 300_000_000, corridor_m=2.0)
+    assert fencing.rows == 5
+    fencing.set_fence(disc(12.0, 0.5, 3.0))
+    assert fencing.rows == 5
+    assert fencing.scene.need.tolist() == pytest.approx([HULL_M + 0.5])
+    assert fencing.scene.stage_s == pytest.approx(0.3)
+    assert len(fencing.scene.targets) == 2
+    fencing.add_obstacles(Obstacles(t_ns=0, obstacles=()))
+    assert fencing.scene.disc_need_m[0] == pytest.approx(2.0 * HULL_M)
+    path = line(24.0).schedule(CRAFT)
+    assert fencing.allowed_path(path)[1] == pytest.approx(2.0 * math.sqrt((3.5 + HULL_M) ** 2 - 0.25), abs=0.15)
+    beside = PathBeside(np.array([[0.0, 1.0], [5.0, 1.0]]), np.array([0, 1]), 4)
+    fencing.set_path(beside)
+    np.testing.assert_array_equal(fencing.scene.path, beside.points)
+    np.testing.assert_array_equal(fencing.scene.targets, [0, 1])
+    assert fencing.scene.path_reach == 4
+    fencing.set_path(None)
+    assert not len(fencing.scene.path)
 
 
 def between(*zones: Disc) -> tuple[Fencing, Estimate]:

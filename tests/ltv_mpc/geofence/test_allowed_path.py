@@ -73,6 +73,18 @@ def test_a_path_that_begins_in_front_of_a_zone_is_not_slow_round_it(begins_m: fl
     assert before.duration_s < schedule.duration_s < before.duration_s + 1.1 * (ARC_M - CHORD_M) / 0.3
 
 
+@pytest.mark.parametrize(("begins_m", "ends_m"), [(0.0, 54.02), (0.0, 55.0), (45.98, 100.0)])
+def test_a_path_that_begins_or_ends_beside_a_zone_begins_and_ends_there(begins_m: float, ends_m: float) -> None:
+    """The zone is from 46 to 54 m; of 54.02 m only the last column is allowed, from 45.98 m on only the first one."""
+    schedule, skipped_m = allowed_path(line(begins_m, ends_m), Router(ONE, NEED))
+    np.testing.assert_allclose(schedule.table[[NORTH, EAST], 0], [begins_m, 0.0], atol=1e-9)
+    np.testing.assert_allclose(schedule.table[[NORTH, EAST], -1], [ends_m, 0.0], atol=1e-9)
+    assert skipped_m == pytest.approx(CHORD_M, abs=0.15)
+    points = np.ascontiguousarray(schedule.table[[NORTH, EAST]].T)
+    assert (clearances(ONE, points) >= 1.0 - SLACK_M).all()
+    assert np.hypot(*np.diff(points, axis=0).T).max() <= STEP_M
+
+
 def test_where_no_way_leads_round_a_zone_the_target_jumps() -> None:
     basin = polygon(np.array([[-10.0, -10.0], [-10.0, 10.0], [110.0, 10.0], [110.0, -10.0]]))
     wall = polygon(np.array([[48.0, -12.0], [48.0, 12.0], [52.0, 12.0], [52.0, -12.0]]))
@@ -158,9 +170,10 @@ def test_a_leg_between_two_distant_rows_does_not_step_over_a_zone() -> None:
 
 def test_a_path_with_one_allowed_point_is_a_point() -> None:
     zones = pack_zones(
-        Fence(margin_m=0.0, keep_in=(polygon(np.array([[-1.0, -3.0], [-1.0, 3.0], [1.0, 3.0], [1.0, -3.0]])),))
+        Fence(margin_m=0.0, keep_in=(polygon(np.array([[9.0, -1.0], [9.0, 5.0], [11.0, 5.0], [11.0, -1.0]])),))
     )
-    track = Timed(rows=((0.0, -0.2, 0.0), (10.0, 0.0, 0.0))).schedule(PAPER)
+    track = Timed(rows=((0.0, 9.8, 2.0), (10.0, 10.0, 2.0))).schedule(PAPER)
     schedule, _ = allowed_path(track, Router(zones, np.array([1.0])))
     assert schedule.table.shape[1] == 2
-    assert target_at(schedule.table, 5.0)[1:] == (0.0, 0.0)
+    np.testing.assert_array_equal(schedule.table[:, 0], schedule.table[:, 1])
+    assert target_at(schedule.table, 5.0)[1:] == (10.0, 2.0)
