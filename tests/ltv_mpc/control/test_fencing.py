@@ -260,6 +260,41 @@ def test_between_walls_that_are_too_near_for_their_margins_the_hull_stays_free(m
     assert all(plan.solve.status is SolveStatus.SOLVED for plan in plans)
 
 
+def test_zones_ask_for_hull_and_margin_at_least_and_for_less_where_there_is_less() -> None:
+    stated, slack = HULL_M + 0.5, 0.1 * HULL_M
+    near = tuple(Disc(centre=Place(north_m=0.0, east_m=e), radius_m=3.0) for e in (-3.1 - stated, 3.1 + stated))
+    assert needed_m(*between(*near)) == pytest.approx([stated, stated])  # there is 10 cm more than that
+    fencing, estimate = between(*(Disc(centre=Place(north_m=0.0, east_m=e), radius_m=3.0) for e in (-8.0, 8.5)))
+    away = msgspec.structs.replace(estimate, north_m=60.0)
+    assert needed_m(fencing, away) == pytest.approx([12.0 + HULL_M] * 2)
+    assert needed_m(fencing, estimate) == pytest.approx([5.0 + slack, 5.5 + slack])
+
+
+def test_targets_are_led_round_a_zone_that_a_later_one_lies_behind() -> None:
+    fencing = Fencing(CRAFT, np.arange(31) * 1_000_000_000)
+    fencing.set_fence(disc(12.0, 0.5, 3.0))
+    target = np.zeros((31, 3))
+    target[:30, 0] = np.repeat([2.0, 20.0], 15)
+    beside = target + np.array([0.0, 30.0, 0.0])
+    fencing.bend(np.zeros(2), np.zeros(2), target, limited=False)
+    zones = pack_zones(disc(12.0, 0.5, 3.0))
+    assert clearances(zones, target[:30, :2].copy()).min() > HULL_M + 0.49
+    assert np.abs(target[:30, 1]).max() > 3.0
+    wanted = beside.copy()
+    fencing.bend(np.array([0.0, 30.0]), np.zeros(2), beside, limited=False)
+    np.testing.assert_array_equal(beside, wanted)
+
+
+def test_obstacles_of_a_cycle_are_where_they_are_at_the_start_of_the_plan() -> None:
+    fencing = Fencing(CRAFT, np.arange(3) * 300_000_000)
+    ferry = Obstacle(
+        id=7, t_ns=0, north_m=10.0, east_m=-8.0, velocity_north_mps=0.5, velocity_east_mps=0.0, radius_m=1.0
+    )
+    fencing.add_obstacles(Obstacles(t_ns=0, obstacles=(ferry,)))
+    assert not fencing.predict_obstacles(2_000_000_000)  # it moves: no path leads round it
+    assert fencing.scene.discs[0, :2].tolist() == pytest.approx([11.0, -8.0])
+
+
 def test_between_zones_that_ask_for_more_than_there_is_every_cycle_is_solved() -> None:
     zones = tuple(
         Disc(centre=Place(north_m=n, east_m=e), radius_m=3.0) for n, e in ((-3.5, -8.0), (3.5, -8.0), (0.0, 8.0))
