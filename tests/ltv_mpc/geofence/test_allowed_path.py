@@ -148,6 +148,7 @@ def test_between_walls_that_are_too_close_the_allowed_point_is_found_too() -> No
     found = nearest_allowed(zones, np.ones(1), (5.0, 5.1))
     assert found is not None
     assert clearances(zones, np.array([found]))[0, 0] >= 1.0
+    assert math.dist(found, (5.0, 5.1)) < 6.3  # to the east of all walls it is 5.9 m
     nowhere = Fence(margin_m=0.0, keep_in=(polygon(notch),))
     assert nearest_allowed(pack_zones(nowhere), np.array([50.0]), (5.0, 5.1)) is None
 
@@ -160,8 +161,8 @@ def test_a_path_without_an_allowed_point_near_it_stays_as_it_is() -> None:
 
 
 def test_a_leg_between_two_distant_rows_does_not_step_over_a_zone() -> None:
-    track = Timed(rows=((0.0, 0.0, 0.0), (1000.0, 100.0, 0.0))).schedule(PAPER)
-    assert track.table.shape[1] == 2
+    track = Timed(rows=((0.0, 0.0, 0.0), (100.0, 10.0, 0.0), (1000.0, 100.0, 0.0))).schedule(PAPER)
+    assert track.table.shape[1] == 3
     schedule, skipped_m = allowed_path(track, Router(ONE, NEED))
     assert skipped_m == pytest.approx(CHORD_M, abs=0.6)
     assert 1000.0 < schedule.duration_s < 1000.0 + 10.0 * (ARC_M - CHORD_M)
