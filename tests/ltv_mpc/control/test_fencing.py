@@ -285,6 +285,20 @@ def test_targets_are_led_round_a_zone_that_a_later_one_lies_behind() -> None:
     np.testing.assert_array_equal(beside, wanted)
 
 
+def test_a_report_says_what_the_hull_is_in_and_how_many_rows_a_plan_lacks() -> None:
+    fencing, estimate = Fencing(CRAFT, np.arange(3) * 300_000_000), drifting()
+    fencing.set_fence(disc(10.0, 0.0, 3.0))
+    start = Prediction(CRAFT).state_at(estimate, estimate.t_ns, SentCommands(CRAFT, 300_000_000))
+    fencing.update(start, estimate, 0.0)
+    for gap_m, in_margin, inside, exceeded in ((0.6, 0, 0, 0), (0.4, 1, 0, 1), (-0.1, 1, 1, 1)):
+        X = np.zeros((3, 6))
+        X[:, 0] = 7.0 - HULL_M - gap_m
+        report = fencing.report(X, 0.0, drifts=False)
+        assert report is not None
+        assert report.clearance_m == pytest.approx(gap_m)
+        assert (len(report.in_margin), len(report.inside), min(report.exceeded, 1)) == (in_margin, inside, exceeded)
+
+
 def test_obstacles_of_a_cycle_are_where_they_are_at_the_start_of_the_plan() -> None:
     fencing = Fencing(CRAFT, np.arange(3) * 300_000_000)
     ferry = Obstacle(

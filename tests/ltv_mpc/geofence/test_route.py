@@ -107,7 +107,7 @@ def test_the_way_to_another_point_is_not_that_to_the_one_before() -> None:
         assert length(START, way) < 21.5
 
 
-def test_a_router_serves_clearances_that_are_a_little_larger_or_up_to_a_fifth_smaller() -> None:
+def test_a_router_serves_clearances_a_little_larger_or_up_to_a_fifth_smaller() -> None:
     _, of = router(FENCES["two"])
     for need, serves in (([1.04, 1.0], True), ([1.0, 1.06], False), ([0.81, 1.0], True), ([1.0, 0.79], False)):
         assert of.serves(np.array(need)) is serves
