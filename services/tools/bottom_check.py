@@ -23,7 +23,7 @@ class BottomCheck(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def place(self) -> str:
-        """Where the altitude is least."""
+        """Place where the altitude is least, as text."""
         return f"at {self.way_m:.0f} m of the path (north {self.north_m:.0f} m, east {self.east_m:.0f} m)"
 
 
