@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import BathymetryFile, ControllerSettings, FenceFile, Json
+from services.cli.options import ControllerSettings, FenceFile, Json
+
+if TYPE_CHECKING:
+    from ltv_mpc.bathymetry import Bathymetry
+    from ltv_mpc.references import Origin
 
 vehicle = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
 
@@ -62,10 +66,10 @@ def check(
     current: Annotated[
         float, typer.Option("--current", metavar="V", help="Speed of the water, from any side (m/s).", min=0, max=5)
     ] = 0.0,
-    bottom_m: Annotated[
-        float | None, typer.Option("--bottom-m", metavar="D", help="Depth of the bottom (m).", min=0, max=11_000)
+    bottom: Annotated[
+        str | None,
+        typer.Option("--bottom", metavar="D|FILE", help="Depth of the bottom (m), or a CSV of soundings."),
     ] = None,
-    bathymetry: BathymetryFile = None,
     settings: ControllerSettings = None,
     as_json: Json = False,
 ) -> None:
@@ -79,15 +83,8 @@ def check(
     from ltv_mpc.errors import ConfigError
     from ltv_mpc.vehicle.parameters import Vehicle
 
-    needing = (
-        ("--fence", fence),
-        ("--start", start),
-        ("--current", current),
-        ("--bottom-m", bottom_m),
-        ("--bathymetry", bathymetry),
-        ("--settings", settings),
-    )
-    for name, value in needing:
+    needing = {"--fence": fence, "--start": start, "--current": current, "--bottom": bottom, "--settings": settings}
+    for name, value in needing.items():
         if reference is None and value:
             raise ConfigError(f"option {name}", "", "needs --reference NAME|FILE, the mission to check")
     loaded = Vehicle.load(file)
@@ -96,7 +93,6 @@ def check(
     result = vehicle_check.check(loaded)
     if reference is not None:
         from ltv_mpc import references
-        from ltv_mpc.bathymetry import Bathymetry
         from ltv_mpc.control.config import ControllerConfig
         from ltv_mpc.geofence.fence import fence_for
 
@@ -107,8 +103,7 @@ def check(
             fence_for(loaded, followed, fence or ""),
             start=None if start is None else _place(start),
             current_mps=current,
-            bottom_m=bottom_m,
-            bathymetry=None if bathymetry is None else Bathymetry.load(bathymetry, followed.origin),
+            bottom=None if bottom is None else _bottom(bottom, followed.origin),
             limits=None if settings is None else ControllerConfig.load(str(settings)).limits,
         )
         result = replace(result, mission=mission)
@@ -153,6 +148,20 @@ def identify(
 
         identified = with_coefficients(loaded, identification.coefficients)
         _write(out, vehicle_identify.format_toml(report, identified), force=force, quiet=as_json)
+
+
+def _bottom(text: str, origin: Origin | None) -> float | Bathymetry:
+    """Return the depth (m) or the soundings of the option --bottom."""
+    from ltv_mpc.bathymetry import Bathymetry
+    from ltv_mpc.errors import ConfigError
+
+    try:
+        depth_m = float(text)
+    except ValueError:
+        return Bathymetry.load(text, origin)
+    if not 0.0 <= depth_m <= 11_000.0:
+        raise ConfigError("option --bottom", "", "must be >= 0 and <= 11000 m, or a file of soundings", value=text)
+    return depth_m
 
 
 def _place(text: str) -> tuple[float, float]:

@@ -107,11 +107,10 @@ def main(config: Config) -> int:
         node = ControllerNode(
             vehicle, reference, settings, fence=fence, bathymetry=bottom, make_solver=make_solver, stopwatch=node_stages
         )
-        estimates_on = key_in(bus, BY_TYPE[Estimate])
         stack.callback(console.close)
 
         def show(status: ControllerStatus, _now_us: int) -> None:
-            line = status_line(status, estimates_on)
+            line = status_line(status, key_in(bus, BY_TYPE[Estimate]))
             console.show(line)
             SERVICE_MANAGER.status(line)
 

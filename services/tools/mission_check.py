@@ -47,8 +47,7 @@ def check_mission(
     *,
     start: Pair | None = None,
     current_mps: float = 0.0,
-    bottom_m: float | None = None,
-    bathymetry: Bathymetry | None = None,
+    bottom: float | Bathymetry | None = None,
     limits: MotionLimits | None = None,
 ) -> MissionCheck:
     """Check a reference against a fence, a current and the depths.
@@ -60,8 +59,7 @@ def check_mission(
     fence : its origin is that of the reference; None: only current and depths are checked.
     start : north and east of the vehicle (m); None: it begins at the first point of the path.
     current_mps : speed of the water, from any direction.
-    bottom_m : depth of the bottom; None: not known.
-    bathymetry : soundings of the bottom; None: none.
+    bottom : its depth (m) or soundings of it; None: not known.
     limits : limits of the controller's settings: depths and cross-track distance.
 
     Raises
@@ -78,10 +76,10 @@ def check_mission(
     problems = _current_problems(vehicle, current_mps) + _heading_problems(vehicle, reference, current_mps, can)
     limits = limits or MotionLimits()
     problems += _corridor_problems(reference, limits.max_cross_track_m, drift_m, current_mps)
-    problems += _depth_problems(largest, bottom_m, limits)
-    bottom = None
-    if bathymetry is not None and schedule is not None:
-        bottom, too_deep = check_bottom(bathymetry, schedule, limits.min_altitude_m or 0.0)
+    problems += _depth_problems(largest, bottom if isinstance(bottom, float) else None, limits)
+    lowest = None
+    if isinstance(bottom, Bathymetry) and schedule is not None:
+        lowest, too_deep = check_bottom(bottom, schedule, limits.min_altitude_m or 0.0)
         problems += too_deep
     zones, corridor_m, needed_m, notes = [], None, None, []
     if fence is not None and schedule is not None:
@@ -102,7 +100,7 @@ def check_mission(
         stopping_m=stopping_m,
         corridor_m=corridor_m,
         needed_m=needed_m,
-        bottom=bottom,
+        bottom=lowest,
         zones=zones,
         problems=problems,
         notes=notes,

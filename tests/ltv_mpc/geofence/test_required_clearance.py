@@ -53,6 +53,15 @@ def test_zones_too_near_to_each_other_ask_for_no_more_than_there_is(
     assert asked[0] == pytest.approx([1.5 + 0.05] * 2 if margin_m > 1.0 else [1.25] * 2)
 
 
+def test_where_not_even_the_margins_fit_the_hull_is_asked_for_at_least() -> None:
+    zones = pack_zones(Fence(margin_m=1.2, keep_out_disc=(disc(0.0, -4.0, 3.0), disc(0.0, 4.0, 3.0))))
+    need, exits = np.full(2, 1.7), np.zeros((2, 4))
+    assert update_required(zones, 0.0, 0.0, 0.5, 0.0, need, exits) == 2
+    assert need == pytest.approx([1.05, 1.05])
+    assert update_required(zones, 0.0, 0.6, 0.5, 0.0, need, exits) == 2  # the hull is 0.1 m in the second
+    assert need == pytest.approx([1.35, 0.55])
+
+
 def test_a_zone_that_is_alone_asks_for_all_wherever_the_vehicle_is() -> None:
     zones = pack_zones(Fence(margin_m=4.0, keep_out_disc=(disc(0.0, -4.5, 3.0), disc(0.0, 40.0, 3.0))))
     need = np.full(2, 4.5)

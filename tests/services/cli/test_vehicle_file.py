@@ -152,7 +152,7 @@ def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(
     )
     assert run(["vehicle", "check", "paper", "--reference", "circle", "--fence", "fence.toml", "--current", "0.1"]) == 1
     assert 'keep_out_disc[0] "buoy"' in capsys.readouterr().out
-    assert run(["vehicle", "check", "paper", "--reference", "descent", "--bottom-m", "500", "--json"]) == 0
+    assert run(["vehicle", "check", "paper", "--reference", "descent", "--bottom", "500", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["mission"]["problems"] == []
     (here / "bottom.csv").write_text("north_m,east_m,depth_m\n-50,-50,9\n-50,50,9\n50,-50,9\n50,50,9\n")
     (here / "line.toml").write_text(
@@ -160,13 +160,15 @@ def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(
         "end = { north_m = 40, east_m = 0 }\n"
     )
     (here / "mine.toml").write_text("[limits]\nmin_altitude_m = 2.0\n")
-    check = ["vehicle", "check", "paper", "--reference", "line.toml", "--bathymetry", "bottom.csv"]
+    check = ["vehicle", "check", "paper", "--reference", "line.toml", "--bottom", "bottom.csv"]
     assert run(check) == 0
     assert "altitude of the reference             1 m or more" in capsys.readouterr().out
     assert run([*check, "--settings", "mine.toml"]) == 1
     assert "by up to 1.0 m" in capsys.readouterr().out
-    assert run(["vehicle", "check", "paper", "--bathymetry", "bottom.csv"]) == 2
-    assert "option --bathymetry: needs --reference" in capsys.readouterr().err
+    assert run([*check[:-1], "-3"]) == 2
+    assert "option --bottom" in capsys.readouterr().err
+    assert run(["vehicle", "check", "paper", "--bottom", "bottom.csv"]) == 2
+    assert "option --bottom: needs --reference" in capsys.readouterr().err
     assert run(["vehicle", "check", "paper", "--fence", "fence.toml"]) == 2
     assert "option --fence: needs --reference" in capsys.readouterr().err
 

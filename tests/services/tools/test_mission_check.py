@@ -168,11 +168,11 @@ def test_a_fixed_heading_in_a_current_is_found() -> None:
 
 def test_a_descent_into_the_bottom_is_found() -> None:
     deep = Point(north_m=0.0, east_m=0.0, depth_m=30.0)
-    assert check_mission(PAPER, deep, None, bottom_m=40.0).problems == []
-    [problem] = check_mission(PAPER, deep, None, bottom_m=20.0).problems
+    assert check_mission(PAPER, deep, None, bottom=40.0).problems == []
+    [problem] = check_mission(PAPER, deep, None, bottom=20.0).problems
     assert "descends to 30 m, the bottom is at 20 m: no min_altitude_m stops the vehicle" in problem
     limits = MotionLimits(min_altitude_m=3.0, max_depth_m=25.0)
-    low, deepest = check_mission(PAPER, deep, None, bottom_m=20.0, limits=limits).problems
+    low, deepest = check_mission(PAPER, deep, None, bottom=20.0, limits=limits).problems
     assert "with min_altitude_m = 3 the vehicle stops at 17 m" in low
     assert "max_depth_m = 25" in deepest
 
@@ -279,7 +279,7 @@ def ground(*profile: tuple[float, float], half_width_m: float = 50.0) -> Bathyme
 def over(bathymetry: Bathymetry, least_m: float | None = 3.0, depth_m: float | None = 15.0) -> MissionCheck:
     reference = msgspec.structs.replace(NORTH, depth_m=depth_m)
     limits = MotionLimits(min_altitude_m=least_m)
-    return check_mission(PAPER, reference, None, bathymetry=bathymetry, limits=limits)
+    return check_mission(PAPER, reference, None, bottom=bathymetry, limits=limits)
 
 
 def test_a_reference_too_deep_for_a_bathymetry_is_found_with_place_depth_and_lack() -> None:
@@ -315,6 +315,6 @@ def test_a_path_beyond_the_soundings_is_found() -> None:
 
 def test_a_point_below_the_bottom_of_a_bathymetry_is_found_and_here_has_no_place() -> None:
     point, flat = Point(north_m=10.0, east_m=0.0, depth_m=30.0), ground((-50.0, 25.0), (50.0, 25.0))
-    [problem] = check_mission(PAPER, point, None, bathymetry=flat).problems
+    [problem] = check_mission(PAPER, point, None, bottom=flat).problems
     assert "by up to 5.0 m at 0 m of the path (north 10 m, east 0 m)" in problem
-    assert check_mission(PAPER, Hold(depth_m=30.0), None, bathymetry=flat).bottom is None
+    assert check_mission(PAPER, Hold(depth_m=30.0), None, bottom=flat).bottom is None
