@@ -34,6 +34,9 @@ from ltv_mpc.vehicle.flow import STATES
 PREVIOUS_PLAN, STEERED_AHEAD, STEERED_ASTERN = range(3)
 """Origin of the nominal trajectory: the previous plan, or the steering law ahead or astern."""
 
+FAR_LESS = 0.1
+"""Largest cost for the zones of a guess, over that of the previous plan, with which it may replace it."""
+
 
 @jit
 def shift_controls(old: Array, t: Array, stages: float, U: Array) -> None:
@@ -89,7 +92,8 @@ def choose_nominal(
 
     The candidates are the previous plan and two steering guesses, ahead and astern; the one of least cost is chosen.
     Where one of two ends stuck (terminal_check.py), the cost beyond the horizon counts too, unless the candidate comes
-    nearer to the zones than the best one so far.
+    nearer to the zones than the best one so far. A guess that comes too near to zones itself must lack ``FAR_LESS`` of
+    what the previous plan does: the QP along the previous plan mends what that lacks, but not a guess through a zone.
 
     Parameters
     ----------
@@ -123,6 +127,8 @@ def choose_nominal(
         if np.isinf(other) and not np.isinf(lowest):
             continue
         other_clearances = fence_cost(other_X, scene, objective)
+        if kind == PREVIOUS_PLAN and other_clearances > FAR_LESS * clearances:
+            continue
         other += other_clearances
         other_end = check_terminal(other_X, lin.C, target, constants)
         # A way through a zone leads to no end, so what comes after it does not count in its favour.

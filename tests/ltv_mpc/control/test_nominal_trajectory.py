@@ -71,6 +71,18 @@ def test_what_follows_the_horizon_counts_only_for_a_way_free_of_zones() -> None:
     assert chosen(scene((0.0, east_m + 10.0)))[0] == STEERED_AHEAD
 
 
+@pytest.mark.parametrize(("in_the_way", "expected"), [(True, PREVIOUS_PLAN), (False, STEERED_AHEAD)])
+def test_a_guess_through_a_zone_does_not_replace_a_plan_through_it(in_the_way: bool, expected: int) -> None:
+    """The plan goes on beyond the target, where the guess stops, and so it costs more; both lead through the zone."""
+    packed = pack_constants(WEAK, CONFIG.weights, CONFIG.knots, 0.3)
+    lin, target = Linearisation.empty(N), np.zeros((N + 1, 3))
+    lin.C[:] = 0.0
+    of, ahead = scene((0.1, 4.6)) if in_the_way else scene(), unpack_constants(packed).objective.high
+    start = np.array([0.0, 6.0, 0.3, 0.0, -math.pi / 2, 0.0, *ahead, *ahead])
+    kind, _ = choose_nominal(packed, start, target, np.tile(ahead, (N + 1, 1)), 0.0, lin.flat, of)
+    assert kind == expected
+
+
 def test_a_plan_that_no_other_follows_coasts_from_its_end_on() -> None:
     """The entry is that of the whole motion with zero thrust as the goal from that knot on, later than under thrust."""
     packed, end, times_s = pack_constants(WEAK, CONFIG.weights, CONFIG.knots, 0.3), N // 4, 0.3 * CONFIG.knots
