@@ -79,3 +79,21 @@ def test_of_too_many_the_newest_reports_are_kept():
     assert sorted(each.id for each in of.reports) == list(range(3, MAX_OBSTACLES + 3))
     of.add(Obstacles(t_ns=0, obstacles=(report(999, 0.0),)))
     assert 999 not in {each.id for each in of.reports}
+
+
+def test_obstacles_that_hardly_move_stand_where_they_drift_to() -> None:
+    """The distance to keep has the uncertainty of a report that is 10 s old, or older."""
+    table, slow = ObstacleTable(), {"velocity_north_mps": 0.03, "velocity_east_mps": -0.04, "radius_m": 2.0}
+    anchored = Obstacle(id=9, t_ns=0, north_m=10.0, east_m=5.0, covariance_m2=(4.0, 0.0, 1.0), **slow)
+    buoy = Obstacle(id=4, t_ns=0, north_m=-7.0, east_m=1.0, **slow)
+    ferry = Obstacle(
+        id=1, t_ns=0, north_m=0.0, east_m=0.0, velocity_north_mps=0.04, velocity_east_mps=0.04, radius_m=9.0
+    )
+    table.add(Obstacles(t_ns=0, obstacles=(anchored, ferry, buoy)))
+    for t_s, growth_m in ((4.0, 0.5), (20.0, 1.0)):
+        expected = [
+            [-7.0 + 0.03 * t_s, 1.0 - 0.04 * t_s, 2.0 + 3.0 * growth_m + 1.5],
+            [10.0 + 0.03 * t_s, 5.0 - 0.04 * t_s, 2.0 + 3.0 * math.sqrt(4.0 + growth_m**2) + 1.5],
+        ]
+        np.testing.assert_allclose(table.standing(round(t_s * 1e9), 0.051, 1.5), expected)
+    assert table.standing(0, 0.049, 1.5).shape == (0, 3)
