@@ -272,8 +272,16 @@ class LateralPlanner:
         trajectory comes near to a zone.
         """
         stages, commands = self.previous.lateral_commands(start.t_ns)
+        kept = None if self.previous.plan is None else self.previous.plan.fence
         kind, near = nominal_trajectory.choose_nominal(
-            self._packed, start.lateral, self.target, commands, stages, self._lin.flat, self.fencing.scene
+            self._packed,
+            start.lateral,
+            self.target,
+            commands,
+            stages,
+            self._lin.flat,
+            self.fencing.scene,
+            kept is not None and kept.exceeded == 0,
         )
         return stages if kind == nominal_trajectory.PREVIOUS_PLAN else math.nan, near
 

@@ -56,8 +56,9 @@ def line_search(
         if part == STEPS[0]:
             enters = of_fence > fence_before == 0.0
         if cost(X, U, lin.C, target, o) + of_fence <= before:
-            if check_terminal(X, lin.C, target, c).stuck and not check_terminal(lin.X, lin.C, target, c).stuck:
-                break  # within the horizon it costs less not to turn
+            ends_stuck = check_terminal(X, lin.C, target, c).stuck and not check_terminal(lin.X, lin.C, target, c).stuck
+            if ends_stuck and of_fence >= fence_before:
+                break  # within the horizon it costs less not to turn; but a way out of a zone is taken
             return part, enters
     copy_to(X, lin.X)
     copy_to(U, lin.U)

@@ -86,14 +86,22 @@ def _shift_into_limits(old: Array, stages: float, objective: Objective, U: Array
 
 @jit
 def choose_nominal(
-    packed: Array, start: Array, target: Array, old: Array, stages: float, flat: Array, scene: Scene
+    packed: Array,
+    start: Array,
+    target: Array,
+    old: Array,
+    stages: float,
+    flat: Array,
+    scene: Scene,
+    was_clear: bool,
 ) -> tuple[int, bool]:
     """Choose the nominal trajectory, and linearise along it.
 
     The candidates are the previous plan and two steering guesses, ahead and astern; the one of least cost is chosen.
     Where one of two ends stuck (terminal_check.py), the cost beyond the horizon counts too, unless the candidate comes
-    nearer to the zones than the best one so far. A guess that comes too near to zones itself must lack ``FAR_LESS`` of
-    what the previous plan does: the QP along the previous plan mends what that lacks, but not a guess through a zone.
+    nearer to the zones than the best one so far. A plan that was clear of the zones may lack clearance a cycle later,
+    as the motion astern is not stable. The QP mends that, but seldom a guess through a zone. So a guess replaces such a
+    plan only if it lacks ``FAR_LESS`` of what the plan lacks.
 
     Parameters
     ----------
@@ -101,6 +109,7 @@ def choose_nominal(
     stages : as there; NaN if there is no previous plan.
     flat : has the current C; all the rest is overwritten.
     scene : zones and obstacles, whose clearances count in the cost.
+    was_clear : True if the previous plan lacked no clearance when it was made.
 
     Returns
     -------
@@ -127,7 +136,7 @@ def choose_nominal(
         if np.isinf(other) and not np.isinf(lowest):
             continue
         other_clearances = fence_cost(other_X, scene, objective)
-        if kind == PREVIOUS_PLAN and other_clearances > FAR_LESS * clearances:
+        if was_clear and kind == PREVIOUS_PLAN and other_clearances > FAR_LESS * clearances:
             continue
         other += other_clearances
         other_end = check_terminal(other_X, lin.C, target, constants)

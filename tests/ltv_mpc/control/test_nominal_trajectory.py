@@ -54,7 +54,7 @@ def chosen(of: Scene) -> tuple[int, Array, float]:
     objective = unpack_constants(packed).objective
     astern = objective.low
     start = np.array([0.0, 8.0, -0.25, 0.0, math.pi / 2, 0.0, *astern, *astern])
-    kind, _ = choose_nominal(packed, start, target, np.tile(astern, (N + 1, 1)), 0.0, lin.flat, of)
+    kind, _ = choose_nominal(packed, start, target, np.tile(astern, (N + 1, 1)), 0.0, lin.flat, of, True)
     return kind, lin.X.copy(), fence_cost(lin.X, of, objective)
 
 
@@ -79,7 +79,7 @@ def test_a_guess_through_a_zone_does_not_replace_a_plan_through_it(in_the_way: b
     lin.C[:] = 0.0
     of, ahead = scene((0.1, 4.6)) if in_the_way else scene(), unpack_constants(packed).objective.high
     start = np.array([0.0, 6.0, 0.3, 0.0, -math.pi / 2, 0.0, *ahead, *ahead])
-    kind, _ = choose_nominal(packed, start, target, np.tile(ahead, (N + 1, 1)), 0.0, lin.flat, of)
+    kind, _ = choose_nominal(packed, start, target, np.tile(ahead, (N + 1, 1)), 0.0, lin.flat, of, True)
     assert kind == expected
 
 
