@@ -272,7 +272,8 @@ class LateralPlanner:
         trajectory comes near to a zone.
         """
         stages, commands = self.previous.lateral_commands(start.t_ns)
-        kept = None if self.previous.plan is None else self.previous.plan.fence
+        report = None if self.previous.plan is None else self.previous.plan.fence
+        was_clear = report is not None and report.exceeded == 0
         kind, near = nominal_trajectory.choose_nominal(
             self._packed,
             start.lateral,
@@ -281,7 +282,7 @@ class LateralPlanner:
             stages,
             self._lin.flat,
             self.fencing.scene,
-            kept is not None and kept.exceeded == 0,
+            was_clear,
         )
         return stages if kind == nominal_trajectory.PREVIOUS_PLAN else math.nan, near
 

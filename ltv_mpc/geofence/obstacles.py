@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Array, Obstacle, Obstacles
+from ltv_mpc.messages import Array, Obstacle, Obstacles, Pair
 from ltv_mpc.validation import rejection_reason
 
 SD_FACTOR = 3.0
@@ -100,10 +100,9 @@ class ObstacleTable:
         """
         rows = np.empty((len(self._by_id), DISC))
         for row, report in zip(rows, self._by_id.values(), strict=True):
-            age_s = (t_ns - report.t_ns) * 1e-9
-            vn, ve = report.velocity_north_mps, report.velocity_east_mps
-            place = report.north_m + age_s * vn, report.east_m + age_s * ve
-            row[:] = *place, vn, ve, report.radius_m, largest_variance_m2(*report.covariance_m2), max(age_s, 0.0)
+            velocity = report.velocity_north_mps, report.velocity_east_mps
+            variance_m2, age_s = largest_variance_m2(*report.covariance_m2), (t_ns - report.t_ns) * 1e-9
+            row[:] = *predicted_m(report, t_ns), *velocity, report.radius_m, variance_m2, max(age_s, 0.0)
         return rows
 
     def standing(self, t_ns: int, max_speed_mps: float, need_m: float) -> Array:
@@ -121,15 +120,35 @@ class ObstacleTable:
         """
         rows = []
         for report in sorted(self._by_id.values(), key=lambda report: report.id):
-            vn, ve = report.velocity_north_mps, report.velocity_east_mps
-            if math.hypot(vn, ve) > max_speed_mps:
-                continue
-            age_s = (t_ns - report.t_ns) * 1e-9
-            growth_m = GROWTH_MPS * max(age_s, STANDING_AGE_S)
-            sd_m = math.sqrt(largest_variance_m2(*report.covariance_m2) + growth_m**2)
-            required_m = report.radius_m + SD_FACTOR * sd_m + need_m
-            rows.append((report.north_m + age_s * vn, report.east_m + age_s * ve, required_m))
+            if math.hypot(report.velocity_north_mps, report.velocity_east_mps) <= max_speed_mps:
+                age_s = max((t_ns - report.t_ns) * 1e-9, STANDING_AGE_S)
+                rows.append((*predicted_m(report, t_ns), required_m(report, age_s, need_m)))
         return np.array(rows).reshape(-1, 3)
+
+
+def predicted_m(report: Obstacle, t_ns: int) -> Pair:
+    """Return where an obstacle is at a time, if it keeps its velocity: north and east (m).
+
+    Parameters
+    ----------
+    report : position and velocity at its time.
+    t_ns : vehicle time (ns).
+    """
+    age_s = (t_ns - report.t_ns) * 1e-9
+    return report.north_m + age_s * report.velocity_north_mps, report.east_m + age_s * report.velocity_east_mps
+
+
+def required_m(report: Obstacle, age_s: float, need_m: float) -> float:
+    """Return how far from an obstacle the vehicle's origin stays (m): ``disc_at`` of fence_clearance.py, not compiled.
+
+    Parameters
+    ----------
+    report : radius and uncertainty at its time.
+    age_s : age of the report at the time in question (s).
+    need_m : distance between the vehicle's origin and an obstacle that is known exactly (m).
+    """
+    sd_m = math.hypot(math.sqrt(largest_variance_m2(*report.covariance_m2)), GROWTH_MPS * age_s)
+    return report.radius_m + SD_FACTOR * sd_m + need_m
 
 
 def largest_variance_m2(nn: float, ne: float, ee: float) -> float:

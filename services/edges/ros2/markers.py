@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ltv_mpc.geofence.obstacles import predicted_m
 from ltv_mpc.messages import FenceInForce
 from services.edges.ros2.cdr import make
 from services.edges.ros2.conversions import Settings, header
@@ -36,9 +37,7 @@ def zones_of(fence: FenceInForce, settings: Settings) -> Any:
             ring = [_point(north, east) for north, east in [*zone.vertices_m.tolist(), zone.vertices_m[0].tolist()]]
             markers.append(_marker(fence, settings, type=LINE_STRIP, scale=(LINE_M, 0.0, 0.0), points=ring, **of))
     for obstacle in fence.obstacles:
-        age_s = (fence.t_ns - obstacle.t_ns) * 1e-9
-        north_m = obstacle.north_m + age_s * obstacle.velocity_north_mps
-        east_m = obstacle.east_m + age_s * obstacle.velocity_east_mps
+        north_m, east_m = predicted_m(obstacle, fence.t_ns)
         of = {"ns": "obstacles", "id": len(markers), "text": f"obstacle {obstacle.id}", "color": OBSTACLE}
         markers.append(_cylinder(fence, settings, north_m, east_m, obstacle.radius_m, **of))
     return make("visualization_msgs/msg/MarkerArray", markers=markers)

@@ -8,11 +8,9 @@ in metres, north and east; None separates two lines.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from ltv_mpc.geofence.obstacles import GROWTH_MPS, OBSTACLE_MARGIN, SD_FACTOR, largest_variance_m2
+from ltv_mpc.geofence.obstacles import OBSTACLE_MARGIN, predicted_m, required_m
 from ltv_mpc.messages import Array, FenceInForce, Obstacle, Plan
 from services.reporting.plots.table import Cell, Columns, short
 
@@ -47,7 +45,7 @@ def tables(fence: FenceInForce | None, plan: Plan | None) -> dict[str, Columns]:
         (bounding if zone.label in active else kept_free).append(free)
     ends_ns = [] if plan is None else plan.t_ns[[0, -1]].tolist()
     for obstacle in fence.obstacles if fence is not None and ends_ns else ():
-        way = np.array([_predicted(obstacle, t_ns) for t_ns in ends_ns])
+        way = np.array([predicted_m(obstacle, t_ns) for t_ns in ends_ns])
         obstacles.append(_circle(way[0], obstacle.radius_m))
         paths.append(way)
         lines = bounding if f"obstacle {obstacle.id}" in active else around_obstacles
@@ -66,20 +64,10 @@ def tables(fence: FenceInForce | None, plan: Plan | None) -> dict[str, Columns]:
     }
 
 
-def _predicted(obstacle: Obstacle, t_ns: int) -> tuple[float, float]:
-    """Return where an obstacle is at a time, if it keeps its velocity: north and east (m)."""
-    age_s = (t_ns - obstacle.t_ns) * 1e-9
-    return (
-        obstacle.north_m + age_s * obstacle.velocity_north_mps,
-        obstacle.east_m + age_s * obstacle.velocity_east_mps,
-    )
-
-
 def _kept_free_m(obstacle: Obstacle, start_ns: int, t_ns: int, hull_m: float) -> float:
     """Return how far from an obstacle the centre of the vehicle stays at a time of a plan (m)."""
     age_s = (max(start_ns - obstacle.t_ns, 0) + t_ns - start_ns) * 1e-9
-    sd_m = math.hypot(math.sqrt(largest_variance_m2(*obstacle.covariance_m2)), GROWTH_MPS * age_s)
-    return obstacle.radius_m + (1.0 + OBSTACLE_MARGIN) * hull_m + SD_FACTOR * sd_m
+    return required_m(obstacle, age_s, (1.0 + OBSTACLE_MARGIN) * hull_m)
 
 
 def _closed(ring: Array) -> Array:
