@@ -376,4 +376,4 @@ def clearance_table(X: Array, t_s: Array, scene: Scene, hull_m: float) -> tuple[
             least = min(least, distance)
             if i >= 0 and z < Z:
                 spare_m = distance - max(least, need + ACTIVE_M)
-    return out, entry_s(X, t_s, scene, hull_m)
+    return out, entry_s(X, t_s, scene, hull_m) if least < hull_m else np.inf

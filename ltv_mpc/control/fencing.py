@@ -185,7 +185,7 @@ class Fencing:
         if estimate.covariance is not None:
             (nn, ne), (_, ee) = estimate.covariance[:2, :2].tolist()
             sd_m += math.sqrt(largest_variance_m2(nn, ne, ee))
-        north_m, east_m = start.lateral[:2]
+        north_m, east_m = start.lateral[:2].tolist()
         lacking = update_required(zones, north_m, east_m, hull_m, sd_m, need, self.scene.exits)
         if growth_m > 0.0 and lacking > 1 and SD_FACTOR * sd_m > zones.margin.min():
             asked = hull_m + np.maximum(zones.margin, SD_FACTOR * sd_m)
@@ -251,30 +251,29 @@ class Fencing:
         skipped_m : length of the path that is left out (m).
         drifts : True for a plan that does not come from the QP: the drift after its end counts, too.
         """
-        hull = self._vehicle.hull
+        hull, obstacles = self._vehicle.hull, self.obstacles.reports
         dropped, self._dropped = self._dropped, ()
         if hull is None or not (self.is_active or dropped):
             return None
-        found, first_s = clearance_table(X, self._times_s, self.scene, hull.radius_m)
-        table = found.tolist()
-        if not table:
-            return FenceReport(clearance_m=None, dropped=dropped)
-        labels = [*self._labels, *(f"obstacle {report.id}" for report in self.obstacles.reports)]
-        margins = [*self.scene.zones.margin.tolist(), *[OBSTACLE_MARGIN * hull.radius_m] * len(self.scene.discs)]
-        least_m, nearest = min((row[0], label) for row, label in zip(table, labels, strict=True))
+        hull_m = hull.radius_m
+        table, first_s = clearance_table(X, self._times_s, self.scene, hull_m)
         if drifts and math.isinf(first_s):
             first_s = self._drift_s(X)
-        active, in_margin, inside, exceeded = [], [], [], 0
-        for (_, now_m, surplus_m, lacking), label, margin_m in zip(table, labels, margins, strict=True):
-            exceeded += int(lacking)
+        labels = self._labels + [f"obstacle {report.id}" for report in obstacles]
+        margins = self.scene.zones.margin.tolist() + [OBSTACLE_MARGIN * hull_m] * len(obstacles)
+        least_m, nearest, active, in_margin, inside, exceeded = math.inf, "", [], [], [], 0
+        for (row_m, now_m, surplus_m, lacking), label, margin_m in zip(table.tolist(), labels, margins, strict=True):
+            if row_m < least_m:
+                least_m, nearest = row_m, label
             if surplus_m < ACTIVE_M:
                 active.append(label)
-            if now_m < hull.radius_m + margin_m - ENTERED_M:
+                exceeded += int(lacking)
+            if now_m < hull_m + margin_m - ENTERED_M:
                 in_margin.append(label)
-            if now_m < hull.radius_m:
+            if now_m < hull_m:
                 inside.append(label)
         return FenceReport(
-            clearance_m=least_m - hull.radius_m,
+            clearance_m=least_m - hull_m if labels else None,
             nearest=nearest,
             active=tuple(active),
             in_margin=tuple(in_margin),

@@ -7,7 +7,8 @@
 The QP has the rows of fence and corridor only where they bind: without them it is solved faster. Where the nominal
 trajectory is near to a zone, the QP without them comes first, unless rows bound in the last one. If its solution meets
 all rows, it is that of the QP with the rows; if not, that one is solved. If the step from a trajectory that is not near
-leads into a zone, one more QP follows, with the rows.
+leads into a zone, one more QP follows, with the rows. The first QP with a fence has them in any case, so that a solver
+of that pattern is set up before a zone is near: this takes as long as several cycles.
 
 A cycle whose QP gives no usable commands takes the next fallback level (``fallback.py``).
 
@@ -86,7 +87,7 @@ class LateralPlanner:
         self._solvers = {0: self._make_solver()}  # by the half-planes of a stage: a QP has a fixed pattern
         self._last_solver = self._solvers[0]
         self._stopwatch = stopwatch
-        self._rows_bind = False  # in the last QP
+        self._rows_bind = False  # in the last QP; True: the next one has the rows
 
     def set_current(self, estimate: Estimate, depth_m: Array) -> None:
         """Set the current along the horizon.
@@ -99,6 +100,7 @@ class LateralPlanner:
         rows = self.fencing.rows
         if self._lin.rows.shape[1] != rows:
             self._lin = Linearisation.empty(len(self.target) - 1, rows)
+            self._rows_bind = True  # the solver of this pattern is set up now
         profile = profile_of(estimate)
         fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._lin.C)
 
@@ -202,7 +204,7 @@ class LateralPlanner:
         X, U = self._fallback.empty()
         left = self._config.sqp_iterations
         while left > 0:
-            near = near and lin.rows.size > 0
+            near = (near or self._rows_bind) and lin.rows.size > 0
             if near:
                 fill_rows(packed, lin.flat, stages, scene)
             self._stopwatch("linearise")
@@ -223,7 +225,7 @@ class LateralPlanner:
             else:
                 left -= 1
             if left > 0:
-                near = nominal_trajectory.relinearise(packed, lin.flat, X, U, scene) or self._rows_bind
+                near = nominal_trajectory.relinearise(packed, lin.flat, X, U, scene)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _solve_qp(self, shift: float, *, near: bool) -> tuple[Array, Solve]:

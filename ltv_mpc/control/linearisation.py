@@ -75,9 +75,7 @@ class Linearisation(NamedTuple):
 
     def without_rows(self) -> Linearisation:
         """Return the same linearisation without its half-planes; it shares the memory."""
-        stages = len(self.Phi)
-        lin: Linearisation = unpack_linearisation(self.flat[: storage_size(stages)], stages)
-        return lin
+        return self._replace(rows=self.rows[:, :0], flat=self.flat[: storage_size(len(self.Phi))])
 
 
 def storage_size(N: int, rows: int = 0) -> int:

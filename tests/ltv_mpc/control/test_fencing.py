@@ -132,8 +132,14 @@ def test_a_vehicle_inside_a_zone_leaves_it_by_the_nearest_exit() -> None:
     assert depth[-1] > HULL_M + 0.45
 
 
+FAR_DISC = disc(1000.0, 0.0, 3.0)
+
+
 def rows_of_each_qp(fence: Fence, cycles: int) -> list[list[int]]:
-    """Return the numbers of half-planes of a stage in the QPs of each cycle on the way to the point."""
+    """Return the numbers of half-planes of a stage in the QPs of each cycle on the way to the point.
+
+    There is another fence before, at the point: the first cycle with a fence has QPs with rows in any case.
+    """
     counts: list[int] = []
 
     def make_counted(vehicle: Vehicle, config: ControllerConfig) -> Solver:
@@ -147,11 +153,10 @@ def rows_of_each_qp(fence: Fence, cycles: int) -> list[list[int]]:
         solver.build = counted  # type: ignore[method-assign]
         return solver
 
-    of, estimate, found = (
-        Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=make_counted),
-        drifting(),
-        [],
-    )
+    of = Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=make_counted)
+    estimate, found = drifting(), []
+    of.set_fence(FAR_DISC)
+    of.plan(msgspec.structs.replace(estimate, north_m=GOAL[0], east_m=GOAL[1]))
     of.set_fence(fence)
     for _ in range(cycles):
         counts.clear()
@@ -161,7 +166,22 @@ def rows_of_each_qp(fence: Fence, cycles: int) -> list[list[int]]:
 
 
 def test_the_qp_has_no_rows_where_no_zone_is_near() -> None:
-    assert rows_of_each_qp(disc(1000.0, 0.0, 3.0), 20) == [[0, 0]] * 20
+    assert rows_of_each_qp(FAR_DISC, 20) == [[0, 0]] * 20
+
+
+def test_the_first_cycle_with_a_fence_sets_up_the_solver_of_its_rows() -> None:
+    made: list[Solver] = []
+
+    def make_counted(vehicle: Vehicle, config: ControllerConfig) -> Solver:
+        made.append(make(vehicle, config))
+        return made[-1]
+
+    of = Controller(CRAFT, Point(north_m=GOAL[0], east_m=GOAL[1]), make_solver=make_counted)
+    of.plan(drifting())
+    assert len(made) == 1
+    of.set_fence(FAR_DISC)
+    of.plan(drifting())
+    assert len(made) == 2
 
 
 def test_a_step_into_a_zone_is_followed_by_a_qp_with_rows() -> None:
