@@ -1,17 +1,17 @@
 """Clearances of a predicted track from zones and obstacles, their cost, and what a plan keeps from them.
 
 The cost of a trajectory (line_search.py, nominal_trajectory.py) counts, with the clearance d_z (``geofence/zones.py``)
-and the required one c_z of zone z, the cross-track distance x in a corridor of half width w, the length g_k of a stage,
-the scale S of a position and the factor f of the penalties:
+and the required one c_z of zone z, the cross-track distance x in a corridor of half width w, the length g_k of a stage
+and the scale S of a position:
 
-    2 f sum over k of  g_k (PENALTY sum over zones z of max(0, c_z - d_z) + CORRIDOR_PENALTY max(0, |x| - w)) / S
+    2 sum over k of  g_k (PENALTY sum over zones z of max(0, c_z - d_z) + CORRIDOR_PENALTY max(0, |x| - w)) / S
 
 The factor 2 is that between the cost and the QP (cost.py). The penalty is exact: it is above the duals that occur,
-because the target is never farther than the vehicle can come (target_placement.py), and because both penalties grow
-with the weights of the target. That of the corridor is smaller, so that the vehicle leaves its corridor rather than its
-fence. An obstacle is a disc at its predicted position at knot k. A stage longer than the first one counts with its
-point of the least clearance, among points that are one first stage apart; the chord's sag is added to c between the
-knots.
+because the target is never farther than the vehicle can come (target_placement.py), and because the weights of the
+target are bounded (``scaling.bounded``). That of the corridor is smaller, so that the vehicle leaves its corridor
+rather than its fence. An obstacle is a disc at its predicted position at knot k. A stage longer than the first one
+counts with its point of the least clearance, among points that are one first stage apart; the chord's sag is added to c
+between the knots.
 
 A clearance changes by no more than the point moves. So after a point with a surplus over the required clearance, the
 next points are not looked at until the track is longer by that surplus.
@@ -31,13 +31,10 @@ from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
 
 PENALTY = 5000.0
-"""Cost of an excess of S (1 m for the paper's vehicle), over one stage of 0.3 s, with the weights below."""
+"""Cost of an excess of S (1 m for the paper's vehicle), over one stage of 0.3 s."""
 
 CORRIDOR_PENALTY = 500.0
 """As ``PENALTY``, of an excess of the cross-track distance."""
-
-POSITION, TERMINAL_POSITION = 2.0, 100.0
-"""Largest weights of the target for which the penalties were chosen, of S in the QP: no default is larger."""
 
 ACTIVE_M = 0.05
 """Surplus over the required clearance up to which a zone counts as active."""
@@ -63,18 +60,6 @@ class Scene(NamedTuple):
 
 NO_PATH = np.empty((0, 2))
 """Path of a corridor that does not bound."""
-
-
-@jit
-def penalty_factor(o: Objective) -> float:
-    """Return by how much both penalties are larger than for the weights that they were chosen for, as the duals are.
-
-    Parameters
-    ----------
-    o : weights and scales.
-    """
-    weight = max(o.position / POSITION, o.terminal_position / TERMINAL_POSITION)
-    return float(max(1.0, weight * o.state_scale[0] ** 2))
 
 
 @jit
@@ -222,7 +207,7 @@ def fence_cost(X: Array, scene: Scene, o: Objective) -> float:
     scene : zones and obstacles.
     o : knots and scales.
     """
-    total, Z, factor = 0.0, len(scene.need), 2.0 * penalty_factor(o) / o.state_scale[0]
+    total, Z, factor = 0.0, len(scene.need), 2.0 / o.state_scale[0]
     if len(scene.path) > 1:
         for k in range(1, X.shape[0]):
             excess = abs(cross_track(scene, k, X[k, 0], X[k, 1])[0]) - scene.half_width_m

@@ -3,16 +3,15 @@
 At each knot k the QP has at most M = ``ROWS`` soft rows  a' dp_k >= b  in the deviation dp of the position, with the
 outward normal m of a zone at its point nearest to the nominal position p, and its required clearance c:
 
-    a = m / S,    b = (c - d(p)) / S,    cost of the excess: PENALTY f g_k  for each S metres
+    a = m / S,    b = (c - d(p)) / S,    cost of the excess: PENALTY g_k  for each S metres
 
-d is the clearance (``geofence/zones.py``), S the scale of a position, g_k the length of the stage and f the factor of
-the penalties (fence_clearance.py). In a stage longer than the first one the rows are those of its point with the least
-clearance.
+d is the clearance (``geofence/zones.py``), S the scale of a position and g_k the length of the stage. In a stage longer
+than the first one the rows are those of its point with the least clearance.
 
 A corridor of half width w along the path has two rows at each knot. With the unit normal m to starboard of the path's
 nearest piece, and its point q, the cross-track distance is  x = m' (p - q):
 
-    -m' dp / S >= (x - w) / S,    m' dp / S >= (-w - x) / S,    cost of the excess: CORRIDOR_PENALTY f g_k
+    -m' dp / S >= (x - w) / S,    m' dp / S >= (-w - x) / S,    cost of the excess: CORRIDOR_PENALTY g_k
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from ltv_mpc.control.fence_clearance import (
     Scene,
     cross_track,
     disc_at,
-    penalty_factor,
     sag_m,
     stage_lack,
 )
@@ -79,7 +77,7 @@ def fill_rows(packed: Array, flat: Array, stages: int, scene: Scene) -> None:
             for i in range(2):
                 lin.rows[k, j, i] = rows.normal[k, j, i] / scale if used else 0.0
             lin.rows[k, j, 2] = -rows.slack[k, j] / scale if used else -NO_BOUND
-            lin.rows[k, j, 3] = PENALTY * penalty_factor(o) * stage_length(o, k + 1)
+            lin.rows[k, j, 3] = PENALTY * stage_length(o, k + 1)
         if lin.rows.shape[1] > ROWS:
             _fill_corridor(lin.rows[k, ROWS:], scene, k + 1, X[k + 1], o)
 
@@ -131,7 +129,7 @@ def _fill_corridor(rows: Array, scene: Scene, k: int, x: Array, o: Objective) ->
     for j in range(len(rows)):
         rows[j, 0] = rows[j, 1] = 0.0
         rows[j, 2] = -NO_BOUND
-        rows[j, 3] = CORRIDOR_PENALTY * penalty_factor(o) * stage_length(o, k)
+        rows[j, 3] = CORRIDOR_PENALTY * stage_length(o, k)
     if len(scene.path) > 1:
         distance, mn, me = cross_track(scene, k, x[0], x[1])
         for j, side in ((0, -1.0), (1, 1.0)):

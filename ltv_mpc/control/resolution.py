@@ -11,7 +11,7 @@ import msgspec
 from ltv_mpc.config import parse, toml_key
 from ltv_mpc.control.config import Bow, ControllerConfig, ResolvedConfig
 from ltv_mpc.control.horizon_selection import proposed_horizon_s
-from ltv_mpc.control.scaling import default_weights
+from ltv_mpc.control.scaling import bounded, default_weights
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -40,7 +40,7 @@ def settled(
         return config
     parse(msgspec.to_builtins(config), ControllerConfig, source=source)  # settings made in Python are not checked yet
     given = {name: value for name, value in msgspec.structs.asdict(config.weights).items() if value is not None}
-    weights = msgspec.structs.replace(default_weights(vehicle, config.effort), **given)
+    weights = bounded(msgspec.structs.replace(default_weights(vehicle, config.effort), **given), vehicle)
     horizon_s = proposed_horizon_s(vehicle, weights) if config.horizon_s is None else config.horizon_s
     if config.period_s > horizon_s:
         proposed = ", which `ltv-mpc vehicle check` proposes" if config.horizon_s is None else ""

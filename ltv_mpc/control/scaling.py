@@ -19,6 +19,9 @@ same:
 
 a .. e give the paper's vehicle the weights that were tuned for it (``config.Weights``). r_F is the same for all
 vehicles, rather than w: then the QP's costs have the same size for all, as the fixed step sizes of OSQP require.
+
+A plan depends on the ratios between the weights only. So weights that are given are divided by a common factor if those
+of the target would be too large for the penalties of fence, corridor and speed limits, and for the solvers.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import Effort, Weights
@@ -52,6 +56,13 @@ PAPER_SCALES = Scales(speed_mps=0.5, time_s=7.22042)
 
 THRUST_WEIGHT_FACTOR: dict[Effort, float] = {"low": 10.0 / 3.0, "normal": 1.0, "high": 0.1}
 """Factor of an effort on the weights of thrust and of its change."""
+
+
+MAX_POSITION, MAX_TERMINAL_POSITION = 2.0, 100.0
+"""Largest weights of the target, for the paper's vehicle. No default is larger, of any shipped vehicle."""
+
+ROUNDING = 1e-9
+"""Excess of these that does not count, so that weights which were divided are not divided again."""
 
 
 def characteristic_scales(vehicle: Vehicle) -> Scales:
@@ -120,6 +131,22 @@ def default_weights(vehicle: Vehicle, effort: Effort = "normal") -> Weights:
         thrust=_rounded(factor * tuned.thrust),
         thrust_change=_rounded(factor * tuned.thrust_change * time**2),
     )
+
+
+def bounded(weights: Weights, vehicle: Vehicle) -> Weights:
+    """Return weights of the same ratios, of which those of the target are not too large.
+
+    Parameters
+    ----------
+    weights : default or given ones; no default is too large.
+    vehicle : gives the scale of length.
+    """
+    largest = max(weights.position_per_m2 / MAX_POSITION, weights.terminal_position_per_m2 / MAX_TERMINAL_POSITION)
+    factor = largest * float(state_scale(vehicle)[0]) ** 2
+    if factor < 1.0 + ROUNDING:
+        return weights
+    with_heading = weights.at_heading(True)  # its default is one of the weights
+    return Weights(**{name: value / factor for name, value in msgspec.structs.asdict(with_heading).items()})
 
 
 def _rounded(weight: float) -> float:

@@ -94,13 +94,17 @@ def test_it_goes_round_a_disc_and_keeps_its_margin(water: Pair) -> None:
     assert not any(report.inside or report.in_margin for report in reports[1:])
 
 
-def test_larger_weights_of_the_target_do_not_outweigh_the_fence() -> None:
-    """The duals of the zones grow with them: with a constant penalty the vehicle came 4 cm nearer than its margin."""
+@pytest.mark.parametrize("larger", [100.0, 1000.0])
+def test_larger_weights_of_the_target_do_not_outweigh_the_fence(larger: float) -> None:
+    """With weights as they are given, the vehicle came 4 cm nearer than its margin, or QPs were not solved."""
     fence, weights = disc(10.0, 0.3, 3.0), Weights()
-    of = controller(weights=msgspec.structs.replace(weights, position_per_m2=100.0, terminal_position_per_m2=4000.0))
+    position, terminal = larger * weights.position_per_m2, larger * weights.terminal_position_per_m2
+    given = msgspec.structs.replace(weights, position_per_m2=position, terminal_position_per_m2=terminal)
+    of = controller(weights=given)
     of.set_fence(fence)
-    track, _ = fly(of, 150, (0.15, 0.0))
+    track, plans = fly(of, 150, (0.15, 0.0))
     assert hull_clearance(fence, track) > 0.49
+    assert all(plan.solve.status is SolveStatus.SOLVED for plan in plans)
 
 
 def test_without_a_fence_the_straight_line_goes_through_it() -> None:

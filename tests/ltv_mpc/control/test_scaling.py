@@ -11,6 +11,7 @@ from ltv_mpc.control.config import ResolvedConfig, Weights, WeightSettings
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import PAPER_SCALES as FOUND_FOR
 from ltv_mpc.control.scaling import (
+    bounded,
     characteristic_scales,
     default_weights,
     state_scale,
@@ -94,6 +95,25 @@ def test_a_weight_that_is_named_replaces_that_one_alone() -> None:
     assert config.weights == msgspec.structs.replace(default_weights(surface), thrust=0.5)
     assert config.horizon_s == 7.2
     assert settled(config, PAPER) is config  # what is settled stays
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_weights_of_the_target_are_bounded_by_a_common_factor(name: str) -> None:
+    vehicle = Vehicle.load(name)
+    own = default_weights(vehicle)
+    assert bounded(own, vehicle) is own
+    given = WeightSettings(
+        **{key: 300.0 * value for key, value in msgspec.structs.asdict(own).items() if key != "heading_per_rad2"}
+    )
+    config = settled(ControllerConfig(weights=given, horizon_s=7.2), vehicle)
+    found, heading = config.weights, own.at_heading(True).heading_per_rad2
+    size = state_scale(vehicle)[0] ** 2
+    assert max(found.position_per_m2 * size / 2.0, found.terminal_position_per_m2 * size / 100.0) == pytest.approx(1.0)
+    for key in given.__struct_fields__[:-1]:
+        assert getattr(found, key) / found.thrust == pytest.approx(getattr(own, key) / own.thrust)
+    assert found.at_heading(True).heading_per_rad2 / found.thrust == pytest.approx(heading / own.thrust / 300.0)
+    read_back = settled(ControllerConfig(weights=WeightSettings(**msgspec.structs.asdict(found))), vehicle)
+    assert read_back.weights == found
 
 
 def test_the_controller_uses_them_and_says_so() -> None:
