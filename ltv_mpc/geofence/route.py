@@ -1,7 +1,8 @@
 """Shortest way round the zones: a visibility graph of their grown corners (Lozano-Perez & Wesley 1979).
 
 The corners of all zones, moved outwards by the required clearance, are the nodes. Two nodes are neighbours if the line
-between them keeps the clearance from every zone. A disc, and a corner that reaches into the allowed side, has nodes on
+between them keeps the clearance from every zone. Neighbours are searched where a way may lead: among 60 zones those of
+all nodes would take longer than a control cycle. A disc, and a corner that reaches into the allowed side, has nodes on
 an arc around it. The way that was chosen last is kept unless another one is shorter by the share ``SHORTER``: otherwise
 the vehicle could change its mind with every estimate.
 """
@@ -10,10 +11,12 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from ltv_mpc.geofence.zones import Zones, clearance, clearances
+from ltv_mpc.geofence.zones import Zones, clearance
 from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
 
@@ -28,6 +31,26 @@ SHORTER = 0.05
 
 SLACK_M = 1e-3
 """Clearance that a line may lack, at least."""
+
+
+class Search(NamedTuple):
+    """Shortest ways from one point to the nodes, as far as they are known."""
+
+    length: Array  # (V,) of the shortest way that is known (m)
+    before: npt.NDArray[np.int64]  # (V,) node before each one on it, -1 for the point itself
+    settled: npt.NDArray[np.bool_]  # (V,) True where no way is shorter
+
+    def chain(self, k: int) -> list[int]:
+        """Return the nodes from node k back to the first one behind the point.
+
+        Parameters
+        ----------
+        k : node that a way leads to.
+        """
+        nodes = [k]
+        while self.before[nodes[-1]] >= 0:
+            nodes.append(int(self.before[nodes[-1]]))
+        return nodes
 
 
 class Router:
@@ -46,11 +69,12 @@ class Router:
         self.need = need.copy()
         """(Z,) clearance that the ways keep (m)."""
         nodes = np.array(list(_nodes(zones, need * OUTSIDE))).reshape(-1, 2)
-        self._nodes = nodes[(clearances(zones, nodes) >= need - SLACK_M).all(axis=1)]
-        self._lengths = _visible_lengths(zones, self.need, self._nodes)
+        self.nodes = nodes[_are_clear(zones, self.need, nodes)]
+        """(V, 2) points at which a way may turn, north and east (m)."""
+        self._lengths = np.full((len(self.nodes), len(self.nodes)), np.nan)  # filled where a search needs them
         self._way = np.empty((0, 2))
-        self._goal = np.full(2, np.nan)  # of the distances that are kept, as a point keeps it for many cycles
-        self._to_goal = self._lengths[:0], np.empty(0, dtype=np.int64)
+        self._goal = np.full(2, np.nan)  # of the search that is kept, as a point keeps it for many cycles
+        self._from_goal = _begin(zones, self.need, self.nodes[:0], self._goal)
 
     def serves(self, need: Array) -> bool:
         """Return True if the ways suit other required clearances: at most 5 cm too near, and not a quarter too far.
@@ -104,33 +128,25 @@ class Router:
         return kept
 
     def _shortest(self, start: Array, goal: Array) -> Array:
-        """Return the shortest way (Dijkstra 1959)."""
-        nodes = self._nodes
+        """Return the shortest way."""
+        nodes = self.nodes
         if not len(nodes):
             return start[None]
         if not np.array_equal(goal, self._goal):
             self._goal = goal.copy()
-            self._to_goal = _distances(self.zones, self.need, self._lengths, nodes, goal)
-        to_goal, first = self._to_goal
-        from_start = _seen_from(self.zones, self.need, nodes, start)
-        total = from_start + to_goal
-        if not np.isfinite(total).any():
-            # No way: to the node that can be reached and is nearest to the goal.
-            to_start, after = _distances(self.zones, self.need, self._lengths, nodes, start)
-            near = np.where(np.isfinite(to_start), np.hypot(*(nodes - goal).T), np.inf)
-            k = int(np.argmin(near))
-            if not np.isfinite(near[k]) or near[k] >= math.dist(start, goal):
-                return start[None]
-            back = [k]
-            while after[back[-1]] >= 0:
-                back.append(int(after[back[-1]]))
-            way: Array = nodes[back[::-1]]
-            return way
-        k = int(np.argmin(total))
-        order = [k]
-        while first[order[-1]] >= 0:
-            order.append(int(first[order[-1]]))
-        return np.vstack([nodes[order], goal])
+            self._from_goal = _begin(self.zones, self.need, nodes, goal)
+        k = _search(self.zones, self.need, self._lengths, nodes, self._from_goal, start)
+        if k >= 0:
+            return np.vstack([nodes[self._from_goal.chain(k)], goal])
+        # No way: to the node that can be reached and is nearest to the goal.
+        from_start = _begin(self.zones, self.need, nodes, start)
+        _search(self.zones, self.need, self._lengths, nodes, from_start, goal)  # to its end: the goal is not reached
+        near = np.where(np.isfinite(from_start.length), np.hypot(*(nodes - goal).T), np.inf)
+        k = int(np.argmin(near))
+        if not np.isfinite(near[k]) or near[k] >= math.dist(start, goal):
+            return start[None]
+        way: Array = nodes[from_start.chain(k)[::-1]]
+        return way
 
     def _shortened(self, start: Array, goal: Array) -> Array | None:
         """Return the last way, from its farthest point that is seen from the start; None if it is no way any more."""
@@ -180,15 +196,24 @@ def _nodes(zones: Zones, need: Array):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _visible_lengths(zones: Zones, need: Array, nodes: Array) -> Array:
-    """Return the distances (V, V) in m between nodes that see each other; infinite for the others."""
-    V = len(nodes)
-    out = np.full((V, V), np.inf)
-    for i in range(V):
-        for j in range(i):
-            if not is_blocked(zones, need, nodes[i, 0], nodes[i, 1], nodes[j, 0], nodes[j, 1]):
-                out[i, j] = out[j, i] = np.hypot(nodes[i, 0] - nodes[j, 0], nodes[i, 1] - nodes[j, 1])
-    return out
+def _are_clear(zones: Zones, need: Array, points: Array) -> npt.NDArray[np.bool_]:
+    """Return which points (P, 2) keep the required clearance from every zone."""
+    clear = np.ones(len(points), dtype=np.bool_)
+    for k in range(len(points)):
+        n, e = points[k, 0], points[k, 1]
+        for z in range(len(need)):
+            from_circle = np.hypot(n - zones.circle[z, 0], e - zones.circle[z, 1]) - zones.circle[z, 2]
+            if from_circle < need[z] and clearance(zones, z, n, e) < need[z] - SLACK_M:
+                clear[k] = False
+                break
+    return clear
+
+
+@jit
+def _begin(zones: Zones, need: Array, nodes: Array, point: Array) -> Search:
+    """Return a search from a point that has looked at the nodes which the point sees."""
+    length = _seen_from(zones, need, nodes, point)
+    return Search(length, np.full(len(nodes), -1), np.zeros(len(nodes), dtype=np.bool_))
 
 
 @jit
@@ -202,24 +227,36 @@ def _seen_from(zones: Zones, need: Array, nodes: Array, point: Array) -> Array:
 
 
 @jit
-def _distances(zones: Zones, need: Array, lengths: Array, nodes: Array, goal: Array):  # type: ignore[no-untyped-def]
-    """Return the distances (V,) of the nodes from a goal in m, and the next node towards it, -1 for the goal."""
+def _search(zones: Zones, need: Array, lengths: Array, nodes: Array, of: Search, to: Array) -> int:
+    """Continue a search until the shortest way to a point is known; return the last node before it, -1 for no way.
+
+    The nodes are settled in the order of their way's length and the straight distance to the point (A*: Hart, Nilsson &
+    Raphael 1968). What is settled is right for any other point, too. ``lengths`` (V, V) are the distances between nodes
+    that see each other, NaN where nothing needed them yet.
+    """
     V = len(nodes)
-    out = _seen_from(zones, need, nodes, goal)
-    following = np.full(V, -1)
-    done = np.zeros(V, dtype=np.bool_)
-    for _ in range(V):
-        best = -1
+    seen = _seen_from(zones, need, nodes, to)
+    while True:
+        best, last, least, shortest = -1, -1, np.inf, np.inf
         for i in range(V):
-            if not done[i] and (best < 0 or out[i] < out[best]):
-                best = i
-        if np.isinf(out[best]):
-            break
-        done[best] = True
+            if of.settled[i]:
+                if of.length[i] + seen[i] < shortest:
+                    last, shortest = i, of.length[i] + seen[i]
+            else:
+                total = of.length[i] + np.hypot(nodes[i, 0] - to[0], nodes[i, 1] - to[1])
+                if total < least:
+                    best, least = i, total
+        if best < 0 or least >= shortest:
+            return last
+        of.settled[best] = True
         for i in range(V):
-            if out[best] + lengths[best, i] < out[i]:
-                out[i], following[i] = out[best] + lengths[best, i], best
-    return out, following
+            if np.isnan(lengths[best, i]):
+                lengths[best, i] = lengths[i, best] = np.inf
+                if not is_blocked(zones, need, nodes[best, 0], nodes[best, 1], nodes[i, 0], nodes[i, 1]):
+                    lengths[best, i] = np.hypot(nodes[best, 0] - nodes[i, 0], nodes[best, 1] - nodes[i, 1])
+                    lengths[i, best] = lengths[best, i]
+            if of.length[best] + lengths[best, i] < of.length[i]:
+                of.length[i], of.before[i] = of.length[best] + lengths[best, i], best
 
 
 @jit
@@ -247,19 +284,28 @@ def is_blocked(zones: Zones, need: Array, n0: float, e0: float, n1: float, e1: f
     need : (Z,) required clearance (m).
     n0, e0, n1, e1 : north and east of both points (m).
     """
+    length = np.hypot(n1 - n0, e1 - e0)
+    tn, te = ((n1 - n0) / length, (e1 - e0) / length) if length > 0.0 else (0.0, 0.0)
     for z in range(len(need)):
-        reach = zones.circle[z, 2] + need[z]
-        if _from_line(zones.circle[z, 0], zones.circle[z, 1], n0, e0, n1, e1) > reach:
+        if _from_line(zones.circle[z, 0], zones.circle[z, 1], n0, e0, n1, e1) > zones.circle[z, 2] + need[z]:
             continue
-        least = min(need[z], clearance(zones, z, n0, e0), clearance(zones, z, n1, e1)) - SLACK_M
-        if least <= -SLACK_M:
-            continue
-        least = max(least, 0.0)
+        reach, least = zones.radius[z] + need[z], np.nan
         begin, end = zones.first[z], zones.first[z + 1]
         for i in range(begin, end):
             j = i + 1 if i + 1 < end else begin
             a, b = zones.vertices[i, 0], zones.vertices[i, 1]
             c, d = zones.vertices[j, 0], zones.vertices[j, 1]
+            along, across = (a - n0) * tn + (b - e0) * te, (b - e0) * tn - (a - n0) * te
+            along_j, across_j = (c - n0) * tn + (d - e0) * te, (d - e0) * tn - (c - n0) * te
+            if max(along, along_j) < -reach or min(along, along_j) > length + reach:
+                continue  # most edges of a long ring are far from the line
+            if max(across, across_j) < -reach or min(across, across_j) > reach:
+                continue
+            if np.isnan(least):
+                least = min(need[z], clearance(zones, z, n0, e0), clearance(zones, z, n1, e1)) - SLACK_M
+                if least <= -SLACK_M:
+                    break
+                least = max(least, 0.0)
             if _from_line(a, b, n0, e0, n1, e1) < zones.radius[z] + least:
                 return True
             if end - begin > 1:

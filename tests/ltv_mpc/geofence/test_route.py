@@ -9,6 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from ltv_mpc.geofence.fence import Disc, Fence, Polygon, Zone
 from ltv_mpc.geofence.route import SLACK_M, Router
@@ -105,6 +107,34 @@ def test_the_way_to_another_point_is_not_that_to_the_one_before() -> None:
         way = of.way(START, goal, remember=False)
         assert clearances(zones, along(START, way)).min() > 1.0 - 2e-3
         assert length(START, way) < 21.5
+
+
+def shortest(of: Router, start: Array, goal: Array) -> float:
+    """Return the length of the shortest way over all nodes (m)."""
+    points = np.vstack([start, goal, of.nodes])
+    seen = np.zeros((len(points), len(points)))
+    for i, j in itertools.combinations(range(len(points)), 2):
+        if not of.is_blocked(points[i], points[j]):
+            seen[i, j] = math.dist(points[i], points[j])
+    return float(dijkstra(csr_array(seen), directed=False, indices=0)[1])
+
+
+def test_among_many_zones_every_way_is_the_shortest_one() -> None:
+    random, discs = np.random.default_rng(3), []
+    while len(discs) < 12:
+        north, east = random.uniform(-20.0, 20.0, 2)
+        if all(math.hypot(north - n, east - e) > 6.5 for n, e in discs):
+            discs.append((north, east))
+    squares = [polygon((n - 2, e - 2), (n - 2, e + 2), (n + 2, e + 2), (n + 2, e - 2)) for n, e in discs[6:]]
+    fence = Fence(margin_m=0.0, keep_out=tuple(squares), keep_out_disc=tuple(disc(n, e, 2.0) for n, e in discs[:6]))
+    _, of = router(fence, need_m=0.5)
+    turns = 0
+    for goal in ((-24.0, -24.0), (24.0, 3.0), (24.0, 3.0), (24.0, 24.0)):
+        for start in ((-23.0, 22.0), (-22.0, -20.0), (1.0, -24.0)):
+            way = of.way(np.array(start), np.array(goal), remember=False)
+            assert length(np.array(start), way) == pytest.approx(shortest(of, np.array(start), np.array(goal)))
+            turns = max(turns, len(way) - 1)
+    assert turns > 2
 
 
 def test_a_router_serves_clearances_a_little_larger_or_up_to_a_fifth_smaller() -> None:
