@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ltv_mpc.geofence.route import Router
-from ltv_mpc.geofence.zones import Zones, clearances, nearest
+from ltv_mpc.geofence.zones import Zones, are_clear, clearances, nearest
 from ltv_mpc.messages import Array, Pair
 from ltv_mpc.references.schedule import EAST, NORTH, TIME, WAY, Schedule
 
@@ -61,7 +61,7 @@ def allowed_path(schedule: Schedule, router: Router) -> tuple[Schedule, float]:
     zones, need = router.zones, router.need
     table = _divided(schedule.table)
     points = np.ascontiguousarray(table[[NORTH, EAST]].T)
-    kept = np.flatnonzero((clearances(zones, points) >= need).all(axis=1))
+    kept = np.flatnonzero(are_clear(zones, need, points))
     if len(kept) == table.shape[1]:
         return schedule, 0.0
     left = table[:, kept].copy()
@@ -163,7 +163,7 @@ def nearest_allowed(zones: Zones, need: Array, point: Pair) -> Pair | None:
     extent = np.ptp(zones.vertices, axis=0).max() + 2.0 * float((need + zones.radius).max())
     for radius in np.geomspace(extent * 1e-3, 2.0 * extent, 200):
         around = np.array(point) + radius * ring
-        found = np.flatnonzero((clearances(zones, around) >= need).all(axis=1))
+        found = np.flatnonzero(are_clear(zones, need, around))
         if len(found):
             return float(around[found[0], 0]), float(around[found[0], 1])
     return None

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.geofence.zones import Zones, clearance
+from ltv_mpc.geofence.zones import Zones, are_clear, clearance
 from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
 
@@ -69,7 +69,7 @@ class Router:
         self.need = need.copy()
         """(Z,) clearance that the ways keep (m)."""
         nodes = np.array(list(_nodes(zones, need * OUTSIDE))).reshape(-1, 2)
-        self.nodes = nodes[_are_clear(zones, self.need, nodes)]
+        self.nodes = nodes[are_clear(zones, self.need - SLACK_M, nodes)]
         """(V, 2) points at which a way may turn, north and east (m)."""
         self._lengths = np.full((len(self.nodes), len(self.nodes)), np.nan)  # filled where a search needs them
         self._way = np.empty((0, 2))
@@ -193,20 +193,6 @@ def _nodes(zones: Zones, need: Array):  # type: ignore[no-untyped-def]
                 angle = outward[i - 1] + turn * (j + 0.5) / count
                 size = reach / math.cos(0.5 * turn / count)
                 yield ring[i] + size * np.array([math.cos(angle), math.sin(angle)])
-
-
-@jit
-def _are_clear(zones: Zones, need: Array, points: Array) -> npt.NDArray[np.bool_]:
-    """Return which points (P, 2) keep the required clearance from every zone."""
-    clear = np.ones(len(points), dtype=np.bool_)
-    for k in range(len(points)):
-        n, e = points[k, 0], points[k, 1]
-        for z in range(len(need)):
-            from_circle = np.hypot(n - zones.circle[z, 0], e - zones.circle[z, 1]) - zones.circle[z, 2]
-            if from_circle < need[z] and clearance(zones, z, n, e) < need[z] - SLACK_M:
-                clear[k] = False
-                break
-    return clear
 
 
 @jit

@@ -140,3 +140,24 @@ def clearances(zones: Zones, points: Array) -> Array:
         for z in range(len(zones.radius)):
             out[k, z] = nearest(zones, z, points[k, 0], points[k, 1])[0]
     return out
+
+
+@jit
+def are_clear(zones: Zones, need: Array, points: Array) -> npt.NDArray[np.bool_]:
+    """Return which points keep a required clearance from every zone: faster than to compute all clearances.
+
+    Parameters
+    ----------
+    zones : zones of the fence.
+    need : (Z,) required clearance (m).
+    points : (P, 2) north and east (m).
+    """
+    clear = np.ones(len(points), dtype=np.bool_)
+    for k in range(len(points)):
+        n, e = points[k, 0], points[k, 1]
+        for z in range(len(need)):
+            from_circle = np.hypot(n - zones.circle[z, 0], e - zones.circle[z, 1]) - zones.circle[z, 2]
+            if from_circle < need[z] and clearance(zones, z, n, e) < need[z]:
+                clear[k] = False
+                break
+    return clear

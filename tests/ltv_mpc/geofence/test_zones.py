@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.zones import clearance, nearest, pack_zones
+from ltv_mpc.geofence.zones import are_clear, clearance, clearances, nearest, pack_zones
 from ltv_mpc.messages import Array
 from tests.ltv_mpc.geofence.shapes import boundary_distance, contains, disc, fence_of, point, rings
 
@@ -51,6 +51,15 @@ def test_a_disc_is_its_centre_with_a_radius(centre: tuple[float, float], at: tup
 def test_the_circle_is_around_the_whole_zone(ring: Array) -> None:
     zones = pack_zones(fence_of(ring, keep_in=False))
     assert np.hypot(*(ring - zones.circle[0, :2]).T).max() <= zones.circle[0, 2] + 1e-9
+
+
+@settings(deadline=None)
+@given(rings(), rings())
+def test_points_are_clear_where_all_clearances_are_large_enough(around: Array, ring: Array) -> None:
+    keep_in, keep_out = fence_of(around, keep_in=True).keep_in, fence_of(ring, keep_in=False).keep_out
+    zones = pack_zones(Fence(margin_m=1.0, keep_in=keep_in, keep_out=keep_out, keep_out_disc=(disc(5.0, 5.0, 4.0),)))
+    need, points = np.array([0.5, 2.0, 1.0]), np.random.default_rng(2).uniform(-40.0, 40.0, (300, 2))
+    np.testing.assert_array_equal(are_clear(zones, need, points), (clearances(zones, points) >= need).all(axis=1))
 
 
 def test_zones_keep_the_order_of_the_fence_and_their_margins() -> None:
