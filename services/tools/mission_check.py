@@ -55,7 +55,7 @@ def check_mission(
     Parameters
     ----------
     vehicle : its file needs [hull] if there is a fence.
-    reference : path or point; of "here" without a start only the depth is checked.
+    reference : path or point; "here" needs the start for the fence and the soundings.
     fence : its origin is that of the reference; None: only current and depths are checked.
     start : north and east of the vehicle (m); None: it begins at the first point of the path.
     current_mps : speed of the water, from any direction.
@@ -77,6 +77,8 @@ def check_mission(
     limits = limits or MotionLimits()
     problems += _corridor_problems(reference, limits.max_cross_track_m, drift_m, current_mps)
     problems += _depth_problems(largest, bottom if isinstance(bottom, float) else None, limits)
+    if schedule is None:
+        problems += _unchecked_problems(fence, bottom)
     lowest = None
     if isinstance(bottom, Bathymetry) and schedule is not None:
         lowest, too_deep = check_bottom(bottom, schedule, limits.min_altitude_m or 0.0)
@@ -150,6 +152,13 @@ def _schedule(vehicle: Vehicle, reference: Reference, start: Pair | None) -> tup
     place = reference.position(anchor or reference.anchor(Estimate.at_rest()))
     column = np.array([[0.0, 0.0, *place, depth_m]]).T
     return Schedule(np.hstack([column, column]), 0.0), column[-1], 0.0
+
+
+def _unchecked_problems(fence: Fence | None, bottom: float | Bathymetry | None) -> list[str]:
+    """Return what is not checked because the position of the reference is not known."""
+    why = "is not checked: the reference begins where the vehicle is; give this position with --start NORTH,EAST"
+    unchecked = {"--fence": fence is not None, "--bottom": isinstance(bottom, Bathymetry)}
+    return [f"{option} {why}" for option, is_given in unchecked.items() if is_given]
 
 
 def _width_problems(narrowest: Pair | None, needed_m: float, drift_m: float, current_mps: float) -> list[str]:

@@ -173,6 +173,22 @@ def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(
     assert "option --fence: needs --reference" in capsys.readouterr().err
 
 
+def test_check_of_here_asks_for_the_start(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "fence.toml").write_text(
+        "margin_m = 1.0\n[[keep_out_disc]]\ncentre = { north_m = 0.0, east_m = 0.0 }\nradius_m = 3.0\n"
+    )
+    check = ["vehicle", "check", "paper", "--reference", "descent", "--fence", "fence.toml"]
+    assert run(check) == 1
+    out = capsys.readouterr().out
+    assert "problem: --fence is not checked: the reference begins where the vehicle is; give this position with" in out
+    assert "no problems" not in out
+    assert run([*check, "--json"]) == 1
+    (problem,) = json.loads(capsys.readouterr().out)["mission"]["problems"]
+    assert problem.startswith("--fence is not checked")
+    assert run([*check, "--start", "20,0"]) == 0
+    assert "no problems" in capsys.readouterr().out
+
+
 def test_check_takes_the_start_of_the_vehicle(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "fence.toml").write_text(
         "margin_m = 1.0\n[[keep_out_disc]]\ncentre = { north_m = 0.0, east_m = 0.0 }\nradius_m = 3.0\n"

@@ -313,8 +313,21 @@ def test_a_path_beyond_the_soundings_is_found() -> None:
     assert problem == "the bathymetry does not reach the reference"
 
 
-def test_a_point_below_the_bottom_of_a_bathymetry_is_found_and_here_has_no_place() -> None:
+def test_a_point_below_the_bottom_of_a_bathymetry_is_found() -> None:
     point, flat = Point(north_m=10.0, east_m=0.0, depth_m=30.0), ground((-50.0, 25.0), (50.0, 25.0))
     [problem] = check_mission(PAPER, point, None, bottom=flat).problems
     assert "by up to 5.0 m at 0 m of the path (north 10 m, east 0 m)" in problem
-    assert check_mission(PAPER, Hold(depth_m=30.0), None, bottom=flat).bottom is None
+
+
+def test_without_a_start_here_is_checked_neither_against_a_fence_nor_against_soundings() -> None:
+    here, flat = Hold(depth_m=30.0), ground((-50.0, 25.0), (50.0, 25.0))
+    fence = Fence(margin_m=1.0, keep_out_disc=(disc(0, 0, 5),))
+    why = "is not checked: the reference begins where the vehicle is; give this position with --start NORTH,EAST"
+    result = check_mission(PAPER, here, fence, bottom=flat)
+    assert result.problems == [f"--fence {why}", f"--bottom {why}"]
+    assert (result.zones, result.bottom) == ([], None)
+    assert check_mission(PAPER, here, None, bottom=40.0).problems == []  # the same depth everywhere
+    at_home = check_mission(PAPER, here, fence, bottom=flat, start=(0.0, 0.0))
+    assert at_home.bottom is not None
+    assert [zone.zone for zone in at_home.zones] == ["keep_out_disc[0]"]
+    assert not any("not checked" in problem for problem in at_home.problems)
