@@ -4,6 +4,9 @@ A target inside a zone would wait there for a vehicle that cannot come. So the c
 required clearance of a zone are left out. Between the last point before a zone and the first one behind it the target
 takes the shortest way round the zones (route.py), with the speed that it has beside the zone; where there is no way, it
 jumps. A path that ends inside ends at the nearest point that is allowed.
+
+The times of a timed track are those of the user. Its target waits behind a detour or a jump until the time at which it
+would be there without the zone, and what lies behind a long detour is late.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones, are_clear, clearances, nearest
 from ltv_mpc.messages import Array, Pair
 from ltv_mpc.references.schedule import EAST, NORTH, TIME, WAY, Schedule
+from ltv_mpc.references.timed import TimedSchedule
 
 ROUNDING_M = 1e-6
 """Distance by which a point is moved beyond the required clearance, so that rounding does not leave it inside."""
@@ -58,7 +62,7 @@ def allowed_path(schedule: Schedule, router: Router) -> tuple[Schedule, float]:
     The schedule, and the length that is left out or, if that is more, the distance by which the end is moved (m). A
     path whose end has no allowed point near it stays as it is.
     """
-    zones, need = router.zones, router.need
+    zones, need, keeps_time = router.zones, router.need, isinstance(schedule, TimedSchedule)
     table = _divided(schedule.table)
     points = np.ascontiguousarray(table[[NORTH, EAST]].T)
     kept = np.flatnonzero(are_clear(zones, need, points))
@@ -68,7 +72,8 @@ def allowed_path(schedule: Schedule, router: Router) -> tuple[Schedule, float]:
     step_s, step_m = np.diff(left[TIME]), np.diff(left[WAY])
     gap = np.diff(kept) > 1
     skipped_m = float(table[WAY, -1] - table[WAY, 0] - step_m[~gap].sum())
-    left[TIME] = np.concatenate([[0.0], np.cumsum(np.where(gap, 0.0, step_s))])[: len(kept)]
+    if not keeps_time:
+        left[TIME] = np.concatenate([[0.0], np.cumsum(np.where(gap, 0.0, step_s))])[: len(kept)]
     if not len(kept) or kept[-1] != table.shape[1] - 1:
         end = nearest_allowed(zones, need, (float(points[-1, 0]), float(points[-1, 1])))
         if end is None:
@@ -79,28 +84,55 @@ def allowed_path(schedule: Schedule, router: Router) -> tuple[Schedule, float]:
         left = np.hstack([left, last] if len(kept) else [last, last])
     elif len(kept) == 1:
         left = np.hstack([left, left])
-    return schedule._replace(table=_with_detours(left, np.flatnonzero(gap), router)), skipped_m
+    left = _with_detours(left, np.flatnonzero(gap), router, keeps_time=keeps_time)
+    if keeps_time:
+        left = _with_rests(left, float(table[TIME, 0]), float(table[TIME, -1]))
+    return schedule._replace(table=left), skipped_m
 
 
-def _with_detours(table: Array, gaps: Columns, router: Router) -> Array:
-    """Return the table (5, M) of a schedule with the ways round the zones behind the columns ``gaps``."""
+def _with_detours(table: Array, gaps: Columns, router: Router, *, keeps_time: bool) -> Array:
+    """Return the table (5, M) of a schedule with the ways round the zones behind the columns ``gaps``.
+
+    With ``keeps_time`` the target waits behind a gap until the time of the table.
+    """
     parts, begin, delay_s = [], 0, 0.0
     ends = np.append(gaps, table.shape[1] - 1)
     for i, following in itertools.pairwise(ends):
         before, behind, way = _shortest_detour(table, range(begin, i + 1), range(i + 1, following + 1), router)
-        if way is None:
-            continue
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
-        at = np.linspace(0.0, along[-1], max(math.ceil(along[-1] / STEP_M), 2) + 1)[1:-1]
-        first, last = table[:, before, None], table[:, behind, None]
-        detour = first + (last - first) * (at / along[-1])
-        detour[NORTH], detour[EAST] = np.interp(at, along, way[:, 0]), np.interp(at, along, way[:, 1])
-        speed = _speed_mps(table, before, behind)
-        detour[TIME] = first[TIME] + at / speed
-        parts += [_later(table[:, begin : before + 1], delay_s), _later(detour, delay_s)]
+        first, last = table[:, before, None], table[:, behind, None].copy()
+        planned_s = float(last[TIME, 0] - first[TIME, 0])
+        detour_s = 0.0 if way is None else _length_m(way) / _speed_mps(table, before, behind)
+        last[TIME] = first[TIME] + detour_s
+        parts.append(_later(table[:, begin : before + 1], delay_s))
+        if way is not None:
+            parts.append(_later(_detour(first, last, way), delay_s))
+        if keeps_time:
+            parts.append(_later(last, delay_s))
+            detour_s = max(detour_s, planned_s - delay_s)
         begin = behind
-        delay_s += along[-1] / speed - float(last[TIME, 0] - first[TIME, 0])
+        delay_s += detour_s - planned_s
     return np.hstack([*parts, _later(table[:, begin:], delay_s)])
+
+
+def _detour(first: Array, last: Array, way: Array) -> Array:
+    """Return the columns (5, K) of a uniform motion along a way (P, 2) between two columns (5, 1)."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
+    at = np.linspace(0.0, along[-1], max(math.ceil(along[-1] / STEP_M), 2) + 1)[1:-1]
+    detour: Array = first + (last - first) * (at / along[-1])
+    detour[NORTH], detour[EAST] = np.interp(at, along, way[:, 0]), np.interp(at, along, way[:, 1])
+    return detour
+
+
+def _length_m(way: Array) -> float:
+    """Return the length (m) of a way (P, 2)."""
+    return float(np.hypot(*np.diff(way, axis=0).T).sum())
+
+
+def _with_rests(table: Array, begin_s: float, end_s: float) -> Array:
+    """Return the table (5, M) of a schedule with rests at its ends, from ``begin_s`` and until ``end_s`` at least."""
+    ends = table[:, [0, -1]]
+    ends[TIME] = min(begin_s, table[TIME, 0]), max(end_s, table[TIME, -1])
+    return np.hstack([ends[:, :1], table, ends[:, 1:]])
 
 
 def _shortest_detour(table: Array, left: range, right: range, router: Router) -> tuple[int, int, Array | None]:
@@ -116,7 +148,7 @@ def _shortest_detour(table: Array, left: range, right: range, router: Router) ->
             j = min(right[-1], right[0] + int(np.searchsorted(table[WAY, right[0] :], table[WAY, right[0]] + meet_m)))
             start, end = table[[NORTH, EAST], i], table[[NORTH, EAST], j]
             way = np.vstack([start, router.way(start, end, remember=False)])
-            longer_m = float(np.hypot(*np.diff(way, axis=0).T).sum() - (table[WAY, j] - table[WAY, i]))
+            longer_m = _length_m(way) - float(table[WAY, j] - table[WAY, i])
             if (way[-1] == end).all() and longer_m < best_m - ROUNDING_M:
                 best_m, best = longer_m, (i, j, way)
     return best
@@ -127,7 +159,7 @@ def _speed_mps(table: Array, before: int, behind: int) -> float:
     way = table[WAY]
     first, last = np.searchsorted(way, [way[before] - SPEED_M, way[behind] + SPEED_M])
     step_s, step_m = np.diff(table[TIME, first : last + 1]), np.diff(way[first : last + 1])
-    moves = step_s > 0.0  # the part that is left out takes no time
+    moves = step_s > 0.0  # on a path at a speed, the part that is left out takes no time
     return float(np.max(step_m[moves] / step_s[moves], initial=MIN_SPEED_MPS))
 
 

@@ -34,6 +34,12 @@ IN_TIME = 0.99
 """Share of the time between two rows: a step that needs at most 1 / IN_TIME of its time counts as in time."""
 
 
+class TimedSchedule(Schedule):
+    """Schedule whose times the user gave: it keeps them where a part of the track is left out."""
+
+    __slots__ = ()
+
+
 class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
     """Track with a time for each row; ``file`` is a CSV in the folder of the reference file, ``rows`` the same inline.
 
@@ -60,7 +66,7 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         if self.depth_m is not None and len(self.rows[0]) == 4:
             raise ValueError("depth_m is given for the whole track and in its rows: remove one of them")
 
-    def schedule(self, vehicle: Vehicle, anchor: ReferenceStart | None = None) -> Schedule:
+    def schedule(self, vehicle: Vehicle, anchor: ReferenceStart | None = None) -> TimedSchedule:
         """Return the schedule of the rows, delayed where the vehicle is not fast enough.
 
         Parameters
@@ -75,11 +81,11 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
             table, length = np.concatenate([first, table], axis=1), np.concatenate([[0.0], length])
         track = Track(table[2:4].T, table[4], np.zeros(len(length)), np.zeros(len(length)), np.zeros(len(length) + 1))
         if anchor is None:
-            return Schedule(table, 0.0)
+            return TimedSchedule(table, 0.0)
         start = np.array([anchor.north_m, anchor.east_m])
         moved, lead_m = with_lead_in(track, start, LEAD_IN_M)
         if lead_m == 0.0:
-            return Schedule(table, 0.0)
+            return TimedSchedule(table, 0.0)
         leg = Track(moved.points[:2], moved.depth[:2], np.zeros(1), np.zeros(1), np.zeros(2))
         limits = path_limits(vehicle)
         lead = fastest_schedule(leg, limits.cruise_mps, limits, descent_rate_mps=self.descent_rate_mps).table
@@ -89,7 +95,7 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         table[TIME] += begin - table[TIME, 0]
         table[1] += lead_m
         lead[TIME, 0] = 0.0
-        return Schedule(np.concatenate([lead, table[:, 1:]], axis=1), lead_m)
+        return TimedSchedule(np.concatenate([lead, table[:, 1:]], axis=1), lead_m)
 
     def notes(self, vehicle: Vehicle) -> list[str]:
         """Return a sentence about the rows that the vehicle cannot reach in time.

@@ -27,7 +27,7 @@ class MissionCheck(msgspec.Struct, frozen=True, kw_only=True):
     """Result of the check of a mission."""
 
     length_m: float
-    duration_s: float
+    duration_s: float  # with the ways round zones
     largest_depth_m: float | None  # that the reference asks for
     current_mps: float
     drift_m: float | None  # while the vehicle turns into the current by 90 degrees; null: it cannot turn
@@ -84,10 +84,11 @@ def check_mission(
         lowest, too_deep = check_bottom(bottom, schedule, limits.min_altitude_m or 0.0)
         problems += too_deep
     zones, corridor_m, needed_m, notes = [], None, None, []
+    duration_s = 0.0 if schedule is None else schedule.duration_s
     if fence is not None and schedule is not None:
         hull_m = hull_radius_m(vehicle)
         found = check_fence(fence, hull_m, schedule, start)
-        zones, notes = found.zones, found.notes
+        zones, notes, duration_s = found.zones, found.notes, found.duration_s
         problems += found.problems + _margin_problems(zones, stopping_m, speed_mps)
         corridor_m = None if found.narrowest is None else found.narrowest[0]
         if drift_m is not None:
@@ -95,7 +96,7 @@ def check_mission(
             problems += _width_problems(found.narrowest, needed_m, drift_m, current_mps)
     return MissionCheck(
         length_m=0.0 if schedule is None else float(schedule.table[WAY, -1]),
-        duration_s=0.0 if schedule is None else schedule.duration_s,
+        duration_s=duration_s,
         largest_depth_m=largest,
         current_mps=current_mps,
         drift_m=drift_m,

@@ -175,6 +175,59 @@ def test_a_path_with_one_allowed_point_is_a_point() -> None:
     )
     track = Timed(rows=((0.0, 9.8, 2.0), (10.0, 10.0, 2.0))).schedule(PAPER)
     schedule, _ = allowed_path(track, Router(zones, np.array([1.0])))
-    assert schedule.table.shape[1] == 2
-    np.testing.assert_array_equal(schedule.table[:, 0], schedule.table[:, 1])
-    assert target_at(schedule.table, 5.0)[1:] == (10.0, 2.0)
+    assert (schedule.table[NORTH] == 10.0).all()
+    assert (schedule.table[EAST] == 2.0).all()
+    assert schedule.duration_s == 10.0
+
+
+STAY = Timed(rows=((0.0, 0.0, 0.0), (40.0, 12.0, 0.0), (100.0, 12.0, 0.0), (180.0, 30.0, 0.0)))
+"""Track with a stay of 60 s at 12 m."""
+
+
+def test_a_stay_in_a_zone_keeps_its_time_at_the_exit() -> None:
+    """The disc reaches from 9 to 15 m, with the required clearance from 8 to 16 m: the stay is in it."""
+    before = STAY.schedule(PAPER)
+    schedule, skipped_m = allowed_path(before, Router(discs((12.0, 0.5, 3.0)), NEED))
+    assert skipped_m == pytest.approx(2.0 * math.sqrt(4.0**2 - 0.5**2), abs=0.6)
+    assert schedule.duration_s == pytest.approx(180.0)
+    for t_s in (5.0, 20.0, 125.0, 140.0, 170.0):  # before the zone and behind it each place has its time
+        np.testing.assert_allclose(target_at(schedule.table, t_s), target_at(before.table, t_s), atol=1e-9)
+    exit_m = target_at(schedule.table, 100.0)[1]
+    assert 15.5 < exit_m < 20.5
+    assert target_at(schedule.table, 80.0)[1] == exit_m  # it went round the zone at 0.3 m/s, and waits
+    assert np.all(np.diff(schedule.table[TIME]) >= 0.0)
+
+
+def test_a_late_timed_target_is_in_time_again_behind_a_stay_in_a_zone() -> None:
+    track = Timed(rows=((0.0, -100.0, 0.0), (400.0, 0.0, 0.0), *((t + 400.0, n, e) for t, n, e in STAY.rows[1:])))
+    wide, small = (-50.0, 0.0, 5.0), (12.0, 0.5, 3.0)
+    late, _ = allowed_path(track.schedule(PAPER), Router(discs(wide), NEED))
+    assert 590.0 < late.duration_s < 610.0
+    in_time, _ = allowed_path(track.schedule(PAPER), Router(discs(wide, small), np.ones(2)))
+    assert in_time.duration_s == pytest.approx(580.0)
+
+
+def test_where_no_way_leads_round_a_zone_a_timed_target_jumps_and_waits() -> None:
+    basin = polygon(np.array([[-10.0, -10.0], [-10.0, 10.0], [60.0, 10.0], [60.0, -10.0]]))
+    wall = polygon(np.array([[10.0, -12.0], [10.0, 12.0], [14.0, 12.0], [14.0, -12.0]]))
+    zones = pack_zones(Fence(margin_m=0.0, keep_in=(basin,), keep_out=(wall,)))
+    schedule, _ = allowed_path(STAY.schedule(PAPER), Router(zones, np.ones(2)))
+    assert target_at(schedule.table, 29.0)[1] == pytest.approx(8.7)
+    assert target_at(schedule.table, 31.0)[1] == target_at(schedule.table, 100.0)[1] == pytest.approx(15.0, abs=0.3)
+    assert schedule.duration_s == 180.0
+
+
+@pytest.mark.parametrize(("centre_m", "waits_s", "at_m"), [(0.0, (0.0, 15.0), 5.0), (30.0, (165.0, 180.0), None)])
+def test_a_timed_track_whose_end_is_in_a_zone_rests_there(
+    centre_m: float, waits_s: tuple[float, float], at_m: float | None
+) -> None:
+    """The disc and the required clearance have 5 m: the target waits behind them, or beside the end."""
+    schedule, _ = allowed_path(STAY.schedule(PAPER), Router(discs((centre_m, 1.0, 4.0)), NEED))
+    assert schedule.table[TIME, 0] == 0.0
+    assert schedule.duration_s == 180.0
+    begin, end = (target_at(schedule.table, t_s)[1:] for t_s in waits_s)
+    assert begin == end
+    if at_m is not None:
+        assert begin == pytest.approx((at_m, 0.0), abs=0.3)
+    else:
+        np.testing.assert_allclose(begin, [30.0, -4.0], atol=1e-4)

@@ -12,7 +12,7 @@ from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Disc, Fence, Polygon
-from ltv_mpc.references import Hold, Line, Origin, Place, Point, load
+from ltv_mpc.references import Hold, Line, Origin, Place, Point, Timed, load
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import performance
 from services.tools.mission_check import MissionCheck, check_mission, table
@@ -63,6 +63,19 @@ def test_a_path_through_a_zone_is_led_round_it_and_the_length_is_printed() -> No
     assert left_m == pytest.approx(2.0 * math.sqrt((7.0 + HULL_M) ** 2 - 9.0), abs=0.5)
     assert result.notes == [f"the path is led round keep_out_disc[0]: {left_m:.1f} m are left out"]
     assert result.corridor_m is None  # the other side is open
+
+
+def test_the_time_of_the_mission_is_that_with_the_ways_round_its_zones() -> None:
+    """Half a circle around the disc, of 8 m and the hull, is longer than its diameter."""
+    fence, radius_m = Fence(margin_m=2.0, keep_out_disc=(disc(50, 0, 6),)), 8.0 + HULL_M
+    clear, led_round = checked(), checked(fence)
+    longer_s = (math.pi - 2.0) * radius_m / 0.3
+    assert clear.duration_s + 0.5 * longer_s < led_round.duration_s < clear.duration_s + longer_s
+    assert f" in {led_round.duration_s:.0f} s" in table(led_round)
+    stay = Timed(rows=((0.0, 0.0, 0.0), (40.0, 12.0, 0.0), (100.0, 12.0, 0.0), (180.0, 30.0, 0.0)))
+    in_zone = check_mission(PAPER, stay, Fence(margin_m=1.0, keep_out_disc=(disc(12, 0.5, 2),)))
+    assert in_zone.duration_s == pytest.approx(180.0)
+    assert in_zone.problems == []
 
 
 def test_a_wall_without_a_way_round_it_is_a_problem() -> None:
@@ -319,7 +332,7 @@ def test_a_point_below_the_bottom_of_a_bathymetry_is_found() -> None:
     assert "by up to 5.0 m at 0 m of the path (north 10 m, east 0 m)" in problem
 
 
-def test_without_a_start_here_is_checked_neither_against_a_fence_nor_against_soundings() -> None:
+def test_here_without_a_start_is_checked_against_neither_fence_nor_soundings() -> None:
     here, flat = Hold(depth_m=30.0), ground((-50.0, 25.0), (50.0, 25.0))
     fence = Fence(margin_m=1.0, keep_out_disc=(disc(0, 0, 5),))
     why = "is not checked: the reference begins where the vehicle is; give this position with --start NORTH,EAST"
