@@ -43,7 +43,7 @@ class FenceChanges:
         found = [*_entered_or_left("zone", Level.ERROR, before.inside, after.inside)]
         found += _entered_or_left("margin", Level.WARNING, before.in_margin, after.in_margin)
         if after.exceeded and not before.exceeded:
-            text = f"the plan lacks more than 1 cm of a required clearance, at {after.exceeded} knots"
+            text = f"the plan lacks more than 1 cm of a required clearance at {after.exceeded} of its points"
             found.append((Level.WARNING, text))
         if before.exceeded and not after.exceeded:
             found.append((Level.INFO, "the plan keeps the required clearances again"))
@@ -51,7 +51,8 @@ class FenceChanges:
             text = "no way round the zones leads to the target" if after.no_way else "a way to the target is found"
             found.append((Level.WARNING if after.no_way else Level.INFO, text))
         if after.skipped_m > 0.0 and after.skipped_m != before.skipped_m:
-            found.append((Level.WARNING, f"reference in a zone or margin: {after.skipped_m:.1f} m left out"))
+            text = f"the reference lies in a zone or its margin: {after.skipped_m:.1f} m are left out"
+            found.append((Level.WARNING, text))
         time_s = math.inf if after.time_to_zone_ns is None else after.time_to_zone_ns * 1e-9
         if self._is_new(time_s):
             found.append((Level.WARNING, f"the hull will be in a zone or obstacle in {time_s:.0f} s"))

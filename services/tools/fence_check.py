@@ -83,6 +83,11 @@ def check_fence(fence: Fence, hull_m: float, schedule: Schedule, start: Pair | N
     return FenceCheck(checks, narrowest, float(packed.margin.max()), allowed.duration_s, problems, notes)
 
 
+def distance(free_m: float) -> str:
+    """Return the distance between hull and zone (m), negative beyond the boundary, as text."""
+    return f"{free_m:.3g} m" if free_m >= 0.0 else f"{-free_m:.3g} m beyond the boundary"
+
+
 def _zone(label: str, margin_m: float, free: Array, path: PathSamples) -> ZoneCheck:
     k = int(np.argmin(free))
     return ZoneCheck(
@@ -100,9 +105,9 @@ def _start_problems(labels: list[str], margin: Array, free: Array) -> list[str]:
     problems = []
     for label, margin_m, free_m in zip(labels, margin.tolist(), free.tolist(), strict=True):
         if free_m < 0.0:
-            problems.append(f"the start is not allowed: hull {-free_m:.1f} m beyond the boundary of {label}")
+            problems.append(f"the start is not allowed: hull {distance(free_m)} of {label}")
         elif free_m < margin_m:
-            where = f"hull {free_m:.1f} m from it, margin {margin_m:g} m"
+            where = f"hull {distance(free_m)} from it, margin {margin_m:g} m"
             problems.append(f"the start is in the margin of {label}: {where}")
     return problems
 
@@ -147,7 +152,7 @@ def _crossing(check: ZoneCheck, *, keep_in: bool, no_way: bool) -> str:
         return f"there is no way round {check.zone}: {length} of the path cannot be followed"
     if keep_in:
         return f"the path leaves {check.zone} or enters its margin: {length} are left out"
-    return f"the path is led round {check.zone}: {length} are left out"
+    return f"the path lies in {check.zone} or its margin: {length} are left out, and the way leads round it"
 
 
 def _narrowest(zones: Zones, allowed: Schedule, hull_m: float) -> Pair | None:

@@ -17,7 +17,7 @@ from ltv_mpc.references.schedule import WAY, Schedule
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance, sideways_drag_N, stopping
 from services.tools.bottom_check import BottomCheck, check_bottom
-from services.tools.fence_check import ZoneCheck, check_fence
+from services.tools.fence_check import ZoneCheck, check_fence, distance
 
 LABEL_WIDTH = 38
 """Least width of the first column of the table."""
@@ -125,7 +125,7 @@ def table(of: MissionCheck) -> str:
         rows.append(("altitude of the reference", f"{of.bottom.altitude_m:.3g} m or more, {of.bottom.place}"))
     for zone in of.zones:
         at = f" at {zone.way_m:.0f} m of the path" if of.length_m > 0.0 else ""
-        where = f"{zone.clearance_m:.3g} m{at}, margin {zone.margin_m:g} m"
+        where = f"{distance(zone.clearance_m)}{at}, margin {zone.margin_m:g} m"
         rows.append((f"hull from {zone.zone}", where))
     width = max(LABEL_WIDTH, *(len(name) + 2 for name, _ in rows))
     lines += [f"  {name:<{width}}{value}" for name, value in rows]

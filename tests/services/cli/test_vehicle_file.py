@@ -196,7 +196,7 @@ def test_check_takes_the_start_of_the_vehicle(here: Path, capsys: pytest.Capture
     point = ["vehicle", "check", "paper", "--reference", "point.toml", "--fence", "fence.toml", "--start"]
     (here / "point.toml").write_text('kind = "point"\nnorth_m = 20.0\neast_m = -1.0\n')
     assert run([*point, "1,-2.5"]) == 1
-    assert "the start is not allowed: hull 1.4 m beyond the boundary of keep_out_disc[0]" in capsys.readouterr().out
+    assert "the start is not allowed: hull 1.36 m beyond the boundary of keep_out_disc[0]" in capsys.readouterr().out
     assert run([*point, "-20,1"]) == 0
     assert "note: the way from the start leads round the zones: 4" in capsys.readouterr().out
     for text in ("3", "1,2,3", "1,nan", "1,1e9", "north,east"):

@@ -160,10 +160,10 @@ def test_zones_and_margins_are_reported_when_they_are_entered_and_left():
         (Level.INFO, f"zone left: {buoy}"),
         (Level.INFO, f"margin left: {buoy}"),
         (Level.WARNING, "obstacle 12 dropped: its last report is too old"),
-        (Level.WARNING, "the plan lacks more than 1 cm of a required clearance, at 3 knots"),
+        (Level.WARNING, "the plan lacks more than 1 cm of a required clearance at 3 of its points"),
         (Level.INFO, "the plan keeps the required clearances again"),
         (Level.WARNING, "no way round the zones leads to the target"),
-        (Level.WARNING, "reference in a zone or margin: 4.0 m left out"),
+        (Level.WARNING, "the reference lies in a zone or its margin: 4.0 m are left out"),
         (Level.INFO, "a way to the target is found"),
         (Level.WARNING, "the hull will be in a zone or obstacle in 85 s"),
     ]

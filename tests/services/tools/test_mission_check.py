@@ -51,7 +51,7 @@ def test_a_mission_far_from_its_zones_has_no_problems() -> None:
 
 def test_a_start_outside_is_found() -> None:
     [problem] = checked(Fence(margin_m=2.0, keep_in=(box(5, 150, -50, 50),))).problems
-    assert problem == f"the start is not allowed: hull {5.0 + HULL_M:.1f} m beyond the boundary of keep_in[0]"
+    assert problem == f"the start is not allowed: hull {5.0 + HULL_M:.3g} m beyond the boundary of keep_in[0]"
 
 
 def test_a_path_through_a_zone_is_led_round_it_and_the_length_is_printed() -> None:
@@ -61,7 +61,9 @@ def test_a_path_through_a_zone_is_led_round_it_and_the_length_is_printed() -> No
     assert result.problems == []
     left_m = result.zones[0].in_margin_m
     assert left_m == pytest.approx(2.0 * math.sqrt((7.0 + HULL_M) ** 2 - 9.0), abs=0.5)
-    assert result.notes == [f"the path is led round keep_out_disc[0]: {left_m:.1f} m are left out"]
+    assert result.notes == [
+        f"the path lies in keep_out_disc[0] or its margin: {left_m:.1f} m are left out, and the way leads round it"
+    ]
     assert result.corridor_m is None  # the other side is open
 
 
@@ -88,7 +90,7 @@ def test_a_wall_without_a_way_round_it_is_a_problem() -> None:
     assert problem.startswith("there is no way round keep_out[0]: ")
     assert problem.endswith(f"{result.zones[1].in_margin_m:.1f} m of the path cannot be followed")
     (note,) = result.notes
-    assert note.startswith("the path is led round keep_out_disc[0]")
+    assert note.startswith("the path lies in keep_out_disc[0] or its margin: ")
 
 
 def test_the_corridor_is_that_of_the_way_round_a_zone() -> None:
@@ -128,7 +130,7 @@ def test_a_path_through_a_margin_is_led_round_it_too() -> None:
     assert result.zones[0].in_margin_m > 2.0
     assert result.problems == []
     (note,) = result.notes
-    assert note.startswith("the path is led round keep_out_disc[0]")
+    assert note.startswith("the path lies in keep_out_disc[0] or its margin: ")
 
 
 def test_a_corridor_is_too_narrow_only_in_a_current() -> None:
@@ -194,7 +196,7 @@ def test_a_point_in_a_zone_is_found_and_a_fence_needs_a_hull() -> None:
     fence = Fence(margin_m=1.0, keep_out_disc=(disc(0, 0, 5),))
     point = Point(north_m=1.0, east_m=0.0)
     text = table(check_mission(PAPER, point, fence))
-    assert f"hull from keep_out_disc[0]            {-4.0 - HULL_M:.3g} m, margin 1 m" in text
+    assert f"hull from keep_out_disc[0]            {4.0 + HULL_M:.3g} m beyond the boundary, margin 1 m" in text
     assert "path" not in text
     assert "corridor" not in text
     assert check_mission(PAPER, point, fence).problems == [
@@ -212,11 +214,11 @@ def test_a_start_in_a_zone_or_its_margin_is_found_and_the_way_from_it() -> None:
         return check_mission(PAPER, point, fence, start=(north_m, 0.0))
 
     assert from_(9.0).problems == [
-        f"the start is not allowed: hull {2.0 + HULL_M:.1f} m beyond the boundary of keep_out_disc[0]"
+        f"the start is not allowed: hull {2.0 + HULL_M:.3g} m beyond the boundary of keep_out_disc[0]"
     ]
     free_m = 4.5 - 3.0 - HULL_M
     assert from_(5.5).problems == [
-        f"the start is in the margin of keep_out_disc[0]: hull {free_m:.1f} m from it, margin 2 m"
+        f"the start is in the margin of keep_out_disc[0]: hull {free_m:.3g} m from it, margin 2 m"
     ]
     behind, beside = from_(0.0), from_(40.0)
     assert behind.problems == beside.problems == beside.notes == []
@@ -242,15 +244,15 @@ def test_the_harbour_of_the_page_has_notes_and_no_problems() -> None:
     result = check_mission(PAPER, load("examples/references/harbour.toml"), fence, current_mps=0.1)
     assert result.problems == []
     assert [note.split(": ")[0] for note in result.notes] == [
-        'the path is led round keep_out[0] "pier"',
-        'the path is led round keep_out[1] "wreck"',
-        'the path is led round keep_out_disc[0] "mooring buoy"',
+        'the path lies in keep_out[0] "pier" or its margin',
+        'the path lies in keep_out[1] "wreck" or its margin',
+        'the path lies in keep_out_disc[0] "mooring buoy" or its margin',
     ]
     assert result.corridor_m is not None
     assert result.corridor_m > 5.0  # also beside the zones that the path crosses
     rows = [line for line in table(result).splitlines() if line.startswith("  hull from")]
-    assert any('"mooring buoy"  -1.88 m at' in row for row in rows)
-    assert len({row.index(" m at ") - len(row.split(" m at ")[0].rsplit(" ", 1)[1]) for row in rows}) == 1  # one column
+    assert any('"mooring buoy"  1.88 m beyond the boundary at' in row for row in rows)
+    assert len({row.index(" m ") - len(row.split(" m ")[0].rsplit(" ", 1)[1]) for row in rows}) == 1  # one column
 
 
 def test_origins_that_differ_are_an_error() -> None:
@@ -265,7 +267,7 @@ def test_the_text_has_the_numbers_the_notes_and_the_problems() -> None:
     text = table(checked(Fence(margin_m=2.0, keep_out_disc=(disc(50, 3, 5), disc(0, 0, 1))), current_mps=0.1))
     assert text.startswith("mission: 100 m in ")
     assert "hull from keep_out_disc[0]" in text
-    assert "note: the path is led round keep_out_disc[0]" in text
+    assert "note: the path lies in keep_out_disc[0] or its margin" in text
     assert "problem: the start is not allowed" in text
     assert table(checked()).endswith("no problems")
 
