@@ -556,7 +556,10 @@ class FenceReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             "within 10 minutes of drift after a plan that is not solved"
         ),
     ] = None
-    dropped: Annotated[tuple[Identifier, ...], Meta(description="obstacles dropped in this cycle: too old")] = ()
+    dropped: Annotated[
+        tuple[Identifier, ...],
+        Meta(description="obstacles of which a report was dropped in this cycle: too old, or ahead of vehicle time"),
+    ] = ()
 
 
 class Plan(Message, frozen=True, kw_only=True, eq=False):

@@ -151,7 +151,7 @@ class Fencing:
         self.scene.disc_need_m[0] = need
 
     def predict_obstacles(self, t_ns: int) -> bool:
-        """Begin a cycle: drop old obstacles, and predict the others.
+        """Begin a cycle: take the new reports, drop those that are too old or from the future, and predict the others.
 
         Parameters
         ----------
@@ -161,9 +161,9 @@ class Fencing:
         -------
         True if other obstacles stand in the way than before: the allowed part of a path has changed.
         """
+        self._dropped = self.obstacles.update(t_ns)
         if not (len(self.obstacles) or len(self.scene.discs)):
             return False
-        self._dropped = self.obstacles.drop_old(t_ns)
         self.scene = self.scene._replace(discs=self.obstacles.discs(t_ns))
         slow_mps, need_m = SLOW * self._scales.speed_mps, float(self.scene.disc_need_m[0])
         return self._routes.set_standing(self.obstacles.standing(t_ns, slow_mps, need_m))

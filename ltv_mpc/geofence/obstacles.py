@@ -1,5 +1,8 @@
 """Moving obstacles: reports by id, predicted at constant velocity with growing uncertainty, and dropped when old.
 
+Their times are on the clock of the estimates. A report from the future, as one with UTC beside a vehicle whose time
+begins at 0, would be extrapolated back and would stay the newest one for ever: it is not used.
+
     p(t) = p + (t - t0) v,     radius(t) = radius + k sd(t),     sd(t)^2 = P + (q (t - t0))^2
 
 with the time t0 of the report, the largest variance P of its position in any direction, k = ``SD_FACTOR`` and
@@ -9,6 +12,7 @@ q = ``GROWTH_MPS``.
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -28,11 +32,17 @@ GROWTH_MPS = 0.05
 MAX_AGE_NS = 60_000_000_000
 """Age at which an obstacle is dropped: six reports of a source that reports every 10 s are missing."""
 
+MAX_AHEAD_NS = 2_000_000_000
+"""Largest time by which a report is ahead of the vehicle's clock: clocks that are synchronised differ by less."""
+
 MAX_OBSTACLES = 64
 """Largest number of obstacles; of more, those with the oldest reports are dropped."""
 
 STANDING_AGE_S = 10.0
 """Least age of a report for the distance that the reference keeps: with the true one it would change in every cycle."""
+
+MAX_NEW = 16 * MAX_OBSTACLES
+"""Largest number of reports between two cycles; of more, those that came last are kept."""
 
 DISC = 7
 """Numbers of an obstacle for compiled code."""
@@ -44,6 +54,7 @@ class ObstacleTable:
     def __init__(self) -> None:
         """Begin without obstacles."""
         self._by_id: dict[int, Obstacle] = {}
+        self._new: deque[Obstacle] = deque(maxlen=MAX_NEW)  # times not checked yet; last one first
 
     def __len__(self) -> int:
         """Return the number of obstacles."""
@@ -55,7 +66,7 @@ class ObstacleTable:
         return tuple(self._by_id.values())
 
     def add(self, obstacles: Obstacles) -> None:
-        """Take reports; one that is older than the known report of the same obstacle is ignored.
+        """Take reports, which count from the next ``update`` on.
 
         Parameters
         ----------
@@ -68,24 +79,28 @@ class ObstacleTable:
         reason = rejection_reason(obstacles)
         if reason is not None:
             raise ConfigError("obstacles", "", reason)
-        for report in obstacles.obstacles:
-            known = self._by_id.get(report.id)
-            if known is None or report.t_ns >= known.t_ns:
-                self._by_id[report.id] = report
-        newest_first = sorted(self._by_id.values(), key=lambda report: -report.t_ns)
-        self._by_id = {report.id: report for report in newest_first[:MAX_OBSTACLES]}
+        self._new.extendleft(obstacles.obstacles)
 
-    def drop_old(self, t_ns: int) -> tuple[int, ...]:
-        """Drop the obstacles that have not been reported for ``MAX_AGE_NS``; return their ids.
+    def update(self, t_ns: int) -> tuple[int, ...]:
+        """Keep the newest report of every obstacle that is neither too old nor ahead of the vehicle's time.
 
         Parameters
         ----------
         t_ns : now, vehicle time (ns).
+
+        Returns
+        -------
+        Identifiers of the obstacles of which a report is dropped because of its time.
         """
-        old = tuple(report.id for report in self._by_id.values() if t_ns - report.t_ns > MAX_AGE_NS)
-        for number in old:
-            del self._by_id[number]
-        return old
+        reports = [*self._new, *self._by_id.values()]  # of two with the same time, the later one counts
+        self._new.clear()
+        self._by_id, dropped = {}, set()
+        for report in sorted(reports, key=lambda report: -report.t_ns):
+            if is_ahead(report, t_ns) or t_ns - report.t_ns > MAX_AGE_NS:
+                dropped.add(report.id)
+            elif len(self._by_id) < MAX_OBSTACLES:
+                self._by_id.setdefault(report.id, report)
+        return tuple(sorted(dropped))
 
     def discs(self, t_ns: int) -> Array:
         """Return the obstacles for compiled code (O, ``DISC``).
@@ -124,6 +139,17 @@ class ObstacleTable:
                 age_s = max((t_ns - report.t_ns) * 1e-9, STANDING_AGE_S)
                 rows.append((*predicted_m(report, t_ns), required_m(report, age_s, need_m)))
         return np.array(rows).reshape(-1, 3)
+
+
+def is_ahead(report: Obstacle, t_ns: int) -> bool:
+    """Return True if a report is from the future: its time is on another clock, and it must not be used.
+
+    Parameters
+    ----------
+    report : its time counts.
+    t_ns : now, on the clock that the report should have (ns).
+    """
+    return report.t_ns - t_ns > MAX_AHEAD_NS
 
 
 def predicted_m(report: Obstacle, t_ns: int) -> Pair:

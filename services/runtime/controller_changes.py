@@ -56,8 +56,8 @@ class FenceChanges:
         time_s = math.inf if after.time_to_zone_ns is None else after.time_to_zone_ns * 1e-9
         if self._is_new(time_s):
             found.append((Level.WARNING, f"the hull will be in a zone or obstacle in {time_s:.0f} s"))
-        dropped = (f"obstacle {number} dropped: its last report is too old" for number in after.dropped)
-        return found + [(Level.WARNING, text) for text in dropped]
+        why = "too old, or ahead of the vehicle's time"
+        return found + [(Level.WARNING, f"a report of obstacle {number} is dropped: {why}") for number in after.dropped]
 
     def _is_new(self, time_s: float) -> bool:
         """Return True if a time to a zone is below a time of WARNED_S that has not been reported."""

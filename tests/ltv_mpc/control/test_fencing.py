@@ -377,6 +377,30 @@ def test_it_avoids_a_moving_obstacle_and_says_when_it_is_dropped() -> None:
     assert dropped == [7]
 
 
+def test_an_obstacle_from_the_future_is_dropped_and_a_current_one_avoided() -> None:
+    """A receiver that stamps UTC, where vehicle time begins at 0: the vehicle collided, and nothing said why."""
+    of, estimate = controller(), drifting()
+    head_on = Obstacle(
+        id=7, t_ns=0, north_m=15.0, east_m=0.0, velocity_north_mps=-0.1, velocity_east_mps=0.0, radius_m=1.0
+    )
+    utc = Obstacles(t_ns=0, obstacles=(msgspec.structs.replace(head_on, t_ns=1_700_000_000_000_000_000),))
+    of.add_obstacles(utc)
+    plan, least_m = of.plan(estimate), math.inf
+    assert plan.fence is not None
+    assert (plan.fence.dropped, plan.fence.clearance_m) == ((7,), None)
+    assert of.plan(estimate).fence is None
+    of.add_obstacles(Obstacles(t_ns=0, obstacles=(head_on,)))
+    for _ in range(150):
+        of.add_obstacles(utc)
+        plan = of.plan(estimate)
+        assert plan.fence is not None
+        assert (plan.fence.dropped, plan.fence.nearest) == ((7,), "obstacle 7")
+        north_m = head_on.north_m + head_on.velocity_north_mps * estimate.t_ns * 1e-9
+        least_m = min(least_m, math.hypot(estimate.north_m - north_m, estimate.east_m) - 1.0 - HULL_M)
+        estimate = advance(CRAFT, estimate, plan, duration_s=0.3)
+    assert least_m > 0.3
+
+
 def at_anchor(t_ns: int, number: int = 7) -> Obstacles:
     drifts = Obstacle(
         id=number, t_ns=t_ns, north_m=12.0, east_m=0.0, velocity_north_mps=0.0, velocity_east_mps=0.01, radius_m=1.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.geofence.obstacles import MAX_AGE_NS, MAX_OBSTACLES, ObstacleTable
+from ltv_mpc.geofence.obstacles import MAX_AGE_NS, MAX_AHEAD_NS, MAX_OBSTACLES, ObstacleTable
 from ltv_mpc.messages import Obstacle, Obstacles
 
 
@@ -30,6 +30,7 @@ def table(*reports: Obstacle) -> ObstacleTable:
     out = ObstacleTable()
     for each in reports:
         out.add(Obstacles(t_ns=each.t_ns, obstacles=(each,)))
+    out.update(max(each.t_ns for each in reports))
     return out
 
 
@@ -48,9 +49,39 @@ def test_its_variance_is_the_largest_in_any_direction():
 
 def test_an_old_obstacle_is_dropped_and_named():
     of = table(report(1, 0.0), report(2, 1.0))
-    assert of.drop_old(MAX_AGE_NS) == ()
-    assert of.drop_old(MAX_AGE_NS + 1) == (1,)
+    assert of.update(MAX_AGE_NS) == ()
+    assert of.update(MAX_AGE_NS + 1) == (1,)
     assert [each.id for each in of.reports] == [2]
+
+
+def test_a_report_from_the_future_is_dropped_and_shadows_no_current_one():
+    """As with UTC beside a vehicle whose time begins at 0; also if both come between two cycles, in either order."""
+    first, utc, next_one = report(1, 0.0), report(1, 1.7e9, 500.0), report(1, 2.0, 50.0)
+    of = table(first)
+    of.add(Obstacles(t_ns=0, obstacles=(utc,)))
+    assert of.update(1_000_000_000) == (1,)
+    assert of.reports == (first,)
+    of.add(Obstacles(t_ns=0, obstacles=(utc, next_one, utc)))
+    assert of.update(2_000_000_000) == (1,)
+    assert of.reports == (next_one,)
+    of.add(Obstacles(t_ns=0, obstacles=tuple(report(number, 1.7e9) for number in range(MAX_OBSTACLES))))
+    assert of.update(3_000_000_000) == tuple(range(MAX_OBSTACLES))
+    assert of.reports == (next_one,)
+    assert of.update(-1_000_000_000) == (1,)  # vehicle time has begun again
+    assert len(of) == 0
+
+
+def test_a_report_that_is_ahead_by_a_small_difference_of_clocks_counts():
+    of = table(report(1, 0.0))
+    assert of.update(-MAX_AHEAD_NS) == ()
+    assert of.update(-MAX_AHEAD_NS - 1) == (1,)
+
+
+def test_of_two_reports_with_the_same_time_the_later_one_counts():
+    of = table(report(1, 0.0, 10.0), report(1, 0.0, 20.0))
+    of.add(Obstacles(t_ns=0, obstacles=(report(1, 0.0, 30.0),)))
+    of.update(0)
+    assert [each.north_m for each in of.reports] == [30.0]
 
 
 @pytest.mark.parametrize(
@@ -71,13 +102,15 @@ def test_a_wrong_report_is_an_error_and_leaves_the_known_ones(wrong):
         of.add(Obstacles(t_ns=0, obstacles=(report(2, 1.0), msgspec.structs.replace(report(1, 1.0), **wrong))))
     assert of.reports == (report(1, 0.0),)
     of.add(Obstacles(t_ns=0, obstacles=(report(1, 1.0, covariance_m2=(4.0, 6.0, 9.0)),)))  # known in one direction
+    of.update(0)
     assert of.discs(0)[0, 5] == pytest.approx(13.0)
 
 
 def test_of_too_many_the_newest_reports_are_kept():
-    of = table(*(report(number, float(number)) for number in range(MAX_OBSTACLES + 3)))
+    of = table(*(report(number, 0.5 * number) for number in range(MAX_OBSTACLES + 3)))
     assert sorted(each.id for each in of.reports) == list(range(3, MAX_OBSTACLES + 3))
     of.add(Obstacles(t_ns=0, obstacles=(report(999, 0.0),)))
+    of.update(40_000_000_000)
     assert 999 not in {each.id for each in of.reports}
 
 
@@ -90,6 +123,7 @@ def test_obstacles_that_hardly_move_stand_where_they_drift_to() -> None:
         id=1, t_ns=0, north_m=0.0, east_m=0.0, velocity_north_mps=0.04, velocity_east_mps=0.04, radius_m=9.0
     )
     table.add(Obstacles(t_ns=0, obstacles=(anchored, ferry, buoy)))
+    table.update(0)
     for t_s, growth_m in ((4.0, 0.5), (20.0, 1.0)):
         expected = [
             [-7.0 + 0.03 * t_s, 1.0 - 0.04 * t_s, 2.0 + 3.0 * growth_m + 1.5],

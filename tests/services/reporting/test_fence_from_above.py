@@ -70,6 +70,7 @@ def test_round_an_obstacle_are_the_circles_that_the_controller_keeps_free(active
 
     known = ObstacleTable()
     known.add(Obstacles(t_ns=0, obstacles=(ship,)))
+    known.update(ship.t_ns)
     kept = scene(discs=known.discs(start_ns), disc_need_m=np.array([(1.0 + OBSTACLE_MARGIN) * fence.hull_radius_m]))
     circles = points(drawn[table])
     for k, part in enumerate((circles[: view.CIRCLE + 1], circles[-view.CIRCLE - 1 :])):

@@ -159,7 +159,7 @@ def test_zones_and_margins_are_reported_when_they_are_entered_and_left():
         (Level.ERROR, f"zone entered: {buoy}"),
         (Level.INFO, f"zone left: {buoy}"),
         (Level.INFO, f"margin left: {buoy}"),
-        (Level.WARNING, "obstacle 12 dropped: its last report is too old"),
+        (Level.WARNING, "a report of obstacle 12 is dropped: too old, or ahead of the vehicle's time"),
         (Level.WARNING, "the plan lacks more than 1 cm of a required clearance at 3 of its points"),
         (Level.INFO, "the plan keeps the required clearances again"),
         (Level.WARNING, "no way round the zones leads to the target"),
