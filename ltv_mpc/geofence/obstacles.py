@@ -147,9 +147,27 @@ def is_ahead(report: Obstacle, t_ns: int) -> bool:
     Parameters
     ----------
     report : its time counts.
-    t_ns : now, on the clock that the report should have (ns).
+    t_ns : now, on the clock of the estimates (ns).
     """
     return report.t_ns - t_ns > MAX_AHEAD_NS
+
+
+def ahead_reason(obstacles: Obstacles, t_ns: int) -> str:
+    """Return why a message with a report from the future is rejected; empty if it has none.
+
+    Parameters
+    ----------
+    obstacles : reports of some or all obstacles.
+    t_ns : now, on the clock of the estimates (ns).
+    """
+    for report in obstacles.obstacles:
+        if is_ahead(report, t_ns):
+            ahead_s = (report.t_ns - t_ns) * 1e-9
+            return (
+                f"t_ns of an obstacle is ahead of the vehicle's time: obstacle {report.id}, by {ahead_s:.1f} s: "
+                "use the clock of the estimates"
+            )
+    return ""
 
 
 def predicted_m(report: Obstacle, t_ns: int) -> Pair:

@@ -14,12 +14,15 @@ def shifted(message: S, by_ns: int) -> S:
     """Return the message with ``by_ns`` added to each of its times, also to those of the structs in it."""
     if by_ns == 0:
         return message
-    fields = ((name, getattr(message, name)) for name in message.__struct_fields__)
-    changed = {
-        name: shifted(value, by_ns) if isinstance(value, msgspec.Struct) else value + by_ns
-        for name, value in fields
-        if isinstance(value, msgspec.Struct) or (value is not None and _is_time(name))
-    }
+    changed: dict[str, object] = {}
+    for name in message.__struct_fields__:
+        match getattr(message, name):
+            case msgspec.Struct() as part:
+                changed[name] = shifted(part, by_ns)
+            case (msgspec.Struct(), *_) as parts:
+                changed[name] = tuple(shifted(part, by_ns) for part in parts)
+            case value if value is not None and _is_time(name):
+                changed[name] = value + by_ns
     return msgspec.structs.replace(message, **changed)
 
 

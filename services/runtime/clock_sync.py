@@ -81,8 +81,14 @@ class ClockSync:
             return SHARED_CLOCK
         return self._publishers[self._reference].read(now_us) or SHARED_CLOCK
 
-    def shift_ns(self, epoch: int, m_us: int) -> int:
-        """Return vehicle time minus the time of the publisher ``epoch``; 0 while either is unknown."""
+    def shift_ns(self, epoch: int, m_us: int, source: int | None = None) -> int:
+        """Return vehicle time minus the time of the publisher ``epoch``; 0 while either is unknown.
+
+        A publisher of neither estimates nor reports, as one of obstacles, has the clock of ``source``, whose estimates
+        are in use.
+        """
+        if epoch not in self._publishers and source is not None:
+            epoch = source
         if self._reference is None or epoch not in self._publishers:
             return 0
         return self._theta_ns(self._reference, m_us) - self._theta_ns(epoch, m_us) - self.published_shift_ns

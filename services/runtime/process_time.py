@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ltv_mpc.messages import Clock, ClockStep, Message
+from ltv_mpc.geofence.obstacles import ahead_reason
+from ltv_mpc.messages import Clock, ClockStep, Message, Obstacles
 from ltv_mpc.node import Node
 from services.runtime.clock import VehicleClock, monotonic_us
 from services.runtime.clock_master import ClockMaster, ClockMasterSettings
@@ -46,6 +47,7 @@ class ProcessTime:
         self.clock = VehicleClock(speed=options.speed)
         self.master: ClockMaster | None = None  # set when the process is connected
         self.sync: ClockSync | None = None
+        self._source: int | None = None  # publisher of the estimates in use
         if options.sync_to_inputs:
             self.sync = ClockSync(self.clock, epoch=epoch, input_delay_ns=options.input_delay_ns)
         self.schedule = StepSchedule(node.schedule, end_ns=options.master.end_ns if options.master else None)
@@ -97,7 +99,7 @@ class ProcessTime:
 
     def shift_ns(self, epoch: int, m_us: int) -> int:
         """Return vehicle time minus the time of the publisher ``epoch``."""
-        return 0 if self.sync is None else self.sync.shift_ns(epoch, m_us)
+        return 0 if self.sync is None else self.sync.shift_ns(epoch, m_us, self._source)
 
     @property
     def published_shift_ns(self) -> int:
@@ -106,6 +108,9 @@ class ProcessTime:
 
     def rejection_reason(self, message: Message, epoch: int, received_us: int) -> str:
         """Return why a message of publisher ``epoch`` does not fit the time that is followed; empty if it fits."""
+        if isinstance(message, Obstacles):
+            now_ns = self.clock.read(received_us)  # None: not known yet; then the first cycle drops what is ahead
+            return "" if now_ns is None else ahead_reason(message, now_ns - self.shift_ns(epoch, received_us))
         sync = self.sync
         if sync is None:
             return ""
@@ -119,6 +124,7 @@ class ProcessTime:
 
     def follow_source(self, epoch: int) -> None:
         """Let the clock follow the source of the estimates in use, while the actuators do not report."""
+        self._source = epoch
         if self.sync is not None:
             self.sync.follow_source(epoch, monotonic_us())
 

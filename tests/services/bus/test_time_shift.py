@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from ltv_mpc.messages import Applied, ControllerState, ControllerStatus, Plan
+from ltv_mpc.messages import Applied, ControllerState, ControllerStatus, FenceInForce, Obstacles, Plan
 from services.bus.time_shift import shifted
 from services.bus.wire import to_map
 from tests.services.bus.messages import EXAMPLES, HEADER
@@ -47,6 +47,16 @@ def test_the_plan_in_a_state_changes_with_it():
     after = shifted(state, SHIFT_NS)
     assert after.plan.cycle_t_ns == state.plan.cycle_t_ns + SHIFT_NS
     assert after.schedule_t_ns == state.schedule_t_ns + SHIFT_NS
+
+
+@pytest.mark.parametrize("kind", [Obstacles, FenceInForce])
+def test_the_times_of_obstacles_change_with_that_of_their_message(kind):
+    """Otherwise a display predicts them over the difference of two clocks."""
+    message = EXAMPLE[kind]
+    after = shifted(message, SHIFT_NS)
+    assert after.t_ns == message.t_ns + SHIFT_NS
+    (ship,), (before,) = after.obstacles, message.obstacles
+    assert ship == msgspec.structs.replace(before, t_ns=before.t_ns + SHIFT_NS)
 
 
 def test_without_a_shift_the_message_stays_the_same_object():

@@ -188,6 +188,19 @@ def test_two_publishers_may_have_clocks_of_their_own_and_plans_go_by_the_actuato
     assert link.plan_error_ns(ACTUATORS) == pytest.approx(0, abs=5_000_000)
 
 
+@pytest.mark.parametrize("apart_s", [0.0, -3600.0, 86_400.0])
+def test_a_publisher_of_other_messages_has_the_clock_of_the_estimates(apart_s):
+    """As one of obstacles; also after that clock has been set."""
+    link, obstacles = Link({NAVIGATION: YEARS_NS + round(apart_s * 1e9), ACTUATORS: YEARS_NS}), 13
+    assert link.sync.shift_ns(obstacles, 0, NAVIGATION) == 0
+    for step_s in (0, 60):
+        link.thetas[NAVIGATION] += step_s * 10**9
+        link.run(10.0)
+        now_ns = link.thetas[NAVIGATION] + link.m_us * 1000
+        error_ns = link.clock.read(link.m_us) - now_ns - link.sync.shift_ns(obstacles, link.m_us, NAVIGATION)
+        assert error_ns == pytest.approx(0, abs=10_000_000)
+
+
 def test_two_publishers_on_one_clock_need_no_shift():
     link = Link({NAVIGATION: YEARS_NS}, reports=False)
     link.run(5.0)

@@ -24,6 +24,8 @@ from ltv_mpc.messages import (
     Message,
     NodeSettings,
     NodeStatus,
+    Obstacle,
+    Obstacles,
     Plan,
     PlanOrigin,
     PressureDepth,
@@ -610,6 +612,46 @@ def test_an_estimate_stamped_an_hour_off_is_rejected(bus: BusOptions) -> None:
     assert [s.key for _, s, _ in read(frames) if isinstance(s, RejectedFrame)] == ["estimate"]
     stamps = [s.t_ns for inbox in controller.inboxes for s in inbox if isinstance(s, Estimate)]
     assert max(stamps) - min(stamps) < 600_000_000_000
+
+
+class Avoiding(Controller):
+    reads: tuple[type[Message], ...] = (*Controller.reads, Obstacles)
+
+
+@pytest.mark.parametrize("sync_to_inputs", [False, True], ids=["clock", "stamps"])
+def test_obstacles_from_the_future_are_rejected_with_the_reason(bus: BusOptions, sync_to_inputs: bool) -> None:
+    """As with stamps in UTC, where vehicle time began at 0; those with vehicle time come in."""
+    controller = Avoiding()
+    master = None if sync_to_inputs else ClockMasterSettings(start_ns=1, end_ns=10**15, speed=1.0, expects=())
+    options = ClockOptions(sync_to_inputs=sync_to_inputs, master=master)
+    runner = Runner(controller, stop=StopRequest(), say=print, clock=options)
+    start_ns, frames = time.monotonic_ns(), list[Frame]()
+    with listening(bus) as (session, box), running(bus, runner):
+        until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+        out = Outbox(session, node="operator", epoch=5, kinds=(Estimate,))
+        receiver = Outbox(session, node="operator", epoch=6, kinds=(Obstacles,))
+
+        def receive(t_ns: int) -> None:
+            ship = Obstacle(
+                id=7, t_ns=t_ns, north_m=0.0, east_m=9.0, velocity_north_mps=0.0, velocity_east_mps=0.0, radius_m=1.0
+            )
+            receiver.publish(Obstacles(t_ns=t_ns, obstacles=(ship,)))
+
+        def planned() -> int:
+            if sync_to_inputs:
+                out.publish(msgspec.structs.replace(Estimate.at_rest(), t_ns=time.monotonic_ns() - start_ns))
+            time.sleep(0.05)
+            return sum(isinstance(s, Plan) for _, s, _ in read(drained(box, frames)))
+
+        until(lambda: planned() >= 1)
+        receive(0)
+        receive(1_700_000_000_000_000_000)
+        before = planned()
+        until(lambda: planned() >= before + 2)
+    (rejected,) = (s for _, s, _ in read(frames) if isinstance(s, RejectedFrame))
+    assert rejected.key == "obstacles"
+    assert rejected.reason.startswith("t_ns of an obstacle is ahead of the vehicle's time: obstacle 7, by ")
+    assert sum(isinstance(s, Obstacles) for inbox in controller.inboxes for s in inbox) == 1
 
 
 class Rare(Commanded):
