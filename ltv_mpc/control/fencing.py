@@ -36,6 +36,9 @@ ENTERED_M = 0.01
 SLOW = 0.1
 """Largest speed of an obstacle that the reference leads round, over the vehicle's top speed."""
 
+SLOW_MPS = 0.16
+"""Least value of that speed (m/s), for slow vehicles: AIS has up to 0.3 kn, in any direction, for a ship at anchor."""
+
 DRIFT_S = np.arange(0.0, 600.0, 0.25)
 """Times after the end of a plan at which its drift is looked at (s)."""
 
@@ -165,7 +168,7 @@ class Fencing:
         if not (len(self.obstacles) or len(self.scene.discs)):
             return False
         self.scene = self.scene._replace(discs=self.obstacles.discs(t_ns))
-        slow_mps, need_m = SLOW * self._scales.speed_mps, float(self.scene.disc_need_m[0])
+        slow_mps, need_m = max(SLOW * self._scales.speed_mps, SLOW_MPS), float(self.scene.disc_need_m[0])
         return self._routes.set_standing(self.obstacles.standing(t_ns, slow_mps, need_m))
 
     def update(self, start: Start, estimate: Estimate, growth_m: float) -> None:

@@ -423,6 +423,37 @@ def test_a_path_leads_round_an_obstacle_at_anchor(every: int) -> None:
     assert (estimate.north_m, estimate.east_m) == pytest.approx((24.0, 0.0), abs=0.3)
 
 
+@pytest.mark.parametrize(
+    "reported_kn",
+    [
+        lambda k: (0.1 * math.cos(2.4 * k), 0.1 * math.sin(2.4 * k)),
+        lambda k: (0.1 * (k % 2), 0.0),
+        lambda _: (0.0, 0.117),
+    ],
+    ids=["any direction", "now and then", "constant"],
+)
+def test_a_path_leads_round_an_obstacle_at_anchor_with_a_reported_speed(reported_kn) -> None:
+    """AIS has steps of 0.1 kn, which is more than a tenth of the vehicle's top speed."""
+    of, estimate, least_m = controller(line(40.0)), drifting(), math.inf
+    for cycle in range(520):
+        if cycle % 7 == 0:
+            north_mps, east_mps = (0.514444 * kn for kn in reported_kn(cycle // 7))
+            ship = msgspec.structs.replace(
+                at_anchor(estimate.t_ns).obstacles[0],
+                north_m=20.0,
+                velocity_north_mps=north_mps,
+                velocity_east_mps=east_mps,
+            )
+            of.add_obstacles(Obstacles(t_ns=estimate.t_ns, obstacles=(ship,)))
+        plan = of.plan(estimate)
+        least_m = min(least_m, math.hypot(estimate.north_m - 20.0, estimate.east_m) - 1.0 - HULL_M)
+        if plan.progress == 1.0:
+            break
+        estimate = advance(CRAFT, estimate, plan, duration_s=0.3)
+    assert plan.progress == 1.0
+    assert least_m > HULL_M
+
+
 def test_a_path_is_whole_again_when_an_obstacle_leaves() -> None:
     of, skipped_m = controller(line(24.0)), []
     for cycle in range(MAX_AGE_NS // 300_000_000 + 3):
