@@ -1,8 +1,9 @@
 """Changes of a controller's state, each reported once: health, authority, source, fence, clocks, rejected messages.
 
 state    reported when it changes, and once at the start: health with its reason, authority, source of the estimates
-event    reported each time: a step of a publisher's clock, a zone or margin that the hull enters or leaves, a plan that
-lacks clearance; the time until the hull is in a zone or obstacle, when it falls below 300, 60 and 20 s
+event    reported each time: a step of a publisher's clock, another fence in force, a zone or margin that the hull
+enters or leaves, a plan that lacks clearance; the time until the hull is in a zone or obstacle, when it falls below
+300, 60 and 20 s
 count    reported at the first one, then at 10, 100, ...: rejected messages by reason, plans that the actuators
 rejected, plans that arrived late
 """
@@ -12,7 +13,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
-from ltv_mpc.messages import Applied, Authority, ClockStep, ControllerStatus, FenceReport, Health, Message, Plan
+from ltv_mpc.messages import (
+    Applied,
+    Authority,
+    ClockStep,
+    ControllerStatus,
+    FenceInForce,
+    FenceReport,
+    Health,
+    Message,
+    Plan,
+)
 from services.runtime.console import Level, Tell, tenfold
 from services.runtime.process_time import step_text
 
@@ -34,6 +45,7 @@ class FenceChanges:
 
     def __init__(self) -> None:
         self._before = NO_FENCE
+        self._zones: tuple[tuple[object, ...], ...] = ()
         self._warned_s = math.inf  # of WARNED_S, the last one that was reported
 
     def update(self, fence: FenceReport | None) -> list[tuple[Level, str]]:
@@ -58,6 +70,17 @@ class FenceChanges:
             found.append((Level.WARNING, f"the hull will be in a zone or obstacle in {time_s:.0f} s"))
         why = "too old, or ahead of the vehicle's time"
         return found + [(Level.WARNING, f"a report of obstacle {number} is dropped: {why}") for number in after.dropped]
+
+    def in_force(self, fence: FenceInForce) -> list[tuple[Level, str]]:
+        """Take in the fence that the controller keeps; return what is to be reported if its zones are others."""
+        zones = tuple((zone.label, zone.radius_m, zone.margin_m, zone.vertices_m.tobytes()) for zone in fence.zones)
+        before, self._zones = self._zones, zones
+        if zones == before:
+            return []
+        if not zones:
+            return [(Level.INFO, "no fence in force")]
+        keep_in = sum(zone.keep_in for zone in fence.zones)
+        return [(Level.INFO, f"fence in force: {keep_in} keep-in and {len(zones) - keep_in} keep-out zones")]
 
     def _is_new(self, time_s: float) -> bool:
         """Return True if a time to a zone is below a time of WARNED_S that has not been reported."""
@@ -94,13 +117,16 @@ class ControllerChanges:
         self._since_start: dict[str, int] = {}  # what these counts have grown by
 
     def on_message(self, message: Message) -> None:
-        """Take in a plan of the controller or an accepted input."""
+        """Take in a plan of the controller, its fence, or an accepted input."""
         match message:
             case Plan():
                 self._health(message.cycle_t_ns, message.health, message.health_why)
                 self._authority(message.cycle_t_ns, message.authority)
                 for level, text in self._fence.update(message.fence):
                     self._tell(level, "fence", text, t_ns=message.cycle_t_ns, fields={})
+            case FenceInForce():
+                for level, text in self._fence.in_force(message):
+                    self._tell(level, "fence", text, t_ns=message.t_ns, fields={})
             case Applied():
                 self._actuators(message)
             case ClockStep():

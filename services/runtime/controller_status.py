@@ -7,7 +7,17 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.messages import Applied, ClockMode, ClockStep, ControllerStatus, Message, MissionAction, Plan, RunEvent
+from ltv_mpc.messages import (
+    Applied,
+    ClockMode,
+    ClockStep,
+    ControllerStatus,
+    FenceInForce,
+    Message,
+    MissionAction,
+    Plan,
+    RunEvent,
+)
 from ltv_mpc.node import DEFAULT_SOURCE
 from ltv_mpc.safety.health import HealthState
 from services.bus.message_validation import MessageValidator
@@ -62,21 +72,22 @@ class ControllerStatusReporter:
 
     def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> list[RunEvent]:
         """Record a step whose outputs were published; return an event for each change of mission policy and fence."""
-        plan = next((message for message in outputs if isinstance(message, Plan)), None)
-        if plan is None:
-            return []
-        self._plan = plan
-        if self._changes is not None:
-            self._changes.on_message(plan)
-        self._cycles.append((now_us, took_us))
-        changes = []
-        mission = self._node.mission.state
-        if mission.action is not self._mission_action:
-            why = f": {mission.why}" if mission.why else ""
-            changes.append(("mission", f"mission: {mission.action.value}{why}"))
-        changes += [("fence", text) for _, text in self._fence.update(plan.fence)]
-        self._mission_action = mission.action
-        return [RunEvent(t_ns=plan.cycle_t_ns, node=self._node.name, kind=kind, text=text) for kind, text in changes]
+        changes: list[tuple[int, str, str]] = []
+        for message in outputs:
+            if self._changes is not None:
+                self._changes.on_message(message)
+            if isinstance(message, FenceInForce):
+                changes += [(message.t_ns, "fence", text) for _, text in self._fence.in_force(message)]
+            elif isinstance(message, Plan):
+                self._plan = message
+                self._cycles.append((now_us, took_us))
+                mission, t_ns = self._node.mission.state, message.cycle_t_ns
+                if mission.action is not self._mission_action:
+                    why = f": {mission.why}" if mission.why else ""
+                    changes.append((t_ns, "mission", f"mission: {mission.action.value}{why}"))
+                changes += [(t_ns, "fence", text) for _, text in self._fence.update(message.fence)]
+                self._mission_action = mission.action
+        return [RunEvent(t_ns=t_ns, node=self._node.name, kind=kind, text=text) for t_ns, kind, text in changes]
 
     def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: ClockOffset) -> ControllerStatus:
         """Return the status that is due, and pass it to the sinks."""

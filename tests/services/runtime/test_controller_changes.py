@@ -12,12 +12,14 @@ from ltv_mpc.messages import (
     Applied,
     Authority,
     ClockStep,
+    FenceInForce,
     FenceReport,
     Health,
     Plan,
     PlanOrigin,
     Solve,
     SolveStatus,
+    ZoneInForce,
 )
 from services.runtime.console import Level
 from services.runtime.controller_changes import ControllerChanges, FenceChanges
@@ -166,6 +168,28 @@ def test_zones_and_margins_are_reported_when_they_are_entered_and_left():
         (Level.WARNING, "the reference lies in a zone or its margin: 4.0 m are left out"),
         (Level.INFO, "a way to the target is found"),
         (Level.WARNING, "the hull will be in a zone or obstacle in 85 s"),
+    ]
+
+
+def test_another_fence_in_force_is_reported_once(changes: ControllerChanges, told: Told) -> None:
+    """Also one whose zones have the same names; obstacles without a fence, and a repetition, are not reported."""
+
+    def fence(t_ns: int, *keep_in: bool, north_m: float = 0.0) -> FenceInForce:
+        vertices = np.array([[north_m, 0.0], [0.0, 5.0], [5.0, 0.0]])
+        zones = (
+            ZoneInForce(label=f"zone {of}", keep_in=inside, vertices_m=vertices, radius_m=0.0, margin_m=2.0)
+            for of, inside in enumerate(keep_in)
+        )
+        return FenceInForce(t_ns=t_ns, hull_radius_m=1.0, zones=tuple(zones))
+
+    both = True, False, False
+    for message in (fence(0), fence(1, *both), fence(2, *both), fence(3, *both, north_m=1.0), fence(4), fence(5)):
+        changes.on_message(message)
+    text = "fence in force: 1 keep-in and 2 keep-out zones"
+    assert told == [
+        ("info", "fence", text, 1, {}),
+        ("info", "fence", text, 3, {}),
+        ("info", "fence", "no fence in force", 4, {}),
     ]
 
 

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc import ControllerConfig, Vehicle, references
+from ltv_mpc import ControllerConfig, Fence, Vehicle, references
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import (
     Action,
@@ -22,6 +22,7 @@ from ltv_mpc.messages import (
     Health,
     Leak,
     Manual,
+    Message,
     Plan,
     PlanOrigin,
     Solve,
@@ -171,6 +172,25 @@ def test_an_action_of_the_mission_policy_is_an_event_and_a_field_of_the_status()
         events.append([event.text for event in report.on_step([plan(0.0)], 1, sequence * S)])
     assert events == [[], ["mission: surface: leak detected"], []]
     assert report.status(3 * S, 3 * S, MessageValidator(), SHARED).mission_action == "surface"
+
+
+def test_a_fence_in_force_is_an_event_and_a_change_also_before_the_first_estimate() -> None:
+    fence, told = Fence.load("examples/fences/harbour.toml"), list[str]()
+
+    def tell(_level: Level, _kind: str, text: str, **_: object) -> None:
+        told.append(text)
+
+    node = ControllerNode(Vehicle.load("paper"), references.load("hover"), ControllerConfig(), fence=fence)
+    report, events = ControllerStatusReporter(node, changes=ControllerChanges(tell)), []
+    inboxes: list[list[Message]] = [[], [], [Command(command_id=1, action=Action.FENCE)], []]
+    for cycle, inbox in enumerate(inboxes):
+        t_ns = cycle * 300_000_000
+        outputs = step(node, t_ns, [ReceivedMessage(message, 1, cycle, t_ns) for message in inbox])
+        assert not any(isinstance(message, Plan) for message in outputs)
+        events += report.on_step(outputs, 1, cycle * S)
+    zones = f"{len(fence.keep_in)} keep-in and {len(fence.keep_out) + len(fence.keep_out_disc)} keep-out zones"
+    assert [event.text for event in events] == told == [f"fence in force: {zones}", "no fence in force"]
+    assert [event.t_ns for event in events] == [0, 600_000_000]
 
 
 @pytest.fixture
