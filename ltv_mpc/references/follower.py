@@ -43,6 +43,9 @@ MAX_STEP_S = 2.0
 waited.
 """
 
+SAME_PLACE_M = 1e-6
+"""Length of a path within which two columns of a schedule are the same place, at which the target rests."""
+
 
 class Progress(NamedTuple):
     """Progress along a path at the first knot of a plan."""
@@ -178,7 +181,7 @@ class Follower:
         return self._start is not None
 
     def restrict(self, allowed: Allowed) -> None:
-        """Move the target along the allowed part of the path alone; it stays where it is along the path.
+        """Move the target along the allowed part of the path alone; it stays where it is, and rests there as before.
 
         Parameters
         ----------
@@ -186,9 +189,11 @@ class Follower:
         """
         self._allowed = allowed
         if self._start is not None and self._track is not None:
-            way = target_at(self._track.table, self._tau_s)[0]
+            way_m = float(target_at(self._track.table, self._tau_s)[0])
+            waited_s = self._tau_s - _stay(self._track.table, way_m)[0]
             self._track = self._track_from(self._start)
-            self._tau_s = float(np.interp(way, self._track.table[WAY], self._track.table[TIME]))
+            reached_s, left_s = _stay(self._track.table, way_m)
+            self._tau_s = min(reached_s + waited_s, left_s)
 
     def _start_at(self, start: ReferenceStart) -> None:
         self._start = start
@@ -321,3 +326,11 @@ class Follower:
 
 def _unrestricted(schedule: Schedule) -> tuple[Schedule, float]:
     return schedule, 0.0
+
+
+def _stay(table: Array, way_m: float) -> tuple[float, float]:
+    """Return when the target reaches a place of its path and when it leaves it (s): not the same where it rests."""
+    way, time = table[WAY], table[TIME]
+    left_s = float(np.interp(way_m, way, time))
+    rests = time[np.abs(way - way_m) < SAME_PLACE_M]
+    return (float(rests[0]), float(rests[-1])) if len(rests) else (left_s, left_s)

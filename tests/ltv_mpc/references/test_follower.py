@@ -172,6 +172,19 @@ def test_a_timed_track_may_rest():
     assert follower.progress.remaining_m == 0.0
 
 
+def test_a_restriction_that_changes_while_the_target_rests_keeps_its_stay():
+    follower = has_started(Timed(rows=((0.0, 0.0, 0.0), (40.0, 6.0, 0.0), (100.0, 6.0, 0.0), (140.0, 12.0, 0.0))))
+    at, t_s = {}, 0.0
+    while t_s < 120.0:
+        t_s = round(t_s + 0.5, 1)
+        at[t_s] = go(follower, t_s, *(follower.target_m or STILL))
+        if t_s in (20.0, 60.0, 80.0, 110.0):
+            follower.restrict(lambda schedule: (schedule, 0.0))
+    assert at[20.0] == pytest.approx((3.0, 0.0))
+    assert at[99.5] == pytest.approx((6.0, 0.0))
+    assert at[120.0] == pytest.approx((9.0, 0.0))
+
+
 def follow(reference: Reference, cycles: int, current=STILL, **start: float) -> tuple[list[Estimate], list[Plan]]:
     """Run the closed loop of the nominal vehicle in a current, from rest."""
     controller = Controller(PAPER, reference)
