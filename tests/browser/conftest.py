@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -164,7 +164,12 @@ def tab(browser: Any, size: tuple[int, int], *, own: str, scheme: str = "light")
 
 
 def fits(page: Any) -> None:
-    """Check that the reader sees and reaches everything at this size of the window."""
+    """Check that the reader sees and reaches everything at this size of the window.
+
+    A plot makes room for the letters of its axes in a second step, after it has the size of its place.
+    """
+    with suppress(AssertionError):
+        until(lambda: page.evaluate(UNFIT) == [])
     assert page.evaluate(UNFIT) == []
 
 
