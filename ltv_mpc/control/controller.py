@@ -392,7 +392,7 @@ class Controller:
         first_ns = _first_delay_ns(self.config)
         if state.plan is not None:
             first_ns = max(state.plan.expected_delay_ns, first_ns)
-            self.sent_commands.add(state.plan)
+            self.sent_commands.add(state.plan, before_N=tuple(state.plan.thrust_N[0]))
             self._lateral.previous.restore(state.plan)
         self._delay.restore(first_ns, state.plan_delays_ns, state.cycle_times_ns)
         self._vertical.integral_N = state.depth_integral_N

@@ -216,7 +216,7 @@ class CurrentBias:
             self._belief if self._applies_to(last) else NO_BIAS,
             (estimate.t_ns, estimate.velocity_north_mps, estimate.velocity_east_mps),
             prediction.coefficients,
-            prediction.measured(last),
+            prediction.measured(last, commands),
             prediction.delivered(commands),
             (
                 (profile.depth_m, profile.north_mps, profile.east_mps),

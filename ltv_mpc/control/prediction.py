@@ -1,9 +1,9 @@
 """Prediction of the vehicle's state at the instant at which a plan takes effect: dead-time compensation.
 
 An estimate is valid at its own time; the plan that is computed from it takes effect later. Until then the commands that
-were sent before act, through the thrusters' lag. The delivered thrust follows the lag model from the last report of the
-actuators that is not newer than the estimate. Without newer estimates the prediction grows longer: ``mode.py`` says how
-long it is used.
+were sent before act, through the thrusters' lag. The delivered thrust follows the lag model through these commands: from
+the last report of the actuators that is not newer than the estimate, and without reports from rest before the first
+plan. Without newer estimates the prediction grows longer: ``mode.py`` says how long it is used.
 """
 
 from __future__ import annotations
@@ -28,9 +28,6 @@ MAX_REPORTS = 32
 """Number of reports of the actuators that are kept for later estimates: a delay of 2 s or more at 10 Hz and one a plan.
 The one before the estimate in use is kept beside them.
 """
-
-NEVER = -(2**62)
-"""Time of the report if there is none."""
 
 NO_PROFILE = CurrentProfile(depth_m=np.empty(0), north_mps=np.empty(0), east_mps=np.empty(0))
 
@@ -68,7 +65,7 @@ class Report(NamedTuple):
 
 Measured: TypeAlias = tuple[int, Array, int, Array]
 """Where a prediction begins: time of the estimate (ns); estimate (8,) n, e (m), psi (rad), r (rad/s), n', e' over
-ground (m/s), depth (m, NaN: none), sinking speed (m/s); time of the report (ns, ``NEVER``: none), its thrusts (3,) (N).
+ground (m/s), depth (m, NaN: none), sinking speed (m/s); time of the report (ns), its thrusts (3,) (N).
 """
 
 Profile: TypeAlias = tuple[Array, Array, Array]
@@ -105,8 +102,7 @@ class Prediction:
         self.coefficients = np.array(vehicle.coefficients())
         """(19,) coefficients of the vehicle."""
         self._shares: Array | None = None  # (3,) of their reported thrust that the thrusters deliver; None: all of it
-        self._no_report = Report(NEVER, np.zeros(3))
-        self._report = self._no_report  # the newest that is not newer than the estimate in use
+        self._report: Report | None = None  # the newest that is not newer than the estimate in use
         self._later_reports: deque[Report] = deque(maxlen=MAX_REPORTS)
 
     def set_shares(self, shares: Pair) -> None:
@@ -126,7 +122,7 @@ class Prediction:
         applied : report; one that is not newer than the last is ignored.
         """
         newest = self._later_reports[-1] if self._later_reports else self._report
-        if applied.t_ns > newest.t_ns:
+        if newest is None or applied.t_ns > newest.t_ns:
             self._later_reports.append(Report(applied.t_ns, np.array(applied.thrust_N)))
 
     def state_at(self, estimate: Estimate, t_ns: int, commands: SentCommands) -> Start:
@@ -142,24 +138,27 @@ class Prediction:
         profile = profile_of(estimate)
         end = predict_state(
             self.coefficients,
-            self.measured(estimate),
+            self.measured(estimate, commands),
             t_ns,
             self.delivered(commands),
             (profile.depth_m, profile.north_mps, profile.east_mps),
         )
         return Start(t_ns, end[:10], *end[10:].tolist())
 
-    def measured(self, estimate: Estimate) -> Measured:
+    def measured(self, estimate: Estimate, commands: SentCommands) -> Measured:
         """Return the inputs of ``predict_state`` that belong to one estimate.
 
         Parameters
         ----------
         estimate : not older than that of the last call. The newest report of the actuators that is not newer than it
             belongs to it.
+        commands : commands in force. Without such a report the thrusters are taken to have delivered the first of them.
         """
         while self._later_reports and self._later_reports[0].t_ns <= estimate.t_ns:
             self._report = self._later_reports.popleft()
-        report = self._report if self._report.t_ns <= estimate.t_ns else self._no_report
+        report = self._report
+        if report is None or report.t_ns > estimate.t_ns:
+            report = Report(*commands.oldest)
         flat = np.array(
             (
                 estimate.north_m,
@@ -257,10 +256,7 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
     t, thrust = commands
     depth, north, east = profile
     out = np.empty(16)
-    if report_t_ns == NEVER:
-        F = np.array([command_at(t, thrust, since, i) for i in range(3)])
-    else:
-        F = _delivered(report_t_ns, reported_N, since, commands, lags)
+    F = _delivered(report_t_ns, reported_N, since, commands, lags)
     has_depth = not np.isnan(estimate[6])
     z, w, F3 = (estimate[6] if has_depth else 0.0), estimate[7], F[2]
     c0, c1, u0, u1 = np.empty(2), np.empty(2), np.empty(2), np.empty(2)

@@ -46,7 +46,7 @@ def growth_m(prediction: Prediction, estimate: Estimate, t_ns: int, commands: Se
     commands : commands in force from the estimate's time on.
     bias : estimated bias of the current; it has no covariance where it does not apply.
     """
-    since_ns, state, report_ns, thrust_N = prediction.measured(estimate)
+    since_ns, state, report_ns, thrust_N = prediction.measured(estimate, commands)
     times, commanded_N = prediction.delivered(commands)
     profile = profile_of(estimate)
 

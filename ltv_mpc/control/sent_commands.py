@@ -18,8 +18,10 @@ from ltv_mpc.messages import Array, Plan, Times, Triple
 from ltv_mpc.safety.health import plan_end_ns
 from ltv_mpc.vehicle.parameters import Vehicle
 
-HISTORY_NS = 10_000_000_000
-"""Length of the history while estimates arrive."""
+HISTORY_NS, HISTORY_LAGS = 10_000_000_000, 8.0
+"""Shortest history while estimates arrive, in ns and in lags of a thruster: without reports the delivered thrust follows
+from it, and e^-8 of a difference is left after 8 lags.
+"""
 
 MAX_HISTORY_NS = 60_000_000_000
 """Length of the history while they do not: it reaches back to the estimate in use, at most this far."""
@@ -53,22 +55,32 @@ class SentCommands:
         """
         self._slew = np.array([t.slew_N_per_s for t in vehicle.thrusters])
         self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
+        self._history_ns = max(HISTORY_NS, round(HISTORY_LAGS * 1e9 * max(t.lag_s for t in vehicle.thrusters)))
         self._period_ns, self._timeout_s = period_ns, vehicle.plan_timeout_s
         self.knots: Commands = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
         """Commands from ``HISTORY_NS`` ago on, or from the estimate of the last plan on if that is older."""
 
-    def add(self, plan: Plan) -> None:
+    def add(self, plan: Plan, *, before_N: Triple = (0.0, 0.0, 0.0)) -> None:
         """Add a plan that was sent.
 
         Parameters
         ----------
         plan : is in force from its first knot on.
+        before_N : commands until then, if it is the first plan (N); by default the thrusters are at rest.
         """
         t, thrust = self.knots
         start_ns = int(plan.t_ns[0])
-        since_ns = min(start_ns - HISTORY_NS, max(plan.estimate_t_ns - BEFORE_ESTIMATE_NS, start_ns - MAX_HISTORY_NS))
+        if len(t) == 0:
+            t, thrust = np.array([start_ns - 1]), np.array([before_N])
+        since_ns = min(start_ns - self._history_ns, max(plan.estimate_t_ns - BEFORE_ESTIMATE_NS, start_ns - MAX_HISTORY_NS))
         end_ns = plan_end_ns(plan.t_ns, self._period_ns, self._timeout_s)
         self.knots = supersede(t, thrust, since_ns, plan.t_ns, plan.thrust_N, end_ns, self._slew, self._rest)
+
+    @property
+    def oldest(self) -> tuple[int, Array]:
+        """Time (ns) and commands (3,) of the oldest knot (N); zero if nothing was sent."""
+        t, thrust = self.knots
+        return (int(t[0]), thrust[0]) if len(t) else (0, np.zeros(3))
 
     def correct(self, t_ns: int, command_N: Triple) -> None:
         """Correct the commands by a report of the actuators.
