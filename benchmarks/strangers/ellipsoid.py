@@ -6,9 +6,9 @@ Drag ahead       C_d 0.42 by the frontal area: B. Allen, W. S. Vorus and T. Pres
                  enhancements on REMUS AUVs, OCEANS 2000
 Drag at rest     time constants of 20 s in surge, sway and heave and 5 s in yaw, relative damping 0.3 in roll and 0.8 in
                  pitch: the model "remus100" of Fossen 2021
-Cross-flow       C_d 1.1 of each slice, and fins with a lift slope of 3.12 by an area of 6.65e-3 m2 each, 0.638 m astern:
-                 T. Prestero, Verification of a six-degree of freedom simulation model for the REMUS AUV, MIT 2001; area
-                 and place are scaled from his hull of 1.33 m to this one
+Cross-flow       C_d 1.1 of each slice, and fins with a lift slope of 3.12 by an area of 6.65e-3 m2 each, 0.638 m
+                 astern: T. Prestero, Verification of a six-degree of freedom simulation model for the REMUS AUV, MIT
+                 2001; area and place are scaled from his hull of 1.33 m to this one
 Trim             neutral; centre of gravity 2 cm below that of buoyancy (remus100)
 Thrusters        SeaBotix BTD150 (data sheet: 2.2 kgf continuous, both ways); the share that speed takes away is that of
                  the propeller of remus100, K_T = 0.4566 - 0.4174 J at a wake of 0.944, with a diameter of 76 mm

@@ -1,8 +1,8 @@
 """One flight of a hull, steered through the public interface: what its navigation says goes in, a plan comes out.
 
 The loop has the instants of a vehicle: the hull is simulated in steps of 10 ms, the navigation gives an estimate each
-0.1 s, a cycle of the controller begins each 0.3 s with the newest estimate, and its plan arrives 50 ms later. The
-thrusters follow the newest plan that has begun, within the slew of the vehicle file. A condition changes one of these.
+0.1 s, a cycle of the controller begins each 0.3 s with the newest estimate, and its plan arrives 0.1 s later. A
+rival computes a thrust from each estimate, which is in force at once. The thrusters follow the newest plan that has begun, within the slew of the vehicle file. A condition changes one of these.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ SHIPPED = ("paper", "surface", "bluerobotics-boat", "low-yaw", "weak-reverse")
 """Vehicles of the package, flown with the model's own equations."""
 
 STEP_NS, STEP_S = 10_000_000, 0.01
-CHUNK = 5
+CHUNK = 10
 """Steps between two looks at what has arrived."""
 NORTH, EAST, HEADING, VELOCITY_NORTH, VELOCITY_EAST, YAW_RATE, PORT, STARBOARD = range(8)
 
 
 @cache
 def load(name: str) -> tuple[Hull, Vehicle]:
-    """Return a hull and the vehicle file that its owner would write; of a shipped vehicle, the model's own equations."""
+    """Return a hull and the vehicle file of its owner; of a shipped vehicle, a hull with the model's equations."""
     if name in FOREIGN:
         return FOREIGN[name](), Vehicle.load(str(HERE / f"{name}.toml"))
     vehicle = Vehicle.load(name)
@@ -82,7 +82,10 @@ class Pilot(Protocol):
     """Source of thrusts: this project's controller, or a rival."""
 
     cycle_steps: int
-    nominal: bool  # False: its last plan reported trouble
+    delay_steps: int
+    """From the start of a cycle to the arrival of its plan."""
+    nominal: bool
+    """False if its last plan reported trouble."""
 
     def plan(self, estimate: Estimate, t_ns: int, applied: Applied | None) -> tuple[npt.NDArray[np.int64], Array]:
         """Return knots (N,) in ns, and the thrusts (N, 2) of port and starboard at them."""
@@ -92,7 +95,7 @@ class Pilot(Protocol):
 class Ours:
     """The controller of this project, through ``ltv_mpc.Controller``."""
 
-    cycle_steps = 30
+    cycle_steps, delay_steps = 30, 10
 
     def __init__(self, vehicle: Vehicle, reference: Reference, config: ControllerConfig | None = None) -> None:
         self.controller = Controller(vehicle, reference, config)
@@ -177,7 +180,8 @@ def fly(
         thrusters.receive(t_ns)
         if k % pilot.cycle_steps == 0 and newest is not None:
             applied = thrusters.report(t_ns, state) if t_s < conditions.reports_s else None
-            thrusters.send(t_ns, *pilot.plan(newest, t_ns, applied))
+            thrusters.send(t_ns, t_ns + pilot.delay_steps * STEP_NS, *pilot.plan(newest, t_ns, applied))
+            thrusters.receive(t_ns)
         released = conditions.released_s[0] <= t_s < conditions.released_s[1]
         command = thrusters.commands(t_ns, rest=released)
         track = plant.run(command, STEP_S)
@@ -227,18 +231,18 @@ class _Thrusters:
         self._reach = [STEP_S * t.slew_N_per_s for t in thrusters]
         self._limits = [(t.min_N, t.max_N) for t in thrusters]
         self._knots: tuple[Array, Array] = np.array([0.0]), np.zeros((1, 2))
-        self._sent: list[tuple[int, npt.NDArray[np.int64], Array]] = []
+        self._sent: list[tuple[int, int, npt.NDArray[np.int64], Array]] = []
         self._command = [0.0, 0.0]
         self._sequence, self._cycle_ns, self._received_ns, self._late, self._all_late = -1, 0, 0, False, 0
 
-    def send(self, t_ns: int, knots_ns: npt.NDArray[np.int64], thrust_N: Array) -> None:
+    def send(self, t_ns: int, arrival_ns: int, knots_ns: npt.NDArray[np.int64], thrust_N: Array) -> None:
         """Put a plan on its way."""
-        self._sent.append((t_ns, knots_ns, thrust_N))
+        self._sent.append((t_ns, arrival_ns, knots_ns, thrust_N))
 
     def receive(self, t_ns: int) -> None:
         """Replace the plan in force from the first knot of the plan that has arrived."""
-        while self._sent and self._sent[0][0] + CHUNK * STEP_NS <= t_ns:
-            self._cycle_ns, knots, thrust = self._sent.pop(0)
+        while self._sent and self._sent[0][1] <= t_ns:
+            self._cycle_ns, _, knots, thrust = self._sent.pop(0)
             self._sequence, self._received_ns, self._late = self._sequence + 1, t_ns, t_ns > knots[0]
             self._all_late += self._late
             old_t, old = self._knots

@@ -4,14 +4,14 @@ Size, mass       1.35 m, 0.98 m, 28 kg, 1.7 m/s: Clearpath Robotics, Heron USV d
 Thrust           35 N at most, lag 0.05 s: the simulation of the maker (github.com/heron/heron_simulator and
                  heron_description, as ported by A. Richard, Georgia Tech, "HeronHydroSettings")
 Drag, linear     16.4 kg/s ahead, 15.8 kg/s across, 6 N m s: the same
-Drag, quadratic  17.3 kg/m ahead and 17.3 kg m2 in yaw: identified with a boat of 35 kg (RANS and DreamLab, "linear SID",
-                 "quadratic SID"); the linear drag ahead is then 0, and that of yaw 5.8 N m s
+Drag, quadratic  17.3 kg/m ahead and 17.3 kg m2 in yaw: identified with a boat of 35 kg (the same group, "quadratic SID"
+                 of its Kingfisher task); the linear drag ahead is then 0, and that of yaw 5.8 N m s
 Inertia          8.06 kg m2 with all that moves with it: the same identification
 Added mass       0.1 and 1.5 of the mass: Fossen's ratios of a twin hull (catamaran.py)
 
-This hull's own, so that the drag is not diagonal: each hull has a half of the drag ahead, at 0.37 m to each side, but the
-starboard one a tenth more, as with a sounder under it; and the drag across acts 0.12 m astern of the centre of gravity,
-where the jets are.
+This hull's own, so that the drag is not diagonal: each hull has a half of the drag ahead, at 0.37 m to each side, but
+the starboard one a tenth more, as with a sounder under it; and the drag across acts 0.12 m astern of the centre of
+gravity, where the jets are.
 """
 
 from __future__ import annotations

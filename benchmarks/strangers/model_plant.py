@@ -1,7 +1,7 @@
 """The controller's own equations with the parameters of a vehicle file, as a hull.
 
-M nu' + C(nu) nu = f with a diagonal M of surge, sway and yaw is the model of ``vehicle/template.toml``; the thrust itself
-follows the command with the lag.
+M nu' + C(nu) nu = f with a diagonal M of surge, sway and yaw is the model of ``vehicle/template.toml``. The thrust
+itself follows the command with the lag.
 """
 
 from __future__ import annotations

@@ -115,18 +115,19 @@ class Plant:
         self.force_N = force_N
         c, s = math.cos(heading_rad), math.sin(heading_rad)
         x, y, _ = hull.centre_of_gravity
-        self._x = np.zeros(15)
-        """Position of the geometric centre (3), quaternion (4), nu (6), revolutions or thrust (2)."""
+        self._x = np.zeros(16)
+        """Position of the geometric centre (3), quaternion (4), nu (6), revolutions or thrust (2), heading."""
         self._x[0], self._x[1] = position_m[0] - c * x + s * y, position_m[1] - s * x - c * y
         self._x[3], self._x[6] = math.cos(heading_rad / 2), math.sin(heading_rad / 2)
         self._x[7] = -c * current_mps[0] - s * current_mps[1]
         self._x[8] = s * current_mps[0] - c * current_mps[1]
         self._numbers = hull.packed()
         self._inverse = np.linalg.inv(hull.M)
+        self._gravity = np.array(hull.centre_of_gravity)
         self._outside = np.array([*current_mps, *force_N, *shares])
         self._shape = tuple(np.ascontiguousarray(a, dtype=float) for a in (hull.M, self._inverse, hull.D))
         self._strips = np.ascontiguousarray(hull.across, dtype=float), np.ascontiguousarray(hull.along, dtype=float)
-        self._before_rad = heading_rad
+        self._x[15] = heading_rad
 
     def run(self, commands_N: Array, dt_s: float) -> Array:
         """Advance by one step for each pair of commands.
@@ -142,13 +143,10 @@ class Plant:
         rate (rad/s) and the delivered thrust of port and starboard (N).
         """
         track = np.empty((len(commands_N), 8))
-        gravity = np.array(self.hull.centre_of_gravity)
         advance(
-            self._x, self._numbers, *self._shape, *self._strips, self._outside, gravity,
+            self._x, self._numbers, *self._shape, *self._strips, self._outside, self._gravity,
             np.ascontiguousarray(commands_N, dtype=float), dt_s, track,
         )  # fmt: skip
-        track[:, 2] = np.unwrap(np.concatenate([[self._before_rad], track[:, 2]]))[1:]
-        self._before_rad = float(track[-1, 2])
         return track
 
     def step(self, command_N: Pair, dt_s: float) -> Array:
@@ -187,7 +185,7 @@ def advance(
     h: float,
     track: Array,
 ) -> None:
-    """Integrate the state ``x`` (15,) in place, one step for each row of commands, and fill ``track`` (M, 8)."""
+    """Integrate the state ``x`` (16,) in place, one step for each row of commands, and fill ``track`` (M, 8)."""
     lag, low, high, lost = numbers[17], numbers[18], numbers[19], numbers[20]
     by_revolutions = numbers[21] > 0.5
     half = math.exp(-0.5 * h / lag) if lag > 0.0 else 0.0
@@ -233,7 +231,9 @@ def advance(
         u, v, w = x[7] + q * gz - r * gy, x[8] + r * gx - p * gz, x[9] + p * gy - q * gx
         track[row, 0] = x[0] + r00 * gx + r01 * gy + r02 * gz
         track[row, 1] = x[1] + r10 * gx + r11 * gy + r12 * gz
-        track[row, 2] = math.atan2(r10, r00)
+        heading = math.atan2(r10, r00)
+        x[15] = heading + 2.0 * math.pi * round((x[15] - heading) / (2.0 * math.pi))
+        track[row, 2] = x[15]
         track[row, 3] = r00 * u + r01 * v + r02 * w + outside[0]
         track[row, 4] = r10 * u + r11 * v + r12 * w + outside[1]
         track[row, 5] = r
