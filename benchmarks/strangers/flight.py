@@ -2,7 +2,8 @@
 
 The loop has the instants of a vehicle: the hull is simulated in steps of 10 ms, the navigation gives an estimate each
 0.1 s, a cycle of the controller begins each 0.3 s with the newest estimate, and its plan arrives 0.1 s later. A
-rival computes a thrust from each estimate, which is in force at once. The thrusters follow the newest plan that has begun, within the slew of the vehicle file. A condition changes one of these.
+rival computes a thrust from each estimate, which is in force at once. The thrusters follow the newest plan that has
+begun, within the slew of the vehicle file. A condition changes one of these.
 """
 
 from __future__ import annotations

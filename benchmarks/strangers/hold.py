@@ -6,12 +6,13 @@ Each row is flown for three minutes from several starts. In the third minute
     force       mean |F| of a thruster is at most 1.3 times what the current needs, and 2 % of the largest thrust
     distance    the estimated point stays within max(offset, tolerance) + 0.1 m of the target
 
-and with white noise of 0.3 m on the position and no covariance mean |F| is at most 15 % of the largest thrust. The share
-of a figure is its value over its limit, and that of a row its largest one over all starts: above 1 the row fails.
+and with white noise of 0.3 m on the position and no covariance mean |F| is at most 15 % of the largest thrust. The
+share of a figure is its value over its limit, and that of a row its largest one over all starts: above 1 the row fails.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -99,11 +100,14 @@ def _one(job: _Job) -> Figures:
 
 
 def fly_rows(rows: Sequence[Row], seeds: Iterable[int], jobs: int | None) -> dict[Row, list[Figures]]:
-    """Fly each row from each start, on some processes."""
+    """Fly each row from each start, on some processes; the number of flights goes to standard error."""
     todo = [_Job(row, seed) for row in rows for seed in seeds]
     found: dict[Row, dict[int, Figures]] = {row: {} for row in rows}
     for place, figures in run_each(_one, todo, workers=jobs):
         found[todo[place].row][todo[place].seed] = figures
+        done = sum(map(len, found.values()))
+        if done % 100 == 0 or done == len(todo):
+            print(f"{done} of {len(todo)} flights", file=sys.stderr, flush=True)
     return {row: [of[seed] for seed in sorted(of)] for row, of in found.items()}
 
 
@@ -112,12 +116,12 @@ def share(figures: Sequence[Figures]) -> float:
     return max(one.share for one in figures)
 
 
-def run(*, quick: bool = False, jobs: int | None = None) -> dict[Row, list[Figures]]:
+def run(*, quick: bool = False, starts: int = STARTS, jobs: int | None = None) -> dict[Row, list[Figures]]:
     """Fly the whole matrix from a few starts, and the worst rows from more."""
-    found = fly_rows(matrix(quick=quick), range(1 if quick else STARTS), jobs)
+    found = fly_rows(matrix(quick=quick), range(1 if quick else starts), jobs)
     if not quick:
         worst = sorted(found, key=lambda row: -share(found[row]))[:WORST_ROWS]
-        for row, figures in fly_rows(worst, range(STARTS, WORST_STARTS), jobs).items():
+        for row, figures in fly_rows(worst, range(starts, WORST_STARTS), jobs).items():
             found[row] += figures
     return found
 

@@ -7,7 +7,7 @@ Drag, linear     16.4 kg/s ahead, 15.8 kg/s across, 6 N m s: the same
 Drag, quadratic  17.3 kg/m ahead and 17.3 kg m2 in yaw: identified with a boat of 35 kg (the same group, "quadratic SID"
                  of its Kingfisher task); the linear drag ahead is then 0, and that of yaw 5.8 N m s
 Inertia          8.06 kg m2 with all that moves with it: the same identification
-Added mass       0.1 and 1.5 of the mass: Fossen's ratios of a twin hull (catamaran.py)
+Added mass       0.1 and 1.5 of the mass, without the Munk moment in yaw: Fossen's twin hull (catamaran.py)
 
 This hull's own, so that the drag is not diagonal: each hull has a half of the drag ahead, at 0.37 m to each side, but
 the starboard one a tenth more, as with a sounder under it; and the drag across acts 0.12 m astern of the centre of
@@ -38,6 +38,7 @@ def hull() -> Hull:
         M=np.diag([1.1 * MASS_KG, 2.5 * MASS_KG, 2.0 * MASS_KG, 3.0, 5.0, INERTIA_KGM2]),
         D=D,
         quadratic=np.array([0.0, 0.0, 0.0, 0.0, 0.0, TURN_KGM2]),
+        cancelled_munk_kg=1.4 * MASS_KG,
         along=np.array([[-HULL_AT_M, half], [HULL_AT_M, (1.0 + SOUNDER) * half]]),
         G=np.diag(AFLOAT),
         centre_of_gravity=(0.0, 0.0, 0.0),

@@ -14,7 +14,6 @@ from benchmarks.strangers.tasks import CONDITIONS, ONLY_OURS, TASKS, Figures, fl
 from benchmarks.strangers.tuning import gains_of
 from services.run.provenance import provenance_table
 from services.tools.batch.executor import run_each
-from services.tools.campaign.trial import version_of
 
 PAGE = Path("docs/notes/strangers.md")
 SEEDS = (1, 2, 3)
@@ -115,35 +114,45 @@ def text(found: dict[Cell, Figures]) -> str:
     names = "; ".join(f"{cell.hull}, {cell.condition}, {cell.task}" for cell in worse) or "none"
     return f"""# A fleet of strangers
 
-**Question.** Does the controller steer hulls of another structure than its model, and how does it compare with what most vehicles have?
+**Question.** Does the controller steer hulls of another structure than its model, and how does it compare with what
+most vehicles have?
 
-**Method.** `python -m benchmarks.strangers --write` flies three hulls that share no equation with the model, each with the vehicle file that its
-owner would write from the data sheet. The sources of their numbers stand at the head of the files in `benchmarks/strangers`.
+**Method.** `python -m benchmarks.strangers --write` flies three hulls that share no equation with the model, each with
+the vehicle file that its owner would write from the data sheet. The sources of their numbers stand at the head of the
+files in `benchmarks/strangers`.
 
-- `catamaran`: 80 kg, six degrees of freedom, linear drag, centre of gravity 0.14 m ahead of the geometric centre (Fossen's Otter).
-- `ellipsoid`: 70 kg, added mass by Lamb, the Munk moment, fins, cross-flow drag, propellers that lose thrust with speed.
+- `catamaran`: 80 kg, six degrees of freedom, linear drag, centre of gravity 0.14 m ahead of the geometric centre
+  (Fossen's Otter).
+- `ellipsoid`: 70 kg, added mass by Lamb, Munk moment, fins, cross-flow drag, propellers that lose thrust with speed.
 - `light_boat`: 28 kg, drag that couples surge, sway and yaw (Clearpath Heron).
 
-The rival is PID at a point and line-of-sight guidance with an integral along a path. Its gains are tuned once for each hull, under nominal
-conditions, on the tasks `hold` and `line`. It reads no reports, so two conditions have no figure for it.
+The rival is PID at a point and line-of-sight guidance with an integral along a path. Its gains are tuned once a hull,
+under nominal conditions, on the tasks `hold` and `line`. It reads no reports, so two conditions have no figure for it.
 
-The tasks are: hold a point 5 m away; a line of 20 m; a square of 20 m; a point 5 m astern; three points with a stay at each. Conditions:
+The tasks are: hold a point 5 m away; a line of 20 m; a square of 20 m; a point 5 m astern; three points with a stay at
+each. The conditions are:
 
-- no reports, or reports that stop after 20 s: what the actuators deliver is not known.
+- no reports, or reports that stop after 20 s: the controller does not know what the actuators deliver.
 - offset: the estimates are of a point 0.15 m ahead of the centre of gravity, and no file says so.
 - noise: white, on north and east of each estimate, without a covariance. 1 Hz and latency: of the estimates.
 - side force: a steady wind of a tenth of the full thrust. Released: the thrusters rest between 20 and 50 s.
 
-**Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {version_of(provenance_table())}.
+**Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {provenance_table()["commit"][:8]}.
 
-**Result.** Of {both} cells with a rival, the controller is worse by more than 0.1 m, or alone does not arrive, in {len(worse)}: {names}.
+**Result.** Of {both} cells with a rival, the controller is worse by more than 0.1 m, or alone does not arrive, in
+{len(worse)}: {names}.
 
-Mean error and, in brackets, the largest one (m), over {len(SEEDS)} starts: distance from the path until the arrival, or from the point, 15 s after
-the arrival. The controller stands first, the rival after the stroke; `!`: a flight did not arrive within 0.5 m.
+Mean error and, in brackets, the largest one (m), over {len(SEEDS)} starts: distance from the path until the arrival,
+or from the point, 15 s after the arrival. The controller stands first, the rival after the stroke; `!`: a flight did
+not arrive within 0.5 m.
 
 {errors_table(found)}
 
-Over all hulls and tasks, controller first. *Wrongly nominal* is the share of that time with an error above 1 m and a plan of nominal health.
+Over all hulls and tasks, controller first. *Wrongly nominal* is the share of that time with an error above 1 m and a
+plan of nominal health.
 
 {effort_table(found)}
+
+**Decision.** The worst rows of station keeping (`python -m benchmarks.strangers hold`) and short flights of the hulls
+are tests: `tests/strangers`.
 """

@@ -7,7 +7,7 @@ Along a path  chi = course of the leg - atan((e + k_i I) / lookahead),  I' = loo
 e is the distance to starboard of the leg and u the speed over ground ahead. Near the end of a leg the next one is
 followed, and near the end of the path its PID holds that point. Where the course is off by more than a right angle the
 vehicle turns first.
-Source: Borhaug, Pavlov and Pettersen 2008; Fossen 2021, section 12.3. Gains are tuned once for each hull: ``tuning.py``.
+Source: Borhaug, Pavlov and Pettersen 2008; Fossen 2021, section 12.3. Gains are tuned once a hull: ``tuning.py``.
 """
 
 from __future__ import annotations
