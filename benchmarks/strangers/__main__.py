@@ -17,7 +17,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="?", choices=("hold", "tasks", "tune"), default="tasks")
     parser.add_argument("--quick", action="store_true", help="fewer rows, one start")
-    parser.add_argument("--starts", type=int, default=hold.STARTS, help="of the rows of `hold` that are not the worst")
+    parser.add_argument("--starts", type=int, default=3, help="of each row; of `hold`: the worst rows have 20")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--write", action="store_true", help=f"write {page.PAGE}")
     options = parser.parse_args()
@@ -26,7 +26,8 @@ def main() -> None:
     elif options.what == "tune":
         tuning.tune(options.jobs)
     else:
-        text = page.text(page.run(quick=options.quick, jobs=options.jobs))
+        starts = 1 if options.quick else options.starts
+        text = page.text(page.run(starts=starts, jobs=options.jobs), starts)
         print(text)
         if options.write:
             page.PAGE.write_text(text)

@@ -16,7 +16,7 @@ from services.run.provenance import provenance_table
 from services.tools.batch.executor import run_each
 
 PAGE = Path("docs/notes/strangers.md")
-SEEDS = (1, 2, 3)
+STARTS = 3
 
 
 class Cell(NamedTuple):
@@ -38,8 +38,8 @@ def _one(job: _Job) -> Figures:
     return fly_task(job.cell.hull, job.cell.task, CONDITIONS[job.cell.condition], job.seed, gains)
 
 
-def run(*, quick: bool = False, jobs: int | None = None) -> dict[Cell, Figures]:
-    """Fly the matrix; ``quick``: one start each."""
+def run(*, starts: int = STARTS, jobs: int | None = None) -> dict[Cell, Figures]:
+    """Fly the matrix from some starts."""
     cells = [
         Cell(hull, condition, task, ours)
         for hull in FOREIGN
@@ -47,7 +47,7 @@ def run(*, quick: bool = False, jobs: int | None = None) -> dict[Cell, Figures]:
         for task in TASKS
         for ours in ((True,) if condition in ONLY_OURS else (True, False))
     ]
-    todo = [_Job(cell, seed) for cell in cells for seed in (SEEDS[:1] if quick else SEEDS)]
+    todo = [_Job(cell, seed) for cell in cells for seed in range(1, starts + 1)]
     flights: dict[Cell, list[Figures]] = {cell: [] for cell in cells}
     for place, found in sorted(run_each(_one, todo, workers=jobs)):
         flights[todo[place].cell].append(found)
@@ -107,7 +107,7 @@ def worse_cells(found: dict[Cell, Figures]) -> Sequence[Cell]:
     return out
 
 
-def text(found: dict[Cell, Figures]) -> str:
+def text(found: dict[Cell, Figures], starts: int = STARTS) -> str:
     """Return the page."""
     worse = worse_cells(found)
     both = sum(cell._replace(ours=False) in found for cell in found if cell.ours)
@@ -142,7 +142,7 @@ each. The conditions are:
 **Result.** Of {both} cells with a rival, the controller is worse by more than 0.1 m, or alone does not arrive, in
 {len(worse)}: {names}.
 
-Mean error and, in brackets, the largest one (m), over {len(SEEDS)} starts: distance from the path until the arrival,
+Mean error and, in brackets, the largest one (m), over {starts} starts: distance from the path until the arrival,
 or from the point, 15 s after the arrival. The controller stands first, the rival after the stroke; `!`: a flight did
 not arrive within 0.5 m.
 

@@ -22,7 +22,7 @@ from benchmarks.strangers.tasks import SPEEDS_MPS, TASKS, figures, make_pilot
 from services.tools.batch.executor import run_each
 
 FILE = Path(__file__).parent / "gains.toml"
-BUDGET, SEEDS = 96, (300, 301, 302)
+BUDGET, SEEDS = 64, (300, 301)
 ANY_POINT = {"kp": 50.0, "kd": 100.0, "ki": 0.1, "k_psi": 50.0, "k_r": 50.0, "hold_N": 1.0}
 
 
