@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +18,8 @@ from services.tools.batch.executor import run_each
 
 PAGE = Path("docs/notes/strangers.md")
 STARTS = 3
+MAX_NAMES = 8
+"""Number of cells up to which the page names each in which the rival is better."""
 
 
 class Cell(NamedTuple):
@@ -111,7 +114,11 @@ def text(found: dict[Cell, Figures], starts: int = STARTS) -> str:
     """Return the page."""
     worse = worse_cells(found)
     both = sum(cell._replace(ours=False) in found for cell in found if cell.ours)
-    names = "; ".join(f"{cell.hull}, {cell.condition}, {cell.task}" for cell in worse) or "none"
+    by_hull = Counter(cell.hull for cell in worse)
+    if len(worse) > MAX_NAMES:
+        names = ", ".join(f"{count} of `{hull}`" for hull, count in by_hull.items())
+    else:
+        names = "; ".join(f"{cell.hull}, {cell.condition}, {cell.task}" for cell in worse) or "none"
     return f"""# A fleet of strangers
 
 **Question.** Does the controller steer hulls of another structure than its model, and how does it compare with what
@@ -142,8 +149,8 @@ each. The conditions are:
 **Result.** Of {both} cells with a rival, the controller is worse by more than 0.1 m, or alone does not arrive, in
 {len(worse)}: {names}.
 
-Mean error and, in brackets, the largest one (m), over {starts} starts: distance from the path until the arrival,
-or from the point, 15 s after the arrival. The controller stands first, the rival after the stroke; `!`: a flight did
+Mean error and, in brackets, the largest one (m), starts a cell: {starts}. It is the distance from the path until the
+arrival, or from the point, 15 s after the arrival. The controller stands first, the rival after the stroke; `!`: a flight did
 not arrive within 0.5 m.
 
 {errors_table(found)}
