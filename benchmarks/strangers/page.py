@@ -150,8 +150,8 @@ each. The conditions are:
 {len(worse)}: {names}.
 
 Mean error and, in brackets, the largest one (m), starts a cell: {starts}. It is the distance from the path until the
-arrival, or from the point, 15 s after the arrival. The controller stands first, the rival after the stroke; `!`: a flight did
-not arrive within 0.5 m.
+arrival, or from the point, 15 s after the arrival. The controller stands first, the rival after the stroke; `!`: a
+flight did not arrive within 0.5 m.
 
 {errors_table(found)}
 

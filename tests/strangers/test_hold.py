@@ -12,16 +12,16 @@ from ltv_mpc.references import Point
 
 WORST = [
     #   vehicle              ahead  aside  current reports    noise   start
-    (Row("light_boat",       0.15,  0.0,   0.0,    True),             1),
-    (Row("light_boat",       0.0,   0.15,  0.1,    False),            1),
-    (Row("light_boat",       0.05,  0.0,   0.0,    False),            1),
+    (Row("bluerobotics-boat", -0.1, 0.0,   0.05,   True),             1),
+    (Row("light_boat",       0.25,  0.0,   0.0,    True),             1),
+    (Row("light_boat",       0.15,  0.0,   0.0,    False),            1),
+    (Row("light_boat",       0.0,   0.25,  0.05,   True),             2),
     (Row("paper",            0.0,   0.15,  0.0,    True),             1),
-    (Row("paper",            0.15,  0.0,   0.0,    False),            1),
+    (Row("paper",            0.0,   0.25,  0.0,    False),            1),
     (Row("catamaran",        0.05,  0.0,   0.0,    True),             1),
-    (Row("catamaran",        0.15,  0.0,   0.1,    False),            1),
     (Row("ellipsoid",        0.15,  0.0,   0.0,    True),             1),
     (Row("ellipsoid",       -0.15,  0.0,   0.0,    False),            1),
-    (Row("paper",            0.0,   0.0,   0.0,    False,   0.3),     1),
+    (Row("light_boat",       0.0,   0.0,   0.0,    True,    0.3),     1),
 ]  # fmt: skip
 FAIL_TODAY = range(len(WORST))
 """Rows that do not keep their limits yet."""
