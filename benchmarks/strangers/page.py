@@ -1,0 +1,165 @@
+"""Page of the strangers: the flights of all hulls under all conditions, and its text and tables."""
+
+from __future__ import annotations
+
+import datetime
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.strangers.flight import FOREIGN
+from benchmarks.strangers.tasks import CONDITIONS, ONLY_OURS, TASKS, Figures, fly_task, mean_figures
+from benchmarks.strangers.tuning import gains_of
+from services.run.provenance import provenance_table
+from services.tools.batch.executor import run_each
+
+PAGE = Path("docs/notes/strangers.md")
+STARTS = 3
+MAX_NAMES = 8
+"""Number of cells up to which the page names each in which the rival is better."""
+
+
+class Cell(NamedTuple):
+    """One cell of the matrix."""
+
+    hull: str
+    condition: str
+    task: str
+    ours: bool
+
+
+class _Job(NamedTuple):
+    cell: Cell
+    seed: int
+
+
+def _one(job: _Job) -> Figures:
+    gains = None if job.cell.ours else gains_of(job.cell.hull)
+    return fly_task(job.cell.hull, job.cell.task, CONDITIONS[job.cell.condition], job.seed, gains)
+
+
+def run(*, starts: int = STARTS, jobs: int | None = None) -> dict[Cell, Figures]:
+    """Fly the matrix from some starts."""
+    cells = [
+        Cell(hull, condition, task, ours)
+        for hull in FOREIGN
+        for condition in CONDITIONS
+        for task in TASKS
+        for ours in ((True,) if condition in ONLY_OURS else (True, False))
+    ]
+    todo = [_Job(cell, seed) for cell in cells for seed in range(1, starts + 1)]
+    flights: dict[Cell, list[Figures]] = {cell: [] for cell in cells}
+    for place, found in sorted(run_each(_one, todo, workers=jobs)):
+        flights[todo[place].cell].append(found)
+    return {cell: mean_figures(of) for cell, of in flights.items()}
+
+
+def errors_table(found: dict[Cell, Figures]) -> str:
+    """Return the mean and the largest error of each cell, the rival's after a stroke."""
+    lines = ["| hull | condition | " + " | ".join(TASKS) + " |", "|---" * (2 + len(TASKS)) + "|"]
+    for hull in FOREIGN:
+        for condition in CONDITIONS:
+            texts = [_errors(found, Cell(hull, condition, task, True)) for task in TASKS]
+            lines.append(f"| {hull} | {condition} | " + " | ".join(texts) + " |")
+    return "\n".join(lines)
+
+
+def _errors(found: dict[Cell, Figures], cell: Cell) -> str:
+    texts = []
+    for ours in (True, False):
+        figures = found.get(cell._replace(ours=ours))
+        if figures is not None:
+            late = "" if np.isfinite(figures.arrival_s) else "!"
+            texts.append(f"{figures.mean_m:.2f} ({figures.max_m:.1f}){late}")
+    return " / ".join(texts)
+
+
+def effort_table(found: dict[Cell, Figures]) -> str:
+    """Return arrivals, thrust and wrong health by condition, over all hulls and tasks; the rival's after a stroke."""
+    lines = [
+        "| condition | arrived | time to arrive (s) | mean F (%) | wrongly nominal (%) |",
+        "|---|---|---|---|---|",
+    ]
+    for condition in CONDITIONS:
+        columns: list[list[str]] = [[], [], []]
+        for ours in (True, False):
+            of = [figures for cell, figures in found.items() if (cell.condition, cell.ours) == (condition, ours)]
+            if of:
+                arrivals = [figures.arrival_s for figures in of if np.isfinite(figures.arrival_s)]
+                columns[0].append(f"{len(arrivals)} of {len(of)}")
+                columns[1].append(f"{np.median(arrivals):.0f}" if arrivals else "-")
+                columns[2].append(f"{100 * np.mean([figures.force for figures in of]):.0f}")
+        mine = [figures.wrongly_nominal for cell, figures in found.items() if cell[1] == condition and cell.ours]
+        wrong = f"{100 * np.mean(mine):.1f}"
+        lines.append(f"| {condition} | " + " | ".join(" / ".join(column) for column in columns) + f" | {wrong} |")
+    return "\n".join(lines)
+
+
+def worse_cells(found: dict[Cell, Figures]) -> Sequence[Cell]:
+    """Return our cells whose mean error is above the rival's by more than 0.1 m, or that alone do not arrive."""
+    out = []
+    for cell, figures in found.items():
+        rival = found.get(cell._replace(ours=False))
+        if cell.ours and rival is not None:
+            alone_late = np.isfinite(rival.arrival_s) and not np.isfinite(figures.arrival_s)
+            if alone_late or figures.mean_m > rival.mean_m + 0.1:
+                out.append(cell)
+    return out
+
+
+def text(found: dict[Cell, Figures], starts: int = STARTS) -> str:
+    """Return the page."""
+    worse = worse_cells(found)
+    both = sum(cell._replace(ours=False) in found for cell in found if cell.ours)
+    by_hull = Counter(cell.hull for cell in worse)
+    if len(worse) > MAX_NAMES:
+        names = ", ".join(f"{count} of `{hull}`" for hull, count in by_hull.items())
+    else:
+        names = "; ".join(f"{cell.hull}, {cell.condition}, {cell.task}" for cell in worse) or "none"
+    return f"""# A fleet of strangers
+
+**Question.** Does the controller steer hulls of another structure than its model, and how does it compare with what
+most vehicles have?
+
+**Method.** `python -m benchmarks.strangers --write` flies three hulls that share no equation with the model, each with
+the vehicle file that its owner would write from the data sheet. The sources of their numbers stand at the head of the
+files in `benchmarks/strangers`.
+
+- `catamaran`: 80 kg, six degrees of freedom, linear drag, centre of gravity 0.14 m ahead of the geometric centre
+  (Fossen's Otter).
+- `ellipsoid`: 70 kg, added mass by Lamb, Munk moment, fins, cross-flow drag, propellers that lose thrust with speed.
+- `light_boat`: 28 kg, drag that couples surge, sway and yaw (Clearpath Heron).
+
+The rival is PID at a point and line-of-sight guidance with an integral along a path. Its gains are tuned once a hull,
+under nominal conditions, on the tasks `hold` and `line`. It reads no reports, so two conditions have no figure for it.
+
+The tasks are: hold a point 5 m away; a line of 20 m; a square of 20 m; a point 5 m astern; three points with a stay at
+each. The conditions are:
+
+- no reports, or reports that stop after 20 s: the controller does not know what the actuators deliver.
+- offset: the estimates are of a point 0.15 m ahead of the centre of gravity, and no file says so.
+- noise: white, on north and east of each estimate, without a covariance. 1 Hz and latency: of the estimates.
+- side force: a steady wind of a tenth of the full thrust. Released: the thrusters rest between 20 and 50 s.
+
+**Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {provenance_table()["commit"][:8]}.
+
+**Result.** Of {both} cells with a rival, the controller is worse by more than 0.1 m, or alone does not arrive, in
+{len(worse)}: {names}.
+
+Mean error and, in brackets, the largest one (m), starts a cell: {starts}. It is the distance from the path until the
+arrival, or from the point, 15 s after the arrival. The controller stands first, the rival after the stroke; `!`: a
+flight did not arrive within 0.5 m.
+
+{errors_table(found)}
+
+Over all hulls and tasks, controller first. *Wrongly nominal* is the share of that time with an error above 1 m and a
+plan of nominal health.
+
+{effort_table(found)}
+
+**Decision.** The worst rows of station keeping (`python -m benchmarks.strangers hold`) and short flights of the hulls
+are tests: `tests/strangers`.
+"""

@@ -1,0 +1,139 @@
+"""Hulls of the strangers: facts that their equations do not contain."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.strangers import ellipsoid
+from benchmarks.strangers.flight import FOREIGN, SHIPPED, load
+from benchmarks.strangers.rigid_body import Hull, Plant
+from ltv_mpc.vehicle import dynamics
+
+REST = np.zeros((1, 2))
+STEP_S = 0.01
+HULLS = [*FOREIGN, "paper"]
+
+# Lamb 1932, article 115: k1, k2 and k' of a prolate spheroid by length over diameter, to three digits.
+LAMB = {
+    1.5: (0.305, 0.621, 0.094),
+    3.99: (0.082, 0.860, 0.608),
+    6.01: (0.045, 0.918, 0.764),
+    9.97: (0.021, 0.960, 0.883),
+}
+
+DATA_SHEET_MPS = {"catamaran": 6 * 0.5144, "ellipsoid": 1.2, "light_boat": 1.7, "paper": 0.5}
+
+
+def frictionless(hull: Hull) -> Hull:
+    """Return a hull without drag, fins and restoring forces."""
+    return replace(
+        hull, D=np.zeros((6, 6)), quadratic=np.zeros(6), across=np.zeros((0, 2)), along=np.zeros((0, 2)),
+        fin_kgpm=0.0, cancelled_munk_kg=0.0, G=np.zeros((3, 3)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HULLS)
+def test_without_drag_and_thrust_a_hull_keeps_its_energy(name: str) -> None:
+    plant = Plant(frictionless(load(name)[0]), heading_rad=0.7, current_mps=(0.2, -0.1))
+    plant.velocity[:] = 0.8, -0.2, 0.1, 0.1, -0.2, 0.3
+    before = plant.energy_J()
+    plant.run(np.zeros((1000, 2)), STEP_S)
+    assert plant.energy_J() == pytest.approx(before, rel=1e-4)
+
+
+@pytest.mark.parametrize("aspect", LAMB)
+def test_the_added_mass_of_the_ellipsoid_is_that_of_lambs_table(aspect: float) -> None:
+    assert ellipsoid.lamb(aspect) == pytest.approx(LAMB[aspect], abs=1.5e-3)
+
+
+def test_a_long_hull_in_oblique_flow_turns_broadside_and_its_fins_halve_that() -> None:
+    """Munk moment: N = (m_x - m_y) u v, here bow to starboard for a flow from port ahead, until u = 0."""
+    hull = load("ellipsoid")[0]
+    rates = []
+    for fins in (0.0, hull.fin_kgpm):
+        plant = Plant(replace(frictionless(hull), fin_kgpm=fins, fin_m=hull.fin_m))
+        plant.velocity[:2] = 1.0, -0.1
+        rates.append(plant.run(REST, STEP_S)[-1, 5])
+    expected = (hull.M[1, 1] - hull.M[0, 0]) * 0.1 * STEP_S / hull.M[5, 5]
+    assert rates[0] == pytest.approx(expected, rel=0.01)
+    assert 0.3 * rates[0] < rates[1] < 0.7 * rates[0]
+
+    plant = Plant(frictionless(hull))
+    plant.velocity[:2] = 1.0, -0.05
+    track = plant.run(np.zeros((3000, 2)), STEP_S)
+    course = np.arctan2(track[:, 4], track[:, 3])
+    assert np.degrees(np.abs(track[:, 2] - course)).max() > 85.0
+
+
+@pytest.mark.parametrize("name", HULLS)
+def test_a_hull_at_full_thrust_is_as_fast_as_its_data_sheet_says(name: str) -> None:
+    hull, vehicle = load(name)
+    plant = Plant(hull)
+    for _ in range(600):  # a helmsman keeps the bow ahead
+        turn = plant._x[15] + plant.velocity[5]
+        track = plant.run(hull.max_N * np.array([[1.0 - turn, 1.0 + turn]] * 10), STEP_S)
+    speed = math.hypot(*track[-1, 3:5])
+    assert speed == pytest.approx(DATA_SHEET_MPS[name], rel=0.15)
+    assert speed == pytest.approx(hull.top_speed_mps(), rel=0.05)
+    says = vehicle.surge
+    drag_N = (says.linear_damping_kgps + says.quadratic_damping_kgpm * speed) * speed
+    assert drag_N == pytest.approx(2 * hull.max_N, rel=0.4)
+
+
+def test_the_linear_drag_of_the_catamaran_stops_it_with_its_time_constants() -> None:
+    """Surge: mass over drag, 85.5 kg / 77.5 kg/s. Ahead nothing couples, so the decay is an exponential."""
+    plant = Plant(load("catamaran")[0])
+    plant.velocity[0] = 1.0
+    track = plant.run(np.zeros((100, 2)), STEP_S)
+    assert track[-1, 3] == pytest.approx(math.exp(-1.0 / (85.5 / 77.5)), rel=0.01)
+
+
+def test_the_catamaran_floats_upright_and_comes_back_from_a_heel() -> None:
+    plant = Plant(load("catamaran")[0])
+    plant.velocity[3] = 0.5
+    rolls = []
+    for _ in range(100):
+        plant.run(np.zeros((10, 2)), STEP_S)
+        rolls.append(plant.attitude_rad[0])
+    assert max(map(abs, rolls[:10])) > 0.01
+    assert max(map(abs, rolls[-10:])) < 1e-3
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_hull_of_a_shipped_vehicle_has_the_accelerations_of_the_model(name: str) -> None:
+    hull, vehicle = load(name)
+    plant = Plant(hull)
+    nu = np.array([0.4, -0.15, 0.2])
+    plant.velocity[[0, 1, 5]] = nu
+    F = np.array([0.3 * hull.max_N, -0.1 * hull.max_N])
+    plant._x[13:15] = F
+    h = 1e-4
+    plant.run(F[None], h)
+    expected, still = np.empty(6), np.zeros(2)
+    x = np.array([0.0, 0.0, nu[0], nu[1], 0.0, nu[2]])
+    dynamics.derivative(x, F, still, still, vehicle.coefficients(), expected)
+    np.testing.assert_allclose((plant.velocity[[0, 1, 5]] - nu) / h, expected[[2, 3, 5]], rtol=2e-3, atol=1e-4)
+
+
+def test_current_and_wind_act_from_their_directions() -> None:
+    plant = Plant(load("light_boat")[0], heading_rad=2.0, current_mps=(0.1, 0.2))
+    track = plant.run(np.zeros((6000, 2)), STEP_S)
+    np.testing.assert_allclose(track[-1, 3:5], [0.1, 0.2], atol=0.02)
+    plant = Plant(load("light_boat")[0], heading_rad=2.0, force_N=(0.0, -2.0))
+    track = plant.run(np.zeros((100, 2)), STEP_S)
+    assert track[-1, 4] < -0.04
+    assert abs(track[-1, 3]) < 0.5 * abs(track[-1, 4])
+
+
+def test_the_hull_with_more_drag_is_left_behind_so_the_light_boat_turns_to_starboard() -> None:
+    """N = y dX = 0.37 m x 0.865 kg/m u^2 in the first instant, and the drag of each hull takes energy."""
+    plant = Plant(load("light_boat")[0])
+    plant.velocity[0] = 1.5
+    before = plant.energy_J()
+    rate = plant.run(REST, STEP_S)[-1, 5]
+    assert rate == pytest.approx(0.37 * 0.865 * 1.5**2 * STEP_S / 8.06, rel=0.02)
+    assert plant.energy_J() < before
