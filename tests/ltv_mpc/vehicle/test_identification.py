@@ -279,15 +279,16 @@ FOREIGN_TRUE = {
 }
 
 
-@pytest.mark.parametrize(("seed", "noise"), [(0, 0.0), (1, 0.005), (2, 0.005)])
-def test_a_hull_of_another_structure_is_reported_and_nine_in_ten_intervals_contain_its_truth(
-    seed: int, noise: float
+@pytest.mark.parametrize(("seed", "noise", "share"), [(0, 0.0, 0.9), (1, 0.005, 1.0), (2, 0.005, 1.0)])
+def test_a_hull_of_another_structure_is_reported_and_the_intervals_contain_its_truth(
+    seed: int, noise: float, share: float
 ) -> None:
+    """Without errors of the estimates one coefficient, the sway mass, is outside its interval."""
     found = identify(FOREIGN, swum(seed, (noise, noise, 0.4 * noise)))
     assert any("structure of the model does not fit" in text and "in yaw" in text for text in found.warnings)
     true = FOREIGN_TRUE
     inside = [one.low <= true[one.name] <= one.high for one in found.coefficients if one.name in true]
-    assert np.mean(inside) >= 0.9
+    assert np.mean(inside) >= share
 
 
 @pytest.mark.parametrize("quadratic", [0.0, 37.0])
