@@ -1,12 +1,13 @@
 """System identification: masses, damping, thrust scale, arms, lags and reference point of a vehicle from its motion.
 
-``shooting_fit.py`` states the least-squares problem. Here theta is found by scipy's trust region with damping, lags and
-masses not negative; the standard deviations of the errors of u, v and r are scaled to the residuals.
+``shooting_fit.py`` states the least-squares problem. Here theta is found by scipy's trust region within physical
+bounds; the standard deviations of the errors of u, v and r are scaled to the residuals.
 
 The interval of theta_i is that of Student's t with the larger of two variances: that of white errors, H^-1, and that of
 errors correlated within a segment but not between the S segments, H^-1 G H^-1 with G = S / (S - 1) sum_s g_s g_s'
 (Liang & Zeger 1986). A constant current that the estimates do not contain is fitted beside the coefficients. Neither
-variance covers other errors that last for the whole run.
+variance covers other errors that last for the whole run. Forces that the model does not have are looked for by
+``structure_check.py``; where they are present, the intervals contain the coefficients with and without them.
 
 A coefficient that the run does not excite keeps the value of the file. The others are fitted again with it, so that the
 identified vehicle is consistent in itself; their intervals remain those of the fit of all coefficients.
@@ -29,9 +30,11 @@ from scipy.stats import t as student
 
 from ltv_mpc.messages import Array, Times
 from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.reference_point import ORIGIN
 from ltv_mpc.vehicle.shooting_fit import (
     CURRENT_SD_MPS,
     LAGS,
+    MAX_VALUE,
     PRIOR,
     REFERENCE_POINT,
     SEGMENT_S,
@@ -43,6 +46,7 @@ from ltv_mpc.vehicle.shooting_fit import (
     theta_scale,
     through_the_water,
 )
+from ltv_mpc.vehicle.structure_check import MAX_EXPLAINED, check_structure, inverse
 
 Known: TypeAlias = Literal["thrust", "mass"]
 KnownYaw: TypeAlias = Literal["arm", "inertia"]
@@ -62,7 +66,21 @@ LAG_INTERPOLATION_ERROR = 0.02
 MIN_SIGNAL_TO_NOISE = 2.0
 """Root mean square of a velocity over the standard deviation of its errors, from which it counts as motion."""
 
+STILL = np.array([0.002, 0.002, 0.001])
+"""Standard deviations of u, v (m/s) and r (rad/s) below which a vehicle does not change its motion."""
+
 CONFIDENCE = 0.95
+
+MIN_SD = 1e-7
+"""Smallest standard deviation of the errors of u, v (m/s) and r (rad/s): a vehicle at rest leaves no residual."""
+
+MIN_MISFIT = 0.01
+"""Residual over the root mean square of the velocity, from which a structure that does not fit is reported."""
+
+MAX_RATIO = 3.0
+"""Ratio of the residuals ahead and abeam from which they are reported as unequal."""
+
+DIRECTIONS = ("ahead", "abeam", "in yaw")
 
 CURRENT = slice(-2, None)
 """Places of the unmodelled current, north and east, in theta; the coefficients stand before them."""
@@ -84,7 +102,8 @@ class IdentifiedCoefficient(msgspec.Struct, frozen=True, kw_only=True):
     value: float
     low: float
     high: float
-    excited: bool  # False: the run is not informative, and ``value`` is that of the file
+    excited: bool  # False: the run is not informative, or the value is declared; ``value`` is that of the file
+    declared: bool = False  # ``value`` is the declared one, and ``low`` to ``high`` is what the run shows
 
 
 class Identification(NamedTuple):
@@ -96,10 +115,19 @@ class Identification(NamedTuple):
     sd: Array  # (3,) standard deviations of the residuals of u, v (m/s) and r (rad/s)
     segments: int
     seconds: float
+    warnings: list[str]  # what does not fit: structure of the model, declared values, bounds
 
 
-class NotEnoughMotion(ValueError):
-    """Error of a run that is too short for an identification."""
+class CannotIdentify(ValueError):
+    """Error of a motion to which no vehicle can be fitted."""
+
+
+class NotEnoughMotion(CannotIdentify):
+    """Error of a run that is too short or too quiet for an identification."""
+
+
+class DivergedPrediction(CannotIdentify):
+    """Error of a run in which the motion predicted with the file's values diverges."""
 
 
 def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_yaw: KnownYaw = "arm") -> Identification:
@@ -107,7 +135,7 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
 
     Parameters
     ----------
-    vehicle : vehicle with the values of the file.
+    vehicle : vehicle with the values of the file. A reference point that it declares is not changed.
     motion : recorded motion of the vehicle's origin, computed with the reference point in the file.
     known : take thrust or surge mass from the file.
     known_yaw : take arms or yaw inertia from the file.
@@ -115,7 +143,9 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
     Raises
     ------
     NotEnoughMotion
-        If the motion has fewer than ``MIN_SEGMENTS`` segments.
+        If the motion has fewer than ``MIN_SEGMENTS`` segments, is constant, or excites no coefficient.
+    DivergedPrediction
+        If the predicted motion diverges.
     """
     fixed = {"thrust"} if known == "thrust" else {"mass_surge"}
     fixed |= {"arm_port", "arm_starboard"} if known_yaw == "arm" else {"inertia_yaw"}
@@ -125,25 +155,59 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
     unexcited_dofs = _below_noise(through_the_water(motion, CURRENT_SD_MPS * theta[CURRENT]), fit.sd)
     if any(_degree_of_freedom(name) in unexcited_dofs for name in free):
         fit, theta = _solve(vehicle, motion, [name for name in free if _degree_of_freedom(name) not in unexcited_dofs])
-    half_widths = _half_widths(*fit.by_segment(theta), prior=1.0 / PRIOR**2)
-    half_width = dict(zip(fit.free, half_widths[: CURRENT.start].tolist(), strict=True))
-    excited = [name for name in fit.free if half_width[name] <= _max_half_width(name)]
-    if len(excited) < len(fit.free):
-        fit, theta = _solve(vehicle, motion, excited)
-    values = dict(zip(fit.free, theta[: CURRENT.start].tolist(), strict=True))
-    prior_half_width = float(norm.ppf(0.5 + 0.5 * CONFIDENCE)) * PRIOR
+    half_widths = _half_widths(*fit.by_segment(theta), prior=PRIOR**-2)
+    low, high = theta - half_widths, theta + half_widths
+    check = check_structure(vehicle, motion, fit, theta)
+    fits = bool(np.all(check.explained < MAX_EXPLAINED))
+    if not fits:  # the intervals contain the coefficients of both structures
+        half_widths = np.maximum(half_widths, _quantile(len(fit.edges)) * check.sd)
+        low = np.minimum(theta, theta + check.shift) - half_widths
+        high = np.maximum(theta, theta + check.shift) + half_widths
+    warnings = _structure_warnings(through_the_water(motion, CURRENT_SD_MPS * theta[CURRENT]), fit.sd, check.explained)
+    full, kept_point = fit, set(REFERENCE_POINT) if vehicle.reference_point is not ORIGIN else set()
+
+    def narrow() -> list[str]:
+        widths = dict(zip(full.free, (0.5 * (high - low)).tolist(), strict=False))
+        return [name for name in full.free if widths[name] <= _max_half_width(name)]
+
+    excited = [name for name in narrow() if name not in kept_point]
+    kept_point &= set(narrow())
+    # the file's point is 0 in theta
+    agrees = fits and all(low[i] <= 0.0 <= high[i] for i, name in enumerate(full.free) if name in kept_point)
+    while len(excited) < len(fit.free):
+        fit, best = _solve(vehicle, motion, excited)
+        at = [*map(full.free.index, excited), -2, -1]
+        theta = theta.copy()
+        theta[at] = best
+        if agrees:  # the intervals keep their widths
+            low[at], high[at] = best - half_widths[at], best + half_widths[at]
+        else:  # they contain the coefficients of both fits
+            low[at] = np.minimum(low[at], best - half_widths[at])
+            high[at] = np.maximum(high[at], best + half_widths[at])
+            excited = [name for name in narrow() if name in excited]
+    intervals = dict(zip(full.free, zip(theta.tolist(), low.tolist(), high.tolist(), strict=True), strict=False))
     coefficients = [
-        _coefficient(name, vehicle, values.get(name), half_width.get(name, prior_half_width)) for name in free
+        _coefficient(
+            name,
+            vehicle,
+            intervals.get(name),
+            excited=name in excited,
+            declared=name in kept_point,
+        )
+        for name in free
     ]
     if motion.thrust is not None:
         coefficients += _lags(vehicle, motion, motion.thrust, fit.edges)
+    if not any(one.excited for one in coefficients):
+        raise NotEnoughMotion("the motion of no coefficient exceeds the errors of the estimates (docs/identify.md)")
     return Identification(
         coefficients,
         CURRENT_SD_MPS * theta[CURRENT],
-        CURRENT_SD_MPS * half_widths[CURRENT],
+        CURRENT_SD_MPS * 0.5 * (high - low)[CURRENT],
         fit.sd,
         len(fit.edges),
         float(motion.t_s[-1] - motion.t_s[0]),
+        [*warnings, *_contradictions(coefficients), *_at_bounds(vehicle, coefficients)],
     )
 
 
@@ -152,15 +216,74 @@ def _solve(vehicle: Vehicle, motion: Motion, free: Sequence[str]) -> tuple[Shoot
     fit = ShootingFit(vehicle, motion, free)
     if len(fit.edges) < MIN_SEGMENTS:
         raise NotEnoughMotion(f"{len(fit.edges)} segments of {SEGMENT_S:g} s: at least {MIN_SEGMENTS} are needed")
-    theta = np.maximum(fit.origin, fit.lower + 1e-6)
-    for _ in range(2):
-        theta = least_squares(
-            fit.residuals, theta, fit.jacobian, bounds=(fit.lower, np.inf), x_scale="jac", max_nfev=60
-        ).x
+    if np.all(np.std(motion.velocity, axis=0) < STILL):
+        raise NotEnoughMotion("velocity and yaw rate are constant: move the vehicle (docs/identify.md)")
+    lower, upper = fit.bounds
+    theta = np.clip(fit.origin, lower + 1e-6, upper - 1e-6)
+    for final in (False, False, True):
+        if not np.all(np.isfinite(fit.residuals(theta))):
+            speed, rate = np.abs(motion.velocity[:, :2]).max(), np.abs(motion.velocity[:, 2]).max()
+            raise DivergedPrediction(
+                f"the predicted motion diverges from that of the log, up to {speed:.3g} m/s and {rate:.3g} rad/s: "
+                "correct masses and damping in the vehicle file (vehicle check), or record its own motion alone"
+            )
+        if final:
+            break
+        # a trial step whose residuals are not finite is rejected by the trust region
+        theta = least_squares(fit.residuals, theta, fit.jacobian, bounds=(lower, upper), x_scale="jac", max_nfev=60).x
         residual = np.concatenate([part.reshape(-1, 3) for part in fit.by_segment(theta)[0]])
         free_count = len(residual) - len(fit.edges)  # one initial value of each of u, v and r is fitted per segment
-        fit.sd = fit.sd * np.sqrt((residual**2).sum(axis=0) / free_count)
+        fit.sd = np.maximum(fit.sd * np.sqrt((residual**2).sum(axis=0) / free_count), MIN_SD)
     return fit, theta
+
+
+def _structure_warnings(velocity: Array, sd: Array, explained: Array) -> list[str]:
+    """Return what shows that the structure of the model does not fit, from the through-water ``velocity`` (M, 3)."""
+    size = np.sqrt(np.mean(velocity**2, axis=0))
+    size[:2] = np.hypot(*size[:2])
+    units = ("mm/s", "mm/s", "mrad/s")
+    shown = [
+        f"{direction} (residual {1e3 * error:.3g} {unit}, {share:.0%} of its variance)"
+        for direction, error, unit, share, rms in zip(DIRECTIONS, sd, units, explained, size, strict=True)
+        if share >= MAX_EXPLAINED and error > MIN_MISFIT * rms
+    ]
+    warnings = []
+    if shown:
+        warnings.append(
+            f"the structure of the model does not fit {' and '.join(shown)}: forces that the model lacks explain "
+            "this share in pieces of the log to which they were not fitted. The intervals are widened to contain the "
+            "coefficients beside such forces"
+        )
+    worse = int(sd[1] > sd[0])
+    ratio = float(sd[worse] / sd[1 - worse])
+    if ratio > MAX_RATIO and sd[worse] > MIN_MISFIT * size[0]:
+        warnings.append(
+            f"the residual {DIRECTIONS[worse]} ({1e3 * sd[worse]:.3g} mm/s) is {ratio:.1f} times the one "
+            f"{DIRECTIONS[1 - worse]} ({1e3 * sd[1 - worse]:.3g} mm/s): errors of the estimates are alike in both, "
+            f"so the structure of the model does not fit {DIRECTIONS[worse]}, or the thrusts are not those reported"
+        )
+    return warnings
+
+
+def _contradictions(coefficients: Sequence[IdentifiedCoefficient]) -> list[str]:
+    """Return the declared coefficients that the log contradicts."""
+    return [
+        f"the log contradicts the declared {one.name} = {one.file:.4g} {one.unit}: its 95 % interval is "
+        f"{one.low:.4g} to {one.high:.4g} {one.unit}. The declared value is kept, and the other coefficients are "
+        "fitted with it; measure it again, or leave [reference_point] out of the vehicle file to let the log find it"
+        for one in coefficients
+        if one.declared and not one.low <= one.file <= one.high
+    ]
+
+
+def _at_bounds(vehicle: Vehicle, coefficients: Sequence[IdentifiedCoefficient]) -> list[str]:
+    """Return the masses that would be smaller than the dry mass by the log alone."""
+    return [
+        f"{one.name} is at its bound, dry_mass_kg = {vehicle.dry_mass_kg:g} of the file: the reported thrusts are too "
+        "small, or the dry mass is too large"
+        for one in coefficients
+        if one.excited and one.name.startswith("mass") and one.value <= 1.0001 * vehicle.dry_mass_kg
+    ]
 
 
 def _below_noise(velocity: Array, sd: Array) -> set[str]:
@@ -184,6 +307,11 @@ def _degree_of_freedom(name: str) -> str:
     return {"arm": "yaw", "reference": "yaw", "thrust": "surge", "lag": ""}.get(kind, axis)
 
 
+def _quantile(segments: int) -> float:
+    """Return the quantile of Student's t by which a standard deviation becomes the half width of an interval."""
+    return float(student.ppf(0.5 + 0.5 * CONFIDENCE, segments - 1))
+
+
 def _half_widths(residuals: Sequence[Array], slopes: Sequence[Array], *, prior: float) -> Array:
     """Return the half widths (P,) of the 95 % intervals, from whitened residuals (m,) and slopes (m, P) by segment."""
     P, S = slopes[0].shape[1], len(slopes)
@@ -191,9 +319,10 @@ def _half_widths(residuals: Sequence[Array], slopes: Sequence[Array], *, prior: 
     H = sum((J.T @ J for J in slopes), information)
     g = [J.T @ r for J, r in zip(slopes, residuals, strict=True)]
     scatter = sum((np.outer(g_s, g_s) for g_s in g), np.zeros((P, P))) * S / (S - 1) + information
-    inverse = np.linalg.inv(H)
-    variance = np.maximum(np.diag(inverse), np.diag(inverse @ scatter @ inverse))
-    return np.asarray(student.ppf(0.5 + 0.5 * CONFIDENCE, S - 1) * np.sqrt(variance))
+    covariance = inverse(H)
+    variance = np.maximum(np.diag(covariance), np.diag(covariance @ scatter @ covariance))
+    half_widths: Array = _quantile(S) * np.sqrt(variance)
+    return half_widths
 
 
 def _lags(vehicle: Vehicle, motion: Motion, delivered: Array, edges: Times) -> list[IdentifiedCoefficient]:
@@ -206,37 +335,44 @@ def _lags(vehicle: Vehicle, motion: Motion, delivered: Array, edges: Times) -> l
         def lag_residual(theta: Array, scale: float = scale, command: Array = command, thrust: Array = thrust) -> Array:
             return lagged_thrust(motion.t_s, command, thrust[0], float(theta[0]) * scale) - thrust
 
-        best = least_squares(lag_residual, np.ones(1), bounds=(0.0, np.inf))
+        best = least_squares(lag_residual, np.ones(1), bounds=(0.0, MAX_VALUE["lag"] / scale))
         sd = max(float(np.sqrt(np.mean(best.fun**2))), 1e-9)
         slope = (lag_residual(best.x + STEP) - lag_residual(best.x)) / STEP / sd
         parts = [slice(first, end) for first, end in edges]
         residuals, slopes = [best.fun[part] / sd for part in parts], [slope[part, None] for part in parts]
-        half_widths = _half_widths(residuals, slopes, prior=1.0 / PRIOR**2)
+        half_widths = _half_widths(residuals, slopes, prior=PRIOR**-2)
         interpolation = LAG_INTERPOLATION_ERROR * float(np.median(np.diff(motion.t_s))) / scale
-        half_width = float(half_widths[0]) + interpolation
-        theta = float(best.x[0]) if half_width <= MAX_RELATIVE_HALF_WIDTH else None
-        lags.append(_coefficient(name, vehicle, theta, half_width))
+        half_width, theta = float(half_widths[0]) + interpolation, float(best.x[0])
+        interval = theta, theta - half_width, theta + half_width
+        lags.append(_coefficient(name, vehicle, interval, excited=half_width <= MAX_RELATIVE_HALF_WIDTH))
     return lags
 
 
-def _coefficient(name: str, vehicle: Vehicle, theta: float | None, half_width: float) -> IdentifiedCoefficient:
-    """Return one coefficient in the units of the file, from theta and the half width of its interval.
+def _coefficient(
+    name: str, vehicle: Vehicle, interval: tuple[float, float, float] | None, *, excited: bool, declared: bool = False
+) -> IdentifiedCoefficient:
+    """Return one coefficient in the units of the file, from theta and the ends of its interval; None: not fitted.
 
-    Without ``theta`` the coefficient is not excited and keeps the value of the file.
+    A coefficient that is not excited or is declared keeps the value of the file.
     """
     scale = float(theta_scale(vehicle)[index_of(name)])
     point = vehicle.reference_point
     file = float([*vehicle.coefficients(), 1.0, point.forward_m, point.starboard_m][index_of(name)])
     zero_offset = file if name in REFERENCE_POINT else 0.0  # the motion is that of the origin by the file's point
-    value = file if theta is None else zero_offset + theta * scale
+    prior_half_width = float(norm.ppf(0.5 + 0.5 * CONFIDENCE)) * PRIOR
+    theta, low, high = interval or (0.0, -prior_half_width, prior_half_width)
+    low, high = zero_offset + low * scale, zero_offset + high * scale
+    if not (excited or declared):  # around the value of the file
+        low, high = file - 0.5 * (high - low), file + 0.5 * (high - low)
     return IdentifiedCoefficient(
         name=name,
         unit=_unit(name),
         file=file,
-        value=value,
-        low=value - half_width * scale,
-        high=value + half_width * scale,
-        excited=theta is not None,
+        value=zero_offset + theta * scale if excited else file,
+        low=low,
+        high=high,
+        excited=excited,
+        declared=declared,
     )
 
 

@@ -46,10 +46,18 @@ STEP = 1e-4
 """Step of the finite differences: relative for a coefficient, in m/s and rad/s for an initial state."""
 
 MIN_THETA = 0.05
-"""Smallest theta of a mass, an inertia or the thrust scale."""
+"""Smallest theta of an inertia or the thrust scale."""
+
+MAX_RESIDUAL = 1e4
+"""Residual (m/s, rad/s) from which a predicted motion counts as diverged."""
+
+MAX_GROWTH = 1e4
+"""Growth of a change of the initial state within a segment, from which a predicted motion counts as diverged."""
+
+MAX_VALUE = {"arm": 100.0, "lag": 60.0, "reference": 100.0}
+"""Largest size of a coefficient that a vehicle file accepts, by the first word of its name; of the others ``1e7``."""
 
 LAGS = ("lag_port", "lag_starboard")
-BOUNDED = ("mass_surge", "mass_sway", "inertia_yaw", "thrust")
 REFERENCE_POINT = ("reference_forward", "reference_starboard")
 """Offsets of the reference point from the declared one (m), of any sign; they are 0 in the file's own terms."""
 
@@ -104,7 +112,8 @@ class ShootingFit:
         self.sd = motion.sd.copy()
         """Standard deviations (3,) of the errors of u, v and r."""
         self._indices = [index_of(name) for name in self.free]
-        self._start = motion.velocity[self.edges[:, 0]].copy()
+        self._measured = motion.velocity[self.edges[:, 0]]
+        self._start = self._measured
         compared = np.concatenate([np.arange(first, end) for first, end in [(0, 0), *self.edges.tolist()]])
         self._to_body = _rotations(motion.heading[compared])
         self._yaw_rate = motion.velocity[compared, 2]
@@ -115,12 +124,25 @@ class ShootingFit:
         return np.append(self.nominal[self._indices] / self.scale[self._indices], [0.0, 0.0])
 
     @property
-    def lower(self) -> Array:
-        """Lower bound of theta (P,)."""
-        return np.array([*map(_lower, self.free), -np.inf, -np.inf])
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bound of theta (P,): physical, and within what a vehicle file accepts.
+
+        A total mass is at least the dry mass; damping, arms and lags are not negative.
+        """
+        lower, upper = [], []
+        for name, scale in zip(self.free, self.scale[self._indices].tolist(), strict=True):
+            kind = name.partition("_")[0]
+            upper.append(MAX_VALUE.get(kind, 1e7) / scale)
+            if kind == "mass":
+                lower.append(float(self.nominal[_DRY_MASS]) / scale)
+            else:
+                lower.append({"reference": -upper[-1], "inertia": MIN_THETA, "thrust": MIN_THETA}.get(kind, 0.0))
+        return np.array([*lower, -np.inf, -np.inf]), np.array([*upper, np.inf, np.inf])
 
     def residuals(self, theta: Array) -> Array:
         """Return the residuals (3 M' + P,) of the motion from the best initial states, and of the prior.
+
+        They are infinite if the predicted motion diverges.
 
         Parameters
         ----------
@@ -152,23 +174,76 @@ class ShootingFit:
             part.reshape(-1, len(theta)) for part in np.split(J, ends)
         ]
 
+    @np.errstate(over="ignore", invalid="ignore")
+    def response(self, theta: Array, forces: Sequence[Array]) -> Array:
+        """Return the changes (M', 3, K) of the whitened residuals by small additional forces.
+
+        The part that changes of the initial states explain is taken out.
+
+        Parameters
+        ----------
+        theta : (P,) coefficients and current.
+        forces : K arrays (M, 3) of forces ahead and to starboard (N) and moment (N m), which are linear in between.
+        """
+        series, changes = self._series, []
+        base = self._shoot(theta, self._start)
+        port, starboard = self.nominal[[index_of("arm_port"), index_of("arm_starboard")]]
+        sin, cos = np.sin(series.heading), np.cos(series.heading)
+        for force in forces:
+            # ahead and moment by the thrusters; to starboard by the water, whose acceleration acts on the dry mass
+            F1 = (force[:, 0] * starboard + force[:, 2]) / (port + starboard)
+            across = -force[:, 1] / self.nominal[_DRY_MASS]
+            input_ = series.input + STEP * np.column_stack([F1, force[:, 0] - F1])
+            shear = series.shear + STEP * np.column_stack([-sin * across, cos * across])
+            self._series = series._replace(input=input_, shear=shear)
+            try:
+                changes.append((self._shoot(theta, self._start) - base) / STEP)
+            finally:
+                self._series = series
+        E = self._finite_columns(np.stack(changes, axis=-1))
+        return E - self._explained(self._initial_slopes(theta, base, self._start), E)
+
+    @np.errstate(over="ignore", invalid="ignore")  # of a motion that diverges
     def _reduced(self, theta: Array, *, slopes: bool) -> tuple[Array, Array]:
-        """Return whitened residuals (M', 3) and slopes (M', 3, P), without the part explained by the initial states."""
-        for _ in range(2):  # the problem is nearly linear in its initial states
-            r = self._shoot(theta, self._start)
-            Jy = np.stack([(self._shoot(theta, self._start + d) - r) / STEP for d in STEP * np.eye(3)], axis=-1)
-            self._start = self._start - self._best_change(Jy, r[..., None])[:, :, 0]
-        r = self._shoot(theta, self._start)
-        r = r - self._explained(Jy, r[..., None])[..., 0]
+        """Return whitened residuals (M', 3) and slopes (M', 3, P), without the part explained by the initial states.
+
+        Residuals of a motion that diverges are infinite, and the initial states of the last finite one are kept.
+        """
+        # the start may be that of a trial step far away
+        refined = self._refined(theta, self._start) or self._refined(theta, self._measured)
+        if refined is None:
+            return np.full((len(self._to_body), 3), np.inf), np.zeros((len(self._to_body), 3, len(theta)))
+        self._start, base, Jy = refined
+        r = base - self._explained(Jy, base[..., None])[..., 0]
         if not slopes:
             return r, np.empty((*r.shape, 0))
-        base = self._shoot(theta, self._start)
         J = np.empty((*r.shape, len(theta)))
         for i in range(len(theta)):
             ahead = theta.copy()
             ahead[i] += STEP
             J[..., i] = (self._shoot(ahead, self._start) - base) / STEP
+        J = self._finite_columns(J)
         return r, J - self._explained(Jy, J)
+
+    def _refined(self, theta: Array, start: Array) -> tuple[Array, Array, Array] | None:
+        """Return better initial states (S, 3) than ``start``, their residuals and slopes; None if it diverges."""
+        refined = None
+        for _ in range(3):  # the problem is nearly linear in its initial states
+            r = self._shoot(theta, start)
+            Jy = self._initial_slopes(theta, r, start)
+            if not (np.all(np.abs(r * self.sd) < MAX_RESIDUAL) and np.all(np.abs(Jy * self.sd[:, None]) < MAX_GROWTH)):
+                break
+            refined = start, r, Jy
+            start = start - self._best_change(Jy, r[..., None])[:, :, 0]
+        return refined
+
+    def _initial_slopes(self, theta: Array, base: Array, start: Array) -> Array:
+        """Return the slopes (M', 3, 3) of the residuals by the initial states, at which they are ``base`` (M', 3)."""
+        return np.stack([(self._shoot(theta, start + step) - base) / STEP for step in STEP * np.eye(3)], axis=-1)
+
+    def _finite_columns(self, J: Array) -> Array:
+        """Return slopes (M', 3, K) with zero in place of each column that is not finite: it shows nothing."""
+        return np.where(np.all(np.abs(STEP * J * self.sd[:, None]) < MAX_RESIDUAL, axis=(0, 1)), J, 0.0)
 
     def _best_change(self, Jy: Array, vectors: Array) -> Array:
         """Return the changes (S, 3, K) of the initial states that fit ``vectors`` (M', 3, K) best."""
@@ -195,11 +270,6 @@ class ShootingFit:
         off[:, :2] += self._to_body @ (CURRENT_SD_MPS * theta[-2:])
         off[:, :2] += np.outer(self._yaw_rate, (-starboard, forward))
         return off / self.sd
-
-
-def _lower(name: str) -> float:
-    """Return the lower bound of theta of a coefficient."""
-    return -np.inf if name in REFERENCE_POINT else MIN_THETA if name in BOUNDED else 0.0
 
 
 def _rotations(heading: Array) -> Array:
@@ -301,12 +371,12 @@ def theta_scale(vehicle: Vehicle) -> Array:
     speed = min(steady_speed(push, p.linear_surge, p.quadratic_surge), UNBRAKED_MPS)
     rate = min(steady_speed(couple, p.linear_yaw, p.quadratic_yaw), UNBRAKED_RADPS)
     of_equal_effect = {
-        "linear_surge": p.quadratic_surge * speed,
-        "quadratic_surge": p.linear_surge / speed,
-        "linear_sway": p.quadratic_sway * speed,
-        "quadratic_sway": p.linear_sway / speed,
-        "linear_yaw": p.quadratic_yaw * rate,
-        "quadratic_yaw": p.linear_yaw / rate,
+        "linear_surge": p.quadratic_surge * speed or push / speed,
+        "quadratic_surge": p.linear_surge / speed or push / speed**2,
+        "linear_sway": p.quadratic_sway * speed or push / speed,
+        "quadratic_sway": p.linear_sway / speed or push / speed**2,
+        "linear_yaw": p.quadratic_yaw * rate or couple / rate,
+        "quadratic_yaw": p.linear_yaw / rate or couple / rate**2,
         "lag_port": 0.2,
         "lag_starboard": 0.2,
         "arm_port": p.arm_starboard,

@@ -144,9 +144,7 @@ def identify(
         report, identification = vehicle_identify.identify_run(folder, loaded, known.value, known_yaw.value)
     typer.echo(_json(report) if as_json else vehicle_identify.format_text(report))
     if out is not None:
-        from ltv_mpc.vehicle.identification import with_coefficients
-
-        identified = with_coefficients(loaded, identification.coefficients)
+        identified = vehicle_identify.identified_vehicle(folder, loaded, identification)
         _write(out, vehicle_identify.format_toml(report, identified), force=force, quiet=as_json)
 
 

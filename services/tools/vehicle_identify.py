@@ -1,32 +1,36 @@
 """Identification of a vehicle's coefficients from the estimates and actuator reports of a recorded run.
 
 It reads the messages that a real vehicle also has: ``estimate``, ``applied``, and ``plan`` if there is no ``applied``.
-The true state of a simulated run is not used.
+The true state of a simulated run is not used. Pieces whose thrusts are not known are left out: without reports, and
+with released thrusters, when someone else may move the vehicle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from ltv_mpc import config
 from ltv_mpc.control.prediction import current_at_depth, profile_of
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Applied, Array, Estimate, Message, Plan
+from ltv_mpc.messages import Applied, Array, Authority, Estimate, Message, Plan, Times
 from ltv_mpc.vehicle.identification import (
+    CannotIdentify,
     Identification,
     IdentifiedCoefficient,
     Known,
     KnownYaw,
     NotEnoughMotion,
     identify,
+    with_coefficients,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
-from ltv_mpc.vehicle.shooting_fit import Motion
+from ltv_mpc.vehicle.shooting_fit import MAX_GAP_S, SEGMENT_S, Motion
 from services.bus.wire import WireError
 from services.recording.reader import Recording
 from services.run import folder
@@ -34,7 +38,14 @@ from services.run.folder import RunFolder
 
 SD = np.array([0.01, 0.01, 0.005])
 """Standard deviations of u, v (m/s) and r (rad/s) without a covariance; the fit scales them to the run."""
+Mask: TypeAlias = NDArray[np.bool_]
 Timed = TypeVar("Timed", Estimate, Applied)
+
+IDLE = 0.005
+"""Share of the largest thrust of a thruster up to which it delivers nothing."""
+
+WANTED = 0.05
+"""Share of the largest thrust from which a plan wants thrust."""
 
 MIN_SD = 1e-5
 VELOCITY, YAW_RATE = (2, 3), 5
@@ -48,6 +59,7 @@ class IdentifyReport(msgspec.Struct, frozen=True, kw_only=True):
     vehicle: str
     seconds: float
     estimates: int
+    left_out_s: float  # time of estimates whose thrusts are not known
     segments: int
     input: str  # "applied" or "plan": where the thrusts come from
     known: tuple[Known, KnownYaw]  # coefficients taken from the file
@@ -56,6 +68,7 @@ class IdentifyReport(msgspec.Struct, frozen=True, kw_only=True):
     residual_sd: tuple[float, float, float]  # of u, v (m/s), r (rad/s)
     found: list[IdentifiedCoefficient]
     not_excited: list[str]  # coefficients that the run does not excite
+    warnings: list[str]  # what contradicts the model or the file
 
 
 class _Recorded(NamedTuple):
@@ -79,20 +92,22 @@ def load_vehicle(run: RunFolder, name: str | None) -> Vehicle:
 def identify_run(
     run: RunFolder, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
 ) -> tuple[IdentifyReport, Identification]:
-    """Identify the vehicle from the run. Raises ``ConfigError`` if the run does not excite it enough."""
+    """Identify the vehicle from the run. Raises ``ConfigError`` if no vehicle can be fitted to it."""
     recorded = _recorded(run.recording)
     try:
         estimates = [vehicle.reference_point.to_origin(estimate) for estimate in recorded.estimates]
-        motion = motion_of(estimates, recorded.applied, recorded.plans)
+        motion = motion_of(vehicle, estimates, recorded.applied, recorded.plans)
         identification = identify(vehicle, motion, known, known_yaw)
-    except NotEnoughMotion as error:
-        raise ConfigError(f"run {run.recording}", "", f"does not excite the vehicle enough: {error}") from None
+    except CannotIdentify as error:
+        problem = "does not excite the vehicle enough" if isinstance(error, NotEnoughMotion) else "cannot be fitted"
+        raise ConfigError(f"run {run.recording}", "", f"{problem}: {error}") from None
     u, v, r = identification.sd.tolist()
     report = IdentifyReport(
         run=str(run.path),
         vehicle=vehicle.name,
         seconds=identification.seconds,
         estimates=len(motion.t_s),
+        left_out_s=_left_out_s(recorded.estimates, len(motion.t_s)),
         segments=identification.segments,
         input="plan" if motion.thrust is None else "applied",
         known=(known, known_yaw),
@@ -100,7 +115,12 @@ def identify_run(
         current_half_mps=(float(identification.current_half_mps[0]), float(identification.current_half_mps[1])),
         residual_sd=(u, v, r),
         found=identification.coefficients,
-        not_excited=[coefficient.name for coefficient in identification.coefficients if not coefficient.excited],
+        not_excited=[
+            coefficient.name
+            for coefficient in identification.coefficients
+            if not coefficient.excited and not coefficient.declared
+        ],
+        warnings=identification.warnings,
     )
     return report, identification
 
@@ -123,32 +143,68 @@ def _recorded(path: Path) -> _Recorded:
     return recorded
 
 
-def motion_of(estimates: list[Estimate], applied: list[Applied], plans: list[tuple[int, Plan]]) -> Motion:
+def motion_of(
+    vehicle: Vehicle, estimates: list[Estimate], applied: list[Applied], plans: list[tuple[int, Plan]]
+) -> Motion:
     """Return water-relative velocities and thrusts at the times of the estimates for which both are known.
 
     Raises ``NotEnoughMotion`` if there are fewer than two.
     """
-    estimates = _sort_unique(estimates)
-    reports = _sort_unique(applied)
+    estimates, reports = _sort_unique(estimates), _sort_unique(applied)
+    plans = sorted(plans, key=lambda published: published[0])
+    t_ns = np.array([estimate.t_ns for estimate in estimates], dtype=np.int64)
+    largest_N = np.array([thruster.max_N for thruster in vehicle.thrusters[:2]])
+    planned, in_force = _planned(t_ns, plans, vehicle.plan_timeout_s)
+    thrust = None
     if reports:
-        first_ns, last_ns = reports[0].t_ns, reports[-1].t_ns
-    elif plans:
-        first_ns, last_ns = min(t_ns for t_ns, _ in plans), max(int(plan.t_ns[-1]) for _, plan in plans)
+        known = _reported(t_ns, np.array([report.t_ns for report in reports]))
+        command, thrust = (_interpolate(t_ns, reports, field) for field in ("command_N", "thrust_N"))
+        idle: Mask = np.all(np.abs(thrust) <= IDLE * largest_N, axis=1)
+        if plans:  # not released: a plan that is in force wants no thrust
+            idle &= ~(in_force & np.all(np.abs(planned) <= WANTED * largest_N, axis=1))
+        known &= ~_lasting(t_ns, idle, MAX_GAP_S if plans else SEGMENT_S)
     else:
-        first_ns, last_ns = 0, -1  # no estimate has a known thrust
-    usable = [estimate for estimate in estimates if first_ns <= estimate.t_ns <= last_ns]
-    if len(usable) < 2:
-        raise NotEnoughMotion(f"{len(usable)} estimates with a known thrust, at least 2 are needed")
-    t_ns = np.array([estimate.t_ns for estimate in usable])
+        command, known = planned, in_force
+    if np.count_nonzero(known) < 2:
+        raise NotEnoughMotion(
+            f"{np.count_nonzero(known)} of {len(t_ns)} estimates have a known thrust, at least 2 are needed: "
+            "record `applied`, or `plan` while the controller is armed"
+        )
+    usable, t_ns = [estimate for estimate, use in zip(estimates, known, strict=True) if use], t_ns[known]
     return Motion(
         t_s=(t_ns - t_ns[0]) * 1e-9,
         velocity=np.array([_through_the_water(estimate) for estimate in usable]),
         heading=np.unwrap([estimate.heading_rad for estimate in usable]),
         shear=np.array([_current_rate(estimate) for estimate in usable]),
-        command=_planned(t_ns, plans) if not reports else _interpolate(t_ns, reports, "command_N"),
+        command=command[known],
         sd=_sd(usable),
-        thrust=_interpolate(t_ns, reports, "thrust_N") if reports else None,
+        thrust=None if thrust is None else thrust[known],
     )
+
+
+def _reported(t_ns: Times, report_t_ns: Times) -> Mask:
+    """Return for each time (M,) if it lies between two reports that are at most ``MAX_GAP_S`` apart."""
+    last = np.searchsorted(report_t_ns, t_ns, side="right") - 1
+    following = np.searchsorted(report_t_ns, t_ns, side="left")
+    inside = (last >= 0) & (following < len(report_t_ns))
+    apart_ns = report_t_ns[np.minimum(following, len(report_t_ns) - 1)] - report_t_ns[np.maximum(last, 0)]
+    known: Mask = inside & (apart_ns <= MAX_GAP_S * 1e9)
+    return known
+
+
+def _lasting(t_ns: Times, true: Mask, seconds: float) -> Mask:
+    """Return where (M,) ``true`` holds for longer than some seconds without a break."""
+    lasting = np.zeros(len(true), dtype=bool)
+    ends = np.flatnonzero(np.diff(true.astype(int), prepend=0, append=0))
+    for first, end in zip(ends[::2], ends[1::2], strict=True):
+        lasting[first:end] = t_ns[end - 1] - t_ns[first] > seconds * 1e9
+    return lasting
+
+
+def _left_out_s(estimates: list[Estimate], used: int) -> float:
+    """Return the time of the estimates that are not used (s)."""
+    times = np.unique([estimate.t_ns for estimate in estimates])
+    return float(np.median(np.diff(times)) * 1e-9 * (len(times) - used))
 
 
 def _sort_unique(messages: Sequence[Timed]) -> list[Timed]:
@@ -177,18 +233,27 @@ def _current_rate(estimate: Estimate) -> tuple[float, float]:
     return (n1 - n0) * w, (e1 - e0) * w
 
 
-def _interpolate(t_ns: Array, reports: list[Applied], field: str) -> Array:
+def _interpolate(t_ns: Times, reports: list[Applied], field: str) -> Array:
     """Interpolate port and starboard (M, 2) of the reports linearly."""
     report_t_ns = np.array([report.t_ns for report in reports])
     values = np.array([getattr(report, field)[:2] for report in reports])
     return np.column_stack([np.interp(t_ns, report_t_ns, values[:, i]) for i in range(2)])
 
 
-def _planned(t_ns: Array, plans: list[tuple[int, Plan]]) -> Array:
-    """Return port and starboard (M, 2) of the newest plan that was published by each time."""
-    published = np.array([t for t, _ in plans])
-    newest = np.searchsorted(published, t_ns, side="right") - 1
-    return np.array([plans[max(int(k), 0)][1].thrust_at(int(t))[:2] for k, t in zip(newest, t_ns, strict=True)])
+def _planned(t_ns: Times, plans: list[tuple[int, Plan]], timeout_s: float) -> tuple[Array, Mask]:
+    """Return port and starboard (M, 2) of the newest plan published by each time, and if it is in force (M,).
+
+    No plan is in force while the controller drives no thruster, and after its last knot or ``timeout_s``.
+    """
+    thrust, in_force = np.zeros((len(t_ns), 2)), np.zeros(len(t_ns), dtype=bool)
+    newest = np.searchsorted([published for published, _ in plans], t_ns, side="right") - 1
+    for row, (k, t) in enumerate(zip(newest.tolist(), t_ns.tolist(), strict=True)):
+        if k >= 0:
+            plan = plans[k][1]
+            thrust[row] = plan.thrust_at(t)[:2]
+            ends = min(int(plan.t_ns[-1]), int(plan.t_ns[0]) + round(timeout_s * 1e9))
+            in_force[row] = t <= ends and plan.authority in (Authority.CONTROLLER, Authority.MANUAL)
+    return thrust, in_force
 
 
 def _sd(estimates: list[Estimate]) -> Array:
@@ -201,13 +266,22 @@ def _sd(estimates: list[Estimate]) -> Array:
     return np.maximum(np.sqrt([velocity, velocity, float(mean[YAW_RATE])]), MIN_SD)
 
 
+def identified_vehicle(run: RunFolder, vehicle: Vehicle, identification: Identification) -> Vehicle:
+    """Return the vehicle with the identified coefficients. Raises ``ConfigError`` if a vehicle file rejects them."""
+    try:
+        return with_coefficients(vehicle, identification.coefficients)
+    except ValueError as error:  # such as limits scaled beyond their bounds
+        raise ConfigError(f"run {run.recording}", "", f"fits no vehicle that a file accepts: {error}") from None
+
+
 def format_text(report: IdentifyReport) -> str:
     """Format the report as text."""
     u, v, r = report.residual_sd
     (north, east), (half_north, half_east) = report.current_mps, report.current_half_mps
     lines = [
         f"{report.vehicle}, {report.run}: {report.seconds:.0f} s, {report.estimates} estimates, "
-        f"thrust from {report.input}",
+        f"thrust from {report.input}"
+        + (f"; {report.left_out_s:.1f} s without a known thrust left out" if report.left_out_s >= 0.05 else ""),
         f"residuals: {1e3 * u:.2f} mm/s ahead, {1e3 * v:.2f} mm/s to starboard, {1e3 * r:.2f} mrad/s",
         f"current that the estimates do not contain: {north:.3f} +- {half_north:.3f} m/s north, "
         f"{east:.3f} +- {half_east:.3f} m/s east",
@@ -215,14 +289,14 @@ def format_text(report: IdentifyReport) -> str:
         f"{'':<20}{'file':>10}{'found':>12}   95 % interval",
     ]
     for coefficient in report.found:
-        interval = (
-            f"{coefficient.low:>10.4g} to {coefficient.high:.4g} {coefficient.unit}"
-            if coefficient.excited
-            else "  not excited: file value kept"
-        )
+        interval = f"{coefficient.low:>10.4g} to {coefficient.high:.4g} {coefficient.unit}"
+        if coefficient.declared:
+            interval += ": declared value kept"
+        elif not coefficient.excited:
+            interval = "  not excited: file value kept"
         value = f"{coefficient.value:12.4g}" if coefficient.excited else f"{'':>12}"
         lines.append(f"{coefficient.name:<20}{coefficient.file:>10.4g}{value} {interval}".rstrip())
-    return "\n".join(lines)
+    return "\n".join([*lines, *(f"warning: {warning}" for warning in report.warnings)])
 
 
 def format_toml(report: IdentifyReport, vehicle: Vehicle) -> str:
@@ -231,5 +305,6 @@ def format_toml(report: IdentifyReport, vehicle: Vehicle) -> str:
         f"# {vehicle.name}, {report.known[0]} and {report.known[1]} from the old file; the rest from",
         f"# {report.seconds:.0f} s of {Path(report.run).name}."
         + (f" Not excited, value of the old file: {', '.join(report.not_excited)}." if report.not_excited else ""),
+        *(f"# warning: {warning}" for warning in report.warnings),
     ]
     return "\n".join(head) + "\n" + config.to_toml(vehicle)

@@ -128,11 +128,14 @@ def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.Captu
     assert all(one["value"] == one["file"] for one in said["found"] if not one["excited"])
     assert max(map(abs, said["current_mps"])) < 0.02  # the estimates contain the current
     assert better.thruster.port.max_N == 62.5
-    # The estimates are those of the origin, whatever the file declares.
+    assert said["warnings"] == []
+    # The estimates are those of the origin: a point that the file declares is kept, and the contradiction is printed.
     (here / "antenna.toml").write_text(PAPER + "[reference_point]\nforward_m = 1.0\n")
-    assert run(["vehicle", "identify", "run", "--vehicle", "antenna.toml", "--out", "origin.toml"]) == 0
-    assert Vehicle.load(str(here / "origin.toml")).reference_point.forward_m == pytest.approx(0.0, abs=0.05)
-    capsys.readouterr()
+    assert run(["vehicle", "identify", "run", "--vehicle", "antenna.toml", "--out", "kept.toml"]) == 0
+    assert Vehicle.load(str(here / "kept.toml")).reference_point.forward_m == 1.0
+    contradiction = "warning: the log contradicts the declared reference_forward = 1 m: its 95 % interval is "
+    assert contradiction in capsys.readouterr().out
+    assert f"# {contradiction}" in (here / "kept.toml").read_text()
     # a file that is there is kept, before the run is read
     assert run(["vehicle", "identify", "run", "--out", "found.toml"]) == 2
     assert run(["vehicle", "identify", str(here / "run" / "run.mcap")]) == 0
