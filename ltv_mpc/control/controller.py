@@ -64,9 +64,6 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 STAGE_S = STAGE_NS * 1e-9
 
-LIMIT_SHARE = 0.9
-"""Largest speed of a target, over the limit of the vehicle's speed: the vehicle must be able to catch up."""
-
 SAVE_PERIOD_NS = 5_000_000_000
 """Longest time between two published states."""
 
@@ -404,7 +401,7 @@ class Controller:
 
     def _follower(self, reference: Reference) -> Follower:
         """Return a follower whose target skips what lies in zones, and is no faster than the vehicle may be."""
-        follower = Follower(reference, self.vehicle, LIMIT_SHARE * self.config.limits.path_speed_mps)
+        follower = Follower(reference, self.vehicle, self.config.limits.path_speed_mps)
         follower.restrict(self._lateral.fencing.allowed_path)
         return follower
 

@@ -3,12 +3,19 @@
 The schedule time tau of the target advances with the time between the first knots of successive plans, and never
 decreases. The target waits for the vehicle. With d their distance at the first knot of the plan,
 
-    tau' = rate = min(near, current)
+    tau' = rate = near x current
     near = 1 for d <= L / 2,  2 (L - d) / L between,  0 for d >= L,   L = LEASH_S x cruising speed, at least MIN_LEASH_M
 
-holds until the next cycle and along the plan. ``current`` is the rate that the known current and a limit of the speed
-allow (``schedule.feasible_rate``). A vehicle ahead of the target waits for it. Progress is that of the target along the
-path, so it never decreases. A point, or "here", is a schedule without length: a target at rest.
+holds until the next cycle and along the plan. ``current`` is the rate for which the vehicle's largest speed S through
+the water suffices in the current c (``schedule.feasible_rate``). S is the cruising speed in a weak current. In a
+stronger one the reserve of thrust gives way to progress, without a jump, because c is an estimate:
+
+    S = top - reserve (top - cruise)
+    reserve = 1 for |c| <= 0.6 top,  linear between,  0 for |c| >= 0.87 top
+
+A limit of the speed through the water is the top speed, and ``LIMIT_SHARE`` of it the cruising speed. A vehicle ahead
+of the target waits for it. Progress is that of the target along the path, so it never decreases. A point, or "here", is
+a schedule without length: a target at rest.
 """
 
 from __future__ import annotations
@@ -38,6 +45,12 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 LEASH_S = 2.0
 MIN_LEASH_M = 0.5
+WEAK_CURRENT, STRONG_CURRENT = 0.6, 0.87
+"""Current over top speed up to which the whole reserve of thrust is kept, and from which none is. With a shorter span a
+hull of linear drag (cruise = 0.8 top) would be faster across a stronger current.
+"""
+LIMIT_SHARE = 0.9
+"""Cruising speed over a limit of the vehicle's speed: the vehicle must be able to catch up."""
 MAX_STEP_S = 2.0
 """Longest advance of the target between two cycles: after a longer gap (a pilot had the thrusters, no estimates) it has
 waited.
@@ -91,7 +104,6 @@ class _Track(NamedTuple):
     length_m: float
     duration_s: float
     depth_m: float | None  # at the end
-    cruise_mps: float
     leash_m: float
 
     @classmethod
@@ -106,9 +118,7 @@ class _Track(NamedTuple):
         leash_m = max(LEASH_S * cruise_mps, MIN_LEASH_M)
         last = float(schedule.table[DEPTH, -1])
         depth_m = None if math.isnan(last) else last
-        return cls(
-            schedule.table, schedule.lead_m, schedule.length_m, schedule.duration_s, depth_m, cruise_mps, leash_m
-        )
+        return cls(schedule.table, schedule.lead_m, schedule.length_m, schedule.duration_s, depth_m, leash_m)
 
     @classmethod
     def at_rest(cls, schedule: Schedule, depth_m: float | None) -> _Track:
@@ -119,14 +129,14 @@ class _Track(NamedTuple):
         schedule : of a point.
         depth_m : wanted depth (m); None: none.
         """
-        return cls(schedule.table, schedule.lead_m, 0.0, 0.0, depth_m, math.inf, math.inf)
+        return cls(schedule.table, schedule.lead_m, 0.0, 0.0, depth_m, math.inf)
 
 
 class Follower:
     """Target of one reference: where the reference started, and how far along it the target is."""
 
     def __init__(self, reference: Reference, vehicle: Vehicle, max_speed_mps: float = math.inf) -> None:
-        """Begin before the reference starts; its target is no faster than ``max_speed_mps`` through the water."""
+        """Begin before the reference starts; ``max_speed_mps`` limits the vehicle's speed through the water."""
         self.reference = reference
         """The reference that is followed."""
         self.heading_rad: float | None = None
@@ -134,7 +144,9 @@ class Follower:
         self.skipped_m = 0.0
         """Length of the path that is left out, because it is not allowed (m)."""
         self._vehicle = vehicle
-        self._cruise_mps = min(path_limits(vehicle).cruise_mps, max_speed_mps)
+        limits = path_limits(vehicle)
+        self._cruise_mps = min(limits.cruise_mps, LIMIT_SHARE * max_speed_mps)
+        self._top_mps = min(limits.top_mps, max_speed_mps)
         self._allowed: Allowed = _unrestricted
         self._start: ReferenceStart | None = None
         self._track: _Track | None = None  # None before the reference starts
@@ -276,7 +288,7 @@ class Follower:
         self._t_ns = max(now_ns, self._t_ns)
         self._tau_s = min(self._tau_s + self._rate * step_s, track.duration_s)
         self._rate, way, cross = advance_target(
-            track.table, self._tau_s, t_ns, lateral, current, track.leash_m, track.cruise_mps, target
+            track.table, self._tau_s, t_ns, lateral, current, track.leash_m, self._speed_in(current), target
         )
         if isinstance(self.reference, Point | Hold):
             self.heading_rad = self.reference.heading_in(current, self.heading_rad)
@@ -287,6 +299,12 @@ class Follower:
         known = None if math.isnan(cross) else cross  # NaN: the estimate is not finite
         share = done / track.length_m if track.length_m > 0.0 else 1.0  # a timed track may have no length
         self._progress = Progress(share, known, track.length_m - done)
+
+    def _speed_in(self, current: Pair) -> float:
+        """Return the largest speed S through the water (m/s) in a current, by the equation above."""
+        share = math.hypot(*current) / self._top_mps
+        reserve = min(max((STRONG_CURRENT - share) / (STRONG_CURRENT - WEAK_CURRENT), 0.0), 1.0)
+        return self._top_mps - reserve * (self._top_mps - self._cruise_mps)
 
     def depths(self, t_ns: Times) -> tuple[Array, Array] | None:
         """Return depth (m) and sinking speed (m/s) of the target at knots (N+1,); None without a depth.

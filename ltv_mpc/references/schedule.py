@@ -203,20 +203,19 @@ def fill_targets(table: Array, tau: float, rate: float, t_ns: Times, target: Arr
 def feasible_rate(table: Array, tau: float, ahead_s: float, north: float, east: float, speed: float) -> float:
     """Return the rate, 0 .. 1, at which the vehicle can follow the schedule in a current.
 
-    It is the largest f <= 1 with |f v - c| <= ``speed`` for each velocity v of the target in the interval. It is 1 if
-    the current alone is faster than the vehicle, because then no rate is feasible.
+    Each velocity v of the target in the interval allows the largest f with |f v - c| <= ``speed``. If no f does, it
+    allows the f that comes nearest, which is 0 against and across a current that is faster than the vehicle. A velocity
+    that the target has only later does not count at rates at which the interval ends before.
 
     Parameters
     ----------
     table : (5, M) table of the schedule.
     tau : start of the interval in schedule time (s).
-    ahead_s : length of the interval (s).
+    ahead_s : length of the interval at rate 1 (s).
     north, east : current c (m/s).
     speed : largest speed of the vehicle through the water (m/s).
     """
     square = north * north + east * east
-    if square >= speed * speed:
-        return 1.0
     M, rate = table.shape[1], 1.0
     i, _, _ = _interval(table, tau)
     while i < M - 1 and table[0, i] <= tau + ahead_s:
@@ -226,7 +225,8 @@ def feasible_rate(table: Array, tau: float, ahead_s: float, north: float, east: 
             vv, vc = vn * vn + ve * ve, vn * north + ve * east
             # f^2 v.v - 2 f v.c + c.c = speed^2
             if vv > 0.0:
-                rate = min(rate, (vc + np.sqrt(vc * vc + vv * (speed * speed - square))) / vv)
+                allowed = (vc + np.sqrt(max(vc * vc + vv * (speed * speed - square), 0.0))) / vv
+                rate = min(rate, max(allowed, (table[0, i] - tau) / ahead_s, 0.0))
         i += 1
     return rate
 
@@ -327,7 +327,7 @@ def advance_target(
     rate, cross = 0.0, np.nan
     if np.isfinite(distance):
         rate = min(max(2.0 - 2.0 * distance / leash, 0.0), 1.0)
-        rate = min(rate, feasible_rate(table, tau, float(t_ns[-1] - t_ns[0]) * 1e-9, current[0], current[1], speed))
+        rate *= feasible_rate(table, tau, float(t_ns[-1] - t_ns[0]) * 1e-9, current[0], current[1], speed)
         cross = cross_track_error(table, way, lateral[0], lateral[1], 2.0 * leash)
     fill_targets(table, tau, rate, t_ns, target)
     return rate, way, cross

@@ -184,13 +184,17 @@ def _margin_problems(zones: list[ZoneCheck], stopping_m: float | None, speed_mps
 
 
 def _current_problems(vehicle: Vehicle, current_mps: float) -> list[str]:
-    """Return why the vehicle cannot stay in the current."""
+    """Return why the vehicle cannot stay in the current, or can do so only without a reserve of thrust."""
     limits = path_limits(vehicle)
     if current_mps < limits.cruise_mps:
         return []
+    if current_mps >= limits.top_mps:
+        return [
+            f"a current of {current_mps:g} m/s carries the vehicle away: full thrust holds {limits.top_mps:.2f} m/s"
+        ]
     return [
-        f"a current of {current_mps:g} m/s carries the vehicle away: 80 % of its thrust holds "
-        f"{limits.cruise_mps:.2f} m/s, full thrust {limits.top_mps:.2f} m/s"
+        f"a current of {current_mps:g} m/s takes more than 80 % of the thrust, which hold {limits.cruise_mps:.2f} m/s: "
+        f"full thrust makes {limits.top_mps - current_mps:.2g} m/s against it, without a reserve for waves and steering"
     ]
 
 

@@ -272,3 +272,50 @@ def test_ahead_the_vehicle_is_on_the_line_to_its_point_as_early_as_possible():
         assert ahead == pytest.approx(np.outer([0.0, 10.0 * speed_mps, 50.0], [0.6, 0.8]))
     there = follower.places_ahead(np.array([30.0, 40.0, 0.0]), STILL, np.array([0.0, 10.0]))
     assert there == pytest.approx(np.array([[30.0, 40.0], [30.0, 40.0]]))
+
+
+def metres_in(vehicle: Vehicle, limit_mps: float, line: Line, current: np.ndarray, duration_s: float) -> float:
+    """Return the progress (m) with a vehicle that heads for its target at its top speed at most."""
+    follower, place = Follower(line, vehicle, limit_mps), np.zeros(2)
+    top_mps = min(path_limits(vehicle).top_mps, limit_mps)
+    assert follower.begin(Estimate.at_rest(depth_m=0.0))
+    for k in range(round(duration_s / 0.3)):
+        water = (np.array(go(follower, 0.3 * k, *place, tuple(current))) - place) / 0.3 - current
+        place += 0.3 * (current + water * min(1.0, top_mps / max(math.hypot(*water), 1e-9)))
+    return follower.progress.share * line.end.north_m
+
+
+@pytest.mark.parametrize("direction", [(-1.0, 0.0), (0.0, 1.0), (-0.6, 0.8)])
+@pytest.mark.parametrize(("name", "limit_mps"), [("paper", math.inf), ("surface", math.inf), ("paper", 0.25)])
+def test_progress_is_what_the_current_leaves_and_never_more_in_a_stronger_one(name, limit_mps, direction):
+    vehicle = Vehicle.load(name)
+    top = min(path_limits(vehicle).top_mps, limit_mps)
+    cruise, last = min(path_limits(vehicle).cruise_mps, 0.9 * limit_mps), math.inf
+    line = Line(speed_mps=top, start=Place(north_m=0.0, east_m=0.0), end=Place(north_m=150.0 * top, east_m=0.0))
+    for share in np.arange(0.1, 1.3, 0.06):
+        current = share * top * np.array(direction)
+        full, reduced = (
+            math.sqrt(max(speed**2 - current[1] ** 2, 0.0)) + current[0] if share * top < speed else 0.0
+            for speed in (top, cruise)
+        )
+        metres = metres_in(vehicle, limit_mps, line, current, 150.0)
+        assert metres >= max(min(reduced, cruise), 0.95 * full if 0.87 < share < 0.98 else 0.0) * 140.0 - 0.05
+        assert metres <= min(last, full * 150.0) + 0.05
+        last = metres
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_against_a_current_progress_is_what_the_top_speed_leaves(known):
+    line, last_m = Line(speed_mps=0.5, start=LINE.start, end=Place(north_m=20.0, east_m=0.0)), math.inf
+    for current_mps in (0.43, 0.447, 0.4475, 0.51):
+        controller = Controller(PAPER, line)
+        water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.array([-current_mps]), east_mps=np.zeros(1))
+        estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=water)
+        for _ in range(1000):
+            plan = controller.plan(estimate if known else msgspec.structs.replace(estimate, current=None))
+            estimate = advance(PAPER, estimate, plan, duration_s=0.3)
+        left_m = (0.5 - current_mps) * 300.0
+        assert 20.0 * plan.progress == pytest.approx(min(20.0, max(left_m, 0.0)), rel=0.08, abs=0.05)
+        assert estimate.north_m == pytest.approx(min(20.0, left_m), rel=0.1)  # too strong a current: full thrust
+        assert 20.0 * plan.progress <= last_m + 0.05
+        last_m = 20.0 * plan.progress

@@ -172,4 +172,14 @@ def test_a_current_reduces_the_feasible_rate():
     assert feasible_rate(table, 60.0, 5.0, 0.2, 0.0, cruise) == 1.0  # from astern
     assert feasible_rate(table, 60.0, 5.0, -0.2, 0.0, cruise) == pytest.approx(0.2 / 0.3)
     assert feasible_rate(table, 60.0, 5.0, 0.0, 0.3, cruise) == pytest.approx(math.sqrt(0.16 - 0.09) / 0.3)
-    assert feasible_rate(table, 60.0, 5.0, -0.5, 0.0, cruise) == 1.0  # no rate is feasible
+    for north, east in ((-0.5, 0.0), (0.0, 0.5)):  # against and across, no rate is feasible
+        assert feasible_rate(table, 60.0, 5.0, north, east, cruise) == 0.0
+    assert feasible_rate(table, 60.0, 5.0, 0.5, 0.0, cruise) == 1.0
+
+
+def test_a_later_leg_counts_only_at_rates_at_which_the_plan_reaches_it():
+    corner = Waypoints(speed_mps=0.3, waypoints=(HERE, Place(north_m=40.0, east_m=0.0), HERE), corner_m=0.0)
+    table = corner.schedule(PAPER).table  # northwards, a turn on the spot, and back
+    back_s = float(table[TIME, np.flatnonzero(table[NORTH] == 40.0)[-1]])
+    for before_s, rate in ((8.0, 0.8), (5.0, 0.5), (0.0, 0.0)):
+        assert feasible_rate(table, back_s - before_s, 10.0, 0.42, 0.0, 0.4) == pytest.approx(rate, abs=0.02)

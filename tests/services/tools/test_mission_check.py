@@ -156,7 +156,12 @@ def test_a_margin_shorter_than_the_stopping_distance_is_found_only_near_the_path
 def test_a_current_that_is_too_strong_is_found_without_a_fence() -> None:
     assert checked(current_mps=0.3).problems == []
     [problem] = checked(current_mps=0.6).problems
-    assert "a current of 0.6 m/s carries the vehicle away" in problem
+    assert problem == "a current of 0.6 m/s carries the vehicle away: full thrust holds 0.50 m/s"
+
+
+def test_a_current_that_leaves_no_reserve_is_found_with_the_speed_against_it() -> None:
+    [problem] = checked(current_mps=0.46).problems
+    assert "full thrust makes 0.04 m/s against it, without a reserve" in problem
 
 
 def test_a_fixed_heading_in_a_current_is_found() -> None:
