@@ -145,6 +145,8 @@ class Controller:
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
 
+        The integral of the depth law begins at zero.
+
         Parameters
         ----------
         reference : begins at the first estimate after its start.
@@ -155,6 +157,7 @@ class Controller:
         """
         compare_origins(self.fence, reference)
         self._followers[0] = self._follower(reference)
+        self._vertical.restart()
 
     def pause(self, estimate: Estimate | None) -> None:
         """Hold the position of the next cycle until ``resume``; the reference waits.
@@ -451,10 +454,10 @@ class Controller:
             return law.ramp_to(start, knots, np.full(len(knots), self.vehicle.failsafe_vertical_N))
         if depth_m is not None:
             if decision.mode is Mode.HOLD and self.follower.depth_m is not None:
-                return law.hold(start, knots)
+                return law.hold(start, decision.estimate, knots)
             depth_reference = self.follower.depths(knots) if decision.follows else None
             if depth_reference is not None:
-                return law.track(start, *depth_reference)
+                return law.track(start, decision.estimate, *depth_reference)
         return law.keep(start, self.sent_commands.at(knots)[:, 2])
 
     def _plan_lateral(self, decision: Decision, start: Start, knots: Times) -> LateralPlan:
