@@ -37,6 +37,7 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan
+from ltv_mpc.conversion import exact
 from ltv_mpc.geofence.fence import Fence, compare_origins
 from ltv_mpc.messages import (
     Applied,
@@ -95,9 +96,11 @@ class Controller:
 
         Raises
         ------
-        ConfigError : the settings name an unknown solver, or one that does not support their motion limits.
+        ConfigError : the settings name an unknown solver, or one that does not support their motion limits; or a number
+            of vehicle, reference or settings is not one (``conversion.py``).
         """
-        self.config = config = settled(config or ControllerConfig(), vehicle)
+        vehicle = exact(vehicle)
+        self.config = config = settled(exact(config or ControllerConfig()), vehicle)
         self.vehicle = vehicle
         self.sent_commands = SentCommands(vehicle, config.period_ns)
         """Commands in force, by time."""
@@ -120,6 +123,7 @@ class Controller:
             stopwatch=stopwatch,
         )
         self._stopwatch = stopwatch
+        self._now_ns = 0  # start of the last cycle
         self._followers = [self._follower(reference)]  # of the reference, and of the hold while it is paused
 
     @property
@@ -194,6 +198,7 @@ class Controller:
         ------
         ConfigError : the vehicle's file has no [hull], or the fence's origin is not that of the reference.
         """
+        fence = None if fence is None else exact(fence)
         compare_origins(fence, self._followers[0].reference)
         self._lateral.fencing.set_fence(fence)
         self._restrict_paths()
@@ -227,7 +232,7 @@ class Controller:
         ------
         ConfigError : the vehicle's file has no [hull], or a value is out of its bounds.
         """
-        self._lateral.fencing.add_obstacles(obstacles)
+        self._lateral.fencing.add_obstacles(exact(obstacles))
 
     def fence_in_force(self, t_ns: int) -> FenceInForce:
         """Return the fence that is kept, and the obstacles that are known.
@@ -245,6 +250,7 @@ class Controller:
         ----------
         applied : the plan that they received last, their commands and their delivered thrusts.
         """
+        applied = exact(applied)
         self._delay.add_receipt(applied)
         self._prediction.add_report(applied)
         self.sent_commands.correct(applied.t_ns, applied.command_N)
@@ -271,7 +277,7 @@ class Controller:
         estimate : where the prediction begins.
         t_ns : time of the state, vehicle time (ns).
         """
-        return self._prediction.state_at(estimate, t_ns, self.sent_commands).lateral[:6]
+        return self._prediction.state_at(exact(estimate), int(t_ns), self.sent_commands).lateral[:6]
 
     def set_thrust_shares(self, shares: Pair, *, in_doubt: bool = False) -> None:
         """Plan from the next cycle on with lateral thrusters that deliver a share of what they report.
@@ -320,14 +326,14 @@ class Controller:
         -------
         The plan; its ``origin`` names where the thrusts come from, and ``why`` gives the reason if it is not solved.
         """
-        now_ns = estimate.t_ns if t_ns is None else t_ns
         try:
+            self._now_ns = int(estimate.t_ns if t_ns is None else t_ns)
             if applied is not None:
                 self.add_report(applied)
-            return self._cycle(estimate, now_ns, override, health)
+            return self._cycle(exact(estimate), self._now_ns, override, health)
         except Exception as error:  # of any kind: the thrusters must have a command in every cycle
             why = f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS]
-            return self._emergency_plan(now_ns, override, health, why)
+            return self._emergency_plan(self._now_ns, override, health, why)
 
     def _cycle(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: HealthState) -> Plan:
         """Return the plan of one cycle. May raise; ``plan`` catches it."""
@@ -392,7 +398,7 @@ class Controller:
         state : what the other one saved; its plan is the one in force at the actuators.
         t_ns : now, vehicle time (ns).
         """
-        first_ns = _first_delay_ns(self.config)
+        state, first_ns = exact(state), _first_delay_ns(self.config)
         if state.plan is not None:
             first_ns = max(state.plan.expected_delay_ns, first_ns)
             self.sent_commands.add(state.plan)
@@ -407,7 +413,7 @@ class Controller:
 
     def _follower(self, reference: Reference) -> Follower:
         """Return a follower whose target skips what lies in zones, and is no faster than the vehicle may be."""
-        follower = Follower(reference, self.vehicle, LIMIT_SHARE * self.config.limits.path_speed_mps)
+        follower = Follower(exact(reference), self.vehicle, LIMIT_SHARE * self.config.limits.path_speed_mps)
         follower.restrict(self._lateral.fencing.allowed_path)
         return follower
 
@@ -433,7 +439,7 @@ class Controller:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._bias)
             self._estimates.limit_growth(growth)
             own = self._estimates.health(now_ns)
-        return decide(
+        decision = decide(
             estimate,
             now_ns,
             override=override,
@@ -442,6 +448,7 @@ class Controller:
             follower=self.follower,
             lateral=self.config.lateral,
         )
+        return decision.without_depth() if self.vehicle.can_dive and self.follower.depth_m is not None else decision
 
     def _plan_vertical(self, decision: Decision, start: Start, knots: Times) -> VerticalPlan:
         """Return the vertical thruster's plan in this mode: the depth law's, a ramp, or the commands in force."""
@@ -504,7 +511,7 @@ class Controller:
             states=lateral.X[:, :6].copy(),
             origin=lateral.origin,
             solve=lateral.solve,
-            why=lateral.why,
+            why=lateral.why or decision.why,
             authority=_authority(decision.override),
             health=decision.health.health,
             health_why=decision.health.why,
