@@ -1,8 +1,8 @@
 """Conversion of numbers where a Python program gives them: the compiled code is written for float64 and int64.
 
 A message of the bus has exactly the types of ``messages.py`` when it is decoded. One that a program makes may hold
-whole numbers, numpy scalars, and lists or arrays of another type or layout. ``exact`` tells the two apart in 1 us,
-with a check that is generated from the annotations, and makes the second like the first, within the same bounds.
+whole numbers, numpy scalars, and lists or arrays of another type or layout. ``exact`` distinguishes them in 1 us by a
+check that is generated from the annotations, and converts the second kind within the same bounds.
 """
 
 from __future__ import annotations

@@ -123,7 +123,6 @@ class Controller:
             stopwatch=stopwatch,
         )
         self._stopwatch = stopwatch
-        self._now_ns = 0  # start of the last cycle
         self._followers = [self._follower(reference)]  # of the reference, and of the hold while it is paused
 
     @property
@@ -326,14 +325,15 @@ class Controller:
         -------
         The plan; its ``origin`` names where the thrusts come from, and ``why`` gives the reason if it is not solved.
         """
+        now_ns = 0 if self.estimate_gate.accepted is None else self.estimate_gate.accepted.t_ns  # if none is given
         try:
-            self._now_ns = int(estimate.t_ns if t_ns is None else t_ns)
+            now_ns = int(estimate.t_ns if t_ns is None else t_ns)
             if applied is not None:
                 self.add_report(applied)
-            return self._cycle(exact(estimate), self._now_ns, override, health)
+            return self._cycle(exact(estimate), now_ns, override, health)
         except Exception as error:  # of any kind: the thrusters must have a command in every cycle
             why = f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS]
-            return self._emergency_plan(self._now_ns, override, health, why)
+            return self._emergency_plan(now_ns, override, health, why)
 
     def _cycle(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: HealthState) -> Plan:
         """Return the plan of one cycle. May raise; ``plan`` catches it."""
