@@ -43,6 +43,7 @@ class Bathymetry:
         from scipy.interpolate import LinearNDInterpolator  # as long as the start of a process
         from scipy.spatial import QhullError
 
+        soundings = np.asarray(soundings, dtype=np.float64)
         by_depth = soundings[np.argsort(soundings[:, 2])]
         places, first = np.unique(by_depth[:, :2].round(3), axis=0, return_index=True)
         depth = by_depth[first, 2]

@@ -288,7 +288,7 @@ _OF_VALUE = ("Expected ", "Invalid ", "Number out of range", "Integer ")
 
 def _explained(message: str, table: Mapping[str, Any], kind: Any, source: str) -> ConfigError:
     """Translate a msgspec error: add the value, all its bounds, and the name that was probably meant."""
-    problem, path = _split(message)
+    problem, path = split_error(message)
     within = settings_schema.type_at(kind, table, path)
     where = f" in [{'.'.join(str(x) for x in path)}]" if path else ""
     if unknown := _UNKNOWN.fullmatch(problem):
@@ -306,7 +306,7 @@ def _explained(message: str, table: Mapping[str, Any], kind: Any, source: str) -
     return ConfigError(source, toml_key(path), problem, value=None if isinstance(value, dict) else value)
 
 
-def _split(message: str) -> tuple[str, settings_schema.Path]:
+def split_error(message: str) -> tuple[str, settings_schema.Path]:
     """Split ``Expected `float` >= 0.0 - at `$.water.sd_mps``` into (problem, ("water", "sd_mps"))."""
     problem, at, path = message.rpartition(" - at `$")
     if not at:

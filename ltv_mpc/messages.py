@@ -579,7 +579,7 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
     ]
     origin: Annotated[PlanOrigin, Meta(description="origin of the thrusts, best first")]
     solve: Annotated[Solve, Meta(description="result of the solve")]
-    why: Annotated[str, Meta(description="reason of the origin, if it is not solved")] = ""
+    why: Annotated[str, Meta(description="reason of the origin, if it is not solved; else what is missing")] = ""
     authority: Annotated[Authority, Meta(description="source of the thrust commands")] = Authority.CONTROLLER
     health: Annotated[Health, Meta(description="timeliness of the inputs of the controller")] = Health.NOMINAL
     health_why: HealthReason = ""

@@ -37,6 +37,7 @@ from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan
+from ltv_mpc.conversion import exact
 from ltv_mpc.geofence.fence import Fence, compare_origins
 from ltv_mpc.messages import (
     Applied,
@@ -92,9 +93,11 @@ class Controller:
 
         Raises
         ------
-        ConfigError : the settings name an unknown solver, or one that does not support their motion limits.
+        ConfigError : the settings name an unknown solver, or one that does not support their motion limits; or a number
+            of vehicle, reference or settings is not one (``conversion.py``).
         """
-        self.config = config = settled(config or ControllerConfig(), vehicle)
+        vehicle = exact(vehicle)
+        self.config = config = settled(exact(config or ControllerConfig()), vehicle)
         self.vehicle = vehicle
         self.sent_commands = SentCommands(vehicle, config.period_ns)
         """Commands in force, by time."""
@@ -142,6 +145,8 @@ class Controller:
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
 
+        The integral of the depth law begins at zero.
+
         Parameters
         ----------
         reference : begins at the first estimate after its start.
@@ -152,6 +157,7 @@ class Controller:
         """
         compare_origins(self.fence, reference)
         self._followers[0] = self._follower(reference)
+        self._vertical.restart()
 
     def pause(self, estimate: Estimate | None) -> None:
         """Hold the position of the next cycle until ``resume``; the reference waits.
@@ -188,6 +194,7 @@ class Controller:
         ------
         ConfigError : the vehicle's file has no [hull], or the fence's origin is not that of the reference.
         """
+        fence = None if fence is None else exact(fence)
         compare_origins(fence, self._followers[0].reference)
         self._lateral.fencing.set_fence(fence)
         self._restrict_paths()
@@ -221,7 +228,7 @@ class Controller:
         ------
         ConfigError : the vehicle's file has no [hull], or a value is out of its bounds.
         """
-        self._lateral.fencing.add_obstacles(obstacles)
+        self._lateral.fencing.add_obstacles(exact(obstacles))
 
     def fence_in_force(self, t_ns: int) -> FenceInForce:
         """Return the fence that is kept, and the obstacles that are known.
@@ -239,6 +246,7 @@ class Controller:
         ----------
         applied : the plan that they received last, their commands and their delivered thrusts.
         """
+        applied = exact(applied)
         self._delay.add_receipt(applied)
         self._prediction.add_report(applied)
         self.sent_commands.correct(applied.t_ns, applied.command_N)
@@ -265,7 +273,7 @@ class Controller:
         estimate : where the prediction begins.
         t_ns : time of the state, vehicle time (ns).
         """
-        return self._prediction.state_at(estimate, t_ns, self.sent_commands).lateral[:6]
+        return self._prediction.state_at(exact(estimate), int(t_ns), self.sent_commands).lateral[:6]
 
     def set_thrust_shares(self, shares: Pair, *, in_doubt: bool = False) -> None:
         """Plan from the next cycle on with lateral thrusters that deliver a share of what they report.
@@ -314,11 +322,12 @@ class Controller:
         -------
         The plan; its ``origin`` names where the thrusts come from, and ``why`` gives the reason if it is not solved.
         """
-        now_ns = estimate.t_ns if t_ns is None else t_ns
+        now_ns = 0 if self.estimate_gate.accepted is None else self.estimate_gate.accepted.t_ns  # if none is given
         try:
+            now_ns = int(estimate.t_ns if t_ns is None else t_ns)
             if applied is not None:
                 self.add_report(applied)
-            return self._cycle(estimate, now_ns, override, health)
+            return self._cycle(exact(estimate), now_ns, override, health)
         except Exception as error:  # of any kind: the thrusters must have a command in every cycle
             why = f"{type(error).__name__}: {error}"[:MAX_WHY_CHARS]
             return self._emergency_plan(now_ns, override, health, why)
@@ -386,7 +395,7 @@ class Controller:
         state : what the other one saved; its plan is the one in force at the actuators.
         t_ns : now, vehicle time (ns).
         """
-        first_ns = _first_delay_ns(self.config)
+        state, first_ns = exact(state), _first_delay_ns(self.config)
         if state.plan is not None:
             first_ns = max(state.plan.expected_delay_ns, first_ns)
             self.sent_commands.add(state.plan, before_N=tuple(state.plan.thrust_N[0]))
@@ -401,7 +410,7 @@ class Controller:
 
     def _follower(self, reference: Reference) -> Follower:
         """Return a follower whose target skips what lies in zones, and is no faster than the vehicle may be."""
-        follower = Follower(reference, self.vehicle, self.config.limits.path_speed_mps)
+        follower = Follower(exact(reference), self.vehicle, self.config.limits.path_speed_mps)
         follower.restrict(self._lateral.fencing.allowed_path)
         return follower
 
@@ -427,7 +436,7 @@ class Controller:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._bias)
             self._estimates.limit_growth(growth)
             own = self._estimates.health(now_ns)
-        return decide(
+        decision = decide(
             estimate,
             now_ns,
             override=override,
@@ -436,6 +445,7 @@ class Controller:
             follower=self.follower,
             lateral=self.config.lateral,
         )
+        return decision.without_depth() if self.vehicle.can_dive and self.follower.depth_m is not None else decision
 
     def _plan_vertical(self, decision: Decision, start: Start, knots: Times) -> VerticalPlan:
         """Return the vertical thruster's plan in this mode: the depth law's, a ramp, or the commands in force."""
@@ -448,10 +458,10 @@ class Controller:
             return law.ramp_to(start, knots, np.full(len(knots), self.vehicle.failsafe_vertical_N))
         if depth_m is not None:
             if decision.mode is Mode.HOLD and self.follower.depth_m is not None:
-                return law.hold(start, knots)
+                return law.hold(start, decision.estimate, knots)
             depth_reference = self.follower.depths(knots) if decision.follows else None
             if depth_reference is not None:
-                return law.track(start, *depth_reference)
+                return law.track(start, decision.estimate, *depth_reference)
         return law.keep(start, self.sent_commands.at(knots)[:, 2])
 
     def _plan_lateral(self, decision: Decision, start: Start, knots: Times) -> LateralPlan:
@@ -498,7 +508,7 @@ class Controller:
             states=lateral.X[:, :6].copy(),
             origin=lateral.origin,
             solve=lateral.solve,
-            why=lateral.why,
+            why=lateral.why or decision.why,
             authority=_authority(decision.override),
             health=decision.health.health,
             health_why=decision.health.why,

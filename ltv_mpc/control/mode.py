@@ -29,13 +29,13 @@ from ltv_mpc.messages import Estimate, Health
 from ltv_mpc.references.follower import Follower
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
-from ltv_mpc.safety.health import NOMINAL, PREDICTED_TOO_FAR, HealthState, health
+from ltv_mpc.safety.health import NOMINAL, PREDICTED_TOO_FAR, HealthState, health, worst
 from ltv_mpc.safety.reference_point_check import ReferencePointCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
 NOT_STARTED = "the reference has not started yet"
 LATERAL_OFF = "lateral control is off"
-
+NO_DEPTH = "the reference has a depth but the estimates have none: give depth_m, or a reference without depth"
 
 MAX_START_AGE_NS = 1_500_000_000
 """Age of a late estimate up to which a reference starts at it: "here" is not where the vehicle was long ago."""
@@ -56,7 +56,7 @@ class Decision(NamedTuple):
     """Mode of a cycle with its reason and its inputs."""
 
     mode: Mode
-    why: str  # empty in FOLLOW
+    why: str  # in FOLLOW empty, or NO_DEPTH
     estimate: Estimate  # to predict from; stamped now if it is too old for that
     estimate_t_ns: int  # its own stamp
     health: HealthState
@@ -67,6 +67,14 @@ class Decision(NamedTuple):
     def follows(self) -> bool:
         """True if the cycle follows the reference, at least in depth."""
         return self.mode is Mode.FOLLOW or self.mode is Mode.DEPTH_ONLY
+
+    def without_depth(self) -> Decision:
+        """Return the decision for a reference with a depth: degraded if the estimate has none."""
+        if self.estimate.depth_m is not None or not self.follows:
+            return self
+        return self._replace(
+            why=self.why or NO_DEPTH, health=worst(self.health, HealthState(Health.DEGRADED, NO_DEPTH))
+        )
 
 
 class EstimateSelector:

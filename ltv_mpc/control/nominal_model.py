@@ -7,6 +7,7 @@ import numpy as np
 
 from ltv_mpc.control.prediction import Prediction, Start, currents_at_depths
 from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.conversion import exact
 from ltv_mpc.messages import Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -24,6 +25,7 @@ def advance(vehicle: Vehicle, estimate: Estimate, plan: Plan, *, duration_s: flo
     plan : commands that act.
     duration_s : time to advance (s).
     """
+    vehicle, estimate = exact(vehicle), exact(estimate)
     commands = SentCommands(vehicle)
     commands.add(plan)
     end = Prediction(vehicle).state_at(estimate, estimate.t_ns + round(duration_s * 1e9), commands)

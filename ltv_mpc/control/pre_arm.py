@@ -4,13 +4,14 @@
     covariance     the standard deviation of its position, if it has one, is at most ``max_position_sd_m``
     reference      its start is at most ``max_start_m`` away
     plan           a trial plan from this estimate is solved: estimate plausible, reference valid, solver ready
+    depth          the estimate has a depth if the reference has one
     actuators      if they report: they report now, and they follow the plans
     inputs         each state of the inputs that degrades the health, by its name
     mission        each present cause of the mission policy, by its name: battery, leak, mission time
 
-A weak thruster is a warning. What cannot be known does not block: actuators that never reported (a warning), an unknown
-covariance, a reference that has not started yet. There is a clock when a command arrives: without one its process
-rejects it.
+A weak thruster and a missing depth are warnings. What cannot be known does not block: actuators that never reported (a
+warning), an unknown covariance, a reference that has not started yet. There is a clock when a command arrives: without
+one its process rejects it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.mode import LATERAL_OFF, NOT_STARTED
+from ltv_mpc.control.mode import LATERAL_OFF, NO_DEPTH, NOT_STARTED
 from ltv_mpc.messages import Applied, Estimate, Health, InputReport, PlanOrigin
 from ltv_mpc.safety.health import NOMINAL, HealthState
 from ltv_mpc.safety.mission_policy import Cause
@@ -30,6 +31,7 @@ REMEDIES: Mapping[str, str] = {
     "covariance": "wait for a better position, or raise [controller.mission] max_position_sd_m",
     "reference": "check its origin and the estimate's, or raise [controller.mission] max_start_m",
     "plan": "check estimate, reference and solver",
+    "depth": "check the publisher of `estimate`, or follow a reference without depth",
     "actuators": "check the publisher of `applied` and its link",
     "plans": "compare the vehicle file with the limits of the actuators",
     "source": "stop the publisher that does not belong there",
@@ -108,6 +110,8 @@ def _failures_of_estimate(trial: Controller, estimate: Estimate | None, report: 
     plan = trial.plan(estimate)
     if plan.origin is not PlanOrigin.SOLVED and plan.why not in (NOT_STARTED, LATERAL_OFF):
         yield Failure("plan", plan.why)
+    if plan.health_why == NO_DEPTH:
+        yield Failure("depth", "the reference has one but the estimates have none", blocks=False)
     distance_m = trial.follower.start_distance_m
     if distance_m is not None and distance_m > settings.max_start_m:
         yield Failure("reference", f"its start is {distance_m:.0f} m away, more than {settings.max_start_m:g} m")

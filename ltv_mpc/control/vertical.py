@@ -5,8 +5,13 @@ With depth error e = z_ref - z, rate error e' = w_ref - w, and the model's M_z, 
     F3 = (B - W) + (d_z + D_z |w_ref|) w_ref  +  M_z (w0^2 e + 2 zeta w0 e') + integral of M_z w0^2 / T_i e
 
 inside box, slew and depth limits (``depth_limits.py``). On a steady ramp the feed-forward is the whole thrust; in the
-paper's descent it is the thruster's maximum. The integral stops while the command is limited, and while a large
-error is being closed (anti-windup); beyond a depth limit it integrates the distance to it.
+paper's descent it is the thruster's maximum.
+
+The integral stands for the buoyancy that the model lacks. It is conditional (anti-windup): it stops while the command
+is limited, and while a large error is being closed; beyond a depth limit it integrates the distance to it. While the
+vehicle is blocked (``blocked_motion.py``: afloat, aground, held) it is what it was before. If the buoyancy itself then
+pushes the vehicle to a depth near by, the thrust fades to zero: a hull at the surface needs none, and a thrust down
+would only keep it from rising. A new reference starts with an integral of zero.
 """
 
 from __future__ import annotations
@@ -16,12 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ltv_mpc.control.blocked_motion import BlockedMotion
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.depth_limits import DepthLimits, clip_to_depths
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.problem_data import unpack_constants
 from ltv_mpc.jit import jit
-from ltv_mpc.messages import Array, Times
+from ltv_mpc.messages import Array, Estimate, Times
 from ltv_mpc.vehicle.flow import advance_heave
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -39,12 +45,22 @@ MAX_STEP_M = 1.0
 of a wrong buoyancy is not.
 """
 
+LEAD_S = 2.0 * DAMPING / NATURAL_RADPS
+"""Lead of the law over the reference: it pushes to e + LEAD_S e'."""
+
+RELIEF = 5.0
+"""Rate at which the thrust of a blocked vehicle fades, over that of the integral. It grows with the depth error, so a
+vehicle that is taken to be blocked by mistake moves away slowly, and is free again.
+"""
+
 MAX_INTEGRATION_S = 2.0
 """Longest time between two plans that is integrated: over a longer interruption the depth error is not constant."""
 
 
 @jit
-def follow_depth(packed: Array, at: Array, z_ref: Array, w_ref: Array, bounds: Array) -> tuple[Array, Array, float]:
+def follow_depth(
+    packed: Array, at: Array, z_ref: Array, w_ref: Array, bounds: Array, blocked: float = 0.0, relief: float = 0.0
+) -> tuple[Array, Array, float]:
     """Simulate the depth law over the horizon.
 
     Parameters
@@ -54,6 +70,8 @@ def follow_depth(packed: Array, at: Array, z_ref: Array, w_ref: Array, bounds: A
     z_ref, w_ref : (N+1,) reference depths (m) and sinking speeds (m/s) at the knots. Without a reference ``z_ref`` is
         NaN, and ``w_ref`` holds the commands to keep (N).
     bounds : (3,) ``DepthLimits.bounds``.
+    blocked : ``BlockedMotion.direction``; the vehicle stays where it is until the reference lies on the other side.
+    relief : decrease of the thrust (N) that pushes a blocked vehicle away from its reference, against its buoyancy.
 
     Returns
     -------
@@ -75,6 +93,10 @@ def follow_depth(packed: Array, at: Array, z_ref: Array, w_ref: Array, bounds: A
             part = j / acts
             depth_ref = z_ref[k] + part * (z_ref[k + 1] - z_ref[k])
             rate_ref = w_ref[k] + part * (w_ref[k + 1] - w_ref[k])
+            if blocked != 0.0:
+                w = 0.0
+                if blocked * (depth_ref - z + LEAD_S * rate_ref) <= 0.0:
+                    blocked = 0.0
             e, rate = depth_ref - z, rate_ref - w
             # F3 = (B - W) + (d_z + D_z |w_ref|) w_ref + M_z (w0^2 e + 2 zeta w0 e') + integral
             feed = p.net_buoyancy + (p.linear_heave + p.quadratic_heave * abs(rate_ref)) * rate_ref
@@ -82,17 +104,22 @@ def follow_depth(packed: Array, at: Array, z_ref: Array, w_ref: Array, bounds: A
             wanted = feed + p.mass_heave * pull + integral
             if np.isnan(e):
                 wanted, e = rate_ref, 0.0
+            if blocked * p.net_buoyancy < 0.0 and abs(e) <= MAX_STEP_M:
+                wanted = blocked * min(blocked * wanted + relief, 0.0)
             within = clip_to_depths(wanted, z, w, integral, bounds, p)
             if within != wanted:
                 e = min(bounds[1] - z, 0.0) if within < wanted else max(bounds[0] - z, 0.0)
             limited = min(max(within, low, command - slew * h), high, command + slew * h)
             lasting = abs(e) <= MAX_STEP_M or abs(e) > 2.0 * INTEGRAL_S * abs(rate)
-            if limited == within and lasting:
+            if limited == within and lasting and blocked == 0.0:
                 growth = p.mass_heave * NATURAL_RADPS * NATURAL_RADPS / INTEGRAL_S * e
                 integral += growth * h
                 if k == 0 and j == 1:
                     rate_now = growth
+            place = z
             z, w, F = advance_heave(z, w, F, command, limited, h, p)
+            if blocked != 0.0:
+                z = place
             command = limited
         depth[k + 1], commands[k + 1] = z, command
     return depth, commands, rate_now
@@ -125,18 +152,23 @@ class VerticalLaw:
         """Depths between which the law stays."""
         self._slew_N_per_s = vehicle.thrusters[2].slew_N_per_s
         self._packed = packed
+        p = vehicle.coefficients()
+        self._stiffness_Npm = p.mass_heave * NATURAL_RADPS * NATURAL_RADPS
+        self._blocked = BlockedMotion(LEAD_S + p.linear_heave / self._stiffness_Npm)
+        self._relief_N = 0.0
         self.integral_N = 0.0
         """Integral term of the law (N)."""
         self.held_m: float | None = None
         """Depth that ``hold`` keeps (m); None: that of its next call."""
         self._integrated_ns: int | None = None
 
-    def track(self, start: Start, depth_m: Array, sinking_mps: Array) -> VerticalPlan:
+    def track(self, start: Start, estimate: Estimate, depth_m: Array, sinking_mps: Array) -> VerticalPlan:
         """Follow a depth reference.
 
         Parameters
         ----------
         start : the vehicle at the plan's start.
+        estimate : the estimate from which that was predicted; the prediction does not know what blocks the vehicle.
         depth_m : (N+1,) reference depths at the knots (m).
         sinking_mps : (N+1,) reference sinking speeds at the knots (m/s).
 
@@ -144,21 +176,29 @@ class VerticalLaw:
         -------
         The commands and the predicted depths.
         """
-        plan = follow_depth(
-            self._packed,
-            np.array((start.depth_m, start.sinking_mps, start.vertical_N, start.vertical_command_N, self.integral_N)),
-            depth_m,
-            sinking_mps,
-            self.depth_limits.bounds,
-        )
-        return VerticalPlan(*plan)
+        blocked, seen_m = self._blocked, start.depth_m if estimate.depth_m is None else estimate.depth_m
+        low_m, high_m, _ = self.depth_limits.bounds.tolist()
+        error_m = min(max(float(depth_m[0]), low_m), high_m) - seen_m
+        blocked.update(estimate.t_ns, seen_m, error_m, LEAD_S * float(sinking_mps[0]), self.integral_N)
+        if blocked.direction == 0.0:
+            self._relief_N = 0.0
+        else:
+            start, self.integral_N = start._replace(depth_m=seen_m), blocked.integral_N
+            self._relief_N += RELIEF * self._stiffness_Npm / INTEGRAL_S * abs(error_m) * self._seconds_to(start.t_ns)
+        return self._simulate(start, depth_m, sinking_mps, blocked.direction)
 
-    def hold(self, start: Start, knots: Times) -> VerticalPlan:
+    def _simulate(self, start: Start, depth_m: Array, rate: Array, blocked: float) -> VerticalPlan:
+        """Return the plan of ``follow_depth``, with ``rate`` as its ``w_ref``."""
+        at = start.depth_m, start.sinking_mps, start.vertical_N, start.vertical_command_N, self.integral_N
+        bounds = self.depth_limits.bounds
+        return VerticalPlan(*follow_depth(self._packed, np.array(at), depth_m, rate, bounds, blocked, self._relief_N))
+
+    def hold(self, start: Start, estimate: Estimate, knots: Times) -> VerticalPlan:
         """Keep the depth at which the hold began.
 
         Parameters
         ----------
-        start : the vehicle at the plan's start.
+        start, estimate : as ``track`` takes them.
         knots : (N+1,) times of the knots (ns).
 
         Returns
@@ -167,7 +207,7 @@ class VerticalLaw:
         """
         if self.held_m is None:
             self.held_m = start.depth_m
-        return self.track(start, np.full(len(knots), self.held_m), np.zeros(len(knots)))
+        return self.track(start, estimate, np.full(len(knots), self.held_m), np.zeros(len(knots)))
 
     def ramp_to(self, start: Start, knots: Times, goal: Array) -> VerticalPlan:
         """Move the vertical thruster towards given commands at the slew limit.
@@ -198,8 +238,13 @@ class VerticalLaw:
         The commands; without depth limits the depth is taken to stay that of the start.
         """
         if self.depth_limits.is_limited and not math.isnan(start.depth_m):
-            return self.track(start, np.full(len(thrust_N), math.nan), thrust_N)
+            return self._simulate(start, np.full(len(thrust_N), math.nan), thrust_N, 0.0)
         return VerticalPlan(np.full(len(thrust_N), start.depth_m), thrust_N, 0.0)
+
+    def restart(self) -> None:
+        """Begin another reference, with a zero integral."""
+        self.integral_N = 0.0
+        self._blocked.restart()
 
     def advance_integral(self, plan: VerticalPlan, start_ns: int) -> None:
         """Integrate the depth error from the start of the last plan to the start of this one.
@@ -209,10 +254,13 @@ class VerticalLaw:
         plan : the plan of this cycle.
         start_ns : its start, vehicle time (ns).
         """
-        if self._integrated_ns is not None:
-            seconds = min(max(start_ns - self._integrated_ns, 0) * 1e-9, MAX_INTEGRATION_S)
-            self.integral_N += plan.integral_rate_N_per_s * seconds
+        self.integral_N += plan.integral_rate_N_per_s * self._seconds_to(start_ns)
         self._integrated_ns = start_ns
+
+    def _seconds_to(self, start_ns: int) -> float:
+        """Return the time (s) from the start of the last plan to this one's, at most ``MAX_INTEGRATION_S``."""
+        since_ns = start_ns if self._integrated_ns is None else self._integrated_ns
+        return min(max(start_ns - since_ns, 0) * 1e-9, MAX_INTEGRATION_S)
 
 
 def ramp(start: float, goal: Array, knots: Times, slew_N_per_s: float) -> Array:

@@ -87,7 +87,7 @@ class ThrustOverride(NamedTuple):
         knots : (N+1,) times (ns).
         """
         valid = np.zeros(len(knots)) if self.until_ns is None else np.where(knots <= self.until_ns, 1.0, 0.0)
-        targets: Array = valid[:, None] * np.array(self.thrust_N)
+        targets: Array = valid[:, None] * np.array(self.thrust_N, dtype=np.float64)
         return targets
 
 

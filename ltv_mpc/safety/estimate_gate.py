@@ -2,7 +2,8 @@
 
 An estimate is accepted if
 
-    position, heading, velocities, yaw rate, depth, sinking speed and covariance are finite
+    position, heading, velocities, yaw rate, depth, sinking speed, covariance and current are finite
+    the depths of the current increase, and each has its velocities
     |velocity over ground|  <=  2 x top speed through the water + 3 m/s of current
     |yaw rate|              <=  3 x the steady rate at full opposite thrusts + 0.5 rad/s
     |sinking speed|         <=  2 x the steady rate at full thrust and net buoyancy + 1 m/s
@@ -27,8 +28,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.messages import Estimate
+from ltv_mpc.messages import CurrentProfile, Estimate
 from ltv_mpc.safety.input_monitor import Period
+from ltv_mpc.validation import RELATIONS
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady_speed
 
@@ -139,7 +141,7 @@ class EstimateGate:
             return NOT_FINITE
         if not abs(e.velocity_down_mps or 0.0) <= bounds.sinking_mps:
             return "sinking speed above what the vehicle can reach"
-        return ""
+        return "" if e.current is None else _problem(e.current)
 
     def jumps(self, old: Estimate, new: Estimate) -> bool:
         """Return True if the vehicle cannot have moved from ``old`` to ``new`` in the time between them.
@@ -164,6 +166,15 @@ class EstimateGate:
         if old.depth_m is None or new.depth_m is None:
             return False
         return abs(new.depth_m - old.depth_m) > bounds.sinking_mps * dt + JUMP_DEPTH_M
+
+
+def _problem(profile: CurrentProfile) -> str:
+    """Return what makes a profile of the current useless; empty if nothing does."""
+    reason = RELATIONS[CurrentProfile](profile)
+    if reason is not None:
+        return f"current: {reason}"
+    north, east = profile.north_mps, profile.east_mps
+    return "" if math.isfinite(np.vdot(north, north) + np.vdot(east, east)) else NOT_FINITE
 
 
 def standard_deviation(estimate: Estimate, indices: tuple[int, ...], unknown: float) -> float:

@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from ltv_mpc.conversion import exact
 from ltv_mpc.messages import Array, Estimate, Pair, Plan
 
 Offset: TypeAlias = Annotated[float, Meta(ge=-100, le=100)]
@@ -43,6 +44,7 @@ class ReferencePoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         """
         if self == ORIGIN:
             return estimate
+        estimate = exact(estimate)
         (north, east), (north_ahead, east_ahead) = self._arm(estimate.heading_rad)
         r = estimate.yaw_rate_radps
         return msgspec.structs.replace(

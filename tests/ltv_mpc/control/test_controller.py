@@ -10,13 +10,14 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, advance, references
 from ltv_mpc.control.config import Weights
+from ltv_mpc.control.mode import NO_DEPTH
 from ltv_mpc.control.problem_data import pack_constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import make
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.control.vertical import VerticalPlan, follow_depth
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Solve
+from ltv_mpc.messages import Health, Solve
 from ltv_mpc.safety.plan_gate import TOLERANCE_N
 
 PAPER = Vehicle.load("paper")
@@ -255,6 +256,24 @@ def test_without_an_estimated_depth_there_is_no_vertical_thrust():
     for k in range(20):
         plan = controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=0.5), t_ns=k * 300_000_000))
         assert not plan.thrust_N[:, 2].any()
+        assert (plan.origin, plan.why) == (PlanOrigin.SOLVED, NO_DEPTH)
+        assert (plan.health, plan.health_why) == (Health.DEGRADED, NO_DEPTH)
+    plan = controller.plan(msgspec.structs.replace(Estimate.at_rest(depth_m=1.0), t_ns=20 * 300_000_000))
+    assert (plan.why, plan.health) == ("", Health.NOMINAL)
+
+
+@pytest.mark.parametrize(
+    ("name", "reference"),
+    [
+        ("paper", references.Point(north_m=0.0, east_m=0.0)),
+        ("paper", references.Point(north_m=0.0, east_m=0.0, depth_m=3.0, start_s=9.0)),
+        ("surface", references.Point(north_m=0.0, east_m=0.0, depth_m=3.0)),
+    ],
+)
+def test_a_depth_is_missing_only_where_it_is_needed(name, reference):
+    """A surface craft follows a reference with a depth on the surface (docs/vehicles.md)."""
+    plan = Controller(Vehicle.load(name), reference).plan(Estimate.at_rest(north_m=0.5))
+    assert NO_DEPTH not in (plan.why, plan.health_why)
 
 
 @pytest.mark.parametrize("period_s", [0.1, 0.3, 0.7])

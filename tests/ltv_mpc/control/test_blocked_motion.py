@@ -1,0 +1,180 @@
+"""Depth law of a vehicle that cannot follow (afloat, aground, held): no windup, and it dives at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle, advance, references
+from ltv_mpc.messages import Authority, Plan
+from ltv_mpc.safety.command_arbiter import ThrustOverride
+from ltv_mpc.vehicle.parameters import Translation
+
+PAPER = Vehicle.load("paper")
+DRAUGHT_M = 0.3
+"""Depth of the origin of the floating vehicle: its hull does not let it rise farther."""
+
+Stop = Callable[[float], float]
+
+
+def afloat(depth_m: float) -> float:
+    return max(depth_m, DRAUGHT_M)
+
+
+def aground(depth_m: float) -> float:
+    return min(depth_m, 12.0)
+
+
+def held(_: float) -> float:
+    return 5.0
+
+
+def free(depth_m: float) -> float:
+    return depth_m
+
+
+def to(depth_m: float, **more: float) -> references.Point:
+    return references.Point(north_m=0.0, east_m=0.0, depth_m=depth_m, **more)
+
+
+def controller_of(vehicle: Vehicle, depth_m: float, **more: float) -> Controller:
+    return Controller(vehicle, to(depth_m, **more), ControllerConfig(lateral=False, horizon_s=3.0))
+
+
+def fly(
+    controller: Controller,
+    estimate: Estimate,
+    seconds: float,
+    stop: Stop,
+    true: Vehicle | None = None,
+    noise: Callable[[], float] = lambda: 0.0,
+    override: ThrustOverride | None = None,
+) -> tuple[list[Estimate], list[Plan]]:
+    """Return the way of a vehicle that ``stop`` keeps from some depths, with its plans."""
+    way, plans = [estimate], []
+    for _ in range(round(seconds / 0.3)):
+        seen = replace(estimate, depth_m=estimate.depth_m + noise())
+        plans.append(controller.plan(seen, override=override))
+        moved = advance(true or controller.vehicle, estimate, plans[-1], duration_s=0.3)
+        reached = stop(moved.depth_m)
+        estimate = moved if reached == moved.depth_m else replace(moved, depth_m=reached, velocity_down_mps=0.0)
+        way.append(estimate)
+    return way, plans
+
+
+def lag_of_a_dive(controller: Controller, estimate: Estimate) -> tuple[float, float]:
+    """Return the seconds until the vehicle is 5 cm deeper, and the largest distance behind a ramp of 0.2 m/s (m)."""
+    way, _ = fly(controller, estimate, 45.0, afloat)
+    depth = np.array([e.depth_m for e in way])
+    t = np.arange(len(way)) * 0.3
+    return float(t[np.argmax(depth > DRAUGHT_M + 0.05)]), float((DRAUGHT_M + 0.2 * t - depth).max())
+
+
+@pytest.mark.parametrize("name", ["paper", "low-yaw", "weak-reverse"])
+@pytest.mark.parametrize("seconds", [15.0, 60.0, 300.0])
+def test_a_dive_after_waiting_afloat_is_that_of_a_new_controller(name: str, seconds: float) -> None:
+    vehicle, start = Vehicle.load(name), Estimate.at_rest(depth_m=DRAUGHT_M)
+    begins_s, behind_m = lag_of_a_dive(controller_of(vehicle, 12.0), start)
+    waited = controller_of(vehicle, 0.0)
+    way, _ = fly(waited, start, seconds, afloat)
+    waited.follow(to(12.0))
+    later_s, later_m = lag_of_a_dive(waited, way[-1])
+    assert later_s <= begins_s + 1.0
+    assert later_m <= behind_m + 0.2
+
+
+@pytest.mark.parametrize(("wanted_m", "noise_m"), [(0.0, 0.0), (0.0, 0.02), (0.2, 0.0), (0.2, 0.01), (0.27, 0.0)])
+def test_afloat_the_vehicle_needs_no_vertical_thrust(wanted_m: float, noise_m: float) -> None:
+    rng = np.random.default_rng(1)
+    controller, start = controller_of(PAPER, wanted_m), Estimate.at_rest(depth_m=DRAUGHT_M)
+    way, _ = fly(controller, start, 300.0, afloat, noise=lambda: rng.normal(0.0, noise_m))
+    _, plans = fly(controller, way[-1], 100.0, afloat, noise=lambda: rng.normal(0.0, noise_m))
+    thrust = np.array([plan.thrust_N[0, 2] for plan in plans])
+    assert np.median(abs(thrust)) < 0.1
+    assert thrust.min() > -10.0
+
+
+def test_the_same_reference_dives_at_once_after_a_part_at_the_surface() -> None:
+    """The way begins with 30 m at depth 0, on which the vehicle floats for a minute and more."""
+    place = references.Place
+    way = references.Waypoints(
+        speed_mps=0.4,
+        waypoints=(
+            place(north_m=0.0, east_m=0.0, depth_m=0.0),
+            place(north_m=30.0, east_m=0.0, depth_m=0.0),
+            place(north_m=60.0, east_m=0.0, depth_m=6.0),
+        ),
+    )
+    controller = Controller(PAPER, way, ControllerConfig(horizon_s=6.0))
+    flown, plans = fly(controller, Estimate.at_rest(depth_m=DRAUGHT_M), 180.0, afloat)
+    dived = next(k for k, plan in enumerate(plans) if plan.thrust_N[0, 2] > 1.0 and k > 200)
+    assert plans[dived - 1].thrust_N[0, 2] == 0.0
+    assert abs(plans[dived].remaining_m - 30.0) < 1.0
+    assert flown[-1].depth_m == pytest.approx(0.2 * (30.0 - plans[-1].remaining_m), abs=0.4)
+
+
+@pytest.mark.parametrize(("deeper_m", "most_N"), [(0.3, 37.0), (1.0, 51.0)])
+def test_aground_the_thrust_stays_that_of_the_law_without_integral(deeper_m: float, most_N: float) -> None:
+    """B - W + M_z w0^2 e = 30.5 + 20.25 e."""
+    controller = controller_of(PAPER, 12.0 + deeper_m)
+    _, plans = fly(controller, Estimate.at_rest(depth_m=11.9), 300.0, aground)
+    assert plans[-1].thrust_N[0, 2] <= most_N
+    assert abs(controller.save(0).depth_integral_N) < 0.1
+
+
+@pytest.mark.parametrize("wanted_m", [4.0, 4.7, 5.3, 7.0])
+def test_a_vehicle_that_is_held_goes_to_its_depth_when_it_is_released(wanted_m: float) -> None:
+    controller = controller_of(PAPER, wanted_m)
+    way, _ = fly(controller, Estimate.at_rest(depth_m=5.0), 200.0, held)
+    assert abs(controller.save(0).depth_integral_N) < 1.0
+    way, _ = fly(controller, way[-1], 100.0, free)
+    depth = np.array([e.depth_m for e in way])
+    assert depth[-1] == pytest.approx(wanted_m, abs=0.03)
+    assert abs(depth - wanted_m).max() < abs(5.0 - wanted_m) + 0.1  # it does not go the other way
+
+
+@pytest.mark.parametrize("damping_kgps", [0.0, 200.0, 1000.0])
+@pytest.mark.parametrize("off_N", [-40.0, -6.5, -0.5, 0.5, 6.5, 20.0])
+def test_a_wrong_buoyancy_is_still_learned(off_N: float, damping_kgps: float) -> None:
+    heave = Translation(mass_kg=225.0, linear_damping_kgps=damping_kgps, quadratic_damping_kgpm=800.0)
+    model = replace(PAPER, heave=heave)
+    true = replace(model, net_buoyancy_N=PAPER.net_buoyancy_N + off_N)
+    way, _ = fly(controller_of(model, 8.0), Estimate.at_rest(depth_m=8.0), 300.0 + damping_kgps, free, true)
+    assert way[-1].depth_m == pytest.approx(8.0, abs=0.02)
+
+
+@pytest.mark.parametrize("rate_N_per_s", [0.01, 0.05])
+def test_a_buoyancy_that_changes_slowly_is_followed(rate_N_per_s: float) -> None:
+    """The error of the integral is rate x T_i / (M_z w0^2): about 1 and 5 cm."""
+    controller, estimate, worst = controller_of(PAPER, 8.0), Estimate.at_rest(depth_m=8.0), 0.0
+    for k in range(100):
+        true = replace(PAPER, net_buoyancy_N=30.5 - rate_N_per_s * 3.0 * k)
+        way, _ = fly(controller, estimate, 3.0, free, true)
+        estimate = way[-1]
+        worst = max(worst, abs(estimate.depth_m - 8.0))
+    assert worst < 0.03 + 2.5 * rate_N_per_s
+
+
+def test_a_new_reference_starts_the_integral_at_zero_and_a_pause_does_not() -> None:
+    true = replace(PAPER, net_buoyancy_N=24.0)
+    controller = controller_of(PAPER, 8.0)
+    way, _ = fly(controller, Estimate.at_rest(depth_m=8.0), 120.0, free, true)
+    assert controller.save(0).depth_integral_N == pytest.approx(-6.5, abs=0.3)
+    controller.pause(way[-1])
+    controller.resume()
+    assert controller.save(0).depth_integral_N == pytest.approx(-6.5, abs=0.3)
+    controller.follow(to(9.0))
+    assert controller.save(0).depth_integral_N == 0.0
+
+
+def test_a_pilot_between_two_phases_afloat_leaves_nothing_behind() -> None:
+    controller, start = controller_of(PAPER, 0.0), Estimate.at_rest(depth_m=DRAUGHT_M)
+    way, _ = fly(controller, start, 100.0, afloat)
+    hand = ThrustOverride(Authority.MANUAL, (0.0, 0.0, -62.5), 10**15, "by hand")
+    way, _ = fly(controller, way[-1], 30.0, afloat, override=hand)
+    way, plans = fly(controller, way[-1], 60.0, afloat)
+    assert abs(plans[-1].thrust_N[0, 2]) < 0.1
+    assert abs(controller.save(0).depth_integral_N) < 1.0
