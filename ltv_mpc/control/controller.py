@@ -56,6 +56,7 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.references import Hold, Reference
 from ltv_mpc.references.follower import NO_PROGRESS, Follower, FollowerState
+from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns, worst
@@ -103,6 +104,11 @@ class Controller:
         """Commands in force, by time."""
         weights = config.weights.at_heading(False)
         packed = pack_constants(vehicle, weights, config.knots, STAGE_S, config.limits.state_bounds)
+        self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
+        """Check of the actuators' reports against the plans."""
+        self.learns = True
+        """False in a cycle in which nothing is learned from the motion: an override commands the thrusters, or the
+        actuators contradict the plans."""
         self._estimates = EstimateSelector(vehicle, config)
         self._bias = CurrentBias(config.disturbance)
         self._prediction = Prediction(vehicle)
@@ -238,12 +244,15 @@ class Controller:
     def add_report(self, applied: Applied) -> None:
         """Add a report of the actuators: it corrects the expected delay, the commands in force and the thrusts.
 
+        While its commands contradict the plans, nothing is learned from the motion; after 1 s the health is degraded.
+
         Parameters
         ----------
         applied : the plan that they received last, their commands and their delivered thrusts.
         """
         self._delay.add_receipt(applied)
         self._prediction.add_report(applied)
+        self.actuator_check.add(applied)
         self.sent_commands.correct(applied.t_ns, applied.command_N)
 
     def add_timing(self, timing: CycleTiming) -> None:
@@ -283,13 +292,13 @@ class Controller:
         self._prediction.set_shares(shares)
 
     def health(self, t_ns: int) -> HealthState:
-        """Return the health by the age of the newest plausible estimate, and by the prediction in the last cycle.
+        """Return the health by the age of the newest plausible estimate, the last prediction and the actuator check.
 
         Parameters
         ----------
         t_ns : now, vehicle time (ns).
         """
-        return self._estimates.health(t_ns)
+        return worst(self._estimates.health(t_ns), self.actuator_check.health)
 
     def plan(
         self,
@@ -347,6 +356,8 @@ class Controller:
         lateral = self._plan_lateral(decision, start, knots)
         plan = self._assemble(decision, now_ns, delay_ns, knots, vertical, lateral)
         self._record(plan)
+        if not self.learns:
+            vertical = vertical._replace(integral_rate_N_per_s=0.0)
         self._vertical.advance_integral(vertical, start.t_ns)
         # Stage "read": reading the QP's solution out into a plan. The step loop uses the same recorded name for reading
         # its inbox, and the stage timer adds both.
@@ -393,6 +404,7 @@ class Controller:
         if state.plan is not None:
             first_ns = max(state.plan.expected_delay_ns, first_ns)
             self.sent_commands.add(state.plan)
+            self.actuator_check.sent(state.plan)
             self._lateral.previous.restore(state.plan)
         self._delay.restore(first_ns, state.plan_delays_ns, state.cycle_times_ns)
         self._vertical.integral_N = state.depth_integral_N
@@ -420,11 +432,16 @@ class Controller:
 
         The decision uses the newest plausible estimate, with the estimated bias added to its current.
         """
-        estimate = self._estimates.select(newest)
+        estimate, check = self._estimates.select(newest), self.actuator_check
+        if check.disagrees and self.learns:
+            self._bias.take_back(check.agreed_ns)
+        self.learns = override is None and not check.disagrees
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
-            estimate, predicted_mps = self._bias.correct(estimate, self._prediction, self.sent_commands)
-            self.reference_point_check.update(estimate, predicted_mps)
+            estimate, predicted_mps = self._bias.correct(
+                estimate, self._prediction, self.sent_commands, learns=self.learns
+            )
+            self.reference_point_check.update(estimate, predicted_mps if self.learns else None)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._bias)
@@ -434,7 +451,7 @@ class Controller:
             estimate,
             now_ns,
             override=override,
-            health=health if own is NOMINAL else worst(own, health),
+            health=health if own is NOMINAL and check.health is NOMINAL else worst(own, health, check.health),
             late=own is not NOMINAL,
             follower=self.follower,
             lateral=self.config.lateral,
@@ -522,6 +539,7 @@ class Controller:
     def _record(self, plan: Plan) -> None:
         """Record the plan as sent: its commands are in force from its first knot on."""
         self.sent_commands.add(plan)
+        self.actuator_check.sent(plan)
         self._lateral.previous.record(plan)
 
     def _emergency_plan(self, now_ns: int, override: ThrustOverride | None, health: HealthState, why: str) -> Plan:

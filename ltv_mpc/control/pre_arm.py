@@ -8,9 +8,9 @@
     inputs         each state of the inputs that degrades the health, by its name
     mission        each present cause of the mission policy, by its name: battery, leak, mission time
 
-A weak thruster is a warning. What cannot be known does not block: actuators that never reported (a warning), an unknown
-covariance, a reference that has not started yet. There is a clock when a command arrives: without one its process
-rejects it.
+A weak thruster is a warning, and so are actuators that do not follow the plans. What cannot be known does not block:
+actuators that never reported (a warning), an unknown covariance, a reference that has not started yet. There is a clock
+when a command arrives: without one its process rejects it.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ REMEDIES: Mapping[str, str] = {
     "reference": "check its origin and the estimate's, or raise [controller.mission] max_start_m",
     "plan": "check estimate, reference and solver",
     "actuators": "check the publisher of `applied` and its link",
+    "commands": "return the thrusters to the controller",
     "plans": "compare the vehicle file with the limits of the actuators",
     "source": "stop the publisher that does not belong there",
     "thrusters": "inspect the propeller",
@@ -46,8 +47,10 @@ REMEDIES: Mapping[str, str] = {
 """What to do, by the name of the check."""
 
 
-WEAK_THRUSTER = "thrusters"
-"""A weak thruster is a warning only: the plans are computed for the thrust that it delivers."""
+WARNINGS = "thrusters", "commands"
+"""Checks that only warn: the plans are computed for the thrust that a weak thruster delivers, and another driver of the
+thrusters can return them after the controller is armed.
+"""
 
 
 class Failure(NamedTuple):
@@ -84,7 +87,7 @@ def failures(
     """
     failures = [Failure(cause.name, cause.why) for cause in causes]
     failures += [
-        Failure(name, state.why, blocks=name != WEAK_THRUSTER) for name, state in states.items() if state is not NOMINAL
+        Failure(name, state.why, blocks=name not in WARNINGS) for name, state in states.items() if state is not NOMINAL
     ]
     if applied is None:
         failures.append(Failure("actuators", "no report yet, so plans count as followed", blocks=False))
