@@ -182,6 +182,11 @@ class Controller:
         return self._followers[0].target_m is not None
 
     @property
+    def arrived(self) -> bool:
+        """True once the vehicle was at the end of the reference, until another reference, or the same one, begins."""
+        return self._followers[0].arrived
+
+    @property
     def fence(self) -> Fence | None:
         """Fence in force."""
         return self._lateral.fencing.fence
@@ -346,6 +351,8 @@ class Controller:
         if decision.follows:
             current = start.current_north_mps, start.current_east_mps
             self.follower.advance(knots, start.lateral, current, self._lateral.target)
+            if self._estimates.health(now_ns) is NOMINAL:
+                self.follower.arrive(decision.estimate, self.config.position_tolerance_m)
         self._lateral.fencing.set_path(self.follower.path_beside(knots) if decision.follows else None)
         self._lateral.fencing.update(start, decision.estimate, self._estimates.growth_m)
         follower = self.follower if decision.follows else None
@@ -385,6 +392,7 @@ class Controller:
             schedule_s=follower.tau_s,
             schedule_rate=follower.rate,
             progress=reference.progress.share,
+            arrived=reference.arrived,
             depth_integral_N=self._vertical.integral_N,
             current_bias=None if self._bias.belief is None else self._bias.save(),
             plan_delays_ns=plan_delays_ns,
@@ -413,6 +421,7 @@ class Controller:
         followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
         moved_until_ns = _end_of_motion_ns(state, self.config.period_ns, self.vehicle.plan_timeout_s)
         self._followers[0].restore(followed, t_ns, moved_until_ns=moved_until_ns)
+        self._followers[0].arrived = state.arrived or (state.plan is not None and state.plan.arrived)
 
     def _follower(self, reference: Reference) -> Follower:
         """Return a follower whose target skips what lies in zones, and is no faster than the vehicle may be."""
@@ -531,6 +540,7 @@ class Controller:
             progress=progress.share,
             cross_track_m=progress.cross_track_m,
             remaining_m=progress.remaining_m,
+            arrived=self.arrived,
             fence=self._lateral.fencing.report(
                 lateral.X[:, :6], follower.skipped_m, drifts=lateral.origin is not PlanOrigin.SOLVED
             ),

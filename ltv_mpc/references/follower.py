@@ -43,6 +43,11 @@ MAX_STEP_S = 2.0
 waited.
 """
 
+ARRIVAL_M = 0.5
+"""Distance from the end of a reference at which the vehicle has arrived: where the estimates describe a point that is
+not quite the origin, a vehicle that has come to its end keeps within it.
+"""
+
 SAME_PLACE_M = 1e-6
 """Length of a path within which two columns of a schedule are the same place, at which the target rests."""
 
@@ -133,6 +138,8 @@ class Follower:
         """Heading that the reference wants (rad); None: it is free."""
         self.skipped_m = 0.0
         """Length of the path that is left out, because it is not allowed (m)."""
+        self.arrived = False
+        """The vehicle has been at the end of the reference, after its target."""
         self._vehicle = vehicle
         self._cruise_mps = min(path_limits(vehicle).cruise_mps, max_speed_mps)
         self._allowed: Allowed = _unrestricted
@@ -142,6 +149,7 @@ class Follower:
         self._rate = 1.0
         self._t_ns = 0
         self._progress = NO_PROGRESS
+        self._end_m: Pair = (math.nan, math.nan)  # north and east of the end, also if it is not allowed
 
     @property
     def is_path(self) -> bool:
@@ -203,12 +211,14 @@ class Follower:
     def _track_from(self, start: ReferenceStart) -> _Track:
         """Return the allowed part of the reference that starts there."""
         if isinstance(self.reference, Point | Hold):
-            north, east = self.reference.position(start)
+            north, east = self._end_m = self.reference.position(start)
             column = (0.0, 0.0, north, east, math.nan if self.reference.depth_m is None else self.reference.depth_m)
             distance_m = math.hypot(north - start.north_m, east - start.east_m)
             point, self.skipped_m = self._allowed(Schedule(np.array((column, column)).T.copy(), distance_m))
             return _Track.at_rest(point, self.reference.depth_m)
-        schedule, self.skipped_m = self._allowed(self.reference.schedule(self._vehicle, start))
+        whole = self.reference.schedule(self._vehicle, start)
+        self._end_m = float(whole.table[NORTH, -1]), float(whole.table[EAST, -1])
+        schedule, self.skipped_m = self._allowed(whole)
         return _Track.of(schedule, self._cruise_mps)
 
     def path_beside(self, t_ns: Times) -> PathBeside | None:
@@ -232,6 +242,22 @@ class Follower:
         points = np.column_stack([np.interp(way, track.table[WAY], track.table[row]) for row in (NORTH, EAST)])
         step_m = max(float(way[1] - way[0]), 1e-9)
         return PathBeside(points, ((targets - begin) / step_m).astype(np.int64), math.ceil(track.leash_m / step_m))
+
+    def arrive(self, estimate: Estimate, tolerance_m: float) -> None:
+        """Note the arrival: the target is at the end, and the vehicle is near the end, also in depth if it can dive.
+
+        Parameters
+        ----------
+        estimate : newest estimate.
+        tolerance_m : distance that counts as near, if it is above ``ARRIVAL_M`` (m).
+        """
+        track, radius_m = self._track, max(tolerance_m, ARRIVAL_M)
+        if self.arrived or track is None or self._tau_s < track.duration_s:
+            return
+        deep = True
+        if track.depth_m is not None and self._vehicle.can_dive:
+            deep = estimate.depth_m is not None and abs(estimate.depth_m - track.depth_m) <= radius_m
+        self.arrived = deep and math.dist((estimate.north_m, estimate.east_m), self._end_m) <= radius_m
 
     def save(self) -> FollowerState:
         """Return the state that another follower of the same reference continues from."""

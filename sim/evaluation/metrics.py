@@ -275,6 +275,8 @@ class RunMetrics:
 
     def __init__(self, vehicle: Vehicle, *, fence: Fence | None = None, speed: float = 1.0) -> None:
         self._fence = FenceDistances(vehicle, fence)
+        self.arrived_s: float | None = None
+        """Vehicle time of the first plan after an arrival (s)."""
         self.cycles = 0
         self.deadline_misses = 0
         self.plans_refused = 0
@@ -357,6 +359,8 @@ class RunMetrics:
     def _add_plan(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> None:
         self.cycles += 1
         self._fence.add_plan(plan)
+        if plan.arrived and self.arrived_s is None:
+            self.arrived_s = plan.cycle_t_ns * 1e-9
         self.qp_status[plan.solve.status.value] += 1
         self.plan_origin[plan.origin.value] += 1
         self.health[f"{plan.health.value}: {plan.health_why}" if plan.health_why else plan.health.value] += 1
