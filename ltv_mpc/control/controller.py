@@ -104,11 +104,6 @@ class Controller:
         """Commands in force, by time."""
         weights = config.weights.at_heading(False)
         packed = pack_constants(vehicle, weights, config.knots, STAGE_S, config.limits.state_bounds)
-        self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
-        """Check of the actuators' reports against the plans."""
-        self.learns = True
-        """False in a cycle in which nothing is learned from the motion: an override commands the thrusters, or the
-        actuators contradict the plans."""
         self._estimates = EstimateSelector(vehicle, config)
         self._bias = CurrentBias(config.disturbance)
         self._prediction = Prediction(vehicle)
@@ -142,6 +137,11 @@ class Controller:
     def reference_point_check(self) -> ReferencePointCheck:
         """Check that the estimates describe the vehicle's declared reference point."""
         return self._estimates.reference_point_check
+
+    @property
+    def actuator_check(self) -> ActuatorCheck:
+        """Check of the actuators' reports against the plans."""
+        return self._estimates.actuator_check
 
     @property
     def learned_current(self) -> Belief | None:
@@ -363,7 +363,7 @@ class Controller:
         lateral = self._plan_lateral(decision, start, knots)
         plan = self._assemble(decision, now_ns, delay_ns, knots, vertical, lateral)
         self._record(plan)
-        if not self.learns:
+        if not self.actuator_check.learns:
             vertical = vertical._replace(integral_rate_N_per_s=0.0)
         self._vertical.advance_integral(vertical, start.t_ns)
         # Stage "read": reading the QP's solution out into a plan. The step loop uses the same recorded name for reading
@@ -442,15 +442,16 @@ class Controller:
         The decision uses the newest plausible estimate, with the estimated bias added to its current.
         """
         estimate, check = self._estimates.select(newest), self.actuator_check
-        if check.disagrees and self.learns:
-            self._bias.take_back(check.agreed_ns)
-        self.learns = override is None and not check.disagrees
+        check.overridden = override is not None
+        if check.began_ns is not None:
+            self._bias.take_back(check.began_ns)
+            check.began_ns = None
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
             estimate, predicted_mps = self._bias.correct(
-                estimate, self._prediction, self.sent_commands, learns=self.learns
+                estimate, self._prediction, self.sent_commands, learns=check.learns
             )
-            self.reference_point_check.update(estimate, predicted_mps if self.learns else None)
+            self.reference_point_check.update(estimate, predicted_mps if check.learns else None)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._bias)

@@ -315,7 +315,7 @@ class ControllerNode:
     def _check_model(self) -> ModelCheck | None:
         """Compare the motion with the model's; return the report that is due."""
         estimate, monitor, check = self.controller.estimate_gate.accepted, self._model_monitor, None
-        if not self.controller.learns:
+        if not self.controller.actuator_check.learns:
             monitor.restart()
         elif estimate is not None:
             check = monitor.update(estimate, self.controller.learned_current)

@@ -61,8 +61,12 @@ class ActuatorCheck:
         self._plans: deque[Plan] = deque()  # by their start
         self._since_ns: int | None = None  # first report of a contradiction
         self._until_ns = 0  # its last report
-        self.agreed_ns = 0
-        """Time of the last report that agreed before the contradiction, or of the report that began it."""
+        self._agreed_ns = 0  # last report that agreed
+        self.began_ns: int | None = None
+        """Time of the last report before a contradiction; the controller clears it when it has taken back what it has
+        learned since."""
+        self.overridden = False
+        """The plans of the last cycle were an override's."""
         self.health = NOMINAL
         """Degraded with the reason once a contradiction has lasted."""
 
@@ -70,6 +74,11 @@ class ActuatorCheck:
     def disagrees(self) -> bool:
         """True from the first report that contradicts the plans, until they agree for a time."""
         return self._since_ns is not None
+
+    @property
+    def learns(self) -> bool:
+        """False while nothing is to be learned from the motion: under an override, and during a contradiction."""
+        return not self.overridden and not self.disagrees
 
     def sent(self, plan: Plan) -> None:
         """Add a plan that was sent; it replaces those that begin later.
@@ -86,7 +95,7 @@ class ActuatorCheck:
             plans.popleft()
 
     def add(self, applied: Applied) -> None:
-        """Compare a report with the plans; one from before the first plan that is known tells nothing.
+        """Compare a report with the plans; one from before the first known plan is ignored.
 
         Parameters
         ----------
@@ -107,11 +116,11 @@ class ActuatorCheck:
             if self._since_ns is not None and t_ns - self._until_ns >= agreed_ns:
                 self._since_ns, self.health = None, NOMINAL
             if self._since_ns is None:
-                self.agreed_ns = t_ns
+                self._agreed_ns = t_ns
             return
         if self._since_ns is None:
             self._since_ns = t_ns
-            self.agreed_ns = self.agreed_ns or t_ns
+            self.began_ns = self._agreed_ns or t_ns
         self._until_ns = t_ns
         if self.health is NOMINAL and t_ns - self._since_ns > CONTRADICTED_NS:
             reported, asked = self._text(command_N), self._text(plans[0].thrust_at(t_ns))

@@ -61,6 +61,8 @@ class TrackErrors:
         self._truth: list[tuple[int, float, float]] = []
         self._estimate: list[tuple[int, float, float]] = []
         self._reference: list[_Target] = []
+        self.arrived_s: float | None = None
+        """Vehicle time of the first plan after an arrival (s)."""
 
     @property
     def until_ns(self) -> int:
@@ -77,6 +79,8 @@ class TrackErrors:
 
     def add_plan(self, plan: Plan) -> None:
         """Add the reference point of a plan if it has one."""
+        if plan.arrived and self.arrived_s is None:
+            self.arrived_s = plan.cycle_t_ns * 1e-9
         if plan.reference_m is not None:
             moves = plan.progress is not None
             self._reference.append(_Target(plan.cycle_t_ns, int(plan.t_ns[0]), plan.reference_m, moves))
@@ -275,8 +279,6 @@ class RunMetrics:
 
     def __init__(self, vehicle: Vehicle, *, fence: Fence | None = None, speed: float = 1.0) -> None:
         self._fence = FenceDistances(vehicle, fence)
-        self.arrived_s: float | None = None
-        """Vehicle time of the first plan after an arrival (s)."""
         self.cycles = 0
         self.deadline_misses = 0
         self.plans_refused = 0
@@ -325,6 +327,10 @@ class RunMetrics:
         """Return the distance of the true hull from each zone of the fence."""
         return self._fence.figures()
 
+    def arrived_s(self) -> float | None:
+        """Return the vehicle time of the first plan after an arrival at the end of a reference (s)."""
+        return self._track.arrived_s
+
     def fence_exceeded(self) -> int:
         """Return the number of plans that lack more than 1 cm of a required clearance."""
         return self._fence.exceeded
@@ -359,8 +365,6 @@ class RunMetrics:
     def _add_plan(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> None:
         self.cycles += 1
         self._fence.add_plan(plan)
-        if plan.arrived and self.arrived_s is None:
-            self.arrived_s = plan.cycle_t_ns * 1e-9
         self.qp_status[plan.solve.status.value] += 1
         self.plan_origin[plan.origin.value] += 1
         self.health[f"{plan.health.value}: {plan.health_why}" if plan.health_why else plan.health.value] += 1

@@ -45,7 +45,7 @@ def test_it_arrives_once_within_half_a_metre_of_the_end(reference):
     assert all(arrived[first:])
 
 
-def test_a_vehicle_that_is_held_short_of_the_end_has_not_arrived_although_its_target_has():
+def test_a_vehicle_held_short_of_the_end_has_not_arrived_although_its_target_has():
     """A current, which is not known to the controller, holds the boat where it is."""
     unknown = ControllerConfig(disturbance=Disturbance(sd_mps=0.0))
     for north_m, arrives in ((0.0, False), (2.45, False), (2.55, True)):
