@@ -56,6 +56,13 @@ def test_a_vehicle_held_short_of_the_end_has_not_arrived_although_its_target_has
     assert controller.plan(at(START, 0.5, 60.0)).arrived  # it stays
 
 
+def test_a_round_that_ends_where_it_begins_has_not_arrived_at_its_start():
+    corners = tuple(PLACE(north_m=north_m, east_m=east_m) for north_m, east_m in ((0.0, 0.0), (9.0, 0.0), (9.0, 9.0)))
+    assert (
+        not Controller(PAPER, references.Waypoints(waypoints=corners, closed=True, speed_mps=0.4)).plan(START).arrived
+    )
+
+
 def test_the_tolerance_of_the_position_is_the_radius_if_it_is_larger():
     for tolerance_m, arrives in ((0.2, False), (2.0, False), (2.2, True)):
         controller = Controller(PAPER, POINT, ControllerConfig(position_tolerance_m=tolerance_m))

@@ -177,6 +177,13 @@ def test_released_thrusters_are_noticed_and_teach_no_current(current, settings):
     assert back_m[-1] < 0.1
 
 
+def test_what_was_learned_before_late_reports_showed_the_release_is_taken_back():
+    cycles = Loop(delivered=Release(), report_late_s=1.0).run(20.0)
+    since_s = degraded_s(cycles)[0]
+    assert max(abs(cycle.learned_mps).max() for cycle in cycles if since_s - 2.0 < cycle.t_s < since_s) > 0.1
+    assert max(abs(cycle.learned_mps).max() for cycle in cycles if cycle.t_s >= since_s) <= 0.05
+
+
 def test_the_reason_has_the_commands_of_both_as_they_were_when_it_began():
     cycles = Loop(delivered=Release()).run(12.0)
     (why,) = {cycle.plan.health_why for cycle in cycles} - {""}
