@@ -128,6 +128,9 @@ VelocityNorth: TypeAlias = Annotated[Speed, Meta(description="velocity over grou
 VelocityEast: TypeAlias = Annotated[Speed, Meta(description="velocity over ground, east")]
 YawRate: TypeAlias = Annotated[AngularRate, Meta(description="rate of turn about the down axis, positive to starboard")]
 HealthReason: TypeAlias = Annotated[str, Meta(description="reason of the health; empty if it is nominal")]
+Arrived: TypeAlias = Annotated[
+    bool, Meta(description="the vehicle has come to the end of the reference, and not its target alone")
+]
 ReferenceProgress: TypeAlias = Annotated[
     Share | None, Meta(description="completed share of the reference; null if the reference has no end")
 ]
@@ -603,6 +606,7 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
         Position | None, Meta(description="distance from the path at the first knot, positive to starboard")
     ] = None
     remaining_m: Annotated[Length | None, Meta(description="length of the path ahead of the target")] = None
+    arrived: Arrived = False
     fence: Annotated[
         FenceReport | None, Meta(description="zones and obstacles beside the plan; null: no fence and no obstacle")
     ] = None
@@ -750,6 +754,7 @@ class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
         Meta(description="horizontal distance of the newest estimate from the reference; null: no reference in force"),
     ]
     progress: ReferenceProgress = None
+    arrived: Arrived = False
     inputs: Annotated[tuple[InputReport, ...], Meta(description="inputs whose age is monitored")] = ()
     source: Annotated[
         SourceChoice, Meta(description="name of the source of the estimates in use; empty before the first")
@@ -822,6 +827,7 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
         Share, Meta(description="rate of schedule time to vehicle time; below 1 the target waits")
     ] = 1.0
     progress: ReferenceProgress = None
+    arrived: Arrived = False
     depth_integral_N: Annotated[
         Force, Meta(description="integral of the depth law: the vertical thrust that holds a depth")
     ] = 0.0

@@ -35,6 +35,13 @@ def target(plans, now):
     return tuple(a + part * (b - a) for a, b in zip(before[:2], after[:2], strict=True))
 
 
+def follow(plans, plan, now):
+    """Add a plan: the one in force stays until it begins, and it replaces those that would begin with it or later."""
+    begun = [old for old in plans if old["t_ns"][0] <= now]
+    waiting = [old for old in plans if now < old["t_ns"][0] < plan["t_ns"][0]]
+    return [*begun[-1:], *waiting, plan]
+
+
 def move(x, thrust):
     """Advance a vehicle without sideways drift by one period in still water: north, east, heading, speed, yaw rate."""
     port, starboard = thrust
@@ -70,7 +77,7 @@ with session:
     while True:
         now = time.monotonic_ns()
         while sample := subscriber.try_recv():
-            plans = [*plans[-5:], msgpack.unpackb(sample.payload.to_bytes())]
+            plans = follow(plans, msgpack.unpackb(sample.payload.to_bytes()), now)
         most = SLEW_N_PER_S * PERIOD_S
         pairs = zip(thrust, target(plans, now), strict=True)
         thrust = tuple(y + min(max(wanted - y, -most), most) for y, wanted in pairs)

@@ -139,6 +139,8 @@ class Autopilot:
             self.mode = m.custom_mode
         elif kind == "COMMAND_LONG":
             return self.command(m, who, link)
+        elif kind == "MISSION_ITEM_REACHED":
+            print(f"item {m.seq} reached", flush=True)
         elif kind.startswith("MISSION_"):
             return self.on_mission(m, kind, who, link)
         return []

@@ -57,6 +57,7 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.references import Hold, Reference
 from ltv_mpc.references.follower import NO_PROGRESS, Follower, FollowerState
+from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns, worst
@@ -138,6 +139,11 @@ class Controller:
         return self._estimates.reference_point_check
 
     @property
+    def actuator_check(self) -> ActuatorCheck:
+        """Check of the actuators' reports against the plans."""
+        return self._estimates.actuator_check
+
+    @property
     def learned_current(self) -> Belief | None:
         """Estimated bias of the current and its covariance: the current itself for estimates without one."""
         return self._bias.belief
@@ -177,6 +183,11 @@ class Controller:
     def reference_has_begun(self) -> bool:
         """True if the reference is in force, or was before ``pause``."""
         return self._followers[0].target_m is not None
+
+    @property
+    def arrived(self) -> bool:
+        """True once the vehicle was at the end of the reference, until another reference, or the same one, begins."""
+        return self._followers[0].arrived
 
     @property
     def fence(self) -> Fence | None:
@@ -242,6 +253,8 @@ class Controller:
     def add_report(self, applied: Applied) -> None:
         """Add a report of the actuators: it corrects the expected delay, the commands in force and the thrusts.
 
+        While its commands contradict the plans, nothing is learned from the motion; after 1 s the health is degraded.
+
         Parameters
         ----------
         applied : the plan that they received last, their commands and their delivered thrusts.
@@ -249,6 +262,7 @@ class Controller:
         applied = exact(applied)
         self._delay.add_receipt(applied)
         self._prediction.add_report(applied)
+        self.actuator_check.add(applied)
         self.sent_commands.correct(applied.t_ns, applied.command_N)
 
     def add_timing(self, timing: CycleTiming) -> None:
@@ -288,13 +302,13 @@ class Controller:
         self._prediction.set_shares(shares)
 
     def health(self, t_ns: int) -> HealthState:
-        """Return the health by the age of the newest plausible estimate, and by the prediction in the last cycle.
+        """Return the health by the age of the newest plausible estimate, the last prediction and the actuator check.
 
         Parameters
         ----------
         t_ns : now, vehicle time (ns).
         """
-        return self._estimates.health(t_ns)
+        return worst(self._estimates.health(t_ns), self.actuator_check.health)
 
     def plan(
         self,
@@ -343,6 +357,8 @@ class Controller:
         if decision.follows:
             current = start.current_north_mps, start.current_east_mps
             self.follower.advance(knots, start.lateral, current, self._lateral.target)
+            if self._estimates.health(now_ns) is NOMINAL:
+                self.follower.arrive(decision.estimate, self.config.position_tolerance_m)
         self._lateral.fencing.set_path(self.follower.path_beside(knots) if decision.follows else None)
         self._lateral.fencing.update(start, decision.estimate, self._estimates.growth_m)
         follower = self.follower if decision.follows else None
@@ -353,6 +369,8 @@ class Controller:
         lateral = self._plan_lateral(decision, start, knots)
         plan = self._assemble(decision, now_ns, delay_ns, knots, vertical, lateral)
         self._record(plan)
+        if not self.actuator_check.learns:
+            vertical = vertical._replace(integral_rate_N_per_s=0.0)
         self._vertical.advance_integral(vertical, start.t_ns)
         # Stage "read": reading the QP's solution out into a plan. The step loop uses the same recorded name for reading
         # its inbox, and the stage timer adds both.
@@ -380,6 +398,7 @@ class Controller:
             schedule_s=follower.tau_s,
             schedule_rate=follower.rate,
             progress=reference.progress.share,
+            arrived=reference.arrived,
             depth_integral_N=self._vertical.integral_N,
             current_bias=None if self._bias.belief is None else self._bias.save(),
             plan_delays_ns=plan_delays_ns,
@@ -399,6 +418,7 @@ class Controller:
         if state.plan is not None:
             first_ns = max(state.plan.expected_delay_ns, first_ns)
             self.sent_commands.add(state.plan, before_N=tuple(state.plan.thrust_N[0]))
+            self.actuator_check.sent(state.plan)
             self._lateral.previous.restore(state.plan)
         self._delay.restore(first_ns, state.plan_delays_ns, state.cycle_times_ns)
         self._vertical.integral_N = state.depth_integral_N
@@ -407,6 +427,7 @@ class Controller:
         followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
         moved_until_ns = _end_of_motion_ns(state, self.config.period_ns, self.vehicle.plan_timeout_s)
         self._followers[0].restore(followed, t_ns, moved_until_ns=moved_until_ns)
+        self._followers[0].arrived = state.arrived or (state.plan is not None and state.plan.arrived)
 
     def _follower(self, reference: Reference) -> Follower:
         """Return a follower whose target skips what lies in zones, and is no faster than the vehicle may be."""
@@ -426,11 +447,17 @@ class Controller:
 
         The decision uses the newest plausible estimate, with the estimated bias added to its current.
         """
-        estimate = self._estimates.select(newest)
+        estimate, check = self._estimates.select(newest), self.actuator_check
+        check.overridden = override is not None
+        if check.began_ns is not None:
+            self._bias.take_back(check.began_ns)
+            check.began_ns = None
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
-            estimate, predicted_mps = self._bias.correct(estimate, self._prediction, self.sent_commands)
-            self.reference_point_check.update(estimate, predicted_mps)
+            estimate, predicted_mps = self._bias.correct(
+                estimate, self._prediction, self.sent_commands, learns=check.learns
+            )
+            self.reference_point_check.update(estimate, predicted_mps if check.learns else None)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._bias)
@@ -440,7 +467,7 @@ class Controller:
             estimate,
             now_ns,
             override=override,
-            health=health if own is NOMINAL else worst(own, health),
+            health=health if own is NOMINAL and check.health is NOMINAL else worst(own, health, check.health),
             late=own is not NOMINAL,
             follower=self.follower,
             lateral=self.config.lateral,
@@ -521,6 +548,7 @@ class Controller:
             progress=progress.share,
             cross_track_m=progress.cross_track_m,
             remaining_m=progress.remaining_m,
+            arrived=self.arrived,
             fence=self._lateral.fencing.report(
                 lateral.X[:, :6], follower.skipped_m, drifts=lateral.origin is not PlanOrigin.SOLVED
             ),
@@ -529,6 +557,7 @@ class Controller:
     def _record(self, plan: Plan) -> None:
         """Record the plan as sent: its commands are in force from its first knot on."""
         self.sent_commands.add(plan)
+        self.actuator_check.sent(plan)
         self._lateral.previous.record(plan)
 
     def _emergency_plan(self, now_ns: int, override: ThrustOverride | None, health: HealthState, why: str) -> Plan:

@@ -14,8 +14,10 @@ dh/db vanishes and b is unobservable; its variance is then bounded by the prior.
 position error this is one more state, but it needs no anti-windup: it acts as a feed-forward through the model, and a
 saturated thruster does not fill it.
 
-A thruster that delivers less than it reports looks like a current. So while a loss of thrust is in doubt
-(``thrust_loss_detector.py``), the bias is that of ``DOUBTED_ESTIMATES`` before, and it is not updated.
+A thruster that delivers less than it reports looks like a current, and so do actuators that follow no plan. While a
+loss of thrust is in doubt (``thrust_loss_detector.py``), the bias is that of ``DOUBTED_ESTIMATES`` before, and it is
+not updated. While the actuators contradict the plans (``actuator_check.py``), it is that of their last report that
+agreed. Under an override of the thrusts it keeps its value, and its variance grows.
 
 By default it works for estimates without a current profile, and does nothing for estimates with one.
 """
@@ -55,7 +57,7 @@ MAX_INTERVAL_NS = 2_000_000_000
 """Longest time between two estimates that are compared: beyond it the model predicts the velocity too badly."""
 
 DOUBTED_ESTIMATES = 17
-"""Number of estimates before a loss of thrust is suspected whose updates are taken back: 5 s at 0.3 s."""
+"""Number of estimates before thrust is in doubt whose updates can be taken back: 5 s at 0.3 s."""
 
 
 Belief: TypeAlias = tuple[Array, Array]
@@ -113,7 +115,8 @@ class CurrentBias:
         self._noise: Noise = (settings.walk_mps_per_rts, settings.noise_mps, prior_variance, settings.max_mps)
         self._belief: FlatBelief = (0.0, 0.0, prior_variance, 0.0, prior_variance)
         self._last: Estimate | None = None
-        self._before: deque[FlatBelief] = deque(maxlen=DOUBTED_ESTIMATES)  # the oldest first
+        # After each update, the oldest first: time of the estimate, belief.
+        self._before: deque[tuple[int, FlatBelief]] = deque(maxlen=DOUBTED_ESTIMATES)
         self.thrust_in_doubt = False
         """A thruster may deliver less than the controller takes it to deliver."""
 
@@ -147,7 +150,7 @@ class CurrentBias:
         return self.covariance + self._noise[0] ** 2 * seconds / 3.0 * np.eye(2)
 
     def correct(
-        self, estimate: Estimate, prediction: Prediction, commands: SentCommands
+        self, estimate: Estimate, prediction: Prediction, commands: SentCommands, *, learns: bool = True
     ) -> tuple[Estimate, Pair | None]:
         """Update the bias with an estimate, and add it to the estimate's current.
 
@@ -156,6 +159,7 @@ class CurrentBias:
         estimate : the newest one.
         prediction : knows the vehicle and the actuators' reports.
         commands : commands in force since the last estimate.
+        learns : False: the bias is not updated, and its variance grows.
 
         Returns
         -------
@@ -167,18 +171,32 @@ class CurrentBias:
         interval_ns = 0 if last is None else estimate.t_ns - last.t_ns
         applies = self._applies_to(estimate)
         if self.thrust_in_doubt and self._before:
-            self._belief = self._before[0]
+            _, self._belief = self._before[0]
             self._before.clear()
-        predicted, learns = None, False
+        learns = learns and applies and not self.thrust_in_doubt
+        predicted = None
         if last is not None and 0 < interval_ns <= MAX_INTERVAL_NS:
-            same = (last.current is None) is (estimate.current is None)
-            learns = applies and same and not self.thrust_in_doubt
+            learns = learns and (last.current is None) is (estimate.current is None)
             predicted = self._update(last, estimate, prediction, commands, learns=learns)
+        else:
+            learns = False
         if interval_ns > 0 and applies and not learns:
             self._belief = propagate(self._belief, interval_ns, self._noise)
         if learns:
-            self._before.append(self._belief)
+            self._before.append((estimate.t_ns, self._belief))
         return _with_bias(estimate, *self._belief[:2]) if applies else estimate, predicted
+
+    def take_back(self, t_ns: int) -> None:
+        """Take back the updates by estimates that are newer than a time, as far as they are known.
+
+        Parameters
+        ----------
+        t_ns : vehicle time (ns).
+        """
+        while len(self._before) > 1 and self._before[-1][0] > t_ns:
+            self._before.pop()
+        if self._before:
+            _, self._belief = self._before[-1]
 
     def _applies_to(self, estimate: Estimate) -> bool:
         """Return True if the bias is added to the estimate's current."""

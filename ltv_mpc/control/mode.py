@@ -27,6 +27,7 @@ import msgspec
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.messages import Estimate, Health
 from ltv_mpc.references.follower import Follower
+from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, PREDICTED_TOO_FAR, HealthState, health, worst
@@ -92,6 +93,8 @@ class EstimateSelector:
         """Plausibility check, with the count of rejected estimates."""
         self.reference_point_check = ReferencePointCheck()
         """Check that the estimates describe the vehicle's declared reference point."""
+        self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
+        """Check of the actuators' reports: whether the motion of the estimates comes from the plans."""
         self._ages = config.ages
         self._fresh_ns = round(config.ages.degraded_s * 1e9)
         self._without = health(age_ns=None, period_ns=0)  # health before the first plausible estimate

@@ -247,6 +247,7 @@ class ControllerNode:
         return {
             "actuators": self._health_of_reports(t_ns),
             "plans": self._plan_rejections.health(t_ns),
+            "commands": self.controller.actuator_check.health,
             "clock": self._health_of_clock(t_ns),
             "obstacles": self._commands.fence.health,
             "reference point": self.controller.reference_point_check.health,
@@ -313,8 +314,11 @@ class ControllerNode:
 
     def _check_model(self) -> ModelCheck | None:
         """Compare the motion with the model's; return the report that is due."""
-        estimate, monitor = self.controller.estimate_gate.accepted, self._model_monitor
-        check = None if estimate is None else monitor.update(estimate, self.controller.learned_current)
+        estimate, monitor, check = self.controller.estimate_gate.accepted, self._model_monitor, None
+        if not self.controller.actuator_check.learns:
+            monitor.restart()
+        elif estimate is not None:
+            check = monitor.update(estimate, self.controller.learned_current)
         self._set_thrust_shares()
         why = self.controller.reference_point_check.why
         if check is None or not why:

@@ -9,9 +9,9 @@
     inputs         each state of the inputs that degrades the health, by its name
     mission        each present cause of the mission policy, by its name: battery, leak, mission time
 
-A weak thruster and a missing depth are warnings. What cannot be known does not block: actuators that never reported (a
-warning), an unknown covariance, a reference that has not started yet. There is a clock when a command arrives: without
-one its process rejects it.
+A weak thruster, a missing depth and actuators that do not follow the plans are warnings. What cannot be known does not
+block: actuators that never reported (a warning), an unknown covariance, a reference that has not started yet. There is
+a clock when a command arrives: without one its process rejects it.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ REMEDIES: Mapping[str, str] = {
     "plan": "check estimate, reference and solver",
     "depth": "check the publisher of `estimate`, or follow a reference without depth",
     "actuators": "check the publisher of `applied` and its link",
+    "commands": "return the thrusters to the controller",
     "plans": "compare the vehicle file with the limits of the actuators",
     "source": "stop the publisher that does not belong there",
     "thrusters": "inspect the propeller",
@@ -48,8 +49,10 @@ REMEDIES: Mapping[str, str] = {
 """What to do, by the name of the check."""
 
 
-WEAK_THRUSTER = "thrusters"
-"""A weak thruster is a warning only: the plans are computed for the thrust that it delivers."""
+WARNINGS = "thrusters", "commands"
+"""Checks that only warn: the plans are computed for the thrust that a weak thruster delivers, and another driver of the
+thrusters can return them after the controller is armed.
+"""
 
 
 class Failure(NamedTuple):
@@ -86,7 +89,7 @@ def failures(
     """
     failures = [Failure(cause.name, cause.why) for cause in causes]
     failures += [
-        Failure(name, state.why, blocks=name != WEAK_THRUSTER) for name, state in states.items() if state is not NOMINAL
+        Failure(name, state.why, blocks=name not in WARNINGS) for name, state in states.items() if state is not NOMINAL
     ]
     if applied is None:
         failures.append(Failure("actuators", "no report yet, so plans count as followed", blocks=False))

@@ -56,6 +56,11 @@ MAX_STEP_S = 2.0
 waited.
 """
 
+ARRIVAL_M = 0.5
+"""Distance from the end of a reference at which the vehicle has arrived: where the estimates describe a point that is
+not quite the origin, a vehicle that has come to its end keeps within it.
+"""
+
 SAME_PLACE_M = 1e-6
 """Length of a path within which two columns of a schedule are the same place, at which the target rests."""
 
@@ -105,31 +110,36 @@ class _Track(NamedTuple):
     duration_s: float
     depth_m: float | None  # at the end
     leash_m: float
+    start: ReferenceStart
+    end_m: Pair  # north and east of the end of the reference, which need not be allowed
 
     @classmethod
-    def of(cls, schedule: Schedule, cruise_mps: float) -> _Track:
+    def of(cls, schedule: Schedule, cruise_mps: float, start: ReferenceStart, end_m: Pair) -> _Track:
         """Return the track of a schedule at a cruising speed (m/s).
 
         Parameters
         ----------
         schedule : schedule of the path.
         cruise_mps : cruising speed of the vehicle (m/s).
+        start, end_m : start and end of the reference.
         """
         leash_m = max(LEASH_S * cruise_mps, MIN_LEASH_M)
         last = float(schedule.table[DEPTH, -1])
         depth_m = None if math.isnan(last) else last
-        return cls(schedule.table, schedule.lead_m, schedule.length_m, schedule.duration_s, depth_m, leash_m)
+        length_m, duration_s = schedule.length_m, schedule.duration_s
+        return cls(schedule.table, schedule.lead_m, length_m, duration_s, depth_m, leash_m, start, end_m)
 
     @classmethod
-    def at_rest(cls, schedule: Schedule, depth_m: float | None) -> _Track:
+    def at_rest(cls, schedule: Schedule, depth_m: float | None, start: ReferenceStart, end_m: Pair) -> _Track:
         """Return the track of a target at rest.
 
         Parameters
         ----------
         schedule : of a point.
         depth_m : wanted depth (m); None: none.
+        start, end_m : start and end of the reference.
         """
-        return cls(schedule.table, schedule.lead_m, 0.0, 0.0, depth_m, math.inf)
+        return cls(schedule.table, schedule.lead_m, 0.0, 0.0, depth_m, math.inf, start, end_m)
 
 
 class Follower:
@@ -143,12 +153,13 @@ class Follower:
         """Heading that the reference wants (rad); None: it is free."""
         self.skipped_m = 0.0
         """Length of the path that is left out, because it is not allowed (m)."""
+        self.arrived = False
+        """The vehicle has been at the end of the reference, after its target."""
         self._vehicle = vehicle
         limits = path_limits(vehicle)
         self._cruise_mps = min(limits.cruise_mps, LIMIT_SHARE * max_speed_mps)
         self._top_mps = min(limits.top_mps, max_speed_mps)
         self._allowed: Allowed = _unrestricted
-        self._start: ReferenceStart | None = None
         self._track: _Track | None = None  # None before the reference starts
         self._tau_s = 0.0
         self._rate = 1.0
@@ -188,9 +199,9 @@ class Follower:
         estimate : newest estimate.
         """
         pose = (estimate.north_m, estimate.east_m, estimate.heading_rad)
-        if self._start is None and self.reference.has_started(estimate.t_ns) and all(map(math.isfinite, pose)):
+        if self._track is None and self.reference.has_started(estimate.t_ns) and all(map(math.isfinite, pose)):
             self._start_at(self.reference.anchor(estimate))
-        return self._start is not None
+        return self._track is not None
 
     def restrict(self, allowed: Allowed) -> None:
         """Move the target along the allowed part of the path alone; it stays where it is, and rests there as before.
@@ -200,15 +211,14 @@ class Follower:
         allowed : replaces an earlier restriction.
         """
         self._allowed = allowed
-        if self._start is not None and self._track is not None:
+        if self._track is not None:
             way_m = float(target_at(self._track.table, self._tau_s)[0])
             waited_s = self._tau_s - _stay(self._track.table, way_m)[0]
-            self._track = self._track_from(self._start)
+            self._track = self._track_from(self._track.start)
             reached_s, left_s = _stay(self._track.table, way_m)
             self._tau_s = min(reached_s + waited_s, left_s)
 
     def _start_at(self, start: ReferenceStart) -> None:
-        self._start = start
         self._t_ns = start.t_ns
         self._track = self._track_from(start)
 
@@ -219,9 +229,11 @@ class Follower:
             column = (0.0, 0.0, north, east, math.nan if self.reference.depth_m is None else self.reference.depth_m)
             distance_m = math.hypot(north - start.north_m, east - start.east_m)
             point, self.skipped_m = self._allowed(Schedule(np.array((column, column)).T.copy(), distance_m))
-            return _Track.at_rest(point, self.reference.depth_m)
-        schedule, self.skipped_m = self._allowed(self.reference.schedule(self._vehicle, start))
-        return _Track.of(schedule, self._cruise_mps)
+            return _Track.at_rest(point, self.reference.depth_m, start, (north, east))
+        whole = self.reference.schedule(self._vehicle, start)
+        end_m = float(whole.table[NORTH, -1]), float(whole.table[EAST, -1])
+        schedule, self.skipped_m = self._allowed(whole)
+        return _Track.of(schedule, self._cruise_mps, start, end_m)
 
     def path_beside(self, t_ns: Times) -> PathBeside | None:
         """Return the path beside a plan: from behind the target at its first knot to ahead of that at its last one.
@@ -245,9 +257,25 @@ class Follower:
         step_m = max(float(way[1] - way[0]), 1e-9)
         return PathBeside(points, ((targets - begin) / step_m).astype(np.int64), math.ceil(track.leash_m / step_m))
 
+    def arrive(self, estimate: Estimate, tolerance_m: float) -> None:
+        """Note the arrival: the target is at the end, and the vehicle is near the end, also in depth if it can dive.
+
+        Parameters
+        ----------
+        estimate : newest estimate.
+        tolerance_m : distance that counts as near, if it is above ``ARRIVAL_M`` (m).
+        """
+        track, radius_m = self._track, max(tolerance_m, ARRIVAL_M)
+        if self.arrived or track is None or self._tau_s < track.duration_s:
+            return
+        deep = True
+        if track.depth_m is not None and self._vehicle.can_dive:
+            deep = estimate.depth_m is not None and abs(estimate.depth_m - track.depth_m) <= radius_m
+        self.arrived = deep and math.dist((estimate.north_m, estimate.east_m), track.end_m) <= radius_m
+
     def save(self) -> FollowerState:
         """Return the state that another follower of the same reference continues from."""
-        return FollowerState(self._start, self._t_ns, self._tau_s, self._rate)
+        return FollowerState(None if self._track is None else self._track.start, self._t_ns, self._tau_s, self._rate)
 
     def restore(self, state: FollowerState, now_ns: int, *, moved_until_ns: int) -> None:
         """Continue from the state of another follower of this reference.
@@ -313,9 +341,10 @@ class Follower:
         ----------
         t_ns : (N+1,) knots of a plan (ns).
         """
-        track, start, rate = self._track, self._start, self.reference.descent_rate_mps
-        if track is None or start is None or track.depth_m is None:
+        track, rate = self._track, self.reference.descent_rate_mps
+        if track is None or track.depth_m is None:
             return None
+        start = track.start
         return depths_at(track.table, self._tau_s, self._rate, t_ns, start.t_ns, start.depth_m, rate)
 
     def places_ahead(self, lateral: Array, current: Pair, seconds: Array) -> Array | None:

@@ -82,6 +82,7 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     depth_m: float | None
     heading_rad: float | None
     progress: float | None
+    arrived: bool
     ages_s: dict[str, float | None]
     processes: tuple[Process, ...]
     simulated: bool  # the true state is published
@@ -176,6 +177,7 @@ class BusFeed:
             depth_m=None if estimate is None else estimate.depth_m,
             heading_rad=None if estimate is None else estimate.heading_rad,
             progress=None if controller is None else controller.progress,
+            arrived=controller is not None and controller.arrived,
             ages_s=ages,
             processes=self._process_rows(paused=clock is not None and clock.state is ClockState.PAUSED),
             simulated=self._of(Truth) is not None,

@@ -248,6 +248,7 @@ def _control(controller: ControllerStatus | None) -> str:
         return "no status of a controller yet"
     why = f" ({controller.health_why})" if controller.health_why else ""
     progress = "" if controller.progress is None else f"   progress {100 * controller.progress:.0f} %"
+    progress = "   arrived" if controller.arrived else progress
     return f"{controller.authority}   {controller.health}{why}{progress}"
 
 

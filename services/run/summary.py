@@ -51,6 +51,7 @@ def summarise(
         localisation_error_absolute_m=absolute,
         thrust=metrics.thrust(),
         fence=metrics.fence(),
+        arrived_s=metrics.arrived_s(),
         fence_exceeded=metrics.fence_exceeded(),
         compute_delay_s=metrics.compute_delay(),
         compute_delay_wall_s=metrics.compute_delay(wall=True) if measured else nothing,

@@ -39,6 +39,8 @@ WARNED_S = (300.0, 60.0, 20.0)
 FORGOTTEN = 1.5
 """Share of such a time above which it may be reported again: the time of a drift is not steady."""
 
+ARRIVED = "arrived at the end of the reference"
+
 
 class FenceChanges:
     """Detector of what changes beside the hull from one plan to the next."""
@@ -105,6 +107,18 @@ def _entered_or_left(
             yield Level.INFO, f"{what} left: {label}"
 
 
+class Arrival:
+    """Detector of arrivals, in the plans of one controller process."""
+
+    def __init__(self) -> None:
+        self._arrived = True  # a controller that continues may have arrived before
+
+    def is_new(self, plan: Plan) -> bool:
+        """Return True if the vehicle has arrived since the plan before."""
+        before, self._arrived = self._arrived, plan.arrived
+        return plan.arrived and not before
+
+
 class ControllerChanges:
     """Detector of the changes, from the messages of one controller process."""
 
@@ -112,6 +126,7 @@ class ControllerChanges:
         self._tell = tell
         self._states: dict[str, object] = {}  # newest, by kind
         self._fence = FenceChanges()
+        self._arrival = Arrival()
         self._reported_at: dict[str, int] = {}  # counts that were reported last, by their text
         self._reported: Mapping[str, int] | None = None  # counts in the newest report of the actuators
         self._since_start: dict[str, int] = {}  # what these counts have grown by
@@ -124,6 +139,8 @@ class ControllerChanges:
                 self._authority(message.cycle_t_ns, message.authority)
                 for level, text in self._fence.update(message.fence):
                     self._tell(level, "fence", text, t_ns=message.cycle_t_ns, fields={})
+                if self._arrival.is_new(message):
+                    self._tell(Level.INFO, "arrived", ARRIVED, t_ns=message.cycle_t_ns, fields={})
             case FenceInForce():
                 for level, text in self._fence.in_force(message):
                     self._tell(level, "fence", text, t_ns=message.t_ns, fields={})

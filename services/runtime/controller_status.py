@@ -22,7 +22,7 @@ from ltv_mpc.node import DEFAULT_SOURCE
 from ltv_mpc.safety.health import HealthState
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
-from services.runtime.controller_changes import ControllerChanges, FenceChanges
+from services.runtime.controller_changes import ARRIVED, Arrival, ControllerChanges, FenceChanges
 from services.runtime.saved_state import SavedState
 
 PERIOD_US = 1_000_000
@@ -55,6 +55,7 @@ class ControllerStatusReporter:
         self._clock_steps = 0
         self._mission_action = MissionAction.GO_ON
         self._fence = FenceChanges()
+        self._arrival = Arrival()
         self._cycles: deque[tuple[int, int]] = deque()  # end and duration of each (us)
         self.due_us = 0
 
@@ -86,6 +87,7 @@ class ControllerStatusReporter:
                     why = f": {mission.why}" if mission.why else ""
                     changes.append((t_ns, "mission", f"mission: {mission.action.value}{why}"))
                 changes += [(t_ns, "fence", text) for _, text in self._fence.update(message.fence)]
+                changes += [(t_ns, "arrived", ARRIVED)] if self._arrival.is_new(message) else []
                 self._mission_action = mission.action
         return [RunEvent(t_ns=t_ns, node=self._node.name, kind=kind, text=text) for t_ns, kind, text in changes]
 
@@ -123,6 +125,7 @@ class ControllerStatusReporter:
             mission_action=node.mission.state.action,
             error_m=self._error_m(),
             progress=None if self._plan is None else self._plan.progress,
+            arrived=self._plan is not None and self._plan.arrived,
             inputs=node.inputs(),
             source="" if sources.active is None else sources.active.name,
             source_epoch=0 if sources.active is None else sources.active.epoch,
@@ -167,6 +170,8 @@ def status_line(status: ControllerStatus, estimates_on: str) -> str:
         parts.append(f"error {status.error_m:.2f} m")
     if status.progress is not None:
         parts.append(f"{100 * status.progress:.0f} % of the path")
+    if status.arrived:
+        parts.append("arrived")
     if status.clock is not ClockMode.SHARED:
         error = "" if status.clock_error_ns is None else f", within {status.clock_error_ns / 1e6:.1f} ms"
         steps = f", steps: {status.clock_steps}" if status.clock_steps else ""

@@ -61,6 +61,8 @@ class TrackErrors:
         self._truth: list[tuple[int, float, float]] = []
         self._estimate: list[tuple[int, float, float]] = []
         self._reference: list[_Target] = []
+        self.arrived_s: float | None = None
+        """Vehicle time of the first plan after an arrival (s)."""
 
     @property
     def until_ns(self) -> int:
@@ -77,6 +79,8 @@ class TrackErrors:
 
     def add_plan(self, plan: Plan) -> None:
         """Add the reference point of a plan if it has one."""
+        if plan.arrived and self.arrived_s is None:
+            self.arrived_s = plan.cycle_t_ns * 1e-9
         if plan.reference_m is not None:
             moves = plan.progress is not None
             self._reference.append(_Target(plan.cycle_t_ns, int(plan.t_ns[0]), plan.reference_m, moves))
@@ -322,6 +326,10 @@ class RunMetrics:
     def fence(self) -> tuple[ZoneFigures, ...]:
         """Return the distance of the true hull from each zone of the fence."""
         return self._fence.figures()
+
+    def arrived_s(self) -> float | None:
+        """Return the vehicle time of the first plan after an arrival at the end of a reference (s)."""
+        return self._track.arrived_s
 
     def fence_exceeded(self) -> int:
         """Return the number of plans that lack more than 1 cm of a required clearance."""

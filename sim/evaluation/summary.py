@@ -73,6 +73,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     localisation_error_absolute_m: Spread  # including the error at t = 0
     thrust: Thrust
     fence: tuple[ZoneFigures, ...]  # zones of all fences that were in force
+    arrived_s: float | None  # vehicle time of the first arrival at the end of a reference; null: none
     fence_exceeded: int  # number of plans that lack more than 1 cm of a required clearance at one knot or more
     compute_delay_s: Quantiles  # from the start of a cycle to its plan's publication
     compute_delay_wall_s: Quantiles

@@ -10,6 +10,7 @@ import threading
 from collections import deque
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -49,6 +50,40 @@ def test_without_a_router_it_ends_with_one_line(example: Path) -> None:
     )
     assert ended.returncode == 1
     assert ended.stderr == f"{example.name}: no router answers at {endpoint}: start one with `ltv-mpc router`\n"
+
+
+def functions_of(example: Path) -> dict[str, Any]:
+    """Return the functions and constants of a program, without running it."""
+    tree = ast.parse(example.read_text())
+    tree.body = [
+        part
+        for part in tree.body
+        if isinstance(part, ast.FunctionDef) or (isinstance(part, ast.Assign) and "PERIOD_S" in ast.unparse(part))
+    ]
+    names: dict[str, Any] = {}
+    exec(compile(tree, str(example), "exec"), names)
+    return names
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.1, 2.0, 4.0])
+def test_the_plan_in_force_stays_until_the_next_one_begins_whatever_the_delay(delay_s: float) -> None:
+    """Plan number i asks for i N; every third plan begins before the one that was sent before it."""
+    example = functions_of(EXAMPLE)
+    plans: list[dict[str, Any]] = []
+    followed: list[float] = []
+    wanted: list[float] = []
+    sent: list[tuple[int, float]] = []
+    for i in range(100):
+        now = i * 300_000_000
+        start = now + round(delay_s * 1e9) - (400_000_000 if delay_s and i % 3 == 2 else 0)
+        plan = {"t_ns": [start, start + 10_000_000_000], "thrust_N": [[float(i)] * 3] * 2}
+        sent = [old for old in sent if old[0] < start] + [(start, float(i))]
+        plans = example["follow"](plans, plan, now)
+        followed.append(example["target"](plans, now)[0])
+        wanted.append(max((old for old in sent if old[0] <= now), default=(0, 0.0))[1])
+    assert followed == wanted
+    assert followed[-1] > 80.0
+    assert len(plans) <= delay_s / 0.3 + 2
 
 
 @pytest.mark.timeout(400)

@@ -229,6 +229,7 @@
       ["clock", clockText(now)],
       ...(["", "default"].includes(now.source) ? [] : [["estimates from", now.source]]),
       ...(now.progress === null ? [] : [["progress", `${(100 * now.progress).toFixed(0)} %`]]),
+      ...(now.arrived ? [["end of the reference", "arrived"]] : []),
     ];
     byId("facts").replaceChildren(...entries.map(([name, value, mood]) => {
       const row = document.createElement("div");

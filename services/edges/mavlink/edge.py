@@ -111,6 +111,9 @@ class MavlinkEdge(Edge):
             case Acknowledgement():
                 if (refusal := self._mission.acknowledged(message)) is not None:
                     self.refuse(refusal)
+            case Plan():
+                if (number := self._mission.reached(message)) is not None:
+                    return [self._send(self._codec.make.mission_item_reached_encode(number))]
             case ControllerStatus(error_m=float() as error_m):
                 boot_ms = (self.clock.read(now_us) or 0) // MS & 0xFFFFFFFF
                 return [self._send(self._codec.make.named_value_float_encode(boot_ms, b"mpc_err", error_m))]

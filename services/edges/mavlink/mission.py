@@ -15,7 +15,7 @@ import numpy as np
 from ltv_mpc import config
 from ltv_mpc.config import to_toml
 from ltv_mpc.geofence.fence import Disc, Fence, Polygon
-from ltv_mpc.messages import Acknowledgement, Action, Command
+from ltv_mpc.messages import Acknowledgement, Action, Command, Plan
 from ltv_mpc.references.geodesy import Origin, Place, local
 from ltv_mpc.validation import rejection_reason
 from services.edges.edge import Output, Refused
@@ -110,6 +110,9 @@ class MissionFollower:
         self._changed: set[ListKind] = set()
         self._texts: dict[ListKind, str] = {}  # reference and fence file that the controller has not acknowledged
         self._sent: dict[ListKind, int] = {}  # newest command of each kind
+        self._last_item: int | None = None  # number of the last place of the mission
+        self._follows = False  # the controller has accepted it
+        self._arrived = False  # by the last plan
 
     def requests(self, make: Any, target: tuple[int, int], now_us: int) -> Iterator[Any]:
         """Yield the requests that are due."""
@@ -146,8 +149,15 @@ class MissionFollower:
         for kind in ListKind:
             if self._sent.get(kind) == reply.command_id:
                 self._texts.pop(kind, None)
+                if kind is ListKind.MISSION:
+                    self._follows, self._arrived = reply.accepted, False
                 return None if reply.accepted else ListRefused(f"{kind.label} rejected: {reply.why}")
         return None
+
+    def reached(self, plan: Plan) -> int | None:
+        """Return the number of the last item if the vehicle has come to it since the plan before."""
+        before, self._arrived = self._arrived, plan.arrived
+        return self._last_item if plan.arrived and not before and self._follows else None
 
     def _convert(self) -> Iterable[Output]:
         if self._origin_deg is None:
@@ -157,6 +167,8 @@ class MissionFollower:
             items = self._downloads[ListKind.MISSION].items
             if text := reference_of(items, self._origin_deg, self._speed_mps, dives=self._dives):
                 self._texts[ListKind.MISSION] = text
+                self._last_item = [item.seq for item in items[1:] if item.command in (WAYPOINT, LOITER)][-1]
+                self._follows = False
         if ListKind.FENCE in self._changed:
             self._changed.discard(ListKind.FENCE)
             self._texts[ListKind.FENCE] = fence_of(self._downloads[ListKind.FENCE].items, self._origin_deg)

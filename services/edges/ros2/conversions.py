@@ -162,6 +162,7 @@ def diagnostics_of(
         "authority": status.authority.value,
         "error_m": status.error_m,
         "progress": status.progress,
+        "arrived": status.arrived,
         "cycle_p99_us": status.cycle_p99_us,
         "estimate_age_ns": status.estimate_age_ns,
         "mission_action": status.mission_action.value,

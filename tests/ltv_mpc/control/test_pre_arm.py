@@ -51,6 +51,7 @@ class Craft:
         self.t_ns = 0
         self.estimate: Estimate | None = HERE
         """What navigation publishes with the time of each cycle; None: nothing."""
+        self.plan: Plan | None = None
         self.answer: Acknowledgement | None = None
         self.state: ControllerState | None = None
         self._sequence = 0
@@ -64,7 +65,7 @@ class Craft:
             assert rejection_reason(message) is None
             match message:
                 case Plan():
-                    plan = message
+                    plan = self.plan = message
                 case Acknowledgement():
                     self.answer = message
                 case ControllerState():
@@ -89,7 +90,10 @@ class Craft:
 
 
 def applied(craft: Craft, health: Health = Health.NOMINAL) -> Applied:
-    return msgspec.structs.replace(report(craft.t_ns + PERIOD_NS, (0.0, 0.0, 0.0)), health=health)
+    """Return the report of actuators that follow the last plan."""
+    t_ns = craft.t_ns + PERIOD_NS
+    command_N = (0.0, 0.0, 0.0) if craft.plan is None else craft.plan.thrust_at(t_ns)
+    return msgspec.structs.replace(report(t_ns, command_N), health=health)
 
 
 # --- pre-arm checks --------------------------------------------------------------------------------------------------
@@ -212,6 +216,18 @@ def test_each_check_that_fails_is_named_with_what_to_do_and_force_skips_it(prepa
     assert said in text
     assert ("--force" in text) == (not force)
     assert ("skipped: " in text) == force
+
+
+def test_actuators_that_another_one_drives_are_a_warning_when_arming():
+    craft = Craft()
+    for _ in range(12):
+        driven = report(craft.t_ns + PERIOD_NS, (20.0, 20.0, 0.0))
+        plan = craft.step(driven)
+    assert (plan.authority, plan.health) == (Authority.DISARMED, Health.DEGRADED)
+    assert craft.command(Action.ARM, report(craft.t_ns + PERIOD_NS, (20.0, 20.0, 0.0))) == ""
+    warning = "commands: the actuators command 20.0 / 20.0 / 0.0 N, the plan in force "
+    assert any(text.startswith(f"warning: {warning}") for text in craft.answer.warnings)
+    assert craft.node._model_monitor.products is None  # nothing is learned
 
 
 def test_a_second_source_of_the_reports_degrades_the_health_while_it_publishes():

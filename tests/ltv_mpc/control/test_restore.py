@@ -327,7 +327,7 @@ def test_a_report_with_a_stamp_from_the_future_does_not_block_later_ones():
     flight = armed(references.load("line"), 5)
 
     def applied(ahead_ns: int) -> Message:
-        return report(flight.estimate.t_ns + ahead_ns, (0.0, 0.0, 0.0))
+        return report(flight.estimate.t_ns + ahead_ns, flight.plans[-1].thrust_at(flight.estimate.t_ns))
 
     for ahead_ns in (0, 0, 200 * S, *[0] * 8):
         flight.estimate = msgspec.structs.replace(flight.estimate, current=still_water)

@@ -155,6 +155,9 @@ def test_the_screen_says_what_the_messages_hold() -> None:
     assert "estimate from the reference 4.500 m" in text
     assert "vehicle 4.500 m since t = 122.8 s" in text  # of the estimate, since it is the first that was received
     assert "control controller   degraded (the estimates are too old)   progress 62 %" in text
+    assert "arrived" not in text
+    arrived = dataclasses.replace(FULL, controller=msgspec.structs.replace(FULL.controller, arrived=True))
+    assert "(the estimates are too old)   arrived" in "\n".join(drawn(arrived))
     assert "270 deg" in text
     assert "0.050 m/s" in text
     assert "estimate 0.25 s" in text

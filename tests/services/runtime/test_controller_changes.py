@@ -48,6 +48,8 @@ APPLIED = Applied(
     plans_rejected=0,
 )
 
+ARRIVED = msgspec.structs.replace(PLAN, arrived=True)
+
 Told = list[tuple[str, str, str, int, dict[str, Any]]]
 
 
@@ -201,3 +203,11 @@ def test_the_time_to_a_zone_is_reported_below_each_bound_once_until_it_is_far_ag
             told.append((level, time_s))
             assert text == f"the hull will be in a zone or obstacle in {time_s} s"
     assert told == [(Level.WARNING, time_s) for time_s in (243, 59, 19, 19, 15, 299)]
+
+
+def test_an_arrival_is_told_once_and_not_again_by_a_controller_that_continues(
+    changes: ControllerChanges, told: Told
+) -> None:
+    for plan in (ARRIVED, PLAN, ARRIVED, ARRIVED, PLAN, ARRIVED):
+        changes.on_message(plan)
+    assert [text for _, kind, text, *_ in told if kind == "arrived"] == ["arrived at the end of the reference"] * 2

@@ -142,6 +142,16 @@ def test_without_reports_it_says_that_its_plans_are_taken_as_followed() -> None:
     )
 
 
+def test_an_arrival_is_one_event_and_stands_in_the_status_and_its_line(node: ControllerNode) -> None:
+    report = ControllerStatusReporter(node)
+    arrived = msgspec.structs.replace(plan(0.0), arrived=True)
+    events = [event for one in (plan(0.0), arrived, arrived) for event in report.on_step([one], 1, 0)]
+    assert [(event.kind, event.text) for event in events] == [("arrived", "arrived at the end of the reference")]
+    status = report.status(0, 0, MessageValidator(), SHARED)
+    assert status.arrived
+    assert "arrived" in status_line(status, "estimate").split(" | ")
+
+
 def test_plans_inputs_and_statuses_reach_the_changes(node: ControllerNode) -> None:
     told: list[str] = []
 

@@ -344,6 +344,13 @@ def test_plans_are_counted_by_health_and_its_reason(metrics: RunMetrics) -> None
     assert metrics.health == {"nominal": 1, "degraded: hold: leak": 2}
 
 
+def test_the_arrival_is_that_of_the_first_plan_that_says_so(metrics: RunMetrics) -> None:
+    assert metrics.arrived_s() is None
+    for sequence, (t_ns, arrived) in enumerate(((0, False), (S, True), (2 * S, True), (3 * S, False), (4 * S, True))):
+        feed(metrics, msgspec.structs.replace(plan(t_ns), arrived=arrived), sequence=sequence)
+    assert metrics.arrived_s() == 1.0
+
+
 def test_misses_and_refusals_are_the_plants_last_word(metrics: RunMetrics) -> None:
     feed(metrics, applied(0, late=1), applied(S, late=3, refused=2))
     assert (metrics.deadline_misses, metrics.plans_refused) == (3, 2)

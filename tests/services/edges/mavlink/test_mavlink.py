@@ -412,6 +412,43 @@ def test_a_changed_mission_is_followed_once_on_a_bad_link() -> None:
     assert len([output for output in flight.outputs if isinstance(output, Command)]) == 2
 
 
+def reached_items(flight: MavlinkFlight) -> list[int]:
+    """Collect the numbers of the items that the autopilot is told to be reached."""
+    numbers: list[int] = []
+    send = flight.send
+
+    def listen(way: str, data: bytes) -> None:
+        message = codec().decode(data) if way == "to autopilot" else None
+        if message is not None and message.get_type() == "MISSION_ITEM_REACHED":
+            numbers.append(message.seq)
+        send(way, data)
+
+    flight.send = listen  # type: ignore[method-assign]
+    return numbers
+
+
+def test_the_last_place_of_the_followed_mission_is_reported_as_reached_once() -> None:
+    flight = MavlinkFlight()
+    reached = reached_items(flight)
+    flight.autopilot.lists[0] = [item(0, 16), item(1, 16, 50.2001), item(2, 16, 50.2001, -5.0999), item(3, 178)]
+    flight.fly(15.0)
+    plan = flight.plans[-1]
+
+    def take(*arrived: bool) -> None:
+        for one in arrived:
+            flight._take(flight.edge.take(msgspec.structs.replace(plan, arrived=one), flight.host_us))
+
+    take(False, False)
+    assert reached == []
+    take(True, True, True)
+    assert reached == [2]
+    flight.rejection = "too fast"
+    flight.autopilot.lists[0] = [item(0, 16), item(1, 16, 50.3)]
+    flight.fly(15.0)
+    take(False, True)
+    assert reached == [2]  # another reference is followed
+
+
 # --- fence ----
 
 

@@ -1,0 +1,156 @@
+"""Actuator check: the commands that the actuators report, against those of the plans that were sent.
+
+A report agrees if a plan that may be in force asks for its commands, or if they approach that plan at the slew limit.
+That is the plan that the report names as accepted, or the one before until it begins. If the report names none, or one
+that was replaced more than ``LATE_NS`` ago, each plan that was in force within ``LATE_NS`` may be: a plan can be late.
+Each plan begins at the reported command, so actuators that do not follow agree for a moment with each new plan; a
+contradiction ends only after a time of agreement.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from ltv_mpc.messages import Applied, Array, Health, Plan
+from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns
+from ltv_mpc.vehicle.parameters import Vehicle
+
+CONTRADICTED_NS = 1_000_000_000
+"""Duration of a contradiction from which the health is degraded."""
+
+LATE_NS = 1_000_000_000
+"""Lateness of a plan that is no contradiction."""
+
+SETTLED_NS, AGREED_NS = 500_000_000, 1_000_000_000
+"""Agreement that ends a contradiction before and after the health is degraded; at least one period of the plans."""
+
+SHARE, SLEW_SHARE = 0.05, 0.5
+"""Tolerance: share of the largest thrust, and at most this share of what a thruster can change in a plan period.
+Actuators at rest are farther than that from a plan that begins with them, before the next one replaces it.
+"""
+
+CATCH_UP_SHARE = 0.8
+"""Share of the slew limit from which a command approaches a plan that came late."""
+
+KEPT_NS = 10_000_000_000
+"""Age up to which plans are kept: reports may be delayed by it."""
+
+WHAT_IT_CAN_BE = "released, or driven by somebody else?"
+
+
+class ActuatorCheck:
+    """Plans that were sent, and whether the actuators' reports contradict them."""
+
+    def __init__(self, vehicle: Vehicle, period_ns: int) -> None:
+        """Begin without a plan.
+
+        Parameters
+        ----------
+        vehicle : gives the limits of its thrusters.
+        period_ns : period of the plans (ns).
+        """
+        thrusters = vehicle.thrusters[: 3 if vehicle.can_dive else 2]
+        self._tolerance_N = np.array(
+            [min(SHARE * max(-t.min_N, t.max_N), SLEW_SHARE * t.slew_N_per_s * period_ns * 1e-9) for t in thrusters]
+        )
+        self._slew_N_per_s = np.array([t.slew_N_per_s for t in thrusters])
+        self._last = 0, np.zeros(3)  # time and commands of the last report
+        self._period_ns, self._timeout_s = period_ns, vehicle.plan_timeout_s
+        self._plans: deque[Plan] = deque()  # by their start
+        self._since_ns: int | None = None  # first report of a contradiction
+        self._until_ns = 0  # its last report
+        self._agreed_ns = 0  # last report that agreed
+        self.began_ns: int | None = None
+        """Time of the last report before a contradiction; the controller clears it when it has taken back what it has
+        learned since."""
+        self.overridden = False
+        """The plans of the last cycle were an override's."""
+        self.health = NOMINAL
+        """Degraded with the reason once a contradiction has lasted."""
+
+    @property
+    def disagrees(self) -> bool:
+        """True from the first report that contradicts the plans, until they agree for a time."""
+        return self._since_ns is not None
+
+    @property
+    def learns(self) -> bool:
+        """False while nothing is to be learned from the motion: under an override, and during a contradiction."""
+        return not self.overridden and not self.disagrees
+
+    def sent(self, plan: Plan) -> None:
+        """Add a plan that was sent; it replaces those that begin later.
+
+        Parameters
+        ----------
+        plan : is in force from its first knot on.
+        """
+        plans, start_ns = self._plans, plan.t_ns[0]
+        while plans and plans[-1].t_ns[0] >= start_ns:
+            plans.pop()
+        plans.append(plan)
+        while len(plans) > 1 and plans[1].t_ns[0] < start_ns - KEPT_NS:
+            plans.popleft()
+
+    def add(self, applied: Applied) -> None:
+        """Compare a report with the plans; one from before the first known plan is ignored.
+
+        Parameters
+        ----------
+        applied : report, newer than the last.
+        """
+        t_ns = applied.t_ns
+        if self._since_ns is not None and t_ns < self._until_ns:
+            self._since_ns, self.health = None, NOMINAL  # the clock was set back
+        (last_ns, last_N), command_N = self._last, np.array(applied.command_N)
+        self._last = t_ns, command_N
+        plans = self._in_force(applied)
+        if not plans:
+            return
+        reach_N = self._slew_N_per_s * max(t_ns - last_ns, 1) * 1e-9
+        changes = (command_N - last_N)[: len(reach_N)] / reach_N
+        if any(self._agrees(plan.thrust_at(t_ns) - command_N, changes) for plan in plans):
+            agreed_ns = max(SETTLED_NS if self.health is NOMINAL else AGREED_NS, self._period_ns)
+            if self._since_ns is not None and t_ns - self._until_ns >= agreed_ns:
+                self._since_ns, self.health = None, NOMINAL
+            if self._since_ns is None:
+                self._agreed_ns = t_ns
+            return
+        if self._since_ns is None:
+            self._since_ns = t_ns
+            self.began_ns = self._agreed_ns or t_ns
+        self._until_ns = t_ns
+        if self.health is NOMINAL and t_ns - self._since_ns > CONTRADICTED_NS:
+            reported, asked = self._text(command_N), self._text(plans[0].thrust_at(t_ns))
+            why = f"the actuators command {reported} N, the plan in force {asked} N: {WHAT_IT_CAN_BE}"
+            self.health = HealthState(Health.DEGRADED, why)
+
+    def _in_force(self, applied: Applied) -> list[Plan]:
+        """Return the plans that may be in force at a report, the newest first; none if that is not known."""
+        t_ns, recent = applied.t_ns, []
+        for plan in reversed(self._plans):
+            if plan.t_ns[0] <= t_ns:
+                recent.append(plan)
+                if plan.t_ns[0] <= t_ns - LATE_NS:
+                    break
+        named = applied.plan_sequence >= 0 and any(p.cycle_t_ns == applied.plan_cycle_t_ns for p in self._plans)
+        accepted = [plan for plan in recent if named and plan.cycle_t_ns <= applied.plan_cycle_t_ns][:1]
+        if not accepted and recent and recent[-1].t_ns[0] > t_ns - LATE_NS:
+            return []  # another controller's plan, which is not known, may be in force
+        ends = self._period_ns, self._timeout_s
+        return [plan for plan in accepted or recent if plan_end_ns(plan.t_ns, *ends) >= t_ns]
+
+    def _agrees(self, missing_N: Array, changes: Array) -> bool:
+        """Return True if each command is that of a plan, or approaches it.
+
+        ``missing_N`` (3,) is what a plan asks for beyond the commands, ``changes`` (2,) or (3,) the change of each
+        command since the last report, over that at the slew limit.
+        """
+        missing_N = missing_N[: len(changes)]
+        same = np.abs(missing_N) <= self._tolerance_N
+        return bool((same | (np.sign(missing_N) * changes >= CATCH_UP_SHARE)).all())
+
+    def _text(self, thrust_N: Array) -> str:
+        return " / ".join(f"{thrust:.1f}" for thrust in thrust_N[: len(self._tolerance_N)])

@@ -1,0 +1,263 @@
+"""Actuator check: actuators that do not do what the plans ask for are noticed, and teach nothing."""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
+from ltv_mpc.control.nominal_model import as_estimate
+from ltv_mpc.control.prediction import Prediction
+from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.messages import Applied, Authority, Health, Plan
+from ltv_mpc.safety.actuator_check import WHAT_IT_CAN_BE
+from ltv_mpc.safety.command_arbiter import ThrustOverride
+from ltv_mpc.safety.health import NOMINAL
+from ltv_mpc.safety.plan_gate import PlanGate
+from tests.ltv_mpc.reports import report
+
+PAPER = Vehicle.load("paper")
+BOAT = Vehicle.load("bluerobotics-boat")
+STEP_NS = 50_000_000
+AWAY_S = 60.0
+POINT = references.Point(north_m=0.0, east_m=0.0)
+LINE = references.Line(
+    start=references.Place(north_m=0.0, east_m=0.0), end=references.Place(north_m=60.0, east_m=0.0), speed_mps=0.4
+)
+CURRENTS = (0.0, 0.0), (0.3, 0.0)
+
+
+class Cycle(NamedTuple):
+    """What one cycle gave: time, plan, learned current, and the true place before it."""
+
+    t_s: float
+    plan: Plan
+    learned_mps: np.ndarray
+    place_m: np.ndarray
+
+
+class Loop:
+    """A vehicle of the nominal model in a current that the estimates do not contain, behind a plan gate.
+
+    ``delivered`` gives the commands that the thrusters follow and report, from the vehicle's state and those of the
+    gate. Plans arrive ``plan_delay_s`` after the start of their cycle, and reports ``report_late_s`` after their stamp.
+    """
+
+    def __init__(
+        self,
+        current=(0.0, 0.0),
+        delivered=lambda _, command_N: command_N,
+        *,
+        vehicle=BOAT,
+        config=None,
+        names_plans=True,
+        plan_delay_s=0.1,
+        report_late_s=0.0,
+        report_s=0.1,
+        start_m=(15.0, 0.0),
+        reference=POINT,
+    ):
+        self.config = config or ControllerConfig()
+        self.controller = Controller(vehicle, reference, self.config)
+        self.vehicle, self.delivered, self.names_plans = vehicle, delivered, names_plans
+        self.plan_delay_ns, self.report_late_ns = round(plan_delay_s * 1e9), round(report_late_s * 1e9)
+        self.report_ns = round(report_s * 1e9)
+        self.gate, self.model = PlanGate(vehicle), Prediction(vehicle)
+        water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.array(current[:1]), east_mps=np.array(current[1:]))
+        self.truth = msgspec.structs.replace(
+            Estimate.at_rest(north_m=start_m[0], east_m=start_m[1], heading_rad=3.0),
+            current=water,
+            velocity_north_mps=current[0],
+            velocity_east_mps=current[1],
+        )
+        self.command_N = self.delivered_N = np.zeros(3)
+        self.plans, self.reports = deque(), deque()
+        self.accepted: Plan | None = None
+        self.sequence = 0
+        self.cycles: list[Cycle] = []
+        self.override = None
+
+    def run(self, until_s: float) -> list[Cycle]:
+        """Run to a time; return its cycles."""
+        first = len(self.cycles)
+        while self.truth.t_ns < until_s * 1e9:
+            self._step()
+        return self.cycles[first:]
+
+    def _step(self):
+        t_ns = self.truth.t_ns
+        while self.plans and self.plans[0][0] <= t_ns:
+            plan = self.plans.popleft()[1]
+            self.gate.offer(plan, 1, self.sequence, t_ns)
+            self.sequence += 1
+            self.accepted, self.received_ns = plan, t_ns
+        command_N = self.command_N
+        if t_ns % self.report_ns == 0:
+            self.reports.append((t_ns + self.report_late_ns, self._report(t_ns, command_N)))
+        if t_ns % self.config.period_ns == 0:
+            while self.reports and self.reports[0][0] <= t_ns:
+                self.controller.add_report(self.reports.popleft()[1])
+            measured = msgspec.structs.replace(self.truth, current=None)
+            plan = self.controller.plan(measured, override=self.override)
+            self.plans.append((t_ns + self.plan_delay_ns, plan))
+            learned = self.controller.learned_current[0].copy()
+            self.cycles.append(Cycle(t_ns * 1e-9, plan, learned, np.array([self.truth.north_m, self.truth.east_m])))
+        sent = SentCommands(self.vehicle)
+        following_N = self.delivered(self.truth, np.array(self.gate.command_at(t_ns + STEP_NS)))
+        sent.knots = np.array([t_ns, t_ns + STEP_NS]), np.array([command_N, following_N])
+        self.command_N = following_N
+        self.model.add_report(report(t_ns, self.delivered_N))
+        end = self.model.state_at(self.truth, t_ns + STEP_NS, sent)
+        self.truth = as_estimate(end, self.truth)
+        self.delivered_N = np.array([*end.X[6:8], end.vertical_N])
+
+    def _report(self, t_ns, command_N) -> Applied:
+        named = self.names_plans and self.accepted is not None
+        return Applied(
+            t_ns=t_ns,
+            thrust_N=tuple(self.delivered_N.tolist()),
+            command_N=tuple(command_N.tolist()),
+            command_slew_N_per_s=(0.0, 0.0, 0.0),
+            plan_epoch=1 if named else 0,
+            plan_sequence=self.sequence - 1 if named else -1,
+            plan_cycle_t_ns=self.accepted.cycle_t_ns if named else 0,
+            plan_received_t_ns=self.received_ns if named else 0,
+            plan_late=False,
+            plans_late=self.gate.plans_late,
+            plans_rejected=0,
+        )
+
+
+def degraded_s(cycles):
+    """Return the times at which the actuators were said to contradict the plans."""
+    assert {cycle.plan.health for cycle in cycles} <= {Health.NOMINAL, Health.DEGRADED}
+    return [cycle.t_s for cycle in cycles if WHAT_IT_CAN_BE in cycle.plan.health_why]
+
+
+class Release:
+    """Thrusters that are released for AWAY_S, from the first time at which the vehicle is 5 m from its point."""
+
+    def __init__(self):
+        self.at_s = None
+
+    def __call__(self, truth, command_N):
+        if self.at_s is None and np.hypot(truth.north_m, truth.east_m) < 5.0:
+            self.at_s = truth.t_ns * 1e-9
+        released = self.at_s is not None and truth.t_ns * 1e-9 < self.at_s + AWAY_S
+        return np.zeros(3) if released else command_N
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"names_plans": False},
+        {"config": ControllerConfig(horizon_s=2.1)},
+        {"config": ControllerConfig(period_s=0.1)},
+        {"plan_delay_s": 0.6},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("current", CURRENTS)
+def test_released_thrusters_are_noticed_and_teach_no_current(current, settings):
+    release = Release()
+    cycles = Loop(current, release, **settings).run(140.0)
+    degraded = degraded_s(cycles)
+    assert release.at_s + 1.0 < degraded[0] <= release.at_s + 1.5
+    assert release.at_s + AWAY_S < degraded[-1] <= release.at_s + AWAY_S + 2.0
+    assert np.diff(degraded).max() < 1.2  # it does not toggle
+    assert max(abs(cycle.learned_mps - current).max() for cycle in cycles if cycle.t_s >= release.at_s) <= 0.05
+    back_m = np.array([np.hypot(*cycle.place_m) for cycle in cycles if cycle.t_s > degraded[-1]])
+    assert back_m[np.argmax(back_m < 0.3) :].max() <= 0.3
+    assert back_m[-1] < 0.1
+
+
+def test_what_was_learned_before_late_reports_showed_the_release_is_taken_back():
+    cycles = Loop(delivered=Release(), report_late_s=1.0).run(20.0)
+    since_s = degraded_s(cycles)[0]
+    assert max(abs(cycle.learned_mps).max() for cycle in cycles if since_s - 2.0 < cycle.t_s < since_s) > 0.1
+    assert max(abs(cycle.learned_mps).max() for cycle in cycles if cycle.t_s >= since_s) <= 0.05
+
+
+def test_the_reason_has_the_commands_of_both_as_they_were_when_it_began():
+    cycles = Loop(delivered=Release()).run(12.0)
+    (why,) = {cycle.plan.health_why for cycle in cycles} - {""}
+    assert re.fullmatch(
+        r"the actuators command 0\.0 / 0\.0 N, the plan in force -?\d+\.\d / -?\d+\.\d N: "
+        r"released, or driven by somebody else\?",
+        why,
+    )
+
+
+WRONG = {
+    "half": lambda command_N: 0.5 * command_N,
+    "swapped sign": lambda command_N: -command_N,
+    "one side": lambda command_N: command_N * [1.0, 0.0, 0.0],
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG.values(), ids=WRONG)
+@pytest.mark.parametrize("names_plans", [True, False])
+def test_commands_that_differ_from_the_plan_are_noticed(wrong, names_plans):
+    def delivered(truth, command_N):
+        return wrong(command_N) if truth.t_ns >= 3e9 else command_N
+
+    degraded = degraded_s(Loop(delivered=delivered, names_plans=names_plans).run(9.0))
+    assert 4.0 < degraded[0] <= 4.5
+
+
+LEGAL = (
+    {"report_late_s": 1.0},
+    {"plan_delay_s": 0.9},
+    {"plan_delay_s": 0.9, "names_plans": False},
+    {"plan_delay_s": 0.8, "names_plans": False, "config": ControllerConfig(horizon_s=2.1)},
+    {"plan_delay_s": 0.5, "names_plans": False, "config": ControllerConfig(period_s=0.1)},
+    {"names_plans": False, "config": ControllerConfig(period_s=1.0)},
+    {"report_s": 1.0},
+    {"vehicle": PAPER},
+)
+
+
+@pytest.mark.parametrize("settings", LEGAL, ids=str)
+@pytest.mark.parametrize("reference", [POINT, LINE], ids=["point", "line"])
+def test_late_reports_and_late_plans_are_no_contradiction(settings, reference):
+    assert degraded_s(Loop(CURRENTS[1], start_m=(15.0, 3.0), reference=reference, **settings).run(60.0)) == []
+
+
+@pytest.mark.parametrize("authority", [Authority.MANUAL, Authority.DISARMED, Authority.STOPPED])
+def test_while_an_override_is_in_force_nothing_is_learned_and_the_uncertainty_grows(authority):
+    """A tow moves the vehicle at 0.5 m/s, without reports."""
+    controller = Controller(BOAT, POINT, ControllerConfig())
+    override = ThrustOverride(authority, (0.0, 0.0, 0.0), None, authority.value)
+    variances = []
+    for i in range(100):
+        towed = msgspec.structs.replace(Estimate.at_rest(north_m=0.15 * i), velocity_north_mps=0.5)
+        plan = controller.plan(msgspec.structs.replace(towed, t_ns=i * 300_000_000), override=override)
+        current, covariance = controller.learned_current
+        variances.append(covariance[0, 0])
+        assert current.tolist() == [0.0, 0.0]
+    assert plan.health is Health.NOMINAL
+    assert variances[-1] == pytest.approx(0.01)  # the prior's, so that it is learned quickly
+
+
+def test_no_lever_arm_is_learned_while_the_actuators_contradict_the_plans():
+    loop, predicted = Loop(delivered=Release()), []
+    loop.controller.reference_point_check.update = lambda estimate, mps: predicted.append((estimate.t_ns, mps))
+    cycles = loop.run(20.0)
+    during = [mps for t_ns, mps in predicted if t_ns * 1e-9 >= degraded_s(cycles)[0]]
+    assert during
+    assert set(during) == {None}
+
+
+def test_a_clock_that_is_set_back_ends_a_contradiction():
+    loop = Loop(delivered=Release())
+    loop.run(20.0)
+    check = loop.controller.actuator_check
+    assert check.health is not NOMINAL
+    check.add(report(0, (0.0, 0.0, 0.0)))
+    assert check.health is NOMINAL
