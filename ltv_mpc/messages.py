@@ -59,6 +59,8 @@ Speed: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0, extra={"unit": "m/
 WaterSpeed: TypeAlias = Annotated[float, Meta(ge=-20.0, le=20.0, extra={"unit": "m/s"})]
 SpeedDeviation: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e6, extra={"unit": "m/s"})]
 SpeedVariance: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "m2/s2"})]
+Offset: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0, extra={"unit": "m"})]
+OffsetVariance: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e4, extra={"unit": "m2"})]
 RandomWalk: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e6, extra={"unit": "m/s per sqrt(s)"})]
 Angle: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e4, extra={"unit": "rad"})]  # headings may be unwrapped
 AngularRate: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0, extra={"unit": "rad/s"})]
@@ -786,6 +788,16 @@ class CurrentBiasState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     ]
 
 
+class LeverArmState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Estimate of the lever arm from the declared reference point to the estimated one, with its covariance."""
+
+    arm_m: Annotated[tuple[Offset, Offset], Meta(description="forward, starboard")]
+    covariance: Annotated[
+        tuple[OffsetVariance, OffsetVariance, OffsetVariance],
+        Meta(description="forward-forward, forward-starboard, starboard-starboard"),
+    ]
+
+
 class MissionState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """State of the mission policy: start of the mission, last sign of the operator, and the action in force."""
 
@@ -837,6 +849,9 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
     cycle_times_ns: Annotated[Durations, Meta(description="of the last cycles: computing time alone")] = ()
     current_bias: Annotated[
         CurrentBiasState | None, Meta(description="learned bias of the current; null: none is estimated")
+    ] = None
+    lever_arm: Annotated[
+        LeverArmState | None, Meta(description="learned lever arm to the point of the estimates; null: none is learned")
     ] = None
     model_products: Annotated[
         ModelProductMatrix | None,

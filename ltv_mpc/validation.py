@@ -267,10 +267,11 @@ def _plan(s: Plan) -> Reason:
 def _controller_state(s: ControllerState) -> Reason:
     if s.model_products is not None and s.model_products.shape != (6, 6):
         return f"model_products {s.model_products.shape}: must be (6, 6)"
-    if s.current_bias is not None:
-        north, cross, east = s.current_bias.covariance
-        if not (north > 0.0 and east > 0.0 and cross * cross < north * east):
-            return "current_bias: covariance: must be positive definite"
+    for name, belief in (("current_bias", s.current_bias), ("lever_arm", s.lever_arm)):
+        if belief is not None:
+            first, cross, second = belief.covariance
+            if not (first > 0.0 and second > 0.0 and cross * cross < first * second):
+                return f"{name}: covariance: must be positive definite"
     return None
 
 

@@ -76,16 +76,18 @@ class Weights(WeightSettings, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Estimation of a bias of the current that the profile does not contain: ``disturbance.py``.
+    """Estimation of a bias of the current, and of the lever arm to the point of the estimates: ``disturbance.py``.
 
-    ``sd_mps`` is the prior standard deviation of each component. If it is not set, it is 0.1 for estimates without a
-    current profile, and no bias is estimated for those with one. 0: never estimate a bias; above 0: always.
+    ``sd_mps`` is the prior standard deviation of each component of the bias. If it is not set, it is 0.1 for estimates
+    without a current profile, and no bias is estimated for those with one. 0: never estimate a bias; above 0: always.
     """
 
     sd_mps: Annotated[float, Meta(ge=0, le=2)] | None = None
-    walk_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.01  # 4 cm/s over 8 m at 0.2 m/s: 9 mm/s per sqrt(s)
-    noise_mps: Annotated[float, Meta(gt=0, le=1)] = 1e-3  # of the velocity over ground from estimate to estimate
+    walk_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.002  # of the bias, with time
+    walk_mps_per_rtm: Annotated[float, Meta(ge=0, le=1)] = 0.02  # of the bias, with depth: 4 cm/s over 8 m
+    noise_mps: Annotated[float, Meta(gt=0, le=1)] | None = None  # of the velocity over ground; None: 0.4 % of top speed
     max_mps: Annotated[float, Meta(gt=0, le=5)] = 0.5  # bound of each component of the bias, either sign
+    lever_arm_sd_m: Annotated[float, Meta(ge=0, le=10)] = 0.2  # prior of an undeclared lever arm; 0: there is none
 
 
 class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -26,7 +26,7 @@ import numpy as np
 from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.delay import Delay
-from ltv_mpc.control.disturbance import Belief, CurrentBias
+from ltv_mpc.control.disturbance import Belief, DisturbanceObserver
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
 from ltv_mpc.control.lateral import MAX_WHY_CHARS, LateralPlanner
 from ltv_mpc.control.mode import Decision, EstimateSelector, Mode, decide
@@ -105,7 +105,7 @@ class Controller:
         weights = config.weights.at_heading(False)
         packed = pack_constants(vehicle, weights, config.knots, STAGE_S, config.limits.state_bounds)
         self._estimates = EstimateSelector(vehicle, config)
-        self._bias = CurrentBias(config.disturbance)
+        self._observer = DisturbanceObserver(config.disturbance, vehicle)
         self._prediction = Prediction(vehicle)
         self._vertical = VerticalLaw(vehicle, packed, config.limits)
         self._knots_ns = np.round(config.knots * STAGE_NS).astype(np.int64)  # (N+1,), after the plan's start
@@ -146,7 +146,7 @@ class Controller:
     @property
     def learned_current(self) -> Belief | None:
         """Estimated bias of the current and its covariance: the current itself for estimates without one."""
-        return self._bias.belief
+        return self._observer.current
 
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
@@ -277,7 +277,7 @@ class Controller:
     def restart_estimates(self) -> None:
         """Begin with another source of estimates: gate, period, checks and current bias are those of one source."""
         self._estimates.restart()
-        self._bias = CurrentBias(self.config.disturbance)
+        self._observer = DisturbanceObserver(self.config.disturbance, self.vehicle)
 
     def predict(self, estimate: Estimate, t_ns: int) -> Array:
         """Return the predicted lateral state (6,) at ``t_ns``: n, e, u, v, psi, r.
@@ -297,7 +297,7 @@ class Controller:
         shares : of port and starboard, above 0; 1 if sound.
         in_doubt : the thrusters may deliver less than that, so the bias of the current does not learn from the motion.
         """
-        self._bias.thrust_in_doubt = in_doubt
+        self._observer.thrust_in_doubt = in_doubt
         self._lateral.set_shares(shares)
         self._prediction.set_shares(shares)
 
@@ -391,6 +391,7 @@ class Controller:
         reference = self._followers[0]
         follower = reference.save()
         plan_delays_ns, cycle_times_ns = self._delay.save()
+        current_bias, lever_arm = self._observer.save()
         return ControllerState(
             t_ns=t_ns,
             reference_start=follower.reference_start,
@@ -400,7 +401,8 @@ class Controller:
             progress=reference.progress.share,
             arrived=reference.arrived,
             depth_integral_N=self._vertical.integral_N,
-            current_bias=None if self._bias.belief is None else self._bias.save(),
+            current_bias=current_bias,
+            lever_arm=lever_arm,
             plan_delays_ns=plan_delays_ns,
             cycle_times_ns=cycle_times_ns,
             plan=self._lateral.previous.plan,
@@ -422,8 +424,7 @@ class Controller:
             self._lateral.previous.restore(state.plan)
         self._delay.restore(first_ns, state.plan_delays_ns, state.cycle_times_ns)
         self._vertical.integral_N = state.depth_integral_N
-        if state.current_bias is not None:
-            self._bias.restore(state.current_bias, t_ns - state.t_ns)
+        self._observer.restore(state.current_bias, state.lever_arm, t_ns - state.t_ns)
         followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
         moved_until_ns = _end_of_motion_ns(state, self.config.period_ns, self.vehicle.plan_timeout_s)
         self._followers[0].restore(followed, t_ns, moved_until_ns=moved_until_ns)
@@ -445,22 +446,20 @@ class Controller:
     def _decide(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: HealthState) -> Decision:
         """Decide the mode, and begin the reference if the mode allows it.
 
-        The decision uses the newest plausible estimate, with the estimated bias added to its current.
+        The decision uses the newest plausible estimate, corrected by the disturbance observer.
         """
         estimate, check = self._estimates.select(newest), self.actuator_check
         check.overridden = override is not None
         if check.began_ns is not None:
-            self._bias.take_back(check.began_ns)
+            self._observer.take_back(check.began_ns)
             check.began_ns = None
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
-            estimate, predicted_mps = self._bias.correct(
-                estimate, self._prediction, self.sent_commands, learns=check.learns
-            )
-            self.reference_point_check.update(estimate, predicted_mps if check.learns else None)
+            estimate = self._observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
+            self.reference_point_check.update(estimate.t_ns, *self._observer.lever_arm)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
-            growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._bias)
+            growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._observer)
             self._estimates.limit_growth(growth)
             own = self._estimates.health(now_ns)
         decision = decide(
@@ -502,6 +501,8 @@ class Controller:
             return self._lateral.stop(start, f"margins meet while estimates are late: {', '.join(meeting)}")
         if decision.mode is Mode.FOLLOW:
             self._lateral.set_reference(path=self.follower.is_path, heading=self.follower.heading_rad is not None)
+            if not self.follower.is_path:
+                self._lateral.relax_target(start, knots, self.config.position_tolerance_m)
             self._lateral.bend_target(start)
             return self._lateral.plan(start)
         if decision.stops:

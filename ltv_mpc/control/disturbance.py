@@ -1,30 +1,35 @@
-"""Disturbance observer for offset-free control: a bias of the current that the profile does not contain.
+"""Disturbance observer: a bias of the current, and the lever arm to the point that the estimates describe.
 
 The controller uses the estimate's current profile plus a bias b (2,), north and east, the same at all depths; without a
-profile the bias is the whole current. It is a random walk, and it is observed in the change of the velocity over ground
-v (2,) from one estimate to the next, through the drag on the motion relative to the water:
+profile the bias is the whole current. The estimates may describe a point that is l (2,), forward and starboard, away
+from the declared one: an antenna, or a hull that turns about another point than the model. Both are random walks, and
+they are observed in the change of the velocity over ground v (2,) from one estimate to the next:
 
-    b(t + dt) = b(t) + w,   w ~ N(0, q^2 dt I)
-    v(t + dt) = h(b) + e,   e ~ N(0, (r^2 + s^2) I)
+    b(t + dt) = b(t) + w,   w ~ N(0, (q_t^2 dt + q_z^2 |dz|) I)                 with time, and with depth z
+    v(t + dt) = h(b, l) + R(psi) e,   e ~ N(0, diag(a_u, a_v)^2 + (r^2 + s^2) I)
+    h(b, l)   = v_o(b, v - r R S l) + r' R' S l                         S = [[0, -1], [1, 0]], so that dR/dpsi = R S
 
-Here h is the exact flow from the last estimate through the commands that were sent: an extended Kalman filter with two
-states. s^2 is the variance of the error of the estimated change (``velocity_change_variance``), so that the noise of a
-navigation filter is not taken for a current. When the vehicle drifts with the water, drag is zero to first order, so
-dh/db vanishes and b is unobservable; its variance is then bounded by the prior. Compared with an integrator of the
-position error this is one more state, but it needs no anti-windup: it acts as a feed-forward through the model, and a
-saturated thruster does not fill it.
+v_o is the velocity of the vehicle's origin after the exact flow through the commands that were sent; r and R belong to
+the last estimate, r' and R' to this one. This is an iterated extended Kalman filter with four states. Iterated, because
+drag is quadratic: a linear correction of a large error of the current stops halfway and is sure of it. s^2 is the
+variance of the error of the estimated change (``velocity_change_variance``), so that the noise of a navigation filter
+is not taken for a current. a_u and a_v are the errors of the model, surge and sway, as shares of the forces that act.
+
+When the vehicle drifts with the water, drag is zero to first order, so dh/db vanishes and b is unobservable; its
+variance is then bounded by the prior. A steady course shows nothing of l. An arm is used as far as it is significant,
+so that a vehicle with the declared point keeps it (``_significant``). What was tried: docs/notes/lever-arm.md.
 
 A thruster that delivers less than it reports looks like a current, and so do actuators that follow no plan. While a
-loss of thrust is in doubt (``thrust_loss_detector.py``), the bias is that of ``DOUBTED_ESTIMATES`` before, and it is
+loss of thrust is in doubt (``thrust_loss_detector.py``), the belief is that of ``DOUBTED_ESTIMATES`` before, and it is
 not updated. While the actuators contradict the plans (``actuator_check.py``), it is that of their last report that
 agreed. Under an override of the thrusts it keeps its value, and its variance grows.
 
-By default it works for estimates without a current profile, and does nothing for estimates with one.
+By default the bias works for estimates without a current profile, and does nothing for estimates with one.
+Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to tracking and navigation, section 10.5.2.
 """
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from typing import TypeAlias
 
@@ -35,17 +40,36 @@ from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.prediction import Measured, Prediction, Profile, current_at_depth, predict_state
 from ltv_mpc.control.sent_commands import Commands, SentCommands
 from ltv_mpc.jit import jit, jit_outlined
-from ltv_mpc.messages import Array, CurrentBiasState, CurrentProfile, Estimate, Pair
+from ltv_mpc.messages import Array, CurrentBiasState, CurrentProfile, Estimate, LeverArmState
+from ltv_mpc.references.limits import path_limits
 from ltv_mpc.vehicle.dynamics import coefficients
+from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.reference_point import ReferencePoint
 
-STEP_MPS = 0.005
-"""Step of the finite difference dh/db (m/s)."""
+STEPS = (0.005, 0.005, 0.01, 0.01)
+"""Steps of the finite differences dh/d(b, l) (m/s, m), and the changes at which the iteration ends."""
+
+MAX_ITERATIONS = 5
 
 STILL_WATER = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
 """Profile that the bias is added to if the estimate has none."""
 
 DEFAULT_SD_MPS = 0.1
 """Prior standard deviation of the bias if the estimates have no current profile (m/s)."""
+
+NOISE_SHARE = 0.004
+"""Default noise of the velocity over ground, over the top speed: what is unmodelled grows with a vehicle's speed."""
+
+ARM_WALK_M_PER_RTS = 1e-3
+"""Random walk of the lever arm: it is fixed to the hull, but the pivot of a hull depends on its motion."""
+
+SURGE_ERROR, SWAY_ERROR = 1.0, 0.1
+"""Errors of the model as shares of the forces that act. An error of thrust or drag lasts for seconds: 20 % for 3 s
+weighs as much as 100 % that is new in each estimate.
+"""
+
+INSIGNIFICANT, SIGNIFICANT = 4.0, 12.0
+"""Square of a component of the arm over its variance: up to the first nothing is used, from the second on all."""
 
 VELOCITY_ERROR_TIME_S = 3.0
 """tau: time constant of the error of an estimated velocity. With realistic sensors this error is 1 cm/s while the
@@ -59,20 +83,8 @@ MAX_INTERVAL_NS = 2_000_000_000
 DOUBTED_ESTIMATES = 17
 """Number of estimates before thrust is in doubt whose updates can be taken back: 5 s at 0.3 s."""
 
-
 Belief: TypeAlias = tuple[Array, Array]
-"""Estimated bias b (2,), north and east (m/s), and its covariance P (2, 2) (m^2/s^2)."""
-
-FlatBelief: TypeAlias = tuple[float, float, float, float, float]
-"""The same as numbers: b_n, b_e (m/s), P_nn, P_ne, P_ee (m^2/s^2)."""
-
-NO_BIAS: FlatBelief = (0.0, 0.0, 0.0, 0.0, 0.0)
-"""Belief where the profile is used as it is."""
-
-Noise: TypeAlias = tuple[float, float, float, float]
-"""Walk q (m/s per sqrt(s)), noise of the velocity r (m/s), the prior variance (m^2/s^2), which is the largest variance
-in any direction, and the largest bias in either direction (m/s).
-"""
+"""Mean and covariance: of the bias, (2,) north and east (m/s) and (2, 2), or of all four states b, l."""
 
 
 def velocity_variance(estimate: Estimate) -> float:
@@ -102,39 +114,42 @@ def velocity_change_variance(before: float, after: float, seconds: float) -> flo
     return max(before - after, 0.0) + 2.0 * after * seconds / VELOCITY_ERROR_TIME_S
 
 
-class CurrentBias:
-    """Extended Kalman filter of the current's bias, updated from estimate to estimate.
+class DisturbanceObserver:
+    """Iterated extended Kalman filter of the current's bias and of the lever arm, updated from estimate to estimate."""
 
-    Its prediction of the velocity is also that of the reference point check, so it predicts without a bias, too.
-    """
-
-    def __init__(self, settings: Disturbance) -> None:
-        """Begin at the prior; with ``settings.sd_mps`` = 0 there never is a bias."""
-        self._sd_mps = settings.sd_mps
-        prior_variance = (DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps) ** 2
-        self._noise: Noise = (settings.walk_mps_per_rts, settings.noise_mps, prior_variance, settings.max_mps)
-        self._belief: FlatBelief = (0.0, 0.0, prior_variance, 0.0, prior_variance)
+    def __init__(self, settings: Disturbance, vehicle: Vehicle) -> None:
+        """Begin at the prior; with a standard deviation of 0 there never is a bias, or a lever arm."""
+        self._settings = settings
+        noise_mps = settings.noise_mps or NOISE_SHARE * path_limits(vehicle).top_mps
+        self._variance = noise_mps**2
+        sd_mps = DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps
+        self._prior = np.array([sd_mps, sd_mps, settings.lever_arm_sd_m, settings.lever_arm_sd_m]) ** 2
+        self._belief: Belief = np.zeros(4), np.diag(self._prior)
         self._last: Estimate | None = None
         # After each update, the oldest first: time of the estimate, belief.
-        self._before: deque[tuple[int, FlatBelief]] = deque(maxlen=DOUBTED_ESTIMATES)
+        self._before: deque[tuple[int, Belief]] = deque(maxlen=DOUBTED_ESTIMATES)
         self.thrust_in_doubt = False
         """A thruster may deliver less than the controller takes it to deliver."""
 
     @property
-    def belief(self) -> Belief | None:
-        """Estimated bias and its covariance; None if there never is a bias."""
-        return None if self._sd_mps == 0 else (self.bias_mps, self.covariance)
+    def current(self) -> Belief | None:
+        """Estimated bias of the current and its covariance; None if there never is a bias."""
+        return None if self._settings.sd_mps == 0 else (self.bias_mps, self.covariance)
 
     @property
     def bias_mps(self) -> Array:
         """Estimated bias (2,), north and east (m/s)."""
-        return np.array(self._belief[:2])
+        return self._belief[0][:2].copy()
 
     @property
     def covariance(self) -> Array:
         """Covariance (2, 2) of the bias (m^2/s^2)."""
-        _, _, north, cross, east = self._belief
-        return np.array([[north, cross], [cross, east]])
+        return self._belief[1][:2, :2].copy()
+
+    @property
+    def lever_arm(self) -> Belief:
+        """Estimated lever arm (2,), forward and starboard (m), and its covariance (2, 2) (m^2)."""
+        return self._belief[0][2:].copy(), self._belief[1][2:, 2:].copy()
 
     def covariance_of_mean(self, seconds: float) -> Array:
         """Return the covariance (2, 2) of the mean of the bias from the last estimate on (m^2/s^2).
@@ -145,46 +160,49 @@ class CurrentBias:
         ----------
         seconds : length of the mean (s).
         """
-        if self._last is None or not self._applies_to(self._last):
+        last = self._last
+        if last is None or not self._applies_to(last):
             return np.zeros((2, 2))
-        return self.covariance + self._noise[0] ** 2 * seconds / 3.0 * np.eye(2)
+        sinking_m = abs(last.velocity_down_mps or 0.0) * seconds
+        return self.covariance + self._walk(seconds, sinking_m) / 3.0 * np.eye(2)
 
     def correct(
         self, estimate: Estimate, prediction: Prediction, commands: SentCommands, *, learns: bool = True
-    ) -> tuple[Estimate, Pair | None]:
-        """Update the bias with an estimate, and add it to the estimate's current.
+    ) -> Estimate:
+        """Update the belief with an estimate, and correct the estimate.
 
         Parameters
         ----------
         estimate : the newest one.
         prediction : knows the vehicle and the actuators' reports.
         commands : commands in force since the last estimate.
-        learns : False: the bias is not updated, and its variance grows.
+        learns : False: the belief is not updated, and its variance grows.
 
         Returns
         -------
-        The estimate with the corrected current, unchanged if its profile is used as it is; and its velocity over
-        ground, north and east (m/s), as predicted from the last estimate. It is None without one, and after too long a
-        time.
+        The estimate of the vehicle's origin with the corrected current; itself if nothing is to be corrected.
         """
         last, self._last = self._last, estimate
         interval_ns = 0 if last is None else estimate.t_ns - last.t_ns
-        applies = self._applies_to(estimate)
         if self.thrust_in_doubt and self._before:
             _, self._belief = self._before[0]
             self._before.clear()
-        learns = learns and applies and not self.thrust_in_doubt
-        predicted = None
-        if last is not None and 0 < interval_ns <= MAX_INTERVAL_NS:
-            learns = learns and (last.current is None) is (estimate.current is None)
-            predicted = self._update(last, estimate, prediction, commands, learns=learns)
-        else:
-            learns = False
-        if interval_ns > 0 and applies and not learns:
-            self._belief = propagate(self._belief, interval_ns, self._noise)
-        if learns:
-            self._before.append((estimate.t_ns, self._belief))
-        return _with_bias(estimate, *self._belief[:2]) if applies else estimate, predicted
+        if last is not None and interval_ns > 0:
+            compares = interval_ns <= MAX_INTERVAL_NS and (last.current is None) is (estimate.current is None)
+            if learns and compares and not self.thrust_in_doubt:
+                self._update(last, estimate, prediction, commands)
+                self._before.append((estimate.t_ns, self._belief))
+            else:
+                self._belief = self._belief[0], propagate(self._belief[1], *self._growth(last, estimate), self._prior)
+        at_origin = self.arm_in_use.to_origin(estimate)
+        return _with_bias(at_origin, *self._belief[0][:2].tolist()) if self._applies_to(estimate) else at_origin
+
+    @property
+    def arm_in_use(self) -> ReferencePoint:
+        """Lever arm that corrects the estimates: the significant part of the estimated one."""
+        mean, P = self._belief
+        forward_m, starboard_m = (_significant(float(mean[i]), float(P[i, i])) for i in (2, 3))
+        return ReferencePoint(forward_m=forward_m, starboard_m=starboard_m)
 
     def take_back(self, t_ns: int) -> None:
         """Take back the updates by estimates that are newer than a time, as far as they are known.
@@ -200,39 +218,64 @@ class CurrentBias:
 
     def _applies_to(self, estimate: Estimate) -> bool:
         """Return True if the bias is added to the estimate's current."""
-        return self._sd_mps != 0 and (self._sd_mps is not None or estimate.current is None)
+        sd_mps = self._settings.sd_mps
+        return sd_mps != 0 and (sd_mps is not None or estimate.current is None)
 
-    def save(self) -> CurrentBiasState:
-        """Return the belief, from which another filter continues."""
-        return CurrentBiasState(bias_mps=self._belief[:2], covariance=self._belief[2:])
+    def _walk(self, seconds: float, depth_m: float) -> float:
+        """Return the variance of the bias's walk over a time and a change of depth (m^2/s^2)."""
+        return self._settings.walk_mps_per_rts**2 * seconds + self._settings.walk_mps_per_rtm**2 * depth_m
 
-    def restore(self, state: CurrentBiasState, age_ns: int) -> None:
-        """Continue from the belief of another filter.
+    def _growth(self, last: Estimate, estimate: Estimate) -> tuple[float, float]:
+        """Return the variances that the walks add to each component of b (m^2/s^2) and l (m^2)."""
+        seconds = (estimate.t_ns - last.t_ns) * 1e-9
+        known = last.depth_m is not None and estimate.depth_m is not None
+        depth_m = abs(estimate.depth_m - last.depth_m) if known else 0.0  # type: ignore[operator]
+        walk = self._walk(seconds, depth_m) if self._applies_to(estimate) else 0.0
+        return walk, ARM_WALK_M_PER_RTS**2 * seconds
+
+    def save(self) -> tuple[CurrentBiasState | None, LeverArmState | None]:
+        """Return the beliefs of bias and lever arm, from which another observer continues; None where there is none."""
+        mean, P = self._belief[0].tolist(), self._belief[1].tolist()
+        bias = CurrentBiasState(bias_mps=(mean[0], mean[1]), covariance=(P[0][0], P[0][1], P[1][1]))
+        arm = LeverArmState(arm_m=(mean[2], mean[3]), covariance=(P[2][2], P[2][3], P[3][3]))
+        return bias if self._prior[0] else None, arm if self._prior[2] else None
+
+    def restore(self, bias: CurrentBiasState | None, arm: LeverArmState | None, age_ns: int) -> None:
+        """Continue from the beliefs of another observer.
 
         Parameters
         ----------
-        state : saved belief.
-        age_ns : time since it was saved (ns): the bias has walked since.
+        bias, arm : saved beliefs; None keeps this observer's.
+        age_ns : time since they were saved (ns): both have walked since.
         """
-        walk, _, _, max_mps = self._noise
-        b_north, b_east = (min(max(b, -max_mps), max_mps) for b in state.bias_mps)
-        north, cross, east = state.covariance
-        growth = walk**2 * max(age_ns, 0) * 1e-9  # the next update bounds it by the prior
-        self._belief = b_north, b_east, north + growth, cross, east + growth
+        mean, P = self._belief[0].copy(), self._belief[1].copy()
+        seconds, max_mps = max(age_ns, 0) * 1e-9, self._settings.max_mps
+        # The next update bounds the variances by the prior.
+        if bias is not None:
+            mean[:2] = np.clip(bias.bias_mps, -max_mps, max_mps)
+            P[:2, :2] = _symmetric(bias.covariance) + self._walk(seconds, 0.0) * np.eye(2)
+        if arm is not None:
+            mean[2:] = arm.arm_m
+            P[2:, 2:] = _symmetric(arm.covariance) + ARM_WALK_M_PER_RTS**2 * seconds * np.eye(2)
+        self._belief = mean, P
 
-    def _update(
-        self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands, *, learns: bool
-    ) -> Pair:
-        """Return the velocity predicted from the last estimate, and update the bias if it learns."""
+    def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> None:
+        """Update the belief with the change of velocity from the last estimate."""
         profile = last.current or STILL_WATER
         later = profile if last.current is None else estimate.current or profile
-        walk, noise_mps, prior_variance, max_mps = self._noise
-        seconds, s2 = (estimate.t_ns - last.t_ns) * 1e-9, 0.0
-        if learns:
-            s2 = velocity_change_variance(velocity_variance(last), velocity_variance(estimate), seconds)
-        north, east, *belief = predict_and_update(
-            self._belief if self._applies_to(last) else NO_BIAS,
-            (estimate.t_ns, estimate.velocity_north_mps, estimate.velocity_east_mps),
+        seconds = (estimate.t_ns - last.t_ns) * 1e-9
+        s2 = velocity_change_variance(velocity_variance(last), velocity_variance(estimate), seconds)
+        mean, P = self._belief
+        self._belief = update_belief(
+            mean,
+            propagate(P, *self._growth(last, estimate), self._prior),
+            (
+                estimate.t_ns,
+                estimate.velocity_north_mps,
+                estimate.velocity_east_mps,
+                estimate.heading_rad,
+                estimate.yaw_rate_radps,
+            ),
             prediction.coefficients,
             prediction.measured(last, commands),
             prediction.delivered(commands),
@@ -240,86 +283,109 @@ class CurrentBias:
                 (profile.depth_m, profile.north_mps, profile.east_mps),
                 (later.depth_m, later.north_mps, later.east_mps),
             ),
-            (walk, math.sqrt(noise_mps**2 + s2), prior_variance, max_mps),
-            learns,
+            self._variance + s2,
+            self._settings.max_mps,
+            self._applies_to(last) and self._applies_to(estimate),
         )
-        if learns:
-            self._belief = belief[0], belief[1], belief[2], belief[3], belief[4]
-        return north, east
+
+
+Newest: TypeAlias = tuple[int, float, float, float, float]
+"""Time of the newest estimate (ns), its velocity over ground, north and east (m/s), heading (rad), yaw rate (rad/s)."""
 
 
 @jit
-def predict_and_update(
-    belief: FlatBelief,
-    newest: tuple[int, float, float],
+def update_belief(
+    mean: Array,
+    P: Array,
+    newest: Newest,
     vehicle: Array,
     measured: Measured,
     commands: Commands,
     profiles: tuple[Profile, Profile],
-    noise: Noise,
-    updates: bool,
-) -> tuple[float, float, float, float, float, float, float]:
-    """Predict the velocity over ground, and update the belief with the measured one: one step of the filter.
+    variance: float,
+    max_mps: float,
+    learns_current: bool,
+) -> tuple[Array, Array]:
+    """Update the belief with the newest velocity over ground: the measurement update of the filter.
 
     Parameters
     ----------
-    belief : before the step.
-    newest : time of the newest estimate (ns), and its velocity over ground, north and east (m/s).
+    mean, P : (4,), (4, 4) belief before the update.
+    newest : as its type says.
     vehicle, measured, commands : as ``predict_state`` takes them, from the last estimate.
     profiles : of the last and of the newest estimate, without the bias.
-    noise : of the walk, of the velocity, the prior, and the bound of the bias.
-    updates : False: only predict.
+    variance : r^2 + s^2 (m^2/s^2).
+    max_mps : largest bias in either direction.
+    learns_current : False: the bias is not updated.
 
     Returns
     -------
-    Predicted velocity over ground of the newest estimate, north and east (m/s), then the belief after the step. An
-    estimate whose velocity is not finite does not change the belief.
+    Mean (4,) and covariance (4, 4) after the update. An estimate whose numbers are not finite does not change them.
     """
-    b = np.array(belief[:2])
-    until, velocity = newest[0], newest[1:]
-    predicted = _predicted_velocity(b, until, vehicle, measured, commands, profiles)
-    if not updates:
-        return (*predicted, *belief)
-    velocity_sd, max_mps = noise[1], noise[3]
-    H = np.empty((2, 2))
-    for j in range(2):  # one difference for each component of b
-        shifted = b.copy()
-        shifted[j] += STEP_MPS
-        v = _predicted_velocity(shifted, until, vehicle, measured, commands, profiles)
+    cos, sin = np.cos(newest[3]), np.sin(newest[3])
+    at, out, H, noise = mean.copy(), mean.copy(), np.zeros((2, 4)), np.empty(2)
+    G, S = np.empty((2, 4)), np.empty(2)
+    for iteration in range(MAX_ITERATIONS):
+        north, east, surge_error, sway_error = _predicted_velocity(at, newest, vehicle, measured, commands, profiles)
+        if iteration == 0:
+            noise[0], noise[1] = variance + surge_error * surge_error, variance + sway_error * sway_error
+        for j in range(0 if learns_current else 2, 4):
+            shifted = at.copy()
+            shifted[j] += STEPS[j]
+            n, e, _, _ = _predicted_velocity(shifted, newest, vehicle, measured, commands, profiles)
+            dn, de = (n - north) / STEPS[j], (e - east) / STEPS[j]
+            H[0, j], H[1, j] = (
+                cos * dn + sin * de,
+                cos * de - sin * dn,
+            )  # in the body frame, where the noise is diagonal
+        dn, de = newest[1] - north, newest[2] - east
+        z = (cos * dn + sin * de, cos * de - sin * dn)
+        # x = mean + K (z - h(at) - H (mean - at)), one row after the other
+        out, Q = mean.copy(), P.copy()
         for i in range(2):
-            H[i, j] = (v[i] - predicted[i]) / STEP_MPS
-    out_b = b.copy()
-    _, _, p00, p01, p11 = propagate(belief, until - measured[0], noise)
-    r2 = velocity_sd * velocity_sd
-    # The noise of the two components is independent, so they are used one after the other.
-    for i in range(2):
-        h0, h1 = H[i, 0], H[i, 1]
-        a0, a1 = p00 * h0 + p01 * h1, p01 * h0 + p11 * h1  # P h
-        S = h0 * a0 + h1 * a1 + r2
-        k0, k1 = a0 / S, a1 / S
-        innovation = velocity[i] - predicted[i] - h0 * (out_b[0] - b[0]) - h1 * (out_b[1] - b[1])
-        out_b[0] += k0 * innovation
-        out_b[1] += k1 * innovation
-        # Joseph's form, P = (1 - k h) P (1 - k h)' + k r^2 k': stays symmetric and positive definite
-        j00, j01, j10, j11 = 1.0 - k0 * h0, -k0 * h1, -k1 * h0, 1.0 - k1 * h1
-        q00, q01 = j00 * p00 + j01 * p01, j00 * p01 + j01 * p11
-        q10, q11 = j10 * p00 + j11 * p01, j10 * p01 + j11 * p11
-        p00 = q00 * j00 + q01 * j01 + r2 * k0 * k0
-        p01 = q00 * j10 + q01 * j11 + r2 * k0 * k1
-        p11 = q10 * j10 + q11 * j11 + r2 * k1 * k1
-    if not np.isfinite(out_b[0] + out_b[1]):
-        return (*predicted, *belief)
-    north, east = min(max(out_b[0], -max_mps), max_mps), min(max(out_b[1], -max_mps), max_mps)
-    return predicted[0], predicted[1], north, east, p00, p01, p11
+            G[i] = Q @ H[i]
+            S[i] = H[i] @ G[i] + noise[i]
+            out += G[i] / S[i] * (z[i] - H[i] @ (out - at))
+            K = G[i] / S[i]
+            # Joseph's form, (1 - K h) Q (1 - K h)' + K r^2 K': stays symmetric and positive definite
+            J = np.eye(4) - np.outer(K, H[i])
+            Q = J @ Q @ J.T + noise[i] * np.outer(K, K)
+        if not np.isfinite(out.sum()):
+            return mean, P
+        largest = 0.0
+        for j in range(4):
+            largest = max(largest, abs(out[j] - at[j]) / STEPS[j])
+        at = out
+        if largest < 0.4:
+            break
+    for j in range(2):
+        out[j] = min(max(out[j], -max_mps), max_mps)
+    return out, Q
 
 
 @jit_outlined
 def _predicted_velocity(
-    b: Array, until: int, vehicle: Array, measured: Measured, commands: Commands, profiles: tuple[Profile, Profile]
-) -> tuple[float, float]:
-    """Return h(b): the velocity over ground, north and east (m/s), with bias b (2,); other arguments as above."""
+    state: Array,
+    newest: Newest,
+    vehicle: Array,
+    measured: Measured,
+    commands: Commands,
+    profiles: tuple[Profile, Profile],
+) -> tuple[float, float, float, float]:
+    """Return h(b, l), north and east (m/s), and the errors a_u and a_v of the model (m/s), for the state b, l (4,)."""
+    since, estimate, report_t_ns, reported_N = measured
     (depth, north, east), later = profiles
-    end = predict_state(vehicle, measured, until, commands, (depth, north + b[0], east + b[1]))
+    origin = estimate.copy()
+    arm_north, arm_east = _turning_velocity(state, estimate[2], estimate[3])
+    origin[4] -= arm_north
+    origin[5] -= arm_east
+    end = predict_state(
+        vehicle,
+        (since, origin, report_t_ns, reported_N),
+        newest[0],
+        commands,
+        (depth, north + state[0], east + state[1]),
+    )
     before_north, before_east = current_at_depth(depth, north, east, end[11])
     current_north, current_east = current_at_depth(later[0], later[1], later[2], end[11])
     dn, de = current_north - before_north, current_east - before_east
@@ -328,26 +394,63 @@ def _predicted_velocity(
     # The change of the current with time carries the vehicle: M [u', v'] = ... - m R(psi)' c'
     u = end[2] - p.dry_mass / p.mass_surge * (cos * dn + sin * de)
     v = end[3] - p.dry_mass / p.mass_sway * (cos * de - sin * dn)
-    # v = R(psi) [u, v] + c
-    return cos * u - sin * v + current_north + b[0], sin * u + cos * v + current_east + b[1]
+    # v = R(psi) [u, v] + c + r R S l
+    arm_north, arm_east = _turning_velocity(state, newest[3], newest[4])
+    over_north = cos * u - sin * v + current_north + state[0] + arm_north
+    over_east = sin * u + cos * v + current_east + state[1] + arm_east
+    seconds, r = float(newest[0] - since) * 1e-9, abs(end[5])
+    surge_N = abs(end[6]) + abs(end[7]) + (p.linear_surge + p.quadratic_surge * abs(u)) * abs(u)
+    sway_N = (p.linear_sway + p.quadratic_sway * abs(v)) * abs(v) + p.mass_surge * abs(u) * r
+    surge_error = SURGE_ERROR * (surge_N + p.mass_sway * abs(v) * r) * seconds / p.mass_surge
+    return over_north, over_east, surge_error, SWAY_ERROR * sway_N * seconds / p.mass_sway
 
 
 @jit
-def propagate(belief: FlatBelief, interval_ns: int, noise: Noise) -> FlatBelief:
-    """Return the belief after a random walk; its largest variance in any direction is bounded by the prior variance.
+def _turning_velocity(state: Array, heading: float, yaw_rate: float) -> tuple[float, float]:
+    """Return r R S l, north and east (m/s): the velocity of the estimated point relative to the origin."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    forward, starboard = -yaw_rate * state[3], yaw_rate * state[2]
+    return cos * forward - sin * starboard, sin * forward + cos * starboard
+
+
+@jit
+def propagate(P: Array, walk: float, arm_walk: float, prior: Array) -> Array:
+    """Return the covariance after the random walks; the largest variances of b and l are bounded by the prior.
 
     Parameters
     ----------
-    belief : before the walk.
-    interval_ns : length of the walk (ns).
-    noise : its walk and its prior.
+    P : (4, 4) covariance before.
+    walk, arm_walk : variances that are added to each component of b (m^2/s^2) and l (m^2).
+    prior : (4,) prior variances.
+
+    Returns
+    -------
+    (4, 4) covariance. Directions that are not observed do not grow beyond the prior.
     """
-    north, east, p00, p01, p11 = belief
-    growth = noise[0] * noise[0] * float(interval_ns) * 1e-9
-    p00, p11 = p00 + growth, p11 + growth
-    largest = 0.5 * (p00 + p11) + np.sqrt(0.25 * (p00 - p11) ** 2 + p01 * p01)
-    bounded = min(1.0, noise[2] / largest)  # unobservable directions must not grow beyond the prior
-    return north, east, bounded * p00, bounded * p01, bounded * p11
+    out = P.copy()
+    for i, growth in ((0, walk), (2, arm_walk)):
+        out[i, i] += growth
+        out[i + 1, i + 1] += growth
+        a, b, c = out[i, i], out[i, i + 1], out[i + 1, i + 1]
+        largest = 0.5 * (a + c) + np.sqrt(0.25 * (a - c) ** 2 + b * b)
+        if largest > prior[i]:
+            scale = np.sqrt(prior[i] / largest)
+            out[i : i + 2] *= scale
+            out[:, i : i + 2] *= scale
+    return out
+
+
+def _significant(arm_m: float, variance: float) -> float:
+    """Return the part of a component of the lever arm (m) that is used, by its variance (m^2)."""
+    if arm_m == 0.0 or variance <= 0.0:
+        return 0.0
+    return arm_m * min(max((arm_m * arm_m / variance - INSIGNIFICANT) / (SIGNIFICANT - INSIGNIFICANT), 0.0), 1.0)
+
+
+def _symmetric(entries: tuple[float, float, float]) -> Array:
+    """Return a symmetric matrix (2, 2) by its entries 11, 12, 22."""
+    first, cross, second = entries
+    return np.array([[first, cross], [cross, second]])
 
 
 def _with_bias(estimate: Estimate, north: float, east: float) -> Estimate:

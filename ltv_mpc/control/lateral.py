@@ -114,6 +114,22 @@ class LateralPlanner:
         limited = self._config.limits.has_state_limit
         self.fencing.bend(start.lateral[:2], self._lin.C[0], self.target, limited=limited)
 
+    def relax_target(self, start: Start, knots: Times, radius_m: float) -> None:
+        """Move the target of each knot to the point of a disc about it that is nearest to the previous plan.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start, from where the previous plan is continued.
+        knots : (N+1,) times of the knots (ns).
+        radius_m : radius of the disc (m).
+        """
+        plan = self.previous.plan
+        if radius_m == 0.0 or plan is None:
+            return
+        planned = np.stack([np.interp(knots, plan.t_ns, plan.states[:, i]) for i in (0, 1)], axis=1)
+        off = planned[1:] - planned[0] + start.lateral[:2] - self.target[:-1, :2]
+        self.target[:-1, :2] += off * np.minimum(radius_m / np.maximum(np.hypot(*off.T), 1e-9), 1.0)[:, None]
+
     def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
         """Ramp the lateral thrusters to a goal at their slew limits.
 

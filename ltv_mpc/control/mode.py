@@ -25,6 +25,7 @@ from typing import NamedTuple
 import msgspec
 
 from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.position_filter import PositionFilter
 from ltv_mpc.messages import Estimate, Health
 from ltv_mpc.references.follower import Follower
 from ltv_mpc.safety.actuator_check import ActuatorCheck
@@ -95,6 +96,7 @@ class EstimateSelector:
         """Check that the estimates describe the vehicle's declared reference point."""
         self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
         """Check of the actuators' reports: whether the motion of the estimates comes from the plans."""
+        self._positions = PositionFilter()
         self._ages = config.ages
         self._fresh_ns = round(config.ages.degraded_s * 1e9)
         self._without = health(age_ns=None, period_ns=0)  # health before the first plausible estimate
@@ -103,7 +105,7 @@ class EstimateSelector:
         """Growth of the standard deviation of the predicted position since the estimate, if that is late (m)."""
 
     def select(self, newest: Estimate) -> Estimate | None:
-        """Return the newest plausible estimate; None before the first.
+        """Return the newest plausible estimate, with its position filtered if it is noisy; None before the first.
 
         Parameters
         ----------
@@ -113,11 +115,13 @@ class EstimateSelector:
         estimate, self.growth_m = self.gate.accepted, 0.0
         if estimate is None:
             self._without = HealthState(Health.FAILSAFE, f"no valid estimate: {reason}")
-        return estimate
+            return None
+        return self._positions.update(estimate)
 
     def restart(self) -> None:
         """Begin with another source of estimates."""
         self.gate.restart()
+        self._positions = PositionFilter()
         self.reference_point_check = ReferencePointCheck()
 
     def health(self, t_ns: int) -> HealthState:

@@ -119,7 +119,7 @@ class ControllerNode:
         self.reports = InputMonitor()
         """Order and age of the actuators' reports."""
         self._commands = OperatorCommands(self.controller, self.arbiter, self.sources, reference)
-        self._model_monitor = ModelMonitor(vehicle, config.disturbance.noise_mps)
+        self._model_monitor = ModelMonitor(vehicle)
         self._plan_rejections = PlanRejections(config.period_ns)
         self._applied: Applied | None = None  # the newest
         self._cycle_ns = 0  # time of the last cycle

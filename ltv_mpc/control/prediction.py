@@ -1,9 +1,9 @@
 """Prediction of the vehicle's state at the instant at which a plan takes effect: dead-time compensation.
 
 An estimate is valid at its own time; the plan that is computed from it takes effect later. Until then the commands that
-were sent before act, through the thrusters' lag. The delivered thrust follows the lag model through these commands: from
-the last report of the actuators that is not newer than the estimate, and without reports from rest before the first
-plan. Without newer estimates the prediction grows longer: ``mode.py`` says how long it is used.
+were sent before act, through the thrusters' lag. The delivered thrust follows the lag model through these commands:
+from the last report of the actuators that is not newer than the estimate, and without reports from rest before the
+first plan. Without newer estimates the prediction grows longer: ``mode.py`` says how long it is used.
 """
 
 from __future__ import annotations

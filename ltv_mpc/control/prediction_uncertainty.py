@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from ltv_mpc.control.disturbance import CurrentBias
+from ltv_mpc.control.disturbance import DisturbanceObserver
 from ltv_mpc.control.prediction import Prediction, current_at_depth, predict_state, profile_of
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Array, CurrentProfile, Estimate
@@ -35,7 +35,9 @@ COLUMN_OF = (0, 1, 4, 5, 2, 3)
 """Place of north, east, velocity north and east, heading, yaw rate in the estimate of ``prediction.Measured``."""
 
 
-def growth_m(prediction: Prediction, estimate: Estimate, t_ns: int, commands: SentCommands, bias: CurrentBias) -> float:
+def growth_m(
+    prediction: Prediction, estimate: Estimate, t_ns: int, commands: SentCommands, observer: DisturbanceObserver
+) -> float:
     """Return the growth of the standard deviation of the predicted horizontal position (m).
 
     Parameters
@@ -44,7 +46,7 @@ def growth_m(prediction: Prediction, estimate: Estimate, t_ns: int, commands: Se
     estimate : where the prediction begins, with the bias in its current.
     t_ns : time of the predicted position, vehicle time (ns).
     commands : commands in force from the estimate's time on.
-    bias : estimated bias of the current; it has no covariance where it does not apply.
+    observer : estimated bias of the current; it has no covariance where it does not apply.
     """
     since_ns, state, report_ns, thrust_N = prediction.measured(estimate, commands)
     times, commanded_N = prediction.delivered(commands)
@@ -67,7 +69,7 @@ def growth_m(prediction: Prediction, estimate: Estimate, t_ns: int, commands: Se
         d = _position(gain=gain) - at
         variance += float(d @ d)
     Pb = _current_variance(profile, estimate.depth_m) * np.eye(2)
-    Pb += bias.covariance_of_mean((t_ns - since_ns) * 1e-9)
+    Pb += observer.covariance_of_mean((t_ns - since_ns) * 1e-9)
     if Pb.any():
         B = np.array([_position(current=(STEP, 0.0)) - at, _position(current=(0.0, STEP)) - at]).T / STEP
         variance += float(np.trace(B @ Pb @ B.T))

@@ -19,8 +19,8 @@ from ltv_mpc.safety.health import plan_end_ns
 from ltv_mpc.vehicle.parameters import Vehicle
 
 HISTORY_NS, HISTORY_LAGS = 10_000_000_000, 8.0
-"""Shortest history while estimates arrive, in ns and in lags of a thruster: without reports the delivered thrust follows
-from it, and e^-8 of a difference is left after 8 lags.
+"""Shortest history while estimates arrive, in ns and in lags of a thruster. Without reports the delivered thrust
+follows from it, and e^-8 of an error at its begin is left.
 """
 
 MAX_HISTORY_NS = 60_000_000_000
@@ -72,7 +72,8 @@ class SentCommands:
         start_ns = int(plan.t_ns[0])
         if len(t) == 0:
             t, thrust = np.array([start_ns - 1]), np.array([before_N])
-        since_ns = min(start_ns - self._history_ns, max(plan.estimate_t_ns - BEFORE_ESTIMATE_NS, start_ns - MAX_HISTORY_NS))
+        estimate_ns = max(plan.estimate_t_ns - BEFORE_ESTIMATE_NS, start_ns - MAX_HISTORY_NS)
+        since_ns = min(start_ns - self._history_ns, estimate_ns)
         end_ns = plan_end_ns(plan.t_ns, self._period_ns, self._timeout_s)
         self.knots = supersede(t, thrust, since_ns, plan.t_ns, plan.thrust_N, end_ns, self._slew, self._rest)
 

@@ -63,6 +63,9 @@ ALARM_NATS = 12.0
 alarm in 200 runs with the largest mismatch.
 """
 
+NOISE_MPS = 1e-3
+"""q, noise of the change of velocity between two estimates."""
+
 QUIET_CYCLES = 10
 """Successive cycles with evidence below half of ``ALARM_NATS`` after which the alarm ends. A loss that is still in a
 window can keep the evidence above this.
@@ -158,15 +161,14 @@ class ModelMonitor:
     Parameters
     ----------
     vehicle : parameters of the vehicle.
-    noise_mps : q, noise of the change of velocity between two estimates (m/s).
     settling_s : time of thrust (s) for which ``SETTLING_MPS`` is added to this noise.
     """
 
-    def __init__(self, vehicle: Vehicle, noise_mps: float, settling_s: float = SETTLING_TIME_S) -> None:
+    def __init__(self, vehicle: Vehicle, settling_s: float = SETTLING_TIME_S) -> None:
         self._settling_s = settling_s
         self._p = vehicle.coefficients()
         # M_x^2 q^2; None: the vehicle is not identified, so the surge row does not count
-        self._noise = (self._p.mass_surge * noise_mps) ** 2 if vehicle.identified else None
+        self._noise = (self._p.mass_surge * NOISE_MPS) ** 2 if vehicle.identified else None
         self._impulse = ThrustImpulse()
         self._last: _Motion | None = None
         self._detector = ThrustLossDetector()

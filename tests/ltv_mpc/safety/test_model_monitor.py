@@ -47,7 +47,7 @@ class Sea:
         settling_s: float = 0.0,
         vehicle: Vehicle = PAPER,
     ) -> None:
-        self.monitor = ModelMonitor(vehicle, 1e-3, settling_s=settling_s)
+        self.monitor = ModelMonitor(vehicle, settling_s=settling_s)
         self.share = np.ones(2)
         self.cost_Ns = 0.0
         self.messages: list[ModelCheck] = []
@@ -324,7 +324,7 @@ def test_after_a_gap_the_window_starts_empty():
 
 
 def test_an_estimate_before_the_first_report_is_not_used():
-    monitor = ModelMonitor(PAPER, 1e-3)
+    monitor = ModelMonitor(PAPER)
     monitor.add_report(applied(50, (1.0, 1.0)))
     assert monitor.update(msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=STILL)) is None
 
