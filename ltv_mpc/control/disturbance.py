@@ -13,7 +13,7 @@ v_o is the velocity of the vehicle's origin after the exact flow through the com
 the last estimate, r' and R' to this one. This is an iterated extended Kalman filter with four states. Iterated, because
 drag is quadratic: a linear correction of a large error of the current stops halfway and is sure of it. s^2 is the
 variance of the error of the estimated change (``velocity_change_variance``), so that the noise of a navigation filter
-is not taken for a current. a_u and a_v are the errors of the model, surge and sway, as shares of the forces that act.
+is not taken for a current. a_u and a_v are the errors of the model in surge and sway, as shares of the forces that act.
 
 When the vehicle drifts with the water, drag is zero to first order, so dh/db vanishes and b is unobservable; its
 variance is then bounded by the prior. A steady course shows nothing of l. An arm is used as far as it is significant,
@@ -30,6 +30,7 @@ Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to track
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import TypeAlias
 
@@ -37,7 +38,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.prediction import Measured, Prediction, Profile, current_at_depth, predict_state
+from ltv_mpc.control.prediction import Measured, Prediction, Profile, current_at_depth, predict_state, profile_of
 from ltv_mpc.control.sent_commands import Commands, SentCommands
 from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array, CurrentBiasState, CurrentProfile, Estimate, LeverArmState
@@ -49,13 +50,18 @@ from ltv_mpc.vehicle.reference_point import ReferencePoint
 STEPS = (0.005, 0.005, 0.01, 0.01)
 """Steps of the finite differences dh/d(b, l) (m/s, m), and the changes at which the iteration ends."""
 
-MAX_ITERATIONS = 5
+MAX_ITERATIONS, ITERATED_SQUARE = 5, 16.0
+"""Iterations of an update whose innovation is more than its noise explains, by the normalised square. An ordinary one
+is linear: iterated, the noise of a drifting vehicle, of which dh/db is zero, would be learned as a current.
+"""
 
 STILL_WATER = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
 """Profile that the bias is added to if the estimate has none."""
 
-DEFAULT_SD_MPS = 0.1
-"""Prior standard deviation of the bias if the estimates have no current profile (m/s)."""
+DEFAULT_SD_SHARE, MIN_SD_MPS = 0.3, 0.1
+"""Default prior standard deviation of the bias if the estimates have no current profile: over the top speed, and at
+least (m/s). A tighter prior makes a lever arm of what is a stronger current.
+"""
 
 NOISE_SHARE = 0.004
 """Default noise of the velocity over ground, over the top speed: what is unmodelled grows with a vehicle's speed."""
@@ -63,13 +69,19 @@ NOISE_SHARE = 0.004
 ARM_WALK_M_PER_RTS = 1e-3
 """Random walk of the lever arm: it is fixed to the hull, but the pivot of a hull depends on its motion."""
 
-SURGE_ERROR, SWAY_ERROR = 1.0, 0.1
-"""Errors of the model as shares of the forces that act. An error of thrust or drag lasts for seconds: 20 % for 3 s
-weighs as much as 100 % that is new in each estimate.
+THRUST_ERROR, HULL_ERROR = 0.5, 0.1
+"""Errors of the model as shares of the thrusts, and of the drag and Coriolis forces that act. An error of thrust lasts
+for seconds: 11 % for 3 s weighs as much as 50 % that is new in each estimate.
 """
 
-INSIGNIFICANT, SIGNIFICANT = 4.0, 12.0
+INSIGNIFICANT, SIGNIFICANT = 1.0, 4.0
 """Square of a component of the arm over its variance: up to the first nothing is used, from the second on all."""
+
+HEADING_FREE_SHARE, SHIFT_TIME_S = 0.03, 15.0
+"""Speed through the water over the top speed, below which the heading is free, and time in which the estimated point is
+brought to where the origin is. In a current, or on a path, the heading is given, so the estimated point is the one that
+is held. At rest in still water a target that turns with the vehicle would make it turn for ever.
+"""
 
 VELOCITY_ERROR_TIME_S = 3.0
 """tau: time constant of the error of an estimated velocity. With realistic sensors this error is 1 cm/s while the
@@ -120,12 +132,14 @@ class DisturbanceObserver:
     def __init__(self, settings: Disturbance, vehicle: Vehicle) -> None:
         """Begin at the prior; with a standard deviation of 0 there never is a bias, or a lever arm."""
         self._settings = settings
-        noise_mps = settings.noise_mps or NOISE_SHARE * path_limits(vehicle).top_mps
-        self._variance = noise_mps**2
-        sd_mps = DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps
+        top_mps = path_limits(vehicle).top_mps
+        self._variance = (settings.noise_mps or NOISE_SHARE * top_mps) ** 2
+        self._heading_free_mps = HEADING_FREE_SHARE * top_mps
+        sd_mps = max(DEFAULT_SD_SHARE * top_mps, MIN_SD_MPS) if settings.sd_mps is None else settings.sd_mps
         self._prior = np.array([sd_mps, sd_mps, settings.lever_arm_sd_m, settings.lever_arm_sd_m]) ** 2
         self._belief: Belief = np.zeros(4), np.diag(self._prior)
         self._last: Estimate | None = None
+        self._shift = np.zeros(2)  # from the origin to the point that is held in its place, north and east (m)
         # After each update, the oldest first: time of the estimate, belief.
         self._before: deque[tuple[int, Belief]] = deque(maxlen=DOUBTED_ESTIMATES)
         self.thrust_in_doubt = False
@@ -180,7 +194,9 @@ class DisturbanceObserver:
 
         Returns
         -------
-        The estimate of the vehicle's origin with the corrected current; itself if nothing is to be corrected.
+        The estimate with the velocity of the vehicle's origin and the corrected current. Its position is that of the
+        origin in still water, and goes over to that of the estimated point where the heading is given. The estimate
+        itself if nothing is to be corrected.
         """
         last, self._last = self._last, estimate
         interval_ns = 0 if last is None else estimate.t_ns - last.t_ns
@@ -195,7 +211,22 @@ class DisturbanceObserver:
             else:
                 self._belief = self._belief[0], propagate(self._belief[1], *self._growth(last, estimate), self._prior)
         at_origin = self.arm_in_use.to_origin(estimate)
-        return _with_bias(at_origin, *self._belief[0][:2].tolist()) if self._applies_to(estimate) else at_origin
+        if self._applies_to(estimate):
+            at_origin = _with_bias(at_origin, *self._belief[0][:2].tolist())
+        return self._shifted(at_origin, estimate, interval_ns * 1e-9)
+
+    def _shifted(self, at_origin: Estimate, estimate: Estimate, seconds: float) -> Estimate:
+        """Return the estimate of the origin, moved towards the estimated point as far as the heading is given."""
+        arm = np.array((estimate.north_m - at_origin.north_m, estimate.east_m - at_origin.east_m))
+        if not arm.any() and not self._shift.any():
+            return at_origin
+        current = profile_of(at_origin)
+        c = current_at_depth(current.depth_m, current.north_mps, current.east_mps, estimate.depth_m or 0.0)
+        speed = math.hypot(at_origin.velocity_north_mps - c[0], at_origin.velocity_east_mps - c[1])
+        given = speed * speed / (speed * speed + self._heading_free_mps**2)
+        self._shift += min(seconds / SHIFT_TIME_S, 1.0) * (given * arm - self._shift)
+        north_m, east_m = (self._shift + (at_origin.north_m, at_origin.east_m)).tolist()
+        return msgspec.structs.replace(at_origin, north_m=north_m, east_m=east_m)
 
     @property
     def arm_in_use(self) -> ReferencePoint:
@@ -356,7 +387,9 @@ def update_belief(
         for j in range(4):
             largest = max(largest, abs(out[j] - at[j]) / STEPS[j])
         at = out
-        if largest < 0.4:
+        if iteration == 0 and z[0] * z[0] / noise[0] + z[1] * z[1] / noise[1] <= ITERATED_SQUARE:
+            break
+        if largest < 1.0:
             break
     for j in range(2):
         out[j] = min(max(out[j], -max_mps), max_mps)
@@ -399,10 +432,10 @@ def _predicted_velocity(
     over_north = cos * u - sin * v + current_north + state[0] + arm_north
     over_east = sin * u + cos * v + current_east + state[1] + arm_east
     seconds, r = float(newest[0] - since) * 1e-9, abs(end[5])
-    surge_N = abs(end[6]) + abs(end[7]) + (p.linear_surge + p.quadratic_surge * abs(u)) * abs(u)
+    surge_N = (p.linear_surge + p.quadratic_surge * abs(u)) * abs(u) + p.mass_sway * abs(v) * r
     sway_N = (p.linear_sway + p.quadratic_sway * abs(v)) * abs(v) + p.mass_surge * abs(u) * r
-    surge_error = SURGE_ERROR * (surge_N + p.mass_sway * abs(v) * r) * seconds / p.mass_surge
-    return over_north, over_east, surge_error, SWAY_ERROR * sway_N * seconds / p.mass_sway
+    surge_error_N = THRUST_ERROR * (abs(end[6]) + abs(end[7])) + HULL_ERROR * surge_N
+    return over_north, over_east, surge_error_N * seconds / p.mass_surge, HULL_ERROR * sway_N * seconds / p.mass_sway
 
 
 @jit

@@ -8,13 +8,14 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.disturbance import DOUBTED_ESTIMATES, CurrentBias
+from ltv_mpc.control.disturbance import DOUBTED_ESTIMATES, DisturbanceObserver
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.messages import Action, Plan
+from ltv_mpc.messages import Action, Plan, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.vehicle.reference_point import ReferencePoint
 from tests.ltv_mpc.reports import report
 from tests.stepping import step
 
@@ -51,7 +52,7 @@ def held(disturbance: Disturbance, known: CurrentProfile | None, cycles: int = 2
         force.append(np.abs(plan.thrust_N[0, :2]).mean())
         off.append(np.hypot(truth.north_m, truth.east_m))
     late = slice(cycles // 2, None)
-    return controller._bias, float(np.mean(force[late])), float(np.mean(off[late]))
+    return controller._observer, float(np.mean(force[late])), float(np.mean(off[late]))
 
 
 def test_an_unknown_current_is_estimated_and_then_costs_no_more_than_a_known_one():
@@ -75,15 +76,15 @@ def test_by_default_it_works_only_for_estimates_without_a_profile():
 
 def test_the_bias_survives_an_estimate_with_a_profile():
     """It is used again after that estimate, and is not updated across it."""
-    bias, commands, vehicle = CurrentBias(DEFAULT), SentCommands(PAPER), Prediction(PAPER)
+    bias, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
     for i in range(50):
         bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
     learned = bias.bias_mps.copy()
     assert learned[0] > 0.05
     known = msgspec.structs.replace(estimate, t_ns=50 * 300_000_000, current=flat(WATER))
-    assert bias.correct(known, vehicle, commands)[0] is known
-    again, _ = bias.correct(msgspec.structs.replace(estimate, t_ns=51 * 300_000_000), vehicle, commands)
+    assert bias.correct(known, vehicle, commands) is known
+    again = bias.correct(msgspec.structs.replace(estimate, t_ns=51 * 300_000_000), vehicle, commands)
     assert again.current.north_mps[0] == learned[0]
 
 
@@ -100,10 +101,10 @@ def test_a_correct_profile_needs_no_bias():
 
 def drifting(seconds: float, steps: int, settings: Disturbance = ON, **changes: float):
     """Return the observer after ``steps`` estimates without a profile of a vehicle without thrust."""
-    bias, commands, vehicle = CurrentBias(settings), SentCommands(PAPER), Prediction(PAPER)
+    bias, commands, vehicle = DisturbanceObserver(settings, PAPER), SentCommands(PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(), **changes)
     for i in range(steps):
-        corrected, _ = bias.correct(msgspec.structs.replace(estimate, t_ns=round(i * seconds * 1e9)), vehicle, commands)
+        corrected = bias.correct(msgspec.structs.replace(estimate, t_ns=round(i * seconds * 1e9)), vehicle, commands)
     return bias, corrected
 
 
@@ -126,21 +127,23 @@ def test_over_a_long_interval_the_bias_is_not_updated():
     np.testing.assert_array_equal(bias.bias_mps, 0.0)
 
 
-def test_over_a_long_interval_the_bias_becomes_less_certain():
-    """By hand: a random walk of 0.01 m/s per sqrt(s) over 9 s."""
-    bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
-    estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
+@pytest.mark.parametrize(("sinks_m", "variance"), [(0.0, 4e-6 * 9.0), (2.0, 4e-6 * 9.0 + 4e-4 * 2.0)])
+def test_over_a_long_interval_the_bias_becomes_less_certain(sinks_m: float, variance: float):
+    """By hand: a random walk of 2 mm/s per sqrt(s) over 9 s, and one of 2 cm/s per sqrt(m) over the change of depth."""
+    bias, commands, vehicle = DisturbanceObserver(ON, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), velocity_north_mps=0.2)
     for i in range(50):
         bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
-    before = bias.covariance
-    bias.correct(msgspec.structs.replace(estimate, t_ns=49 * 300_000_000 + 9_000_000_000), vehicle, commands)
-    np.testing.assert_allclose(bias.covariance - before, 9e-4 * np.eye(2), rtol=1e-6, atol=1e-12)
+    before, late_ns = bias.covariance, 49 * 300_000_000 + 9_000_000_000
+    bias.correct(msgspec.structs.replace(estimate, t_ns=late_ns, depth_m=5.0 + sinks_m), vehicle, commands)
+    np.testing.assert_allclose(bias.covariance - before, variance * np.eye(2), rtol=1e-6, atol=1e-12)
 
 
 def test_the_noise_of_a_navigation_filter_is_not_taken_for_a_current():
     """The velocity error has 1 cm/s rms and varies over some seconds, as the covariance says."""
     rng, error = np.random.default_rng(5), np.zeros(2)
-    knowing, sure, commands, vehicle = CurrentBias(ON), CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
+    knowing, sure = DisturbanceObserver(ON, PAPER), DisturbanceObserver(ON, PAPER)
+    commands, vehicle = SentCommands(PAPER), Prediction(PAPER)
     largest = {knowing: 0.0, sure: 0.0}
     for k in range(300):
         error = 0.9 * error + 0.01 * np.sqrt(1 - 0.9**2) * rng.standard_normal(2)
@@ -160,7 +163,7 @@ def test_the_noise_of_a_navigation_filter_is_not_taken_for_a_current():
 
 
 def test_a_negative_variance_of_the_velocity_does_not_stop_the_controller():
-    bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
+    bias, commands, vehicle = DisturbanceObserver(ON, PAPER), SentCommands(PAPER), Prediction(PAPER)
     for k in range(3):
         estimate = msgspec.structs.replace(Estimate.at_rest(), t_ns=k * 300_000_000, covariance=-np.eye(6))
         bias.correct(estimate, vehicle, commands)
@@ -168,13 +171,13 @@ def test_a_negative_variance_of_the_velocity_does_not_stop_the_controller():
 
 
 def test_a_nan_velocity_is_ignored_and_the_bias_is_bounded():
-    bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
+    bias, commands, vehicle = DisturbanceObserver(ON, PAPER), SentCommands(PAPER), Prediction(PAPER)
     first = Estimate.at_rest()
     bias.correct(first, vehicle, commands)
     broken = msgspec.structs.replace(first, t_ns=300_000_000, velocity_north_mps=float("nan"))
     bias.correct(broken, vehicle, commands)
     np.testing.assert_array_equal(bias.bias_mps, 0.0)
-    tight = CurrentBias(Disturbance(sd_mps=0.1, max_mps=0.01))
+    tight = DisturbanceObserver(Disturbance(sd_mps=0.1, max_mps=0.01), PAPER)
     estimate = msgspec.structs.replace(first, velocity_north_mps=0.2)
     for i in range(50):
         tight.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
@@ -183,7 +186,7 @@ def test_a_nan_velocity_is_ignored_and_the_bias_is_bounded():
 
 def test_a_current_that_changes_with_time_as_the_profile_says_needs_no_bias():
     """By hand: without thrust, 500 u' = -500 u|u| - 200 c' along the heading; c has an amplitude of 5 cm/s in 60 s."""
-    bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
+    bias, commands, vehicle = DisturbanceObserver(ON, PAPER), SentCommands(PAPER), Prediction(PAPER)
     heading, u, step_s = 0.7, 0.0, 1e-3
     along = np.array([np.cos(heading), np.sin(heading)])
     current = lambda t_s: 0.05 * np.sin(2.0 * np.pi * t_s / 60.0)  # noqa: E731
@@ -206,7 +209,7 @@ def test_a_current_that_changes_with_time_as_the_profile_says_needs_no_bias():
 
 def test_a_thruster_in_doubt_teaches_no_current():
     """The bias of the last seconds is taken back, and it learns again after the doubt."""
-    bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
+    bias, commands, vehicle = DisturbanceObserver(ON, PAPER), SentCommands(PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
     seen = []
     for i in range(60):
@@ -246,17 +249,72 @@ def test_a_thruster_that_fails_teaches_no_current():
     assert largest_bias(0.02) < 0.075  # 0.099 where it learns while the thruster has the smallest share
 
 
-@pytest.mark.parametrize("known", [None, flat(np.array([0.2, -0.1]))])
-@pytest.mark.parametrize("settings", [ON, OFF, DEFAULT])
-def test_the_predicted_velocity_is_that_of_the_controller_s_own_prediction(settings: Disturbance, known):
-    """Also where the bias is not updated; it is the velocity before the update."""
-    bias, commands, vehicle = CurrentBias(settings), SentCommands(PAPER), Prediction(PAPER)
-    first = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2, yaw_rate_radps=0.1, current=known)
-    corrected, predicted = bias.correct(first, vehicle, commands)
-    assert predicted is None
-    for k in range(1, 4):
-        expected = as_estimate(vehicle.state_at(corrected, k * 300_000_000, commands), corrected)
-        corrected, predicted = bias.correct(msgspec.structs.replace(first, t_ns=k * 300_000_000), vehicle, commands)
-        np.testing.assert_allclose(predicted, (expected.velocity_north_mps, expected.velocity_east_mps), atol=1e-12)
-    _, predicted = bias.correct(msgspec.structs.replace(first, t_ns=10_000_000_000), vehicle, commands)
-    assert predicted is None
+def test_a_current_of_three_standard_deviations_is_learned_in_the_first_seconds():
+    """Drag is quadratic: a linear correction stops halfway, at 0.15 m/s, and is then sure of it."""
+    bias, _ = drifting(0.3, 4, DEFAULT, velocity_north_mps=0.3)
+    assert bias.bias_mps[0] > 0.22
+    assert abs(bias.bias_mps[0] - 0.3) < 3.0 * np.sqrt(bias.covariance[0, 0])
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("arm_m", [(0.0, 0.0), (0.05, 0.0), (-0.25, 0.0), (0.0, 0.15), (0.1, -0.2)])
+def test_the_lever_arm_to_the_estimated_point_is_learned_while_the_vehicle_turns(arm_m, known):
+    """The corrected estimates are then those of the origin, and a current that is not known is learned beside it."""
+    observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    truth = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=WATER[0], velocity_east_mps=WATER[1])
+    truth = msgspec.structs.replace(truth, current=flat(WATER))
+    away = ReferencePoint(forward_m=-arm_m[0], starboard_m=-arm_m[1])  # its origin is the point that is estimated
+    for k in range(200):
+        side_N = 20.0 * np.sin(0.2 * k)
+        commands.add(pushing(truth.t_ns, (10.0 + side_N, 10.0 - side_N)))
+        given = away.to_origin(truth)
+        corrected = observer.correct(
+            given if known else msgspec.structs.replace(given, current=None), vehicle, commands
+        )
+        if k == 199:
+            break
+        truth = as_estimate(vehicle.state_at(truth, truth.t_ns + 300_000_000, commands), truth)
+    mean, covariance = observer.lever_arm
+    np.testing.assert_allclose(mean, arm_m, atol=0.02)
+    assert np.all(np.abs(mean - arm_m) < 4.0 * np.sqrt(np.diag(covariance)))
+    np.testing.assert_allclose(
+        (corrected.north_m, corrected.east_m, corrected.velocity_north_mps, corrected.velocity_east_mps),
+        (truth.north_m, truth.east_m, truth.velocity_north_mps, truth.velocity_east_mps),
+        atol=0.03,
+    )
+    if not known:
+        np.testing.assert_allclose(observer.bias_mps, WATER, atol=0.01)
+    if arm_m == (0.0, 0.0) and known:
+        assert corrected is given  # nothing is corrected without evidence
+
+
+def test_a_steady_course_shows_no_lever_arm():
+    observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
+    for k in range(100):
+        observer.correct(msgspec.structs.replace(estimate, t_ns=k * 300_000_000), vehicle, commands)
+    mean, covariance = observer.lever_arm
+    np.testing.assert_allclose(mean, 0.0, atol=1e-6)
+    np.testing.assert_allclose(np.diag(covariance), 0.04, rtol=1e-6)
+
+
+def test_no_lever_arm_is_learned_where_the_settings_turn_it_off():
+    observer = DisturbanceObserver(Disturbance(lever_arm_sd_m=0.0), PAPER)
+    commands, vehicle = SentCommands(PAPER), Prediction(PAPER)
+    for k in range(50):
+        turning = msgspec.structs.replace(Estimate.at_rest(heading_rad=0.1 * k), t_ns=k * 300_000_000)
+        observer.correct(msgspec.structs.replace(turning, yaw_rate_radps=0.3, velocity_east_mps=0.1), vehicle, commands)
+    np.testing.assert_array_equal(observer.lever_arm[0], 0.0)
+    assert observer.save()[1] is None
+
+
+def pushing(t_ns: int, thrust_N: tuple[float, float]) -> Plan:
+    """Return a plan of constant thrusts of port and starboard."""
+    return Plan(
+        cycle_t_ns=t_ns,
+        t_ns=t_ns + np.array([0, 3_000_000_000]),
+        thrust_N=np.array([[*thrust_N, 0.0]] * 2),
+        states=np.zeros((2, 6)),
+        origin=PlanOrigin.SOLVED,
+        solve=Solve(status=SolveStatus.SOLVED),
+    )

@@ -8,7 +8,7 @@ import pytest
 
 from ltv_mpc import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.disturbance import CurrentBias
+from ltv_mpc.control.disturbance import DisturbanceObserver
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.prediction_uncertainty import growth_m
 from ltv_mpc.control.sent_commands import SentCommands
@@ -29,9 +29,9 @@ SD = np.array([0.4, 0.2, 0.02, 0.03, 0.05, 0.01])
 CORRELATED = np.diag(SD) @ (np.eye(6) + 0.4 * (np.eye(6, k=2) + np.eye(6, k=-2))) @ np.diag(SD)
 
 
-def learning(walk_mps_per_rts: float = 0.01, sd_mps: float | None = None) -> CurrentBias:
+def learning(walk_mps_per_rts: float = 0.01, sd_mps: float | None = None) -> DisturbanceObserver:
     """Return the bias after one estimate without a current."""
-    bias = CurrentBias(Disturbance(sd_mps=sd_mps, walk_mps_per_rts=walk_mps_per_rts))
+    bias = DisturbanceObserver(Disturbance(sd_mps=sd_mps, walk_mps_per_rts=walk_mps_per_rts), PAPER)
     bias.correct(Estimate.at_rest(), Prediction(PAPER), SentCommands(PAPER))
     return bias
 
