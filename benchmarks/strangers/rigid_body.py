@@ -160,6 +160,16 @@ class Plant:
         return self._x[7:13]
 
     @property
+    def heading_rad(self) -> float:
+        """Heading, clockwise from north, unwrapped."""
+        return float(self._x[15])
+
+    @property
+    def actuators(self) -> Array:
+        """Revolutions over those of full thrust, or thrust (N), of port and starboard, which may be set in place."""
+        return self._x[13:15]
+
+    @property
     def attitude_rad(self) -> Pair:
         """Roll and pitch."""
         _, _, _, w, x, y, z = self._x[:7]

@@ -83,7 +83,7 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """
 
     sd_mps: Annotated[float, Meta(ge=0, le=2)] | None = None
-    walk_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.002  # of the bias, with time
+    walk_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.003  # of the bias, with time
     walk_mps_per_rtm: Annotated[float, Meta(ge=0, le=1)] = 0.02  # of the bias, with depth: 4 cm/s over 8 m
     noise_mps: Annotated[float, Meta(gt=0, le=1)] | None = None  # of the velocity over ground; None: 0.4 % of top speed
     max_mps: Annotated[float, Meta(gt=0, le=5)] = 0.5  # bound of each component of the bias, either sign

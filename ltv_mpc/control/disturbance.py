@@ -30,7 +30,6 @@ Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to track
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from typing import TypeAlias
 
@@ -40,7 +39,7 @@ import numpy as np
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.prediction import Measured, Prediction, Profile, current_at_depth, predict_state, profile_of
 from ltv_mpc.control.sent_commands import Commands, SentCommands
-from ltv_mpc.jit import jit, jit_outlined
+from ltv_mpc.jit import copy_to, jit, jit_outlined
 from ltv_mpc.messages import Array, CurrentBiasState, CurrentProfile, Estimate, LeverArmState
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.vehicle.dynamics import coefficients
@@ -58,29 +57,29 @@ is linear: iterated, the noise of a drifting vehicle, of which dh/db is zero, wo
 STILL_WATER = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
 """Profile that the bias is added to if the estimate has none."""
 
-DEFAULT_SD_SHARE, MIN_SD_MPS = 0.3, 0.1
-"""Default prior standard deviation of the bias if the estimates have no current profile: over the top speed, and at
-least (m/s). A tighter prior makes a lever arm of what is a stronger current.
+DEFAULT_SD_MPS = 0.15
+"""Prior standard deviation of the bias if the estimates have no current profile (m/s). A tighter one makes a lever arm
+of a strong current, and a wider one makes a current of the model's error in the first seconds.
 """
 
-NOISE_SHARE = 0.004
+NOISE_SHARE = 0.0015
 """Default noise of the velocity over ground, over the top speed: what is unmodelled grows with a vehicle's speed."""
 
 ARM_WALK_M_PER_RTS = 1e-3
 """Random walk of the lever arm: it is fixed to the hull, but the pivot of a hull depends on its motion."""
 
-THRUST_ERROR, HULL_ERROR = 0.5, 0.1
-"""Errors of the model as shares of the thrusts, and of the drag and Coriolis forces that act. An error of thrust lasts
-for seconds: 11 % for 3 s weighs as much as 50 % that is new in each estimate.
+SURGE_ERROR, SWAY_ERROR = 0.5, 0.1
+"""Errors of the model as shares of the forces that act. An error of thrust or drag lasts for seconds: 11 % for 3 s
+weighs as much as 50 % that is new in each estimate.
 """
 
 INSIGNIFICANT, SIGNIFICANT = 1.0, 4.0
 """Square of a component of the arm over its variance: up to the first nothing is used, from the second on all."""
 
-HEADING_FREE_SHARE, SHIFT_TIME_S = 0.03, 15.0
-"""Speed through the water over the top speed, below which the heading is free, and time in which the estimated point is
-brought to where the origin is. In a current, or on a path, the heading is given, so the estimated point is the one that
-is held. At rest in still water a target that turns with the vehicle would make it turn for ever.
+HEADING_FREE_SHARE, SHIFT_TIME_S, SHIFT_WAY_M = 0.03, 15.0, 2.0
+"""Speed through the water over the top speed, below which the heading is free; and time or way in which the estimated
+point is brought to where the origin is. In a current, or on a path, the heading is given, so the estimated point is the
+one that is held. At rest in still water a target that turns with the vehicle would make it turn for ever.
 """
 
 VELOCITY_ERROR_TIME_S = 3.0
@@ -135,7 +134,7 @@ class DisturbanceObserver:
         top_mps = path_limits(vehicle).top_mps
         self._variance = (settings.noise_mps or NOISE_SHARE * top_mps) ** 2
         self._heading_free_mps = HEADING_FREE_SHARE * top_mps
-        sd_mps = max(DEFAULT_SD_SHARE * top_mps, MIN_SD_MPS) if settings.sd_mps is None else settings.sd_mps
+        sd_mps = DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps
         self._prior = np.array([sd_mps, sd_mps, settings.lever_arm_sd_m, settings.lever_arm_sd_m]) ** 2
         self._belief: Belief = np.zeros(4), np.diag(self._prior)
         self._last: Estimate | None = None
@@ -213,19 +212,21 @@ class DisturbanceObserver:
         at_origin = self.arm_in_use.to_origin(estimate)
         if self._applies_to(estimate):
             at_origin = _with_bias(at_origin, *self._belief[0][:2].tolist())
-        return self._shifted(at_origin, estimate, interval_ns * 1e-9)
+        return self._at_held_point(at_origin, estimate, interval_ns * 1e-9)
 
-    def _shifted(self, at_origin: Estimate, estimate: Estimate, seconds: float) -> Estimate:
+    def _at_held_point(self, at_origin: Estimate, estimate: Estimate, seconds: float) -> Estimate:
         """Return the estimate of the origin, moved towards the estimated point as far as the heading is given."""
         arm = np.array((estimate.north_m - at_origin.north_m, estimate.east_m - at_origin.east_m))
         if not arm.any() and not self._shift.any():
             return at_origin
+        over_ground = np.array((at_origin.velocity_north_mps, at_origin.velocity_east_mps))
         current = profile_of(at_origin)
         c = current_at_depth(current.depth_m, current.north_mps, current.east_mps, estimate.depth_m or 0.0)
-        speed = math.hypot(at_origin.velocity_north_mps - c[0], at_origin.velocity_east_mps - c[1])
-        given = speed * speed / (speed * speed + self._heading_free_mps**2)
-        self._shift += min(seconds / SHIFT_TIME_S, 1.0) * (given * arm - self._shift)
-        north_m, east_m = (self._shift + (at_origin.north_m, at_origin.east_m)).tolist()
+        square = float(((over_ground - c) ** 2).sum())
+        rate = 1.0 / SHIFT_TIME_S + float(np.hypot(*over_ground)) / SHIFT_WAY_M
+        given = square / (square + self._heading_free_mps**2)
+        self._shift += min(seconds * rate, 1.0) * (given * arm - self._shift)
+        north_m, east_m = (self._shift + np.array((at_origin.north_m, at_origin.east_m))).tolist()
         return msgspec.structs.replace(at_origin, north_m=north_m, east_m=east_m)
 
     @property
@@ -314,14 +315,15 @@ class DisturbanceObserver:
                 (profile.depth_m, profile.north_mps, profile.east_mps),
                 (later.depth_m, later.north_mps, later.east_mps),
             ),
-            self._variance + s2,
-            self._settings.max_mps,
-            self._applies_to(last) and self._applies_to(estimate),
+            (self._variance + s2, self._settings.max_mps, self._applies_to(last) and self._applies_to(estimate)),
         )
 
 
 Newest: TypeAlias = tuple[int, float, float, float, float]
 """Time of the newest estimate (ns), its velocity over ground, north and east (m/s), heading (rad), yaw rate (rad/s)."""
+
+Noise: TypeAlias = tuple[float, float, bool]
+"""r^2 + s^2 (m^2/s^2), the largest bias in either direction (m/s), and False if the bias is not updated."""
 
 
 @jit
@@ -333,63 +335,63 @@ def update_belief(
     measured: Measured,
     commands: Commands,
     profiles: tuple[Profile, Profile],
-    variance: float,
-    max_mps: float,
-    learns_current: bool,
+    noise: Noise,
 ) -> tuple[Array, Array]:
     """Update the belief with the newest velocity over ground: the measurement update of the filter.
 
     Parameters
     ----------
     mean, P : (4,), (4, 4) belief before the update.
-    newest : as its type says.
+    newest, noise : as their types say.
     vehicle, measured, commands : as ``predict_state`` takes them, from the last estimate.
     profiles : of the last and of the newest estimate, without the bias.
-    variance : r^2 + s^2 (m^2/s^2).
-    max_mps : largest bias in either direction.
-    learns_current : False: the bias is not updated.
 
     Returns
     -------
     Mean (4,) and covariance (4, 4) after the update. An estimate whose numbers are not finite does not change them.
     """
+    variance, max_mps, learns_current = noise
     cos, sin = np.cos(newest[3]), np.sin(newest[3])
-    at, out, H, noise = mean.copy(), mean.copy(), np.zeros((2, 4)), np.empty(2)
-    G, S = np.empty((2, 4)), np.empty(2)
+    at, out, Q = mean.copy(), mean.copy(), P.copy()
+    H, r2, z, g = np.zeros((2, 4)), np.empty(2), np.empty(2), np.empty(4)
     for iteration in range(MAX_ITERATIONS):
         north, east, surge_error, sway_error = _predicted_velocity(at, newest, vehicle, measured, commands, profiles)
         if iteration == 0:
-            noise[0], noise[1] = variance + surge_error * surge_error, variance + sway_error * sway_error
+            r2[0], r2[1] = variance + surge_error * surge_error, variance + sway_error * sway_error
         for j in range(0 if learns_current else 2, 4):
             shifted = at.copy()
             shifted[j] += STEPS[j]
             n, e, _, _ = _predicted_velocity(shifted, newest, vehicle, measured, commands, profiles)
             dn, de = (n - north) / STEPS[j], (e - east) / STEPS[j]
-            H[0, j], H[1, j] = (
-                cos * dn + sin * de,
-                cos * de - sin * dn,
-            )  # in the body frame, where the noise is diagonal
+            # In the body frame the noise of the two components is independent, so they are used one after the other.
+            H[0, j], H[1, j] = cos * dn + sin * de, cos * de - sin * dn
         dn, de = newest[1] - north, newest[2] - east
-        z = (cos * dn + sin * de, cos * de - sin * dn)
-        # x = mean + K (z - h(at) - H (mean - at)), one row after the other
-        out, Q = mean.copy(), P.copy()
+        z[0], z[1] = cos * dn + sin * de, cos * de - sin * dn
+        copy_to(out, mean)
+        Q = P.copy()
         for i in range(2):
-            G[i] = Q @ H[i]
-            S[i] = H[i] @ G[i] + noise[i]
-            out += G[i] / S[i] * (z[i] - H[i] @ (out - at))
-            K = G[i] / S[i]
-            # Joseph's form, (1 - K h) Q (1 - K h)' + K r^2 K': stays symmetric and positive definite
-            J = np.eye(4) - np.outer(K, H[i])
-            Q = J @ Q @ J.T + noise[i] * np.outer(K, K)
-        if not np.isfinite(out.sum()):
+            S, y = r2[i], z[i]
+            for j in range(4):  # g = Q h, and y = z - H (x - at)
+                g[j] = 0.0
+                for k in range(4):
+                    g[j] += Q[j, k] * H[i, k]
+                S += H[i, j] * g[j]
+                y -= H[i, j] * (out[j] - at[j])
+            for j in range(4):
+                out[j] += g[j] / S * y
+            # Q - g g' / S, symmetric to the last bit; its walks keep it positive definite
+            for j in range(4):
+                for k in range(j + 1):
+                    Q[j, k] -= g[j] * g[k] / S
+                    Q[k, j] = Q[j, k]
+        if not np.isfinite(out[0] + out[1] + out[2] + out[3]):
             return mean, P
         largest = 0.0
         for j in range(4):
             largest = max(largest, abs(out[j] - at[j]) / STEPS[j])
-        at = out
-        if iteration == 0 and z[0] * z[0] / noise[0] + z[1] * z[1] / noise[1] <= ITERATED_SQUARE:
-            break
-        if largest < 1.0:
+        ordinary = z[0] * z[0] / r2[0] + z[1] * z[1] / r2[1] <= ITERATED_SQUARE
+        copy_to(at, out)
+        if largest < 1.0 or (iteration == 0 and ordinary):
             break
     for j in range(2):
         out[j] = min(max(out[j], -max_mps), max_mps)
@@ -432,10 +434,11 @@ def _predicted_velocity(
     over_north = cos * u - sin * v + current_north + state[0] + arm_north
     over_east = sin * u + cos * v + current_east + state[1] + arm_east
     seconds, r = float(newest[0] - since) * 1e-9, abs(end[5])
-    surge_N = (p.linear_surge + p.quadratic_surge * abs(u)) * abs(u) + p.mass_sway * abs(v) * r
+    surge_N = abs(end[6]) + abs(end[7]) + (p.linear_surge + p.quadratic_surge * abs(u)) * abs(u)
+    surge_N += p.mass_sway * abs(v) * r
     sway_N = (p.linear_sway + p.quadratic_sway * abs(v)) * abs(v) + p.mass_surge * abs(u) * r
-    surge_error_N = THRUST_ERROR * (abs(end[6]) + abs(end[7])) + HULL_ERROR * surge_N
-    return over_north, over_east, surge_error_N * seconds / p.mass_surge, HULL_ERROR * sway_N * seconds / p.mass_sway
+    surge_error, sway_error = SURGE_ERROR * surge_N * seconds, SWAY_ERROR * sway_N * seconds
+    return over_north, over_east, surge_error / p.mass_surge, sway_error / p.mass_sway
 
 
 @jit
@@ -466,10 +469,11 @@ def propagate(P: Array, walk: float, arm_walk: float, prior: Array) -> Array:
         out[i + 1, i + 1] += growth
         a, b, c = out[i, i], out[i, i + 1], out[i + 1, i + 1]
         largest = 0.5 * (a + c) + np.sqrt(0.25 * (a - c) ** 2 + b * b)
-        if largest > prior[i]:
-            scale = np.sqrt(prior[i] / largest)
-            out[i : i + 2] *= scale
-            out[:, i : i + 2] *= scale
+        scale = np.sqrt(prior[i] / largest) if largest > prior[i] else 1.0
+        for j in range(4):
+            for k in (i, i + 1):
+                out[k, j] *= scale
+                out[j, k] *= scale
     return out
 
 

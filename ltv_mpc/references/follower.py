@@ -101,6 +101,13 @@ class PathBeside(NamedTuple):
     reach: int  # number of pieces that the vehicle may be away from the target
 
 
+class _Speeds(NamedTuple):
+    """Speeds of the vehicle through the water (m/s), within its limits and the wanted one."""
+
+    cruise_mps: float
+    top_mps: float
+
+
 class _Track(NamedTuple):
     """Schedule of a path or a point, with the constants that a cycle needs."""
 
@@ -157,8 +164,7 @@ class Follower:
         """The vehicle has been at the end of the reference, after its target."""
         self._vehicle = vehicle
         limits = path_limits(vehicle)
-        self._cruise_mps = min(limits.cruise_mps, LIMIT_SHARE * max_speed_mps)
-        self._top_mps = min(limits.top_mps, max_speed_mps)
+        self._speeds = _Speeds(min(limits.cruise_mps, LIMIT_SHARE * max_speed_mps), min(limits.top_mps, max_speed_mps))
         self._allowed: Allowed = _unrestricted
         self._track: _Track | None = None  # None before the reference starts
         self._tau_s = 0.0
@@ -233,7 +239,7 @@ class Follower:
         whole = self.reference.schedule(self._vehicle, start)
         end_m = float(whole.table[NORTH, -1]), float(whole.table[EAST, -1])
         schedule, self.skipped_m = self._allowed(whole)
-        return _Track.of(schedule, self._cruise_mps, start, end_m)
+        return _Track.of(schedule, self._speeds.cruise_mps, start, end_m)
 
     def path_beside(self, t_ns: Times) -> PathBeside | None:
         """Return the path beside a plan: from behind the target at its first knot to ahead of that at its last one.
@@ -330,9 +336,10 @@ class Follower:
 
     def _speed_in(self, current: Pair) -> float:
         """Return the largest speed S through the water (m/s) in a current, by the equation above."""
-        share = math.hypot(*current) / self._top_mps
+        cruise_mps, top_mps = self._speeds
+        share = math.hypot(*current) / top_mps
         reserve = min(max((STRONG_CURRENT - share) / (STRONG_CURRENT - WEAK_CURRENT), 0.0), 1.0)
-        return self._top_mps - reserve * (self._top_mps - self._cruise_mps)
+        return top_mps - reserve * (top_mps - cruise_mps)
 
     def depths(self, t_ns: Times) -> tuple[Array, Array] | None:
         """Return depth (m) and sinking speed (m/s) of the target at knots (N+1,); None without a depth.
@@ -367,7 +374,7 @@ class Follower:
             tau = self._tau_s + seconds
             return np.column_stack([np.interp(tau, table[TIME], table[row]) for row in (NORTH, EAST)])
         line = table[(NORTH, EAST), 0] - lateral[:2]
-        way = (self._cruise_mps + math.hypot(*current)) * seconds
+        way = (self._speeds.cruise_mps + math.hypot(*current)) * seconds
         return lateral[:2] + np.minimum(way / max(math.hypot(*line), 1e-9), 1.0)[:, None] * line
 
 

@@ -17,7 +17,7 @@ from ltv_mpc.safety.health import NOMINAL, HealthState
 ALARM_M = 0.25
 """Lever arm that raises the alarm: twice what a wrong model looks like, less than what 0.5 m look like."""
 
-SIGMAS = 5.0
+SIGMAS = 3.0
 """Lever arm over its standard deviation from which it counts."""
 
 CONFIRMED_S = 15.0

@@ -46,7 +46,7 @@ from ltv_mpc.vehicle.shooting_fit import (
     theta_scale,
     through_the_water,
 )
-from ltv_mpc.vehicle.structure_check import MAX_EXPLAINED, check_structure, inverse
+from ltv_mpc.vehicle.structure_check import MAX_EXPLAINED, StructureCheck, check_structure, inverse
 
 Known: TypeAlias = Literal["thrust", "mass"]
 KnownYaw: TypeAlias = Literal["arm", "inertia"]
@@ -155,25 +155,15 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
     unexcited_dofs = _below_noise(through_the_water(motion, CURRENT_SD_MPS * theta[CURRENT]), fit.sd)
     if any(_degree_of_freedom(name) in unexcited_dofs for name in free):
         fit, theta = _solve(vehicle, motion, [name for name in free if _degree_of_freedom(name) not in unexcited_dofs])
-    half_widths = _half_widths(*fit.by_segment(theta), prior=PRIOR**-2)
-    low, high = theta - half_widths, theta + half_widths
     check = check_structure(vehicle, motion, fit, theta)
-    fits = bool(np.all(check.explained < MAX_EXPLAINED))
-    if not fits:  # the intervals contain the coefficients of both structures
-        half_widths = np.maximum(half_widths, _quantile(len(fit.edges)) * check.sd)
-        low = np.minimum(theta, theta + check.shift) - half_widths
-        high = np.maximum(theta, theta + check.shift) + half_widths
+    half_widths, low, high = _intervals(fit, theta, check)
     warnings = _structure_warnings(through_the_water(motion, CURRENT_SD_MPS * theta[CURRENT]), fit.sd, check.explained)
     full, kept_point = fit, set(REFERENCE_POINT) if vehicle.reference_point is not ORIGIN else set()
-
-    def narrow() -> list[str]:
-        widths = dict(zip(full.free, (0.5 * (high - low)).tolist(), strict=False))
-        return [name for name in full.free if widths[name] <= _max_half_width(name)]
-
-    excited = [name for name in narrow() if name not in kept_point]
-    kept_point &= set(narrow())
+    narrow = _narrow(full.free, low, high)
+    excited = [name for name in narrow if name not in kept_point]
+    kept_point &= set(narrow)
     # the file's point is 0 in theta
-    agrees = fits and all(low[i] <= 0.0 <= high[i] for i, name in enumerate(full.free) if name in kept_point)
+    agrees = _fits(check) and all(low[i] <= 0.0 <= high[i] for i, name in enumerate(full.free) if name in kept_point)
     while len(excited) < len(fit.free):
         fit, best = _solve(vehicle, motion, excited)
         at = [*map(full.free.index, excited), -2, -1]
@@ -184,16 +174,10 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
         else:  # they contain the coefficients of both fits
             low[at] = np.minimum(low[at], best - half_widths[at])
             high[at] = np.maximum(high[at], best + half_widths[at])
-            excited = [name for name in narrow() if name in excited]
+            excited = [name for name in _narrow(full.free, low, high) if name in excited]
     intervals = dict(zip(full.free, zip(theta.tolist(), low.tolist(), high.tolist(), strict=True), strict=False))
     coefficients = [
-        _coefficient(
-            name,
-            vehicle,
-            intervals.get(name),
-            excited=name in excited,
-            declared=name in kept_point,
-        )
+        _coefficient(name, vehicle, intervals.get(name), excited=name in excited, declared=name in kept_point)
         for name in free
     ]
     if motion.thrust is not None:
@@ -294,6 +278,28 @@ def _below_noise(velocity: Array, sd: Array) -> set[str]:
     size = np.sqrt(np.mean(velocity**2, axis=0))
     names = ("surge", "sway", "yaw")
     return {name for name, rms, error in zip(names, size, sd, strict=True) if rms < MIN_SIGNAL_TO_NOISE * error}
+
+
+def _fits(check: StructureCheck) -> bool:
+    """Return True if forces that the model lacks explain little of each residual."""
+    return bool(np.all(check.explained < MAX_EXPLAINED))
+
+
+def _intervals(fit: ShootingFit, theta: Array, check: StructureCheck) -> tuple[Array, Array, Array]:
+    """Return the half widths (P,) of the 95 % intervals of theta (P,), and their low and high ends."""
+    half_widths = _half_widths(*fit.by_segment(theta), prior=PRIOR**-2)
+    if _fits(check):
+        return half_widths, theta - half_widths, theta + half_widths
+    # the intervals contain the coefficients of both structures
+    half_widths = np.maximum(half_widths, _quantile(len(fit.edges)) * check.sd)
+    other = theta + check.shift
+    return half_widths, np.minimum(theta, other) - half_widths, np.maximum(theta, other) + half_widths
+
+
+def _narrow(names: Sequence[str], low: Array, high: Array) -> list[str]:
+    """Return the names of the coefficients whose interval is narrow enough to count as excited."""
+    half_widths = (0.5 * (high - low)).tolist()
+    return [name for name, width in zip(names, half_widths, strict=False) if width <= _max_half_width(name)]
 
 
 def _max_half_width(name: str) -> float:

@@ -74,7 +74,7 @@ def test_a_hull_at_full_thrust_is_as_fast_as_its_data_sheet_says(name: str) -> N
     hull, vehicle = load(name)
     plant = Plant(hull)
     for _ in range(600):  # a helmsman keeps the bow ahead
-        turn = plant._x[15] + plant.velocity[5]
+        turn = plant.heading_rad + plant.velocity[5]
         track = plant.run(hull.max_N * np.array([[1.0 - turn, 1.0 + turn]] * 10), STEP_S)
     speed = math.hypot(*track[-1, 3:5])
     assert speed == pytest.approx(DATA_SHEET_MPS[name], rel=0.15)
@@ -110,7 +110,7 @@ def test_the_hull_of_a_shipped_vehicle_has_the_accelerations_of_the_model(name: 
     nu = np.array([0.4, -0.15, 0.2])
     plant.velocity[[0, 1, 5]] = nu
     F = np.array([0.3 * hull.max_N, -0.1 * hull.max_N])
-    plant._x[13:15] = F
+    plant.actuators[:] = F
     h = 1e-4
     plant.run(F[None], h)
     expected, still = np.empty(6), np.zeros(2)

@@ -103,7 +103,7 @@ def test_without_plans_a_long_rest_of_the_thrusters_is_left_out_and_a_stop_is_no
     assert used(reports, []) == (set(range(COUNT)) if kept else set(range(COUNT)) - set(idle))
 
 
-def test_a_plan_that_is_not_followed_for_three_seconds_is_left_out_and_a_late_start_is_not() -> None:
+def test_a_plan_that_is_not_followed_for_3_s_is_left_out_and_a_late_start_is_not() -> None:
     late, released = range(50, 58), range(100, 130)
     reports = [applied(k, 0.0 if k in late or k in released else 15.0) for k in range(COUNT)]
     assert used(reports, [planned(k, 15.0) for k in range(COUNT)]) == set(range(COUNT)) - set(released)
