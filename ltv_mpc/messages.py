@@ -609,9 +609,19 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
     ] = None
     remaining_m: Annotated[Length | None, Meta(description="length of the path ahead of the target")] = None
     arrived: Arrived = False
+    delivered_N: Annotated[
+        tuple[Force, Force, Force] | None,
+        Meta(description="predicted thrust of port, starboard and vertical at the first knot; null: unknown"),
+    ] = None
     fence: Annotated[
         FenceReport | None, Meta(description="zones and obstacles beside the plan; null: no fence and no obstacle")
     ] = None
+
+    @property
+    def initial_thrust_N(self) -> Triple:
+        """Predicted thrust of port, starboard and vertical at the first knot (N); its command where it is unknown."""
+        port, starboard, vertical = self.thrust_N[0].tolist() if self.delivered_N is None else self.delivered_N
+        return port, starboard, vertical
 
     def thrust_at(self, t_ns: int) -> Array:
         """Return the commanded thrust (3,) in N at ``t_ns``: linear between knots, constant beyond both ends.

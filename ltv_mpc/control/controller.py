@@ -367,7 +367,7 @@ class Controller:
         self._lateral.set_current(decision.estimate, vertical.depth_m)
         self._stopwatch("predict")
         lateral = self._plan_lateral(decision, start, knots)
-        plan = self._assemble(decision, now_ns, delay_ns, knots, vertical, lateral)
+        plan = self._assemble(decision, now_ns, delay_ns, start, knots, vertical, lateral)
         self._record(plan)
         if not self.actuator_check.learns:
             vertical = vertical._replace(integral_rate_N_per_s=0.0)
@@ -419,7 +419,7 @@ class Controller:
         state, first_ns = exact(state), _first_delay_ns(self.config)
         if state.plan is not None:
             first_ns = max(state.plan.expected_delay_ns, first_ns)
-            self.sent_commands.add(state.plan, before_N=tuple(state.plan.thrust_N[0]))
+            self.sent_commands.add(state.plan, before_N=state.plan.initial_thrust_N)
             self.actuator_check.sent(state.plan)
             self._lateral.previous.restore(state.plan)
         self._delay.restore(first_ns, state.plan_delays_ns, state.cycle_times_ns)
@@ -515,6 +515,7 @@ class Controller:
         decision: Decision,
         now_ns: int,
         delay_ns: int,
+        start: Start,
         knots: Times,
         vertical: VerticalPlan,
         lateral: LateralPlan,
@@ -550,6 +551,7 @@ class Controller:
             cross_track_m=progress.cross_track_m,
             remaining_m=progress.remaining_m,
             arrived=self.arrived,
+            delivered_N=start.thrust_N,
             fence=self._lateral.fencing.report(
                 lateral.X[:, :6], follower.skipped_m, drifts=lateral.origin is not PlanOrigin.SOLVED
             ),

@@ -27,7 +27,7 @@ def advance(vehicle: Vehicle, estimate: Estimate, plan: Plan, *, duration_s: flo
     """
     vehicle, estimate = exact(vehicle), exact(estimate)
     commands = SentCommands(vehicle)
-    commands.add(plan, before_N=tuple(plan.thrust_N[0]))  # an estimate has no thrusts: they are taken to be steady
+    commands.add(plan, before_N=plan.initial_thrust_N)
     end = Prediction(vehicle).state_at(estimate, estimate.t_ns + round(duration_s * 1e9), commands)
     return as_estimate(end, estimate)
 

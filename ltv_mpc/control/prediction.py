@@ -16,7 +16,7 @@ import numpy as np
 
 from ltv_mpc.control.sent_commands import Commands, SentCommands, command_at
 from ltv_mpc.jit import copy_to, count_up_to, jit
-from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair
+from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Triple
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_weights
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -49,6 +49,12 @@ class Start(NamedTuple):
     def X(self) -> Array:
         """State (8,): n, e, u, v, psi, r, F1, F2."""
         return self.lateral[:STATES]
+
+    @property
+    def thrust_N(self) -> Triple:
+        """Delivered thrust of port, starboard and vertical (N)."""
+        port, starboard = self.lateral[6:STATES].tolist()
+        return port, starboard, self.vertical_N
 
     @property
     def command(self) -> Array:

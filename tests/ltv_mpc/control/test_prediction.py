@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -99,9 +100,41 @@ def test_the_prediction_agrees_with_an_independent_integration():
     np.testing.assert_allclose(start.command, commands.at(np.array([1_000_000_000]))[0])
 
 
-def test_without_reports_the_thrusters_are_taken_to_deliver_their_commands():
-    start = Prediction(PAPER).state_at(estimate(300_000_000), 300_000_000, sent())
-    np.testing.assert_allclose(start.X[6:], [25.0, -10.0])
+@pytest.mark.parametrize("lag_s", [0.1, 0.3, 3.0])
+@pytest.mark.parametrize("seconds", [0.05, 0.1, 1.0, 30.0])
+def test_without_reports_the_thrust_follows_the_lag_from_rest_before_the_first_plan(lag_s: float, seconds: float):
+    """By hand: 50 N (1 - exp(-t / lag)) after a step of the command."""
+    slow = {"lag_s": lag_s}
+    thruster = msgspec.structs.replace(
+        PAPER.thruster,
+        port=msgspec.structs.replace(PAPER.thruster.port, **slow),
+        starboard=msgspec.structs.replace(PAPER.thruster.starboard, **slow),
+    )
+    vehicle = msgspec.structs.replace(PAPER, thruster=thruster)
+    commands = SentCommands(vehicle)
+    for k in range(100):  # of a plan a cycle the older ones are forgotten
+        commands.add(
+            Plan(
+                cycle_t_ns=k * 300_000_000,
+                t_ns=k * 300_000_000 + np.array([0, 300_000_000]),
+                thrust_N=np.full((2, 3), 50.0),
+                states=np.zeros((2, 6)),
+                origin=PlanOrigin.SOLVED,
+                solve=Solve(status=SolveStatus.SOLVED),
+            )
+        )
+        if seconds <= 0.3 * (k + 1):
+            break
+    now = msgspec.structs.replace(estimate(round(seconds * 1e9)), depth_m=None)
+    start = Prediction(vehicle).state_at(now, now.t_ns, commands)
+    np.testing.assert_allclose(start.X[6:], 50.0 * (1.0 - np.exp(-seconds / lag_s)), atol=0.02)
+
+
+def test_a_report_corrects_the_thrust_that_the_lag_predicts():
+    prediction, commands = Prediction(PAPER), sent()
+    prediction.add_report(applied(200_000_000, (40.0, -30.0, 0.0)))
+    reported = prediction.state_at(estimate(200_000_000), 200_000_000, commands)
+    np.testing.assert_allclose(reported.X[6:], [40.0, -30.0])
 
 
 def test_a_report_newer_than_the_estimate_does_not_hide_the_one_before_it():

@@ -171,7 +171,9 @@ def test_released_thrusters_are_noticed_and_teach_no_current(current, settings):
     assert release.at_s + 1.0 < degraded[0] <= release.at_s + 1.5
     assert release.at_s + AWAY_S < degraded[-1] <= release.at_s + AWAY_S + 2.0
     assert np.diff(degraded).max() < 1.2  # it does not toggle
-    assert max(abs(cycle.learned_mps - current).max() for cycle in cycles if cycle.t_s >= release.at_s) <= 0.05
+    before = max((c for c in cycles if c.t_s < release.at_s), key=lambda c: c.t_s).learned_mps
+    assert max(abs(c.learned_mps - before).max() for c in cycles if release.at_s <= c.t_s < degraded[-1]) <= 0.05
+    assert max(abs(c.learned_mps - current).max() for c in cycles if c.t_s > degraded[-1] + 10.0) <= 0.05
     back_m = np.array([np.hypot(*cycle.place_m) for cycle in cycles if cycle.t_s > degraded[-1]])
     assert back_m[np.argmax(back_m < 0.3) :].max() <= 0.3
     assert back_m[-1] < 0.1
@@ -242,16 +244,16 @@ def test_while_an_override_is_in_force_nothing_is_learned_and_the_uncertainty_gr
         variances.append(covariance[0, 0])
         assert current.tolist() == [0.0, 0.0]
     assert plan.health is Health.NOMINAL
-    assert variances[-1] == pytest.approx(0.01)  # the prior's, so that it is learned quickly
+    assert variances[-1] == pytest.approx(0.15**2)  # the prior's, so that it is learned quickly
 
 
 def test_no_lever_arm_is_learned_while_the_actuators_contradict_the_plans():
-    loop, predicted = Loop(delivered=Release()), []
-    loop.controller.reference_point_check.update = lambda estimate, mps: predicted.append((estimate.t_ns, mps))
+    loop, beliefs = Loop(delivered=Release()), []
+    loop.controller.reference_point_check.update = lambda t_ns, arm_m, _: beliefs.append((t_ns, *arm_m))
     cycles = loop.run(20.0)
-    during = [mps for t_ns, mps in predicted if t_ns * 1e-9 >= degraded_s(cycles)[0]]
-    assert during
-    assert set(during) == {None}
+    during = [arm_m for t_ns, *arm_m in beliefs if t_ns * 1e-9 >= degraded_s(cycles)[0]]
+    assert len(during) > 10
+    np.testing.assert_array_equal(during, during[:1] * len(during))
 
 
 def test_a_clock_that_is_set_back_ends_a_contradiction():

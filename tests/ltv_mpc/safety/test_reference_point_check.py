@@ -35,7 +35,7 @@ def test_a_long_arm_is_named(arm_m, named):
 
 
 @pytest.mark.parametrize(
-    "uncertain", [checked((0.2, 0.1)), checked((0.5, 0.0), sd_m=0.11), checked((0.5, 0.0), seconds=14)]
+    "uncertain", [checked((0.2, 0.1)), checked((0.5, 0.0), sd_m=0.17), checked((0.5, 0.0), seconds=14)]
 )
 def test_a_short_an_uncertain_and_a_new_arm_are_not(uncertain: ReferencePointCheck):
     assert uncertain.health.health == "nominal"
