@@ -154,7 +154,8 @@ def test_a_buoyancy_that_changes_slowly_is_followed(rate_N_per_s: float) -> None
         true = replace(PAPER, net_buoyancy_N=30.5 - rate_N_per_s * 3.0 * k)
         way, _ = fly(controller, estimate, 3.0, free, true)
         estimate = way[-1]
-        worst = max(worst, abs(estimate.depth_m - 8.0))
+        if k >= 10:  # until then the thruster, which was at rest, takes over the buoyancy
+            worst = max(worst, abs(estimate.depth_m - 8.0))
     assert worst < 0.03 + 2.5 * rate_N_per_s
 
 

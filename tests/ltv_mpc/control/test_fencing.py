@@ -215,7 +215,7 @@ def test_plans_are_those_of_qps_that_always_have_the_rows(east_m: float, monkeyp
             patch.setattr(lateral, "least_surplus", lambda *_: calls.append(0) or -1.0)
             expected = eager.plan(estimate)
         plan = lazy.plan(estimate)
-        np.testing.assert_allclose(plan.thrust_N, expected.thrust_N, atol=0.05)
+        np.testing.assert_allclose(plan.thrust_N, expected.thrust_N, atol=0.1)
         estimate = advance(CRAFT, estimate, plan, duration_s=0.3)
     assert len(calls) > 40
 
@@ -519,7 +519,7 @@ def test_before_a_target_without_a_way_to_it_the_vehicle_rests(water: Pair) -> N
     ]
     fence, of = walls(*closed), controller(Point(north_m=12.0, east_m=0.0))
     of.set_fence(fence)
-    track, plans = fly(of, 480, water)
+    track, plans = fly(of, 900, water)
     assert hull_clearance(fence, track) > 0.15
     assert all(plan.fence is not None and plan.fence.no_way for plan in plans)
     assert np.ptp(track[-100:], axis=0).max() < 0.02

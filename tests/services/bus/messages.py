@@ -213,6 +213,7 @@ EXAMPLES: tuple[Message, ...] = (
         reference_m=(0.0, 0.0),
         depth_limit_m=15.0,
         reference_heading_rad=0.5,
+        delivered_N=(1.0, -2.0, 3.0),
     ),
     Command(command_id=2**48 - 1, action=Action.FOLLOW, reference_toml='kind = "hold"'),
     Obstacles(t_ns=5, obstacles=(SHIP,)),
