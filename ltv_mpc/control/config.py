@@ -78,7 +78,7 @@ class Weights(WeightSettings, frozen=True, kw_only=True, forbid_unknown_fields=T
 class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Estimation of a bias of the current, and of the lever arm to the point of the estimates: ``disturbance.py``.
 
-    ``sd_mps`` is the prior standard deviation of each component of the bias. If it is not set, it is 0.1 for estimates
+    ``sd_mps`` is the prior standard deviation of each component of the bias. If it is not set, it is 0.15 for estimates
     without a current profile, and no bias is estimated for those with one. 0: never estimate a bias; above 0: always.
     """
 

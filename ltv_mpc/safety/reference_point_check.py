@@ -1,8 +1,8 @@
 """Reference point check: name a lever arm between the point that the estimates describe and the declared one.
 
 The disturbance observer estimates and corrects the arm (``control/disturbance.py``). A long one is an error of the
-vehicle file: the held point is then not the one that its owner declared. A wrong model of the thrusters or of sway
-looks like an arm of up to 0.1 m (docs/notes/fault-studies.md).
+vehicle file: the held point is then not the one that its owner declared. A wrong model can look like an arm, too: by up
+to 0.25 m with the hull of tests/foreign_plant, which is known by its data sheet (docs/notes/lever-arm.md).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ltv_mpc.messages import Array, Health
 from ltv_mpc.safety.health import NOMINAL, HealthState
 
 ALARM_M = 0.25
-"""Lever arm that raises the alarm: twice what a wrong model looks like, less than what 0.5 m look like."""
+"""Lever arm that raises the alarm: what a wrong model can look like, and less than what 0.5 m look like."""
 
 SIGMAS = 3.0
 """Lever arm over its standard deviation from which it counts."""
