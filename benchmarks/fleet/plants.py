@@ -1,5 +1,7 @@
 """Plant process of a fleet: motion, actuator gates and estimates of all vehicles.
 
+    python -m benchmarks.fleet.plants FLEET
+
 There are no estimators: an estimate is the true state, with a current profile as long as a localisation filter's. Each
 vehicle hovers in its own current, which its estimates contain.
 """
@@ -7,11 +9,13 @@ vehicle hovers in its own current, which its estimates contain.
 from __future__ import annotations
 
 import math
+import sys
 import time
 
 import msgspec
 import numpy as np
 
+from benchmarks.fleet.fleet import Fleet, namespace, now_ns, wait_for_start
 from ltv_mpc import frames
 from ltv_mpc.messages import Applied, CurrentProfile, Estimate, Plan
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
@@ -23,8 +27,6 @@ from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
-from services.supervisor.parent_death import die_with_parent
-from services.tools.fleet.fleet import Fleet, Wire, namespace, now_ns, wait_for_start
 from sim import motion
 from sim.evaluation.metrics import quantiles
 from sim.evaluation.summary import Quantiles
@@ -54,16 +56,15 @@ class Plants(msgspec.Struct, frozen=True, kw_only=True):
     cpu_s: float
 
 
-def main(fleet: Fleet, wire: Wire, parent: int) -> None:
+def main(fleet: Fleet) -> Plants:
     """Run the plant process."""
-    die_with_parent(parent)
     vehicle = Vehicle.load(fleet.vehicle)
+    _Plant(vehicle, 0).go(0, 2 * STEP_NS)  # have the kernel compiled
     plants = [_Plant(vehicle, number) for number in range(fleet.vehicles)]
-    plants[0].copy().go(0, 2 * STEP_NS)  # have the kernel compiled
     with open_session(BusOptions(connect=(fleet.router,)), stop=lambda: False, say=lambda _text: None) as session:
         mailbox = Mailbox()
-        made = _World(fleet, plants, session, mailbox)
-        wire.send(made.run(wait_for_start(wire), mailbox))
+        world = _World(fleet, plants, session, mailbox)
+        return world.run(wait_for_start(), mailbox)
 
 
 class _World:
@@ -84,7 +85,7 @@ class _World:
 
     def run(self, start_ns: int, mailbox: Mailbox) -> Plants:
         fleet, count = self._fleet, len(self._plants)
-        begin_ns, end_ns = round(fleet.warm_up_s * 1e9), round((fleet.warm_up_s + fleet.seconds) * 1e9)
+        begin_ns, end_ns = fleet.measured_ns
         cpu_s: float | None = None
         turn, k = 0, 0
         while (due_ns := fleet.due_ns(turn, k)) < end_ns:
@@ -137,7 +138,6 @@ class _Plant:
 
     def __init__(self, vehicle: Vehicle, number: int) -> None:
         draw = np.random.default_rng(number)
-        self._vehicle, self._number = vehicle, number
         self._body = motion.pack(vehicle, vehicle.coefficients())
         self._gate = PlanGate(vehicle)
         north, east, heading = draw.uniform(-OFF_M, OFF_M), draw.uniform(-OFF_M, OFF_M), draw.uniform(-3.0, 3.0)
@@ -155,10 +155,6 @@ class _Plant:
         self.t_ns = 0
         self._command = (0.0, 0.0, 0.0)
         self._accepted: tuple[Plan, int, int, int] | None = None
-
-    def copy(self) -> _Plant:
-        """Return a new plant with the same initial state."""
-        return _Plant(self._vehicle, self._number)
 
     @property
     def off_m(self) -> float:
@@ -220,3 +216,8 @@ class _Plant:
             plans_late=self._gate.plans_late,
             plans_rejected=self._gate.plans_rejected,
         )
+
+
+if __name__ == "__main__":
+    done = main(msgspec.json.decode(sys.argv[1], type=Fleet))
+    sys.stdout.buffer.write(msgspec.json.encode(done) + b"\n")

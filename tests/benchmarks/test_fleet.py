@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import multiprocessing
-from typing import Any
-
 import pytest
 
-from services.cli.app import run
-from services.tools.fleet import trial
-from services.tools.fleet.controllers import Controllers
-from services.tools.fleet.fleet import Fleet, namespace
-from services.tools.fleet.plants import Plants
+from benchmarks.fleet import trial
+from benchmarks.fleet.controllers import Controllers
+from benchmarks.fleet.fleet import Fleet, namespace
+from benchmarks.fleet.plants import Plants
+from benchmarks.processes import Started
+from services.supervisor.loopback import free_port
 from sim.evaluation.metrics import quantiles
 
 FLEET = Fleet(
@@ -70,47 +67,20 @@ def test_what_gives_way_is_the_process_that_has_no_more_to_give(figures, limit):
 
 def test_a_process_that_ends_early_is_named():
     with (
-        pytest.raises(trial.TrialFailed, match="breaks has ended with exit code 3"),
-        trial.started_processes() as start,
+        pytest.raises(trial.TrialFailed, match=r"benchmarks.fleet.plants has ended with exit code 1"),
+        Started() as started,
     ):
-        start("breaks", _breaks)
+        trial.start(started, "benchmarks.fleet.plants", "not a fleet")
 
 
-def _breaks(*_: Any) -> None:
-    raise SystemExit(3)
-
-
-def test_three_vehicles_are_held_each_on_its_own_keys_by_two_processes(capsys):
+def test_three_vehicles_are_held_each_on_its_own_keys_by_two_processes():
     """Nobody sees another's estimate: each would go to the other's point of view, and off its own."""
-    assert (
-        run(
-            [
-                "fleet",
-                "--vehicles",
-                "3",
-                "--rate-hz",
-                "4",
-                "--seconds",
-                "6",
-                "--warm-up-s",
-                "12",
-                "--processes",
-                "2",
-                "--json",
-            ]
-        )
-        == 0
+    fleet = Fleet(
+        vehicles=3, processes=2, rate_hz=4.0, seconds=6.0, warm_up_s=12.0, router=f"tcp/127.0.0.1:{free_port()}"
     )
-    (only,) = json.loads(capsys.readouterr().out)["rows"]
-    assert only["controller_processes"] == 2
-    assert only["plans"] >= 0.8 * 3 * 4 * 6
-    assert only["rejected"] == 0
-    assert only["mean_error_m"] < 0.25
-    assert 0.0 < only["latency_ms"]["median"] <= only["latency_ms"]["p99"]
-    assert not multiprocessing.active_children()
-
-
-@pytest.mark.parametrize("count", ["0", "1001", "x", "1,", "-3", "1.5"])
-def test_a_number_of_vehicles_that_cannot_be_is_refused(count, capsys):
-    assert run(["fleet", "--vehicles", count]) == 2
-    assert "option --vehicles" in capsys.readouterr().err
+    only = trial.run(fleet)
+    assert only.controller_processes == 2
+    assert only.plans >= 0.8 * 3 * 4 * 6
+    assert only.rejected == 0
+    assert only.mean_error_m < 0.25
+    assert 0.0 < only.latency_ms.median <= only.latency_ms.p99

@@ -1,17 +1,21 @@
 """Process with many controllers; each vehicle has its own node, message validator and state.
 
+    python -m benchmarks.fleet.controllers FLEET FIRST    of vehicles FIRST, FIRST + processes, ...
+
 A cycle begins when its estimate arrives. Where the process falls behind, a vehicle's newest estimate counts, and those
 that it overtook are counted.
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import msgspec
 
+from benchmarks.fleet.fleet import Fleet, namespace, now_ns, wait_for_start
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Action, Applied, Command, Estimate, Plan
@@ -26,8 +30,6 @@ from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from services.processes.controller import warm_up
-from services.supervisor.parent_death import die_with_parent
-from services.tools.fleet.fleet import Fleet, Wire, namespace, now_ns, wait_for_start
 from sim.evaluation.metrics import quantiles
 from sim.evaluation.summary import Quantiles
 
@@ -44,9 +46,8 @@ class Controllers(msgspec.Struct, frozen=True, kw_only=True):
     cpu_s: float
 
 
-def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
+def main(fleet: Fleet, first: int) -> Controllers:
     """Run the process: the controllers of these vehicles."""
-    die_with_parent(parent)
     vehicle = Vehicle.load(fleet.vehicle).at_origin()  # of which the plants publish estimates
     config = ControllerConfig(horizon_s=fleet.horizon_s, period_s=1.0 / fleet.rate_hz)
     point = Point(north_m=0.0, east_m=0.0, depth_m=10.0)
@@ -55,9 +56,9 @@ def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
         mailbox = Mailbox()
         by_vehicle = {
             number: _VehicleController(ControllerNode(vehicle, point, config), session, mailbox, number)
-            for number in numbers
+            for number in range(first, fleet.vehicles, fleet.processes)
         }
-        wire.send(_run(fleet, by_vehicle, mailbox, wait_for_start(wire)))
+        return _run(fleet, by_vehicle, mailbox, wait_for_start())
 
 
 class _VehicleController:
@@ -107,7 +108,7 @@ def _is_estimate(frame: Frame) -> bool:
 
 
 def _run(fleet: Fleet, by_vehicle: dict[int, _VehicleController], mailbox: Mailbox, start_ns: int) -> Controllers:
-    begin_ns, end_ns = round(fleet.warm_up_s * 1e9), round((fleet.warm_up_s + fleet.seconds) * 1e9)
+    begin_ns, end_ns = fleet.measured_ns
     of = {
         f"{namespace(n)}/{BY_TYPE[kind].key}": controller
         for n, controller in by_vehicle.items()
@@ -154,3 +155,8 @@ def _counts(controllers: Iterable[_VehicleController]) -> Counter[str]:
         overtaken = {"overtaken": controller.overtaken, "dropped": controller.validator.dropped - controller.overtaken}
         counts.update(overtaken, rejected=controller.validator.rejected)
     return counts
+
+
+if __name__ == "__main__":
+    done = main(msgspec.json.decode(sys.argv[1], type=Fleet), int(sys.argv[2]))
+    sys.stdout.buffer.write(msgspec.json.encode(done) + b"\n")
