@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 
 import msgspec
 
@@ -58,7 +59,7 @@ def _pair(of: Quantiles) -> str:
     return "-" if of.median is None or of.p99 is None else f"{of.median:.1f} / {of.p99:.1f}"
 
 
-def main() -> int:
+def main(words: Sequence[str] | None = None) -> int:
     """Run one trial for each number of vehicles; exit code 1 if a process ended without its figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--vehicles", default="1,10,100", metavar="N,...", help="one trial for each")
@@ -69,7 +70,7 @@ def main() -> int:
     parser.add_argument("--horizon-s", type=float, help="default: of `vehicle check`")
     parser.add_argument("--vehicle", default="paper", metavar="NAME|FILE")
     parser.add_argument("--json", action="store_true")
-    options = vars(parser.parse_args())
+    options = vars(parser.parse_args(words))
     as_json, numbers = options.pop("json"), options["vehicles"].split(",")
     try:
         Vehicle.load(options["vehicle"])

@@ -44,7 +44,7 @@ COMMANDS = (
         "certs",
     ),
     *("report", "replay", "log"),
-    *("profile", "localisation-check", "faults", "campaign", "qp"),
+    *("profile", "faults", "campaign", "qp"),
     *("router", "plant", "sensors", "estimator", "recorder", "inject"),
 )
 CLI = (sys.executable, "-P", "-X", "importtime", "-m", "services.cli")

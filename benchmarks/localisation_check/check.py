@@ -1,13 +1,4 @@
-"""Localisation check over many seeds: drift relative to its bound, and consistency of errors with the covariance.
-
-drift      of one horizontal axis over the descent, rms over runs and both axes; the bound is that of each run
-per dof    mean NEES of a quantity or NIS of a sensor, with its standard error over the runs
-in band    share of instants at which their sum over the runs lies in the 95 % band of chi-square; judged only if a run
-           has enough independent draws over time
-slope, R2  of the final drift against the velocity error at submergence, through the origin, both axes
-
-``judgement.py`` says when a figure is outside its limit.
-"""
+"""Localisation check over many seeds: the runs, what they are summarised to, and which requirements are not met."""
 
 from __future__ import annotations
 
@@ -17,28 +8,38 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.messages import Array
-from services.tools.batch.executor import run_each
-from services.tools.batch.job import Job
-from services.tools.batch.results_store import ResultsStore, decode
-from services.tools.localisation_check.judgement import (
+from benchmarks.localisation_check.judgement import (
     LEVEL,
     MIN_DRAWS,
     MIN_SHARE,
     TOLERANCE,
     Hypothesis,
-    Mean,
     judge,
     mean_square,
     p_of_mean,
     p_of_ratio,
     p_of_share,
 )
-from services.tools.localisation_check.probe import Record, Squares, descend
+from benchmarks.localisation_check.probe import Record, Squares, descend
+from ltv_mpc.messages import Array
+from services.tools.batch.executor import run_each
+from services.tools.batch.job import Job
+from services.tools.batch.results_store import ResultsStore, decode
 from sim.evaluation.consistency import Consistency, band, consistency
 
 MAX_RATIO = 1.2
 """Largest drift over bound."""
+
+
+class Quantity(msgspec.Struct, frozen=True, kw_only=True):
+    """Consistency of one quantity's error (NEES) or of one sensor's innovation (NIS)."""
+
+    name: str
+    per_dof: float
+    standard_error: float  # of per_dof, from the spread of the runs
+    draws: float  # independent draws of a run over time
+    in_band: float  # share of instants
+    drawn: float | None  # of true biases: per degree of freedom, these seeds' own deviation from 1
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
@@ -59,15 +60,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     velocity_bound_rms_mps: float
     slope_s: float
     r2: float
-    nees_in_band: dict[str, float]
-    nees_per_dof: dict[str, float]
-    nees_standard_error: dict[str, float]  # of nees_per_dof, from the spread of the runs
-    nees_draws: dict[str, float]  # independent draws of a run over time
-    nis_in_band: dict[str, float]
-    nis_per_dof: dict[str, float]
-    nis_standard_error: dict[str, float]
-    nis_draws: dict[str, float]
-    drawn_per_dof: dict[str, float]  # of the true biases: deviation of these seeds from 1
+    nees: list[Quantity]
+    nis: list[Quantity]
     min_eigenvalue: float
     max_asymmetry: float
     instants_missed: int
@@ -122,30 +116,36 @@ def over_runs(runs: Sequence[Mapping[str, Squares]]) -> dict[str, Graded]:
     return result
 
 
-def means(runs: Sequence[Mapping[str, Squares]]) -> dict[str, Mean]:
-    """Return the mean square of each quantity over the runs."""
-    return {name: mean_square([run[name] for run in runs if name in run]) for name in over_runs(runs)}
-
-
-def _hypotheses(kind: str, of: Mapping[str, Mean], graded: Mapping[str, Graded]) -> list[tuple[str, float, str, float]]:
-    """Return name, observed value, limit and p-value of every mean, and of the shares that have enough draws."""
+def _quantities(records: Sequence[Record], kind: str) -> tuple[list[Quantity], list[tuple[str, float, str, float]]]:
+    """Return the consistency of all quantities of a kind, and the hypotheses about them: name, observed value, limit
+    and p-value of every mean, and of the shares that have enough draws.
+    """
+    runs: list[dict[str, Squares]] = [getattr(record, kind.lower()) for record in records]
     low, high = 1.0 / (1.0 + TOLERANCE), 1.0 + TOLERANCE
-    tests = [
-        (f"{kind} of {name} per degree of freedom", mean.value, f"{low:.2f} to {high:.2f}", p_of_mean(mean))
-        for name, mean in of.items()
-    ]
-    for name, mean in of.items():
+    quantities, of_means, of_shares = [], [], []
+    for name, graded in over_runs(runs).items():
+        mean, share = mean_square([run[name] for run in runs if name in run]), graded.consistency.in_band
+        of_means.append((mean_name(kind, name), mean.value, f"{low:.2f} to {high:.2f}", p_of_mean(mean)))
         if mean.draws >= MIN_DRAWS:
-            share = graded[name].consistency.in_band
-            tests.append(
-                (
-                    f"share of instants of {kind} of {name} in its band",
-                    share,
-                    f">= {MIN_SHARE}",
-                    p_of_share(share, mean.draws),
-                )
+            text = f"share of instants of {kind} of {name} in its band"
+            of_shares.append((text, share, f">= {MIN_SHARE}", p_of_share(share, mean.draws)))
+        drawn = np.array([record.drawn[name] for record in records if kind == "NEES" and name in record.drawn])
+        quantities.append(
+            Quantity(
+                name=name,
+                per_dof=mean.value,
+                standard_error=mean.standard_error,
+                draws=mean.draws,
+                in_band=share,
+                drawn=float(np.divide(*drawn.sum(axis=0))) if drawn.size else None,
             )
-    return tests
+        )
+    return quantities, of_means + of_shares
+
+
+def mean_name(kind: str, name: str) -> str:
+    """Return the name of the hypothesis about the mean of a quantity."""
+    return f"{kind} of {name} per degree of freedom"
 
 
 def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> Result:
@@ -154,14 +154,11 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
     drift = np.array([record.drift_m for record in records]).ravel()
     velocity = np.array([record.velocity_error_mps for record in records]).ravel()
     slope = float(velocity @ drift / (velocity @ velocity))
-    nees_runs, nis_runs = [record.nees for record in records], [record.nis for record in records]
-    nees, nis = over_runs(nees_runs), over_runs(nis_runs)
-    nees_means, nis_means = means(nees_runs), means(nis_runs)
+    (nees, nees_tests), (nis, nis_tests) = (_quantities(records, kind) for kind in ("NEES", "NIS"))
     bound_rms = _rms([record.bound_drift_m2 for record in records])
     low, high = band(drift.size)
     ratio = _rms(drift**2) / bound_rms
-    tests = [("drift over bound", ratio, f"<= {MAX_RATIO}", p_of_ratio(ratio, MAX_RATIO, drift.size))]
-    tests += [*_hypotheses("NEES", nees_means, nees), *_hypotheses("NIS", nis_means, nis)]
+    of_drift = ("drift over bound", ratio, f"<= {MAX_RATIO}", p_of_ratio(ratio, MAX_RATIO, drift.size))
     return Result(
         scenario=first.name,
         sensors=first.sensor_config.name,
@@ -178,23 +175,13 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
         velocity_bound_rms_mps=_rms([record.bound_velocity_m2ps2 for record in records]),
         slope_s=slope,
         r2=float(1.0 - np.sum((drift - slope * velocity) ** 2) / np.sum(drift**2)),
-        nees_in_band={name: graded.consistency.in_band for name, graded in nees.items()},
-        nees_per_dof={name: mean.value for name, mean in nees_means.items()},
-        nees_standard_error={name: mean.standard_error for name, mean in nees_means.items()},
-        nees_draws={name: mean.draws for name, mean in nees_means.items()},
-        nis_in_band={name: graded.consistency.in_band for name, graded in nis.items()},
-        nis_per_dof={name: mean.value for name, mean in nis_means.items()},
-        nis_standard_error={name: mean.standard_error for name, mean in nis_means.items()},
-        nis_draws={name: mean.draws for name, mean in nis_means.items()},
-        drawn_per_dof={
-            name: sum(record.drawn[name][0] for record in records) / sum(record.drawn[name][1] for record in records)
-            for name in records[0].drawn
-        },
+        nees=nees,
+        nis=nis,
         min_eigenvalue=min(record.min_eigenvalue for record in records),
         max_asymmetry=max(record.asymmetry for record in records),
         instants_missed=sum(record.missed for record in records),
         family_wise_level=LEVEL,
-        hypotheses=judge(tests),
+        hypotheses=judge([of_drift, *nees_tests, *nis_tests]),
         wall_s=wall_s,
     )
 
@@ -207,34 +194,6 @@ def failed(of: Result) -> list[str]:
     if not of.min_eigenvalue > 0 or of.max_asymmetry > 0:
         problems.append("a covariance is not symmetric or not positive definite")
     return problems
-
-
-def table(of: Result) -> str:
-    """Format the result as text."""
-    low, high = of.ratio_at_bound
-    lines = [
-        f"{of.runs} runs of {of.scenario}, sensors {of.sensors}, {of.surface_time_s:g} s afloat, "
-        f"seeds {of.first_seed} to {of.first_seed + of.runs - 1}, {of.wall_s:.0f} s",
-        f"drift     {of.drift_rms_m:.3f} m an axis, bound {of.bound_rms_m:.3f} m, ratio {of.ratio:.2f} "
-        f"(at the bound: {low:.2f} to {high:.2f})",
-        f"vehicle   {of.true_error_m:.3f} m from the line, mean over time and runs",
-        f"velocity  {1e3 * of.velocity_error_rms_mps:.2f} mm/s at submergence, sigma of the filter "
-        f"{1e3 * of.velocity_reported_rms_mps:.2f}, bound {1e3 * of.velocity_bound_rms_mps:.2f}; "
-        f"drift = {of.slope_s:.0f} s x velocity error, R2 {of.r2:.2f}",
-        f"judged at a family-wise level of {100 * of.family_wise_level:g} % (Holm), {len(of.hypotheses)} hypotheses",
-        f"{'':<24} {'per dof':>8} {'+-':>6} {'p':>6} {'in 95 % band':>12} {'drawn':>8}",
-    ]
-    p = {one.name: one.p for one in of.hypotheses}
-    for kind, shares, values, errors, draws in (
-        ("NEES", of.nees_in_band, of.nees_per_dof, of.nees_standard_error, of.nees_draws),
-        ("NIS", of.nis_in_band, of.nis_per_dof, of.nis_standard_error, of.nis_draws),
-    ):
-        for name, share in shares.items():
-            seeds = f"{of.drawn_per_dof[name]:8.2f}" if kind == "NEES" and name in of.drawn_per_dof else ""
-            mean = f"{values[name]:8.2f} {errors[name]:6.2f} {p[f'{kind} of {name} per degree of freedom']:6.2f}"
-            judged = f"{100 * share:>10.0f} %" if draws[name] >= MIN_DRAWS else f"{'few draws':>12}"
-            lines.append(f"{kind:<4} {name:<19} {mean} {judged} {seeds}".rstrip())
-    return "\n".join(lines)
 
 
 def _rms(squares: Array | Sequence[Array]) -> float:

@@ -23,8 +23,8 @@ import numpy as np
 from scipy.stats import binom, chi2
 from scipy.stats import t as student
 
+from benchmarks.localisation_check.probe import Squares
 from ltv_mpc.messages import Array
-from services.tools.localisation_check.probe import Squares
 
 LEVEL = 0.01
 """Probability that a check of a filter that meets all requirements fails."""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from services.tools.localisation_check.judgement import (
+from benchmarks.localisation_check.judgement import (
     MIN_DRAWS,
     holm,
     judge,
@@ -16,7 +16,7 @@ from services.tools.localisation_check.judgement import (
     p_of_ratio,
     p_of_share,
 )
-from services.tools.localisation_check.probe import Squares
+from benchmarks.localisation_check.probe import Squares
 
 INSTANTS = 200
 
