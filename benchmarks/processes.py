@@ -5,7 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 from typing import IO
 
 from services.supervisor.loopback import is_listening
@@ -65,3 +67,17 @@ def await_router(endpoint: str) -> None:
     until = time.monotonic() + ROUTER_S
     while not is_listening(endpoint) and time.monotonic() < until:
         time.sleep(0.02)
+
+
+def children(parent: int) -> Iterator[tuple[int, str]]:
+    """List pid and name of every live process that ``parent`` has started."""
+    for folder in Path("/proc").iterdir():
+        if not folder.name.isdigit():
+            continue
+        try:
+            name, _, rest = (folder / "stat").read_text(encoding="utf-8", errors="replace").rpartition(")")
+        except OSError:  # it has ended meanwhile
+            continue
+        state, ppid = rest.split()[:2]
+        if int(ppid) == parent and state != "Z":
+            yield int(folder.name), name.partition("(")[2]

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from services.cli.campaign import campaign
-from services.cli.faults import faults
 from services.cli.options import Force, Json
 from services.cli.qp import qp
 
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
 def register(app: typer.Typer, panel: str) -> None:
     """Add the commands to their panel."""
     app.command(rich_help_panel=panel)(profile)
-    app.command(rich_help_panel=panel)(faults)
     app.command(rich_help_panel=panel)(campaign)
     app.add_typer(qp, name="qp", rich_help_panel=panel)
 

@@ -160,7 +160,7 @@ def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario:
     assert np.count_nonzero(own != probe.observed.mask) <= 1  # a cell's edge may lie a centimetre either side of a node
 
 
-def test_the_command_continues_where_it_was_interrupted_and_refuses_what_belongs_to_others(
+def test_the_command_continues_what_was_interrupted_and_refuses_what_is_another_s(
     scenario: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"

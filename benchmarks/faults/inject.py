@@ -14,12 +14,17 @@ import contextlib
 import heapq
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Annotated
 
 import msgspec
+from msgspec import Meta
 
-from ltv_mpc.messages import Clock, Injection, InjectorFrame, Message, RunEvent
+from ltv_mpc import config
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Clock, Injection, InjectorFrame, Message, MessageFault, RunEvent
 from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.validation import bounds
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator
 from services.bus.options import BusOptions
@@ -31,7 +36,6 @@ from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
-from services.tools.faults.schedule import problem
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval, MessageFaults
 from sim.scheduler import Delivery
@@ -41,6 +45,67 @@ WAIT_S = 0.05
 """Longest wait for a frame (s) before the stop request is checked."""
 
 ANYONE = "*"
+
+SHARES = (
+    MessageFault.LOSS,
+    MessageFault.REORDER,
+    MessageFault.DUPLICATE,
+    MessageFault.CORRUPTION,
+    MessageFault.NOT_A_NUMBER,
+)
+"""Faults whose size is a share of the messages."""
+
+MAX_DELAY_S = 60.0
+
+WORDS = "HARM,KEY,START_S,END_S[,SIZE[,SEED]]"
+
+Time = Annotated[float, Meta(ge=-1e6, le=1e6)]
+
+
+class Entry(msgspec.Struct, frozen=True, kw_only=True):
+    """Fault as a text gives it. Times are vehicle times (s)."""
+
+    harm: MessageFault
+    key: str
+    start_s: Time
+    end_s: Time
+    size: Annotated[float, Meta(ge=-1e6, le=1e6)] = 1.0
+    seed: Annotated[int, Meta(ge=0, le=2**53 - 1)] = 0
+
+
+def parse(text: str) -> Injection:
+    """Parse a fault of the command line, as in ``WORDS``. Raises ``ConfigError``."""
+    source, names = "option --fault", Entry.__struct_fields__
+    values = [value.strip() for value in text.split(",")]
+    if not 4 <= len(values) <= len(names):
+        raise ConfigError(source, "", f"must be {WORDS}", value=text)
+    table = {name: config.number_or_text(value) for name, value in zip(names, values, strict=False)}
+    entry = config.parse(table, Entry, source=source)
+    times = {"start_t_ns": round(entry.start_s * 1e9), "end_t_ns": round(entry.end_s * 1e9)}
+    injection = Injection(key=entry.key, fault=entry.harm, size=entry.size, seed=entry.seed, **times)
+    if (found := problem(injection)) is not None:
+        raise ConfigError(source, *found)
+    return injection
+
+
+def problem(injection: Injection) -> tuple[str, str] | None:
+    """Return field and violated bound of an injection that is not possible, or None."""
+    topic = topic_at(injection.key)
+    if topic is None:
+        return "key", "must be a key of `ltv-mpc topics`"
+    if topic.message_type in NAMED and injection.key != topic.key:
+        return "key", f"must be {topic.key}: a fault there concerns all of its sources"
+    if injection.end_t_ns <= injection.start_t_ns:
+        return "end_s", f"must be > start_s = {injection.start_t_ns / 1e9:g}"
+    if injection.fault in SHARES and not 0 < injection.size <= 1:
+        return "size", f"must be > 0 and <= 1 (a share of the messages) for {injection.fault}"
+    if injection.fault is MessageFault.DELAY and not 0 < injection.size <= MAX_DELAY_S:
+        return "size", f"must be > 0 and <= {MAX_DELAY_S:g} (s) for {injection.fault}"
+    # NaN in an array with gaps is a missing value.
+    harmable = (isinstance(of.low, float) and not of.has_gaps for of in bounds(topic.message_type).values())
+    if injection.fault is MessageFault.NOT_A_NUMBER and not any(harmable):
+        return "key", "has no field that can be NaN"
+    return None
 
 
 class Interference:
@@ -55,7 +120,7 @@ class Interference:
     def add(self, injection: Injection) -> None:
         """Add an injection that takes effect from now on."""
         topic = topic_at(injection.key)
-        assert topic is not None  # by ``schedule.problem``
+        assert topic is not None  # by ``problem``
         interval = Interval(injection.start_t_ns, injection.end_t_ns)
         self._message_faults.add(
             MessageFaultInterval((topic.message_type,), injection.fault, interval, injection.size, injection.seed)
@@ -133,29 +198,6 @@ class _Side:
         publisher.put(payload)
 
 
-class _DelayedFrames:
-    """Frames that a fault delays, in the order of their due times."""
-
-    def __init__(self) -> None:
-        self._frames: list[tuple[int, int, str, bytes]] = []  # heap: due (ns), count, key, frame
-        self._count = 0
-
-    def add(self, due_ns: int, key: str, payload: bytes) -> None:
-        """Hold a frame back until ``due_ns``."""
-        self._count += 1
-        heapq.heappush(self._frames, (due_ns, self._count, key, payload))
-
-    def take(self, now_ns: int) -> Iterator[tuple[str, bytes]]:
-        """Take the frames that are due."""
-        while self._frames and self._frames[0][0] <= now_ns:
-            _, _, key, payload = heapq.heappop(self._frames)
-            yield key, payload
-
-    def next_due(self) -> list[int]:
-        """Return the due time (ns) of the first frame, if there is one."""
-        return [self._frames[0][0]] if self._frames else []
-
-
 class Injector:
     """Bridge between the two routers that applies the faults, until it is stopped."""
 
@@ -169,7 +211,8 @@ class Injector:
         self._node = node
         self._clock = VehicleClock()
         self._validator = MessageValidator()
-        self._delayed = _DelayedFrames()
+        self._delayed: list[tuple[int, int, str, bytes]] = []  # heap: due (ns), count, key, frame
+        self._count = 0
         self._events: list[tuple[int, int, str]] = []  # heap: time (ns), number of the fault, "begins" or "ends"
         self._out: Outbox
         self._sides: tuple[_Side, _Side]
@@ -226,7 +269,8 @@ class Injector:
             if due_ns <= now_ns:
                 self._send(frame.key, payload)
             else:
-                self._delayed.add(due_ns, frame.key, payload)
+                self._count += 1
+                heapq.heappush(self._delayed, (due_ns, self._count, frame.key, payload))
 
     def _accept(self, frame: Frame) -> None:
         """Accept a fault that is requested on the bus during the run."""
@@ -252,8 +296,8 @@ class Injector:
         now_ns = self._now_ns()
         if now_ns is None:
             return
-        for key, payload in self._delayed.take(now_ns):
-            self._send(key, payload)
+        while self._delayed and self._delayed[0][0] <= now_ns:
+            self._send(*heapq.heappop(self._delayed)[2:])
         while self._events and self._events[0][0] <= now_ns:
             _, number, what = heapq.heappop(self._events)
             asked, harmed = self._interference.asked[number], self._interference.harmed[number]
@@ -268,7 +312,7 @@ class Injector:
         return self._clock.read(monotonic_us())
 
     def _wait_s(self) -> float:
-        dues = [*self._delayed.next_due(), *(event[0] for event in self._events[:1])]
+        dues = [entry[0] for entry in (*self._delayed[:1], *self._events[:1])]
         due_us = self._clock.due_us(min(dues)) if dues else None
         return WAIT_S if due_us is None else min(max((due_us - monotonic_us()) / 1e6, 0.0), WAIT_S)
 

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.faults.kinds import AFLOAT, INSTRUMENTS, MESSAGES
+from benchmarks.faults.log import INTRUDERS_EPOCH, REPORT_NS, Case, Reaction
 from ltv_mpc.messages import Health, PlanOrigin
 from services.bus.topics import BY_TYPE
-from services.tools.faults.fault import Fault
-from services.tools.faults.kinds import AFLOAT, INSTRUMENTS, MESSAGES
-from services.tools.faults.lockstep_runs import INTRUDERS_EPOCH, Observed
 
 LEVELS = ((Health.FAILSAFE, 6, 20.0), (Health.HOLD, 4, 10.0), (Health.DEGRADED, 3, 0.5))
 """Health by the age of the newest estimate: worse than this many periods and seconds, worst first."""
@@ -35,7 +33,6 @@ REPLACEMENTS, MIN_SILENCE_S = 5, 0.5
 
 APPLIED_NS = 100_000_000
 SILENT_PERIODS = 3
-REPORT_NS = 1_000_000_000
 CYCLE_NS = 300_000_000
 
 NAMED_NS = 60_000_000_000
@@ -49,26 +46,6 @@ ALARM_NEWTON_S = 10.0
 
 CHECK_NS = 1_000_000_000
 """Time between two messages of the model check."""
-
-
-class Reaction(NamedTuple):
-    """Delay from when a reaction was due to the reaction, and why it was late; None: nothing was due, or it cannot be
-    timed.
-    """
-
-    seconds: float | None
-    late: str = ""
-
-
-class Case(NamedTuple):
-    """One fault in its run."""
-
-    fault: Fault
-    start_ns: int
-    end_ns: int
-    harmed: int  # messages
-    of: Observed
-    back: Reaction | None = None  # of a process that was ended or stopped: when it was back, in wall time
 
 
 def reaction(case: Case) -> Reaction:
@@ -92,9 +69,7 @@ def uncounted(case: Case) -> int:
             accepted = sum(case.start_ns <= t <= case.end_ns for t in case.of.accepted or ())
             return max(0, case.harmed - accepted - _refused(case))
         case "message_loss":
-            before = [count for t, count in case.of.dropped if t <= case.start_ns]
-            after = [count for t, count in case.of.dropped if t <= case.end_ns + 2 * REPORT_NS]
-            return max(0, case.harmed - (after[-1] - before[-1]))
+            return max(0, case.harmed - case.counted)
         case _:
             return 0
 
@@ -118,7 +93,7 @@ def _a_command_each_cycle(case: Case) -> Reaction:
     until_ns = min(case.end_ns + REPORT_NS, case.of.until_ns - 2 * REPORT_NS)  # of the last the plan is under way
     made = {plan.cycle_ns for plan in log.plans if plan.finite}
     without = [t for t in log.cycles if max(case.start_ns, first_ns) <= t <= until_ns and t not in made]
-    missing = len(without) - case.of.lost_plans
+    missing = len(without) - case.lost_plans
     return Reaction(None, f"{missing} cycles without a finite command" if missing > 0 else "")
 
 

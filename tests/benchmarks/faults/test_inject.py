@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from benchmarks.faults import inject
+from benchmarks.faults.inject import Interference, read_by, unlike_at_a
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, Estimate, Injection, MessageFault, PressureDepth
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, WireError, decode, encode
-from services.tools.faults import schedule
-from services.tools.faults.inject import Interference, read_by, unlike_at_a
 
 MS, S = 1_000_000, 1_000_000_000
 TOPIC = BY_TYPE[PressureDepth]
@@ -88,14 +88,10 @@ def test_a_controller_hears_the_named_sources_of_estimates_through_the_injector(
     assert heard["applied"] is BY_TYPE[Applied]
 
 
-def test_a_schedule_is_read_from_a_file_and_from_words(tmp_path):
-    path = tmp_path / "faults.toml"
-    path.write_text('[[fault]]\nharm = "delay"\nkey = "plan"\nstart_s = 3\nend_s = 4.5\nsize = 0.25\nseed = 6\n')
-    (one,) = schedule.load(path)
-    (same,) = schedule.parse(["delay,plan,3,4.5,0.25,6"])
-    for asked in (one, same):
-        assert (asked.fault, asked.key, asked.size, asked.seed) == (MessageFault.DELAY, "plan", 0.25, 6)
-        assert (asked.start_t_ns, asked.end_t_ns) == (3 * S, 4_500_000_000)
+def test_a_fault_of_the_command_line_is_read_field_by_field():
+    asked = inject.parse("delay,plan,3,4.5,0.25,6")
+    assert (asked.fault, asked.key, asked.size, asked.seed) == (MessageFault.DELAY, "plan", 0.25, 6)
+    assert (asked.start_t_ns, asked.end_t_ns) == (3 * S, 4_500_000_000)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +110,7 @@ def test_a_schedule_is_read_from_a_file_and_from_words(tmp_path):
 )
 def test_what_cannot_be_done_is_refused_by_field_and_bound(word, said):
     with pytest.raises(ConfigError) as refused:
-        schedule.parse([word])
+        inject.parse(word)
     assert said in str(refused.value)
 
 

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from services.tools.faults.fault import Fault
-from services.tools.faults.kinds import AFLOAT, FaultClass
+from benchmarks.faults.kinds import AFLOAT, Fault, FaultClass
 
 LAST_S = 75.0
 """Time from the start of a permanent fault to the end of the run."""

@@ -6,8 +6,7 @@ grown      largest change of that error since the start of the fault; a lost sen
 recovery   mean tracking error 30 to 60 s after its end over that of the same seed without any fault: the larger of its
            means in the same half minute and under water in all. A vehicle that holds its place is off it by a few
            centimetres that come and go: of two half minutes of one run without faults the one is more than twice the
-           other in some 10 % of cases (``chance``), so that the same half minute alone would call that many not
-           recovered of which nothing is wrong. It is reported beside (``window_ratio``).
+           other in some 10 % of cases, which says nothing about the fault.
 outside    time for which position or velocity was outside 3 sigma (chi-square of two degrees of freedom), neither
            the report nor the health flagged it, and the same seed without faults was inside
 """
@@ -15,21 +14,25 @@ outside    time for which position or velocity was outside 3 sigma (chi-square o
 from __future__ import annotations
 
 import bisect
-import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.faults import kinds
+from benchmarks.faults.kinds import Fault, Place
+from benchmarks.faults.log import Case, Log
+from benchmarks.faults.reactions import reaction, uncounted
 from ltv_mpc.messages import Array, Health
-from services.tools.faults import kinds
-from services.tools.faults.draw import Run
-from services.tools.faults.fault import RECOVERED, FaultOutcome, Place
-from services.tools.faults.lockstep_runs import Log, Observed
-from services.tools.faults.reactions import Case, reaction, uncounted
+
+RECOVERED = 2.0
+"""Largest ratio of the mean tracking error after a fault to that without faults."""
+
+UNFLAGGED_S = 10.0
+"""Longest time (s) for which an error may be outside 3 sigma unflagged: one window of innovations."""
 
 THREE_SIGMA = 11.829
 """Chi-square quantile of two degrees of freedom at 99.73 %, the probability of 3 sigma of a normal variable."""
@@ -37,6 +40,49 @@ THREE_SIGMA = 11.829
 AFTER_NS = (30_000_000_000, 60_000_000_000)
 FLAG_NS = 1_100_000_000
 """Longest delay of a flag: localisation reports come each second."""
+
+
+class FaultOutcome(msgspec.Struct, frozen=True, kw_only=True):
+    """Outcome of one fault. None: it does not apply, or could not be observed."""
+
+    fault: Fault
+    place: Place
+    run_seed: int
+    harmed: int = 0  # messages that it harmed
+    reaction_s: float | None = None  # from when a reaction was due to the reaction
+    late: str = ""  # why the reaction was late; empty: it was in time
+    worst_error_m: float | None = None  # true horizontal error until a minute after its end
+    grown_m: float | None = None  # by how much that error moved, at most, from what it was at the start
+    bound_m: float | None = None  # of ``grown_m``: where an instrument or a thruster is lost
+    ratio: float | None = None  # mean tracking error 30 to 60 s after its end over that of the same seed without
+    outside_s: float = 0.0  # the true error was outside 3 sigma and nothing flagged it
+    uncounted: int = 0  # messages harmed that nobody counted
+    bad_thrusts: int = 0  # commands not finite, or outside box or slew, in the plant's own record
+    uncontrolled: str = ""  # how the run ended, where that was not to be
+
+    @property
+    def recovered(self) -> bool:
+        """True unless the tracking error stayed larger."""
+        return self.ratio is None or self.ratio <= RECOVERED
+
+    @property
+    def beyond_bound(self) -> bool:
+        """True if the true error moved further than it may."""
+        return self.bound_m is not None and self.grown_m is not None and not self.grown_m <= self.bound_m
+
+    @property
+    def problems(self) -> list[str]:
+        """The requirements that were violated for this fault."""
+        found = {
+            f"ended: {self.uncontrolled}": self.uncontrolled,
+            self.late: self.late,
+            f"{self.bad_thrusts} bad thrusts": self.bad_thrusts,
+            f"{self.uncounted} uncounted messages": self.uncounted,
+            f"tracking error {self.ratio or 0.0:.1f} times that of the run without the fault": not self.recovered,
+            f"true error moved by {self.grown_m or 0.0:.1f} m, bound {self.bound_m or 0.0:g} m": self.beyond_bound,
+            f"outside 3 sigma for {self.outside_s:.0f} s, unflagged": self.outside_s > UNFLAGGED_S,
+        }
+        return [text for text, holds in found.items() if holds]
 
 
 class Errors(NamedTuple):
@@ -85,38 +131,26 @@ def _mahalanobis(off: Array, P: Array) -> Array:
         return np.where(det > 0, square / det, math.inf)
 
 
-def judge(run: Run, of: Observed, baseline: Errors | None) -> list[FaultOutcome]:
-    """Judge each fault that was injected before the run ended. Without a baseline the error is not judged."""
-    seen, here = [], errors(of.log)
-    for place, fault in enumerate(run.faults):
-        case = Case(fault, round(fault.start_s * 1e9), round(fault.end_s * 1e9), of.harmed.get(place, 0), of)
-        if case.start_ns < of.until_ns:
-            seen.append(judged(run.seed, case, here, baseline))
-    return blamed(seen)
+def judge(run_seed: int, place: Place, log: Log, cases: Sequence[Case], baseline: Errors | None) -> list[FaultOutcome]:
+    """Judge each fault of a run. Without a baseline the error is not judged.
 
-
-def blamed(seen: Sequence[FaultOutcome]) -> list[FaultOutcome]:
-    """Attribute the end of a run to one fault: the first with a late reaction, or else the last."""
-    late = [place for place, one in enumerate(seen) if one.uncontrolled and one.late]
+    The end of a run is attributed to one fault: the first with a late reaction, or else the last.
+    """
+    here = errors(log)
+    seen = [_judged(run_seed, place, case, here, baseline) for case in cases]
+    late = [i for i, one in enumerate(seen) if one.uncontrolled and one.late]
     to_blame = late[0] if late else len(seen) - 1
-    return [
-        one if place == to_blame else msgspec.structs.replace(one, uncontrolled="") for place, one in enumerate(seen)
-    ]
+    return [one if i == to_blame else msgspec.structs.replace(one, uncontrolled="") for i, one in enumerate(seen)]
 
 
-def judged(
-    run_seed: int, case: Case, here: Errors, baseline: Errors | None, place: Place = Place.LOCKSTEP
-) -> FaultOutcome:
-    """Judge one fault. ``here``: the errors of its run."""
-    of, fault = case.of, case.fault
+def _judged(run_seed: int, place: Place, case: Case, here: Errors, baseline: Errors | None) -> FaultOutcome:
+    fault, of = case.fault, case.of
     judged_ns = min(case.end_ns + AFTER_NS[1], of.until_ns)
     ended_here = bool(of.uncontrolled) and of.until_ns <= judged_ns
     reacted = reaction(case)
     within = (here.t_ns >= case.start_ns) & (here.t_ns <= judged_ns)
     off = here.true_m[within]
-    ratios: tuple[float | None, float | None] = (None, None)
-    if baseline is not None and not fault.permanent and not ended_here:
-        ratios = _ratios(case, here, baseline)
+    measured = baseline is not None and not fault.permanent and not ended_here
     return FaultOutcome(
         fault=fault,
         place=place,
@@ -127,38 +161,22 @@ def judged(
         worst_error_m=float(np.hypot(*off.T).max()) if within.any() else None,
         grown_m=float(np.hypot(*(off - off[0]).T).max()) if within.any() else None,
         bound_m=kinds.bound_m(fault),
-        ratio=ratios[0],
-        window_ratio=ratios[1],
+        ratio=_ratio(case, here, baseline) if measured else None,
         outside_s=0.0 if baseline is None else _outside_s(case, here, baseline, judged_ns),
-        uncounted=uncounted(case),
+        uncounted=uncounted(case) + case.lost,
         bad_thrusts=sum(bad for t, bad, *_ in of.log.applied if case.start_ns <= t <= judged_ns),
         uncontrolled=of.uncontrolled if ended_here else "",
     )
 
 
-def _ratios(case: Case, here: Errors, baseline: Errors) -> tuple[float, float]:
-    """Return ``ratio`` and ``window_ratio``; infinite where nothing was measured after the fault."""
+def _ratio(case: Case, here: Errors, baseline: Errors) -> float:
+    """Return the ratio of the tracking errors; infinite where nothing was measured after the fault."""
     first, last = (case.end_ns + after for after in AFTER_NS)
     after, usual = (
         float(of.tracking_m[within].mean()) if (within := (of.t_ns >= first) & (of.t_ns <= last)).any() else math.inf
         for of in (here, baseline)
     )
-    return after / max(usual, float(baseline.tracking_m.mean())), after / usual
-
-
-def chance(baselines: Iterable[Errors]) -> float | None:
-    """Return how often two half minutes of one run without faults differ by more than the factor ``RECOVERED``. Pairs
-    of mean tracking errors are compared, at least half a minute apart. None: no run is long enough.
-    """
-    over = pairs = 0
-    length_ns = AFTER_NS[1] - AFTER_NS[0]
-    for of in baselines:
-        starts = np.arange(0, int(of.t_ns[-1]) - length_ns + 1, length_ns) if len(of.t_ns) else np.empty(0)
-        means = [float(of.tracking_m[(of.t_ns >= start) & (of.t_ns < start + length_ns)].mean()) for start in starts]
-        for one, other in itertools.permutations(means, 2):
-            pairs += 1
-            over += one > RECOVERED * other
-    return over / pairs if pairs else None
+    return after / max(usual, float(baseline.tracking_m.mean()))
 
 
 def _outside_s(case: Case, here: Errors, baseline: Errors, judged_ns: int) -> float:
