@@ -2,16 +2,14 @@
 
     python -m benchmarks.fleet.controllers FLEET FIRST    of vehicles FIRST, FIRST + processes, ...
 
-A cycle begins when its estimate arrives. Where the process falls behind, a vehicle's newest estimate counts, and those
-that it overtook are counted.
+A cycle begins when its estimate arrives. Where the process falls behind, a vehicle's newest estimate counts; those that
+it overtook are not decoded.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from collections import Counter
-from collections.abc import Iterable
 
 import msgspec
 
@@ -37,13 +35,9 @@ from sim.evaluation.summary import Quantiles
 class Controllers(msgspec.Struct, frozen=True, kw_only=True):
     """Measurements of a process of controllers."""
 
-    vehicles: int
-    cycles: int
-    overtaken: int  # estimates that no cycle was made on
-    rejected: int
-    dropped: int
     cycle_ms: Quantiles  # decoding, cycle, encoding, publishing: median, p99, max
     cpu_s: float
+    rejected: int
 
 
 def main(fleet: Fleet, first: int) -> Controllers:
@@ -53,108 +47,78 @@ def main(fleet: Fleet, first: int) -> Controllers:
     point = Point(north_m=0.0, east_m=0.0, depth_m=10.0)
     warm_up(vehicle, point, config)
     with open_session(BusOptions(connect=(fleet.router,)), stop=lambda: False, say=lambda _text: None) as session:
-        mailbox = Mailbox()
-        by_vehicle = {
-            number: _VehicleController(ControllerNode(vehicle, point, config), session, mailbox, number)
-            for number in range(first, fleet.vehicles, fleet.processes)
-        }
-        return _run(fleet, by_vehicle, mailbox, wait_for_start())
+        mailbox, by_key = Mailbox(), dict[str, _VehicleController]()
+        for number in range(first, fleet.vehicles, fleet.processes):
+            controller = _VehicleController(ControllerNode(vehicle, point, config), session, number)
+            for kind in (Applied, Estimate):
+                key = f"{namespace(number)}/{BY_TYPE[kind].key}"
+                by_key[key] = controller
+                session.subscribe(key, BY_TYPE[kind], mailbox)
+        return _run(fleet, by_key, mailbox, wait_for_start())
 
 
 class _VehicleController:
     """Controller of one vehicle on the shared session."""
 
-    def __init__(self, node: ControllerNode, session: Session, mailbox: Mailbox, number: int) -> None:
-        self.node = node
+    def __init__(self, node: ControllerNode, session: Session, number: int) -> None:
+        self._node = node
         self.validator = MessageValidator()
-        self.overtaken = 0  # estimates
         self._frames: list[Frame] = []
-        self._armed = False
-        under = namespace(number)
-        self.out = Outbox(session, node=node.name, epoch=new_epoch(), kinds=(Plan,), key_prefix=under)
-        for kind in (Applied, Estimate):
-            session.subscribe(f"{under}/{BY_TYPE[kind].key}", BY_TYPE[kind], mailbox)
+        self._first: list[ReceivedMessage] = [
+            ReceivedMessage(Command(command_id=0, action=Action.ARM, force=True), 1, 0, 0)
+        ]
+        self._out = Outbox(session, node=node.name, epoch=new_epoch(), kinds=(Plan,), key_prefix=namespace(number))
 
-    def receive(self, frame: Frame) -> None:
-        """Keep a frame for the next cycle, which decodes only the newest estimate."""
+    def receive(self, frame: Frame) -> bool:
+        """Keep a frame for the next cycle, of estimates the newest one. Return True if it is an estimate."""
+        is_estimate = frame.topic is BY_TYPE[Estimate]
+        if is_estimate:
+            self._frames = [other for other in self._frames if other.topic is not frame.topic]
         self._frames.append(frame)
+        return is_estimate
 
     def cycle(self, start_ns: int) -> None:
         """Run a cycle on the frames that have arrived."""
         frames, self._frames = self._frames, []
-        newest = max((k for k, frame in enumerate(frames) if _is_estimate(frame)), default=None)
-        arrivals = (
-            [] if self._armed else [ReceivedMessage(Command(command_id=0, action=Action.ARM, force=True), 1, 0, 0)]
-        )
-        self._armed = True
-        for k, frame in enumerate(frames):
-            if _is_estimate(frame) and k != newest:
-                self.overtaken += 1
-                continue
+        arrivals, self._first = self._first, []
+        for frame in frames:
             try:
                 message, header = self.validator.validate(frame)
             except WireError:  # counted by the validator
                 continue
             received_ns = frame.received_monotonic_us * 1000 - start_ns
             arrivals.append(ReceivedMessage(message, header.epoch, header.sequence, received_ns))
-        (outputs,) = self.node.steps([(now_ns(start_ns), arrivals)])
+        (outputs,) = self._node.steps([(now_ns(start_ns), arrivals)])
         for message in outputs:
             if isinstance(message, Plan):
-                self.out.publish(message)
+                self._out.publish(message)
 
 
-def _is_estimate(frame: Frame) -> bool:
-    return frame.topic is not None and frame.topic.message_type is Estimate
-
-
-def _run(fleet: Fleet, by_vehicle: dict[int, _VehicleController], mailbox: Mailbox, start_ns: int) -> Controllers:
+def _run(fleet: Fleet, by_key: dict[str, _VehicleController], mailbox: Mailbox, start_ns: int) -> Controllers:
     begin_ns, end_ns = fleet.measured_ns
-    of = {
-        f"{namespace(n)}/{BY_TYPE[kind].key}": controller
-        for n, controller in by_vehicle.items()
-        for kind in (Applied, Estimate)
-    }
     waiting: dict[_VehicleController, None] = {}  # in the order in which an estimate came for them
     busy_ms: list[float] = []
-    before: tuple[float, Counter[str]] | None = None
+    cpu_s: float | None = None
     while (t_ns := now_ns(start_ns)) < end_ns:
-        if before is None and t_ns >= begin_ns:
-            before = time.process_time(), _counts(by_vehicle.values())
+        if cpu_s is None and t_ns >= begin_ns:
+            cpu_s = time.process_time()
             busy_ms.clear()
         frame = mailbox.take(0.0 if waiting else min((end_ns - t_ns) / 1e9, 0.1))
         started_ns = time.perf_counter_ns()
         while frame is not None:
-            of[frame.key].receive(frame)
-            if _is_estimate(frame):
-                waiting.setdefault(of[frame.key])
+            if by_key[frame.key].receive(frame):
+                waiting.setdefault(by_key[frame.key])
             frame = mailbox.take(0.0)
-        if not waiting:
-            continue
-        controller = next(iter(waiting))
-        del waiting[controller]
-        controller.cycle(start_ns)
-        busy_ms.append((time.perf_counter_ns() - started_ns) / 1e6)
-    cpu_s, counted = before or (0.0, Counter[str]())
-    since = _counts(by_vehicle.values())
-    since.subtract(counted)
+        if waiting:
+            controller = next(iter(waiting))
+            del waiting[controller]
+            controller.cycle(start_ns)
+            busy_ms.append((time.perf_counter_ns() - started_ns) / 1e6)
     return Controllers(
-        vehicles=len(by_vehicle),
-        cycles=len(busy_ms),
-        overtaken=since["overtaken"],
-        rejected=since["rejected"],
-        dropped=since["dropped"],
         cycle_ms=quantiles(busy_ms),
-        cpu_s=time.process_time() - cpu_s,
+        cpu_s=time.process_time() - (cpu_s or 0.0),
+        rejected=sum(controller.validator.rejected for controller in dict.fromkeys(by_key.values())),
     )
-
-
-def _counts(controllers: Iterable[_VehicleController]) -> Counter[str]:
-    """Sum the counts of all vehicles; overtaken estimates are subtracted from the messages lost on the way."""
-    counts: Counter[str] = Counter()
-    for controller in controllers:
-        overtaken = {"overtaken": controller.overtaken, "dropped": controller.validator.dropped - controller.overtaken}
-        counts.update(overtaken, rejected=controller.validator.rejected)
-    return counts
 
 
 if __name__ == "__main__":

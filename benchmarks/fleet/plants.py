@@ -20,11 +20,11 @@ from ltv_mpc import frames
 from ltv_mpc.messages import Applied, CurrentProfile, Estimate, Plan
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.mailbox import Frame, Mailbox
+from services.bus.mailbox import Mailbox
 from services.bus.message_validation import MessageValidator
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import Session, open_session
+from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from sim import motion
@@ -50,7 +50,6 @@ class Plants(msgspec.Struct, frozen=True, kw_only=True):
     plans: int
     late: int  # plans that came after their start
     refused: int
-    dropped: int  # plans that never came, by their numbers
     latency_ms: Quantiles  # from an estimate's validity to its plan's arrival: median, p99, max
     mean_error_m: float  # distance from the points, over the last half
     cpu_s: float
@@ -59,78 +58,63 @@ class Plants(msgspec.Struct, frozen=True, kw_only=True):
 def main(fleet: Fleet) -> Plants:
     """Run the plant process."""
     vehicle = Vehicle.load(fleet.vehicle)
-    _Plant(vehicle, 0).go(0, 2 * STEP_NS)  # have the kernel compiled
-    plants = [_Plant(vehicle, number) for number in range(fleet.vehicles)]
+    _Plant(vehicle, 0).go(2 * STEP_NS)  # have the kernel compiled
     with open_session(BusOptions(connect=(fleet.router,)), stop=lambda: False, say=lambda _text: None) as session:
-        mailbox = Mailbox()
-        world = _World(fleet, plants, session, mailbox)
-        return world.run(wait_for_start(), mailbox)
+        mailbox, epoch, topic = Mailbox(), new_epoch(), BY_TYPE[Plan]
+        plants, outs, by_key = [], [], {}
+        for number in range(fleet.vehicles):
+            prefix = namespace(number)
+            plants.append(_Plant(vehicle, number))
+            outs.append(Outbox(session, node="plant", epoch=epoch, kinds=(Estimate, Applied), key_prefix=prefix))
+            by_key[f"{prefix}/{topic.key}"] = plants[-1]
+            session.subscribe(f"{prefix}/{topic.key}", topic, mailbox)
+        return _run(fleet, list(zip(plants, outs, strict=True)), by_key, mailbox, wait_for_start())
 
 
-class _World:
-    def __init__(self, fleet: Fleet, plants: list[_Plant], session: Session, mailbox: Mailbox) -> None:
-        self._fleet, self._plants = fleet, plants
-        epoch, topic = new_epoch(), BY_TYPE[Plan]
-        self._out = [
-            Outbox(session, node="plant", epoch=epoch, kinds=(Estimate, Applied), key_prefix=namespace(i))
-            for i in range(len(plants))
-        ]
-        self._of = {f"{namespace(i)}/{topic.key}": i for i in range(len(plants))}
-        for key in self._of:
-            session.subscribe(key, topic, mailbox)
-        self._validator = MessageValidator()
-        self._latencies_ns: list[int] = []
-        self._errors_m: list[float] = []
-        self._plans = self._estimates = self._late = self._refused = 0
-
-    def run(self, start_ns: int, mailbox: Mailbox) -> Plants:
-        fleet, count = self._fleet, len(self._plants)
-        begin_ns, end_ns = fleet.measured_ns
-        cpu_s: float | None = None
-        turn, k = 0, 0
-        while (due_ns := fleet.due_ns(turn, k)) < end_ns:
-            while (left_ns := due_ns - now_ns(start_ns)) > 0:
-                frame = mailbox.take(left_ns / 1e9)
-                if frame is not None:
-                    self._take(frame, frame.received_monotonic_us * 1000 - start_ns, counts=due_ns >= begin_ns)
-            if cpu_s is None and due_ns >= begin_ns:
-                cpu_s = time.process_time()
-            self._tick(turn, due_ns, counts=due_ns >= begin_ns, settled=due_ns >= (begin_ns + end_ns) // 2)
-            turn = (turn + 1) % count
-            k += turn == 0
-        return Plants(
-            estimates=self._estimates,
-            plans=self._plans,
-            late=self._late,
-            refused=self._refused,
-            dropped=self._validator.dropped,
-            latency_ms=quantiles([x / 1e6 for x in self._latencies_ns]),
-            mean_error_m=float(np.mean(self._errors_m)) if self._errors_m else math.nan,
-            cpu_s=time.process_time() - (cpu_s or 0.0),
-        )
-
-    def _tick(self, number: int, t_ns: int, *, counts: bool, settled: bool) -> None:
-        plant, out = self._plants[number], self._out[number]
-        plant.go(plant.t_ns, t_ns)
-        out.publish(plant.report(t_ns))
-        out.publish(plant.estimate(t_ns))
-        self._estimates += counts
-        if settled:
-            self._errors_m.append(plant.off_m)
-
-    def _take(self, frame: Frame, t_ns: int, *, counts: bool) -> None:
-        try:
-            plan, header = self._validator.validate(frame)
-        except WireError:
-            self._refused += 1
-            return
-        assert isinstance(plan, Plan)
-        verdict = self._plants[self._of[frame.key]].offer(plan, header.epoch, header.sequence, t_ns)
-        if counts:
-            self._plans += 1
-            self._late += verdict is PlanVerdict.LATE
-            self._refused += verdict not in (PlanVerdict.ACCEPTED, PlanVerdict.LATE)
-            self._latencies_ns.append(t_ns - plan.estimate_t_ns)
+def _run(
+    fleet: Fleet, plants: list[tuple[_Plant, Outbox]], by_key: dict[str, _Plant], mailbox: Mailbox, start_ns: int
+) -> Plants:
+    begin_ns, end_ns = fleet.measured_ns
+    validator, refused, late, cpu_s = MessageValidator(), 0, 0, 0.0
+    latency_ms: list[float] = []
+    errors_m: list[float] = []
+    due = sorted((fleet.due_ns(i, k), i) for i in range(fleet.vehicles) for k in range(end_ns // fleet.period_ns + 1))
+    due = [(due_ns, i) for due_ns, i in due if due_ns < end_ns]
+    estimates = sum(due_ns >= begin_ns for due_ns, _ in due)
+    for due_ns, i in due:
+        while (left_ns := due_ns - now_ns(start_ns)) > 0:
+            frame = mailbox.take(left_ns / 1e9)
+            if frame is None:
+                continue
+            t_ns = frame.received_monotonic_us * 1000 - start_ns
+            try:
+                plan, header = validator.validate(frame)
+            except WireError:
+                refused += 1
+                continue
+            assert isinstance(plan, Plan)
+            verdict = by_key[frame.key].offer(plan, header.epoch, header.sequence, t_ns)
+            if due_ns >= begin_ns:
+                latency_ms.append((t_ns - plan.estimate_t_ns) / 1e6)
+                late += verdict is PlanVerdict.LATE
+                refused += verdict not in (PlanVerdict.ACCEPTED, PlanVerdict.LATE)
+        if due_ns < begin_ns or not cpu_s:
+            cpu_s = time.process_time()
+        plant, out = plants[i]
+        plant.go(due_ns)
+        out.publish(plant.report(due_ns))
+        out.publish(plant.estimate(due_ns))
+        if due_ns >= (begin_ns + end_ns) // 2:
+            errors_m.append(plant.off_m)
+    return Plants(
+        estimates=estimates,
+        plans=len(latency_ms),
+        late=late,
+        refused=refused,
+        latency_ms=quantiles(latency_ms),
+        mean_error_m=float(np.mean(errors_m)) if errors_m else math.nan,
+        cpu_s=time.process_time() - cpu_s,
+    )
 
 
 class _Plant:
@@ -152,7 +136,7 @@ class _Plant:
             east_mps=np.full(CELLS, self._current[1]),
             sd_mps=np.full(CELLS, 0.01),
         )
-        self.t_ns = 0
+        self._t_ns = 0
         self._command = (0.0, 0.0, 0.0)
         self._accepted: tuple[Plan, int, int, int] | None = None
 
@@ -168,19 +152,20 @@ class _Plant:
             self._accepted = plan, epoch, sequence, t_ns
         return verdict
 
-    def go(self, from_ns: int, until_ns: int) -> None:
+    def go(self, until_ns: int) -> None:
         """Integrate the motion in steps of 10 ms, under the commands of the gate."""
-        times = [*range(from_ns, until_ns, STEP_NS), until_ns] if until_ns > from_ns else [from_ns]
+        if until_ns <= self._t_ns:
+            return
+        times = [*range(self._t_ns, until_ns, STEP_NS), until_ns]
         commands = np.empty((len(times), 3))
         commands[0] = self._command
-        if len(times) > 1:
-            commands[1:] = self._gate.commands_at(times[1:])
+        commands[1:] = self._gate.commands_at(times[1:])
         self._command = tuple(commands[-1].tolist())
         profile = np.array([self._current, self._current])
         vehicle = motion.MotionState(self._state, self._revolutions, self._thrust)
         water = WaterSample(DEPTHS, profile, profile, 0.0)
         motion.simulate(self._body, vehicle, np.array(times) * 1e-9, commands, water)
-        self.t_ns = until_ns
+        self._t_ns = until_ns
 
     def estimate(self, t_ns: int) -> Estimate:
         """Return the true state as an estimate."""

@@ -45,7 +45,6 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     controller_busy_per_vehicle: float
     plant_busy_per_vehicle: float
     rejected: int
-    dropped: int
     limit: str  # what gave way first; "none"
 
 
@@ -140,7 +139,6 @@ def row_of(
         controller_busy_per_vehicle=thinking / fleet.vehicles,
         plant_busy_per_vehicle=busy["plants"] / fleet.vehicles,
         rejected=sum(one.rejected for one in reports) + world.refused,
-        dropped=sum(one.dropped for one in reports) + world.dropped,
         limit=_limit(busy, share, cores or os.cpu_count() or 1),
     )
 

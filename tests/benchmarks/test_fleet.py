@@ -26,15 +26,12 @@ def test_the_vehicles_estimates_are_spread_over_a_period_and_come_once_in_each()
 
 
 def row(*, late: int = 0, plans: int = 150, mind_cpu_s: float = 1.0, world_cpu_s: float = 2.0, routed_s: float = 0.5):
-    one = Controllers(
-        vehicles=3, cycles=plans, overtaken=0, rejected=1, dropped=0, cycle_ms=quantiles([1.0, 2.0]), cpu_s=mind_cpu_s
-    )
+    one = Controllers(cycle_ms=quantiles([1.0, 2.0]), cpu_s=mind_cpu_s, rejected=1)
     world = Plants(
         estimates=150,
         plans=plans,
         late=late,
         refused=2,
-        dropped=0,
         latency_ms=quantiles([5.0]),
         mean_error_m=0.1,
         cpu_s=world_cpu_s,
