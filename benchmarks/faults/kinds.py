@@ -156,18 +156,12 @@ DROPOUT_M = 6.0
 BOUNDS_M: Mapping[tuple[str, str], float] = {
     ("sensor_off", "imu"): ADRIFT_M,
     ("sensor_off", "adcp"): INERTIAL_M,
-    ("sensor_off", "compass"): AIDED_M,
-    ("sensor_off", "pressure"): AIDED_M,
-    ("sensor_off", "gnss"): AIDED_M,
-    ("sensor_off", "tdcp"): AIDED_M,
-    ("thruster_loss", "port"): ADRIFT_M,
-    ("thruster_loss", "starboard"): ADRIFT_M,
-    ("thruster_loss", "both"): ADRIFT_M,
+    **{("sensor_off", name): AIDED_M for name in INSTRUMENTS if name not in ("imu", "adcp")},
+    **{("thruster_loss", name): ADRIFT_M for name in THRUSTERS},
+    **{("reference_point", name): AIDED_M for name in ("ahead", "starboard")},
     ("second_source", "estimate"): AIDED_M,
     ("estimate_dropout", "estimate"): DROPOUT_M,
     ("clock_step", "vehicle"): AIDED_M,
-    ("reference_point", "ahead"): AIDED_M,
-    ("reference_point", "starboard"): AIDED_M,
     ("controller_restart", "controller"): AIDED_M,
 }
 """Largest change of the true horizontal error (m) by class and target, during the fault and the minute after it; a

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from types import SimpleNamespace
 
 import msgspec
 
@@ -34,14 +35,14 @@ HEADINGS = (
 )  # fmt: skip
 
 
-def text(rows: list[trial.Row]) -> str:
+def text(rows: list[SimpleNamespace]) -> str:
     """Format a line for each trial."""
     lines = [HEADINGS, *(_cells(row) for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(HEADINGS))]
     return "\n".join("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
 
 
-def _cells(row: trial.Row) -> tuple[str, ...]:
+def _cells(row: SimpleNamespace) -> tuple[str, ...]:
     return (
         str(row.vehicles),
         f"{row.plans / row.seconds:.0f}",
@@ -88,7 +89,7 @@ def main(words: Sequence[str] | None = None) -> int:
             except trial.TrialFailed as error:
                 sys.stderr.write(f"{error}\n")
                 return 1
-    result = {"rows": rows, "machine": machine_description.machine(load)}
+    result = {"rows": [vars(row) for row in rows], "machine": machine_description.machine(load)}
     print(msgspec.json.encode(result).decode() if as_json else text(rows))
     return 0
 

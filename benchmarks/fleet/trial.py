@@ -7,6 +7,7 @@ import select
 import subprocess
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import msgspec
 
@@ -16,7 +17,6 @@ from benchmarks.fleet.fleet import Fleet
 from benchmarks.fleet.plants import Plants
 from benchmarks.processes import Process, Started, await_router
 from benchmarks.processor_time import read_times
-from sim.evaluation.summary import Quantiles
 
 LEAD_S = 0.5
 """Time from the last "ready" to t = 0."""
@@ -28,26 +28,6 @@ FEW = 0.01
 """Share of missed cycles above which a resource counts as overloaded."""
 
 
-class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """Figures of one trial. Busy: processor time over wall time, 1 is a whole core."""
-
-    vehicles: int
-    rate_hz: float
-    seconds: float
-    controller_processes: int
-    plans: int
-    missed: int  # estimates without a plan of their own in time: overtaken, or answered after the next was due
-    missed_share: float
-    latency_ms: Quantiles  # estimate's validity to plan's arrival: median, p99, max
-    cycle_ms: Quantiles  # of one controller, with decoding and encoding; the worst process's
-    mean_error_m: float
-    busy: dict[str, float]  # router, plants, controllers (the busiest process), all
-    controller_busy_per_vehicle: float
-    plant_busy_per_vehicle: float
-    rejected: int
-    limit: str  # what gave way first; "none"
-
-
 PROGRESS_PERIOD_S = 0.5
 """Time between two reports of progress."""
 
@@ -56,7 +36,7 @@ class TrialFailed(RuntimeError):
     """A process of the fleet ended without its figures."""
 
 
-def run(fleet: Fleet, *, on_progress: Callable[[float], None] = lambda _share: None) -> Row:
+def run(fleet: Fleet, *, on_progress: Callable[[float], None] = lambda _share: None) -> SimpleNamespace:
     """Start all processes, measure, and stop them. Raises ``TrialFailed``.
 
     ``on_progress`` receives the elapsed share of the trial.
@@ -112,7 +92,7 @@ def processor_s(process: Process) -> float:
 
 def row_of(
     fleet: Fleet, reports: list[Controllers], world: Plants, routed_s: float, *, cores: int | None = None
-) -> Row:
+) -> SimpleNamespace:
     """Return the result of a trial. ``cores``: of the machine; None: of this one."""
     busy = {
         "router": routed_s / fleet.seconds,
@@ -124,18 +104,18 @@ def row_of(
     missed = max(world.estimates - world.plans, 0) + world.late
     share = missed / max(world.estimates, 1)
     slowest = max(reports, key=lambda one: one.cycle_ms.p99 or 0.0)
-    return Row(
+    return SimpleNamespace(
         vehicles=fleet.vehicles,
         rate_hz=fleet.rate_hz,
         seconds=fleet.seconds,
         controller_processes=len(reports),
         plans=world.plans,
-        missed=missed,
+        missed=missed,  # estimates without a plan of their own in time: overtaken, or answered after the next was due
         missed_share=share,
-        latency_ms=world.latency_ms,
-        cycle_ms=slowest.cycle_ms,
+        latency_ms=world.latency_ms,  # estimate's validity to plan's arrival: median, p99, max
+        cycle_ms=slowest.cycle_ms,  # of one controller, with decoding and encoding; the worst process's
         mean_error_m=world.mean_error_m,
-        busy=busy,
+        busy=busy,  # processor time over wall time, 1 is a whole core
         controller_busy_per_vehicle=thinking / fleet.vehicles,
         plant_busy_per_vehicle=busy["plants"] / fleet.vehicles,
         rejected=sum(one.rejected for one in reports) + world.refused,

@@ -24,6 +24,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -82,7 +83,7 @@ def _panel(panel: Axes, name: str, graded: check.Graded) -> None:
     panel.set_title(f"{name.replace('_', ' ')}: mean {c.per_dof:.2f}")
 
 
-def table(of: check.Result) -> str:
+def table(of: SimpleNamespace) -> str:
     """Format the result as text."""
     low, high = of.ratio_at_bound
     lines = [
@@ -136,7 +137,7 @@ def main(words: Sequence[str] | None = None) -> int:
     except ConfigError as error:
         parser.error(str(error))
     result = check.result(records, jobs, wall_s=time.monotonic() - started)
-    plain = msgspec.json.format(msgspec.json.encode(result), indent=2).decode()
+    plain = msgspec.json.format(msgspec.json.encode(vars(result)), indent=2).decode()
     problems = check.failed(result)
     print(plain if options.json else table(result))
     for problem in problems:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import msgspec
@@ -13,7 +14,6 @@ from benchmarks.localisation_check.judgement import (
     MIN_DRAWS,
     MIN_SHARE,
     TOLERANCE,
-    Hypothesis,
     judge,
     mean_square,
     p_of_mean,
@@ -40,34 +40,6 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True):
     draws: float  # independent draws of a run over time
     in_band: float  # share of instants
     drawn: float | None  # of true biases: per degree of freedom, these seeds' own deviation from 1
-
-
-class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """Content of localisation-check.json. Quantities that the sensors file does not have are left out."""
-
-    scenario: str
-    sensors: str
-    surface_time_s: float
-    runs: int
-    first_seed: int
-    drift_rms_m: float
-    bound_rms_m: float
-    ratio: float
-    ratio_at_bound: tuple[float, float]  # 95 % interval of such checks for a filter at its bound
-    true_error_m: float  # mean distance of the vehicle from the line, over time and runs, in closed loop
-    velocity_error_rms_mps: float  # at t = 0
-    velocity_reported_rms_mps: float  # by the filter
-    velocity_bound_rms_mps: float
-    slope_s: float
-    r2: float
-    nees: list[Quantity]
-    nis: list[Quantity]
-    min_eigenvalue: float
-    max_asymmetry: float
-    instants_missed: int
-    family_wise_level: float  # probability that the check of a filter within all limits fails
-    hypotheses: list[Hypothesis]
-    wall_s: float
 
 
 class Graded(NamedTuple):
@@ -148,8 +120,8 @@ def mean_name(kind: str, name: str) -> str:
     return f"{kind} of {name} per degree of freedom"
 
 
-def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> Result:
-    """Compute the figures from all records."""
+def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> SimpleNamespace:
+    """Compute the content of localisation-check.json. Quantities that the sensors file does not have are left out."""
     first = work[0].run_config()
     drift = np.array([record.drift_m for record in records]).ravel()
     velocity = np.array([record.velocity_error_mps for record in records]).ravel()
@@ -159,7 +131,7 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
     low, high = band(drift.size)
     ratio = _rms(drift**2) / bound_rms
     of_drift = ("drift over bound", ratio, f"<= {MAX_RATIO}", p_of_ratio(ratio, MAX_RATIO, drift.size))
-    return Result(
+    return SimpleNamespace(
         scenario=first.name,
         sensors=first.sensor_config.name,
         surface_time_s=first.scenario.run.surface_time_s,
@@ -168,10 +140,15 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
         drift_rms_m=_rms(drift**2),
         bound_rms_m=bound_rms,
         ratio=ratio,
-        ratio_at_bound=(float(np.sqrt(low / drift.size)), float(np.sqrt(high / drift.size))),
-        true_error_m=float(np.mean([record.true_error_m for record in records])),
-        velocity_error_rms_mps=_rms(velocity**2),
-        velocity_reported_rms_mps=_rms([record.velocity_reported_m2ps2 for record in records]),
+        ratio_at_bound=(
+            float(np.sqrt(low / drift.size)),
+            float(np.sqrt(high / drift.size)),
+        ),  # 95 % interval for a filter at its bound
+        true_error_m=float(
+            np.mean([record.true_error_m for record in records])
+        ),  # of the vehicle from the line, in closed loop
+        velocity_error_rms_mps=_rms(velocity**2),  # at t = 0
+        velocity_reported_rms_mps=_rms([record.velocity_reported_m2ps2 for record in records]),  # by the filter
         velocity_bound_rms_mps=_rms([record.bound_velocity_m2ps2 for record in records]),
         slope_s=slope,
         r2=float(1.0 - np.sum((drift - slope * velocity) ** 2) / np.sum(drift**2)),
@@ -180,13 +157,13 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
         min_eigenvalue=min(record.min_eigenvalue for record in records),
         max_asymmetry=max(record.asymmetry for record in records),
         instants_missed=sum(record.missed for record in records),
-        family_wise_level=LEVEL,
+        family_wise_level=LEVEL,  # probability that the check of a filter within all limits fails
         hypotheses=judge([of_drift, *nees_tests, *nis_tests]),
         wall_s=wall_s,
     )
 
 
-def failed(of: Result) -> list[str]:
+def failed(of: SimpleNamespace) -> list[str]:
     """List the requirements that are not met."""
     problems = [
         f"{one.name} {one.observed:.3f}, limit {one.limit} (p = {one.p:.1e})" for one in of.hypotheses if one.rejected
