@@ -12,11 +12,12 @@ import json
 import pytest
 from msgspec import structs
 
-from benchmarks.faults import campaign, inject, kinds, lockstep, process_runs
+from benchmarks.faults import campaign, inject, kinds, lockstep, process_runs, recorded
 from benchmarks.faults.__main__ import main
 from benchmarks.faults.draw import Run
 from benchmarks.faults.kinds import Fault, Place
 from ltv_mpc.messages import Injection, MessageFault
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.options import BusOptions
 from services.replay import replay
 from services.supervisor.entry_point import read_config, write_config
@@ -37,10 +38,14 @@ def test_a_quick_campaign_has_no_bad_thrust_uncounted_loss_or_late_reaction(caps
     harmed = {one["fault"]["kind"]: one["harmed"] for one in seen if one["place"] == "processes"}
     assert len(harmed) == 5  # classes; one has two faults
     assert all(harmed.values())  # else this shows nothing
+    named = {one["fault"]["kind"] for one in seen if one["harmed"]}
+    assert {"not_a_number", "estimate_dropout", "second_source", *kinds.NAMES[7:12]} <= named
     assert json.loads((tmp_path / "faults.json").read_text()) == of
     # The recorder heard one router alone: what was said at the other and lost on its way is in the file nonetheless.
     assert {one["fault"]["target"] for one in seen if one["place"] == "processes"} == {"estimate", "plan", "applied"}
     (recording,) = tmp_path.glob("bus-*/run.mcap")
+    log = recorded.Recorded(recording, Vehicle.load("paper")).log
+    assert min(len(log.cycles), len(log.received_estimates), len(log.gate)) > 60  # else no requirement on them binds
     verdict = replay.replay(replay.Run(recording), only="controller")
     assert verdict.identical, verdict.first_difference
     assert verdict.steps_compared == verdict.steps_run > 60
