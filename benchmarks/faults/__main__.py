@@ -32,8 +32,9 @@ from benchmarks.faults import campaign, inject
 from benchmarks.faults.judge import UNFLAGGED_S, FaultOutcome
 from benchmarks.faults.kinds import NAMES, Place
 from ltv_mpc.errors import ConfigError
-from services.bus.options import BusOptions, endpoint_error
+from services.bus.options import BusOptions
 from services.bus.roles import ROLES
+from services.cli.bus import check_endpoint, check_namespace
 from services.runtime.console import counted
 from services.tools.batch.results_store import open_store
 
@@ -157,9 +158,10 @@ def _inject(parser: argparse.ArgumentParser, words: Sequence[str]) -> int:
     parser.add_argument("--namespace", default="")
     parser.add_argument("--certs", type=Path, metavar="DIR", help="use mTLS with these certificates")
     options = parser.parse_args(words)
-    for endpoint in filter(None, (options.to, options.connect)):
-        if problem := endpoint_error(endpoint):
-            parser.error(f"{endpoint}: {problem}")
+    check_namespace(options.namespace)
+    for option, endpoint in (("--to", options.to), ("--connect", options.connect)):
+        if endpoint is not None:
+            check_endpoint(option, endpoint, options.certs)
     common = {"mode": "client", "namespace": options.namespace, "certs": options.certs, "role": inject.NAME}
     at_a, at_b = (BusOptions(connect=(place,) if place else (), **common) for place in (options.connect, options.to))
     injections = tuple(inject.parse(text) for text in options.fault)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.faults import inject
+from benchmarks.faults.__main__ import main
 from benchmarks.faults.inject import Interference, read_by, unlike_at_a
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, Estimate, Injection, MessageFault, PressureDepth
@@ -133,3 +134,18 @@ def test_with_what_is_unlike_at_a_a_recorder_there_has_every_frame_of_both_route
     if harm in (MessageFault.NOT_A_NUMBER, MessageFault.CLOCK_JUMP):  # the same numbers of the sequence, other bytes
         assert at_a != at_b
         assert handed
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--to x", 'option --to: "x": must be PROTOCOL/ADDRESS'),
+        ("--to tls/h:1 --connect tcp/h:1 --certs certs", 'option --connect: "tcp/h:1": must be tls/HOST:PORT'),
+        ("--to tcp/h:1 --namespace a//b", "option --namespace"),
+        ("--to tcp/h:1 --fault loss,plan,3", "option --fault"),
+    ],
+)
+def test_what_the_bus_cannot_use_is_refused_before_a_connection(words, said, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["inject", "controller", *words.split()])
+    assert said in capsys.readouterr().err
