@@ -25,6 +25,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.faults import kinds
+from benchmarks.faults import lockstep as fault_runs
+from benchmarks.faults.draw import Run
+from benchmarks.faults.kinds import Fault, Place
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.messages import (
@@ -39,9 +43,6 @@ from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
-from services.tools.faults import kinds, lockstep_runs
-from services.tools.faults.draw import Run
-from services.tools.faults.fault import Fault, Place
 from sim.scheduler import LockStep, Observation
 
 S = 1_000_000_000
@@ -195,7 +196,7 @@ def faulty(kind: str) -> Values:
     if kind == "clock_jump":
         fault = msgspec.structs.replace(fault, size=60.0)
     collector = Collector()
-    lockstep_runs.observe(Run(seed=5, faults=(fault,), duration_s=DURATION_S, afloat_s=3.0), tap=collector.take)
+    fault_runs.observe(Run(seed=5, faults=(fault,), duration_s=DURATION_S, afloat_s=3.0), tap=collector.take)
     return collector.values()
 
 

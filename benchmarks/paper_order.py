@@ -14,15 +14,16 @@ import dataclasses
 import json
 import math
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
 import msgspec
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binomtest, qmc
 
-from benchmarks.ablation.mechanism import replaced
 from benchmarks.loop import Loop, run_config
 from benchmarks.paper.settings import COMPUTING_S, LONG_S, PAPER_COST, SHORT_S
 from ltv_mpc.control import config, controller, fallback, lateral, solvers
@@ -105,8 +106,10 @@ def error_m(x: Sequence[float], horizon_s: float | None, seed: int) -> float:
     run = run_config(*settings)
     run = dataclasses.replace(run, vehicle=changed(run.vehicle, slew, lag, damping))
     stage_ns = round(stage_s * 1e9)
-    changes = [(module, "STAGE_NS", stage_ns) for module in (config, controller, fallback, lateral, solvers)]
-    with replaced(*changes, (controller, "STAGE_S", stage_s)):
+    with ExitStack() as changes:
+        for module in (config, controller, fallback, lateral, solvers):
+            changes.enter_context(mock.patch.object(module, "STAGE_NS", stage_ns))
+        changes.enter_context(mock.patch.object(controller, "STAGE_S", stage_s))
         mpc = controller.Controller(run.vehicle, run.reference, run.scenario.controller)
         return Loop(run_config=run, controller=mpc, at_rest=part < AT_REST).fly().mean_m
 

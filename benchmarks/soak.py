@@ -31,10 +31,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.processes import children
 from ltv_mpc.messages import Applied, Plan, PlanOrigin
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
-from services.tools.faults.attacks import children
 
 MOST_GROWTH_MB, MOST_GROWTH = 2.0, 0.02
 INDEX_MB_PER_HOUR = 30.0

@@ -1008,7 +1008,7 @@ class Kill(Message, frozen=True, kw_only=True, eq=False):
 
 
 class MessageFault(enum.StrEnum):
-    """Kind of fault that `ltv-mpc inject` applies to a message on its way."""
+    """Kind of fault that the fault injector applies to a message on its way."""
 
     LOSS = "loss"
     DELAY = "delay"
@@ -1021,7 +1021,7 @@ class MessageFault(enum.StrEnum):
 
 
 class Injection(Message, frozen=True, kw_only=True, eq=False):
-    """Request to `ltv-mpc inject` for a fault in the messages of one key. No process aboard the vehicle reads it.
+    """Request to the fault injector for a fault in the messages of one key. No process aboard the vehicle reads it.
 
     ``size`` is the share of the affected messages, except for "delay" (seconds), "clock_jump" (seconds ahead of the
     true time) and "stale" (unused).
@@ -1041,7 +1041,7 @@ class Injection(Message, frozen=True, kw_only=True, eq=False):
 
 
 class InjectorFrame(Message, frozen=True, kw_only=True, eq=False):
-    """Frame on the link between `ltv-mpc inject` and the node under test that differs from the frame on the bus.
+    """Frame on the link between the fault injector and the node under test that differs from the frame on the bus.
 
     On this link the node receives the altered frames, and publishes the original of a frame that the injector alters.
     """

@@ -8,9 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from services.cli.campaign import campaign
-from services.cli.faults import faults
-from services.cli.fleet import fleet
-from services.cli.localisation_check import localisation_check
 from services.cli.options import Force, Json
 from services.cli.qp import qp
 
@@ -21,10 +18,7 @@ if TYPE_CHECKING:
 def register(app: typer.Typer, panel: str) -> None:
     """Add the commands to their panel."""
     app.command(rich_help_panel=panel)(profile)
-    app.command(rich_help_panel=panel)(localisation_check)
-    app.command(rich_help_panel=panel)(faults)
     app.command(rich_help_panel=panel)(campaign)
-    app.command(rich_help_panel=panel)(fleet)
     app.add_typer(qp, name="qp", rich_help_panel=panel)
 
 

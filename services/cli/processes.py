@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from services.cli.bus import with_bus
-from services.cli.inject import inject
 from services.cli.options import Force, LogJson, Out, ScenarioName, SensorsFile, VehicleFile
 
 if TYPE_CHECKING:
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer, panel: str) -> None:
     """Add the commands to their panel."""
-    for command in (router, plant, sensors, estimator, recorder, inject):
+    for command in (router, plant, sensors, estimator, recorder):
         app.command(rich_help_panel=panel)(command)
 
 

@@ -34,7 +34,6 @@ from services.run.folder import RunFolder
 from services.run.run_config import RunConfig
 from services.runtime.stopping import DONE
 from services.tools.campaign import file as campaigns
-from services.tools.faults import schedule
 from tests.docs.pages import NAMES, ROOT, Command, blocks, commands, prose, spoken
 
 RUN_HERE = {"sh", "python", "toml", "json"}
@@ -46,11 +45,10 @@ MINUTES = "takes minutes; a short one is run by"
 ELSEWHERE = "needs another host, or somebody else's program"
 NOT_RUN = (
     (
-        r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|inject|ros2|mavlink|dashboard|watch)\b",
+        r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|ros2|mavlink|dashboard|watch)\b",
         UNTIL_STOPPED,
     ),
     (r"ltv-mpc ctl\b", "needs a running controller; tests/services/cli/test_ctl.py has one"),
-    (r"ltv-mpc faults\b", f"{MINUTES} tests/services/faults"),
     (r"ltv-mpc dive plan\b", f"{MINUTES} tests/services/tools/dive_plan"),
     (r"ltv-mpc campaign\b", f"{MINUTES} tests/services/campaign"),
     (r"ltv-mpc profile\b", f"{MINUTES} tests/services/tools/profile/test_run.py"),
@@ -80,7 +78,6 @@ TOML: dict[str, Callable[[Path], object]] = {
     "docs/motion-limits.md": lambda path: ControllerConfig.load(str(path)),
     "docs/weights.md": lambda path: ControllerConfig.load(str(path)),
     "docs/campaigns.md": campaigns.load,
-    "docs/fault-campaign.md": schedule.load,
 }
 """Who reads the files that a page shows; what a page's own commands read needs nobody else."""
 

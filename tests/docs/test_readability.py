@@ -33,7 +33,6 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "services/cli/start.py sim": "a typer command declares each of its options as a parameter",
         "services/cli/ros2.py ros2": "a typer command declares each of its options as a parameter",
         "services/cli/dive.py plan_": "a typer command declares each of its options as a parameter",
-        "services/cli/fleet.py fleet": "a typer command declares each of its options as a parameter",
         "services/cli/vehicle.py controller": "a typer command declares each of its options as a parameter",
         "ltv_mpc/vehicle/dynamics.py rates": "innermost kernel of every cycle; the reason is at the function",
         "ltv_mpc/vehicle/flow.py advance_by": "innermost kernel; the head of its file says why",

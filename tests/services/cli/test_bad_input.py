@@ -159,7 +159,6 @@ CASES = [
     ("profile --horizons 5,,", "option --horizons"),
     ("profile --cycles 0", "ltv-mpc: option --cycles: 0: must be >= 10 and <= 100000"),
     ("profile --cycles 1.5", "ltv-mpc: option --cycles: 1.5: must be an integer >= 10 and <= 100000"),
-    ("fleet --rate-hz x", 'ltv-mpc: option --rate-hz: "x": must be a number >= 0.1 and <= 50'),
     # --- a recording that was never begun -------------------------------------------------------------------------
     *(
         (f"{command} run.mcap", "ltv-mpc: recording run.mcap: no recording: 0 bytes")

@@ -44,8 +44,8 @@ COMMANDS = (
         "certs",
     ),
     *("report", "replay", "log"),
-    *("profile", "localisation-check", "faults", "campaign", "fleet", "qp"),
-    *("router", "plant", "sensors", "estimator", "recorder", "inject"),
+    *("profile", "campaign", "qp"),
+    *("router", "plant", "sensors", "estimator", "recorder"),
 )
 CLI = (sys.executable, "-P", "-X", "importtime", "-m", "services.cli")
 
@@ -100,7 +100,6 @@ def test_help_imports_nothing_that_is_slow() -> None:
         ("controller", "[controller]"),
         ("estimator", "[estimator]"),
         ("qp export-c", "[controller]"),
-        ("inject", "[[fault]]"),
     ],
 )
 def test_help_keeps_words_in_brackets(command: str, word: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from benchmarks.localisation_check.probe import descend
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -26,7 +27,6 @@ from services.tools.batch import executor
 from services.tools.batch.job import Job
 from services.tools.dive_plan import plan, report
 from services.tools.dive_plan.plan import Dive, DivePlan, RecordedDrift
-from services.tools.localisation_check.probe import descend
 from sim.evaluation.cramer_rao_bound.model import ACCELEROMETER_BIAS, BEAM_BIAS, GYRO_BIAS, MOUNTING, ErrorModel
 from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR
 

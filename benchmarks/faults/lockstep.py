@@ -1,0 +1,229 @@
+"""Fault injection in lock step: one run with its faults, and the observations from its messages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from benchmarks.faults.draw import Run
+from benchmarks.faults.kinds import INSTRUMENTS, MESSAGES, Fault
+from benchmarks.faults.log import INTRUDERS_EPOCH, Case, Log, Observed, lost_between
+from benchmarks.faults.own_clock import ClockStepFault, OwnClock
+from ltv_mpc.messages import Disturbance, Message, MessageFault
+from ltv_mpc.node import Node, ReceivedMessage
+from ltv_mpc.validation import rejection_reason
+from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.reference_point import ReferencePoint
+from services.bus import topics, wire
+from services.bus.mailbox import Frame
+from services.bus.message_validation import MessageValidator
+from services.run.nodes import make_nodes
+from services.run.run_config import Override, RunConfig, resolve
+from services.tools import lockstep_run
+from sim.faults import world
+from sim.faults.antenna import Antenna
+from sim.faults.interval import Interval
+from sim.faults.message_faults import MessageFaultInterval, MessageFaults
+from sim.faults.restarted_node import RestartedNode
+from sim.faults.second_source import SecondSource
+from sim.faults.sensor_faults import Failure, FaultySensors, SensorFault
+from sim.faults.solver_faults import SolverClock, SolverFault, SolverFaultInterval, TimedNode, faulty_solvers
+from sim.scheduler import EPOCH, Delivery, LockStep, Observation
+
+SCENARIO = "hover"
+
+RESTARTED_EPOCH = 100
+"""Difference between the epochs of a controller and of the one that replaces it."""
+
+POLL_NS = 500_000_000
+"""Time between two readings of the validators' counts."""
+
+
+@dataclass
+class Parts:
+    """Faulty parts of a run, each with the fault that it comes from."""
+
+    sensors: dict[Fault, SensorFault] = field(default_factory=dict)
+    messages: dict[Fault, MessageFaultInterval] = field(default_factory=dict)
+    solvers: dict[Fault, SolverFaultInterval] = field(default_factory=dict)
+    slow_cycles: dict[Fault, tuple[Interval, int]] = field(default_factory=dict)  # computing time (ns)
+    disturbances: dict[Fault, tuple[int, Disturbance]] = field(default_factory=dict)
+    intrusions: dict[Fault, world.Intrusion] = field(default_factory=dict)
+    second_sources: dict[Fault, SecondSource] = field(default_factory=dict)
+    antennas: dict[Fault, Antenna] = field(default_factory=dict)
+    clock_steps: dict[Fault, ClockStepFault] = field(default_factory=dict)
+    restarts: dict[Fault, Interval] = field(default_factory=dict)
+
+    def add(self, fault: Fault, vehicle: Vehicle) -> None:
+        """Add the part that a fault makes faulty."""
+        interval, size = Interval(fault.start_ns, fault.end_ns), fault.size
+        towards = np.random.default_rng(fault.seed).uniform(0.0, 2.0 * np.pi)
+        push = size * float(np.cos(towards)), size * float(np.sin(towards))
+        what, _, how = fault.kind.partition("_")
+        match fault.kind:
+            case "solver_failure":
+                self.solvers[fault] = SolverFaultInterval(SolverFault(fault.target), interval)
+            case "solver_overrun":
+                self.slow_cycles[fault] = interval, round(size * 1e9)
+            case "thruster_loss":
+                port, starboard = (
+                    1.0 - size if fault.target in (side, "both") else 1.0 for side in ("port", "starboard")
+                )
+                lost = Disturbance(end_t_ns=fault.end_ns, thrust_scale=(port, starboard, 1.0))
+                self.disturbances[fault] = fault.start_ns, lost
+            case "external_force":
+                self.disturbances[fault] = fault.start_ns, Disturbance(end_t_ns=fault.end_ns, force_N=(*push, 0.0))
+            case "second_commander":
+                self.intrusions[fault] = world.Intrusion(interval, world.thrust_at(vehicle, (size, -size, 0.0)))
+            case "second_source":
+                self.second_sources[fault] = SecondSource(interval, push)
+            case "reference_point":
+                ahead, starboard = (size, 0.0) if fault.target == "ahead" else (0.0, size)
+                self.antennas[fault] = Antenna(interval, ReferencePoint(forward_m=ahead, starboard_m=starboard))
+            case "clock_step":
+                self.clock_steps[fault] = ClockStepFault(interval, round(size * 1e9))
+            case "controller_restart":
+                self.restarts[fault] = interval
+            case _ if what == "sensor":
+                self.sensors[fault] = SensorFault(INSTRUMENTS[fault.target], Failure(how), interval, size, fault.seed)
+            case _:
+                harm = {"estimate_dropout": "loss"}.get(fault.kind, fault.kind.removeprefix("message_"))
+                types = MESSAGES[fault.target]
+                self.messages[fault] = MessageFaultInterval(types, MessageFault(harm), interval, size, fault.seed)
+
+    def compute_delay_ns(self, t_ns: int) -> int:
+        """Return the computing time (ns) of a cycle that starts at ``t_ns``."""
+        return next((delay for interval, delay in self.slow_cycles.values() if interval.contains(t_ns)), 0)
+
+    def nodes(self, of: RunConfig) -> list[Node]:
+        """Return the nodes of the run, with the faulty components around them and the disturbances first."""
+        now = SolverClock()
+        make_solver = faulty_solvers([*self.solvers.values()], now)
+        plant, sensors, *others, _ = make_nodes(of, make_solver=make_solver)
+        controller = RestartedNode(lambda: make_nodes(of, make_solver=make_solver)[-1], [*self.restarts.values()])
+        return [
+            world.DisturbanceSource([*self.disturbances.values()]),
+            world.Intruder([*self.intrusions.values()]),
+            plant,
+            FaultySensors(sensors, [*self.sensors.values()]),
+            *others,
+            TimedNode(controller, now),
+        ]
+
+
+class Bus(MessageFaults):
+    """Message transport with the bytes, the publishers and the message validators of the bus, one a reader.
+
+    A second commander, a second source of estimates and a restarted controller are processes of their own.
+    """
+
+    def __init__(self, parts: Parts) -> None:
+        self.accepted: list[int] = []
+        """Times (ns) at which a damaged frame was accepted, because its content was valid."""
+        self._parts = parts
+        self._validators: dict[str, MessageValidator] = {}
+        self._second_estimates = dict.fromkeys(parts.second_sources, 0)
+        self._clock = OwnClock([*parts.clock_steps.values()], epoch=EPOCH)
+        super().__init__([*parts.messages.values()], encode=encoded, receive=self._receive)
+
+    @property
+    def harmed_by(self) -> dict[Fault, int]:
+        """Return the number of messages that each fault has harmed, or that a second source has published."""
+        return dict(zip(self._parts.messages, self.harmed, strict=True)) | self._second_estimates
+
+    @property
+    def dropped(self) -> int:
+        """Return the number of messages that the validators know to be lost."""
+        return sum(validator.dropped for validator in self._validators.values())
+
+    def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:
+        """Deliver a message with the epoch of its writer."""
+        if writer == world.Intruder.name:
+            message = msgspec.structs.replace(message, epoch=INTRUDERS_EPOCH)
+        elif writer == "controller":
+            restarts = sum(dead.end_ns <= message.received_t_ns for dead in self._parts.restarts.values())
+            message = msgspec.structs.replace(message, epoch=message.epoch + RESTARTED_EPOCH * restarts)
+        for antenna in self._parts.antennas.values():
+            message = antenna.moved(message)
+        heard = self._clock.carry(writer, reader, message)
+        deliveries = [harmed for each in heard for harmed in super(Bus, self).carry("", "", each.message)]
+        for fault, source in self._parts.second_sources.items():
+            if reader == "controller" and (second := source.message(message)) is not None:
+                self._second_estimates[fault] += 1
+                deliveries.append(Delivery(second.received_t_ns, second))
+        return deliveries
+
+    def _receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
+        """Return the accepted message, or the reason why it is rejected."""
+        message, kind = delivery.message, type(delivery.message.message)
+        validator = self._validators.setdefault(reader, MessageValidator())
+        key, received_us = topics.key_of(kind, reader), delivery.at_ns // 1000
+        try:
+            if delivery.payload is not None:
+                signal, header = validator.validate(Frame(topics.BY_TYPE[kind], key, delivery.payload, received_us))
+                self.accepted.append(delivery.at_ns)
+                return ReceivedMessage(signal, header.epoch, header.sequence, delivery.at_ns)
+            if (reason := rejection_reason(message.message)) is not None:
+                return reason
+            validator.check_order(topics.BY_TYPE[kind], key, _header(message), received_us)
+        except wire.WireError as error:
+            return str(error)
+        return message
+
+
+def encoded(message: ReceivedMessage) -> bytes:
+    """Encode a message as it travels on the bus."""
+    return wire.encode(message.message, _header(message))
+
+
+def _header(message: ReceivedMessage) -> wire.Header:
+    return wire.Header(epoch=message.epoch, sequence=message.sequence, sent_monotonic_us=0)
+
+
+def run_config(run: Run, *settings: str) -> RunConfig:
+    """Resolve the scenario with the run's seed and duration. Raises ``ConfigError``."""
+    times = f"run.seed={run.seed}", f"run.duration_s={run.duration_s}", f"run.surface_time_s={run.afloat_s}"
+    return resolve(SCENARIO, [Override("campaign", (*times, *settings))])
+
+
+def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> tuple[Observed, list[Case]]:
+    """Make the run in this process. ``tap`` receives every published message."""
+    of, parts = run_config(run), Parts()
+    for fault in run.faults:
+        parts.add(fault, of.vehicle)
+    log, bus = Log(of.vehicle, tap=tap), Bus(parts)
+    lockstep = LockStep(
+        parts.nodes(of),
+        start_ns=of.scenario.start_ns,
+        compute_delay_ns=parts.compute_delay_ns,
+        observation=Observation(log, on_step=log.stepped),
+        latest=lockstep_run.LATEST,
+        make_rejection=lockstep_run.rejected_message,
+        transport=bus,
+    )
+    uncontrolled, until_ns = "", of.scenario.end_ns
+    dropped: list[tuple[int, int]] = []
+    try:
+        for t_ns in (*range(of.scenario.start_ns, of.scenario.end_ns, POLL_NS), of.scenario.end_ns):
+            lockstep.advance(t_ns)
+            dropped.append((t_ns, bus.dropped))
+    except Exception as error:  # whatever it is: that is what is looked for
+        uncontrolled = f"{type(error).__name__}: {error}"
+        until_ns = log.truth[-1][0] if log.truth else of.scenario.start_ns
+    observed = Observed(log, until_ns, uncontrolled, bus.accepted)
+    cases = [
+        Case(
+            fault,
+            fault.start_ns,
+            fault.end_ns,
+            observed,
+            harmed=bus.harmed_by.get(fault, 0),
+            counted=lost_between(dropped, fault.start_ns, fault.end_ns),
+        )
+        for fault in run.faults
+        if fault.start_ns < until_ns
+    ]
+    return observed, cases

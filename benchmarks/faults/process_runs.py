@@ -1,0 +1,241 @@
+"""Runs of processes with faults, at twice real time: attacked, or with an injector between the controller and the rest.
+
+attacked        ``ltv-mpc sim`` whose processes are attacked when the run's clock reaches the time of a fault; a process
+                is found by its parent and its name, and the run receives no notice of it
+behind injector two routers, with the controller alone at the second one; the recording at A holds what the controller
+                received, except for messages that were harmed on their way to B:
+
+                plant, sensors, estimator, recorder -- router A -- inject -- router B -- controller
+
+crash           SIGKILL
+hang            SIGSTOP, without SIGCONT
+slow            stopped for a share of each period, too short to count as hung
+full disk       no file of the process may grow beyond its present size for some time (RLIMIT_FSIZE)
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import secrets
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from benchmarks.faults import inject
+from benchmarks.faults.draw import Run
+from benchmarks.faults.kinds import Fault
+from benchmarks.faults.lockstep import SCENARIO, run_config
+from benchmarks.faults.recorded import Injected
+from benchmarks.processes import Process, Started, await_router, children, end
+from ltv_mpc.messages import Clock, ClockState, Injection, MessageFault
+from services.bus.options import BusOptions
+from services.bus.roles import DISPLAY
+from services.bus.session import open_session
+from services.bus.topics import BY_TYPE, Topic
+from services.bus.wire import WireError, decode
+from services.processes import plant
+from services.run import folder as run_folder
+from services.runtime.clock import ClockError, VehicleClock, monotonic_us
+from services.supervisor import entry_point, loopback, process_table
+
+SPEED = 2.0
+"""Vehicle seconds per wall second."""
+
+START_S, END_S = 90.0, 30.0
+"""Longest wait for the start of a run, on a machine with other load, and for the exit of its processes at its end."""
+
+POLL_S = 0.02
+"""Time between two looks at the run's clock and process (s)."""
+
+STOP_S = 10.0
+
+SLOW_PERIOD_S = 0.25
+FULL_S = 2.0
+"""Wall time for which the disk stays full."""
+
+PAGE = 4096
+
+UNDER_TEST = "controller"
+IN_ORDER = ("plant", "sensors", "estimator", UNDER_TEST, "inject", "recorder", "router", "router-b")
+"""Order in which processes are stopped: the recorder receives the last messages of all others."""
+
+
+class Ended(NamedTuple):
+    """End of a run of processes: the injected faults, and how it ended if that was not to be."""
+
+    injected: list[Injected]
+    uncontrolled: str
+
+
+def patience_s(run: Run) -> float:
+    """Return the longest wall time of a run."""
+    return START_S + 2.0 * (run.duration_s + run.afloat_s) / SPEED
+
+
+# --- attacked --------------------------------------------------------------------------------------------------------
+
+
+def attacked(run: Run, folder: Path) -> Ended:
+    """Run ``ltv-mpc sim`` while its processes are killed, stopped, slowed or refused disk space."""
+    words = ["sim", SCENARIO, "--out", str(folder), "--json", "--speed", repr(SPEED), "--set", f"run.seed={run.seed}"]
+    words += ["--duration-s", repr(run.duration_s), "--surface-time-s", repr(run.afloat_s)]
+    injected: list[Injected] = []
+    with folder.with_suffix(".log").open("w+b") as log, Started() as started, ExitStack() as sessions:
+        process = started.start("services.cli", *words, stderr=log)
+        if (clock := _clock_of(process, folder, sessions)) is not None:
+            for fault in run.faults:
+                while process.poll() is None and (clock.now_ns() or fault.start_ns - 1) < fault.start_ns:
+                    time.sleep(POLL_S)
+                if process.poll() is not None:
+                    break
+                injected.append(_attack(fault, process, clock))
+        code: int | None = None
+        with suppress(subprocess.TimeoutExpired):
+            code = process.wait(patience_s(run) + END_S)
+        log.seek(0)
+        return Ended(injected, "" if code == 0 else f"exit code {code}: {log.read()[-500:].decode(errors='replace')}")
+
+
+def _attack(fault: Fault, process: Process, clock: _Time) -> Injected:
+    at_us, at_ns, why = monotonic_us(), clock.now_ns() or fault.start_ns, ""
+    try:
+        pid = next((pid for pid, name in children(process.pid) if name == f"ltv-{fault.target}"), None)
+        if pid is None:
+            raise ProcessLookupError(f"no process of {fault.target} is running")
+        attack(fault, pid, lasts=lambda: (clock.now_ns() or fault.end_ns) < fault.end_ns)
+    except ProcessLookupError as error:
+        why = str(error)
+    if fault.kind == "disk_full":  # no process can write before space is free again
+        at_us = monotonic_us()
+    return Injected(fault, at_ns, at_us, why=why)
+
+
+def attack(fault: Fault, pid: int, *, lasts: Callable[[], bool]) -> None:
+    """Attack process ``pid``; return at once, or when ``lasts`` returns False."""
+    match fault.kind:
+        case "process_crash" | "router_killed":
+            os.kill(pid, signal.SIGKILL)
+        case "process_hang":
+            os.kill(pid, signal.SIGSTOP)
+        case "process_slow":
+            with suppress(ProcessLookupError):  # it was taken for dead, and ended
+                while lasts():
+                    os.kill(pid, signal.SIGSTOP)
+                    time.sleep(fault.size * SLOW_PERIOD_S)
+                    os.kill(pid, signal.SIGCONT)
+                    time.sleep((1.0 - fault.size) * SLOW_PERIOD_S)
+        case "disk_full":
+            _, most = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (PAGE, most))
+            time.sleep(FULL_S)
+            with suppress(ProcessLookupError):
+                resource.prlimit(pid, resource.RLIMIT_FSIZE, (most, most))
+        case _:
+            raise ValueError(f"{fault.kind} is not a fault of a process")
+
+
+class _Time:
+    """Vehicle time of the run, from its clock messages."""
+
+    def __init__(self) -> None:
+        self._clock = VehicleClock()
+        self.state = ClockState.WAITING
+
+    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:  # noqa: ARG002  (there is one key)
+        """Update the clock (called on the bus's thread)."""
+        with suppress(WireError, ClockError):
+            clock, _ = decode(Clock, payload)
+            self._clock.follow(clock)
+            self.state = clock.state
+
+    def now_ns(self) -> int | None:
+        """Return the vehicle time (ns); None before the run has a clock."""
+        return self._clock.read(monotonic_us()) if self.state is not ClockState.WAITING else None
+
+
+def _clock_of(process: Process, folder: Path, sessions: ExitStack) -> _Time | None:
+    """Return the clock of a run, found by the router address in the plant's settings; None: the run never started."""
+    until = time.monotonic() + START_S
+    clock, connected = _Time(), False
+    while process.poll() is None and time.monotonic() < until:
+        if not connected:
+            with suppress(OSError, msgspec.DecodeError):  # not there yet, or not all of it
+                bus = entry_point.read_config(folder / "logs" / "plant.json", plant.Config).bus
+                options = msgspec.structs.replace(bus, role=DISPLAY)
+                session = sessions.enter_context(open_session(options, stop=lambda: False, say=lambda _: None))
+                session.subscribe(BY_TYPE[Clock].key, BY_TYPE[Clock], clock)
+                connected = True
+        if clock.now_ns() is not None:
+            return clock
+        time.sleep(POLL_S)
+    return None
+
+
+# --- behind an injector ----------------------------------------------------------------------------------------------
+
+
+def injection(fault: Fault) -> Injection:
+    """Convert a fault of the campaign to the injector's message."""
+    return Injection(
+        key=fault.target,
+        fault=MessageFault(fault.kind.removeprefix("message_")),
+        start_t_ns=fault.start_ns,
+        end_t_ns=fault.end_ns,
+        size=fault.size,
+        seed=fault.seed,
+    )
+
+
+def behind_injector(run: Run, folder: Path) -> Ended:
+    """Run processes with an injector between the controller and all others; then stop every process."""
+    of = run_config(run, f"run.speed={SPEED}")
+    made = run_folder.make(SCENARIO, of.files, out=folder, force=False)
+    logs = made.path / "logs"
+    logs.mkdir()
+    namespace = f"auv/{secrets.token_hex(4)}"
+    a, b = (
+        process_table.RunContext(folder=made, router=f"tcp/127.0.0.1:{loopback.free_port()}", namespace=namespace)
+        for _ in range(2)
+    )
+    modules = {row.name: row.module for row in process_table.processes(of.scenario)}
+    running: dict[str, Process] = {}
+    with Started() as started:
+
+        def start(name: str, module: str, config: msgspec.Struct) -> None:
+            file = logs / f"{name}.json"
+            entry_point.write_config(file, config)
+            words = entry_point.__name__, str(os.getpid()), module, str(file)
+            with file.with_suffix(".log").open("wb") as log:
+                running[name] = started.start(*words, stdout=log, stderr=log)
+
+        for name, place in (("router", a), ("router-b", b)):
+            start(name, modules["router"], process_table.config_of("router", of, place))
+            await_router(place.router)
+        at_a, at_b = (
+            BusOptions(connect=(place.router,), mode="client", namespace=namespace, role=inject.NAME)
+            for place in (a, b)
+        )
+        injections = tuple(map(injection, run.faults))
+        settings = inject.Config(node=UNDER_TEST, injections=injections, at_a=at_a, at_b=at_b)
+        start("inject", inject.__name__, settings)
+        for name in ("recorder", "plant", "sensors", "estimator", UNDER_TEST):
+            start(name, modules[name], process_table.config_of(name, of, b if name == UNDER_TEST else a))
+        with suppress(subprocess.TimeoutExpired):
+            running["plant"].wait(patience_s(run))
+        codes = {name: end(running[name], STOP_S) for name in IN_ORDER}
+    last = {name: ((logs / f"{name}.log").read_text(errors="replace").splitlines() or [""])[-1] for name in codes}
+    try:  # the last line of the injector's log is an account of the harmed messages by fault
+        harmed = [int(entry["harmed"]) for entry in json.loads(last["inject"])]
+    except (ValueError, TypeError, KeyError):
+        harmed = [0] * len(run.faults)
+    failed = {name: f"exit code {code}, {last[name][-200:]}" for name, code in codes.items() if code != 0}
+    injected = [Injected(fault, fault.start_ns, harmed=count) for fault, count in zip(run.faults, harmed, strict=True)]
+    return Ended(injected, f"{failed}" if failed else "")

@@ -1,0 +1,1 @@
+"""Consistency of the localisation over many seeds."""

@@ -1,1 +1,0 @@
-"""Fault-injection campaign: faults drawn from a seed, injected from outside, and judged from the recorded messages."""

@@ -1,1 +1,0 @@
-"""Consistency of the localisation over many seeds (`ltv-mpc localisation-check`)."""

@@ -1,0 +1,151 @@
+"""Frames on their way through the injector: byte for byte, but for those that a fault concerns."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.faults import inject
+from benchmarks.faults.__main__ import main
+from benchmarks.faults.inject import Interference, read_by, unlike_at_a
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Applied, Estimate, Injection, MessageFault, PressureDepth
+from services.bus.topics import BY_TYPE
+from services.bus.wire import Header, WireError, decode, encode
+
+MS, S = 1_000_000, 1_000_000_000
+TOPIC = BY_TYPE[PressureDepth]
+
+
+def frame(sequence: int) -> bytes:
+    header = Header(epoch=5, sequence=sequence, sent_monotonic_us=1000 + sequence)
+    return encode(PressureDepth(t_ns=sequence * 100 * MS, depth_m=float(sequence)), header)
+
+
+def fault(harm: MessageFault, size: float = 1.0, key: str = TOPIC.key) -> Injection:
+    return Injection(key=key, fault=harm, start_t_ns=S, end_t_ns=2 * S, size=size, seed=2)
+
+
+def through(way: Interference) -> list[tuple[int, bytes]]:
+    """Ten frames a second for three seconds."""
+    return [come for i in range(30) for come in way.carry(TOPIC, frame(i), i * 100 * MS)]
+
+
+@pytest.mark.parametrize("way", [Interference(), Interference([fault(MessageFault.LOSS, key="estimate")])])
+def test_what_no_fault_concerns_passes_byte_for_byte(way):
+    assert through(way) == [(i * 100 * MS, frame(i)) for i in range(30)]
+
+
+def test_before_and_after_a_fault_every_frame_passes_byte_for_byte():
+    for harm in MessageFault:
+        came = [payload for _, payload in through(Interference([fault(harm, 0.5)]))]
+        assert came[:10] == [frame(i) for i in range(10)]
+        assert came[-9:] == [frame(i) for i in range(21, 30)]
+
+
+def test_a_lost_frame_is_gone_and_counted():
+    way = Interference([fault(MessageFault.LOSS)])
+    assert [payload for _, payload in through(way)] == [frame(i) for i in (*range(10), *range(20, 30))]
+    assert way.harmed == [10]
+
+
+def test_a_late_a_doubled_and_a_reordered_frame_are_the_same_bytes():
+    assert through(Interference([fault(MessageFault.DELAY, 0.25)]))[10] == (S + 250 * MS, frame(10))
+    doubled = [payload for _, payload in through(Interference([fault(MessageFault.DUPLICATE)]))]
+    assert doubled[10:14] == [frame(10), frame(10), frame(11), frame(11)]
+    reordered = [payload for _, payload in through(Interference([fault(MessageFault.REORDER)]))]
+    assert reordered[10:14] == [frame(11), frame(10), frame(13), frame(12)]
+
+
+def test_a_frame_with_no_number_keeps_its_header_and_is_refused_by_the_wire():
+    for _, payload in through(Interference([fault(MessageFault.NOT_A_NUMBER)]))[10:20]:
+        with pytest.raises(WireError, match="depth_m"):
+            decode(PressureDepth, payload)
+        assert payload != frame(10)
+
+
+def test_a_jumped_clock_stamps_what_is_otherwise_the_same():
+    came = through(Interference([fault(MessageFault.CLOCK_JUMP, 7.0)]))
+    signal, header = decode(PressureDepth, came[10][1])
+    assert (signal.t_ns, signal.depth_m) == (8 * S, 10.0)
+    assert header == decode(PressureDepth, frame(10))[1]
+
+
+def test_rubbish_is_none_of_its_business():
+    way = Interference([fault(MessageFault.LOSS)])
+    assert way.carry(TOPIC, b"rubbish", S) == [(S, b"rubbish")]
+
+
+def test_a_fault_may_be_added_while_it_runs():
+    way = Interference()
+    assert way.carry(TOPIC, frame(0), S) == [(S, frame(0))]
+    way.add(fault(MessageFault.LOSS))
+    assert way.carry(TOPIC, frame(1), S) == []
+
+
+def test_a_controller_hears_the_named_sources_of_estimates_through_the_injector():
+    heard = read_by("controller")
+    assert heard["estimate/**"] is BY_TYPE[Estimate]
+    assert "estimate" not in heard  # the expression contains it
+    assert heard["applied"] is BY_TYPE[Applied]
+
+
+def test_a_fault_of_the_command_line_is_read_field_by_field():
+    asked = inject.parse("delay,plan,3,4.5,0.25,6")
+    assert (asked.fault, asked.key, asked.size, asked.seed) == (MessageFault.DELAY, "plan", 0.25, 6)
+    assert (asked.start_t_ns, asked.end_t_ns) == (3 * S, 4_500_000_000)
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("loss,plan,3", "must be HARM,KEY,START_S,END_S"),
+        ("lost,plan,3,4", "harm"),
+        ("loss,plane,3,4", "key: must be a key of `ltv-mpc topics`"),
+        ("loss,estimate/gps,3,4", "key: must be estimate: a fault there concerns all of its sources"),
+        ("not_a_number,command,3,4", "key: has no field that can be NaN"),
+        ("loss,plan,4,4", "end_s: must be > start_s = 4"),
+        ("loss,plan,3,4,1.5", "size: must be > 0 and <= 1"),
+        ("delay,plan,3,4,100", "size: must be > 0 and <= 60"),
+        ("loss,plan,3,4,0.5,-1", "seed"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_by_field_and_bound(word, said):
+    with pytest.raises(ConfigError) as refused:
+        inject.parse(word)
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("harm", MessageFault)
+@pytest.mark.parametrize("said_at_b", [False, True])
+def test_with_what_is_unlike_at_a_a_recorder_there_has_every_frame_of_both_routers(harm, said_at_b):
+    """What it hears on the keys themselves is A's: the sent frames of others, what arrives of the node under test."""
+    way = Interference([fault(harm, 0.25 if harm is MessageFault.DELAY else 0.6)])
+    at_a, at_b, handed = set(), set(), set()
+    for i in range(30):
+        now_ns, sent = i * 100 * MS, frame(i)
+        come = way.carry(TOPIC, sent, now_ns)
+        arrived = {payload for _, payload in come}
+        at_a |= arrived if said_at_b else {sent}
+        at_b |= {sent} if said_at_b else arrived
+        unlike = unlike_at_a(sent, come, now_ns, said_at_b=said_at_b)
+        assert unlike == [] or S <= now_ns <= 2 * S
+        handed |= set(unlike)
+    assert at_b <= at_a | handed
+    if harm in (MessageFault.NOT_A_NUMBER, MessageFault.CLOCK_JUMP):  # the same numbers of the sequence, other bytes
+        assert at_a != at_b
+        assert handed
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--to x", 'option --to: "x": must be PROTOCOL/ADDRESS'),
+        ("--to tls/h:1 --connect tcp/h:1 --certs certs", 'option --connect: "tcp/h:1": must be tls/HOST:PORT'),
+        ("--to tcp/h:1 --namespace a//b", "option --namespace"),
+        ("--to tcp/h:1 --fault loss,plan,3", "option --fault"),
+    ],
+)
+def test_what_the_bus_cannot_use_is_refused_before_a_connection(words, said, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["inject", "controller", *words.split()])
+    assert said in capsys.readouterr().err

@@ -1,0 +1,83 @@
+"""A fleet in real processes, as small as one can be, and what its figures are made of."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.fleet import trial
+from benchmarks.fleet.controllers import Controllers
+from benchmarks.fleet.fleet import Fleet, namespace
+from benchmarks.fleet.plants import Plants
+from benchmarks.processes import Started
+from services.supervisor.loopback import free_port
+from sim.evaluation.metrics import quantiles
+
+FLEET = Fleet(
+    vehicles=3, vehicle="paper", rate_hz=5.0, seconds=10.0, warm_up_s=1.0, horizon_s=5.0, router="tcp/127.0.0.1:1"
+)
+
+
+def test_the_vehicles_estimates_are_spread_over_a_period_and_come_once_in_each():
+    due = [FLEET.due_ns(i, k) for k in range(3) for i in range(3)]
+    assert due == sorted(due)
+    assert FLEET.due_ns(1, 2) - FLEET.due_ns(1, 1) == 200_000_000
+    assert FLEET.due_ns(2, 0) - FLEET.due_ns(1, 0) == pytest.approx(200e6 / 3, abs=1)
+    assert namespace(7) != namespace(70)
+
+
+def row(*, late: int = 0, plans: int = 150, mind_cpu_s: float = 1.0, world_cpu_s: float = 2.0, routed_s: float = 0.5):
+    one = Controllers(cycle_ms=quantiles([1.0, 2.0]), cpu_s=mind_cpu_s, rejected=1)
+    world = Plants(
+        estimates=150,
+        plans=plans,
+        late=late,
+        refused=2,
+        latency_ms=quantiles([5.0]),
+        mean_error_m=0.1,
+        cpu_s=world_cpu_s,
+    )
+    return trial.row_of(FLEET, [one], world, routed_s, cores=2)
+
+
+def test_a_fleet_that_keeps_up_has_no_limit_and_says_what_each_vehicle_costs():
+    made = row()
+    assert made.limit == "none"
+    assert made.controller_busy_per_vehicle == pytest.approx(1.0 / 10.0 / 3)
+    assert made.busy == pytest.approx({"router": 0.05, "plants": 0.2, "controllers": 0.1, "all": 0.35})
+    assert (made.missed, made.rejected) == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("figures", "limit"),
+    [
+        ({"late": 5, "mind_cpu_s": 9.5}, "controllers"),
+        ({"plans": 140, "world_cpu_s": 9.9, "mind_cpu_s": 9.5}, "plants"),
+        ({"late": 5, "routed_s": 9.1}, "router"),
+        ({"late": 5, "mind_cpu_s": 8.0, "world_cpu_s": 8.0, "routed_s": 8.0}, "all cores"),
+        ({"late": 5}, "no full processor"),
+        ({"late": 1, "mind_cpu_s": 9.9}, "none"),
+    ],
+)
+def test_what_gives_way_is_the_process_that_has_no_more_to_give(figures, limit):
+    assert row(**figures).limit == limit
+
+
+def test_a_process_that_ends_early_is_named():
+    with (
+        pytest.raises(trial.TrialFailed, match=r"benchmarks.fleet.plants has ended with exit code 1"),
+        Started() as started,
+    ):
+        trial.start(started, "benchmarks.fleet.plants", "not a fleet")
+
+
+def test_three_vehicles_are_held_each_on_its_own_keys_by_two_processes():
+    """Nobody sees another's estimate: each would go to the other's point of view, and off its own."""
+    fleet = Fleet(
+        vehicles=3, processes=2, rate_hz=4.0, seconds=6.0, warm_up_s=12.0, router=f"tcp/127.0.0.1:{free_port()}"
+    )
+    only = trial.run(fleet)
+    assert only.controller_processes == 2
+    assert only.plans >= 0.8 * 3 * 4 * 6
+    assert only.rejected == 0
+    assert only.mean_error_m < 0.25
+    assert 0.0 < only.latency_ms.median <= only.latency_ms.p99

@@ -1,0 +1,195 @@
+"""Localisation check on synthetic records and on a short closed-loop run."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.localisation_check import __main__ as command
+from benchmarks.localisation_check import check
+from benchmarks.localisation_check.probe import Probe, Record, Squares, descend
+from ltv_mpc.frames import wrap_angle
+from ltv_mpc.messages import CompassHeading
+from ltv_mpc.node import ReceivedMessage
+from services.tools import lockstep_run
+from services.tools.batch.job import Job
+from services.tools.batch.results_store import NAME
+from sim.evaluation.consistency import band
+
+SHORT = 'title = "4 s of a descent"\n[run]\nduration_s = 4.0\n[plant]\ndepth_m = 5.0\n'
+
+
+def squares(t_s: list[int], square: list[float], dof: list[int]) -> Squares:
+    return Squares(np.array(t_s) * 1_000_000_000, np.array(square), np.array(dof))
+
+
+def record(drift: tuple[float, float], velocity: tuple[float, float]) -> Record:
+    return Record(
+        drift_m=np.array(drift),
+        velocity_error_mps=np.array(velocity),
+        velocity_reported_m2ps2=np.array([4e-6, 4e-6]),
+        bound_drift_m2=np.array([0.36, 0.64]),
+        bound_velocity_m2ps2=np.array([1e-6, 1e-6]),
+        true_error_m=abs(drift[0]),
+        drawn={"position": (6.0, 3)},
+        nees={"position": squares([0, 1], [3.0, 3.0], [3, 3]), "cells": squares([1], [10.0], [10])},
+        nis={"gnss": squares([0], [4.0], [4])},
+        min_eigenvalue=1e-12,
+        asymmetry=0.0,
+        missed=0,
+    )
+
+
+def test_drift_is_held_against_the_bound_and_against_the_velocity_error() -> None:
+    """Drift is 200 s x velocity error but for the last axis: figures by hand."""
+    work = check.jobs("descent", ("sensors=paper", "run.surface_time_s=1"), first_seed=3, runs=2)
+    assert [job.settings[-1] for job in work] == ["run.seed=3", "run.seed=4"]
+    result = check.result([record((1.0, 0.6), (5e-3, 3e-3)), record((-0.8, 0.2), (-4e-3, 0.0))], work, wall_s=1.0)
+    assert (result.runs, result.first_seed, result.sensors) == (2, 3, "paper")
+    assert result.drift_rms_m == pytest.approx(math.sqrt((1.0 + 0.36 + 0.64 + 0.04) / 4))
+    assert result.bound_rms_m == pytest.approx(math.sqrt(0.5))
+    assert result.ratio == pytest.approx(math.sqrt(0.51 / 0.5))
+    assert result.true_error_m == pytest.approx(0.9)
+    assert result.slope_s == pytest.approx(200.0)
+    assert result.r2 == pytest.approx(1 - 0.04 / 2.04)
+    assert result.velocity_error_rms_mps == pytest.approx(math.sqrt(50e-6 / 4))
+    assert (result.velocity_reported_rms_mps, result.velocity_bound_rms_mps) == pytest.approx((2e-3, 1e-3))
+    assert [(one.name, one.per_dof, one.drawn) for one in result.nees] == [("position", 1.0, 2.0), ("cells", 1.0, None)]
+    assert [(one.name, one.per_dof, one.drawn) for one in result.nis] == [("gnss", 1.0, None)]
+    assert result.ratio_at_bound[0] < 1 < result.ratio_at_bound[1]
+    assert check.failed(result) == []
+
+
+def test_what_is_not_held_is_named() -> None:
+    work = check.jobs("descent", (), first_seed=0, runs=40)
+    rng = np.random.default_rng(3)
+    seconds = [*range(200)]
+    bad = [
+        record((2.0, 2.0), (5e-3, 5e-3))._replace(
+            nees={
+                "heading": squares([0, 1], [4.0 * rng.chisquare(1)] * 2, [1, 1]),
+                "cells": squares(seconds, (1.2 * rng.chisquare(20, 200)).tolist(), [20] * 200),
+            },
+            nis={"gnss": squares(seconds, rng.chisquare(3, 200).tolist(), [3] * 200)},
+            min_eigenvalue=-1e-9,
+        )
+        for _ in range(40)
+    ]
+    problems = check.failed(check.result(bad, work, wall_s=1.0))
+    assert [problem.split(" ")[:3] for problem in problems] == [
+        ["drift", "over", "bound"],
+        ["NEES", "of", "heading"],
+        ["NEES", "of", "cells"],
+        ["share", "of", "instants"],
+        ["a", "covariance", "is"],
+    ]
+
+
+def test_a_run_that_lacks_an_instant_adds_nothing_to_it() -> None:
+    runs = [
+        {"lbl": squares([1, 2, 2], [1.0, 2.0, 3.0], [1, 1, 1])},  # two ranges of one instant
+        {"lbl": squares([2, 3, 4], [5.0, 0.0, 7.0], [2, 0, 1])},
+        {},
+    ]
+    graded = check.over_runs(runs)["lbl"]
+    assert graded.t_s.tolist() == [1.0, 2.0, 4.0]
+    assert graded.consistency.total.tolist() == [1.0, 10.0, 7.0]
+    assert graded.consistency.dof.tolist() == [1, 4, 1]
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("short") / "short.toml"
+    path.write_text(SHORT)
+    return str(path)
+
+
+def test_a_watched_run_is_the_same_run_and_its_drift_is_that_of_the_grader(scenario: str) -> None:
+    job = Job(scenario, ("sensors=realistic", "run.seed=5"))
+    watched = descend(job)
+    summary = lockstep_run.run(job.run_config())
+    assert summary.localisation_error_m.final == pytest.approx(float(np.hypot(*watched.drift_m)), rel=1e-12)
+    assert watched.missed == 0
+    assert watched.min_eigenvalue > 0
+    assert watched.asymmetry == 0
+    # two codes that share nothing but the sensors file
+    np.testing.assert_allclose(watched.velocity_reported_m2ps2, watched.bound_velocity_m2ps2, rtol=0.1)
+    for name in ("position", "velocity", "heading", "tilt", "adcp_bias", "compass_bias", "mounting", "cells"):
+        assert watched.nees[name].t_ns.tolist() == [k * 1_000_000_000 for k in range(5)], name
+    assert (np.diff(watched.nees["cells"].dof) >= 0).all()  # what has been seen stays seen
+    assert 2 * 14 <= watched.nees["cells"].dof[0] <= watched.nees["cells"].dof[-1] <= 2 * 20
+    for name, of in watched.nees.items():
+        assert of.square[-1] < band(of.dof[-1], 0.9999)[1], name
+    pings = watched.nis["adcp"]
+    assert np.diff(pings.t_ns).max() == 333_333_333
+    assert 0.8 < pings.square.sum() / pings.dof.sum() < 1.2  # one outlier of 25 deviations left in would be 600
+
+
+def test_the_vehicle_s_distance_from_the_line_is_that_of_a_run_s_summary(scenario: str) -> None:
+    job = Job(scenario, ("sensors=paper", "run.seed=2"))
+    assert descend(job).true_error_m == pytest.approx(lockstep_run.run(job.run_config()).true_error_m.mean, rel=0.05)
+
+
+def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario: str) -> None:
+    """The compass's bias by its mean error, a profiler's by its own; seen cells by the filter's own account of them."""
+    headings: list[float] = []
+
+    class Ears(Probe):
+        message_types = Probe.message_types | {CompassHeading}
+
+        def published(self, node: str, message: ReceivedMessage) -> None:
+            super().published(node, message)
+            if isinstance(message.message, CompassHeading) and self.truth is not None:
+                headings.append(wrap_angle(message.message.heading_rad - self.truth.attitude_rad[2]))
+
+    run_config = Job(scenario, ("sensors=realistic", "run.seed=5")).run_config()
+    probe = Ears(run_config)
+    probe.descend()
+    assert probe.truth is not None
+    true = probe.true_states.at(probe.truth)
+    sd = run_config.sensor_config.compass.heading_sd_rad / math.sqrt(len(headings))
+    assert abs(np.mean(headings) - true.compass_bias_rad) < 3 * sd < abs(true.compass_bias_rad)
+    filter_ = probe.estimator.filter
+    assert filter_ is not None
+    own = filter_.belief.column.observed
+    assert np.count_nonzero(own) >= 14
+    assert np.count_nonzero(own != probe.observed.mask) <= 1  # a cell's edge may lie a centimetre either side of a node
+
+
+def test_the_command_continues_what_was_interrupted_and_refuses_what_is_another_s(
+    scenario: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    arguments = ["--runs", "2", "--scenario", scenario, "--seed", "7", "--json", "--out", str(out)]
+    assert command.main(arguments) in (0, 1)
+    said = json.loads(capsys.readouterr().out)
+    assert (said["runs"], said["first_seed"], said["scenario"]) == (2, 7, "short")
+    assert json.loads((out / "localisation-check.json").read_text()) == said
+    assert (out / "localisation-check.png").stat().st_size > 10_000
+    rows = (out / NAME).read_text().splitlines(keepends=True)
+    (out / NAME).write_text("".join(rows[:2]))  # as if it had been interrupted
+    command.main(arguments)
+    assert json.loads(capsys.readouterr().out) | {"wall_s": 0.0} == said | {"wall_s": 0.0}
+    after = (out / NAME).read_text().splitlines(keepends=True)
+    assert after[:2] == rows[:2]
+    assert sorted(after) == sorted(rows)
+    with pytest.raises(SystemExit, match="2"):
+        command.main([*arguments, "--sensors", "realistic"])
+    assert "holds another campaign" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("settings", "problem"),
+    [(["--sensors", "perfect"], "perfect"), (["--surface-time-s", "0"], "surface_time_s"), (["--scenario", "x"], "x")],
+)
+def test_bad_input_is_refused_before_a_run_or_a_folder_is_begun(
+    settings: list[str], problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        command.main(["--out", str(tmp_path / "out"), *settings])
+    assert problem in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
