@@ -60,7 +60,6 @@ WaterSpeed: TypeAlias = Annotated[float, Meta(ge=-20.0, le=20.0, extra={"unit": 
 SpeedDeviation: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e6, extra={"unit": "m/s"})]
 SpeedVariance: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "m2/s2"})]
 Offset: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0, extra={"unit": "m"})]
-OffsetVariance: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e4, extra={"unit": "m2"})]
 RandomWalk: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e6, extra={"unit": "m/s per sqrt(s)"})]
 Angle: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e4, extra={"unit": "rad"})]  # headings may be unwrapped
 AngularRate: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0, extra={"unit": "rad/s"})]
@@ -789,23 +788,18 @@ class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     velocity_mps: Annotated[tuple[Speed, Speed], Meta(description="over ground: north, east")]
 
 
-class CurrentBiasState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Estimate of the current's bias, with its covariance."""
+class DisturbanceState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Belief of the disturbance observer, 12 states in the order of ``control/disturbance_filter.py``."""
 
-    bias_mps: Annotated[tuple[WaterSpeed, WaterSpeed], Meta(description="north, east")]
-    covariance: Annotated[
-        tuple[SpeedVariance, SpeedVariance, SpeedVariance], Meta(description="north-north, north-east, east-east")
+    mean: Annotated[
+        FilterStates,
+        Meta(
+            description="current's bias north, east (m/s); lever arm forward, starboard (m); logarithms of the factors "
+            "of mass ahead, abeam, inertia, drag ahead, abeam, in yaw; added Munk mass over mass; yaw moment over "
+            "inertia (rad/s2)"
+        ),
     ]
-
-
-class LeverArmState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Estimate of the lever arm from the declared reference point to the estimated one, with its covariance."""
-
-    arm_m: Annotated[tuple[Offset, Offset], Meta(description="forward, starboard")]
-    covariance: Annotated[
-        tuple[OffsetVariance, OffsetVariance, OffsetVariance],
-        Meta(description="forward-forward, forward-starboard, starboard-starboard"),
-    ]
+    covariance: Annotated[CovarianceMatrix, Meta(description="12 x 12, of these states")]
 
 
 class MissionState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -857,11 +851,8 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
         Durations, Meta(description="of the last plans: from the start of the cycle to arrival at the actuators")
     ] = ()
     cycle_times_ns: Annotated[Durations, Meta(description="of the last cycles: computing time alone")] = ()
-    current_bias: Annotated[
-        CurrentBiasState | None, Meta(description="learned bias of the current; null: none is estimated")
-    ] = None
-    lever_arm: Annotated[
-        LeverArmState | None, Meta(description="learned lever arm to the point of the estimates; null: none is learned")
+    disturbance: Annotated[
+        DisturbanceState | None, Meta(description="what the controller has learned of water and vehicle; null: nothing")
     ] = None
     model_products: Annotated[
         ModelProductMatrix | None,

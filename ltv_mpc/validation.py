@@ -229,16 +229,17 @@ MAX_VERTICES = 500
 """Largest number of vertices of a zone."""
 
 ASYMMETRY = 1e-9
-INDEFINITE = 1e-6 * np.eye(6)
+INDEFINITE = 1e-6
 """Tolerances for rounding in the covariance of a filter, applied to correlations, because units differ by orders."""
 
 
 def _estimate(s: Estimate) -> Reason:
-    P = s.covariance
-    if P is None:
-        return None
-    if P.shape != (6, 6):
-        return f"covariance {P.shape}: must be (6, 6)"
+    return None if s.covariance is None else _covariance(s.covariance, 6)
+
+
+def _covariance(P: Array, size: int) -> Reason:
+    if P.shape != (size, size):
+        return f"covariance {P.shape}: must be ({size}, {size})"
     if (
         P.tobytes() == P.T.tobytes() and dpotrf(P, lower=1, clean=0)[1] == 0
     ):  # the usual case: exactly symmetric and positive definite
@@ -252,7 +253,7 @@ def _estimate(s: Estimate) -> Reason:
         R = P * scale * scale[:, None]
         if not abs(R - R.T).max() <= ASYMMETRY:
             return "covariance: must be symmetric"
-    _, info = dpotrf(R + INDEFINITE, lower=1, clean=0, overwrite_a=1)
+    _, info = dpotrf(R + INDEFINITE * np.eye(size), lower=1, clean=0, overwrite_a=1)
     return None if info == 0 else "covariance: must be positive semidefinite"
 
 
@@ -267,12 +268,13 @@ def _plan(s: Plan) -> Reason:
 def _controller_state(s: ControllerState) -> Reason:
     if s.model_products is not None and s.model_products.shape != (6, 6):
         return f"model_products {s.model_products.shape}: must be (6, 6)"
-    for name, belief in (("current_bias", s.current_bias), ("lever_arm", s.lever_arm)):
-        if belief is not None:
-            first, cross, second = belief.covariance
-            if not (first > 0.0 and second > 0.0 and cross * cross < first * second):
-                return f"{name}: covariance: must be positive definite"
-    return None
+    if s.disturbance is None:
+        return None
+    mean, P = s.disturbance.mean, s.disturbance.covariance
+    if mean.shape != (12,):
+        return f"disturbance: mean {mean.shape}: must be (12,)"
+    reason = _covariance(P, 12)
+    return None if reason is None else f"disturbance: {reason}"
 
 
 def _dropped_grid_point(s: DroppedGridPoint) -> Reason:

@@ -80,11 +80,11 @@ def unpack(flat: Array) -> Body:
     """Return the vehicle that ``pack`` has flattened."""
     return Body(
         coefficients(flat),
-        Propeller(flat[19], flat[20], flat[21], flat[22], flat[23]),
-        Propeller(flat[24], flat[25], flat[26], flat[27], flat[28]),
-        Propeller(flat[29], flat[30], flat[31], flat[32], flat[33]),
-        flat[34],
-        flat[35],
+        Propeller(flat[21], flat[22], flat[23], flat[24], flat[25]),
+        Propeller(flat[26], flat[27], flat[28], flat[29], flat[30]),
+        Propeller(flat[31], flat[32], flat[33], flat[34], flat[35]),
+        flat[36],
+        flat[37],
     )
 
 

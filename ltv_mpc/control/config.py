@@ -76,7 +76,7 @@ class Weights(WeightSettings, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Estimation of a bias of the current, and of the lever arm to the point of the estimates: ``disturbance.py``.
+    """Estimation of the current's bias, of the lever arm and of the vehicle's model: ``disturbance.py``.
 
     ``sd_mps`` is the prior standard deviation of each component of the bias. If it is not set, it is 0.15 for estimates
     without a current profile, and no bias is estimated for those with one. 0: never estimate a bias; above 0: always.
@@ -87,6 +87,7 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     walk_mps_per_rtm: Annotated[float, Meta(ge=0, le=1)] = 0.02  # of the bias, with depth: 4 cm/s over 8 m
     noise_mps: Annotated[float, Meta(gt=0, le=1)] | None = None  # of the velocity over ground; None: 0.4 % of top speed
     max_mps: Annotated[float, Meta(gt=0, le=5)] = 0.5  # bound of each component of the bias, either sign
+    model_sd: Annotated[float, Meta(ge=0, le=1)] = 0.2  # prior, relative, of masses and drag; 0: the file's for ever
     lever_arm_sd_m: Annotated[float, Meta(ge=0, le=10)] = 0.2  # prior of an undeclared lever arm; 0: there is none
 
 

@@ -61,7 +61,7 @@ from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, HealthState, plan_end_ns, worst
-from ltv_mpc.safety.reference_point_check import ReferencePointCheck
+from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STAGE_S = STAGE_NS * 1e-9
@@ -134,9 +134,9 @@ class Controller:
         return self._estimates.gate
 
     @property
-    def reference_point_check(self) -> ReferencePointCheck:
-        """Check that the estimates describe the vehicle's declared reference point."""
-        return self._estimates.reference_point_check
+    def vehicle_file_check(self) -> VehicleFileCheck:
+        """Check of the vehicle file against what the motion shows."""
+        return self._estimates.vehicle_file_check
 
     @property
     def actuator_check(self) -> ActuatorCheck:
@@ -302,13 +302,13 @@ class Controller:
         self._prediction.set_shares(shares)
 
     def health(self, t_ns: int) -> HealthState:
-        """Return the health by the age of the newest plausible estimate, the last prediction and the actuator check.
+        """Return the health by estimates (age, uncertainty of the last prediction), actuators and vehicle file.
 
         Parameters
         ----------
         t_ns : now, vehicle time (ns).
         """
-        return worst(self._estimates.health(t_ns), self.actuator_check.health)
+        return worst(self._estimates.health(t_ns), self.actuator_check.health, self.vehicle_file_check.health)
 
     def plan(
         self,
@@ -391,7 +391,6 @@ class Controller:
         reference = self._followers[0]
         follower = reference.save()
         plan_delays_ns, cycle_times_ns = self._delay.save()
-        current_bias, lever_arm = self._observer.save()
         return ControllerState(
             t_ns=t_ns,
             reference_start=follower.reference_start,
@@ -401,8 +400,7 @@ class Controller:
             progress=reference.progress.share,
             arrived=reference.arrived,
             depth_integral_N=self._vertical.integral_N,
-            current_bias=current_bias,
-            lever_arm=lever_arm,
+            disturbance=self._observer.save(),
             plan_delays_ns=plan_delays_ns,
             cycle_times_ns=cycle_times_ns,
             plan=self._lateral.previous.plan,
@@ -424,7 +422,7 @@ class Controller:
             self._lateral.previous.restore(state.plan)
         self._delay.restore(first_ns, state.plan_delays_ns, state.cycle_times_ns)
         self._vertical.integral_N = state.depth_integral_N
-        self._observer.restore(state.current_bias, state.lever_arm, t_ns - state.t_ns)
+        self._observer.restore(state.disturbance, t_ns - state.t_ns)
         followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
         moved_until_ns = _end_of_motion_ns(state, self.config.period_ns, self.vehicle.plan_timeout_s)
         self._followers[0].restore(followed, t_ns, moved_until_ns=moved_until_ns)
@@ -456,7 +454,9 @@ class Controller:
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
             estimate = self._observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
-            self.reference_point_check.update(estimate.t_ns, *self._observer.lever_arm)
+            self._prediction.coefficients[:] = self._observer.coefficients
+            self._lateral.set_coefficients(self._prediction.coefficients)
+            self.vehicle_file_check.update(estimate.t_ns, self._observer.lever_arm, self._observer.model)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._observer)
@@ -466,7 +466,7 @@ class Controller:
             estimate,
             now_ns,
             override=override,
-            health=health if own is NOMINAL and check.health is NOMINAL else worst(own, health, check.health),
+            health=worst(own, health, check.health, self.vehicle_file_check.health),
             late=own is not NOMINAL,
             follower=self.follower,
             lateral=self.config.lateral,

@@ -1,23 +1,15 @@
-"""Disturbance observer: a bias of the current, and the lever arm to the point that the estimates describe.
+"""Disturbance observer: what the vehicle's motion says of the water, of the estimated point and of the vehicle file.
 
 The controller uses the estimate's current profile plus a bias b (2,), north and east, the same at all depths; without a
 profile the bias is the whole current. The estimates may describe a point that is l (2,), forward and starboard, away
-from the declared one: an antenna, or a hull that turns about another point than the model. Both are random walks, and
-they are observed in the change of the velocity over ground v (2,) from one estimate to the next:
+from the declared one: an antenna, or a hull that turns about another point than the model. Masses, drag and yaw moment
+may be others than the vehicle file says: q (8,). An error of the file is fixed to the body and a current to the earth,
+so turns and changes of speed tell them apart; one filter estimates all of them (``disturbance_filter.py``), and the
+controller predicts and plans with the model that it has learned.
 
-    b(t + dt) = b(t) + w,   w ~ N(0, (q_t^2 dt + q_z^2 |dz|) I)                 with time, and with depth z
-    v(t + dt) = h(b, l) + R(psi) e,   e ~ N(0, diag(a_u, a_v)^2 + (r^2 + s^2) I)
-    h(b, l)   = v_o(b, v - r R S l) + r' R' S l                         S = [[0, -1], [1, 0]], so that dR/dpsi = R S
-
-v_o is the velocity of the vehicle's origin after the exact flow through the commands that were sent; r and R belong to
-the last estimate, r' and R' to this one. This is an iterated extended Kalman filter with four states. Iterated, because
-drag is quadratic: a linear correction of a large error of the current stops halfway and is sure of it. s^2 is the
-variance of the error of the estimated change (``velocity_change_variance``), so that the noise of a navigation filter
-is not taken for a current. a_u and a_v are the errors of the model in surge and sway, as shares of the forces that act.
-
-When the vehicle drifts with the water, drag is zero to first order, so dh/db vanishes and b is unobservable; its
-variance is then bounded by the prior. A steady course shows nothing of l. An arm is used as far as it is significant,
-so that a vehicle with the declared point keeps it (``_significant``). What was tried: docs/notes/lever-arm.md.
+When the vehicle drifts with the water, drag is zero to first order, so b is unobservable; its variance is then bounded
+by the prior. A steady course shows nothing of l and q. An arm is used as far as it is significant, so that a vehicle
+with the declared point keeps it (``_significant``). What was tried: docs/notes/lever-arm.md, docs/notes/wrong-file.md.
 
 A thruster that delivers less than it reports looks like a current, and so do actuators that follow no plan. While a
 loss of thrust is in doubt (``thrust_loss_detector.py``), the belief is that of ``DOUBTED_ESTIMATES`` before, and it is
@@ -25,7 +17,6 @@ not updated. While the actuators contradict the plans (``actuator_check.py``), i
 agreed. Under an override of the thrusts it keeps its value, and its variance grows.
 
 By default the bias works for estimates without a current profile, and does nothing for estimates with one.
-Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to tracking and navigation, section 10.5.2.
 """
 
 from __future__ import annotations
@@ -37,22 +28,13 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.prediction import Measured, Prediction, Profile, current_at_depth, predict_state, profile_of
-from ltv_mpc.control.sent_commands import Commands, SentCommands
-from ltv_mpc.jit import copy_to, jit, jit_outlined
-from ltv_mpc.messages import Array, CurrentBiasState, CurrentProfile, Estimate, LeverArmState
+from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, STATES, adapted, propagate, update_belief
+from ltv_mpc.control.prediction import Prediction, current_at_depth, profile_of
+from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.messages import Array, CurrentProfile, DisturbanceState, Estimate
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.reference_point import ReferencePoint
-
-STEPS = (0.005, 0.005, 0.01, 0.01)
-"""Steps of the finite differences dh/d(b, l) (m/s, m), and the changes at which the iteration ends."""
-
-MAX_ITERATIONS, ITERATED_SQUARE = 5, 16.0
-"""Iterations of an update whose innovation is more than its noise explains, by the normalised square. An ordinary one
-is linear: iterated, the noise of a drifting vehicle, of which dh/db is zero, would be learned as a current.
-"""
 
 STILL_WATER = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
 """Profile that the bias is added to if the estimate has none."""
@@ -68,10 +50,14 @@ NOISE_SHARE = 0.0015
 ARM_WALK_M_PER_RTS = 1e-3
 """Random walk of the lever arm: it is fixed to the hull, but the pivot of a hull depends on its motion."""
 
-SURGE_ERROR, SWAY_ERROR = 0.5, 0.1
-"""Errors of the model as shares of the forces that act. An error of thrust or drag lasts for seconds: 11 % for 3 s
-weighs as much as 50 % that is new in each estimate.
-"""
+NOISE_RADPS = 0.003
+"""Default noise of the yaw rate."""
+
+MODEL_WALK_PER_RTS = 0.01
+"""Random walk of each model state: the drag of a boat changes with its speed and its load."""
+
+MOMENT_SHARE, MOMENT_WALK_PER_RTS = 0.1, 0.03
+"""Prior standard deviation and random walk of the steady yaw moment, over that of both thrusters."""
 
 INSIGNIFICANT, SIGNIFICANT = 1.0, 4.0
 """Square of a component of the arm over its variance: up to the first nothing is used, from the second on all."""
@@ -95,7 +81,7 @@ DOUBTED_ESTIMATES = 17
 """Number of estimates before thrust is in doubt whose updates can be taken back: 5 s at 0.3 s."""
 
 Belief: TypeAlias = tuple[Array, Array]
-"""Mean and covariance: of the bias, (2,) north and east (m/s) and (2, 2), or of all four states b, l."""
+"""Mean and covariance: of the bias, (2,) north and east (m/s) and (2, 2), or of all states b, l, q."""
 
 
 def velocity_variance(estimate: Estimate) -> float:
@@ -126,17 +112,27 @@ def velocity_change_variance(before: float, after: float, seconds: float) -> flo
 
 
 class DisturbanceObserver:
-    """Iterated extended Kalman filter of the current's bias and of the lever arm, updated from estimate to estimate."""
+    """Observer of the current's bias, the lever arm and the model, updated from estimate to estimate."""
 
     def __init__(self, settings: Disturbance, vehicle: Vehicle) -> None:
-        """Begin at the prior; with a standard deviation of 0 there never is a bias, or a lever arm."""
+        """Begin at the prior; with a standard deviation of 0 there never is a bias, an arm, or another model."""
         self._settings = settings
         top_mps = path_limits(vehicle).top_mps
         self._variance = (settings.noise_mps or NOISE_SHARE * top_mps) ** 2
         self._heading_free_mps = HEADING_FREE_SHARE * top_mps
-        sd_mps = DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps
-        self._prior = np.array([sd_mps, sd_mps, settings.lever_arm_sd_m, settings.lever_arm_sd_m]) ** 2
-        self._belief: Belief = np.zeros(4), np.diag(self._prior)
+        self._file = np.array(vehicle.coefficients())
+        port, starboard = (thruster.max_N * thruster.arm_m for thruster in vehicle.thrusters[:2])
+        rest = (port + starboard) / vehicle.yaw.inertia_kgm2 * (settings.model_sd > 0.0)
+        sd = np.full(STATES, settings.model_sd)
+        sd[CURRENT:ARM] = DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps
+        sd[ARM:MODEL], sd[-1] = settings.lever_arm_sd_m, MOMENT_SHARE * rest
+        self._prior = sd**2
+        self._walks = np.zeros(STATES)  # of the arm and the model, per second
+        self._walks[ARM:MODEL] = ARM_WALK_M_PER_RTS**2
+        self._walks[MODEL:] = MODEL_WALK_PER_RTS**2 * (settings.model_sd > 0.0)
+        self._walks[-1] = (MOMENT_WALK_PER_RTS * rest) ** 2
+        self._belief: Belief = np.zeros(STATES), np.diag(self._prior)
+        self._track = np.zeros((3, 3))
         self._last: Estimate | None = None
         self._shift = np.zeros(2)  # from the origin to the point that is held in its place, north and east (m)
         # After each update, the oldest first: time of the estimate, belief.
@@ -162,7 +158,18 @@ class DisturbanceObserver:
     @property
     def lever_arm(self) -> Belief:
         """Estimated lever arm (2,), forward and starboard (m), and its covariance (2, 2) (m^2)."""
-        return self._belief[0][2:].copy(), self._belief[1][2:, 2:].copy()
+        return self._belief[0][ARM:MODEL].copy(), self._belief[1][ARM:MODEL, ARM:MODEL].copy()
+
+    @property
+    def model(self) -> Belief:
+        """Learned model q (8,) and its covariance (8, 8), as at the head of ``disturbance_filter.py``."""
+        return self._belief[0][MODEL:].copy(), self._belief[1][MODEL:, MODEL:].copy()
+
+    @property
+    def coefficients(self) -> Array:
+        """Coefficients (21,) of the vehicle with the learned model."""
+        adapted_to: Array = adapted(self._file, self._belief[0][MODEL:])
+        return adapted_to
 
     def covariance_of_mean(self, seconds: float) -> Array:
         """Return the covariance (2, 2) of the mean of the bias from the last estimate on (m^2/s^2).
@@ -197,7 +204,7 @@ class DisturbanceObserver:
         origin in still water, and goes over to that of the estimated point where the heading is given. The estimate
         itself if nothing is to be corrected.
         """
-        last, self._last = self._last, estimate
+        last = self._last
         interval_ns = 0 if last is None else estimate.t_ns - last.t_ns
         if self.thrust_in_doubt and self._before:
             _, self._belief = self._before[0]
@@ -205,10 +212,12 @@ class DisturbanceObserver:
         if last is not None and interval_ns > 0:
             compares = interval_ns <= MAX_INTERVAL_NS and (last.current is None) is (estimate.current is None)
             if learns and compares and not self.thrust_in_doubt:
-                self._update(last, estimate, prediction, commands)
+                estimate = self._update(last, estimate, prediction, commands)
                 self._before.append((estimate.t_ns, self._belief))
             else:
-                self._belief = self._belief[0], propagate(self._belief[1], *self._growth(last, estimate), self._prior)
+                self._belief = self._belief[0], self._propagated(last, estimate)
+                self._track[1:] = 0.0
+        self._last = estimate
         at_origin = self.arm_in_use.to_origin(estimate)
         if self._applies_to(estimate):
             at_origin = _with_bias(at_origin, *self._belief[0][:2].tolist())
@@ -257,50 +266,46 @@ class DisturbanceObserver:
         """Return the variance of the bias's walk over a time and a change of depth (m^2/s^2)."""
         return self._settings.walk_mps_per_rts**2 * seconds + self._settings.walk_mps_per_rtm**2 * depth_m
 
-    def _growth(self, last: Estimate, estimate: Estimate) -> tuple[float, float]:
-        """Return the variances that the walks add to each component of b (m^2/s^2) and l (m^2)."""
+    def _propagated(self, last: Estimate, estimate: Estimate) -> Array:
+        """Return the covariance after the walks from one estimate to the next."""
         seconds = (estimate.t_ns - last.t_ns) * 1e-9
         known = last.depth_m is not None and estimate.depth_m is not None
         depth_m = abs(estimate.depth_m - last.depth_m) if known else 0.0  # type: ignore[operator]
-        walk = self._walk(seconds, depth_m) if self._applies_to(estimate) else 0.0
-        return walk, ARM_WALK_M_PER_RTS**2 * seconds
+        walks = self._walks * seconds
+        walks[CURRENT:ARM] = self._walk(seconds, depth_m) if self._applies_to(estimate) else 0.0
+        covariance: Array = propagate(self._belief[1], walks, self._prior)
+        return covariance
 
-    def save(self) -> tuple[CurrentBiasState | None, LeverArmState | None]:
-        """Return the beliefs of bias and lever arm, from which another observer continues; None where there is none."""
-        mean, P = self._belief[0].tolist(), self._belief[1].tolist()
-        bias = CurrentBiasState(bias_mps=(mean[0], mean[1]), covariance=(P[0][0], P[0][1], P[1][1]))
-        arm = LeverArmState(arm_m=(mean[2], mean[3]), covariance=(P[2][2], P[2][3], P[3][3]))
-        return bias if self._prior[0] else None, arm if self._prior[2] else None
+    def save(self) -> DisturbanceState:
+        """Return the belief, from which another observer continues."""
+        mean, P = self._belief
+        return DisturbanceState(mean=mean.copy(), covariance=P.copy())
 
-    def restore(self, bias: CurrentBiasState | None, arm: LeverArmState | None, age_ns: int) -> None:
-        """Continue from the beliefs of another observer.
+    def restore(self, state: DisturbanceState | None, age_ns: int) -> None:
+        """Continue from the belief of another observer.
 
         Parameters
         ----------
-        bias, arm : saved beliefs; None keeps this observer's.
-        age_ns : time since they were saved (ns): both have walked since.
+        state : saved belief; None keeps this observer's.
+        age_ns : time since it was saved (ns): all states have walked since.
         """
-        mean, P = self._belief[0].copy(), self._belief[1].copy()
-        seconds, max_mps = max(age_ns, 0) * 1e-9, self._settings.max_mps
+        if state is None:
+            return
+        seconds = max(age_ns, 0) * 1e-9
+        P = state.covariance + np.diag(self._walks) * seconds
+        P[CURRENT:ARM, CURRENT:ARM] += self._walk(seconds, 0.0) * np.eye(2)
+        known = self._prior > 0.0  # what this observer's settings estimate
         # The next update bounds the variances by the prior.
-        if bias is not None:
-            mean[:2] = np.clip(bias.bias_mps, -max_mps, max_mps)
-            P[:2, :2] = _symmetric(bias.covariance) + self._walk(seconds, 0.0) * np.eye(2)
-        if arm is not None:
-            mean[2:] = arm.arm_m
-            P[2:, 2:] = _symmetric(arm.covariance) + ARM_WALK_M_PER_RTS**2 * seconds * np.eye(2)
-        self._belief = mean, P
+        self._belief = np.where(known, state.mean, 0.0), np.where(np.outer(known, known), P, 0.0)
 
-    def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> None:
-        """Update the belief with the change of velocity from the last estimate."""
+    def _update(self, last: Estimate, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> Estimate:
+        """Update the belief with the change from the last estimate, and return the newest with filtered velocities."""
         profile = last.current or STILL_WATER
         later = profile if last.current is None else estimate.current or profile
         seconds = (estimate.t_ns - last.t_ns) * 1e-9
         s2 = velocity_change_variance(velocity_variance(last), velocity_variance(estimate), seconds)
-        mean, P = self._belief
-        self._belief = update_belief(
-            mean,
-            propagate(P, *self._growth(last, estimate), self._prior),
+        mean, P, north, east, yaw_rate = update_belief(
+            (self._belief[0], self._propagated(last, estimate)),
             (
                 estimate.t_ns,
                 estimate.velocity_north_mps,
@@ -308,173 +313,25 @@ class DisturbanceObserver:
                 estimate.heading_rad,
                 estimate.yaw_rate_radps,
             ),
-            prediction.coefficients,
+            self._file,
             prediction.measured(last, commands),
             prediction.delivered(commands),
             (
                 (profile.depth_m, profile.north_mps, profile.east_mps),
                 (later.depth_m, later.north_mps, later.east_mps),
             ),
-            (self._variance + s2, self._settings.max_mps, self._applies_to(last) and self._applies_to(estimate)),
+            (
+                self._variance + s2,
+                NOISE_RADPS**2,
+                self._settings.max_mps,
+                self._applies_to(last) and self._applies_to(estimate),
+            ),
+            self._track,
         )
-
-
-Newest: TypeAlias = tuple[int, float, float, float, float]
-"""Time of the newest estimate (ns), its velocity over ground, north and east (m/s), heading (rad), yaw rate (rad/s)."""
-
-Noise: TypeAlias = tuple[float, float, bool]
-"""r^2 + s^2 (m^2/s^2), the largest bias in either direction (m/s), and False if the bias is not updated."""
-
-
-@jit
-def update_belief(
-    mean: Array,
-    P: Array,
-    newest: Newest,
-    vehicle: Array,
-    measured: Measured,
-    commands: Commands,
-    profiles: tuple[Profile, Profile],
-    noise: Noise,
-) -> tuple[Array, Array]:
-    """Update the belief with the newest velocity over ground: the measurement update of the filter.
-
-    Parameters
-    ----------
-    mean, P : (4,), (4, 4) belief before the update.
-    newest, noise : as their types say.
-    vehicle, measured, commands : as ``predict_state`` takes them, from the last estimate.
-    profiles : of the last and of the newest estimate, without the bias.
-
-    Returns
-    -------
-    Mean (4,) and covariance (4, 4) after the update. An estimate whose numbers are not finite does not change them.
-    """
-    variance, max_mps, learns_current = noise
-    cos, sin = np.cos(newest[3]), np.sin(newest[3])
-    at, out, Q = mean.copy(), mean.copy(), P.copy()
-    H, r2, z, g = np.zeros((2, 4)), np.empty(2), np.empty(2), np.empty(4)
-    for iteration in range(MAX_ITERATIONS):
-        north, east, surge_error, sway_error = _predicted_velocity(at, newest, vehicle, measured, commands, profiles)
-        if iteration == 0:
-            r2[0], r2[1] = variance + surge_error * surge_error, variance + sway_error * sway_error
-        for j in range(0 if learns_current else 2, 4):
-            shifted = at.copy()
-            shifted[j] += STEPS[j]
-            n, e, _, _ = _predicted_velocity(shifted, newest, vehicle, measured, commands, profiles)
-            dn, de = (n - north) / STEPS[j], (e - east) / STEPS[j]
-            # In the body frame the noise of the two components is independent, so they are used one after the other.
-            H[0, j], H[1, j] = cos * dn + sin * de, cos * de - sin * dn
-        dn, de = newest[1] - north, newest[2] - east
-        z[0], z[1] = cos * dn + sin * de, cos * de - sin * dn
-        copy_to(out, mean)
-        Q = P.copy()
-        for i in range(2):
-            S, y = r2[i], z[i]
-            for j in range(4):  # g = Q h, and y = z - H (x - at)
-                g[j] = 0.0
-                for k in range(4):
-                    g[j] += Q[j, k] * H[i, k]
-                S += H[i, j] * g[j]
-                y -= H[i, j] * (out[j] - at[j])
-            for j in range(4):
-                out[j] += g[j] / S * y
-            # Q - g g' / S, symmetric to the last bit; its walks keep it positive definite
-            for j in range(4):
-                for k in range(j + 1):
-                    Q[j, k] -= g[j] * g[k] / S
-                    Q[k, j] = Q[j, k]
-        if not np.isfinite(out[0] + out[1] + out[2] + out[3]):
-            return mean, P
-        largest = 0.0
-        for j in range(4):
-            largest = max(largest, abs(out[j] - at[j]) / STEPS[j])
-        ordinary = z[0] * z[0] / r2[0] + z[1] * z[1] / r2[1] <= ITERATED_SQUARE
-        copy_to(at, out)
-        if largest < 1.0 or (iteration == 0 and ordinary):
-            break
-    for j in range(2):
-        out[j] = min(max(out[j], -max_mps), max_mps)
-    return out, Q
-
-
-@jit_outlined
-def _predicted_velocity(
-    state: Array,
-    newest: Newest,
-    vehicle: Array,
-    measured: Measured,
-    commands: Commands,
-    profiles: tuple[Profile, Profile],
-) -> tuple[float, float, float, float]:
-    """Return h(b, l), north and east (m/s), and the errors a_u and a_v of the model (m/s), for the state b, l (4,)."""
-    since, estimate, report_t_ns, reported_N = measured
-    (depth, north, east), later = profiles
-    origin = estimate.copy()
-    arm_north, arm_east = _turning_velocity(state, estimate[2], estimate[3])
-    origin[4] -= arm_north
-    origin[5] -= arm_east
-    end = predict_state(
-        vehicle,
-        (since, origin, report_t_ns, reported_N),
-        newest[0],
-        commands,
-        (depth, north + state[0], east + state[1]),
-    )
-    before_north, before_east = current_at_depth(depth, north, east, end[11])
-    current_north, current_east = current_at_depth(later[0], later[1], later[2], end[11])
-    dn, de = current_north - before_north, current_east - before_east
-    cos, sin = np.cos(end[4]), np.sin(end[4])
-    p = coefficients(vehicle)
-    # The change of the current with time carries the vehicle: M [u', v'] = ... - m R(psi)' c'
-    u = end[2] - p.dry_mass / p.mass_surge * (cos * dn + sin * de)
-    v = end[3] - p.dry_mass / p.mass_sway * (cos * de - sin * dn)
-    # v = R(psi) [u, v] + c + r R S l
-    arm_north, arm_east = _turning_velocity(state, newest[3], newest[4])
-    over_north = cos * u - sin * v + current_north + state[0] + arm_north
-    over_east = sin * u + cos * v + current_east + state[1] + arm_east
-    seconds, r = float(newest[0] - since) * 1e-9, abs(end[5])
-    surge_N = abs(end[6]) + abs(end[7]) + (p.linear_surge + p.quadratic_surge * abs(u)) * abs(u)
-    surge_N += p.mass_sway * abs(v) * r
-    sway_N = (p.linear_sway + p.quadratic_sway * abs(v)) * abs(v) + p.mass_surge * abs(u) * r
-    surge_error, sway_error = SURGE_ERROR * surge_N * seconds, SWAY_ERROR * sway_N * seconds
-    return over_north, over_east, surge_error / p.mass_surge, sway_error / p.mass_sway
-
-
-@jit
-def _turning_velocity(state: Array, heading: float, yaw_rate: float) -> tuple[float, float]:
-    """Return r R S l, north and east (m/s): the velocity of the estimated point relative to the origin."""
-    cos, sin = np.cos(heading), np.sin(heading)
-    forward, starboard = -yaw_rate * state[3], yaw_rate * state[2]
-    return cos * forward - sin * starboard, sin * forward + cos * starboard
-
-
-@jit
-def propagate(P: Array, walk: float, arm_walk: float, prior: Array) -> Array:
-    """Return the covariance after the random walks; the largest variances of b and l are bounded by the prior.
-
-    Parameters
-    ----------
-    P : (4, 4) covariance before.
-    walk, arm_walk : variances that are added to each component of b (m^2/s^2) and l (m^2).
-    prior : (4,) prior variances.
-
-    Returns
-    -------
-    (4, 4) covariance. Directions that are not observed do not grow beyond the prior.
-    """
-    out = P.copy()
-    for i, growth in ((0, walk), (2, arm_walk)):
-        out[i, i] += growth
-        out[i + 1, i + 1] += growth
-        a, b, c = out[i, i], out[i, i + 1], out[i + 1, i + 1]
-        largest = 0.5 * (a + c) + np.sqrt(0.25 * (a - c) ** 2 + b * b)
-        scale = np.sqrt(prior[i] / largest) if largest > prior[i] else 1.0
-        for j in range(4):
-            for k in (i, i + 1):
-                out[k, j] *= scale
-                out[j, k] *= scale
-    return out
+        self._belief = mean, P
+        return msgspec.structs.replace(
+            estimate, velocity_north_mps=north, velocity_east_mps=east, yaw_rate_radps=yaw_rate
+        )
 
 
 def _significant(arm_m: float, variance: float) -> float:
@@ -482,12 +339,6 @@ def _significant(arm_m: float, variance: float) -> float:
     if arm_m == 0.0 or variance <= 0.0:
         return 0.0
     return arm_m * min(max((arm_m * arm_m / variance - INSIGNIFICANT) / (SIGNIFICANT - INSIGNIFICANT), 0.0), 1.0)
-
-
-def _symmetric(entries: tuple[float, float, float]) -> Array:
-    """Return a symmetric matrix (2, 2) by its entries 11, 12, 22."""
-    first, cross, second = entries
-    return np.array([[first, cross], [cross, second]])
 
 
 def _with_bias(estimate: Estimate, north: float, east: float) -> Estimate:

@@ -33,7 +33,7 @@ from ltv_mpc.control.fence_rows import fill_rows, least_surplus
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
-from ltv_mpc.control.problem_data import pack_constants
+from ltv_mpc.control.problem_data import coefficients_of, pack_constants
 from ltv_mpc.control.solvers import Solver, SolverFactory
 from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus, Times
 from ltv_mpc.node import Stopwatch
@@ -164,11 +164,21 @@ class LateralPlanner:
         if self._config is not before and self._config != before:
             self._repack()
 
+    def set_coefficients(self, p: Array) -> None:
+        """Plan with other coefficients than those of the vehicle file.
+
+        Parameters
+        ----------
+        p : (21,) coefficients.
+        """
+        coefficients_of(self._packed)[:] = p
+
     def _repack(self) -> None:
-        config = self._config
+        config, learned = self._config, coefficients_of(self._packed).copy()
         self._packed[:] = pack_constants(
             self._weakened_vehicle(), config.weights, config.knots, STAGE_NS * 1e-9, config.limits.state_bounds
         )
+        self.set_coefficients(learned)
         self.discard_solvers()
 
     def stop(self, start: Start, why: str) -> LateralPlan:

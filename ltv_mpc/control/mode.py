@@ -32,7 +32,7 @@ from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, PREDICTED_TOO_FAR, HealthState, health, worst
-from ltv_mpc.safety.reference_point_check import ReferencePointCheck
+from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
 NOT_STARTED = "the reference has not started yet"
@@ -92,8 +92,8 @@ class EstimateSelector:
         """
         self.gate = EstimateGate(vehicle)
         """Plausibility check, with the count of rejected estimates."""
-        self.reference_point_check = ReferencePointCheck()
-        """Check that the estimates describe the vehicle's declared reference point."""
+        self.vehicle_file_check = VehicleFileCheck()
+        """Check of the vehicle file against what the motion shows."""
         self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
         """Check of the actuators' reports: whether the motion of the estimates comes from the plans."""
         self._positions = PositionFilter()
@@ -122,7 +122,7 @@ class EstimateSelector:
         """Begin with another source of estimates."""
         self.gate.restart()
         self._positions = PositionFilter()
-        self.reference_point_check = ReferencePointCheck()
+        self.vehicle_file_check = VehicleFileCheck()
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest plausible estimate, and by ``limit_growth``.

@@ -250,7 +250,7 @@ class ControllerNode:
             "commands": self.controller.actuator_check.health,
             "clock": self._health_of_clock(t_ns),
             "obstacles": self._commands.fence.health,
-            "reference point": self.controller.reference_point_check.health,
+            "vehicle file": self.controller.vehicle_file_check.health,
             "source": worst(self.sources.health(t_ns), self._health_of_report_source(t_ns)),
             "thrusters": self._health_of_thrusters(),
         }
@@ -320,7 +320,7 @@ class ControllerNode:
         elif estimate is not None:
             check = monitor.update(estimate, self.controller.learned_current)
         self._set_thrust_shares()
-        why = self.controller.reference_point_check.why
+        why = self.controller.vehicle_file_check.why
         if check is None or not why:
             return check
         return msgspec.structs.replace(check, alarm=True, why=f"{why}; {check.why}" if check.why else why)

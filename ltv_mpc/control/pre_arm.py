@@ -9,9 +9,9 @@
     inputs         each state of the inputs that degrades the health, by its name
     mission        each present cause of the mission policy, by its name: battery, leak, mission time
 
-A weak thruster, a missing depth and actuators that do not follow the plans are warnings. What cannot be known does not
-block: actuators that never reported (a warning), an unknown covariance, a reference that has not started yet. There is
-a clock when a command arrives: without one its process rejects it.
+A weak thruster, a wrong vehicle file, a missing depth and actuators that do not follow the plans are warnings. What
+cannot be known does not block: actuators that never reported (a warning), an unknown covariance, a reference that has
+not started yet. There is a clock when a command arrives: without one its process rejects it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ REMEDIES: Mapping[str, str] = {
     "plans": "compare the vehicle file with the limits of the actuators",
     "source": "stop the publisher that does not belong there",
     "thrusters": "inspect the propeller",
-    "reference point": "declare [reference_point] in the vehicle file",
+    "vehicle file": "correct it: `ltv-mpc vehicle identify`",
     "obstacles": "add [hull] to the vehicle file, or stop the publisher of `obstacles`",
     "clock": "wait for 10 s, and check the publisher's clock",
     "mission time": "send `follow` for a new mission",
@@ -49,9 +49,9 @@ REMEDIES: Mapping[str, str] = {
 """What to do, by the name of the check."""
 
 
-WARNINGS = "thrusters", "commands"
-"""Checks that only warn: the plans are computed for the thrust that a weak thruster delivers, and another driver of the
-thrusters can return them after the controller is armed.
+WARNINGS = "thrusters", "commands", "vehicle file"
+"""Checks that only warn: the plans are computed for the thrust that a weak thruster delivers and for the vehicle that
+the controller has learned, and another driver of the thrusters can return them after the controller is armed.
 """
 
 

@@ -106,7 +106,7 @@ class Prediction:
     def __init__(self, vehicle: Vehicle) -> None:
         """Begin without a report of the actuators."""
         self.coefficients = np.array(vehicle.coefficients())
-        """(19,) coefficients of the vehicle."""
+        """(21,) coefficients of the vehicle."""
         self._shares: Array | None = None  # (3,) of their reported thrust that the thrusters deliver; None: all of it
         self._report: Report | None = None  # the newest that is not newer than the estimate in use
         self._later_reports: deque[Report] = deque(maxlen=MAX_REPORTS)
@@ -246,7 +246,7 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
 
     Parameters
     ----------
-    vehicle : (19,) coefficients of the vehicle.
+    vehicle : (21,) coefficients of the vehicle.
     measured, commands, profile : as their types say. They are plain tuples: a call from Python with named ones takes
         2 us longer (docs/notes/kernel-arguments.md).
     until : time of the state (ns), not before the estimate's.

@@ -91,12 +91,18 @@ def pack_constants(
 
     Returns
     -------
-    (50 + N,) packed constants; they begin with a packed objective.
+    (52 + N,) packed constants; they begin with a packed objective.
     """
     vertical = vehicle.thrusters[2]
     rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s, time_ratio(vehicle))
     packed = pack_objective(knots, HorizonLimits.from_vehicle(vehicle, stage_s, state_bounds), weights)
     return np.concatenate([packed, vehicle.coefficients(), rest])
+
+
+def coefficients_of(packed: Array) -> Array:
+    """Return the view (21,) of the vehicle's coefficients in packed constants."""
+    begin = 25 + int(packed[24])
+    return packed[begin : begin + 21]
 
 
 @jit
@@ -114,7 +120,7 @@ def unpack_objective(packed: Array) -> Objective:
 def unpack_constants(packed: Array) -> Constants:
     """Return the constants that ``pack_constants`` packed."""
     rest = packed[25 + int(packed[24]) :]
-    return Constants(unpack_objective(packed), coefficients(rest[:19]), rest[19:22], rest[22], rest[23])
+    return Constants(unpack_objective(packed), coefficients(rest[:21]), rest[21:24], rest[24], rest[25])
 
 
 @jit

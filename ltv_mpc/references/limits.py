@@ -125,7 +125,7 @@ def _steady_turning_speeds(vehicle: Vehicle, cruise: float) -> Array:
     u, v = U * cos, U * sin
     p = vehicle.coefficients()
     surge = (p.linear_surge + p.quadratic_surge * u) * u + p.mass_sway * v * r
-    yaw = (p.linear_yaw + p.quadratic_yaw * r) * r + (p.mass_surge - p.mass_sway) * u * v
+    yaw = (p.linear_yaw + p.quadratic_yaw * r) * r + (p.mass_surge - p.mass_sway + p.added_munk) * u * v
     port, starboard, _ = vehicle.thrusters
     arms = p.arm_port + p.arm_starboard
     possible = np.ones(r.shape, dtype=bool)

@@ -8,9 +8,11 @@ Exogenous c  = [c_n, c_e]            water velocity at the vehicle (m/s, NED)
 
     M_x u' = F1 + F2 - (d_x + D_x |u|) u + M_y v r - m [ cos psi, sin psi] . cr
     M_y v' =         - (d_y + D_y |v|) v - M_x u r - m [-sin psi, cos psi] . cr
-    I_z r' = F1 a1 - F2 a2 - (d_psi + D_psi |r|) r + (M_x - M_y) u v
+    I_z r' = F1 a1 - F2 a2 - (d_psi + D_psi |r|) r + M_m u v + N
     n' = cos psi u - sin psi v + c_n,   e' = sin psi u + cos psi v + c_e,   psi' = r
     M_z w' = F3 - (d_z + D_z |w|) w - (B - W),   z' = w
+
+M_m = M_x - M_y and N = 0 are those of the paper; the controller may learn others (``control/disturbance.py``).
 
 Source: Medagoda & Williams 2012, eq 2 to 7; the sway Coriolis term has the sign of eq 6, not of Algorithm 1; the
 restoring force is on the right-hand side. The term with the dry mass m is the acceleration of the water along the path
@@ -31,10 +33,10 @@ N, E, U, V, PSI, R = range(6)
 
 @jit
 def coefficients(flat: Array) -> Coefficients:
-    """Return the coefficients from an array (19,), the inverse of ``np.array(vehicle.coefficients())``."""
+    """Return the coefficients from an array (21,), the inverse of ``np.array(vehicle.coefficients())``."""
     return Coefficients(
         flat[0], flat[1], flat[2], flat[3], flat[4], flat[5], flat[6], flat[7], flat[8], flat[9], flat[10], flat[11],
-        flat[12], flat[13], flat[14], flat[15], flat[16], flat[17], flat[18],
+        flat[12], flat[13], flat[14], flat[15], flat[16], flat[17], flat[18], flat[19], flat[20],
     )  # fmt: skip
 
 
@@ -75,9 +77,9 @@ def rates(
     # M_y v' = - (d_y + D_y |v|) v - M_x u r - m [-sin psi, cos psi] . cr
     sway = -(p.linear_sway + p.quadratic_sway * abs(v)) * v
     dv = (sway - p.mass_surge * u * r - p.dry_mass * (cos * cre - sin * crn)) / p.mass_sway
-    # I_z r' = F1 a1 - F2 a2 - (d_psi + D_psi |r|) r + (M_x - M_y) u v
-    yaw = F1 * p.arm_port - F2 * p.arm_starboard - (p.linear_yaw + p.quadratic_yaw * abs(r)) * r
-    dr = (yaw + (p.mass_surge - p.mass_sway) * u * v) / p.inertia_yaw
+    # I_z r' = F1 a1 - F2 a2 - (d_psi + D_psi |r|) r + M_m u v + N
+    yaw = F1 * p.arm_port - F2 * p.arm_starboard + p.yaw_moment - (p.linear_yaw + p.quadratic_yaw * abs(r)) * r
+    dr = (yaw + (p.mass_surge - p.mass_sway + p.added_munk) * u * v) / p.inertia_yaw
     return dn, de, du, dv, r, dr
 
 
@@ -133,8 +135,8 @@ def slopes(u: float, v: float, psi: float, r: float, crn: float, cre: float, p: 
         v_v=-(p.linear_sway + 2.0 * p.quadratic_sway * abs(v)) * of_sway,
         v_psi=p.dry_mass * along * of_sway,
         v_r=-p.mass_surge * u * of_sway,
-        r_u=(p.mass_surge - p.mass_sway) * v * of_yaw,
-        r_v=(p.mass_surge - p.mass_sway) * u * of_yaw,
+        r_u=(p.mass_surge - p.mass_sway + p.added_munk) * v * of_yaw,
+        r_v=(p.mass_surge - p.mass_sway + p.added_munk) * u * of_yaw,
         r_r=-(p.linear_yaw + 2.0 * p.quadratic_yaw * abs(r)) * of_yaw,
     )
 

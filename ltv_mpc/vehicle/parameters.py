@@ -130,6 +130,8 @@ class Coefficients(NamedTuple):
     lag_port: float
     lag_starboard: float
     lag_vertical: float
+    added_munk: float  # kg, added to M_x - M_y of the Munk moment: 0 unless one was learned
+    yaw_moment: float  # N m, steady: 0 unless one was learned
 
 
 class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -228,4 +230,6 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             lag_port=self.thruster.port.lag_s,
             lag_starboard=self.thruster.starboard.lag_s,
             lag_vertical=self.thrusters[2].lag_s,
+            added_munk=0.0,
+            yaw_moment=0.0,
         )

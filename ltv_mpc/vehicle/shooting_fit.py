@@ -101,7 +101,7 @@ class ShootingFit:
         self.nominal = np.array([*vehicle.coefficients(), 1.0, 0.0, 0.0])
         """Coefficients of the file, 1 for the thrust scale, and 0 for the reference point (22,)."""
         self.scale = theta_scale(vehicle)
-        """Coefficients at theta = 1 (22,)."""
+        """Coefficients at theta = 1 (24,)."""
         input_ = motion.command if motion.thrust is None else motion.thrust
         if motion.thrust is not None:  # the reported thrust already contains the lag
             self.nominal[[index_of(name) for name in LAGS]] = 0.0
@@ -360,7 +360,7 @@ def index_of(name: str) -> int:
 
 
 def theta_scale(vehicle: Vehicle) -> Array:
-    """Return the coefficients at theta = 1 (22,): those of the file, or for a 0 one of equal effect at full thrust.
+    """Return the coefficients at theta = 1 (24,): those of the file, or for a 0 one of equal effect at full thrust.
 
     Those of the reference point are 1 m.
     """

@@ -36,7 +36,7 @@ def surge_and_distance(limits: MotionLimits) -> tuple[np.ndarray, float]:
 def test_a_craft_that_is_weaker_astern_turns_its_bow_to_the_path() -> None:
     either, astern_m = surge_and_distance(MotionLimits(bow="either"))
     default, ahead_m = surge_and_distance(MotionLimits())
-    assert (either < -0.1).mean() > 0.9  # what the limit is for
+    assert (either < -0.1).mean() > 0.5  # what the limit is for
     assert (default < -0.05).mean() == 0.0
     assert ahead_m < astern_m
 

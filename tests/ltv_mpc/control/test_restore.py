@@ -16,9 +16,9 @@ from ltv_mpc.messages import (
     Authority,
     Command,
     ControllerState,
-    CurrentBiasState,
     CurrentProfile,
     CycleTiming,
+    DisturbanceState,
     Health,
     Message,
     ModelCheck,
@@ -32,7 +32,9 @@ from tests.stepping import step
 PAPER = Vehicle.load("paper")
 PERIOD_NS = 300_000_000
 S = 1_000_000_000
-LEARNED = CurrentBiasState(bias_mps=(0.12, -0.16), covariance=(4e-4, 1e-4, 9e-4))
+LEARNED = DisturbanceState(
+    mean=np.array([0.12, -0.16, 0.1, 0.0, *np.linspace(-0.1, 0.1, 8)]), covariance=1e-4 * (np.eye(12) + 0.1)
+)
 FOLLOWED = (PlanVerdict.ACCEPTED, PlanVerdict.LATE)
 START = Estimate.at_rest(north_m=0.3, heading_rad=0.4, depth_m=2.0)
 
@@ -210,25 +212,37 @@ def test_the_learned_current_is_restored_and_less_certain_after_a_while():
     before = armed(references.Hold(depth_m=5.0), 3)
     states = {}
     for silent_s in (0.0, 100.0):
-        state = msgspec.structs.replace(before.states[-1], current_bias=LEARNED)
+        state = msgspec.structs.replace(before.states[-1], disturbance=LEARNED)
         assert rejection_reason(state) is None
         after = Controller(PAPER, references.load("line"), ControllerConfig())
         after.restore(state, state.t_ns + round(silent_s * S))
-        states[silent_s] = after.save(0).current_bias
-    assert states[0.0] == LEARNED
-    assert states[100.0].bias_mps == LEARNED.bias_mps
-    walked = 9e-6 * 100.0  # 3 mm/s per sqrt(s), over 100 s
-    assert states[100.0].covariance[0] == pytest.approx(LEARNED.covariance[0] + walked)
+        states[silent_s] = after.save(0).disturbance
+    np.testing.assert_array_equal(states[0.0].mean, LEARNED.mean)
+    np.testing.assert_array_equal(states[0.0].covariance, LEARNED.covariance)
+    np.testing.assert_array_equal(states[100.0].mean, LEARNED.mean)
+    walked = np.diag(states[100.0].covariance - LEARNED.covariance)
+    assert walked[:4] == pytest.approx([9e-4, 9e-4, 1e-4, 1e-4])  # 3 mm/s and 1 mm per sqrt(s), over 100 s
+    assert walked[4:] == pytest.approx([1e-2] * 7 + [walked[-1]])  # 1 % per sqrt(s)
+    assert walked[-1] > 0.0
     never = ControllerConfig(disturbance=Disturbance(sd_mps=0.0))
     without = Controller(PAPER, references.load("line"), never)
     without.restore(state, state.t_ns)
-    assert without.save(0).current_bias is None
+    assert not without.save(0).disturbance.mean[:2].any()
 
 
-@pytest.mark.parametrize("covariance", [(0.0, 0.0, 0.0), (1e-4, 2e-4, 1e-4), (-1e-4, 0.0, 1e-4)])
-def test_a_learned_current_without_a_covariance_is_rejected(covariance):
-    bias = msgspec.structs.replace(LEARNED, covariance=covariance)
-    assert "positive definite" in rejection_reason(ControllerState(t_ns=0, current_bias=bias))
+@pytest.mark.parametrize(
+    ("mean", "covariance", "why"),
+    [
+        (LEARNED.mean[:4], LEARNED.covariance, "must be (12,)"),
+        (LEARNED.mean, LEARNED.covariance[:4], "must be (12, 12)"),
+        (LEARNED.mean, -LEARNED.covariance, "must not be negative"),
+        (LEARNED.mean, LEARNED.covariance + 1e-4 * np.eye(12, k=1), "symmetric"),
+        (LEARNED.mean, 1e-4 * (2.0 - np.eye(12)), "positive semidefinite"),
+    ],
+)
+def test_what_no_observer_can_have_learned_is_rejected(mean, covariance, why):
+    learned = DisturbanceState(mean=mean, covariance=covariance)
+    assert why in rejection_reason(ControllerState(t_ns=0, disturbance=learned))
 
 
 @pytest.mark.parametrize("disarmed_by", [None, Action.DISARM, Action.STOP])

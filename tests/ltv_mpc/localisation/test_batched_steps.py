@@ -38,7 +38,7 @@ def descent(sensors: str, duration_s: float) -> RunConfig:
     settings = (
         f"run.duration_s={duration_s}",
         "run.surface_time_s=12.0",
-        "run.seed=8",
+        "run.seed=18",
         f"sensors={sensors}",
         "controller.horizon_s=5.1",
         "controller.effort=high",

@@ -315,7 +315,8 @@ def test_against_a_current_progress_is_what_the_top_speed_leaves(known):
             plan = controller.plan(estimate if known else msgspec.structs.replace(estimate, current=None))
             estimate = advance(PAPER, estimate, plan, duration_s=0.3)
         left_m = (0.5 - current_mps) * 300.0
-        assert 20.0 * plan.progress == pytest.approx(min(20.0, max(left_m, 0.0)), rel=0.08, abs=0.05)
+        # On a straight course more current and more drag look alike, so one that is not told may be learned as both.
+        assert 20.0 * plan.progress == pytest.approx(min(20.0, max(left_m, 0.0)), rel=0.08, abs=0.05 if known else 0.5)
         assert estimate.north_m == pytest.approx(min(20.0, left_m), rel=0.1)  # too strong a current: full thrust
         assert 20.0 * plan.progress <= last_m + 0.05
         last_m = 20.0 * plan.progress

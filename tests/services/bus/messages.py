@@ -23,10 +23,10 @@ from ltv_mpc.messages import (
     CompassHeading,
     ControllerState,
     ControllerStatus,
-    CurrentBiasState,
     CurrentProfile,
     CycleTiming,
     Disturbance,
+    DisturbanceState,
     DroppedGridPoint,
     Estimate,
     EstimatorState,
@@ -93,7 +93,7 @@ CONTROLLER_STATE = ControllerState(
     plan_delays_ns=(81_000_000, 79_500_001),
     cycle_times_ns=(4_000_000,),
     mission=MissionState(start_t_ns=0, operator_t_ns=10**9),
-    current_bias=CurrentBiasState(bias_mps=(0.12, -0.16), covariance=(1e-4, -2e-5, 3e-4)),
+    disturbance=DisturbanceState(mean=np.linspace(-0.2, 0.2, 12), covariance=1e-4 * np.eye(12)),
     model_products=np.outer([0.5, 1.0, -1.0, 0.1, 0.0, 0.2], [0.5, 1.0, -1.0, 0.1, 0.0, 0.2]),
 )
 DROPPED = DroppedGridPoint(

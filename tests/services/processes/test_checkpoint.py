@@ -86,7 +86,8 @@ def test_the_state_is_restored_once_and_whole(opened: Opener) -> None:
     assert found.plan is not None
     np.testing.assert_array_equal(found.plan.thrust_N, PLAN.thrust_N)
     np.testing.assert_array_equal(found.model_products, ARMED.model_products)
-    for name in set(ControllerState.__struct_fields__) - {"plan", "model_products", "estimate"}:
+    np.testing.assert_array_equal(found.disturbance.covariance, ARMED.disturbance.covariance)
+    for name in set(ControllerState.__struct_fields__) - {"plan", "model_products", "estimate", "disturbance"}:
         assert getattr(found, name) == getattr(ARMED, name), name
     assert restored(checkpoint) is None
 

@@ -68,6 +68,7 @@ def test_the_supervisor_s_state_is_returned_as_it_was_given() -> None:
         1, 2, own_clock=False
     )
     assert isinstance(found, ControllerState)
-    assert (found.t_ns, found.current_bias) == (CONTROLLER_STATE.t_ns, CONTROLLER_STATE.current_bias)
+    assert (found.t_ns, found.depth_integral_N) == (CONTROLLER_STATE.t_ns, CONTROLLER_STATE.depth_integral_N)
+    assert found.disturbance.mean.tolist() == CONTROLLER_STATE.disturbance.mean.tolist()
     for node in ("controller", "sensors"):
         assert SupervisorState(node, b"").restored(1, 2, own_clock=False) is None
