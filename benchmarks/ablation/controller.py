@@ -252,7 +252,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         LIGHT,
         without(
             (resolution, "proposed_horizon_s", proposed_horizon_s.__wrapped__),  # not the one in its cache
-            (horizon_selection, "is_stable", unstable_allowed),
+            (horizon_selection, "_is_stable", unstable_allowed),
         ),
         ("largest distance, last 40 s (m)", "sway, rms (m)", "change of thrust, rms", "horizon (s)"),
     ),
