@@ -138,11 +138,6 @@ def without_against(table: Any, tau: float, t_ns: Any, lateral: Any, _current: A
     return _advance_target(table, tau, t_ns, lateral, (0.0, 0.0), *others)
 
 
-def unstable_allowed(*_: Any) -> bool:
-    """Take every loop for stable."""
-    return True
-
-
 def paper_weights(_vehicle: Any) -> Weights:
     """Return the weights of the paper's vehicle."""
     return Weights()
@@ -252,7 +247,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         LIGHT,
         without(
             (resolution, "proposed_horizon_s", proposed_horizon_s.__wrapped__),  # not the one in its cache
-            (horizon_selection, "_is_stable", unstable_allowed),
+            (horizon_selection, "STABLE_SHARES", ()),
         ),
         ("largest distance, last 40 s (m)", "sway, rms (m)", "change of thrust, rms", "horizon (s)"),
     ),

@@ -26,8 +26,9 @@ STABLE_SHARES = (0.1, 0.2, 0.35, 0.5)
 """Currents over the top speed in which the loop of a proposed horizon is stable."""
 
 SLOWNESSES = tuple(1.2**i for i in range(6))
-"""Slownesses that are tried (``scaling.default_weights``), up to 2.5. A slower loop bears more dead time, lag and gain,
-but a wrong mass or drag moves the vehicle farther: docs/robustness.md.
+"""Slownesses that are tried (``scaling.default_weights``), up to 2.5. A slower loop bears more gain, dead time and lag,
+but a wrong mass or drag moves the vehicle farther. With a longer horizon it does not catch a hull that is unstable in a
+strong current: docs/robustness.md.
 """
 
 ORDINARY_SHARE = 0.2
@@ -42,7 +43,7 @@ WEAK_ASTERN_RATIO = 0.7
 
 @lru_cache(maxsize=64)
 def proposed_slowness(vehicle: Vehicle) -> float:
-    """Return the least slowness that keeps all margins up to ``FULL_SHARE``, or else as far as ``ORDINARY_SHARE``.
+    """Return the least slowness that keeps the margins up to ``FULL_SHARE``, or ``ORDINARY_SHARE``, or as far as any.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def proposed_slowness(vehicle: Vehicle) -> float:
     kept = {}
     for slowness in SLOWNESSES:
         weights = default_weights(vehicle, slowness=slowness)
-        horizon_s = proposed_horizon_s(vehicle, weights, slowness)
+        horizon_s = proposed_horizon_s(vehicle, weights)
         kept[slowness] = kept_share(vehicle, ResolvedConfig(weights=weights, horizon_s=horizon_s), FULL_SHARE)
         if kept[slowness] >= FULL_SHARE:
             return slowness
@@ -74,29 +75,25 @@ def kept_share(vehicle: Vehicle, config: ResolvedConfig, end: float = math.inf) 
     """
     kept = -math.inf
     for share in SHARES:
-        if share > end + 1e-9:
-            break
         loop = Loop(vehicle, config, share)
-        if not loop.keeps(loop.goal):
+        if share > end or not loop.keeps(loop.goal):
             break
         kept = share
     return kept
 
 
 @lru_cache(maxsize=64)
-def proposed_horizon_s(vehicle: Vehicle, weights: Weights, slowness: float = 1.0) -> float:
+def proposed_horizon_s(vehicle: Vehicle, weights: Weights) -> float:
     """Return the horizon for a vehicle: 1.9 T, at least the time to turn and to stop, and long enough to be stable.
 
     A plan that covers both the turn and the stop can reach a point and stay there. The turn is by 90 deg; it is by 180
     deg if the vehicle is much slower astern than ahead, so that a plan covers the turn away from stern-to. A vehicle
-    with little sway damping needs a longer horizon than that, or it oscillates about its station (margins.py). A slower
-    loop needs a longer horizon, too, or the weight of thrust lets the vehicle drift with the current.
+    with little sway damping needs a longer horizon than that, or it oscillates about its station (margins.py).
 
     Parameters
     ----------
     vehicle : gives the time scale T and the closed loop.
     weights : weights of the cost in use; the closed loop depends on them.
-    slowness : of the weights.
 
     Returns
     -------
@@ -107,15 +104,13 @@ def proposed_horizon_s(vehicle: Vehicle, weights: Weights, slowness: float = 1.0
         both = can.turn_90deg_s + (can.stopping_time_s or 0.0)
         if _weak_astern(can):
             both += 0.5 * math.pi / _slower_rate(can)
-    horizon_s = _whole(max(MIN_TIME_SCALES * characteristic_scales(vehicle).time_s, both) * slowness**0.25)
-    while horizon_s < MAX_HORIZON_S and not _is_stable(vehicle, ResolvedConfig(weights=weights, horizon_s=horizon_s)):
+    horizon_s = _whole(max(MIN_TIME_SCALES * characteristic_scales(vehicle).time_s, both))
+    while horizon_s < MAX_HORIZON_S:
+        config = ResolvedConfig(weights=weights, horizon_s=horizon_s)
+        if all(Loop(vehicle, config, share).keeps() for share in STABLE_SHARES):
+            break
         horizon_s = _whole(LENGTHENING * horizon_s)
     return horizon_s
-
-
-def _is_stable(vehicle: Vehicle, config: ResolvedConfig) -> bool:
-    """Return True if no pole grows in any of ``STABLE_SHARES``."""
-    return all(Loop(vehicle, config, share).keeps() for share in STABLE_SHARES)
 
 
 def _whole(horizon_s: float) -> float:

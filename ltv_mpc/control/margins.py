@@ -30,7 +30,7 @@ order, and flights are the evidence. Unobservable is the heading at rest: a simp
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -104,14 +104,17 @@ class Loop:
         self._share, self._speed = share, share * characteristic_scales(vehicle).speed_mps
         thrust = HorizonLimits.from_vehicle(vehicle, STAGE_S).thrust_scale
         self._scale = np.array([*state_scale(vehicle), *thrust])
-        self._velocity = np.zeros((2, STATES))
-        self._velocity[:, 2:5] = velocity_over_ground(*steady_state(self._p, self._speed))[1]
+        self._velocity = np.pad(velocity_over_ground(*steady_state(self._p, self._speed))[1], ((0, 0), (2, 3)))
         self._delay_s = max(config.first_delay_s, config.min_delay_s)
         A = _stage(self._p, self._speed, STAGE_S)[0]
-        growth = _radius(A[2:6, 2:6])
-        self._unstable = max(math.log(growth) / STAGE_S, 0.0) if growth > 1.0 + POLE_TOLERANCE else 0.0
-        self._K = self._feedback(thrust)
-        self._L = self._observer_gain(A, NOISE_SHARE * characteristic_scales(vehicle).speed_mps)
+        growth = math.log(_radius(A[2:6, 2:6])) / STAGE_S  # the pole of the heading makes it at least 0
+        self._unstable = growth if growth > POLE_TOLERANCE / STAGE_S else 0.0
+        try:
+            self._K = self._feedback(thrust)
+        except np.linalg.LinAlgError:  # drag that is faster than a step makes A overflow
+            self._K = np.full((2, CURRENT.stop), np.nan)
+        self.observer_gain = self._observer_gain(A, NOISE_SHARE * characteristic_scales(vehicle).speed_mps)
+        """L (2, 2), north and east."""
 
     @np.errstate(over="ignore", invalid="ignore")
     def radius(self, change: Change = Change()) -> float:  # noqa: B008
@@ -137,17 +140,14 @@ class Loop:
         return all(self.radius(change) <= 1.0 + POLE_TOLERANCE for change in changes)
 
     @property
-    def goal(self) -> Iterator[Change]:
-        """Changes that the default weights have to keep in this current."""
-        yield Change()
-        full = self._share <= FULL_SHARE + 1e-9
+    def goal(self) -> list[Change]:
+        """Changes that the default weights have to keep in this current, each whole and half."""
+        full = self._share <= FULL_SHARE
         dead_time_s = DEAD_TIME_S if full or not self._unstable else min(DEAD_TIME_S, 0.3 / self._unstable)
-        for part in (1.0, 0.5):
-            yield Change(dead_time_s=part * dead_time_s)
-            if full:
-                yield Change(gain_db=part * GAIN_UP_DB)
-                yield Change(gain_db=-part * GAIN_DOWN_DB)
-                yield Change(lag_s=part * LAG_S)
+        whole = [Change(dead_time_s=dead_time_s)]
+        if full:
+            whole += [Change(gain_db=GAIN_UP_DB), Change(gain_db=-GAIN_DOWN_DB), Change(lag_s=LAG_S)]
+        return [Change(), *whole, *(Change(*(0.5 * amount for amount in change)) for change in whole)]
 
     def margins(self) -> Margins:
         """Return the largest changes that the loop keeps."""
@@ -207,9 +207,8 @@ class Loop:
 
     def _closed(self, change: Change) -> Array:
         """Return the matrix of the loop from one estimate to the next, of its controllable part."""
-        slow = self._p._replace(
-            lag_port=self._p.lag_port + change.lag_s, lag_starboard=self._p.lag_starboard + change.lag_s
-        )
+        p = self._p
+        slow = p._replace(lag_port=p.lag_port + change.lag_s, lag_starboard=p.lag_starboard + change.lag_s)
         total_s = self._delay_s + change.dead_time_s
         history = math.floor(total_s / STAGE_S + 1e-9) + 2  # commands U_k, U_(k-1), .. that still act
         size = CURRENT.stop + 2 * history
@@ -219,19 +218,17 @@ class Loop:
         known = np.vstack([rows[:6], rows[COMMANDS]])  # the motion as the controller knows it
         bias = rows[CURRENT]
         known[2:4] -= bias
-        plan_start = self._through(known, U, self._p, self._delay_s, self._delay_s)
+        plan_start = self._through(known, U, p, self._delay_s, self._delay_s)
         new = -self._K @ np.vstack([plan_start, U[1], bias])
         plant = self._through(rows[:STATES], U, slow, total_s, STAGE_S, 10.0 ** (change.gain_db / 20.0))
-        predicted = self._through(known, U, self._p, self._delay_s, STAGE_S)
-        learned = bias + self._L @ (self._velocity @ (plant - predicted) - bias)
+        predicted = self._through(known, U, p, self._delay_s, STAGE_S)
+        learned = bias + self.observer_gain @ (self._velocity @ (plant - predicted) - bias)
         after = np.vstack([plant, predicted[6:STATES], learned, *U[:-1]])
-        after = after[:, :size] + after[:, size:] @ new[:, :size]
-        Q = self._controllable(slow)
-        kept = Q.shape[1] + size - STATES
-        outof, into = np.eye(size, kept, kept - size), np.eye(kept, size, size - kept)
-        outof[:STATES, : Q.shape[1]], into[: Q.shape[1], :STATES] = self._scale[:, None] * Q, Q.T / self._scale
-        closed: Array = into @ after @ outof
-        return closed
+        closed: Array = after[:, :size] + after[:, size:] @ new[:, :size]
+        Q = self._controllable(slow)  # X = scale Q x
+        left, right = closed[:STATES], self._scale[:, None] * Q
+        closed = np.vstack([Q.T @ (left / self._scale[:, None]), closed[STATES:]])
+        return np.hstack([closed[:, :STATES] @ right, closed[:, STATES:]])
 
     def _through(
         self, X: Array, U: list[Array], p: Coefficients, delay_s: float, duration_s: float, gain: float = 1.0
@@ -304,5 +301,5 @@ def _radius(matrix: Array) -> float:
     """Return the spectral radius; infinite if a number is not finite."""
     try:
         return float(np.abs(np.linalg.eigvals(matrix)).max())
-    except np.linalg.LinAlgError:  # drag that is faster than a step makes A overflow
+    except np.linalg.LinAlgError:
         return math.inf

@@ -41,10 +41,9 @@ def settled(
         return config
     parse(msgspec.to_builtins(config), ControllerConfig, source=source)  # settings made in Python are not checked yet
     given = {name: value for name, value in msgspec.structs.asdict(config.weights).items() if value is not None}
-    slowness = proposed_slowness(vehicle)
-    own = default_weights(vehicle, config.effort, slowness)
+    own = default_weights(vehicle, config.effort, proposed_slowness(vehicle))
     weights = bounded(msgspec.structs.replace(own, **given), vehicle)
-    horizon_s = proposed_horizon_s(vehicle, weights, slowness) if config.horizon_s is None else config.horizon_s
+    horizon_s = proposed_horizon_s(vehicle, weights) if config.horizon_s is None else config.horizon_s
     if config.period_s > horizon_s:
         proposed = ", which `ltv-mpc vehicle check` proposes" if config.horizon_s is None else ""
         problem = f"must be <= horizon_s = {horizon_s:g}{proposed}: a plan lasts until the next one"

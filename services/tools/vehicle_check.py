@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import msgspec
 import numpy as np
 
-from ltv_mpc.control.config import Bow, ControllerConfig, Effort, ResolvedConfig, Weights
+from ltv_mpc.control.config import Bow, ControllerConfig, Effort, Weights
 from ltv_mpc.control.horizon_selection import kept_share, proposed_slowness
 from ltv_mpc.control.margins import Loop, Margins
 from ltv_mpc.control.resolution import settled
@@ -58,6 +58,7 @@ def check(vehicle: Vehicle) -> Check:
     can, scales = performance(vehicle), characteristic_scales(vehicle)
     efforts: tuple[Effort, ...] = ("low", "normal", "high")
     configs = {effort: settled(ControllerConfig(effort=effort), vehicle) for effort in efforts}
+    kept = {effort: kept_share(vehicle, config) for effort, config in configs.items()}
     config = configs["normal"]
     return Check(
         name=vehicle.name,
@@ -74,14 +75,9 @@ def check(vehicle: Vehicle) -> Check:
         weights=config.weights,
         slowness=proposed_slowness(vehicle),
         margins=[Loop(vehicle, config, share).margins() for share in MARGIN_SHARES],
-        margins_kept_mps={effort: _kept_mps(vehicle, configs[effort], scales.speed_mps) for effort in efforts},
+        margins_kept_mps={effort: share * scales.speed_mps if share >= 0.0 else None for effort, share in kept.items()},
         warnings=warnings(vehicle, can),
     )
-
-
-def _kept_mps(vehicle: Vehicle, config: ResolvedConfig, top_mps: float) -> float | None:
-    share = kept_share(vehicle, config)
-    return share * top_mps if share >= 0.0 else None
 
 
 def table(of: Check) -> str:
