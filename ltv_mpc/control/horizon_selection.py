@@ -1,6 +1,6 @@
-"""Horizon selection: the horizon that suits a vehicle.
+"""Selection of the horizon that suits a vehicle, and of the slowness with which its loop keeps its margins.
 
-`ltv-mpc vehicle check` proposes it, and a controller takes it if its settings have none (``resolution.py``).
+`ltv-mpc vehicle check` proposes them, and a controller takes what its settings leave out (``resolution.py``).
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ import math
 from functools import lru_cache
 
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig, Weights
-from ltv_mpc.control.scaling import characteristic_scales
-from ltv_mpc.control.stability import is_stable
+from ltv_mpc.control.margins import FULL_SHARE, SHARES, Loop
+from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
 
@@ -22,6 +22,18 @@ MIN_TIME_SCALES = 1.9
 horizon is within 1 % of that with the best one, at nine of ten points within 12 %. Longer ones gain at most 4 points.
 """
 
+STABLE_SHARES = (0.1, 0.2, 0.35, 0.5)
+"""Currents over the top speed in which the loop of a proposed horizon is stable."""
+
+SLOWNESSES = tuple(1.2**i for i in range(6))
+"""Slownesses that are tried (``scaling.default_weights``), up to 2.5. A slower loop bears more gain, dead time and lag,
+but a wrong mass or drag moves the vehicle farther. With a longer horizon it does not catch a hull that is unstable in a
+strong current: docs/robustness.md.
+"""
+
+ORDINARY_SHARE = 0.2
+"""Current over the top speed up to which a vehicle is slowed that cannot keep its margins up to ``FULL_SHARE``."""
+
 LENGTHENING = 1.05
 """Factor by which a horizon is lengthened until its closed loop is stable."""
 
@@ -30,40 +42,73 @@ WEAK_ASTERN_RATIO = 0.7
 
 
 @lru_cache(maxsize=64)
-def proposed_horizon_s(vehicle: Vehicle, weights: Weights) -> float:
-    """Return the horizon (s) for a vehicle whose performance is not computed yet.
+def proposed_slowness(vehicle: Vehicle) -> float:
+    """Return the least slowness that keeps the margins up to ``FULL_SHARE``, or ``ORDINARY_SHARE``, or as far as any.
 
     Parameters
     ----------
-    vehicle, weights : as in ``select_horizon_s``.
+    vehicle : its own weights are examined, with the horizon that is proposed for them.
     """
-    return select_horizon_s(vehicle, weights, performance(vehicle))
+    kept = {}
+    for slowness in SLOWNESSES:
+        weights = default_weights(vehicle, slowness=slowness)
+        horizon_s = proposed_horizon_s(vehicle, weights)
+        kept[slowness] = kept_share(vehicle, ResolvedConfig(weights=weights, horizon_s=horizon_s), FULL_SHARE)
+        if kept[slowness] >= FULL_SHARE:
+            return slowness
+    enough = min(ORDINARY_SHARE, max(kept.values()))
+    return next(slowness for slowness, share in kept.items() if share >= enough)
 
 
-def select_horizon_s(vehicle: Vehicle, weights: Weights, can: Performance) -> float:
+def kept_share(vehicle: Vehicle, config: ResolvedConfig, end: float = math.inf) -> float:
+    """Return the strongest current, over the top speed, up to which the loop keeps its margins.
+
+    Parameters
+    ----------
+    vehicle : vehicle to be controlled.
+    config : settings of the controller.
+    end : no stronger current is examined.
+
+    Returns
+    -------
+    One of ``margins.SHARES``; minus infinity if the margins are not kept in still water.
+    """
+    kept = -math.inf
+    for share in SHARES:
+        loop = Loop(vehicle, config, share)
+        if share > end or not loop.keeps(loop.goal):
+            break
+        kept = share
+    return kept
+
+
+@lru_cache(maxsize=64)
+def proposed_horizon_s(vehicle: Vehicle, weights: Weights) -> float:
     """Return the horizon for a vehicle: 1.9 T, at least the time to turn and to stop, and long enough to be stable.
 
     A plan that covers both the turn and the stop can reach a point and stay there. The turn is by 90 deg; it is by 180
     deg if the vehicle is much slower astern than ahead, so that a plan covers the turn away from stern-to. A vehicle
-    with little sway damping needs a longer horizon than that, or it oscillates about its station (stability.py).
+    with little sway damping needs a longer horizon than that, or it oscillates about its station (margins.py).
 
     Parameters
     ----------
     vehicle : gives the time scale T and the closed loop.
     weights : weights of the cost in use; the closed loop depends on them.
-    can : performance of the vehicle.
 
     Returns
     -------
     Horizon (s), a whole number of stages.
     """
-    both = 0.0
+    can, both = performance(vehicle), 0.0
     if can.turn_90deg_s is not None:
         both = can.turn_90deg_s + (can.stopping_time_s or 0.0)
         if _weak_astern(can):
             both += 0.5 * math.pi / _slower_rate(can)
     horizon_s = _whole(max(MIN_TIME_SCALES * characteristic_scales(vehicle).time_s, both))
-    while horizon_s < MAX_HORIZON_S and not is_stable(vehicle, ResolvedConfig(weights=weights, horizon_s=horizon_s)):
+    while horizon_s < MAX_HORIZON_S:
+        config = ResolvedConfig(weights=weights, horizon_s=horizon_s)
+        if all(Loop(vehicle, config, share).keeps() for share in STABLE_SHARES):
+            break
         horizon_s = _whole(LENGTHENING * horizon_s)
     return horizon_s
 

@@ -1,7 +1,8 @@
 """Resolution of the controller's settings for one vehicle: what they leave out follows from the vehicle.
 
-The only place that decides a default horizon or a default weight. The weights come first (``scaling.py``); the horizon
-is then the shortest one that suits the vehicle and is stable with these weights (``horizon_selection.py``).
+The only place that decides a default horizon or a default weight. The weights come first (``scaling.py``), with the
+slowness with which the vehicle keeps its margins at normal effort; the horizon is then the shortest one that suits the
+vehicle and is stable with these weights (``horizon_selection.py``).
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import msgspec
 
 from ltv_mpc.config import parse, toml_key
 from ltv_mpc.control.config import Bow, ControllerConfig, ResolvedConfig
-from ltv_mpc.control.horizon_selection import proposed_horizon_s
+from ltv_mpc.control.horizon_selection import proposed_horizon_s, proposed_slowness
 from ltv_mpc.control.scaling import bounded, default_weights
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -40,7 +41,8 @@ def settled(
         return config
     parse(msgspec.to_builtins(config), ControllerConfig, source=source)  # settings made in Python are not checked yet
     given = {name: value for name, value in msgspec.structs.asdict(config.weights).items() if value is not None}
-    weights = bounded(msgspec.structs.replace(default_weights(vehicle, config.effort), **given), vehicle)
+    own = default_weights(vehicle, config.effort, proposed_slowness(vehicle))
+    weights = bounded(msgspec.structs.replace(own, **given), vehicle)
     horizon_s = proposed_horizon_s(vehicle, weights) if config.horizon_s is None else config.horizon_s
     if config.period_s > horizon_s:
         proposed = ", which `ltv-mpc vehicle check` proposes" if config.horizon_s is None else ""

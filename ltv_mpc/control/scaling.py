@@ -20,6 +20,10 @@ same:
 a .. e give the paper's vehicle the weights that were tuned for it (``config.Weights``). r_F is the same for all
 vehicles, rather than w: then the QP's costs have the same size for all, as the fixed step sizes of OSQP require.
 
+A vehicle whose loop lacks margins (``margins.py``) gets a slower one. The time in which thrust corrects an error grows
+with (r_F / w)^(1/4), so a slowness of k divides w, and the weight of a heading, by k^4. The weights at the end stay, so
+that the plan still ends at its target: divided as well, they let the weight of thrust pull the vehicle downstream.
+
 A plan depends on the ratios between the weights only. So weights that are given are divided by a common factor if those
 of the target would be too large for the penalties of fence, corridor and speed limits, and for the solvers.
 """
@@ -32,7 +36,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.control.config import Effort, Weights
+from ltv_mpc.control.config import HEADING_PER_RAD2, Effort, Weights
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady_speed
@@ -112,24 +116,26 @@ def weaker_couple(vehicle: Vehicle, p: Coefficients) -> float:
     return max(min(to_starboard, to_port), 0.05 * max(to_starboard, to_port))
 
 
-def default_weights(vehicle: Vehicle, effort: Effort = "normal") -> Weights:
+def default_weights(vehicle: Vehicle, effort: Effort = "normal", slowness: float = 1.0) -> Weights:
     """Return the default weights of a vehicle: those of the paper's vehicle, scaled, with three significant digits.
 
     Parameters
     ----------
     vehicle : gives the scales.
     effort : selects the weights of thrust and of its change.
+    slowness : factor by which the loop is slower, as described at the head of this file.
     """
     factor = THRUST_WEIGHT_FACTOR[effort]
     tuned, own = Weights(), characteristic_scales(vehicle)
     length, time = own.length_m / PAPER_SCALES.length_m, own.time_s / PAPER_SCALES.time_s
     # h is the same for all vehicles, so T / h is proportional to T
     return Weights(
-        position_per_m2=_rounded(tuned.position_per_m2 / length**2),
+        position_per_m2=_rounded(tuned.position_per_m2 / length**2 / slowness**4),
         terminal_position_per_m2=_rounded(tuned.terminal_position_per_m2 * time / length**2),
         terminal_velocity_s2_per_m2=_rounded(tuned.terminal_velocity_s2_per_m2 * time**3 / length**2),
         thrust=_rounded(factor * tuned.thrust),
         thrust_change=_rounded(factor * tuned.thrust_change * time**2),
+        heading_per_rad2=0.0 if slowness == 1.0 else _rounded(HEADING_PER_RAD2 / slowness**4),
     )
 
 

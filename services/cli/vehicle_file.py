@@ -73,7 +73,7 @@ def check(
     settings: ControllerSettings = None,
     as_json: Json = False,
 ) -> None:
-    """Print performance, suitable horizon and weights, and warnings about implausible values. Warnings exit with 0.
+    """Print performance, horizon, weights and their margins, and warnings about implausible values; these exit with 0.
 
     With a reference, also what of the mission cannot be: start or point in a zone, no way round a zone, corridor or
     margin too narrow in the current, descent into the bottom.

@@ -1,16 +1,18 @@
-"""Check of a vehicle file: performance, a suitable horizon and weights, and implausible values."""
+"""Check of a vehicle file: performance, a suitable horizon and weights, their margins, and implausible values."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import msgspec
 import numpy as np
 
-from ltv_mpc.control.config import Bow, Weights
-from ltv_mpc.control.horizon_selection import select_horizon_s
-from ltv_mpc.control.resolution import default_bow
-from ltv_mpc.control.scaling import characteristic_scales, default_weights
+from ltv_mpc.control.config import Bow, ControllerConfig, Effort, Weights
+from ltv_mpc.control.horizon_selection import kept_share, proposed_slowness
+from ltv_mpc.control.margins import Loop, Margins
+from ltv_mpc.control.resolution import settled
+from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
 from ltv_mpc.vehicle.plausibility import warnings
@@ -18,6 +20,9 @@ from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from ltv_mpc.vehicle.reference_point import ReferencePoint
 from services.runtime.console import fold
 from services.tools.mission_check import MissionCheck
+
+MARGIN_SHARES = (0.0, 0.1, 0.2, 0.4, 0.6, 0.8)
+"""Currents over the top speed whose margins are shown."""
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
@@ -35,6 +40,9 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     full_power_W: float | None  # at the shafts of port and starboard, full ahead at rest; null: no torque coefficients
     bow: Bow  # which end goes first on a path; default without [controller.limits] bow
     weights: Weights  # default without [controller.weights]
+    slowness: float  # of these weights: scaling.py
+    margins: list[Margins]  # with these weights and this horizon: margins.py
+    margins_kept_mps: dict[Effort, float | None]  # strongest current in which they suffice, at most 0.8 V; null: none
     warnings: list[str]
     mission: MissionCheck | None = None  # with --reference
 
@@ -46,9 +54,12 @@ def _full_power_W(vehicle: Vehicle) -> float | None:
 
 
 def check(vehicle: Vehicle) -> Check:
-    """Compute performance, scales and warnings of a vehicle."""
+    """Compute performance, scales, margins and warnings of a vehicle."""
     can, scales = performance(vehicle), characteristic_scales(vehicle)
-    weights = default_weights(vehicle)
+    efforts: tuple[Effort, ...] = ("low", "normal", "high")
+    configs = {effort: settled(ControllerConfig(effort=effort), vehicle) for effort in efforts}
+    kept = {effort: kept_share(vehicle, config) for effort, config in configs.items()}
+    config = configs["normal"]
     return Check(
         name=vehicle.name,
         description=vehicle.description,
@@ -57,11 +68,14 @@ def check(vehicle: Vehicle) -> Check:
         performance=can,
         speed_scale_mps=scales.speed_mps,
         time_scale_s=scales.time_s,
-        horizon_s=select_horizon_s(vehicle, weights, can),
+        horizon_s=config.horizon_s,
         plan_timeout_s=vehicle.plan_timeout_s,
         full_power_W=_full_power_W(vehicle),
-        bow=default_bow(vehicle),
-        weights=weights,
+        bow=config.limits.bow or "either",
+        weights=config.weights,
+        slowness=proposed_slowness(vehicle),
+        margins=[Loop(vehicle, config, share).margins() for share in MARGIN_SHARES],
+        margins_kept_mps={effort: share * scales.speed_mps if share >= 0.0 else None for effort, share in kept.items()},
         warnings=warnings(vehicle, can),
     )
 
@@ -101,12 +115,29 @@ def table(of: Check) -> str:
         ("weights", f"position {w.position_per_m2:g} /m2, at the end {w.terminal_position_per_m2:g} /m2"),
         ("", f"velocity at the end {w.terminal_velocity_s2_per_m2:g} s2/m2"),
         ("", f"thrust {w.thrust:g}, its change {w.thrust_change:g}"),
+        *_margin_rows(of),
     ]
     kind = "dives" if of.dives else "surface craft"
     lines = [fold(f"{of.name} ({kind}): {of.description}")]
     lines += [fold(f"  {name:<34}{value}", indent=36) for name, value in rows]
     lines += [fold(f"  warning: {warning}") for warning in of.warnings] or ["  no warnings"]
     return "\n".join(lines)
+
+
+def _margin_rows(of: Check) -> Iterator[tuple[str, str]]:
+    """Yield the rows of the margins."""
+    normal, low, high = (_kept(of.margins_kept_mps[effort]) for effort in ("normal", "low", "high"))
+    beyond = "" if normal == _kept(of.margins[-1].current_mps) else "; what to do beyond: docs/robustness.md"
+    yield "margins suffice in a current", f"{normal} ({low} with effort low, {high} with effort high){beyond}"
+    for m in of.margins:
+        found = f"gain +{m.gain_up_db:.1f} / -{m.gain_down_db:.1f} dB, dead time {m.dead_time_s:.2f} s"
+        yield f"margins in {m.current_mps:.3g} m/s", f"{found}, lag {m.lag_s:.2f} s"
+    if not of.margins[-1].aside_controllable:
+        yield "", "ahead and in heading only: to the side this hull reacts at second order, so fly it to see"
+
+
+def _kept(mps: float | None) -> str:
+    return "in none" if mps is None else f"up to {mps:.3g} m/s"
 
 
 def _value(number: float | None, unit: str) -> str:

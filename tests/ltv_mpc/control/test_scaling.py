@@ -8,6 +8,7 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, advance, references
 from ltv_mpc.control.config import ResolvedConfig, Weights, WeightSettings
+from ltv_mpc.control.horizon_selection import proposed_slowness
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import PAPER_SCALES as FOUND_FOR
 from ltv_mpc.control.scaling import (
@@ -92,7 +93,8 @@ def test_a_vehicle_of_another_size_does_the_same_on_its_own_scale() -> None:
 def test_a_weight_that_is_named_replaces_that_one_alone() -> None:
     surface = Vehicle.load("surface")
     config = settled(ControllerConfig(weights=WeightSettings(thrust=0.5), horizon_s=7.2), surface)
-    assert config.weights == msgspec.structs.replace(default_weights(surface), thrust=0.5)
+    own = default_weights(surface, slowness=proposed_slowness(surface))
+    assert config.weights == msgspec.structs.replace(own, thrust=0.5)
     assert config.horizon_s == 7.2
     assert settled(config, PAPER) is config  # what is settled stays
 
@@ -100,7 +102,7 @@ def test_a_weight_that_is_named_replaces_that_one_alone() -> None:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_weights_of_the_target_are_bounded_by_a_common_factor(name: str) -> None:
     vehicle = Vehicle.load(name)
-    own = default_weights(vehicle)
+    own = default_weights(vehicle, slowness=proposed_slowness(vehicle))
     assert bounded(own, vehicle) is own
     given = WeightSettings(
         **{key: 300.0 * value for key, value in msgspec.structs.asdict(own).items() if key != "heading_per_rad2"}
@@ -126,8 +128,9 @@ def test_the_controller_uses_them_and_says_so() -> None:
 
     controller = Controller(surface, references.Point(north_m=0.0, east_m=0.0), make_solver=noted)
     assert isinstance(controller.config, ResolvedConfig)
-    assert controller.config.weights == default_weights(surface) != Weights()
-    assert given == [default_weights(surface)]
+    own = default_weights(surface, slowness=proposed_slowness(surface))
+    assert controller.config.weights == own != Weights()
+    assert given == [own.at_heading(False)]
 
 
 def test_a_named_weight_outside_its_bounds_is_refused(tmp_path) -> None:

@@ -1,0 +1,289 @@
+"""The loop that a horizon closes: poles and margins are the controller's own, and those of the defaults suffice.
+
+The oracle is the controller itself, with its observer and its prediction, on a plant that is integrated here.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
+from ltv_mpc.control.config import Disturbance, ResolvedConfig, WeightSettings
+from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES, kept_share, proposed_slowness
+from ltv_mpc.control.margins import Change, Loop, steady_state
+from ltv_mpc.control.nominal_model import as_estimate
+from ltv_mpc.control.prediction import Prediction
+from ltv_mpc.control.resolution import settled
+from ltv_mpc.control.scaling import characteristic_scales, default_weights
+from ltv_mpc.control.sent_commands import SentCommands
+from services.tools import vehicle_check
+from tests.ltv_mpc.reports import report
+
+SIDE = {
+    "arm_m": 0.38,
+    "min_N": -148.0,
+    "max_N": 252.0,
+    "slew_N_per_s": 275.0,
+    "lag_s": 0.067,
+    "propeller_diameter_m": 0.5,
+    "max_rps": 30.0,
+}
+LIGHT = msgspec.convert(
+    {
+        "name": "light to the side",
+        "description": "quick to turn, slow to stop drifting",
+        "dry_mass_kg": 317.0,
+        "water_density_kgpm3": 1025.0,
+        "surge": {"mass_kg": 770.0, "linear_damping_kgps": 241.0, "quadratic_damping_kgpm": 394.0},
+        "sway": {"mass_kg": 521.0, "linear_damping_kgps": 57.0, "quadratic_damping_kgpm": 607.0},
+        "yaw": {"inertia_kgm2": 181.0, "linear_damping_Nms": 225.0, "quadratic_damping_kgm2": 193.0},
+        "thruster": {"port": SIDE, "starboard": SIDE},
+    },
+    Vehicle,
+)
+SHARE = 0.35
+CYCLE_NS = 300_000_000
+
+
+def with_horizon(vehicle: Vehicle, horizon_s: float) -> ResolvedConfig:
+    """Return settings with this horizon and the vehicle's own weights."""
+    return settled(ControllerConfig(horizon_s=horizon_s), vehicle)
+
+
+def is_stable(vehicle: Vehicle, config: ResolvedConfig) -> bool:
+    """Return True if no pole grows in a weak or a strong current."""
+    return all(Loop(vehicle, config, share).keeps() for share in (0.1, 0.2, SHARE, 0.5))
+
+
+def aside(vehicle: Vehicle, horizon_s: float, cycles: int, off_m: float = 1e-4) -> np.ndarray:
+    """Off its place to the side, bow-on in a current, after each cycle (m); at first ``off_m``."""
+    X, C = steady_state(vehicle.coefficients(), SHARE * characteristic_scales(vehicle).speed_mps)
+    profile = CurrentProfile(depth_m=np.zeros(1), north_mps=C[:1], east_mps=C[1:])
+    estimate = msgspec.structs.replace(Estimate.at_rest(east_m=off_m), current=profile)
+    controller = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), ControllerConfig(horizon_s=horizon_s))
+    commands, motion = SentCommands(vehicle), Prediction(vehicle)
+    applied, off = report(0, [*X[6:], 0.0]), []
+    for _ in range(cycles):
+        controller.add_report(applied)
+        motion.add_report(applied)
+        commands.correct(applied.t_ns, applied.command_N)
+        plan = controller.plan(estimate)
+        assert plan.origin == "solved"
+        commands.add(plan)
+        end = motion.state_at(estimate, estimate.t_ns + CYCLE_NS, commands)
+        applied = report(end.t_ns, [*end.X[6:], end.vertical_N], end.command)
+        estimate = as_estimate(end, estimate)
+        off.append(abs(estimate.east_m))
+    return np.array(off)
+
+
+def test_the_controllers_own_error_grows_as_the_largest_pole_says():
+    """While it is so small that its plans are linear in it to their ends, and once the faster modes have died away."""
+    off = aside(LIGHT, 5.1, 85, 1e-6)
+    assert off[84] < 1e-5
+    assert (off[84] / off[54]) ** (1 / 30) == pytest.approx(
+        Loop(LIGHT, with_horizon(LIGHT, 5.1), SHARE).radius(), rel=0.003
+    )
+
+
+def test_with_the_horizon_that_is_proposed_it_dies_away():
+    proposed_s, short_s = (
+        settled(ControllerConfig(), LIGHT).horizon_s,
+        MIN_TIME_SCALES * characteristic_scales(LIGHT).time_s,
+    )
+    assert is_stable(LIGHT, with_horizon(LIGHT, proposed_s))
+    assert not is_stable(LIGHT, with_horizon(LIGHT, proposed_s / 1.1))  # it is no longer than that takes
+    off = aside(LIGHT, proposed_s, 120, 1e-3)
+    assert off[119] < off[60] < 1e-3  # slowly: the hull hardly brakes a drift
+    assert aside(LIGHT, short_s, 120, 1e-3)[90:].max() > 7e-3
+
+
+def test_the_proposal_is_stable_with_the_weights_in_use():
+    """A controller with less weight on thrust needs a longer horizon."""
+    usual, eager = settled(ControllerConfig(), LIGHT), WeightSettings(thrust=1e-3)
+    proposed = settled(ControllerConfig(weights=eager), LIGHT)
+    assert proposed.horizon_s > usual.horizon_s
+    assert is_stable(LIGHT, proposed)
+    assert not is_stable(LIGHT, settled(ControllerConfig(weights=eager, horizon_s=usual.horizon_s), LIGHT))
+
+
+@pytest.mark.parametrize("name", ["paper", "surface", "low-yaw", "weak-reverse", "bluerobotics-boat"])
+def test_of_the_shipped_vehicles_all_are_stable_and_keep_their_margins_in_a_current(name):
+    vehicle = Vehicle.load(name)
+    config = settled(ControllerConfig(), vehicle)
+    assert is_stable(vehicle, config)
+    assert kept_share(vehicle, config) >= (0.05 if name == "bluerobotics-boat" else 0.4)
+
+
+BOAT = Vehicle.load("bluerobotics-boat")
+
+
+def flown(
+    vehicle: Vehicle, config: ControllerConfig, share: float, change: Change, *, off_m: float, cycles: int
+) -> np.ndarray:
+    """Position (M, 2) off the point, north and east (m), at each cycle; at first ``off_m``, bow-on in a known current.
+
+    The plant is integrated in steps of 10 ms. Its thrust departs from the steady one by ``gain_db`` times what the
+    command a dead time before does, through the lag. Plans begin 50 ms after the estimate, and the reports are what the
+    vehicle file makes of the commands.
+    """
+    p, h = vehicle.coefficients(), 0.01
+    X, C = steady_state(p, share * characteristic_scales(vehicle).speed_mps)
+    profile = CurrentProfile(depth_m=np.zeros(1), north_mps=C[:1], east_mps=C[1:])
+    controller = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), config)
+    n, e, u, v, psi, r = off_m, off_m, *X[2:6]
+    thrust, believed, late = X[6:].copy(), X[6:].copy(), round(change.dead_time_s / h)
+    sent = [X[6:]] * (late + 1)
+    knots, plan, track = np.zeros(1), sent[0][None], []
+    lags = np.array([p.lag_port, p.lag_starboard])
+    follow, believe = -np.expm1(-h / (lags + change.lag_s)), -np.expm1(-h / lags)
+    pending = None
+    for k in range(30 * cycles):
+        if k % 30 == 0:
+            track.append((n, e))
+            estimate = Estimate(
+                t_ns=k * 10_000_000,
+                north_m=n,
+                east_m=e,
+                heading_rad=psi,
+                yaw_rate_radps=r,
+                velocity_north_mps=np.cos(psi) * u - np.sin(psi) * v + C[0],
+                velocity_east_mps=np.sin(psi) * u + np.cos(psi) * v + C[1],
+                current=profile,
+            )
+            applied = report(k * 10_000_000, [*believed, 0.0], [*sent[-1], 0.0])
+            pending = controller.plan(estimate, t_ns=k * 10_000_000, applied=applied)
+            assert pending.origin == "solved"
+        if k % 30 == 5 and pending is not None:
+            knots, plan = pending.t_ns * 1e-9, pending.thrust_N[:, :2]
+        sent.append(np.array([np.interp((k + 1) * h, knots, plan[:, i]) for i in range(2)]))
+        believed = believed + believe * (sent[-1] - believed)
+        thrust = thrust + follow * (X[6:] + 10.0 ** (change.gain_db / 20.0) * (sent[-1 - late] - X[6:]) - thrust)
+        du = thrust.sum() - (p.linear_surge + p.quadratic_surge * abs(u)) * u + p.mass_sway * v * r
+        dv = -(p.linear_sway + p.quadratic_sway * abs(v)) * v - p.mass_surge * u * r
+        dr = thrust @ [p.arm_port, -p.arm_starboard] - (p.linear_yaw + p.quadratic_yaw * abs(r)) * r
+        dr += (p.mass_surge - p.mass_sway) * u * v
+        u, v, r = u + h * du / p.mass_surge, v + h * dv / p.mass_sway, r + h * dr / p.inertia_yaw
+        psi += h * r
+        n += h * (np.cos(psi) * u - np.sin(psi) * v + C[0])
+        e += h * (np.sin(psi) * u + np.cos(psi) * v + C[1])
+    return np.array(track)
+
+
+STRONG = 0.2
+"""Current of the flights, over the top speed."""
+OBSERVING = ControllerConfig(disturbance=Disturbance(sd_mps=0.15, max_mps=3.0, lever_arm_sd_m=0.0))
+
+
+@pytest.mark.parametrize("kind", ["gain_up_db", "gain_down_db", "dead_time_s", "lag_s"])
+def test_an_error_dies_away_within_each_margin_and_grows_beyond_it(kind):
+    """While it is so small that the flight is linear in it: all margins are those of the motion to the side."""
+    config = settled(OBSERVING, BOAT)
+    loop = Loop(BOAT, config, STRONG)
+    margin = getattr(loop.margins(), kind)
+    for part in (0.85, 1.3):
+        size = part * margin
+        change = {
+            "gain_up_db": Change(gain_db=size),
+            "gain_down_db": Change(gain_db=-size),
+            "dead_time_s": Change(dead_time_s=round(size, 2)),  # whole steps of the plant
+            "lag_s": Change(lag_s=size),
+        }[kind]
+        aside_m = np.abs(flown(BOAT, config, STRONG, change, off_m=1e-6, cycles=200)[:, 1])
+        assert loop.keeps([change]) == (part < 1.0)
+        assert (aside_m[150:].max() < 5e-7) == (part < 1.0)
+        assert (aside_m[150:].max() > 1e-6) == (part > 1.0)
+        if kind == "dead_time_s" and part > 1.0:
+            growth = (aside_m[150:].max() / aside_m[100:150].max()) ** (1 / 50)
+            assert growth == pytest.approx(loop.radius(change), abs=0.01)
+
+
+def test_the_gain_of_the_observer_is_that_of_the_one_that_flies():
+    """Once it has settled, one velocity that is 0.1 mm/s too high changes its current by the gain times that."""
+    share = 0.1  # in a stronger current the observer needs minutes to settle
+    X, C = steady_state(BOAT.coefficients(), share * characteristic_scales(BOAT).speed_mps)
+    profile = CurrentProfile(depth_m=np.zeros(1), north_mps=C[:1], east_mps=C[1:])
+    learned = []
+    for error in (np.zeros(2), np.array([1e-4, 0.0]), np.array([0.0, 1e-4])):
+        controller = Controller(BOAT, references.Point(north_m=0.0, east_m=0.0), OBSERVING)
+        for k in range(300):
+            north, east = error * (k == 299)
+            estimate = msgspec.structs.replace(
+                Estimate.at_rest(),
+                t_ns=k * CYCLE_NS,
+                velocity_north_mps=north,
+                velocity_east_mps=east,
+                current=profile,
+            )
+            controller.plan(estimate, applied=report(k * CYCLE_NS, [*X[6:], 0.0]))
+        learned.append(controller.learned_current[0])
+    found = [(learned[1] - learned[0])[0] / 1e-4, (learned[2] - learned[0])[1] / 1e-4]
+    gain = Loop(BOAT, settled(OBSERVING, BOAT), share).observer_gain
+    np.testing.assert_allclose(np.diag(gain), found, rtol=0.05)
+
+
+def test_a_light_boat_rests_at_its_point_within_its_dead_time_and_not_well_beyond():
+    """From 1 m off, where the thrusts saturate."""
+    config = settled(OBSERVING, BOAT)
+    margin_s = Loop(BOAT, config, STRONG).margins().dead_time_s
+    assert margin_s > 0.2
+    inside = flown(BOAT, config, STRONG, Change(dead_time_s=0.15), off_m=1.0, cycles=200)
+    outside = flown(BOAT, config, STRONG, Change(dead_time_s=round(1.5 * margin_s, 2)), off_m=1.0, cycles=200)
+    assert np.abs(inside[170:, 1]).max() < 1e-3
+    assert np.abs(outside[170:, 1]).max() > 0.03
+
+
+def test_a_drift_that_no_thrust_controls_is_left_out_and_the_rest_of_the_loop_is_not():
+    """With M_x = M_y, v + U psi is constant: three poles at 1, which rounding would take for growing ones."""
+    paper = Vehicle.load("paper")
+    config = settled(ControllerConfig(), paper)
+    loop = Loop(paper, config, STRONG)
+    assert loop.radius() <= 1.0 + 1e-9
+    margins = loop.margins()
+    assert not margins.aside_controllable
+    assert 6.0 < margins.gain_up_db < 20.0  # surge is controllable
+    sway = msgspec.structs.replace(paper.sway, mass_kg=1.01 * paper.sway.mass_kg)
+    assert Loop(msgspec.structs.replace(paper, sway=sway), config, STRONG).margins().aside_controllable
+
+
+def test_dead_time_is_continuous_across_the_cycle():
+    """A command that acts in the next cycle is another state of the loop, and the same motion."""
+    loop = Loop(BOAT, settled(ControllerConfig(), BOAT), 0.1)
+    for known_s in (0.05, 0.25, 0.3, 0.75):
+        late = Loop(BOAT, settled(ControllerConfig(first_delay_s=known_s), BOAT), 0.1)
+        assert late.radius() == pytest.approx(loop.radius(), abs=1e-6)  # prediction makes up for a known delay
+        below, above = (late.radius(Change(dead_time_s=0.9 - known_s + dt)) for dt in (-1e-7, 1e-7))
+        assert below == pytest.approx(above, abs=1e-5)
+
+
+def test_drag_that_no_stage_resolves_leaves_no_margin():
+    surge = msgspec.structs.replace(BOAT.surge, linear_damping_kgps=9e4)
+    stiff = msgspec.structs.replace(BOAT, surge=surge)
+    config = settled(ControllerConfig(), stiff)
+    loop = Loop(stiff, config, STRONG)
+    assert loop.radius() == np.inf
+    assert loop.margins().gain_up_db == 0.0
+    assert kept_share(stiff, config) < 0.0
+
+
+def test_the_weights_of_a_vehicle_that_lacks_margins_are_slower_and_given_ones_stay():
+    assert proposed_slowness(Vehicle.load("paper")) == 1.0
+    assert proposed_slowness(BOAT) > 2.0
+    config = settled(ControllerConfig(), BOAT)
+    assert kept_share(BOAT, config) > 0.0
+    fast = default_weights(BOAT)
+    assert kept_share(BOAT, settled(ControllerConfig(weights=WeightSettings(**msgspec.to_builtins(fast))), BOAT)) < 0.0
+    given = settled(ControllerConfig(weights=WeightSettings(position_per_m2=0.01)), BOAT).weights
+    assert given == msgspec.structs.replace(config.weights, position_per_m2=0.01)
+
+
+def test_the_check_names_the_current_up_to_which_the_margins_suffice():
+    text = " ".join(vehicle_check.table(vehicle_check.check(BOAT)).split())
+    assert "margins suffice in a current up to 0.158 m/s" in text
+    assert "in none with effort high" in text
+    assert "docs/robustness.md" in text
+    paper = " ".join(vehicle_check.table(vehicle_check.check(Vehicle.load("paper"))).split())
+    assert "docs/robustness.md" not in paper
+    assert "to the side this hull reacts at second order" in paper
