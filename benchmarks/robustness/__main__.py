@@ -3,7 +3,8 @@
 python -m benchmarks.robustness [--quick] [--cases TEXT ...] [--vehicles NAME ...] [--json] [--write]
 python -m benchmarks.robustness --tune     tune the rivals of the vehicles again: gains.toml
 
-A case is KEY=VALUE pairs, "mass=1.3 drag=0.7"; cases.py has the keys. All vehicles and cases take hours.
+A case is KEY=VALUE pairs, "mass=1.3 drag=0.7"; cases.py has the keys. Rivals of a vehicle without gains are tuned
+first. All vehicles and cases take hours.
 """
 
 from __future__ import annotations
@@ -44,6 +45,8 @@ def main() -> None:
             parsed(case)
     except ValueError as error:
         parser.error(str(error))
+    if untuned := [vehicle for vehicle in vehicles if "lqr" not in tuning.gains().get(vehicle, {})]:
+        tuning.tune(untuned, options.jobs)
     rows = [flights.Row(vehicle, task, case) for vehicle in vehicles for task in options.tasks for case in cases]
     found = flights.run(rows, LAWS, tuning.gains(), options.starts, options.jobs)
     print(page.as_json(found) if options.json else f"{page.table(found)}\n\n{page.summary(found)}")
