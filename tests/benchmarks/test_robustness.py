@@ -99,7 +99,7 @@ def test_a_heavier_or_slower_plant_takes_longer_and_waves_carry_it() -> None:
         ("bluerobotics-boat", "square", LQR, 0.45),
     ],
 )
-def test_a_rival_flies_well_on_the_right_file_so_that_the_comparison_proves_something(
+def test_a_rival_flies_well_so_that_the_comparison_proves_something(
     vehicle: str, task: str, law: str, most_m: float
 ) -> None:
     found = judged(Job(Row(vehicle, task, RIGHT), law, 1, tuning.gains()[vehicle]))

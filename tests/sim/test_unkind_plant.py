@@ -51,7 +51,7 @@ def truths(*settings: str, **of) -> dict[float, Truth]:
     return {round(x.t_ns / S, 2): x for x in fly(*settings, **of) if isinstance(x, Truth)}
 
 
-def test_with_all_effects_the_plant_gives_the_same_bits_step_by_step_and_in_batches():
+def test_all_effects_give_the_same_bits_step_by_step_and_in_batches():
     all_of_it = (
         "plant.mismatch.port_thrust=0.8", "plant.mismatch.starboard_arm=1.3", "plant.mismatch.lag=1.5",
         "plant.actuators.dead_time_s=0.123", "plant.actuators.dead_zone_N=2", "plant.actuators.quantum_N=0.5",
@@ -64,7 +64,7 @@ def test_with_all_effects_the_plant_gives_the_same_bits_step_by_step_and_in_batc
     assert ENCODE(fly(*all_of_it)[-2]) != ENCODE(fly(*all_of_it, "run.seed=8")[-2])
 
 
-def test_a_dead_time_shifts_the_delivered_thrust_and_leaves_the_reported_command():
+def test_a_dead_time_shifts_the_thrust_and_leaves_the_reported_command():
     """The command, linear between steps, is that of 0.123 s before; the lag is zero, so the thrust is the command."""
     lagless = "plant.mismatch.lag=1e-6"
     late = truths(lagless, "plant.actuators.dead_time_s=0.123", thrust=(20.0, 12.0))
