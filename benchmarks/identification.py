@@ -30,7 +30,8 @@ from ltv_mpc.vehicle.identification import Identification, identify
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.shooting_fit import REFERENCE_POINT, Motion, theta_scale
 from sim import motion
-from sim.plant import apply_mismatch, level_to_ned
+from sim.motion import apply_mismatch
+from sim.plant import level_to_ned
 from sim.scenario import Mismatch
 from sim.water.column import WaterSample
 
@@ -48,7 +49,7 @@ class _Boat:
         self, vehicle: Vehicle, mismatch: Mismatch, current: Array, actuators: str, rng: np.random.Generator
     ) -> None:
         self._p, self._factor = apply_mismatch(vehicle.coefficients(), mismatch), mismatch.thrust
-        self._body = motion.pack(vehicle, self._p, self._factor)
+        self._body = motion.pack(vehicle, mismatch)
         self._model = actuators == "model"
         self._current, self._rng = current, rng
         self._state, self._revolutions, self._thrust = np.zeros(8), np.zeros(3), np.zeros(3)

@@ -21,7 +21,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from services.run.run_config import Override, RunConfig, resolve
 from sim import motion
-from sim.plant import apply_mismatch, level_to_ned
+from sim.plant import level_to_ned
 from sim.water import WaterColumn
 
 STEP_NS = 10_000_000
@@ -140,7 +140,7 @@ class TrueVehicle:
         self._vehicle = vehicle
         self.lateral_energy_J = 0.0
         """Propulsive energy of port and starboard so far, by the power at the end of each call of ``go``."""
-        self._body = motion.pack(vehicle, apply_mismatch(vehicle.coefficients(), start.mismatch), start.mismatch.thrust)
+        self._body = motion.pack(vehicle, start.mismatch)
 
     def stop(self, t_ns: int) -> None:
         """Set the velocity over ground to zero."""

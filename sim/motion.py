@@ -9,8 +9,10 @@ Effects of the true vehicle alone:
 - propellers with a first-order lag in n. A governor drives them to n_c, the inverse of eq 8 for y at the inflow at the
   start of the step, limited to +-n_max. The lag is solved in closed form for n_c linear over the step, so every lag
   is stable, also a lag of zero;
-- true thrust: eq 8 times a factor, within the thruster's limits min_N and max_N. Without the limits, a change of the
-  inflow during the lag would make a thruster at its limit deliver more. The actuators report eq 8 without the factor;
+- true thrust: eq 8 times a factor of each thruster, within its limits min_N and max_N. Without the limits, a change of
+  the inflow during the lag would make a thruster at its limit deliver more. The actuators report eq 8 without the
+  factor;
+- other masses, damping, arms and lags than those of the vehicle file (``Mismatch``);
 - the surface, above which the vehicle cannot rise.
 Integrator: the classical Runge-Kutta method of order 4.
 """
@@ -27,7 +29,10 @@ from ltv_mpc.vehicle.dynamics import coefficients, heave_acceleration, rates
 from ltv_mpc.vehicle.flow import lag_weights
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.thruster import revolutions, thrust
+from sim.scenario import Mismatch
 from sim.water.column import WaterSample, gradient_at, velocity_at
+
+NO_MISMATCH = Mismatch()
 
 
 class Propeller(NamedTuple):
@@ -48,7 +53,7 @@ class Body(NamedTuple):
     starboard: Propeller
     vertical: Propeller
     rho: float  # density of the water, kg/m3
-    factor: float  # true thrust over that of eq 8
+    factors: Triple  # true thrust over that of eq 8, by thruster
 
 
 class MotionState(NamedTuple):
@@ -56,23 +61,36 @@ class MotionState(NamedTuple):
 
     s: Array  # (8,) state
     n: Array  # (3,) revolutions (rev/s)
-    F: Array  # (3,) thrust (N) by eq 8 for n within the limits, without the body's factor
+    F: Array  # (3,) thrust (N) by eq 8 for n within the limits, without the body's factors
 
 
 State: TypeAlias = tuple[float, float, float, float, float, float, float, float]
 """State s as a tuple."""
 
 
-def pack(vehicle: Vehicle, p: Coefficients, factor: float = 1.0) -> Array:
-    """Return the vehicle as the flat array that ``unpack`` reads; ``p`` and ``factor`` are those of the true vehicle.
+def apply_mismatch(p: Coefficients, mismatch: Mismatch) -> Coefficients:
+    """Return the true vehicle's coefficients.
+
+    ``mass`` scales masses and inertia, but not the net buoyancy; ``drag`` scales damping.
+    """
+    factors = {name: mismatch.drag for name in p._fields if name.startswith(("linear", "quadratic"))}
+    factors |= dict.fromkeys(("mass_surge", "mass_sway", "mass_heave", "inertia_yaw", "dry_mass"), mismatch.mass)
+    factors |= {"arm_port": mismatch.port_arm, "arm_starboard": mismatch.starboard_arm}
+    return p._replace(**{name: factor * getattr(p, name) for name, factor in factors.items()})
+
+
+def pack(vehicle: Vehicle, mismatch: Mismatch = NO_MISMATCH) -> Array:
+    """Return the true vehicle as the flat array that ``unpack`` reads.
 
     One array costs less than a tuple: a call from Python takes 0.3 us for each field of a tuple.
     """
-    over = max(factor, 1.0)  # the delivered thrust, which includes the factor, stays within the thruster's limits
-    propellers = [
-        [t.propeller_diameter_m, t.max_rps, t.lag_s, t.min_N / over, t.max_N / over] for t in vehicle.thrusters
-    ]
-    return np.concatenate([p, np.ravel(propellers), [vehicle.water_density_kgpm3, factor]])
+    propellers = []
+    for t, factor in zip(vehicle.thrusters, mismatch.thrusts, strict=True):
+        over = max(factor, 1.0)  # the delivered thrust, which includes the factor, stays within the thruster's limits
+        lag_s = t.lag_s * mismatch.lag + mismatch.extra_lag_s
+        propellers += [t.propeller_diameter_m, t.max_rps, lag_s, t.min_N / over, t.max_N / over]
+    p = apply_mismatch(vehicle.coefficients(), mismatch)
+    return np.array([*p, *propellers, vehicle.water_density_kgpm3, *mismatch.thrusts])
 
 
 @jit
@@ -84,7 +102,7 @@ def unpack(flat: Array) -> Body:
         Propeller(flat[26], flat[27], flat[28], flat[29], flat[30]),
         Propeller(flat[31], flat[32], flat[33], flat[34], flat[35]),
         flat[36],
-        flat[37],
+        (flat[37], flat[38], flat[39]),
     )
 
 
@@ -173,13 +191,14 @@ def _slope(true: Body, s: State, n: Triple, held: bool, water: WaterSample) -> S
     """Return the time derivative s'."""
     _, _, u, v, psi, r, z, w = s
     F1, F2, F3 = _thrusts(true, n, u, w)
+    f1, f2, f3 = true.factors
     cn, ce = velocity_at(z, water)
     # c' = dc/dz w: the change of the water's velocity as the vehicle sinks through it
     shear = gradient_at(z, water)
     north, east, surge, sway, heading, yaw = rates(
-        u, v, psi, r, true.factor * F1, true.factor * F2, cn, ce, shear[0] * w, shear[1] * w, true.p
+        u, v, psi, r, f1 * F1, f2 * F2, cn, ce, shear[0] * w, shear[1] * w, true.p
     )
-    heave = heave_acceleration(w, true.factor * F3, true.p)
+    heave = heave_acceleration(w, f3 * F3, true.p)
     if held or (z <= 0.0 and w <= 0.0 and heave < 0.0):
         return north, east, surge, sway, heading, yaw, 0.0, 0.0
     return north, east, surge, sway, heading, yaw, w, heave

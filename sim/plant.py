@@ -5,8 +5,11 @@ t = 0 it follows the plans that the gate accepts. With its first step the plant 
 would. A step lasts 10 ms and the command is linear over it. The plant has no sea bed: a vehicle that goes below the
 water's ``bottom_m`` continues to sink, and the sensors find no bed there.
 
-A ``Disturbance`` acts through its impulse, half of it before and half after each step (Strang splitting, an error of
-order h^2 of what it adds). Without a disturbance every step is bit for bit the undisturbed one.
+A ``Disturbance`` and the wind act through their impulse, half of it before and half after each step (Strang splitting,
+an error of order h^2 of what it adds). Without them every step is bit for bit the undisturbed one.
+
+The slew limit holds for the commands. The delivered thrust has a rate of change of its own: a propeller with a lag in
+revolutions, a dead zone or another lag than the file's may change its thrust faster than the commands change.
 """
 
 from __future__ import annotations
@@ -22,17 +25,21 @@ from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Action, Applied, Array, Command, Disturbance, Message, Plan, Times, Triple, Truth
 from ltv_mpc.node import Due, Grid, Inbox, ReceivedMessage
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
-from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+from ltv_mpc.vehicle.parameters import Vehicle
 from sim import motion
+from sim.actuators import CommandPath
 from sim.attitude import Attitude, TiltWaves, roll_and_pitch
 from sim.motion import MotionState
-from sim.scenario import Mismatch, Scenario
+from sim.scenario import Scenario
 from sim.water import WaterColumn
 from sim.water.column import SAMPLE_PERIOD_NS, WaterSample, WaterWindow, velocity_at
+from sim.wind import Wind
 
 PERIOD_NS = 10_000_000
 REPORT_NS = 100_000_000
 """Time between two periodic reports of the actuators; each received message is also reported at once."""
+
+NO_DISTURBANCE = Disturbance(end_t_ns=0)
 
 ARMING = 1
 """Identifier of the only command that the plant sends."""
@@ -56,13 +63,13 @@ class Plant:
         self._arms = scenario.run.arm
         self._water = water
         self._attitude = Attitude(start.tilt_rms_rad, start.tilt_period_s, scenario.run.seed)
-        self._coefficients, self._factor = apply_mismatch(vehicle.coefficients(), start.mismatch), start.mismatch.thrust
-        self._body = motion.pack(vehicle, self._coefficients, self._factor)
+        self._body = motion.pack(vehicle, start.mismatch)
+        self._coefficients, self._factors = motion.unpack(self._body).p, start.mismatch.thrusts
+        self._path, self._wind = CommandPath(start.actuators), Wind(start.wind, scenario.run.seed)
         s = np.array([start.north_m, start.east_m, 0.0, 0.0, start.heading_rad, 0.0, start.depth_m, 0.0])
         self._vehicle = MotionState(s, n=np.zeros(3), F=np.zeros(3))
-        self._command: Triple = (0.0, 0.0, 0.0)
-        # (2, 3): the last command (N), and its largest rate of change since the last report (N/s)
-        self._commands = np.zeros((2, 3))
+        self._command, self._followed = np.zeros(3), np.zeros(3)  # the last command, and the one that is followed (N)
+        self._slew = np.zeros(3)  # largest rate of change of the command since the last report (N/s)
         self._t_ns: int | None = None
         self._disturbance: Disturbance | None = None
         self._gate = PlanGate(vehicle)
@@ -74,11 +81,15 @@ class Plant:
         while len(outputs) < len(due):
             first = len(outputs)
             end = first + 1
-            if self._t_ns is not None and self._disturbance is None and not due[first][1]:
+            if self._t_ns is not None and not self._is_pushed and not due[first][1]:
                 while end < len(due) and not due[end][1] and _can_batch(due[end - 1][0], due[end][0]):
                     end += 1
             outputs += self._step([t_ns for t_ns, _ in due[first:end]], due[first][1])
         return outputs
+
+    @property
+    def _is_pushed(self) -> bool:
+        return self._disturbance is not None or self._wind.blows
 
     def _step(self, times_ns: list[int], inbox: Inbox) -> list[list[Message]]:
         """Take one step with its inbox, or several without an inbox (``_can_batch``)."""
@@ -111,36 +122,39 @@ class Plant:
     def _move(self, times_ns: list[int]) -> Array:
         """Simulate from the first of these times; return the observations at the others, (K, 18)."""
         commands = self._gate.commands_at([max(t, 0) for t in times_ns[1:]])
-        port, starboard, vertical = commands[-1].tolist()
-        self._command = port, starboard, vertical
+        t_ns = np.array(times_ns)
+        changes = np.abs(np.diff(np.vstack([self._command, commands]), axis=0))
+        self._slew = np.maximum(self._slew, (changes / (np.diff(t_ns) * 1e-9)[:, None]).max(axis=0))
+        self._command = commands[-1]
         half_s = 0.5 * ((times_ns[1] - times_ns[0]) * 1e-9)
-        disturbance = self._disturbance
-        if disturbance is not None and disturbance.end_t_ns <= times_ns[0]:
-            disturbance = self._disturbance = None
-        afloat = times_ns[1] <= 0
-        if disturbance is not None:
-            self._push(disturbance, half_s, afloat)
+        if self._disturbance is not None and self._disturbance.end_t_ns <= times_ns[0]:
+            self._disturbance = None
+        afloat, is_pushed = times_ns[1] <= 0, self._is_pushed
+        if is_pushed:
+            self._push(times_ns[0], half_s, afloat)
         observed = simulate_steps(
             self._body,
             (*self._vehicle,),
-            self._commands,
-            commands,
-            np.array(times_ns),
+            self._followed,
+            self._path.followed(times_ns, commands),
+            t_ns,
             self._water.window([(a + b) // 2 for a, b in pairwise(times_ns)]),
             self._water.window(times_ns[1:]),
             (*self._attitude.tilt,),
         )
-        if disturbance is None:
+        if not is_pushed:
             return observed
-        self._push(disturbance, half_s, afloat)
+        self._push(times_ns[1], half_s, afloat)
         return self._observe(times_ns[1])
 
-    def _push(self, disturbance: Disturbance, seconds: float, afloat: bool) -> None:
+    def _push(self, t_ns: int, seconds: float, afloat: bool) -> None:
         """Add the impulse of ``seconds`` to u, v, r and w; afloat the depth is held, and w with it."""
-        p, state, f = self._coefficients, self._vehicle.s, disturbance
-        lost = (self._factor * (np.array(f.thrust_scale) - 1.0) * self._vehicle.F).tolist()
+        p, state, f = self._coefficients, self._vehicle.s, self._disturbance or NO_DISTURBANCE
+        lost = (np.array(self._factors) * (np.array(f.thrust_scale) - 1.0) * self._vehicle.F).tolist()
+        wind = self._wind.force_N(t_ns, state[6])
+        north, east = f.force_N[0] + wind[0], f.force_N[1] + wind[1]
         cos, sin = math.cos(state[4]), math.sin(state[4])
-        ahead, to_starboard = cos * f.force_N[0] + sin * f.force_N[1], cos * f.force_N[1] - sin * f.force_N[0]
+        ahead, to_starboard = cos * north + sin * east, cos * east - sin * north
         yaw_Nm = lost[0] * p.arm_port - lost[1] * p.arm_starboard + f.yaw_moment_Nm
         # M_x u' = F1 + F2 + f_x,  M_y v' = f_y,  I_z r' = F1 a1 - F2 a2 + m,  M_z w' = F3 + f_z
         state[2] += seconds * (lost[0] + lost[1] + ahead) / p.mass_surge
@@ -152,7 +166,7 @@ class Plant:
     def _observe(self, t_ns: int) -> Array:
         """Return the observation at ``t_ns``, (1, 18)."""
         observed = np.empty((1, 18))
-        observe(observed[0], self._vehicle, self._factor, t_ns * 1e-9, self._attitude.tilt, self._water.sample(t_ns))
+        observe(observed[0], self._vehicle, self._factors, t_ns * 1e-9, self._attitude.tilt, self._water.sample(t_ns))
         return observed
 
     def _truth(self, t_ns: int, observed: list[float]) -> Truth:
@@ -172,13 +186,13 @@ class Plant:
         )
 
     def _report(self, t_ns: int) -> Applied:
-        slew = _triple(self._commands[1])
-        self._commands[1] = 0.0
+        slew = _triple(self._slew)
+        self._slew = np.zeros(3)
         plan, received, verdict = self._receipt or (None, None, PlanVerdict.ACCEPTED)
         return Applied(
             t_ns=t_ns,
             thrust_N=_triple(self._vehicle.F),
-            command_N=self._command,
+            command_N=_triple(self._command),
             command_slew_N_per_s=slew,
             plan_epoch=0 if received is None else received.epoch,
             plan_sequence=-1 if received is None else received.sequence,
@@ -194,16 +208,6 @@ class Plant:
 def _can_batch(from_ns: int, t_ns: int) -> bool:
     """Return True if the step to ``t_ns`` follows no report and stays within one second of the water's samples."""
     return from_ns % REPORT_NS != 0 and t_ns % SAMPLE_PERIOD_NS != 0
-
-
-def apply_mismatch(p: Coefficients, mismatch: Mismatch) -> Coefficients:
-    """Return the true vehicle's coefficients.
-
-    ``mass`` scales masses and inertia, but not the net buoyancy; ``drag`` scales damping.
-    """
-    factors = {name: mismatch.drag for name in p._fields if name.startswith(("linear", "quadratic"))}
-    factors |= dict.fromkeys(("mass_surge", "mass_sway", "mass_heave", "inertia_yaw", "dry_mass"), mismatch.mass)
-    return p._replace(**{name: factor * getattr(p, name) for name, factor in factors.items()})
 
 
 @jit
@@ -224,36 +228,35 @@ def simulate_steps(
     flat : the true vehicle, from ``motion.pack``.
     vehicle : fields of ``MotionState`` at t_ns[0]; those at t_ns[K] afterwards. Tuples here are plain, because named
         ones make a call slower (docs/notes/kernel-arguments.md).
-    last : (2, 3) the last command (N) and its largest rate of change so far (N/s); both are updated.
-    commands : (K, 3) commanded thrust (N) at the end of each step.
+    last : (3,) thrust (N) that the governors follow at t_ns[0]; that at t_ns[K] afterwards.
+    commands : (K, 3) thrust (N) that they follow at the end of each step.
     t_ns : (K+1,) vehicle time (ns) of the start and of the end of each step.
     water : the water column in the middle of each step.
     observed_water : the water column at the end of each step.
     tilt : fields of ``TiltWaves``.
     """
-    factor = motion.unpack(flat).factor
+    factors = motion.unpack(flat).factors
     state, waves = MotionState(*vehicle), TiltWaves(*tilt)
-    depth_m, earlier, later, time_weights = water
-    end_depth_m, end_earlier, end_later, end_time_weights = observed_water
+    depth_m, earlier, later, time_weights, wave = water
+    end_depth_m, end_earlier, end_later, end_time_weights, end_wave = observed_water
     observed = np.empty((len(commands), 18))
     for k in range(len(commands)):
         h = (t_ns[k + 1] - t_ns[k]) * 1e-9
-        for i in range(3):
-            last[1, i] = max(last[1, i], abs(commands[k, i] - last[0, i]) / h)
-        at_middle = WaterSample(depth_m, earlier, later, time_weights[k])
-        motion.step(flat, state, last[0], commands[k], t_ns[k + 1] <= 0, h, at_middle)
-        copy_to(last[0], commands[k])
-        at_end = WaterSample(end_depth_m, end_earlier, end_later, end_time_weights[k])
-        observe(observed[k], state, factor, t_ns[k + 1] * 1e-9, waves, at_end)
+        at_middle = WaterSample(depth_m, earlier, later, time_weights[k], (wave[k, 0], wave[k, 1], wave[k, 2]))
+        motion.step(flat, state, last, commands[k], t_ns[k + 1] <= 0, h, at_middle)
+        copy_to(last, commands[k])
+        end_waves = end_wave[k, 0], end_wave[k, 1], end_wave[k, 2]
+        at_end = WaterSample(end_depth_m, end_earlier, end_later, end_time_weights[k], end_waves)
+        observe(observed[k], state, factors, t_ns[k + 1] * 1e-9, waves, at_end)
     return observed
 
 
 @jit
-def observe(out: Array, vehicle: MotionState, factor: float, t: float, tilt: TiltWaves, water: WaterSample) -> None:
+def observe(out: Array, vehicle: MotionState, factors: Triple, t: float, tilt: TiltWaves, water: WaterSample) -> None:
     """Write the observation at vehicle time ``t`` (s) to ``out`` (18,).
 
     It holds the state (8), velocity over ground north and east, roll, pitch, heading, current north and east, and
-    the delivered thrust (3): ``factor`` times that of eq 8.
+    the delivered thrust (3): ``factors`` times that of eq 8.
     """
     s = vehicle.s
     copy_to(out[:8], s)
@@ -265,7 +268,7 @@ def observe(out: Array, vehicle: MotionState, factor: float, t: float, tilt: Til
     out[12] = wrap_angle(s[4])
     out[13], out[14] = cn, ce
     for i in range(3):
-        out[15 + i] = factor * vehicle.F[i]
+        out[15 + i] = factors[i] * vehicle.F[i]
 
 
 @jit

@@ -14,7 +14,9 @@ class Stream(enum.IntEnum):
     WATER_EAST = 102
     WATER_CHANGE_AFTER = 103
     WATER_CHANGE_BEFORE = 104
+    SURFACE_WAVES = 105
     ATTITUDE = 201
+    WIND = 202
     IMU = 301
     GNSS = 302
     TDCP = 303

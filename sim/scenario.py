@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Iterable, Sequence
 from functools import reduce
@@ -22,7 +23,15 @@ MAX_WATER_CELLS = 20_000
 MAX_ESTIMATOR_CELLS = 500
 """Each cell adds two states to the filter, and the covariance grows with the square of their number."""
 
+GRAVITY_MPS2 = 9.81
+STEEPEST = 1.0 / 7.0
+"""Height over length of a wave beyond which it breaks."""
+SURFACED_M = 0.5
+"""Depth below which no wind acts."""
+
 Factor: TypeAlias = Annotated[float, Meta(gt=0, le=10)]
+Angle: TypeAlias = Annotated[float, Meta(ge=-6.2832, le=6.2832)]
+Force: TypeAlias = Annotated[float, Meta(ge=0, le=1e5)]
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -32,14 +41,24 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class Feature(_Table, frozen=True, kw_only=True):
     """Feature added to the current, unknown to the filter; ``kind`` decides which of the keys are read."""
 
-    kind: Literal["none", "front", "step", "waves"] = "none"
+    kind: Literal["none", "front", "step", "waves", "tide"] = "none"
     step_mps: Annotated[float, Meta(ge=-2, le=2)] = 0.1  # front, step: by how much the water's velocity changes
-    direction_rad: Annotated[float, Meta(ge=-6.2832, le=6.2832)] = 0.0  # towards which, from north
+    direction_rad: Angle = 0.0  # towards which, from north
     at_s: Annotated[float, Meta(ge=-1e5, le=1e6)] = 100.0  # front: vehicle time of the middle of its passage
     width_s: Annotated[float, Meta(ge=1, le=1e5)] = 10.0  # front: how long it takes to pass
     at_m: Annotated[float, Meta(ge=0.5, le=2000)] = 20.0  # step: depth of its middle
-    amplitude_mps: Annotated[float, Meta(ge=0, le=2)] = 0.05  # waves: at the surface and at water.deepest_m
-    period_s: Annotated[float, Meta(ge=20, le=1e5)] = 600.0  # waves: some minutes at least, the buoyancy period
+    amplitude_mps: Annotated[float, Meta(ge=0, le=2)] = (
+        0.05  # waves: at the surface and at water.deepest_m; tide: all depths
+    )
+    period_s: Annotated[float, Meta(ge=20, le=1e5)] = 600.0  # waves: some minutes at least, the buoyancy period; tide
+
+
+class SurfaceWaves(_Table, frozen=True, kw_only=True):
+    """Regular wave whose orbital velocity is added to the current; the filter does not know it."""
+
+    height_m: Annotated[float, Meta(ge=0, le=30)] = 0.0  # between crest and lowest point; 0: none
+    period_s: Annotated[float, Meta(ge=1, le=30)] = 5.0
+    direction_rad: Angle = 0.0  # towards which, from north
 
 
 class Water(_Table, frozen=True, kw_only=True):
@@ -55,6 +74,7 @@ class Water(_Table, frozen=True, kw_only=True):
     change_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.0  # each cell's random walk in time
     bottom_m: Annotated[float, Meta(gt=0, le=12_000)] | None = None  # flat sea bed, for sound only; None: out of reach
     feature: Feature = Feature()
+    surface_waves: SurfaceWaves = SurfaceWaves()
 
 
 class Mismatch(_Table, frozen=True, kw_only=True):
@@ -62,13 +82,43 @@ class Mismatch(_Table, frozen=True, kw_only=True):
 
     mass: Factor = 1.0
     drag: Factor = 1.0
-    thrust: Factor = 1.0
+    thrust: Factor = 1.0  # of all thrusters; the next two apply besides
+    port_thrust: Factor = 1.0
+    starboard_thrust: Factor = 1.0
+    port_arm: Factor = 1.0
+    starboard_arm: Factor = 1.0
+    lag: Factor = 1.0
+    extra_lag_s: Annotated[float, Meta(ge=0, le=60)] = 0.0  # added to the lag after the factor
+
+    @property
+    def thrusts(self) -> tuple[float, float, float]:
+        """Factors on the thrust of port, starboard and vertical."""
+        return self.thrust * self.port_thrust, self.thrust * self.starboard_thrust, self.thrust
+
+
+class Actuators(_Table, frozen=True, kw_only=True):
+    """Path from a command to the propeller, for each thruster; the controller's model has none of it."""
+
+    dead_time_s: Annotated[float, Meta(ge=0, le=10)] = 0.0
+    dead_zone_N: Force = 0.0  # smaller commands move no propeller
+    quantum_N: Force = 0.0  # commands are rounded to its multiples; 0: none
+
+
+class Wind(_Table, frozen=True, kw_only=True):
+    """Force of the wind on the vehicle at the surface, less than 0.5 m deep."""
+
+    force_N: Force = 0.0
+    direction_rad: Angle = 0.0  # towards which, from north
+    gust_N: Force = 0.0  # rms of the changes of the force
+    gust_period_s: Annotated[float, Meta(ge=1, le=1e4)] = 20.0
 
 
 class Plant(_Table, frozen=True, kw_only=True):
     """Effects of the simulated vehicle that the controller's model does not have."""
 
     mismatch: Mismatch = Mismatch()
+    actuators: Actuators = Actuators()
+    wind: Wind = Wind()
     tilt_rms_rad: Annotated[float, Meta(ge=0, le=0.5)] = 0.026179938779914945  # 1.5 deg of roll and of pitch
     tilt_period_s: Annotated[float, Meta(ge=0.5, le=1000)] = 4.0
     north_m: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0  # where it starts
@@ -152,8 +202,16 @@ def checked(scenario: Scenario, *, source: str) -> Scenario:
         problem = f"must be deeper than the start of the vehicle, [plant] depth_m = {scenario.plant.depth_m:g}"
         raise ConfigError(source, "[water] bottom_m", problem, value=water.bottom_m)
     if water.feature.kind == "none" and water.feature != Feature():
-        problem = 'must be "front", "step" or "waves" where another key of its table is set'
+        problem = 'must be "front", "step", "waves" or "tide" where another key of its table is set'
         raise ConfigError(source, "[water.feature] kind", problem, value="none")
+    waves, plant = water.surface_waves, scenario.plant
+    highest_m = STEEPEST * GRAVITY_MPS2 * waves.period_s**2 / (2.0 * math.pi)
+    if waves.height_m > highest_m:
+        problem = f"must be at most {highest_m:.3g}, a seventh of the wavelength: a steeper wave breaks"
+        raise ConfigError(source, "[water.surface_waves] height_m", problem, value=waves.height_m)
+    if plant.depth_m >= SURFACED_M and max(plant.wind.force_N, plant.wind.gust_N) > 0.0:
+        problem = f"must be less than {SURFACED_M} where [plant.wind] has a force: deeper, no wind acts"
+        raise ConfigError(source, "[plant] depth_m", problem, value=plant.depth_m)
     for table, deepest_m, cell_m, most in (
         ("water", water.deepest_m, water.cell_m, MAX_WATER_CELLS),
         ("estimator", estimator.deepest_m, estimator.cell_m, MAX_ESTIMATOR_CELLS),

@@ -122,7 +122,7 @@ class _Plant:
 
     def __init__(self, vehicle: Vehicle, number: int) -> None:
         draw = np.random.default_rng(number)
-        self._body = motion.pack(vehicle, vehicle.coefficients())
+        self._body = motion.pack(vehicle)
         self._gate = PlanGate(vehicle)
         north, east, heading = draw.uniform(-OFF_M, OFF_M), draw.uniform(-OFF_M, OFF_M), draw.uniform(-3.0, 3.0)
         self._state = np.array([north, east, 0.0, 0.0, heading, 0.0, 10.0, 0.0])

@@ -9,7 +9,7 @@ begun, within the slew of the vehicle file. A condition changes one of these.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -22,8 +22,13 @@ from benchmarks.strangers.rigid_body import Hull, Plant
 from ltv_mpc import Controller, ControllerConfig, Estimate, Vehicle
 from ltv_mpc.messages import Applied, Array, Health, Pair, Plan
 from ltv_mpc.references import Reference
+from sim.actuators import CommandPath
+from sim.scenario import Actuators, Mismatch, Water, Wind
+from sim.water import make
+from sim.wind import Wind as WindForce
 
 HERE = Path(__file__).parent
+AS_IN_FILE, DIRECT, STILL, CALM = Mismatch(), Actuators(), Water(sd_mps=0.0), Wind()
 FOREIGN = {"catamaran": catamaran.hull, "ellipsoid": ellipsoid.hull, "light_boat": light_boat.hull}
 """Hulls of another structure than the model."""
 SHIPPED = ("paper", "surface", "bluerobotics-boat", "low-yaw", "weak-reverse")
@@ -59,6 +64,10 @@ class Conditions:
         math.inf,
         math.inf,
     )  # between these times the thrusters rest whatever the plan is, and report it
+    mismatch: Mismatch = AS_IN_FILE  # of the hull and its numbers: factors, and a lag to add
+    actuators: Actuators = DIRECT
+    water: Water = STILL  # added to the current, at the surface
+    gusts: Wind = CALM  # added to the side force
 
 
 class Start(NamedTuple):
@@ -157,13 +166,19 @@ def fly(
     duration_s : length of the flight.
     """
     hull, vehicle = load(name)
+    steady = _vector(conditions.current_mps, start.current_rad)
+    wind_N = _vector(2 * conditions.side_force * hull.max_N, start.wind_rad)
     plant = Plant(
-        hull,
+        _true_hull(hull, conditions.mismatch),
         position_m=start.position_m,
         heading_rad=start.heading_rad,
-        current_mps=_vector(conditions.current_mps, start.current_rad),
-        force_N=_vector(2 * conditions.side_force * hull.max_N, start.wind_rad),
+        current_mps=steady,
+        force_N=wind_N,
+        shares=conditions.mismatch.thrusts[:2],
     )
+    path, gusts = CommandPath(conditions.actuators), WindForce(conditions.gusts, start.seed)
+    column = make(conditions.water, start.seed)
+    varies = gusts.blows or conditions.water != STILL
     rng = np.random.default_rng([7, start.seed])
     thrusters = _Thrusters(vehicle)
     period = round(conditions.period_s / STEP_S)
@@ -185,7 +200,12 @@ def fly(
             thrusters.receive(t_ns)
         released = conditions.released_s[0] <= t_s < conditions.released_s[1]
         command = thrusters.commands(t_ns, rest=released)
-        track = plant.run(command, STEP_S)
+        if varies:
+            middle_ns = t_ns + CHUNK * STEP_NS // 2
+            water, gust = column.at(0.0, middle_ns), gusts.force_N(middle_ns, 0.0)
+            plant.set_outside((steady[0] + water[0], steady[1] + water[1]), (wind_N[0] + gust[0], wind_N[1] + gust[1]))
+        times_ns = range(t_ns, t_ns + CHUNK * STEP_NS + 1, STEP_NS)
+        track = plant.run(path.followed(times_ns, np.pad(command, ((0, 0), (0, 1))))[:, :2], STEP_S)
         state = track[-1]
         tracks.append(track)
         commands.append(command)
@@ -199,6 +219,25 @@ def fly(
         command_N=np.concatenate(commands),
         nominal=np.repeat(np.array(nominal), CHUNK),
         needed_N=0.5 * hull.drag_N(conditions.current_mps),
+    )
+
+
+def _true_hull(hull: Hull, mismatch: Mismatch) -> Hull:
+    """Return the hull with masses, drag, arms and lag of the mismatch; factors on thrust are shares of the plant."""
+    if mismatch == AS_IN_FILE:
+        return hull
+    drag, arms = mismatch.drag, (mismatch.port_arm * hull.arms_m[0], mismatch.starboard_arm * hull.arms_m[1])
+    return replace(
+        hull,
+        M=mismatch.mass * hull.M,
+        cancelled_munk_kg=mismatch.mass * hull.cancelled_munk_kg,
+        D=drag * hull.D,
+        quadratic=drag * hull.quadratic,
+        across=hull.across * [1.0, drag],
+        along=hull.along * [1.0, drag],
+        fin_kgpm=drag * hull.fin_kgpm,
+        arms_m=arms,
+        lag_s=mismatch.lag * hull.lag_s + mismatch.extra_lag_s,
     )
 
 

@@ -149,6 +149,10 @@ class Plant:
         )  # fmt: skip
         return track
 
+    def set_outside(self, current_mps: Pair, force_N: Pair) -> None:
+        """Change water and wind; the velocity relative to the water stays, as the water carries the hull along."""
+        self._outside[:4] = *current_mps, *force_N
+
     def step(self, command_N: Pair, dt_s: float) -> Array:
         """Advance by one step; return the row (8,) of ``run``."""
         row: Array = self.run(np.array([command_N]), dt_s)[0]

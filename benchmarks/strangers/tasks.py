@@ -72,6 +72,11 @@ class Figures(NamedTuple):
     wrongly_nominal: float  # share of the time in which the error counts and is above FAR_M, and the pilot is content
 
 
+def speed_mps(name: str) -> float:
+    """Return the wanted speed of a hull along paths."""
+    return SPEEDS_MPS.get(name) or 0.4 * load(name)[0].top_speed_mps()
+
+
 def reference(corners: Corners, speed_mps: float) -> Reference:
     """Return a target as a reference of the controller."""
     places = tuple(Place(north_m=north, east_m=east) for north, east in corners)

@@ -38,7 +38,8 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
-from ltv_mpc.control.disturbance import DEFAULT_SD_MPS, NOISE_SHARE, SURGE_ERROR
+from ltv_mpc.control.disturbance import DEFAULT_SD_MPS, NOISE_SHARE
+from ltv_mpc.control.disturbance_filter import SURGE_ERROR
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import linearise, velocity_over_ground
 from ltv_mpc.control.scaling import characteristic_scales, state_scale

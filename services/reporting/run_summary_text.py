@@ -66,6 +66,7 @@ def _thrust(thrust: Mapping[str, float | None]) -> str:
         f"mean |F| {_figure(thrust['mean_abs_N'], '.1f')}, max {_figure(thrust['max_abs_N'], '.1f')} N,"
         f" saturated {_figure(None if saturated is None else 100 * saturated, '.1f')} %,"
         f" slew {_figure(thrust['max_slew_N_per_s'], '.0f')} N/s"
+        f" (delivered {_figure(thrust.get('max_delivered_slew_N_per_s'), '.0f')})"
     )
 
 

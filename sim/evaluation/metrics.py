@@ -123,6 +123,8 @@ class ThrustCommands:
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         self._velocity_mps = 0.0, 0.0  # through the water, ahead and down, at the last truth
+        self._truth: Truth | None = None  # the last one from t = 0 on
+        self._delivered_slew: float | None = None  # N/s
         self._delivered: list[tuple[float, ...]] = []  # thrust of port, starboard and vertical, velocity ahead and down
         self._box = np.array([[t.min_N, t.max_N] for t in vehicle.thrusters])  # (3, 2): thruster, bound
         self._command: list[tuple[int, float, float, float, float]] = []  # t, port, starboard, vertical, slew
@@ -133,23 +135,22 @@ class ThrustCommands:
         self._delivered.append((*applied.thrust_N, *self._velocity_mps))
 
     def add_truth(self, truth: Truth) -> None:
-        """Add the velocity through the water, which is the inflow of the propellers."""
+        """Add the velocity through the water, which is the inflow of the propellers, and the delivered thrust."""
         ahead, _, down = truth.water_velocity_mps
         self._velocity_mps = ahead, down
+        before = self._truth
+        if before is not None and truth.t_ns > before.t_ns:
+            change = max(abs(a - b) for a, b in zip(truth.thrust_N[:2], before.thrust_N[:2], strict=True))
+            slew = change / ((truth.t_ns - before.t_ns) * 1e-9)
+            self._delivered_slew = max(self._delivered_slew or 0.0, slew)
+        self._truth = truth if truth.t_ns >= 0 else None
 
     def thrust(self) -> Thrust:
         """Return statistics of the commands in force from t = 0 on."""
         rows = np.array([row for row in self._command if row[0] >= 0]).reshape(-1, 5)
         if len(rows) < 2:
             return Thrust(
-                saturated_fraction=None,
-                max_abs_N=None,
-                mean_abs_N=None,
-                travel_N=None,
-                max_slew_N_per_s=None,
-                propulsive_energy_J=None,
-                lateral_energy_J=None,
-                relative_power=None,
+                saturated_fraction=None, max_abs_N=None, mean_abs_N=None, travel_N=None, max_slew_N_per_s=None
             )
         h, F = np.diff(rows[:, 0]), rows[:, 1:3]  # (K-1,), (K, 2)
         limited = self._at_limits(rows[:, 1:4])
@@ -165,6 +166,7 @@ class ThrustCommands:
             mean_abs_N=float(np.average(_mean_abs(a, b).mean(axis=1), weights=h)),
             travel_N=float(np.sum(np.abs(b - a))),
             max_slew_N_per_s=float(np.max(rows[1:, 4])),
+            max_delivered_slew_N_per_s=self._delivered_slew,
             propulsive_energy_J=None if energy is None else float(energy.sum()),
             lateral_energy_J=None if energy is None else float(energy[:2].sum()),
             relative_power=float(np.average(0.5 * (relative[:-1] + relative[1:]), weights=h)),

@@ -26,13 +26,17 @@ class Quantiles(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Thrust(msgspec.Struct, frozen=True, kw_only=True):
-    """Statistics of the commands to the thrusters, of the lateral ones where none is named, and the energy of all."""
+    """Statistics of the commands to the thrusters, of the lateral ones where none is named, and the energy of all.
+
+    The vehicle file's ``slew_N_per_s`` limits the commands; the simulated propellers deliver with a slew of their own.
+    """
 
     saturated_fraction: float | None  # share of the time with either at its minimum or maximum
     max_abs_N: float | None
     mean_abs_N: float | None  # mean over time and both thrusters
     travel_N: float | None  # sum of |dF| over both thrusters, a measure of wear
     max_slew_N_per_s: float | None  # largest |dF/dt|
+    max_delivered_slew_N_per_s: float | None = None  # the same of the delivered thrust, from one truth to the next
     propulsive_energy_J: float | None = None  # at the shafts of all propellers; null without torque coefficients
     lateral_energy_J: float | None = None  # its part of the two lateral thrusters
     relative_power: float | None = None  # mean of the lateral |F|^1.5 over that at full thrust, 0 to 1

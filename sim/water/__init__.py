@@ -1,4 +1,4 @@
-"""True water of a run: synthetic from a seed or measured, with an optional feature."""
+"""True water of a run: synthetic from a seed or measured, with an optional feature and surface waves."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from sim.scenario import Water
 from sim.water import markov
 from sim.water.column import WaterColumn
 from sim.water.features import Feature
+from sim.water.surface_waves import SurfaceWaves
 
 __all__ = ["WaterColumn", "make"]
 
@@ -20,7 +21,9 @@ def make(water: Water, seed: int) -> WaterColumn:
     """Return the column that the settings describe, the same for equal seeds. Raises ``ConfigError``."""
     depth, velocity = _profile(water, seed)
     feature = None if water.feature.kind == "none" else Feature(water)
-    return WaterColumn(depth, velocity, change_mps_per_rts=water.change_mps_per_rts, seed=seed, feature=feature)
+    waves = SurfaceWaves(water.surface_waves, seed) if water.surface_waves.height_m else None
+    change = water.change_mps_per_rts
+    return WaterColumn(depth, velocity, change_mps_per_rts=change, seed=seed, feature=feature, waves=waves)
 
 
 def _profile(water: Water, seed: int) -> tuple[Array, Array]:

@@ -9,10 +9,13 @@ Seed         W is a pure function of seed and whole second. All processes that b
              same water.
 Feature      A feature of the water (``features.py``) is added, also sampled every second. It may add depths to those of
              the cells.
+Waves        The orbital velocity of surface waves (``surface_waves.py``) is added at each time. A profile does not
+             contain it.
 """
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol, TypeAlias
@@ -20,8 +23,9 @@ from typing import NamedTuple, Protocol, TypeAlias
 import numpy as np
 
 from ltv_mpc.jit import count_up_to, jit
-from ltv_mpc.messages import Array, CurrentProfile, Pair
+from ltv_mpc.messages import Array, CurrentProfile, Pair, Triple
 from sim.random_streams import Stream, generator
+from sim.water.surface_waves import SurfaceWaves
 
 SAMPLE_PERIOD_NS = 1_000_000_000
 """Time between two samples of the column."""
@@ -39,11 +43,12 @@ class WaterSample(NamedTuple):
     earlier: Array  # (K, 2) velocity north and east (m/s) at the whole second before
     later: Array  # (K, 2) the same one second later
     time_weight: float  # of the later sample, 0 to 1
+    wave: Triple = (0.0, 0.0, 0.0)  # velocity north and east at the surface (m/s), and wave number k (1/m)
 
 
-WaterWindow: TypeAlias = tuple[Array, Array, Array, Array]
+WaterWindow: TypeAlias = tuple[Array, Array, Array, Array, Array]
 """Water column at M instants between the same two samples, for compiled code: the first three fields of
-``WaterSample``, and the time weights (M,).
+``WaterSample``, the time weights (M,) and the waves (M, 3).
 """
 
 
@@ -97,6 +102,7 @@ class WaterColumn:
         change_mps_per_rts: float = 0.0,
         seed: int = 0,
         feature: WaterFeature | None = None,
+        waves: SurfaceWaves | None = None,
     ) -> None:
         """Build the column from its profile at t = 0.
 
@@ -107,6 +113,7 @@ class WaterColumn:
         change_mps_per_rts : q of the random walk (m/s per sqrt(s)); with 0 the column draws no random number.
         seed : seed of the run.
         feature : is added to the column. If it is steady or None, and q is 0, the column is constant in time.
+        waves : their orbital velocity is added to the column.
         """
         self._cell_depth = np.ascontiguousarray(depth_m, dtype=np.float64)
         self._cell_velocity = np.ascontiguousarray(velocity_mps, dtype=np.float64)
@@ -115,7 +122,7 @@ class WaterColumn:
                 f"depths {self._cell_depth.shape} and velocities {self._cell_velocity.shape} do not match: "
                 "give shapes (K,) and (K, 2), K at least 1"
             )
-        self._feature = feature
+        self._feature, self._waves = feature, waves
         self._depth = self._cell_depth if feature is None else feature.depths(self._cell_depth)
         self._has_walk = change_mps_per_rts != 0.0
         self._steady = not self._has_walk and (feature is None or feature.steady)
@@ -143,20 +150,22 @@ class WaterColumn:
 
     def sample(self, t_ns: int) -> WaterSample:
         """Return the column at ``t_ns``, for compiled code."""
+        wave = (0.0, 0.0, 0.0) if self._waves is None else self._waves.at(t_ns)
         if self._steady:
-            return WaterSample(self._depth, self._ends[0], self._ends[0], 0.0)
+            return WaterSample(self._depth, self._ends[0], self._ends[0], 0.0, wave)
         second = t_ns // SAMPLE_PERIOD_NS
         if second != self._second:
             self._second, self._ends = second, (self._at_second(second), self._at_second(second + 1))
         time_weight = (t_ns - second * SAMPLE_PERIOD_NS) / SAMPLE_PERIOD_NS
-        return WaterSample(self._depth, self._ends[0], self._ends[1], time_weight)
+        return WaterSample(self._depth, self._ends[0], self._ends[1], time_weight, wave)
 
     def window(self, times_ns: Sequence[int]) -> WaterWindow:
         """Return the column at several times, for compiled code; they all lie in [s, s + 1) for one whole second s."""
-        depth, earlier, later, _ = self.sample(times_ns[0])
-        if self._steady:
-            return depth, earlier, later, np.zeros(len(times_ns))
-        return depth, earlier, later, np.array([self.sample(t_ns).time_weight for t_ns in times_ns])
+        depth, earlier, later, _, _ = self.sample(times_ns[0])
+        if self._steady and self._waves is None:
+            return depth, earlier, later, np.zeros(len(times_ns)), np.zeros((len(times_ns), 3))
+        samples = [self.sample(t_ns) for t_ns in times_ns]
+        return depth, earlier, later, np.array([s.time_weight for s in samples]), np.array([s.wave for s in samples])
 
     def at(self, depth_m: float, t_ns: int) -> Pair:
         """Return the velocity north and east (m/s) at one depth."""
@@ -172,7 +181,7 @@ class WaterColumn:
 
     def profile(self, t_ns: int) -> CurrentProfile:
         """Return the column at ``t_ns`` as a current profile."""
-        _, earlier, later, time_weight = self.sample(t_ns)
+        _, earlier, later, time_weight, _ = self.sample(t_ns)
         now = earlier + time_weight * (later - earlier)
         return CurrentProfile(depth_m=self._depth.copy(), north_mps=now[:, 0].copy(), east_mps=now[:, 1].copy())
 
@@ -191,12 +200,16 @@ def velocity_at(depth: float, water: WaterSample) -> Pair:
     # the references to ``later`` on both paths.
     north += time_weight * (later[a, 0] + depth_weight * (later[b, 0] - later[a, 0]) - north)
     east += time_weight * (later[a, 1] + depth_weight * (later[b, 1] - later[a, 1]) - east)
+    wave_north, wave_east, number = water.wave
+    if number > 0.0:
+        decay = math.exp(-number * max(depth, 0.0))
+        north, east = north + decay * wave_north, east + decay * wave_east
     return north, east
 
 
 @jit
 def gradient_at(depth: float, water: WaterSample) -> Pair:
-    """Return the gradient dc/dz = (c_k+1 - c_k) / (z_k+1 - z_k) (1/s) at a depth, 0 beyond both ends."""
+    """Return the gradient dc/dz (1/s) at a depth: (c_k+1 - c_k) / (z_k+1 - z_k), 0 beyond both ends, and the waves'."""
     depths, earlier, later, time_weight = water.depth_m, water.earlier, water.later, water.time_weight
     k = count_up_to(depths, depth) - 1  # the last grid point above, -1 above the first
     last = len(depths) - 1
@@ -207,7 +220,12 @@ def gradient_at(depth: float, water: WaterSample) -> Pair:
     north += time_weight * (later[b, 0] - later[a, 0] - north)
     east += time_weight * (later[b, 1] - later[a, 1] - east)
     is_inside = step > 0.0  # else the depth is above the first or below the last grid point
-    return (north / step if is_inside else 0.0), (east / step if is_inside else 0.0)
+    north, east = (north / step if is_inside else 0.0), (east / step if is_inside else 0.0)
+    wave_north, wave_east, number = water.wave
+    if number > 0.0:
+        decay = -number * math.exp(-number * max(depth, 0.0))
+        north, east = north + decay * wave_north, east + decay * wave_east
+    return north, east
 
 
 @jit

@@ -1,9 +1,10 @@
-"""Water features that are added to a column: a front, a step over depth, or internal waves.
+"""Water features that are added to a column: a front, a step over depth, internal waves, or a tide.
 
 With d = [cos direction, sin direction], north and east, and ramp(x) = x + 1/2 cut to 0 and 1:
 front   c(z, t) += step d ramp((t - at_s) / width_s)                all depths at once
 step    c(z, t) += step d ramp((z - at_m) / 1 m)                    from its depth down, at all times
 waves   c(z, t) += A d cos(pi z / deepest) sin(2 pi t / T)          first mode between surface and ``deepest_m``
+tide    c(z, t) += A d sin(2 pi t / T)                              all depths at once
 Source  Gill 1982, Atmosphere-Ocean Dynamics, chapter 6: in water of constant stratification the vertical velocity of
         the first mode is proportional to sin(pi z / H), the horizontal one to cos(pi z / H). A vehicle that stays
         within a fraction of a wavelength sees it as a function of depth and time.
@@ -53,6 +54,8 @@ class Feature:
                 along = np.full(len(depth_m), feature.step_mps * passed)
             case "step":
                 along = feature.step_mps * np.clip((depth_m - feature.at_m) / STEP_M + 0.5, 0.0, 1.0)
+            case "tide":
+                along = np.full(len(depth_m), feature.amplitude_mps * math.sin(2.0 * math.pi * t_s / feature.period_s))
             case _:
                 mode = np.cos(math.pi * np.minimum(depth_m, deepest) / deepest)
                 along = feature.amplitude_mps * math.sin(2.0 * math.pi * t_s / feature.period_s) * mode

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from sim import motion
-from sim.plant import apply_mismatch
+from sim.motion import apply_mismatch
 from sim.scenario import Mismatch
 from sim.water.column import WaterSample
 
@@ -42,7 +42,7 @@ def travel(
     state, n, F = np.array(s, dtype=float), np.zeros(3), np.zeros(3)
     vehicle = motion.MotionState(state, n, F)
     water = WaterSample(DEPTHS, current, current, 0.0)
-    body = np.array([*p, *3 * [DIAMETER, N_MAX, lag, -limit_N, limit_N], RHO, factor])
+    body = np.array([*p, *3 * [DIAMETER, N_MAX, lag, -limit_N, limit_N], RHO, *3 * [factor]])
     states, revs, thrusts = [state.copy()], [n.copy()], [F.copy()]
     for y0, y1 in itertools.pairwise(commands):
         motion.step(body, vehicle, y0, y1, held, h, water)

@@ -54,9 +54,12 @@ def test_of_two_assignments_to_one_key_the_last_wins() -> None:
         ("=", 'option --set: "": unknown key'),
         ("water.bottom_m=0", "[water] bottom_m = 0: must be > 0 and <= 12000"),
         ("water.bottom_m=deep", '[water] bottom_m = "deep": must be a number > 0 and <= 12000'),
-        ("water.feature.kind=eddy", 'must be "front" or "none" or "step" or "waves"'),
+        ("water.feature.kind=eddy", 'must be "front" or "none" or "step" or "tide" or "waves"'),
         ("water.feature.period_s=5", "[water.feature] period_s = 5: must be >= 20 and <= 100000"),
         ("water.feature.width_s=0.5", "[water.feature] width_s = 0.5: must be >= 1 and <= 100000"),
+        ("plant.mismatch.port_arm=0", "[plant.mismatch] port_arm = 0: must be > 0 and <= 10"),
+        ("plant.actuators.dead_time_s=-0.1", "[plant.actuators] dead_time_s = -0.1: must be >= 0 and <= 10"),
+        ("plant.wind.force_N=-1", "[plant.wind] force_N = -1: must be >= 0 and <= 100000"),
         ("water.feature=front", "is a table: set one of water.feature.kind, "),
     ],
 )
@@ -83,7 +86,16 @@ def test_an_assignment_that_fits_no_key_says_what_would(assignment: str, says: s
         ),
         (
             ["water.feature.step_mps=0.2"],
-            '[water.feature] kind = "none": must be "front", "step" or "waves" where another key of its table is set',
+            '[water.feature] kind = "none": must be "front", "step", "waves" or "tide" where another key of its table '
+            "is set",
+        ),
+        (
+            ["water.surface_waves.height_m=1", "water.surface_waves.period_s=2"],
+            "[water.surface_waves] height_m = 1.0: must be at most 0.892, a seventh of the wavelength",
+        ),
+        (
+            ["plant.depth_m=20", "plant.wind.gust_N=1"],
+            "[plant] depth_m = 20.0: must be less than 0.5 where [plant.wind]",
         ),
     ],
 )

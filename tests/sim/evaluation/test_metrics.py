@@ -212,6 +212,20 @@ def test_thrust_figures_are_over_time_of_the_lateral_commands_from_zero_on(metri
     assert thrust.max_slew_N_per_s == 82.5
 
 
+def test_the_delivered_slew_is_that_of_the_lateral_thrust_from_zero_on(metrics: RunMetrics) -> None:
+    at_ms = {
+        -10: (0.0, 0.0, 0.0),
+        0: (9.0, 0.0, 0.0),
+        10: (10.0, 0.5, 0.0),
+        20: (10.5, -1.2, 62.5),
+        30: (10.5, -1.2, 0.0),
+    }
+    for ms, thrust_N in at_ms.items():
+        feed(metrics, msgspec.structs.replace(truth(ms * MS, 0.0, 0.0), thrust_N=thrust_N))
+    feed(metrics, applied(0, 0.0, 0.0), applied(S, 0.0, 0.0))
+    assert metrics.thrust().max_delivered_slew_N_per_s == pytest.approx(170.0)
+
+
 def test_a_command_inside_the_box_or_between_its_bounds_is_not_saturated(
     metrics: RunMetrics,
 ) -> None:

@@ -16,6 +16,7 @@ S = 1_000_000_000
 DEPTHS = np.linspace(-1.0, 90.0, 1831)
 FRONT = Feature(kind="front", step_mps=0.2, direction_rad=2.0, at_s=60.0, width_s=30.0)
 STEP = Feature(kind="step", step_mps=-0.15, direction_rad=0.5, at_m=23.3)
+TIDE = Feature(kind="tide", amplitude_mps=0.3, direction_rad=0.3, period_s=200.0)
 WAVES = Feature(kind="waves", amplitude_mps=0.08, direction_rad=-1.0, period_s=400.0)
 
 
@@ -61,7 +62,13 @@ def test_waves_swing_against_each_other_at_the_surface_and_at_the_deepest(water)
     assert half[np.argmin(np.abs(DEPTHS - 35.0))] == pytest.approx(0.0, abs=1e-4)  # the first mode's node
 
 
-@pytest.mark.parametrize("feature", [FRONT, STEP, WAVES], ids=lambda f: f.kind)
+def test_a_tide_is_the_same_at_all_depths(water):
+    for t_s in (-20.0, 0.0, 50.0, 130.0):
+        expected = 0.3 * math.sin(2 * math.pi * t_s / 200.0)
+        np.testing.assert_allclose(added(water, TIDE, round(t_s * S)), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("feature", [FRONT, STEP, WAVES, TIDE], ids=lambda f: f.kind)
 def test_the_water_with_a_feature_keeps_the_columns_contract(water, feature):
     """Linear in depth between ``depth_m`` and in time between whole seconds, for kernels as for everyone."""
     column = make(msgspec.structs.replace(water, feature=feature), 3)

@@ -1,0 +1,58 @@
+"""Robustness table: cases of a wrong file and an unkind sea by laws.
+
+python -m benchmarks.robustness [--quick] [--cases TEXT ...] [--vehicles NAME ...] [--json] [--write]
+python -m benchmarks.robustness --tune     tune the rivals of the vehicles again: gains.toml
+
+A case is KEY=VALUE pairs, "mass=1.3 drag=0.7"; cases.py has the keys. Rivals of a vehicle without gains are tuned
+first. All vehicles and cases take hours.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from benchmarks.robustness import flights, page, tuning
+from benchmarks.robustness.cases import CASES, QUICK, parsed
+from benchmarks.robustness.laws import LAWS
+from benchmarks.strangers.flight import FOREIGN, SHIPPED
+
+VEHICLES = ("ellipsoid", "light_boat", *SHIPPED)
+QUICK_VEHICLES = ("light_boat", "bluerobotics-boat", "paper")
+
+
+def main() -> None:
+    """Fly and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help=f"{len(QUICK)} cases and three vehicles")
+    parser.add_argument("--cases", nargs="+", help="cases of your own or of the table, each in quotes")
+    parser.add_argument(
+        "--vehicles", nargs="+", choices=(*FOREIGN, *SHIPPED), help="default: two hulls and all shipped"
+    )
+    parser.add_argument("--tasks", nargs="+", choices=flights.TASK_NAMES, default=flights.TASK_NAMES)
+    parser.add_argument("--starts", type=int, default=1, help="of each row")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--json", action="store_true", help="print all figures as JSON")
+    parser.add_argument("--write", action="store_true", help=f"write {page.PAGE}")
+    parser.add_argument("--tune", action="store_true", help="tune the rivals instead")
+    options = parser.parse_args()
+    vehicles = options.vehicles or (QUICK_VEHICLES if options.quick else VEHICLES)
+    if options.tune:
+        tuning.tune(vehicles, options.jobs)
+        return
+    cases = options.cases or (QUICK if options.quick else CASES)
+    try:
+        for case in cases:
+            parsed(case)
+    except ValueError as error:
+        parser.error(str(error))
+    if untuned := [vehicle for vehicle in vehicles if "lqr" not in tuning.gains().get(vehicle, {})]:
+        tuning.tune(untuned, options.jobs)
+    rows = [flights.Row(vehicle, task, case) for vehicle in vehicles for task in options.tasks for case in cases]
+    found = flights.run(rows, LAWS, tuning.gains(), options.starts, options.jobs)
+    print(page.as_json(found) if options.json else f"{page.table(found)}\n\n{page.summary(found)}")
+    if options.write:
+        page.PAGE.write_text(page.text(found, options.starts))
+
+
+if __name__ == "__main__":
+    main()

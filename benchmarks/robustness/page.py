@@ -1,0 +1,107 @@
+"""Robustness table as text, page and JSON."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.robustness.flights import Row
+from benchmarks.robustness.laws import DEFAULT, LAWS, RIVALS
+from benchmarks.strangers.tasks import Figures
+from services.run.provenance import provenance_table
+
+MOST_ROWS = 60
+PAGE = Path("docs/notes/robustness-table.md")
+Found = dict[Row, dict[str, Figures]]
+ROUNDING_M = 0.0005
+"""Difference of means that a table with three decimals does not show."""
+
+
+def lead_m(of: dict[str, Figures]) -> float:
+    """Return by how much the default's mean is above that of the better rival; negative: below."""
+    return of[DEFAULT].mean_m - min(of[law].mean_m for law in RIVALS if law in of)
+
+
+def table(found: Found, most: int | None = None) -> str:
+    """Return the rows, or the first of them, those first in which the controller is most behind the better rival."""
+    laws = [law for law in LAWS if law in next(iter(found.values()))]
+    lines = ["| | vehicle | task | case | " + " | ".join(laws) + " |", "|---" * (4 + len(laws)) + "|"]
+    for row in sorted(found, key=lambda row: -lead_m(found[row]))[:most]:
+        cells = " | ".join(_cell(found[row][law]) for law in laws)
+        mark = "worse" if lead_m(found[row]) > ROUNDING_M else ""
+        lines.append(f"| {mark} | {row.vehicle} | {row.task} | {row.case} | {cells} |")
+    return "\n".join(lines)
+
+
+def cases_table(found: Found) -> str:
+    """Return the median of the mean errors over vehicles and tasks, by case and law."""
+    laws = list(next(iter(found.values())))
+    lines = ["| case | " + " | ".join(laws) + " |", "|---" * (1 + len(laws)) + "|"]
+    for case in dict.fromkeys(row.case for row in found):
+        of = [found[row] for row in found if row.case == case]
+        lines.append(
+            f"| {case} | " + " | ".join(f"{np.median([x[law].mean_m for x in of]):.3f}" for law in laws) + " |"
+        )
+    return "\n".join(lines)
+
+
+def _cell(figures: Figures) -> str:
+    return f"{figures.mean_m:.3f} / {figures.max_m:.2f}" + ("" if np.isfinite(figures.arrival_s) else "!")
+
+
+def summary(found: Found) -> str:
+    """Return the number of rows in which the default is behind, and the median of the means by law."""
+    behind = sum(lead_m(of) > ROUNDING_M for of in found.values())
+    laws = list(next(iter(found.values())))
+    medians = ", ".join(f"{law} {np.median([of[law].mean_m for of in found.values()]):.3f}" for law in laws)
+    late = ", ".join(f"{law} {sum(not np.isfinite(of[law].arrival_s) for of in found.values())}" for law in laws)
+    return (
+        f"The default's mean is above that of the better rival in {behind} of {len(found)} rows. Median of the mean "
+        f"errors (m): {medians}. Rows that did not arrive: {late}."
+    )
+
+
+def as_json(found: Found) -> str:
+    """Return all figures; an arrival that never came is null."""
+    rows = [
+        {**row._asdict(), "laws": {law: figures._asdict() for law, figures in of.items()}, "lead_m": lead_m(of)}
+        for row, of in found.items()
+    ]
+    return json.dumps(rows, indent=1).replace("Infinity", "null")
+
+
+def text(found: Found, starts: int) -> str:
+    """Return the page."""
+    vehicles = ", ".join(f"`{name}`" for name in dict.fromkeys(row.vehicle for row in found))
+    return f"""# Robustness table
+
+**Question.** How well does the controller keep its station and its path when the vehicle, its thrusters, its navigation
+and the sea are not those of the vehicle file, and how does it compare with a tuned PID and a tuned LQR?
+
+**Method.** `python -m benchmarks.robustness --write`. Each row is a vehicle, a task and a case. The loop and the hulls
+are those of the [strangers](strangers.md). The tasks are a point 5 m away and a square of 20 m, in a steady current of
+a fifth of the top speed that no estimate contains. A case multiplies values of the true vehicle: `drag=0.5` has half of
+the drag that the file says. `benchmarks/robustness/cases.py` explains the keys. PID with line of sight and LQR are
+tuned once a vehicle, on the right file and with the same search. LQR alone is given the steady current. Flown here:
+{vehicles}; {len({row.case for row in found})} cases.
+
+**Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {provenance_table()["commit"][:8]}.
+
+**Result.** {summary(found)}
+
+Mean and largest error (m), starts a row: {starts}. It is the distance from the point, 15 s after the arrival, or from
+the path, from 15 s until the arrival. The rows stand in the order of the difference between the controller's default
+and the better rival, and the first {min(MOST_ROWS, len(found))} of {len(found)} are here. `worse` marks those in which
+the rival's mean is smaller, and `!` a flight that did not arrive.
+
+{table(found, MOST_ROWS)}
+
+Median of the mean errors (m) over all vehicles and tasks, by case:
+
+{cases_table(found)}
+
+**Decision.** A few rows are tests with limits from these figures: `tests/benchmarks/test_robustness.py`.
+"""

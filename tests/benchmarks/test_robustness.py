@@ -1,0 +1,138 @@
+"""Short form of ``python -m benchmarks.robustness``: some rows with limits, and the parts of the benchmark."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.robustness import page, tuning
+from benchmarks.robustness.cases import CASES, DEFAULTS, QUICK, RIGHT, conditions, parsed
+from benchmarks.robustness.flights import Job, Row, judged
+from benchmarks.robustness.laws import DEFAULT, HIGH, LQR, PID
+from benchmarks.strangers.flight import Conditions, fly, load
+from benchmarks.strangers.tasks import Figures
+
+S = 1_000_000_000
+WORSE = 1.3
+"""Factor on the measured error above which a row fails."""
+
+ROWS = {
+    Row("light_boat", "square", RIGHT): 0.130,
+    Row("light_boat", "square", "drag=0.5"): 0.105,
+    Row("light_boat", "hold", "noise_m=0.3"): 0.064,
+    Row("bluerobotics-boat", "square", RIGHT): 0.082,
+    Row("bluerobotics-boat", "square", "thrust=0.7"): 0.141,
+    Row("bluerobotics-boat", "square", "wind=0.1"): 0.105,
+    Row("bluerobotics-boat", "square", "waves_V=0.15"): 0.242,
+    Row("bluerobotics-boat", "hold", "noise_m=0.3"): 0.087,
+}
+"""Mean error (m) of the controller's default, from the table."""
+
+
+class Ahead:
+    """Pilot with a constant thrust."""
+
+    cycle_steps, delay_steps, nominal = 10, 0, True
+
+    def __init__(self, thrust_N: float) -> None:
+        self._thrust = np.full((1, 2), thrust_N)
+
+    def plan(self, estimate, t_ns, applied):
+        del estimate, applied
+        return np.array([t_ns]), self._thrust
+
+
+def conditions_in_still_water(case: str) -> Conditions:
+    hull = load("light_boat")[0]
+    return Conditions(**{**vars(conditions(case, hull)), "current_mps": 0.0})
+
+
+def speed_mps(case: str, thrust_N: float = 10.0, at_s: float = 30.0) -> float:
+    """Return the speed of the light boat after some time of straight thrust; its drag ahead is quadratic."""
+    flight = fly("light_boat", Ahead(thrust_N), conditions_in_still_water(case), duration_s=at_s)
+    return float(np.hypot(*flight.track[-1, 3:5]))
+
+
+def test_there_are_48_cases_and_each_is_another_plant_than_the_right_one() -> None:
+    assert len(set(CASES)) == 48
+    assert set(QUICK) < set(CASES)
+    hull = load("light_boat")[0]
+    known = [conditions(case, hull) for case in CASES]
+    assert all(one != other for i, one in enumerate(known) for other in known[:i])
+    assert {key for case in CASES for key, value in parsed(case).items() if value != DEFAULTS[key]} == set(DEFAULTS)
+
+
+@pytest.mark.parametrize(
+    ("case", "says"), [("mass=1 drga=2", "'drga=2': must be KEY=NUMBER"), ("mass=x", "as in mass=1")]
+)
+def test_a_case_that_is_none_is_refused_by_name(case: str, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        parsed(case)
+
+
+@pytest.mark.parametrize(
+    ("case", "ratio"),
+    [("drag=0.5", math.sqrt(2.0)), ("thrust=0.7", math.sqrt(0.7)), ("mass=2", 1.0), ("dead_zone=0.3", 0.0)],
+)
+def test_a_case_changes_the_true_vehicle_by_its_factor(case: str, ratio: float) -> None:
+    assert speed_mps(case) == pytest.approx(ratio * speed_mps(RIGHT), abs=0.02)
+
+
+def test_a_heavier_or_slower_plant_takes_longer_and_waves_carry_it() -> None:
+    early = speed_mps(RIGHT, at_s=0.5)
+    assert speed_mps("mass=2", at_s=0.5) == pytest.approx(0.5 * early, rel=0.1)
+    assert speed_mps("dead_time_s=0.3", at_s=0.8) == pytest.approx(early, rel=0.05)
+    assert speed_mps("lag_s=0.3", at_s=0.5) < 0.7 * early
+    carried = fly("light_boat", Ahead(0.0), conditions_in_still_water("waves_V=0.15"), duration_s=8.0)
+    speeds = np.hypot(*carried.track[:, 3:5].T)
+    assert speeds.max() == pytest.approx(0.15 * load("light_boat")[0].top_speed_mps(), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "task", "law", "most_m"),
+    [
+        ("light_boat", "hold", PID, 0.15),
+        ("light_boat", "hold", LQR, 0.01),
+        ("light_boat", "square", PID, 0.08),
+        ("bluerobotics-boat", "square", LQR, 0.45),
+    ],
+)
+def test_a_rival_flies_well_so_that_the_comparison_proves_something(
+    vehicle: str, task: str, law: str, most_m: float
+) -> None:
+    found = judged(Job(Row(vehicle, task, RIGHT), law, 1, tuning.gains()[vehicle]))
+    assert found.mean_m < most_m
+    assert math.isfinite(found.arrival_s)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=" ".join)
+def test_the_controller_is_no_more_than_30_percent_worse_than_it_was(row: Row) -> None:
+    found = judged(Job(row, DEFAULT, 1, {}))
+    assert found.mean_m < WORSE * ROWS[row]
+    assert math.isfinite(found.arrival_s)
+
+
+def test_the_table_begins_with_the_rows_in_which_a_rival_is_better() -> None:
+    def figures(mean_m: float, arrival_s: float = 10.0) -> Figures:
+        return Figures(mean_m, 2 * mean_m, arrival_s, 0.1, 0.0)
+
+    means = {"ahead": (0.1, 0.2, 0.3), "equal": (0.2, 0.2004, 0.2), "behind": (0.3, 0.4, 0.25)}
+    found = {
+        Row("paper", "hold", case): {
+            DEFAULT: figures(a),
+            HIGH: figures(0.1),
+            PID: figures(b),
+            LQR: figures(c, math.inf),
+        }
+        for case, (a, b, c) in means.items()
+    }
+    _, _, *lines = page.table(found).splitlines()
+    assert [line.split(" | ")[3] for line in lines] == ["behind", "equal", "ahead"]
+    assert [line.startswith("| worse |") for line in lines] == [True, False, False]
+    assert lines[0].endswith("| 0.300 / 0.60 | 0.100 / 0.20 | 0.400 / 0.80 | 0.250 / 0.50! |")
+    assert page.table(found, 1).splitlines()[2:] == lines[:1]
+    assert page.cases_table(found).splitlines()[2] == "| ahead | 0.100 | 0.100 | 0.200 | 0.300 |"
+    assert "in 1 of 3 rows" in page.summary(found)
+    assert '"arrival_s": null' in page.as_json(found)
