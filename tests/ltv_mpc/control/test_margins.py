@@ -174,7 +174,7 @@ def flown(
 
 STRONG = 0.2
 """Current of the flights, over the top speed."""
-OBSERVING = ControllerConfig(disturbance=Disturbance(sd_mps=0.15, max_mps=3.0, lever_arm_sd_m=0.0))
+OBSERVING = ControllerConfig(disturbance=Disturbance(sd_mps=0.15, max_mps=3.0, lever_arm_sd_m=0.0, model_sd=0.0))
 
 
 @pytest.mark.parametrize("kind", ["gain_up_db", "gain_down_db", "dead_time_s", "lag_s"])
