@@ -148,6 +148,11 @@ class Controller:
         """Estimated bias of the current and its covariance: the current itself for estimates without one."""
         return self._observer.current
 
+    @property
+    def learned_coefficients(self) -> Array:
+        """Coefficients (21,) of the vehicle with the model that the controller has learned."""
+        return self._prediction.coefficients
+
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
 
@@ -456,7 +461,10 @@ class Controller:
             estimate = self._observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
             self._prediction.coefficients[:] = self._observer.coefficients
             self._lateral.set_coefficients(self._prediction.coefficients)
-            self.vehicle_file_check.update(estimate.t_ns, self._observer.lever_arm, self._observer.model)
+            observer = self._observer
+            self.vehicle_file_check.update(
+                estimate.t_ns, observer.lever_arm, observer.model, bounded=observer.is_bounded
+            )
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._observer)

@@ -118,6 +118,7 @@ class DisturbanceObserver:
         """Begin at the prior; with a standard deviation of 0 there never is a bias, an arm, or another model."""
         self._settings = settings
         top_mps = path_limits(vehicle).top_mps
+        self._max_mps = settings.max_mps or top_mps
         self._variance = (settings.noise_mps or NOISE_SHARE * top_mps) ** 2
         self._heading_free_mps = HEADING_FREE_SHARE * top_mps
         self._file = np.array(vehicle.coefficients())
@@ -149,6 +150,11 @@ class DisturbanceObserver:
     def bias_mps(self) -> Array:
         """Estimated bias (2,), north and east (m/s)."""
         return self._belief[0][:2].copy()
+
+    @property
+    def is_bounded(self) -> bool:
+        """True while a component of the bias is at its bound: there is more to explain than a current."""
+        return bool(np.abs(self._belief[0][CURRENT:ARM]).max() >= self._max_mps)
 
     @property
     def covariance(self) -> Array:
@@ -323,7 +329,7 @@ class DisturbanceObserver:
             (
                 self._variance + s2,
                 NOISE_RADPS**2,
-                self._settings.max_mps,
+                self._max_mps,
                 self._applies_to(last) and self._applies_to(estimate),
             ),
             self._track,

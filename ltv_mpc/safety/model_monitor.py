@@ -4,11 +4,12 @@ Impulses over dt from one estimate to the next, for the thrusts F that the actua
 
     I_i = integral of F_i                                                                       N s
     X   = I_1 + I_2       - d_x(u) dt   + M_y v r dt - m [ cos psi, sin psi] . dc               surge
-    N   = a1 I_1 - a2 I_2 - d_psi(r) dt + (M_x - M_y) u v dt                                    yaw
+    N   = a1 I_1 - a2 I_2 - d_psi(r) dt + M_m u v dt + N_0 dt                                   yaw
     z_x = X - M_x du,   z_n = N - I_z dr                                                        missing impulse
 
-with d_x(u) = (d_x + D_x |u|) u and d_psi(r) likewise. If the thrusters deliver (1 - l_i) of the reported thrust, and
-the drag is (1 + b) times that of the model, in units of the true mass:
+with d_x(u) = (d_x + D_x |u|) u and d_psi(r) likewise, and the coefficients that the controller has learned. If the
+thrusters deliver (1 - l_i) of the reported thrust, and the drag is (1 + b) times that of the model, in units of the
+true mass:
 
     z_x = l_1 I_1    + l_2 I_2    + b d_x dt   + e_x,    e_x ~ N(0, M_x^2 (q^2 + s^2))
     z_n = a1 l_1 I_1 - a2 l_2 I_2 + b d_psi dt + e_n,    e_n ~ N(0, I_z^2 (p^2 + P_r0 + P_r1))
@@ -56,7 +57,7 @@ from ltv_mpc.messages import Applied, Array, Estimate, ModelCheck, Pair
 from ltv_mpc.safety.thrust_impulse import ThrustImpulse
 from ltv_mpc.safety.thrust_loss_detector import Row, ThrustLossDetector
 from ltv_mpc.safety.weak_thruster import WeakThruster, attribute
-from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 
 ALARM_NATS = 12.0
 """Evidence that raises the alarm. With e^-12 for each evaluation and 700 of them in a run of 200 s, this is one false
@@ -217,14 +218,20 @@ class ModelMonitor:
         """
         self._impulse.add(applied)
 
-    def update(self, estimate: Estimate, learned: Belief | None = None) -> ModelCheck | None:
+    def update(
+        self, estimate: Estimate, learned: Belief | None = None, model: Array | None = None
+    ) -> ModelCheck | None:
         """Add an accepted estimate. Return the message to publish: at each change of the alarm, and every second.
 
         Parameters
         ----------
         estimate : newest accepted estimate.
         learned : current that the controller has learned, for an estimate without one; None: there is none either.
+        model : (21,) coefficients that the controller has learned; None: those of the vehicle file. What is wrong from
+            the start is no loss.
         """
+        if model is not None:
+            self._p = Coefficients(*model.tolist())
         motion, before = self._motion(estimate, learned), self._last
         if motion is None or (before is not None and motion.t_ns == before.t_ns):
             return None
@@ -278,7 +285,7 @@ class ModelMonitor:
         self.alarm = self.evidence >= ALARM_NATS or (self.alarm and self._quiet_cycles < QUIET_CYCLES)
         weak = self.weak_thruster
         gain = self._detector.recovery_gain(weak.loss) if weak.is_weak else 0.0
-        if weak.update(attribute(self.loss) if self.alarm else None, gain):
+        if weak.update(b.t_ns, attribute(self.loss) if self.alarm else None, gain):
             self._detector.clear_window()  # the loss is over
         self.alarm |= weak.is_weak
 
@@ -294,7 +301,7 @@ class ModelMonitor:
         linear, quadratic = p.linear_yaw, p.quadratic_yaw
         twist = half * ((linear + quadratic * abs(a.r)) * a.r + (linear + quadratic * abs(b.r)) * b.r)
         coriolis = half * p.mass_sway * (av * a.r + bv * b.r)
-        munk = half * (p.mass_surge - p.mass_sway) * (au * av + bu * bv)
+        munk = half * (p.mass_surge - p.mass_sway + p.added_munk) * (au * av + bu * bv) + p.yaw_moment * dt
         heading = a.heading + 0.5 * math.remainder(b.heading - a.heading, math.tau)
         dn, de = b.current[0] - a.current[0], b.current[1] - a.current[1]
         shear = p.dry_mass * (math.cos(heading) * dn + math.sin(heading) * de)

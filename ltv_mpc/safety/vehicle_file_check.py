@@ -32,6 +32,8 @@ CONFIRMED_S = 15.0
 
 UNDECLARED = "the estimates turn as if measured away from the declared [reference_point]"
 
+BOUNDED = "the learned current is at its bound"
+
 FACTORS = ("mass ahead", None, "moment of inertia", "drag ahead", None, "drag in yaw")
 """Names of the model's factors in the order of the states. Those abeam are left out: a hull seldom moves abeam, so
 noise of the estimated velocity looks like them.
@@ -48,7 +50,7 @@ class VehicleFileCheck:
         """Reason of the alarm with the learned values; empty without an alarm."""
         self._since_ns: dict[str, int] = {}  # start of each error, by its name
 
-    def update(self, t_ns: int, arm: Belief, model: Belief) -> None:
+    def update(self, t_ns: int, arm: Belief, model: Belief, *, bounded: bool = False) -> None:
         """Update the alarm with the newest belief.
 
         Parameters
@@ -56,8 +58,11 @@ class VehicleFileCheck:
         t_ns : time of the newest estimate, vehicle time (ns).
         arm : lever arm (2,), forward and starboard (m), and its covariance.
         model : learned model (8,), as ``DisturbanceObserver.model`` gives it, and its covariance.
+        bounded : the learned current is at its bound.
         """
         errors = dict([*_errors_of_arm(arm), *_errors_of_model(model)])
+        if bounded:
+            errors[BOUNDED] = f"{BOUNDED}: check estimates, thrusters and vehicle file"
         before = self._since_ns
         self._since_ns = {name: min(before.get(name, t_ns), t_ns) for name in errors}
         lasting = [name for name, since_ns in self._since_ns.items() if t_ns - since_ns >= CONFIRMED_S * 1e9]

@@ -23,8 +23,10 @@ MIN_LOSS = 0.2
 CONFIRMING_CYCLES = 3
 """Successive cycles that attribute a loss to the same thruster before it counts as weak."""
 
-RECOVERY_NATS = 12.0
-"""Cumulative sum that ends a loss."""
+RECOVERY_NATS, LEAST_NS = 12.0, 10_000_000_000
+"""Cumulative sum that ends a loss, and the least time for which one lasts: a box that comes and goes costs more than
+a small one.
+"""
 
 STEP, HYSTERESIS = 0.1, 0.07
 """Steps of the share, and the distance from the share in force from which the nearest step replaces it."""
@@ -62,6 +64,7 @@ class WeakThruster:
         self._side: int | None = None  # the weak one, or the one that may be
         self._confirmations = 0
         self._recovery = 0.0  # cumulative sum (nats)
+        self._since_ns = 0  # start of the loss
 
     @property
     def is_weak(self) -> bool:
@@ -78,17 +81,18 @@ class WeakThruster:
         """Lost shares of port and starboard in force."""
         return 1.0 - self.shares[0], 1.0 - self.shares[1]
 
-    def update(self, attribution: Attribution | None, gain: float) -> bool:
+    def update(self, t_ns: int, attribution: Attribution | None, gain: float) -> bool:
         """Take in a cycle of the detector. Return True if the weak thruster has recovered.
 
         Parameters
         ----------
+        t_ns : time of the cycle (ns).
         attribution : the thruster that lost thrust; None without an alarm.
         gain : log-likelihood ratio of this cycle, of no loss against the loss in force (nats).
         """
         if self.is_weak:
             self._recovery = max(self._recovery + gain, 0.0)
-            if self._recovery >= RECOVERY_NATS:
+            if self._recovery >= RECOVERY_NATS and t_ns - self._since_ns >= LEAST_NS:
                 self.restore((1.0, 1.0))
                 return True
             # While a recovery may be under way, the detector's window holds cycles from before and after it.
@@ -100,6 +104,7 @@ class WeakThruster:
         self._side = None if attribution is None else attribution.side
         if attribution is not None and self._confirmations >= CONFIRMING_CYCLES:
             self._set(attribution)
+            self._since_ns = t_ns
         return False
 
     def restore(self, shares: Pair) -> None:

@@ -157,7 +157,7 @@ class Release:
     [
         {},
         {"names_plans": False},
-        {"config": ControllerConfig(horizon_s=2.1)},
+        {"config": ControllerConfig(horizon_s=2.7)},
         {"config": ControllerConfig(period_s=0.1)},
         {"plan_delay_s": 0.6},
     ],
@@ -249,7 +249,7 @@ def test_while_an_override_is_in_force_nothing_is_learned_and_the_uncertainty_gr
 
 def test_no_lever_arm_is_learned_while_the_actuators_contradict_the_plans():
     loop, beliefs = Loop(delivered=Release()), []
-    loop.controller.vehicle_file_check.update = lambda t_ns, arm, _: beliefs.append((t_ns, *arm[0]))
+    loop.controller.vehicle_file_check.update = lambda t_ns, arm, _, **__: beliefs.append((t_ns, *arm[0]))
     cycles = loop.run(20.0)
     during = [arm_m for t_ns, *arm_m in beliefs if t_ns * 1e-9 >= degraded_s(cycles)[0]]
     assert len(during) > 10

@@ -78,6 +78,14 @@ def test_a_small_an_uncertain_and_a_new_error_are_not(uncertain: VehicleFileChec
     assert uncertain.why == ""
 
 
+def test_a_learned_current_that_stays_at_its_bound_is_named():
+    check = VehicleFileCheck()
+    for t in range(21):
+        assert check.health.health == ("nominal" if t <= 15 else "degraded")
+        check.update(t * S, (np.zeros(2), np.eye(2)), (RIGHT, np.eye(8)), bounded=True)
+    assert "current is at its bound" in check.why
+
+
 def test_the_alarm_ends_with_its_cause():
     check = checked((0.5, 0.0), factor(0, 2.0))
     assert check.health.why.count(";") == 1

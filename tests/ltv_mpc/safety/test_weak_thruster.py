@@ -6,10 +6,18 @@ import pytest
 
 from ltv_mpc.messages import Health
 from ltv_mpc.safety.health import NOMINAL
-from ltv_mpc.safety.weak_thruster import CONFIRMING_CYCLES, MIN_SHARE, RECOVERY_NATS, WeakThruster, attribute
+from ltv_mpc.safety.weak_thruster import (
+    CONFIRMING_CYCLES,
+    LEAST_NS,
+    MIN_SHARE,
+    RECOVERY_NATS,
+    WeakThruster,
+    attribute,
+)
 from ltv_mpc.vehicle.parameters import Vehicle
 
 PAPER = Vehicle.load("paper")
+LATER_NS = LEAST_NS + 1
 
 
 def after(*losses: tuple[float, float], cycles: int = CONFIRMING_CYCLES) -> WeakThruster:
@@ -17,7 +25,7 @@ def after(*losses: tuple[float, float], cycles: int = CONFIRMING_CYCLES) -> Weak
     weak = WeakThruster()
     for loss in losses:
         for _ in range(cycles):
-            weak.update(attribute(loss), 0.0)
+            weak.update(0, attribute(loss), 0.0)
     return weak
 
 
@@ -48,32 +56,32 @@ def test_with_the_smallest_share_a_thruster_may_be_weaker(loss, may_be_weaker):
 def test_the_share_follows_in_steps_and_not_the_noise():
     weak = after((0.4, 0.0))
     for loss, share in ((0.36, 0.6), (0.44, 0.6), (0.52, 0.5), (0.46, 0.5), (0.7, 0.3)):
-        weak.update(attribute((loss, 0.0)), 0.0)
+        weak.update(LATER_NS, attribute((loss, 0.0)), 0.0)
         assert weak.shares == pytest.approx((share, 1.0))
 
 
 def test_without_an_alarm_or_by_the_other_thruster_it_stays_as_it_is():
     weak = after((0.4, 0.0))
     for found in (None, attribute((0.0, 0.8)), attribute((0.5, 0.5))):
-        weak.update(found, 0.3 * RECOVERY_NATS)
+        weak.update(LATER_NS, found, 0.3 * RECOVERY_NATS)
         assert weak.shares == pytest.approx((0.6, 1.0))
 
 
 def test_it_ends_by_the_sum_of_evidence_for_a_recovery_which_a_loss_resets():
     weak = after((0.4, 0.0))
     for gain in (0.5, 0.49, -1.0, 0.5, 0.49):
-        assert not weak.update(None, gain * RECOVERY_NATS)
-    assert weak.update(None, 0.02 * RECOVERY_NATS)
+        assert not weak.update(LATER_NS, None, gain * RECOVERY_NATS)
+    assert weak.update(LATER_NS, None, 0.02 * RECOVERY_NATS)
     assert weak.shares == (1.0, 1.0)
-    assert not weak.update(attribute((0.4, 0.0)), 0.0)  # to be confirmed again
+    assert not weak.update(LATER_NS, attribute((0.4, 0.0)), 0.0)  # to be confirmed again
     assert not weak.is_weak
 
 
 def test_while_it_may_recover_the_share_stays():
     weak = after((0.4, 0.0))
-    weak.update(attribute((0.3, 0.0)), 0.1)
+    weak.update(LATER_NS, attribute((0.3, 0.0)), 0.1)
     assert weak.shares == pytest.approx((0.6, 1.0))
-    weak.update(attribute((0.3, 0.0)), -0.2)
+    weak.update(LATER_NS, attribute((0.3, 0.0)), -0.2)
     assert weak.shares == pytest.approx((0.7, 1.0))
 
 
@@ -87,7 +95,15 @@ def test_a_restored_one_continues_with_its_side_and_share():
     weak = WeakThruster()
     weak.restore((1.0, 0.5))
     assert "starboard" in weak.health(PAPER).why
-    weak.update(attribute((0.0, 0.7)), 0.0)
+    weak.update(LATER_NS, attribute((0.0, 0.7)), 0.0)
     assert weak.shares == pytest.approx((1.0, 0.3))
     weak.restore((1.0, 1.0))
     assert weak.health(PAPER) == NOMINAL
+
+
+def test_a_loss_lasts_for_ten_seconds_at_least():
+    weak = after((0.4, 0.0))
+    for seconds in range(1, 10):
+        assert not weak.update(seconds * 1_000_000_000, None, RECOVERY_NATS)
+    assert weak.update(LEAST_NS, None, RECOVERY_NATS)
+    assert not weak.is_weak
