@@ -26,7 +26,7 @@ import numpy as np
 from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.delay import Delay
-from ltv_mpc.control.disturbance import Belief, DisturbanceObserver
+from ltv_mpc.control.disturbance import DisturbanceObserver
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
 from ltv_mpc.control.lateral import MAX_WHY_CHARS, LateralPlanner
 from ltv_mpc.control.mode import Decision, EstimateSelector, Mode, decide
@@ -105,7 +105,8 @@ class Controller:
         weights = config.weights.at_heading(False)
         packed = pack_constants(vehicle, weights, config.knots, STAGE_S, config.limits.state_bounds)
         self._estimates = EstimateSelector(vehicle, config)
-        self._observer = DisturbanceObserver(config.disturbance, vehicle)
+        self.observer = DisturbanceObserver(config.disturbance, vehicle)
+        """What the motion has shown of current, estimated point and vehicle."""
         self._prediction = Prediction(vehicle)
         self._vertical = VerticalLaw(vehicle, packed, config.limits)
         self._knots_ns = np.round(config.knots * STAGE_NS).astype(np.int64)  # (N+1,), after the plan's start
@@ -142,16 +143,6 @@ class Controller:
     def actuator_check(self) -> ActuatorCheck:
         """Check of the actuators' reports against the plans."""
         return self._estimates.actuator_check
-
-    @property
-    def learned_current(self) -> Belief | None:
-        """Estimated bias of the current and its covariance: the current itself for estimates without one."""
-        return self._observer.current
-
-    @property
-    def learned_coefficients(self) -> Array:
-        """Coefficients (21,) of the vehicle with the model that the controller has learned."""
-        return self._prediction.coefficients
 
     def follow(self, reference: Reference) -> None:
         """Follow another reference from the next cycle on, or from ``resume`` on while the controller is paused.
@@ -282,7 +273,7 @@ class Controller:
     def restart_estimates(self) -> None:
         """Begin with another source of estimates: gate, period, checks and current bias are those of one source."""
         self._estimates.restart()
-        self._observer = DisturbanceObserver(self.config.disturbance, self.vehicle)
+        self.observer = DisturbanceObserver(self.config.disturbance, self.vehicle)
 
     def predict(self, estimate: Estimate, t_ns: int) -> Array:
         """Return the predicted lateral state (6,) at ``t_ns``: n, e, u, v, psi, r.
@@ -302,7 +293,7 @@ class Controller:
         shares : of port and starboard, above 0; 1 if sound.
         in_doubt : the thrusters may deliver less than that, so the bias of the current does not learn from the motion.
         """
-        self._observer.thrust_in_doubt = in_doubt
+        self.observer.thrust_in_doubt = in_doubt
         self._lateral.set_shares(shares)
         self._prediction.set_shares(shares)
 
@@ -405,7 +396,7 @@ class Controller:
             progress=reference.progress.share,
             arrived=reference.arrived,
             depth_integral_N=self._vertical.integral_N,
-            disturbance=self._observer.save(),
+            disturbance=self.observer.save(),
             plan_delays_ns=plan_delays_ns,
             cycle_times_ns=cycle_times_ns,
             plan=self._lateral.previous.plan,
@@ -427,7 +418,7 @@ class Controller:
             self._lateral.previous.restore(state.plan)
         self._delay.restore(first_ns, state.plan_delays_ns, state.cycle_times_ns)
         self._vertical.integral_N = state.depth_integral_N
-        self._observer.restore(state.disturbance, t_ns - state.t_ns)
+        self.observer.restore(state.disturbance, t_ns - state.t_ns)
         followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
         moved_until_ns = _end_of_motion_ns(state, self.config.period_ns, self.vehicle.plan_timeout_s)
         self._followers[0].restore(followed, t_ns, moved_until_ns=moved_until_ns)
@@ -454,20 +445,18 @@ class Controller:
         estimate, check = self._estimates.select(newest), self.actuator_check
         check.overridden = override is not None
         if check.began_ns is not None:
-            self._observer.take_back(check.began_ns)
+            self.observer.take_back(check.began_ns)
             check.began_ns = None
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
-            estimate = self._observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
-            self._prediction.coefficients[:] = self._observer.coefficients
+            estimate = self.observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
+            self._prediction.coefficients[:] = self.observer.coefficients
             self._lateral.set_coefficients(self._prediction.coefficients)
-            observer = self._observer
-            self.vehicle_file_check.update(
-                estimate.t_ns, observer.lever_arm, observer.model, bounded=observer.is_bounded
-            )
+            learned = self.observer
+            self.vehicle_file_check.update(estimate.t_ns, learned.lever_arm, learned.model, bounded=learned.is_bounded)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
-            growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self._observer)
+            growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self.observer)
             self._estimates.limit_growth(growth)
             own = self._estimates.health(now_ns)
         decision = decide(

@@ -59,7 +59,7 @@ MODEL_WALK_PER_RTS = 0.01
 MOMENT_SHARE, MOMENT_WALK_PER_RTS = 0.1, 0.03
 """Prior standard deviation and random walk of the steady yaw moment, over that of both thrusters."""
 
-INSIGNIFICANT, SIGNIFICANT = 1.0, 4.0
+INSIGNIFICANT, SIGNIFICANT = 0.5, 2.0
 """Square of a component of the arm over its variance: up to the first nothing is used, from the second on all."""
 
 HEADING_FREE_SHARE, SHIFT_TIME_S, SHIFT_WAY_M = 0.03, 15.0, 2.0
@@ -118,8 +118,8 @@ class DisturbanceObserver:
         """Begin at the prior; with a standard deviation of 0 there never is a bias, an arm, or another model."""
         self._settings = settings
         top_mps = path_limits(vehicle).top_mps
-        self._max_mps = settings.max_mps or top_mps
-        self._variance = (settings.noise_mps or NOISE_SHARE * top_mps) ** 2
+        noise_mps = settings.noise_mps or NOISE_SHARE * top_mps
+        self._noise = noise_mps**2, NOISE_RADPS**2, settings.max_mps or top_mps
         self._heading_free_mps = HEADING_FREE_SHARE * top_mps
         self._file = np.array(vehicle.coefficients())
         port, starboard = (thruster.max_N * thruster.arm_m for thruster in vehicle.thrusters[:2])
@@ -154,7 +154,7 @@ class DisturbanceObserver:
     @property
     def is_bounded(self) -> bool:
         """True while a component of the bias is at its bound: there is more to explain than a current."""
-        return bool(np.abs(self._belief[0][CURRENT:ARM]).max() >= self._max_mps)
+        return bool(np.abs(self._belief[0][CURRENT:ARM]).max() >= self._noise[2])
 
     @property
     def covariance(self) -> Array:
@@ -215,7 +215,9 @@ class DisturbanceObserver:
         if self.thrust_in_doubt and self._before:
             _, self._belief = self._before[0]
             self._before.clear()
-        if last is not None and interval_ns > 0:
+        if last is not None and interval_ns == 0:
+            estimate = last  # with its filtered velocity
+        elif last is not None and interval_ns > 0:
             compares = interval_ns <= MAX_INTERVAL_NS and (last.current is None) is (estimate.current is None)
             if learns and compares and not self.thrust_in_doubt:
                 estimate = self._update(last, estimate, prediction, commands)
@@ -326,12 +328,7 @@ class DisturbanceObserver:
                 (profile.depth_m, profile.north_mps, profile.east_mps),
                 (later.depth_m, later.north_mps, later.east_mps),
             ),
-            (
-                self._variance + s2,
-                NOISE_RADPS**2,
-                self._max_mps,
-                self._applies_to(last) and self._applies_to(estimate),
-            ),
+            (self._noise[0] + s2, *self._noise[1:], self._applies_to(last) and self._applies_to(estimate)),
             self._track,
         )
         self._belief = mean, P

@@ -318,7 +318,8 @@ class ControllerNode:
         if not self.controller.actuator_check.learns:
             monitor.restart()
         elif estimate is not None:
-            check = monitor.update(estimate, self.controller.learned_current, self.controller.learned_coefficients)
+            observer = self.controller.observer
+            check = monitor.update(estimate, observer.current, observer.coefficients)
         self._set_thrust_shares()
         why = self.controller.vehicle_file_check.why
         if check is None or not why:

@@ -4,12 +4,12 @@ Impulses over dt from one estimate to the next, for the thrusts F that the actua
 
     I_i = integral of F_i                                                                       N s
     X   = I_1 + I_2       - d_x(u) dt   + M_y v r dt - m [ cos psi, sin psi] . dc               surge
-    N   = a1 I_1 - a2 I_2 - d_psi(r) dt + M_m u v dt + N_0 dt                                   yaw
+    N   = a1 I_1 - a2 I_2 - d_psi(r) dt + M_m u v dt                                            yaw
     z_x = X - M_x du,   z_n = N - I_z dr                                                        missing impulse
 
-with d_x(u) = (d_x + D_x |u|) u and d_psi(r) likewise, and the coefficients that the controller has learned. If the
-thrusters deliver (1 - l_i) of the reported thrust, and the drag is (1 + b) times that of the model, in units of the
-true mass:
+with d_x(u) = (d_x + D_x |u|) u and d_psi(r) likewise, and the coefficients that the controller has learned. Its steady
+moment is left out: a lost thrust is one. If the thrusters deliver (1 - l_i) of the reported thrust, and the drag is
+(1 + b) times that of the model, in units of the true mass:
 
     z_x = l_1 I_1    + l_2 I_2    + b d_x dt   + e_x,    e_x ~ N(0, M_x^2 (q^2 + s^2))
     z_n = a1 l_1 I_1 - a2 l_2 I_2 + b d_psi dt + e_n,    e_n ~ N(0, I_z^2 (p^2 + P_r0 + P_r1))
@@ -301,7 +301,7 @@ class ModelMonitor:
         linear, quadratic = p.linear_yaw, p.quadratic_yaw
         twist = half * ((linear + quadratic * abs(a.r)) * a.r + (linear + quadratic * abs(b.r)) * b.r)
         coriolis = half * p.mass_sway * (av * a.r + bv * b.r)
-        munk = half * (p.mass_surge - p.mass_sway + p.added_munk) * (au * av + bu * bv) + p.yaw_moment * dt
+        munk = half * (p.mass_surge - p.mass_sway + p.added_munk) * (au * av + bu * bv)
         heading = a.heading + 0.5 * math.remainder(b.heading - a.heading, math.tau)
         dn, de = b.current[0] - a.current[0], b.current[1] - a.current[1]
         shear = p.dry_mass * (math.cos(heading) * dn + math.sin(heading) * de)

@@ -3,8 +3,7 @@
     python intruder.py tls/HOST:PORT NAMESPACE CERTS FOREIGN_CERTS
 
 CERTS is what it got hold of (of each role its certificate and key), FOREIGN_CERTS the same of another authority. It
-prints what it has sent, by way, as JSON: ``denied`` for the router to stop, ``refused`` for the reader to refuse; it
-ends when its standard input is closed.
+prints what it has sent, by way, as JSON: ``denied`` for the router to stop, ``refused`` for the reader to refuse.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import random
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -110,11 +108,8 @@ def with_wrong_role(frames: dict[str, list[bytes]]) -> int:
     return sent
 
 
-def with_stolen_key(estimates: list[bytes]) -> Iterator[int]:
-    """Send with the estimator's own certificate: readers must reject replayed, broken and too large messages.
-
-    The session stays open until the caller closes the standard input.
-    """
+def with_stolen_key(estimates: list[bytes]) -> int:
+    """Send with the estimator's own certificate: readers must reject replayed, broken and too large messages."""
     fields = msgpack.unpackb(estimates[-1])
     broken = [
         b"",
@@ -138,8 +133,8 @@ def with_stolen_key(estimates: list[bytes]) -> Iterator[int]:
         for _ in range(OVERSIZED):
             publisher.put(bytes(3 * MEBIBYTE // 2))  # more than a message may have
         publisher.put(bytes(5 * MEBIBYTE))  # more than any session takes in
-        yield REPLAYED + MALFORMED + OVERSIZED
-        sys.stdin.read()  # a session that closes takes along what it has not sent yet
+        time.sleep(0.5)  # a session that closes takes along what it has not sent yet
+    return REPLAYED + MALFORMED + OVERSIZED
 
 
 def main() -> None:
@@ -147,9 +142,8 @@ def main() -> None:
     frames = overheard(("plan", "estimate", "applied", "clock"))
     connections = refused_connections()
     denied = with_wrong_role({**frames, "command": frames["clock"]})
-    for refused in with_stolen_key(frames["estimate"]):
-        sent = {"connections": connections, "denied": denied, "refused": refused}
-        print(json.dumps(sent), flush=True)  # noqa: T201
+    refused = with_stolen_key(frames["estimate"])
+    print(json.dumps({"connections": connections, "denied": denied, "refused": refused}))  # noqa: T201
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ Each cycle is measured in three states of the caches:
 
 from __future__ import annotations
 
+import copy
 import gc
 import random
 import time
@@ -247,6 +248,7 @@ class _MeasuredController:
         """Run one cycle; return its plan and its time (us)."""
         controller, timer = self.controller, self.timer
         controller.restore(driver.save(t_ns), t_ns)
+        controller.observer = copy.deepcopy(driver.observer)
         started_ns = time.monotonic_ns()
         timer.start()
         plan = controller.plan(estimate, t_ns=t_ns)

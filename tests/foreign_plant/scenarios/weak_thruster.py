@@ -1,8 +1,7 @@
 """Starboard delivers a quarter of what it reports for a minute of the hold; a healthy and a weak lap of the square.
 
 The healthy laps are flown with and without the current in the estimates. The craft's vehicle file is a data sheet, so
-only the yaw moment tells of a loss: half of the small thrust of a hold is not found, and costs 2 cm. The
-calmer the hold, the later a recovery shows.
+only the yaw moment tells of a loss: half of the small thrust of a hold is not found, and costs 2 cm.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ def run() -> list[Figure]:
     return [
         Figure("hold at a quarter: health degraded after", min(weak_s, default=1e3) - 30.0, 15.0, "s"),
         Figure("hold at a quarter: distance", float(weak_m), 0.1, "m"),
-        Figure("hold: nominal after the recovery", max(weak_s, default=1e3) - 90.0, 40.0, "s"),
+        Figure("hold: nominal after the recovery", max(weak_s, default=1e3) - 90.0, 30.0, "s"),
         Figure("hold: distance after the recovery", float(sound_m), 0.05, "m"),
         Figure("degraded before the loss", float(sum(t < 30.0 for t in weak_s)), 0.0, "plans"),
         Figure("square: evidence without a loss", max(check.evidence for check in healthy), 6.0, "nats"),

@@ -52,7 +52,7 @@ def held(disturbance: Disturbance, known: CurrentProfile | None, cycles: int = 2
         force.append(np.abs(plan.thrust_N[0, :2]).mean())
         off.append(np.hypot(truth.north_m, truth.east_m))
     late = slice(cycles // 2, None)
-    return controller._observer, float(np.mean(force[late])), float(np.mean(off[late]))
+    return controller.observer, float(np.mean(force[late])), float(np.mean(off[late]))
 
 
 def test_an_unknown_current_is_estimated_and_then_costs_no_more_than_a_known_one():
@@ -238,7 +238,7 @@ def largest_bias(share: float) -> float:
         commands.add(plan)
         end = vehicle.state_at(truth, t_ns + 300_000_000, commands)
         truth, reported = as_estimate(end, truth), np.array([*end.X[6:] / shares, end.vertical_N])
-        learned, _ = node.controller.learned_current
+        learned, _ = node.controller.observer.current
         largest = max(largest, float(np.hypot(*learned)))
     return largest
 

@@ -218,7 +218,7 @@ def test_the_gain_of_the_observer_is_that_of_the_one_that_flies():
                 current=profile,
             )
             controller.plan(estimate, applied=report(k * CYCLE_NS, [*X[6:], 0.0]))
-        learned.append(controller.learned_current[0])
+        learned.append(controller.observer.current[0])
     found = [(learned[1] - learned[0])[0] / 1e-4, (learned[2] - learned[0])[1] / 1e-4]
     gain = Loop(BOAT, settled(OBSERVING, BOAT), share).observer_gain
     np.testing.assert_allclose(np.diag(gain), found, rtol=0.05)

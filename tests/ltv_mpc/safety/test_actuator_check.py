@@ -105,7 +105,7 @@ class Loop:
             measured = msgspec.structs.replace(self.truth, current=None)
             plan = self.controller.plan(measured, override=self.override)
             self.plans.append((t_ns + self.plan_delay_ns, plan))
-            learned = self.controller.learned_current[0].copy()
+            learned = self.controller.observer.current[0].copy()
             self.cycles.append(Cycle(t_ns * 1e-9, plan, learned, np.array([self.truth.north_m, self.truth.east_m])))
         sent = SentCommands(self.vehicle)
         following_N = self.delivered(self.truth, np.array(self.gate.command_at(t_ns + STEP_NS)))
@@ -240,7 +240,7 @@ def test_while_an_override_is_in_force_nothing_is_learned_and_the_uncertainty_gr
     for i in range(100):
         towed = msgspec.structs.replace(Estimate.at_rest(north_m=0.15 * i), velocity_north_mps=0.5)
         plan = controller.plan(msgspec.structs.replace(towed, t_ns=i * 300_000_000), override=override)
-        current, covariance = controller.learned_current
+        current, covariance = controller.observer.current
         variances.append(covariance[0, 0])
         assert current.tolist() == [0.0, 0.0]
     assert plan.health is Health.NOMINAL

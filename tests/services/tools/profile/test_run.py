@@ -244,7 +244,7 @@ def test_limits_of_the_motion_are_part_of_the_problem_for_all() -> None:
 
 def test_all_plan_from_the_same_start_in_an_order_that_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     planned: list[str] = []
-    starts: list[tuple[int, bytes]] = []
+    starts: list[Array] = []
     plan = Controller.plan
 
     def noted(self: Controller, *positional: Any, **named: Any) -> Plan:
@@ -252,7 +252,7 @@ def test_all_plan_from_the_same_start_in_an_order_that_changes(monkeypatch: pyte
         if made.solve.status is SolveStatus.NOT_RUN:
             return made
         planned.append(self.config.solver)
-        starts.append((int(made.t_ns[0]), made.states[0].tobytes()))
+        starts.append(np.array([made.t_ns[0] * 1e-9, *made.states[0]]))
         return made
 
     monkeypatch.setattr(Controller, "plan", noted)
@@ -265,7 +265,8 @@ def test_all_plan_from_the_same_start_in_an_order_that_changes(monkeypatch: pyte
     assert {frozenset(cycle[4:6]) for cycle in cycles} == {frozenset(("osqp", "riccati"))}
     assert {cycle[6] for cycle in cycles} == {"piqp"}
     assert len(cycles) == (1 + 1) + (1 + 15)  # warm-up and episode, the first cycle of each measured by nobody
-    assert all(len(set(starts[i : i + 7])) == 1 for i in range(0, len(starts), 7))  # the driver's own, too
+    for i in range(0, len(starts), 7):  # the driver's own, too; what each learns in the cycle itself is rounded
+        assert np.ptp(starts[i : i + 7], axis=0).max() < 1e-6
 
 
 def test_no_garbage_is_collected_within_a_cycle() -> None:
