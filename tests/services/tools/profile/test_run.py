@@ -18,7 +18,7 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.recorder import RecordingSolver
-from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, SolveStatus
+from ltv_mpc.messages import Applied, Array, CycleTiming, Estimate, Message, Plan, SolveStatus
 from ltv_mpc.node import Cycle, Inbox, Node
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
