@@ -19,14 +19,18 @@ WORSE = 1.3
 """Factor on the measured error above which a row fails."""
 
 ROWS = {
-    Row("light_boat", "square", RIGHT): 0.130,
-    Row("light_boat", "square", "drag=0.5"): 0.105,
-    Row("light_boat", "hold", "noise_m=0.3"): 0.064,
-    Row("bluerobotics-boat", "square", RIGHT): 0.082,
-    Row("bluerobotics-boat", "square", "thrust=0.7"): 0.141,
-    Row("bluerobotics-boat", "square", "wind=0.1"): 0.105,
-    Row("bluerobotics-boat", "square", "waves_V=0.15"): 0.242,
-    Row("bluerobotics-boat", "hold", "noise_m=0.3"): 0.087,
+    Row("light_boat", "square", RIGHT): 0.057,
+    Row("light_boat", "square", "drag=0.5"): 0.054,
+    Row("light_boat", "square", "mass=2 drag=0.5 arm=0.7"): 0.100,
+    Row("light_boat", "square", "dead_time_s=0.3"): 0.048,
+    Row("light_boat", "hold", "noise_m=0.3"): 0.063,
+    Row("bluerobotics-boat", "square", RIGHT): 0.035,
+    Row("bluerobotics-boat", "square", "mass=2"): 0.061,
+    Row("bluerobotics-boat", "square", "thrust=0.7"): 0.083,
+    Row("bluerobotics-boat", "square", "wind=0.1"): 0.103,
+    Row("bluerobotics-boat", "square", "waves_V=0.15"): 0.268,
+    Row("bluerobotics-boat", "hold", "noise_m=0.3"): 0.064,
+    Row("bluerobotics-boat", "hold", "dead_time_s=0.3"): 0.016,
 }
 """Mean error (m) of the controller's default, from the table."""
 

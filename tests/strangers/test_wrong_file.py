@@ -1,0 +1,95 @@
+"""A vehicle whose file is wrong: the controller learns the vehicle, follows its path, and names what is wrong."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from benchmarks.strangers.flight import Conditions, Flight, Ours, Start, fly, load
+from benchmarks.strangers.tasks import SQUARE, reference
+from ltv_mpc import Vehicle
+from ltv_mpc.control.config import ControllerConfig, Disturbance
+from ltv_mpc.messages import Estimate
+from ltv_mpc.references import Point
+
+CURRENT = Conditions(current_mps=0.3)
+NOISE_MPS, NOISE_RADPS = 0.03, 0.02
+
+
+def wrong(vehicle: Vehicle, *, mass: float = 1.0, drag: float = 1.0, arm: float = 1.0) -> Vehicle:
+    """Return a vehicle file with factors on its masses and inertia, its damping and its arms."""
+    fields = msgspec.to_builtins(vehicle)
+    for axis in ("surge", "sway", "yaw"):
+        for name in fields[axis]:
+            fields[axis][name] *= drag if "damping" in name else mass
+    for side in ("port", "starboard"):
+        fields["thruster"][side]["arm_m"] *= arm
+    return msgspec.convert({**fields, "dry_mass_kg": mass * vehicle.dry_mass_kg}, Vehicle)
+
+
+def along_a_square(vehicle: Vehicle, pilot_class: type[Ours] = Ours) -> tuple[Ours, Flight, float]:
+    """Fly the light boat with a file; return its pilot, the flight, and the mean distance from the path after 10 s."""
+    pilot = pilot_class(vehicle, reference(SQUARE, 0.9))
+    flight = fly("bluerobotics-boat", pilot, CURRENT, Start(current_rad=0.6), duration_s=85.0)
+    off = np.full(len(flight.point), np.inf)
+    for a, b in zip(np.array(SQUARE), np.array(SQUARE[1:]), strict=False):
+        share = np.clip((flight.point - a) @ (b - a) / 400.0, 0.0, 1.0)
+        off = np.minimum(off, np.hypot(*(flight.point - a - share[:, None] * (b - a)).T))
+    return pilot, flight, float(off[flight.t_s > 10.0].mean())
+
+
+@pytest.mark.parametrize(
+    ("factors", "named"),
+    [
+        ({"mass": 2.0}, "mass ahead looks 0."),
+        ({"drag": 0.5}, "drag ahead looks"),
+        ({"drag": 2.0}, "drag ahead looks 0.5"),
+        ({"mass": 2.0, "drag": 0.5, "arm": 0.7}, "drag ahead looks 1."),
+    ],
+)
+def test_a_wrong_file_is_learned_and_named_within_two_corners(factors, named):
+    vehicle = load("bluerobotics-boat")[1]
+    pilot, flight, off_m = along_a_square(wrong(vehicle, **factors))
+    assert off_m < 0.2
+    assert named in pilot.controller.vehicle_file_check.why
+    assert not flight.nominal[flight.t_s > 60.0].any()
+    fixed = ControllerConfig(disturbance=Disturbance(model_sd=0.0))
+    rigid = fly(
+        "bluerobotics-boat",
+        Ours(wrong(vehicle, **factors), Point(north_m=0.0, east_m=0.0), fixed),
+        CURRENT,
+        duration_s=30.0,
+    )
+    assert rigid.nominal[rigid.t_s > 1.0].all()  # what is not learned is not named
+
+
+def test_the_right_file_is_kept_and_nothing_is_named():
+    pilot, flight, off_m = along_a_square(load("bluerobotics-boat")[1])
+    assert off_m < 0.12
+    np.testing.assert_allclose(pilot.controller.observer.model[0], 0.0, atol=0.05)
+    assert flight.nominal[flight.t_s > 1.0].all()
+
+
+class Noisy(Ours):
+    """Pilot whose estimates of the velocities have white noise, and no covariance."""
+
+    rng = np.random.default_rng(5)
+
+    def plan(self, estimate: Estimate, t_ns, applied):
+        north, east, yaw = self.rng.normal(size=3).tolist()
+        given = msgspec.structs.replace(
+            estimate,
+            velocity_north_mps=estimate.velocity_north_mps + NOISE_MPS * north,
+            velocity_east_mps=estimate.velocity_east_mps + NOISE_MPS * east,
+            yaw_rate_radps=estimate.yaw_rate_radps + NOISE_RADPS * yaw,
+        )
+        return super().plan(given, t_ns, applied)
+
+
+def test_noise_of_the_velocities_is_no_damping():
+    """Without the filter of the velocities the mass and the drag abeam go to their bounds."""
+    pilot, flight, off_m = along_a_square(load("bluerobotics-boat")[1], Noisy)
+    assert off_m < 0.15
+    assert np.abs(pilot.controller.observer.model[0][:6]).max() < 0.5
+    assert flight.nominal[flight.t_s > 1.0].all()
