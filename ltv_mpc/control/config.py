@@ -85,9 +85,7 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     sd_mps: Annotated[float, Meta(ge=0, le=2)] | None = None
     walk_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.003  # of the bias, with time
     walk_mps_per_rtm: Annotated[float, Meta(ge=0, le=1)] = 0.02  # of the bias, with depth: 4 cm/s over 8 m
-    noise_mps: Annotated[float, Meta(gt=0, le=1)] | None = (
-        None  # of the velocity over ground; None: 0.15 % of top speed
-    )
+    noise_mps: Annotated[float, Meta(gt=0, le=1)] | None = None  # of the velocity; None: 0.15 % of the top speed
     max_mps: Annotated[float, Meta(gt=0, le=20)] | None = None  # bound of each component of the bias; None: top speed
     model_sd: Annotated[float, Meta(ge=0, le=1)] = 0.2  # prior, relative, of masses and drag; 0: the file's for ever
     lever_arm_sd_m: Annotated[float, Meta(ge=0, le=10)] = 0.2  # prior of an undeclared lever arm; 0: there is none

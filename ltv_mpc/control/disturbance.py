@@ -22,6 +22,7 @@ By default the bias works for estimates without a current profile, and does noth
 from __future__ import annotations
 
 from collections import deque
+from functools import cache
 from typing import TypeAlias
 
 import msgspec
@@ -84,6 +85,17 @@ Belief: TypeAlias = tuple[Array, Array]
 """Mean and covariance: of the bias, (2,) north and east (m/s) and (2, 2), or of all states b, l, q."""
 
 
+@cache
+def heading_free_mps(vehicle: Vehicle) -> float:
+    """Return the speed through the water below which the heading of a vehicle at a point is free (m/s).
+
+    Parameters
+    ----------
+    vehicle : gives the top speed.
+    """
+    return HEADING_FREE_SHARE * path_limits(vehicle).top_mps
+
+
 def velocity_variance(estimate: Estimate) -> float:
     """Return the variance of either component of the velocity over ground (m^2/s^2); 0 if unknown or negative.
 
@@ -120,7 +132,7 @@ class DisturbanceObserver:
         top_mps = path_limits(vehicle).top_mps
         noise_mps = settings.noise_mps or NOISE_SHARE * top_mps
         self._noise = noise_mps**2, NOISE_RADPS**2, settings.max_mps or top_mps
-        self._heading_free_mps = HEADING_FREE_SHARE * top_mps
+        self._heading_free_mps = heading_free_mps(vehicle)
         self._file = np.array(vehicle.coefficients())
         port, starboard = (thruster.max_N * thruster.arm_m for thruster in vehicle.thrusters[:2])
         rest = (port + starboard) / vehicle.yaw.inertia_kgm2 * (settings.model_sd > 0.0)
@@ -134,7 +146,7 @@ class DisturbanceObserver:
         self._walks[-1] = (MOMENT_WALK_PER_RTS * rest) ** 2
         self._belief: Belief = np.zeros(STATES), np.diag(self._prior)
         self._track = np.zeros((3, 3))
-        self._last: Estimate | None = None
+        self._last: tuple[Estimate, Estimate] | None = None  # as it was given, and with filtered velocities
         self._shift = np.zeros(2)  # from the origin to the point that is held in its place, north and east (m)
         # After each update, the oldest first: time of the estimate, belief.
         self._before: deque[tuple[int, Belief]] = deque(maxlen=DOUBTED_ESTIMATES)
@@ -186,9 +198,9 @@ class DisturbanceObserver:
         ----------
         seconds : length of the mean (s).
         """
-        last = self._last
-        if last is None or not self._applies_to(last):
+        if self._last is None or not self._applies_to(self._last[0]):
             return np.zeros((2, 2))
+        last = self._last[0]
         sinking_m = abs(last.velocity_down_mps or 0.0) * seconds
         return self.covariance + self._walk(seconds, sinking_m) / 3.0 * np.eye(2)
 
@@ -210,13 +222,13 @@ class DisturbanceObserver:
         origin in still water, and goes over to that of the estimated point where the heading is given. The estimate
         itself if nothing is to be corrected.
         """
-        last = self._last
+        given, (before, last) = estimate, self._last or (estimate, None)
         interval_ns = 0 if last is None else estimate.t_ns - last.t_ns
         if self.thrust_in_doubt and self._before:
             _, self._belief = self._before[0]
             self._before.clear()
-        if last is not None and interval_ns == 0:
-            estimate = last  # with its filtered velocity
+        if last is not None and interval_ns == 0 and _motion(given) == _motion(before):
+            estimate = _with_motion(estimate, *_motion(last))
         elif last is not None and interval_ns > 0:
             compares = interval_ns <= MAX_INTERVAL_NS and (last.current is None) is (estimate.current is None)
             if learns and compares and not self.thrust_in_doubt:
@@ -225,7 +237,7 @@ class DisturbanceObserver:
             else:
                 self._belief = self._belief[0], self._propagated(last, estimate)
                 self._track[1:] = 0.0
-        self._last = estimate
+        self._last = given, estimate
         at_origin = self.arm_in_use.to_origin(estimate)
         if self._applies_to(estimate):
             at_origin = _with_bias(at_origin, *self._belief[0][:2].tolist())
@@ -332,9 +344,17 @@ class DisturbanceObserver:
             self._track,
         )
         self._belief = mean, P
-        return msgspec.structs.replace(
-            estimate, velocity_north_mps=north, velocity_east_mps=east, yaw_rate_radps=yaw_rate
-        )
+        return _with_motion(estimate, north, east, yaw_rate)
+
+
+def _with_motion(estimate: Estimate, north: float, east: float, yaw_rate: float) -> Estimate:
+    """Return the estimate with another velocity, north and east (m/s), and yaw rate (rad/s)."""
+    return msgspec.structs.replace(estimate, velocity_north_mps=north, velocity_east_mps=east, yaw_rate_radps=yaw_rate)
+
+
+def _motion(estimate: Estimate) -> tuple[float, float, float]:
+    """Return velocity north and east (m/s), and yaw rate (rad/s)."""
+    return estimate.velocity_north_mps, estimate.velocity_east_mps, estimate.yaw_rate_radps
 
 
 def _significant(arm_m: float, variance: float) -> float:

@@ -28,6 +28,7 @@ import numpy as np
 
 from ltv_mpc.control import line_search, nominal_trajectory
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
+from ltv_mpc.control.disturbance import heading_free_mps
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
 from ltv_mpc.control.fence_rows import fill_rows, least_surplus
 from ltv_mpc.control.fencing import Fencing
@@ -48,6 +49,12 @@ BINDING = 1e-3
 
 MAX_WHY_CHARS = 200
 """Longest text of an exception in a plan."""
+
+
+REST_M = 0.05
+"""Distance from a point within which a surface craft rests in still water. Closer, an error of the estimated point
+would make it turn for ever: it turns its bow to a target that turns with it.
+"""
 
 
 class LateralPlanner:
@@ -121,9 +128,13 @@ class LateralPlanner:
         ----------
         start : the vehicle at the plan's start, from where the previous plan is continued.
         knots : (N+1,) times of the knots (ns).
-        radius_m : radius of the disc (m).
+        radius_m : radius of the disc (m). In still water, where the heading is free, a surface craft has ``REST_M`` at
+            least.
         """
         plan = self.previous.plan
+        if not self._vehicle.can_dive and self._config.weights.heading_per_rad2 == 0.0:
+            current_mps = math.hypot(start.current_north_mps, start.current_east_mps)
+            radius_m = max(radius_m, REST_M / (1.0 + (current_mps / heading_free_mps(self._vehicle)) ** 2))
         if radius_m == 0.0 or plan is None:
             return
         planned = np.stack([np.interp(knots, plan.t_ns, plan.states[:, i]) for i in (0, 1)], axis=1)
