@@ -66,16 +66,17 @@ CASES = {
 }
 """What is altered, until when, and the end of the run (s). The long one goes on through restarts."""
 
-SEED = 5
-"""In 3 of 10 seeds (3, 4 and 8) the restarted filter is wrong about its velocity: by 0.6 to 1.8 m/s, for a standard
-deviation of 0.07.
+SEED = 4
+"""In about every third seed the restarted filter is wrong about its velocity, by 0.4 to 1.8 m/s for a standard
+deviation of 0.07. Which ones depends on the motion, so nothing is controlled here.
 """
 
 
 @pytest.fixture(scope="module", params=CASES)
 def led(request):
     alter, to_s, end_s = CASES[request.param]
-    run_config = resolve("descent", [Override("test", [f"run.duration_s={end_s}", f"run.seed={SEED}"])])
+    settings = [f"run.duration_s={end_s}", f"run.seed={SEED}", "controller.lateral=false"]
+    run_config = resolve("descent", [Override("test", settings)])
     nodes = [Led(n, alter, to_s) if n.name == "sensors" else n for n in make_nodes(run_config)]
     ears = Ears()
     LockStep(
