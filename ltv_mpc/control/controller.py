@@ -452,8 +452,8 @@ class Controller:
             estimate = self.observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
             self._prediction.coefficients[:] = self.observer.coefficients
             self._lateral.set_coefficients(self._prediction.coefficients)
-            learned = self.observer
-            self.vehicle_file_check.update(estimate.t_ns, learned.lever_arm, learned.model, bounded=learned.is_bounded)
+            arm, model = self.observer.lever_arm, self.observer.model
+            self.vehicle_file_check.update(estimate.t_ns, arm, model, bounded=self.observer.is_bounded)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self.observer)

@@ -135,17 +135,18 @@ class DisturbanceObserver:
         self._heading_free_mps = heading_free_mps(vehicle)
         self._file = np.array(vehicle.coefficients())
         port, starboard = (thruster.max_N * thruster.arm_m for thruster in vehicle.thrusters[:2])
-        rest = (port + starboard) / vehicle.yaw.inertia_kgm2 * (settings.model_sd > 0.0)
+        learns_model = settings.model_sd > 0.0
+        turning_radps2 = (port + starboard) / vehicle.yaw.inertia_kgm2 * learns_model  # at full thrust
         sd = np.full(STATES, settings.model_sd)
         sd[CURRENT:ARM] = DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps
-        sd[ARM:MODEL], sd[-1] = settings.lever_arm_sd_m, MOMENT_SHARE * rest
+        sd[ARM:MODEL], sd[-1] = settings.lever_arm_sd_m, MOMENT_SHARE * turning_radps2
         self._prior = sd**2
         self._walks = np.zeros(STATES)  # of the arm and the model, per second
         self._walks[ARM:MODEL] = ARM_WALK_M_PER_RTS**2
-        self._walks[MODEL:] = MODEL_WALK_PER_RTS**2 * (settings.model_sd > 0.0)
-        self._walks[-1] = (MOMENT_WALK_PER_RTS * rest) ** 2
+        self._walks[MODEL:] = MODEL_WALK_PER_RTS**2 * learns_model
+        self._walks[-1] = (MOMENT_WALK_PER_RTS * turning_radps2) ** 2
         self._belief: Belief = np.zeros(STATES), np.diag(self._prior)
-        self._track = np.zeros((3, 3))
+        self._track = np.zeros((3, 3))  # of the noise, as ``update_belief`` takes it
         self._last: tuple[Estimate, Estimate] | None = None  # as it was given, and with filtered velocities
         self._shift = np.zeros(2)  # from the origin to the point that is held in its place, north and east (m)
         # After each update, the oldest first: time of the estimate, belief.
@@ -161,17 +162,17 @@ class DisturbanceObserver:
     @property
     def bias_mps(self) -> Array:
         """Estimated bias (2,), north and east (m/s)."""
-        return self._belief[0][:2].copy()
+        return self._belief[0][CURRENT:ARM].copy()
 
     @property
     def is_bounded(self) -> bool:
         """True while a component of the bias is at its bound: there is more to explain than a current."""
-        return bool(np.abs(self._belief[0][CURRENT:ARM]).max() >= self._noise[2])
+        return bool(np.abs(self.bias_mps).max() >= self._noise[2])
 
     @property
     def covariance(self) -> Array:
         """Covariance (2, 2) of the bias (m^2/s^2)."""
-        return self._belief[1][:2, :2].copy()
+        return self._belief[1][CURRENT:ARM, CURRENT:ARM].copy()
 
     @property
     def lever_arm(self) -> Belief:
@@ -240,7 +241,7 @@ class DisturbanceObserver:
         self._last = given, estimate
         at_origin = self.arm_in_use.to_origin(estimate)
         if self._applies_to(estimate):
-            at_origin = _with_bias(at_origin, *self._belief[0][:2].tolist())
+            at_origin = _with_bias(at_origin, *self.bias_mps.tolist())
         return self._at_held_point(at_origin, estimate, interval_ns * 1e-9)
 
     def _at_held_point(self, at_origin: Estimate, estimate: Estimate, seconds: float) -> Estimate:
@@ -262,7 +263,7 @@ class DisturbanceObserver:
     def arm_in_use(self) -> ReferencePoint:
         """Lever arm that corrects the estimates: the significant part of the estimated one."""
         mean, P = self._belief
-        forward_m, starboard_m = (_significant(float(mean[i]), float(P[i, i])) for i in (2, 3))
+        forward_m, starboard_m = (_significant(float(mean[i]), float(P[i, i])) for i in (ARM, ARM + 1))
         return ReferencePoint(forward_m=forward_m, starboard_m=starboard_m)
 
     def take_back(self, t_ns: int) -> None:
