@@ -31,7 +31,7 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.solvers import Solver, SolverResult, make
+from ltv_mpc.control.solvers import Solver, Result, make
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.provenance import provenance_table
@@ -66,7 +66,7 @@ class Converged:
         self._lin, self._target = lin, target
         self._inner.build(lin, target)
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """Return IPOPT's commands if it converges to at most the QP's cost, else the QP's."""
         answer, lin, optimum = self._inner.solve(), self._lin, self._optimum
         self.cycles += 1
@@ -75,7 +75,7 @@ class Converged:
         commands, done = optimum.solve(start, answer.commands, C, target)
         self.converged += done
         if done and optimum.cost(X0, commands, C, target) <= optimum.cost(X0, answer.commands, C, target):
-            return SolverResult(commands, answer.solve)
+            return Result(commands, answer.solve)
         return answer
 
 

@@ -20,7 +20,7 @@ from benchmarks.hard_problems import CYCLES, VEHICLES, craft, draw
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.nominal_model import advance
-from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp import QP
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import Solver, make, solve_qp
 from ltv_mpc.control.solvers.osqp import OsqpSolver

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from ltv_mpc.control.config import ControllerConfig
     from ltv_mpc.control.controller import Controller
     from ltv_mpc.control.nominal_model import advance
-    from ltv_mpc.control.qp.sparse import build_qp
     from ltv_mpc.control.solvers import solve_qp
+    from ltv_mpc.control.solvers.sparse import build_qp
     from ltv_mpc.geofence.fence import Fence
     from ltv_mpc.messages import CurrentProfile, Estimate, Obstacle, Obstacles, Plan, PlanOrigin, SolveStatus
     from ltv_mpc.vehicle.parameters import Vehicle
@@ -34,7 +34,7 @@ _HOME = {
     "SolveStatus": "ltv_mpc.messages",
     "Vehicle": "ltv_mpc.vehicle.parameters",
     "advance": "ltv_mpc.control.nominal_model",
-    "build_qp": "ltv_mpc.control.qp.sparse",
+    "build_qp": "ltv_mpc.control.solvers.sparse",
     "references": "ltv_mpc.references",
     "solve_qp": "ltv_mpc.control.solvers",
 }

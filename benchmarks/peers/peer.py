@@ -13,7 +13,7 @@ import numpy as np
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.solvers.interface import SolverResult
+from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -47,16 +47,16 @@ class Peer:
     def update(self) -> None:
         """Nothing: peers set up and solve in one."""
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """Solve what was built."""
         raise NotImplementedError
 
-    def answer(self, following: Array | None, *, iterations: int = 0, why: str = "") -> SolverResult:
+    def answer(self, following: Array | None, *, iterations: int = 0, why: str = "") -> Result:
         """Return commands (N+1, 2) from those after the first (N, 2); None: no solution, for the reason ``why``."""
         commands = self.lin.U.copy()
         if following is None or not np.isfinite(following).all():
-            return SolverResult(
+            return Result(
                 commands, Solve(status=SolveStatus.FAILED, iterations=iterations, why=why or "not finite")
             )
         commands[1:] = following
-        return SolverResult(commands, Solve(status=SolveStatus.SOLVED, iterations=iterations))
+        return Result(commands, Solve(status=SolveStatus.SOLVED, iterations=iterations))

@@ -14,7 +14,7 @@ from benchmarks.peers import symbolic
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.solvers.interface import SolverResult
+from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -80,7 +80,7 @@ class CasadiIpopt(Peer):
             blocks = (dual[:gaps], dual[gaps:]) if name == "lam_g0" else (dual,)
             self._duals[name] = np.concatenate([block.reshape(self.stages, -1)[by].ravel() for block in blocks])
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """Solve from the guess and the duals of the last solution."""
         lin, F, N = self.lin, self.limits.thrust_scale, self.stages
         low, high = (bound / F for bound in self.limits.box(lin.U[0], self.knots))

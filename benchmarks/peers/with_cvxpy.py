@@ -17,7 +17,7 @@ from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import velocity_over_ground
-from ltv_mpc.control.solvers.interface import SolverResult
+from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -67,7 +67,7 @@ class CvxpyOsqp(Peer):
             ],
         )
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """Set the parameters and solve."""
         lin, F, N = self.lin, self.limits.thrust_scale, self.stages
         low, high = self.limits.box(lin.U[0], self.knots)

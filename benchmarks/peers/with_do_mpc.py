@@ -21,7 +21,7 @@ from benchmarks.peers import symbolic
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.solvers.interface import SolverResult
+from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.vehicle.parameters import Vehicle
 
 ca.GlobalOptions.setNumpyMode(-1)  # do-mpc relies on what numpy's functions did with CasADi's values before 3.8
@@ -62,7 +62,7 @@ class DoMpcIpopt(Peer):
         """Reset the initial guess: the last solution does not suit the next problem."""
         self._begun = False
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """One ``make_step``."""
         lin, F, N, mpc = self.lin, self.limits.thrust_scale, self.stages, self._mpc
         middle, slope = (lin.C[:-1] + lin.C[1:]) / 2, np.diff(lin.C, axis=0) / STAGE_S

@@ -18,7 +18,7 @@ from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import velocity_over_ground
-from ltv_mpc.control.solvers.interface import SolverResult
+from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -52,7 +52,7 @@ class QpmpcDaqp(Peer):
         change = np.diag(self._change)
         self._of_change = np.vstack([change, -change, change, -change])
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """Set up and solve."""
         lin, N = self.lin, self.stages
         A, B = self._transitions()

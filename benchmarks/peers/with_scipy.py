@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.control.linearisation import roll_out, velocity_over_ground
-from ltv_mpc.control.solvers.interface import SolverResult
+from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array
 
 
@@ -24,7 +24,7 @@ class ScipyLeastSquares(Peer):
     packages = ("scipy",)
     settings = "trf with bounds, 2-point differences, commands over their maxima; defaults otherwise; no slew limit"
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """Solve from the guess."""
         F = self.limits.thrust_scale
         low, high = (bound / F for bound in self.limits.box(self.lin.U[0], self.knots))

@@ -95,7 +95,7 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Limits of the motion, [controller.limits]; not set: no limit.
 
     Those of surge and yaw rate are soft (``horizon_limits.py``), that of the cross-track distance, too
-    (``fence_rows.py``). Those of depth bound the vertical thrust, but not in
+    (``ocp/limits/fence.py``). Those of depth bound the vertical thrust, but not in
     failsafe and not by hand (``depth_limits.py``). The limits of thrust and slew rate are in the vehicle file.
     """
 

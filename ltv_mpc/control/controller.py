@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from ltv_mpc.control.disturbance import DisturbanceObserver
 from ltv_mpc.control.fallback import NOT_RUN, LateralPlan, ramp_to_rest
 from ltv_mpc.control.lateral import MAX_WHY_CHARS, LateralPlanner
 from ltv_mpc.control.mode import Decision, EstimateSelector, Mode, decide
+from ltv_mpc.control.ocp.extension import Limit, Term
 from ltv_mpc.control.prediction import Prediction, Start
 from ltv_mpc.control.prediction_uncertainty import growth_m
 from ltv_mpc.control.problem_data import pack_constants
@@ -79,6 +81,7 @@ class Controller:
         reference: Reference,
         config: ControllerConfig | None = None,
         *,
+        terms: Sequence[Term | Limit] = (),
         make_solver: SolverFactory = make,
         stopwatch: Stopwatch = no_stopwatch,
     ) -> None:
@@ -89,6 +92,7 @@ class Controller:
         vehicle : nominal model.
         reference : what to follow, from the first estimate after its start.
         config : settings of the controller; ``ControllerConfig()`` if None. Without a horizon: the vehicle's own.
+        terms : cost terms and limits of your own (docs/add-limit.md, docs/add-cost-term.md).
         make_solver : factory of the QP solver; by default it makes the solver that the settings name.
         stopwatch : is called with a stage's name when that stage of a cycle ends.
 
@@ -120,6 +124,7 @@ class Controller:
             knots_ns=self._knots_ns,
             make_solver=make_solver,
             stopwatch=stopwatch,
+            terms=terms,
         )
         self._stopwatch = stopwatch
         self._followers = [self._follower(reference)]  # of the reference, and of the hold while it is paused

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control import nominal_trajectory
+from ltv_mpc.control import nominal
 from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.vertical import ramp
@@ -181,10 +181,10 @@ class Fallback:
         if math.isnan(stages):
             return None
         X, U = self.empty()
-        nominal_trajectory.shifted_trajectory(self._packed, start.lateral, commands, stages, C, X, U)
+        nominal.shifted_trajectory(self._packed, start.lateral, commands, stages, C, X, U)
         goal = U.copy()
         goal[start.t_ns + self._previous.knots_ns > self._previous.solved_until_ns] = 0.0
-        nominal_trajectory.ramp_to(self._packed, start.lateral, goal, C, X, U)
+        nominal.ramp_to(self._packed, start.lateral, goal, C, X, U)
         if not (np.isfinite(X).all() and np.isfinite(U).all()):
             return None
         return LateralPlan(X, U, PlanOrigin.SHIFTED, solve, solve.why)
@@ -233,7 +233,7 @@ class Fallback:
     def _ramp_to(self, goal: Array, start: Start, C: Array, origin: PlanOrigin, why: str) -> LateralPlan:
         """Approach the goal (N+1, 2) in box and slew."""
         X, U = self.empty()
-        nominal_trajectory.ramp_to(self._packed, start.lateral, goal, C, X, U)
+        nominal.ramp_to(self._packed, start.lateral, goal, C, X, U)
         if not math.isfinite(np.vdot(X, X)):
             X = np.nan_to_num(X, posinf=0.0, neginf=0.0)
         return LateralPlan(X, U, origin, NOT_RUN, why)

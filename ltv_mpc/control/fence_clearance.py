@@ -1,12 +1,12 @@
 """Clearances of a predicted track from zones and obstacles, their cost, and what a plan keeps from them.
 
-The cost of a trajectory (line_search.py, nominal_trajectory.py) counts, with the clearance d_z (``geofence/zones.py``)
+The cost of a trajectory (nominal.py) counts, with the clearance d_z (``geofence/zones.py``)
 and the required one c_z of zone z, the cross-track distance x in a corridor of half width w, the length g_k of a stage
 and the scale S of a position:
 
-    2 sum over k of  g_k (PENALTY sum over zones z of max(0, c_z - d_z) + CORRIDOR_PENALTY max(0, |x| - w)) / S
+    sum over k of  g_k (PENALTY sum over zones z of max(0, c_z - d_z) + CORRIDOR_PENALTY max(0, |x| - w)) / S
 
-The factor 2 is that between the cost and the QP (cost.py). The penalty is exact: it is above the duals that occur,
+The penalty is exact: it is above the duals that occur,
 because the target is never farther than the vehicle can come (target_placement.py), and because the weights of the
 target are bounded (``scaling.bounded``). That of the corridor is smaller, so that the vehicle leaves its corridor
 rather than its fence. An obstacle is a disc at its predicted position at knot k. A stage longer than the first one
@@ -207,7 +207,7 @@ def fence_cost(X: Array, scene: Scene, o: Objective) -> float:
     scene : zones and obstacles.
     o : knots and scales.
     """
-    total, Z, factor = 0.0, len(scene.need), 2.0 / o.state_scale[0]
+    total, Z, factor = 0.0, len(scene.need), 1.0 / o.state_scale[0]
     if len(scene.path) > 1:
         for k in range(1, X.shape[0]):
             excess = abs(cross_track(scene, k, X[k, 0], X[k, 1])[0]) - scene.half_width_m

@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.control.cost import stage_cost, terminal_cost
 from ltv_mpc.control.horizon_limits import command_bounds
-from ltv_mpc.control.problem_data import Constants, Objective, excess_penalty, stage_length
+from ltv_mpc.control.ocp.assembly import stage_cost
+from ltv_mpc.control.ocp.limits.motion import excess_penalty
+from ltv_mpc.control.problem_data import Constants, Objective, stage_length
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import advance_by, lag_table
@@ -60,14 +61,14 @@ def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, ma
     X : (N+1, 8) states; X[1:] is overwritten.
     U : (N+1, 2) commands (N); U[1:] is overwritten.
     C : (N+1, 2) current at the knots, north and east (m/s).
-    target : (N+1, 3) as in ``Solver.build``.
+    target : (N+1, 3) as in ``ocp/terms``.
     astern : True to steer with the stern ahead.
     max_cost : the simulation stops as soon as the cost exceeds this; the remaining knots are then not written.
     c : constants of the controller.
 
     Returns
     -------
-    The cost (cost.py); infinity if the simulation stopped.
+    The cost (ocp/assembly.py); infinity if the simulation stopped.
     """
     N, p, o = len(target) - 1, c.p, c.objective
     fastest = steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
@@ -103,7 +104,7 @@ def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, ma
             low, high = command_bounds(U[0, i], o.t[k + 1] * o.max_change[i], o.low[i], o.high[i])
             U[k + 1, i] = min(max(F[i], low, U[k, i] - g * o.max_change[i]), high, U[k, i] + g * o.max_change[i])
         advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])
-        total += stage_cost(X, U, target, k + 1, o, penalty)
+        total += stage_cost(k + 1, X, U, C, target, o, penalty)
         if total > max_cost:
             return np.inf
-    return total + terminal_cost(X, C, target, o)
+    return total

@@ -1,8 +1,8 @@
 """Lateral plan: port and starboard thrust over the horizon, by sequential quadratic programming.
 
-    previous plan --choose_nominal--> LTV model along it --build--> QP --solve--> commands --line_search--> trajectory
-                         ^                                                                                     |
-                         +---------------------- relinearise, ``sqp_iterations`` times ------------------------+
+    previous plan --choose_nominal--> LTV model along it --fill--> problem --solve--> commands --line_search--> plan
+                         ^                                                                                       |
+                         +------------------------ relinearise, ``sqp_iterations`` times ------------------------+
 
 The QP has the rows of fence and corridor only where they bind: without them it is solved faster. Where the nominal
 trajectory is near to a zone, the QP without them comes first, unless rows bound in the last one. If its solution meets
@@ -21,21 +21,25 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import msgspec
 import numpy as np
 
-from ltv_mpc.control import line_search, nominal_trajectory
+from ltv_mpc.control import nominal
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.disturbance import heading_free_mps
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
-from ltv_mpc.control.fence_rows import fill_rows, least_surplus
 from ltv_mpc.control.fencing import Fencing
-from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation, describe_non_finite
+from ltv_mpc.control.ocp import assembly, limits
+from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
+from ltv_mpc.control.ocp.limits import fence
+from ltv_mpc.control.ocp.problem import Problem, least_surplus
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
-from ltv_mpc.control.problem_data import coefficients_of, pack_constants
-from ltv_mpc.control.solvers import Solver, SolverFactory
+from ltv_mpc.control.problem_data import COMMANDS, coefficients_of, pack_constants
+from ltv_mpc.control.solvers import Result, Solver, SolverFactory
 from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus, Times
 from ltv_mpc.node import Stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -69,6 +73,7 @@ class LateralPlanner:
         knots_ns: Times,
         make_solver: SolverFactory,
         stopwatch: Stopwatch,
+        terms: Sequence[Term | Limit] = (),
     ) -> None:
         """Make the solver and the arrays of a cycle.
 
@@ -79,14 +84,18 @@ class LateralPlanner:
         knots_ns : (N+1,) knots after a plan's start (ns).
         make_solver : called now, and again after a solve that failed.
         stopwatch : is called with a stage's name when that stage of a cycle ends.
+        terms : of a user, beside those of ``ocp/``.
         """
         self.target = np.zeros((config.stages + 1, 3))
-        """Target at the knots: ``Solver.build``."""
+        """Target at the knots: ``ocp/terms``."""
         self.previous = PreviousPlan(knots_ns)
         self.fencing = Fencing(vehicle, knots_ns, config.limits.max_cross_track_m)
         """Fence, obstacles and corridor in force."""
         self._packed = packed
         self._lin = Linearisation.empty(config.stages)
+        scale = assembly.scales(HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9))
+        self._further = Extensions(terms, np.diff(config.knots), scale[: COMMANDS + 2], self.target)
+        self._plain = self._fenced = assembly.empty(config.stages, self._further.rows)
         self._fallback = Fallback(vehicle, packed, self.previous, config.period_ns)
         self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
@@ -104,9 +113,9 @@ class LateralPlanner:
         estimate : its current profile is used; no current if it has none.
         depth_m : (N+1,) predicted depths at the knots (m).
         """
-        rows = self.fencing.rows
-        if self._lin.rows.shape[1] != rows:
-            self._lin = Linearisation.empty(len(self.target) - 1, rows)
+        rows = self._further.rows + self.fencing.rows
+        if self._fenced.low.shape[1] != limits.ROWS + rows:
+            self._fenced = assembly.empty(len(self.target) - 1, rows) if self.fencing.rows else self._plain
             self._rows_bind = True  # the solver of this pattern is set up now
         profile = profile_of(estimate)
         fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._lin.C)
@@ -235,15 +244,12 @@ class LateralPlanner:
 
         Returns the plan, or the report of the solve that gave no usable one.
         """
-        lin, packed, target = self._lin, self._packed, self.target
-        scene, stages = self.fencing.scene, len(lin.Phi)
-        shift, near = self._linearise(start)
+        lin, packed, target, scene = self._lin, self._packed, self.target, self.fencing.scene
+        shift = self._linearise(start)
         X, U = self._fallback.empty()
         left = self._config.sqp_iterations
         while left > 0:
-            near = (near or self._rows_bind) and lin.rows.size > 0
-            if near:
-                fill_rows(packed, lin.flat, stages, scene)
+            near = self.fencing.rows > 0 and (self._rows_bind or nominal.comes_near(packed, lin.X, scene))
             self._stopwatch("linearise")
             commands, solve = self._solve_qp(shift, near=near)
             if solve.status is not SolveStatus.SOLVED:
@@ -252,7 +258,7 @@ class LateralPlanner:
                 # The line search brings it into box and slew, and takes it only as far as the cost does not rise.
             elif not math.isfinite(np.vdot(commands, commands)):
                 return Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
-            step, enters = line_search.line_search(packed, lin.flat, target, commands, X, U, scene)
+            step, enters = nominal.line_search(packed, lin, target, commands, X, U, scene, self._further)
             # A step above zero has a finite cost, so its states and commands are finite.
             if step == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return Solve(status=SolveStatus.NON_FINITE, why="the predicted motion is not finite")
@@ -262,36 +268,49 @@ class LateralPlanner:
             else:
                 left -= 1
             if left > 0:
-                near = nominal_trajectory.relinearise(packed, lin.flat, X, U, scene)
+                nominal.relinearise(packed, lin.flat, X, U)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _solve_qp(self, shift: float, *, near: bool) -> tuple[Array, Solve]:
-        """Return the commands of the QP and the solver's report; ``near``: with the rows, which are filled."""
+        """Return the commands of the QP and the solver's report; ``near``: with the fence's rows where they bind."""
         has_rows = near and self._rows_bind
-        commands, solve = self._run_solver(shift, has_rows=has_rows)
-        surplus = least_surplus(self._lin.flat, len(self._lin.Phi), commands) if near else math.inf
+        if not has_rows:
+            self._fill(self._plain)
+        if near:
+            self._fill(self._fenced)
+            fence.fill(self._packed, self._lin.flat, self.fencing.scene, self.fencing.rows, self._fenced)
+        result = self._run_solver(self._fenced if has_rows else self._plain, shift)
+        first = limits.ROWS + self._further.rows
+        surplus = least_surplus(self._fenced, result.z, first) if near else math.inf
         self._rows_bind = surplus < (BINDING if has_rows else 0.0)
         if self._rows_bind and not has_rows:
-            commands, solve = self._run_solver(0.0, has_rows=True)
-        return commands, solve
+            result = self._run_solver(self._fenced, 0.0)
+        return assembly.commands_of(self._packed, self._lin.flat, result.z), result.solve
 
-    def _run_solver(self, shift: float, *, has_rows: bool) -> tuple[Array, Solve]:
-        lin = self._lin if has_rows or not self._lin.rows.size else self._lin.without_rows()
-        solver = self._solver(lin.rows.shape[1], shift)
-        solver.build(lin, self.target)
+    def _fill(self, problem: Problem) -> None:
+        """Fill in all of a problem but the rows of the fence."""
+        assembly.fill(self._packed, self._lin.flat, self.target, problem)
+        self._further.add(problem, limits.ROWS, self._lin.X, self._lin.U)
+
+    def _run_solver(self, problem: Problem, shift: float) -> Result:
+        solver = self._solver(problem.low.shape[1], shift)
+        solver.build(problem)
         self._stopwatch("build")
         solver.update()
         self._stopwatch("update")
-        commands, solve = solver.solve()
+        result = solver.solve()
         self._stopwatch("solve")
-        return commands, solve
+        if result.solve.status is SolveStatus.NON_FINITE and not problem.finite:
+            why = describe_non_finite(self._lin, self.target)
+            return result._replace(solve=msgspec.structs.replace(result.solve, why=why))
+        return result
 
     def _solver(self, rows: int, shift: float) -> Solver:
         """Return the solver of a QP of this pattern, with its warm start.
 
         Parameters
         ----------
-        rows : half-planes of a stage.
+        rows : rows of limits at a knot.
         shift : by how many first stages the knots of the last QP lie earlier; NaN if it is not related to the next one.
         """
         if rows not in self._solvers:
@@ -304,26 +323,26 @@ class LateralPlanner:
         self._last_solver = solver
         return solver
 
-    def _linearise(self, start: Start) -> tuple[float, bool]:
+    def _linearise(self, start: Start) -> float:
         """Linearise along the previous plan on the new knots, or along a steering guess if that costs less.
 
-        Returns by how many first stages the previous plan began earlier, NaN for a steering guess; and True if the
-        trajectory comes near to a zone.
+        Returns by how many first stages the previous plan began earlier, NaN for a steering guess.
         """
         stages, commands = self.previous.lateral_commands(start.t_ns)
         report = None if self.previous.plan is None else self.previous.plan.fence
         was_clear = report is not None and report.exceeded == 0
-        kind, near = nominal_trajectory.choose_nominal(
+        kind = nominal.choose_nominal(
             self._packed,
             start.lateral,
             self.target,
             commands,
             stages,
-            self._lin.flat,
+            self._lin,
             self.fencing.scene,
             was_clear,
+            self._further,
         )
-        return stages if kind == nominal_trajectory.PREVIOUS_PLAN else math.nan, near
+        return stages if kind == nominal.PREVIOUS_PLAN else math.nan
 
     def _fall_back(self, start: Start, solve: Solve) -> LateralPlan:
         """Return the plan of the first fallback level that gives one."""

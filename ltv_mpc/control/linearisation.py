@@ -35,23 +35,22 @@ class Linearisation(NamedTuple):
     A: Array  # (N, 8, 8) derivative of the flow with respect to X[k]
     B0: Array  # (N, 8, 2) with respect to U[k]
     B1: Array  # (N, 8, 2) with respect to U[k+1]
-    rows: Array  # (N, M, 4) half-planes at the knots 1 .. N: normal, least deviation, penalty (fence_rows.py)
-    flat: Array  # storage of all of these, in this order; ``EntryMap.source`` is an index into it
+    flat: Array  # storage of all of these, in this order
 
     @classmethod
-    def empty(cls, stages: int, rows: int = 0) -> Linearisation:
+    def empty(cls, stages: int) -> Linearisation:
         """Allocate a linearisation; its numbers are undefined.
 
         Parameters
         ----------
         stages : N.
-        rows : M, half-planes of a stage.
 
         Returns
         -------
         The linearisation.
         """
-        lin: Linearisation = unpack_linearisation(np.empty(storage_size(stages, rows)), stages)
+        size = (stages + 1) * (STATES + 4) + stages * STATES * (STATES + 5)
+        lin: Linearisation = unpack_linearisation(np.empty(size), stages)
         return lin
 
     @classmethod
@@ -60,33 +59,16 @@ class Linearisation(NamedTuple):
 
         Parameters
         ----------
-        parts : X, U, C, Phi, A, B0, B1, and rows if there are half-planes; shapes as those of the fields.
+        parts : X, U, C, Phi, A, B0, B1; shapes as those of the fields.
 
         Returns
         -------
         The linearisation.
         """
-        stages = len(parts[3])
-        planes = parts[7] if len(parts) > 7 else np.empty((stages, 0, 4))
-        lin = cls.empty(stages, planes.shape[1])
-        for part, values in zip(lin[:-1], (*parts[:7], planes), strict=True):
+        lin = cls.empty(len(parts[3]))
+        for part, values in zip(lin[:-1], parts, strict=True):
             part[...] = values
         return lin
-
-    def without_rows(self) -> Linearisation:
-        """Return the same linearisation without its half-planes; it shares the memory."""
-        return self._replace(rows=self.rows[:, :0], flat=self.flat[: storage_size(len(self.Phi))])
-
-
-def storage_size(N: int, rows: int = 0) -> int:
-    """Return the length of ``Linearisation.flat``.
-
-    Parameters
-    ----------
-    N : number of stages.
-    rows : number of half-planes of each stage.
-    """
-    return (N + 1) * (STATES + 4) + N * (STATES * (STATES + 5) + 4 * rows)
 
 
 @jit
@@ -109,7 +91,6 @@ def unpack_linearisation(flat: Array, stages: int) -> Linearisation:
     a = phi + N * STATES
     b0 = a + N * STATES * STATES
     b1 = b0 + N * STATES * 2
-    rows = b1 + N * STATES * 2
     return Linearisation(
         flat[:u].reshape(N + 1, STATES),
         flat[u:c].reshape(N + 1, 2),
@@ -117,8 +98,7 @@ def unpack_linearisation(flat: Array, stages: int) -> Linearisation:
         flat[phi:a].reshape(N, STATES),
         flat[a:b0].reshape(N, STATES, STATES),
         flat[b0:b1].reshape(N, STATES, 2),
-        flat[b1:rows].reshape(N, STATES, 2),
-        flat[rows:].reshape(N, (len(flat) - rows) // (4 * N), 4),
+        flat[b1:].reshape(N, STATES, 2),
         flat,
     )
 
@@ -256,77 +236,13 @@ def velocity_over_ground(x: Array, c: Array) -> tuple[Array, Array]:
     return velocity, slope
 
 
-@jit
-def multiply_A(A: Array, k: int, x: Array, out: Array) -> None:
-    """Compute out = A_k x, using the zeros of A_k.
-
-    Parameters
-    ----------
-    A : (N, 8, 8) as in ``Linearisation``.
-    k : stage.
-    x : (8,) factor.
-    out : (8,) is overwritten.
-    """
-    x2, x3, x4, x5, x6, x7 = x[2], x[3], x[4], x[5], x[6], x[7]
-    for i in range(6):
-        out[i] = (
-            (A[k, i, 2] * x2 + A[k, i, 3] * x3)
-            + (A[k, i, 4] * x4 + A[k, i, 5] * x5)
-            + (A[k, i, 6] * x6 + A[k, i, 7] * x7)
-        )
-    out[0] += x[0]
-    out[1] += x[1]
-    out[6] = A[k, 6, 6] * x6
-    out[7] = A[k, 7, 7] * x7
-
-
-@jit
-def advance_deviation(lin: Linearisation, k: int, dU: Array, last: Array, d: Array) -> None:
-    """Compute the deviation of the states at knot k + 1 from that at knot k, with the gap closed.
-
-    Parameters
-    ----------
-    lin : the motion along the nominal trajectory.
-    k : stage.
-    dU : (N+1, 2) deviations of the commands (N).
-    last : (8,) deviation at knot k; overwritten with that at knot k + 1.
-    d : (8,) is overwritten with the deviation at knot k + 1.
-    """
-    multiply_A(lin.A, k, last, d)
-    for i in range(STATES):
-        for j in range(2):
-            d[i] += lin.B0[k, i, j] * dU[k, j] + lin.B1[k, i, j] * dU[k + 1, j]
-        d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
-    copy_to(last, d)
-
-
-@jit
-def multiply_A_transposed(A: Array, k: int, x: Array, out: Array) -> None:
-    """Compute out = A_k' x, using the zeros of A_k.
-
-    Parameters
-    ----------
-    A, k, x, out : as in ``multiply_A``.
-    """
-    x0, x1, x2, x3, x4, x5 = x[0], x[1], x[2], x[3], x[4], x[5]
-    out[0], out[1] = x0, x1
-    for j in range(2, 8):
-        out[j] = (
-            (A[k, 0, j] * x0 + A[k, 1, j] * x1)
-            + (A[k, 2, j] * x2 + A[k, 3, j] * x3)
-            + (A[k, 4, j] * x4 + A[k, 5, j] * x5)
-        )
-    out[6] += A[k, 6, 6] * x[6]
-    out[7] += A[k, 7, 7] * x[7]
-
-
 def describe_non_finite(lin: Linearisation, target: Array) -> str:
     """Describe which input of a QP is not finite, and from which knot or stage on.
 
     Parameters
     ----------
     lin : linearisation.
-    target : (N+1, 3) as in ``Solver.build``.
+    target : (N+1, 3) as in ``ocp/terms``.
 
     Returns
     -------

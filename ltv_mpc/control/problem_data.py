@@ -14,12 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon_limits import MIN_PENALTY, HorizonLimits
+from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.scaling import time_ratio
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+
+COMMANDS, CHANGES = 8, 10
+"""Places of the commands and of their changes among the numbers of a stage (``ocp/assembly.py``)."""
 
 
 class Objective(NamedTuple):
@@ -137,84 +140,3 @@ def stage_length(o: Objective, k: int) -> float:
     g_k = t_k - t_(k-1).
     """
     return float(o.t[k] - o.t[k - 1])
-
-
-@jit
-def heading_slope(X: Array, target: Array, k: int, o: Objective) -> float:
-    """Return the weighted deviation from the wanted heading at knot k = 1 .. N: half the cost's derivative.
-
-    Parameters
-    ----------
-    X : (N+1, 8) states at the knots.
-    target : (N+1, 3) as in ``Solver.build``; its headings are read only if the weight is not 0.
-    k : knot.
-    o : has the weight and the knots.
-
-    Returns
-    -------
-    g_k w_psi (psi - ref), with the difference between -pi and pi.
-    """
-    if o.heading == 0.0:
-        return 0.0
-    off = X[k, 4] - target[k - 1, 2]
-    return float(o.heading * stage_length(o, k) * (off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))))
-
-
-@jit
-def excess_penalty(X: Array, target: Array, o: Objective) -> float:
-    """Return the cost of an excess that is 1 in the QP, over one first stage: more than the duals that occur.
-
-    The dual of a speed limit is the gain from passing it: at most the slope of the cost of position, summed over the
-    horizon, times the way that the excess makes. Duals that occur are up to 0.4 times that sum.
-
-    Parameters
-    ----------
-    X : (N+1, 8) states at the knots; the first one counts.
-    target : (N+1, 3) as in ``Solver.build``.
-    o : weights, limits and knots.
-
-    Returns
-    -------
-    S sum over k of w_k |p_0 - ref_k|, at least ``MIN_PENALTY``; that where no state is limited.
-    """
-    if limited_state_count(o) == 0:
-        return MIN_PENALTY
-    N, pull = target.shape[0] - 1, 0.0
-    for k in range(N):
-        weight = o.position * stage_length(o, k + 1) + (o.terminal_position if k == N - 1 else 0.0)
-        pull += weight * np.hypot(X[0, 0] - target[k, 0], X[0, 1] - target[k, 1])
-    return float(max(MIN_PENALTY, pull * o.state_scale[0]))
-
-
-@jit
-def limited_state_count(o: Objective) -> int:
-    """Return the number of states that have a lower or an upper limit."""
-    return int(is_limited(o, 0)) + int(is_limited(o, 1))
-
-
-@jit
-def is_limited(o: Objective, j: int) -> bool:
-    """Return True if the state ``horizon_limits.LIMITED_STATES[j]`` has a lower or an upper limit.
-
-    Parameters
-    ----------
-    o : has the limits.
-    j : 0 or 1.
-    """
-    return bool(np.isfinite(o.low_state[j]) or np.isfinite(o.high_state[j]))
-
-
-@jit
-def state_scale(i: int, o: Objective) -> float:
-    """Return the value of state i that is 1 in the QP; a delivered thrust has the scale of its command.
-
-    Parameters
-    ----------
-    i : state 0 .. 7 of n, e, u, v, psi, r, F1, F2.
-    o : has the scales.
-
-    Returns
-    -------
-    S_i in the state's unit.
-    """
-    return float(o.state_scale[i] if i < 6 else o.thrust_scale[i - 6])

@@ -44,22 +44,19 @@ def knots(stages: int, horizon: float) -> Array:
 
 @jit
 def shift(values: Array, t: Array, stages: float) -> None:
-    """Shift values at the knots 1 .. N to knots that lie later; the last values are held.
+    """Shift values at the knots to knots that lie later; the last values are held.
 
     Parameters
     ----------
-    values : (N, M) a row for each of the knots t[1] .. t[N], linear between them; overwritten.
+    values : (N+1, M) a row for each of the knots, linear between them; overwritten.
     t : (N+1,) knots in first stages.
     stages : by how many first stages the new knots lie later.
     """
-    N, low, old = values.shape[0], 0, values.copy()
-    if N == 1:
-        return
-    for k in range(N):
-        low, part = locate(t[1:], t[k + 1] + stages, low)
-        high = min(low + 1, N - 1)
+    low, old = 0, values.copy()
+    for k in range(len(t)):
+        low, part = locate(t, t[k] + stages, low)
         for i in range(values.shape[1]):
-            values[k, i] = (1.0 - part) * old[low, i] + part * old[high, i]
+            values[k, i] = (1.0 - part) * old[low, i] + part * old[low + 1, i]
 
 
 @jit

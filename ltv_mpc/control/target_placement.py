@@ -60,7 +60,7 @@ def lead_round(router: Router, position: Array, current: Array, target: Array, t
     router : shortest ways round the zones.
     position : (2,) of the vehicle at the first knot (m).
     current : (2,) velocity of the water there (m/s).
-    target : (N+1, 3) as in ``Solver.build``; positions and velocity are overwritten.
+    target : (N+1, 3) as in ``ocp/terms``; positions and velocity are overwritten.
     times_s : (N+1,) times of the knots after the first one (s).
     scales : length and top speed of the vehicle.
 

@@ -9,10 +9,10 @@ keeps pace with the target,
     V = top speed ahead, or astern where the stern points along e s + b
     stuck: d > NEAR_LENGTHS L and s < SLOW_RATIO of the top speed ahead
 
-    tail cost = w / h integral of (d - s t)^2 dt until the target is reached, over MAX_TAIL_TIMES T at most
+    tail cost = 1/2 w / h integral of (d - s t)^2 dt until the target is reached, over MAX_TAIL_TIMES T at most
 
 L, T and V as in scaling.py. The tail cost is added to the costs of two trajectories where one of them ends stuck
-(nominal_trajectory.py), and the line search takes no step from a trajectory that is not stuck to one that is. Otherwise
+(nominal.py), and the line search takes no step from a trajectory that is not stuck to one that is. Otherwise
 the tail cost is ignored: it assumes a steady current, and within the horizon the QP is more accurate.
 """
 
@@ -75,7 +75,7 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
     ----------
     X : (N+1, 8) states at the knots; only the last is used.
     C : (N+1, 2) current at the knots, north and east (m/s).
-    target : (N+1, 3) as in ``Solver.build``.
+    target : (N+1, 3) as in ``ocp/terms``.
     c : constants of the controller.
 
     Returns
@@ -97,4 +97,6 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
     t = MAX_TAIL_TIMES * T
     if s * t > d:
         t = d / s
-    return TerminalCheck(s < SLOW_RATIO * ahead, o.position / c.stage_s * t * (d * d - d * s * t + s * s * t * t / 3.0))
+    return TerminalCheck(
+        s < SLOW_RATIO * ahead, 0.5 * o.position / c.stage_s * t * (d * d - d * s * t + s * s * t * t / 3.0)
+    )

@@ -28,7 +28,7 @@ def show(
     as_json: Json = False,
 ) -> None:
     """Show a QP that was not solved: its errors, and the result of another solver."""
-    from ltv_mpc.control.qp.failed_qp import FailedQp
+    from ltv_mpc.control.failed_qp import FailedQp
     from ltv_mpc.control.solvers import solve_qp
     from services.reporting import qp_text
 

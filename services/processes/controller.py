@@ -16,11 +16,11 @@ from ltv_mpc import references
 from ltv_mpc.bathymetry import bathymetry_for
 from ltv_mpc.config import to_toml
 from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
-from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.ocp import assembly
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
-from ltv_mpc.control.solvers.interface import SolverResult
+from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
 from ltv_mpc.geofence.fence import fence_for
 from ltv_mpc.messages import (
@@ -184,7 +184,7 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
     class FailingSolver(RecordingSolver):
         """Solver that fails on demand."""
 
-        def solve(self) -> SolverResult:
+        def solve(self) -> Result:
             result = super().solve()
             return result._replace(solve=Solve(status=SolveStatus.FAILED)) if fails else result
 
@@ -215,9 +215,9 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
 
 def warm_up_solver(vehicle: Vehicle, config: ResolvedConfig) -> None:
     """Compile what ``warm_up`` compiles last, so that two processes share the work."""
-    solver, lin = make(vehicle, config), Linearisation.empty(config.stages)
-    lin.flat[:] = 0.0
-    solver.build(lin, np.zeros((config.stages + 1, 2)))
+    solver, problem = make(vehicle, config), assembly.empty(config.stages)
+    problem.H[:, :, :] = np.eye(problem.H.shape[1])
+    solver.build(problem)
     solver.update()
     solver.solve()
     plan = Plan(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ltv_mpc.control.qp.failed_qp import FailedQp
+from ltv_mpc.control.failed_qp import FailedQp
 from ltv_mpc.control.solvers.recorder import FailureRecorder
 from ltv_mpc.messages import ControllerStatus
 from services.runtime.stopping import Say

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ltv_mpc.control.qp.failed_qp import FailedQp, worst_violation
-from ltv_mpc.control.qp.problem import Solution, residuals
+from ltv_mpc.control.failed_qp import FailedQp, worst_violation
+from ltv_mpc.control.qp import Solution, residuals
 
 
 def figures(failed: FailedQp, solver: str, solution: Solution) -> dict[str, Any]:

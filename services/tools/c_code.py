@@ -21,7 +21,6 @@ from scipy.sparse import csc_matrix, triu
 
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig, ResolvedConfig
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.qp.sparse import STAGE_VARIABLES
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.solvers.osqp import (
     ACTIVE,
@@ -36,6 +35,7 @@ from ltv_mpc.control.solvers.osqp import (
 )
 from ltv_mpc.control.solvers.osqp_workspace import BASE_SETTINGS
 from ltv_mpc.control.solvers.recorder import RecordingSolver
+from ltv_mpc.control.solvers.sparse import STAGE_VARIABLES
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate
 from ltv_mpc.references import Point

@@ -390,7 +390,7 @@ def solution() -> tuple[float, ...]:
     import numpy as np
     from scipy.sparse import csc_array, eye_array
 
-    from ltv_mpc.control.qp.problem import QP
+    from ltv_mpc.control.qp import QP
     from ltv_mpc.control.solvers.qpsolvers_backend import solve_qp
 
     unit = csc_array(eye_array(2))

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ltv_mpc.control.solvers import SolverFactory, make
-from ltv_mpc.control.solvers.interface import Solver, SolverResult
+from ltv_mpc.control.solvers.interface import Result, Solver
 from ltv_mpc.messages import Message, Solve, SolveStatus
 from ltv_mpc.node import Due, Node
 from sim.faults.interval import Interval
@@ -59,7 +59,7 @@ class FaultySolver:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._solver, name)
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """Return the solver's result, or that of the active fault."""
         answer = self._solver.solve()
         for fault, interval in self._faults:
@@ -68,7 +68,7 @@ class FaultySolver:
             if fault is SolverFault.RAISES:
                 raise InjectedSolverError("injected fault")
             status = SolveStatus.SOLVED if fault is SolverFault.LIES else SolveStatus.FAILED
-            return SolverResult(np.full_like(answer.commands, math.nan), Solve(status=status, why=f"it {fault}"))
+            return Result(np.full_like(answer.z, math.nan), Solve(status=status, why=f"it {fault}"))
         return answer
 
 

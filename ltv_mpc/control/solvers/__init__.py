@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig, ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.solvers.interface import Solver, SolverResult
+from ltv_mpc.control.solvers.interface import Result, Solver
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.qpsolvers_backend import QpsolversBackend, installed_backends, solve_qp
-from ltv_mpc.control.solvers.riccati_solver import RiccatiSolver
+from ltv_mpc.control.solvers.riccati import RiccatiSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 
 
-def _checked_riccati(config: ResolvedConfig, limits: HorizonLimits) -> Solver:
+def _checked_riccati(config: ResolvedConfig) -> Solver:
     """Return the Riccati solver; OSQP solves what it does not solve."""
-    return RiccatiSolver(config, limits, OsqpSolver(config, limits))
+    return RiccatiSolver(config, OsqpSolver(config))
 
 
-SOLVERS: dict[str, Callable[[ResolvedConfig, HorizonLimits], Solver]] = {
+SOLVERS: dict[str, Callable[[ResolvedConfig], Solver]] = {
     "osqp": OsqpSolver,
     "riccati": _checked_riccati,
 }
@@ -36,7 +35,7 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
 
     Parameters
     ----------
-    vehicle : gives limits and scales.
+    vehicle : gives what the settings leave out.
     config : settings of the controller; ``config.solver`` is the name.
 
     Returns
@@ -46,18 +45,17 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     Raises
     ------
     ConfigError
-        The solver is not known or not installed, or it cannot take limits of the motion.
+        The solver is not known or not installed.
     """
     config = settled(config, vehicle)
-    limits = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9, config.limits.state_bounds)
     if config.solver in SOLVERS:
-        return SOLVERS[config.solver](config, limits)
+        return SOLVERS[config.solver](config)
     installed = installed_backends()
     if config.solver not in installed:
         known = dict.fromkeys((*SOLVERS, *installed))
         problem = f"is not installed or not known; installed: {', '.join(known)}"
         raise ConfigError("controller settings", "solver", problem, value=config.solver)
-    return QpsolversBackend(config, limits)
+    return QpsolversBackend(config)
 
 
-__all__ = ["Solver", "SolverFactory", "SolverResult", "make", "solve_qp"]
+__all__ = ["Result", "Solver", "SolverFactory", "make", "solve_qp"]

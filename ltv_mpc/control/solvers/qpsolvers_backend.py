@@ -11,13 +11,12 @@ import numpy as np
 from scipy.sparse import csc_matrix, vstack
 
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.qp.problem import QP, Solution
-from ltv_mpc.control.qp.sparse import SparseQp
-from ltv_mpc.control.solvers.interface import SolverResult
+from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.qp import QP, Solution
+from ltv_mpc.control.solvers.interface import Result
+from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Array, Solve, SolveStatus
+from ltv_mpc.messages import Solve, SolveStatus
 
 
 def installed_backends() -> list[str]:
@@ -30,18 +29,15 @@ def installed_backends() -> list[str]:
 class QpsolversBackend:
     """Backend of qpsolvers on the sparse QP; each cycle starts without a warm start."""
 
-    def __init__(self, config: ResolvedConfig, limits: HorizonLimits) -> None:
-        """Lay out the QP.
+    def __init__(self, config: ResolvedConfig) -> None:
+        """Take the settings.
 
         Parameters
         ----------
         config : ``config.solver`` names the backend.
-        limits : limits of thrusters and motion.
         """
         self._name = config.solver
-        self._form = SparseQp(config.knots, limits, config.weights)
-        self._lin: Linearisation | None = None
-        self._qp: QP | None = None
+        self._problem: Problem | None = None
 
     def shift_warm_start(self, stages: float) -> None:
         """Do nothing: there is no warm start.
@@ -54,25 +50,23 @@ class QpsolversBackend:
     def reset_warm_start(self) -> None:
         """Do nothing: there is no warm start."""
 
-    def build(self, lin: Linearisation, target: Array) -> None:
-        """Build the QP (see ``Solver``).
+    def build(self, problem: Problem) -> None:
+        """Keep the problem (see ``Solver``).
 
         Parameters
         ----------
-        lin : the motion along the nominal trajectory.
-        target : (N+1, 3) as in ``Solver.build``.
+        problem : is read by ``solve``.
         """
-        self._lin, self._qp = lin, self._form.build(lin, target)
+        self._problem = problem
 
     def update(self) -> None:
         """Do nothing: the backend takes the whole problem at once."""
 
-    def solve(self) -> SolverResult:
-        """Solve the QP (see ``Solver``)."""
-        assert self._lin is not None, "build() must be called before solve()"
-        assert self._qp is not None, "build() must be called before solve()"
-        solution = solve_qp(self._qp, self._name)
-        return SolverResult(self._form.commands(self._lin, solution.x), solution.solve)
+    def solve(self) -> Result:
+        """Solve the problem (see ``Solver``)."""
+        assert self._problem is not None, "build() must be called before solve()"
+        solution = solve_qp(sparse_qp(self._problem), self._name)
+        return Result(solution_of(self._problem, solution.x), solution.solve)
 
 
 def solve_qp(qp: QP, solver: str = "osqp") -> Solution:
@@ -104,9 +98,10 @@ def solve_qp(qp: QP, solver: str = "osqp") -> Solution:
     equal = qp.l == qp.u
     # qpsolvers' form: G x <= h, A x = b
     E, G = csc_matrix(qp.A)[equal], csc_matrix(qp.A)[~equal]
-    two_sided = vstack([G, -G], format="csc")
     h = np.concatenate([qp.u[~equal], -qp.l[~equal]])
-    if not all(np.isfinite(part).all() for part in (qp.P.data, qp.q, qp.A.data, qp.l, qp.u)):
+    bound = ~np.isposinf(h)  # some backends take no infinite bound
+    two_sided, h = vstack([G, -G], format="csr")[bound], h[bound]
+    if not all(np.isfinite(part).all() for part in (qp.P.data, qp.q, qp.A.data, h, qp.l[equal])):
         return _no_solution(qp, SolveStatus.NON_FINITE, "the problem is not finite")
     if solver in qpsolvers.dense_solvers and solver not in qpsolvers.sparse_solvers:
         problem = qpsolvers.Problem(qp.P.toarray(), qp.q, two_sided.toarray(), h, E.toarray(), qp.l[equal])
@@ -125,8 +120,9 @@ def solve_qp(qp: QP, solver: str = "osqp") -> Solution:
     y = np.zeros(len(qp.l))
     if result.y is not None and result.z is not None:
         y[equal] = result.y
-        half = int((~equal).sum())
-        y[~equal] = result.z[:half] - result.z[half:]
+        z = np.zeros(len(bound))
+        z[bound] = result.z
+        y[~equal] = np.subtract(*z.reshape(2, -1))
     return Solution(np.array(result.x), y, Solve(status=SolveStatus.SOLVED))
 
 

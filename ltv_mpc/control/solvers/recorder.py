@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 import contextlib
-from functools import cached_property
 
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig, ResolvedConfig
+from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.failed_qp import FailedQp, row_names
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.qp.failed_qp import FailedQp
-from ltv_mpc.control.qp.sparse import SparseQp
-from ltv_mpc.control.resolution import settled
+from ltv_mpc.control.ocp.assembly import scales
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers import SolverFactory, make
-from ltv_mpc.control.solvers.interface import Solver, SolverResult
-from ltv_mpc.messages import Array, SolveStatus
+from ltv_mpc.control.solvers.interface import Result, Solver
+from ltv_mpc.control.solvers.sparse import SparseLayout
+from ltv_mpc.messages import SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 
 
 class RecordingSolver:
     """Solver wrapper that keeps the last problem and its solution.
 
-    ``lin`` is the controller's own array: the next cycle overwrites it.
+    ``problem`` is the controller's own: the next cycle overwrites it.
     """
 
-    lin: Linearisation
-    target: Array
-    result: SolverResult
+    problem: Problem
+    result: Result
 
     def __init__(self, solver: Solver) -> None:
         """Wrap ``solver``."""
@@ -34,17 +32,17 @@ class RecordingSolver:
         self.reset_warm_start = solver.reset_warm_start
         self.update = solver.update
 
-    def build(self, lin: Linearisation, target: Array) -> None:
+    def build(self, problem: Problem) -> None:
         """Keep the problem.
 
         Parameters
         ----------
-        lin, target : as in ``Solver.build``.
+        problem : as in ``Solver.build``.
         """
-        self.lin, self.target = lin, target
-        self.solver.build(lin, target)
+        self.problem = problem
+        self.solver.build(problem)
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """Keep the solution, and return it."""
         self.result = self.solver.solve()
         return self.result
@@ -61,28 +59,24 @@ class FailureRecorder:
 
     def __call__(self, vehicle: Vehicle, config: ControllerConfig) -> Solver:
         """Return a solver for these settings."""
-        return _FailureRecordingSolver(self._make_solver(vehicle, config), vehicle, config, self)
+        limits = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9)
+        solver = _FailureRecordingSolver(self._make_solver(vehicle, config))
+        solver.recorder, solver.limits = self, limits
+        return solver
 
 
 class _FailureRecordingSolver(RecordingSolver):
     """Solver wrapper that reports each problem that was not solved."""
 
-    def __init__(self, solver: Solver, vehicle: Vehicle, config: ControllerConfig, recorder: FailureRecorder) -> None:
-        super().__init__(solver)
-        self._vehicle = vehicle
-        self._config: ResolvedConfig = settled(config, vehicle)
-        self._recorder = recorder
+    recorder: FailureRecorder
+    limits: HorizonLimits
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """Solve, and keep the QP if it was not solved."""
         result = super().solve()
         if result.solve.status is not SolveStatus.SOLVED:
             with contextlib.suppress(Exception):  # a problem that cannot be laid out must not cost the cycle
-                layout = self._layout
-                self._recorder.failed = FailedQp(layout.build(self.lin, self.target), layout.row_names, result.solve)
+                layout = SparseLayout(self.problem)
+                qp = layout.assemble(layout.filled(self.problem))
+                self.recorder.failed = FailedQp(qp, row_names(layout, scales(self.limits)), result.solve)
         return result
-
-    @cached_property
-    def _layout(self) -> SparseQp:
-        limits = HorizonLimits.from_vehicle(self._vehicle, STAGE_NS * 1e-9, self._config.limits.state_bounds)
-        return SparseQp(self._config.knots, limits, self._config.weights)

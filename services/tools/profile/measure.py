@@ -30,12 +30,12 @@ from scipy.sparse import csc_matrix
 from ltv_mpc.control.config import ControllerConfig, ResolvedConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.qp.sparse import SparseQp
-from ltv_mpc.control.resolution import settled
+from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS
 from ltv_mpc.control.solvers import Solver, SolverFactory, make
 from ltv_mpc.control.solvers.recorder import RecordingSolver
+from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
 from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -93,13 +93,9 @@ class Piqp(NamedTuple):
         """Return the episode's settings."""
         return episode.config
 
-    def solver_factory(self, episode: Episode) -> SolverFactory:
+    def solver_factory(self, _episode: Episode) -> SolverFactory:
         """Return a factory of PIQP workspaces."""
-
-        def make_piqp(vehicle: Vehicle, config: ControllerConfig) -> Solver:
-            return PiqpYardstick(settled(config, vehicle), limits_of(episode), self.tolerance)
-
-        return make_piqp
+        return lambda _vehicle, _config: PiqpYardstick(self.tolerance)
 
 
 def controller_of(
@@ -109,11 +105,6 @@ def controller_of(
     return Controller(
         episode.vehicle, episode.reference, candidate.config(episode), make_solver=make_solver, stopwatch=stopwatch
     )
-
-
-def limits_of(episode: Episode) -> HorizonLimits:
-    """Return the limits of the episode's vehicle between two knots."""
-    return HorizonLimits.from_vehicle(episode.vehicle, seconds(1), episode.config.limits.state_bounds)
 
 
 class Samples:
@@ -189,7 +180,7 @@ class _Bench(ControllerNode):
         super().__init__(episode.vehicle, episode.reference, episode.config)
         self.measured = 0
         self._controllers = controllers
-        self._exact = _Exact(episode)
+        self._exact = _Exact()
         self._order = order
         self._progress = progress
         self._begun = False
@@ -226,6 +217,7 @@ class _MeasuredController:
         self._recorded: RecordingSolver
         self.controller = controller_of(candidate, episode, make_solver=self._make_recorded, stopwatch=self.timer)
         self._into = into
+        self._largest_N = HorizonLimits.from_vehicle(episode.vehicle, seconds(1)).thrust_scale
         self._cycle_us = self._repeated_us = self._flushed_us = 0.0
         self._stage_us: dict[str, float] = {}
 
@@ -264,35 +256,31 @@ class _MeasuredController:
             sample.append(self._stage_us.get(stage, 0.0))
         into.iterations.append(plan.solve.iterations)
         into.status[plan.solve.status] += 1
-        error = np.abs(self._recorded.result.commands[1] - exact.commands(self._recorded)[1]).max()
+        off = self._recorded.result.z[1] - exact.solution(self._recorded.problem)[1]
+        error = np.abs(off[COMMANDS:CHANGES] * self._largest_N).max()
         into.thrust_error_N.append(float(error) if np.isfinite(error) else np.nan)
 
 
 class _Exact:
-    """Reference solution: commands at the knots, with a tolerance far below every candidate's."""
+    """Reference solution, with a tolerance far below every candidate's."""
 
-    def __init__(self, episode: Episode) -> None:
-        config = episode.config
-        self._form = SparseQp(config.knots, limits_of(episode), config.weights)
-        self._along: tuple[bytes, bytes, bytes] | None = None
-        self._commands: Array = np.empty(0)
+    def __init__(self) -> None:
+        self._along = b""
+        self._z: Array = np.empty(0)
 
-    def commands(self, asked: RecordingSolver) -> Array:
-        """Return the commands (N+1, 2) of the problem; the last problem's solution is kept."""
-        lin = asked.lin
-        along = (lin.X.tobytes(), lin.U.tobytes(), np.ascontiguousarray(asked.target).tobytes())
+    def solution(self, problem: Problem) -> Array:
+        """Return states and inputs (N+1, 12) of the problem; the last problem's solution is kept."""
+        along = problem.f.tobytes() + problem.h.tobytes() + problem.low.tobytes()
         if along != self._along:
-            self._along = along
-            self._commands = self._solved(lin, asked.target)
-        return self._commands
+            self._along, self._z = along, self._solved(problem)
+        return self._z
 
-    def _solved(self, lin: Linearisation, target: Array) -> Array:
-        qp = self._form.build(lin, target)
-        equal = qp.l == qp.u
-        A = csc_matrix(qp.A)
+    def _solved(self, problem: Problem) -> Array:
         solver = piqp.SparseSolver()
         solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = EXACT
         solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 0.0
+        qp = sparse_qp(problem)
+        equal, A = qp.l == qp.u, csc_matrix(qp.A)
         solver.setup(csc_matrix(qp.P), qp.q, A[equal], qp.l[equal], A[~equal], qp.l[~equal], qp.u[~equal])
         solver.solve()
-        return self._form.commands(lin, np.array(solver.result.x))
+        return solution_of(problem, np.array(solver.result.x))

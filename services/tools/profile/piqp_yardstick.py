@@ -1,8 +1,8 @@
 """PIQP through its own interface: the reference of every measured time ratio (``ltv-mpc profile``, ``make bench``).
 
-PIQP is an interior-point method (Schwan et al. 2023). Its workspace is updated in place, with its default settings. Box
-rows are bounds on single variables. It needs no first guess and can use none. No setting of the controller leads here:
-``solver = "piqp"`` is PIQP through qpsolvers.
+PIQP is an interior-point method (Schwan et al. 2023). Its workspace is updated in place, with its default settings.
+Hard rows are bounds on single variables. It needs no first guess and can use none. No setting of the controller leads
+here: ``solver = "piqp"`` is PIQP through qpsolvers.
 """
 
 from __future__ import annotations
@@ -13,33 +13,19 @@ import numpy as np
 import piqp
 from scipy.sparse import csc_matrix
 
-from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, SparseQp, fill
-from ltv_mpc.control.solvers.interface import SolverResult
-from ltv_mpc.messages import Array, Solve, SolveStatus
-from ltv_mpc.vehicle.flow import STATES
+from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.solvers.interface import Result
+from ltv_mpc.control.solvers.sparse import DYNAMICS, HARD, SparseLayout, fill, fits, solution_of
+from ltv_mpc.messages import Solve, SolveStatus
 
 
 class PiqpYardstick:
     """PIQP workspace for problems of one sparsity pattern."""
 
-    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, tolerance: float | None = None) -> None:
-        """Lay out the QP. ``tolerance`` is absolute and relative; None: PIQP's own."""
-        self.form = form = SparseQp(config.knots, limits, config.weights)
+    def __init__(self, tolerance: float | None = None) -> None:
+        """Set nothing up. ``tolerance`` is absolute and relative; None: PIQP's own."""
         self._tolerance = tolerance
-        self._numbers = form.allocate()
-        row_of = form.pattern.indices
-        E, slews, boxes = form.equalities + 2 * form.stages * np.arange(3)
-        # Rows of A by kind, and where their numbers lie in A's. Those of limited states change as little as slew's.
-        self._equal = row_of < E
-        fixed = np.concatenate([np.arange(E, slews), np.arange(boxes, form.rows)])
-        self._kinds = np.arange(E), fixed, np.arange(slews, boxes)
-        thrusts = np.arange(form.stages)[:, None] * STAGE_VARIABLES + STATES + np.arange(2)
-        self._thrusts = thrusts.ravel()
-        self._low, self._high = np.full(form.variables, -np.inf), np.full(form.variables, np.inf)
-        self._lin: Linearisation | None = None
+        self._layout: SparseLayout | None = None
         self._solver: Any = None
         self._finite = False
 
@@ -49,54 +35,63 @@ class PiqpYardstick:
     def reset_warm_start(self) -> None:
         """Do nothing: PIQP has no warm start."""
 
-    def build(self, lin: Linearisation, target: Array) -> None:
+    def build(self, problem: Problem) -> None:
         """Build the QP (see ``Solver``)."""
-        self._lin = lin
-        fill(self.form.packed, lin, target, self.form.entries, self._numbers)
-        self._finite = bool(np.isfinite(sum(part.sum() for part in self._numbers)))
+        self._problem = problem
+        if self._layout is None or not fits(problem, self._layout.masks):
+            self._lay_out(SparseLayout(problem, self._layout))
+        assert self._layout is not None
+        fill(problem, self._layout.places, self._numbers)
+        self._finite = problem.finite
+
+    def _lay_out(self, layout: SparseLayout) -> None:
+        self._layout, self._numbers, self._solver = layout, layout.allocate(), None
+        kind, row_of = layout.places.kind, layout.A.indices
+        self._equal, self._bound = np.flatnonzero(kind == DYNAMICS), np.flatnonzero(kind == HARD)
+        self._other = np.flatnonzero((kind != DYNAMICS) & (kind != HARD))
+        self._equal_entries, self._other_entries = np.isin(row_of, self._equal), np.isin(row_of, self._other)
+        column_of = np.repeat(np.arange(layout.variables), np.diff(layout.A.indptr))
+        variable = np.zeros(layout.rows, dtype=np.int64)
+        variable[row_of] = column_of  # a hard row has one entry
+        self._bounded = variable[self._bound]
+        self._low, self._high = np.full(layout.variables, -np.inf), np.full(layout.variables, np.inf)
 
     def update(self) -> None:
         """Update the workspace (see ``Solver``)."""
-        if not self._finite:
+        if not self._finite or self._layout is None:
             return
-        A, q, l, u = self._numbers  # noqa: E741
-        equal, slew, box = self._kinds
-        self._low[self._thrusts], self._high[self._thrusts] = l[box], u[box]
+        _, q, A, l, u = self._numbers  # noqa: E741
+        self._low[self._bounded], self._high[self._bounded] = l[self._bound], u[self._bound]
+        bounds = {"x_l": self._low, "x_u": self._high, "h_l": l[self._other], "h_u": u[self._other]}
         if self._solver is None:
-            whole = csc_matrix(self.form.assemble(self._numbers).A)
-            self._equalities, self._slews = csc_matrix(whole[equal]), csc_matrix(whole[slew])
-            self._P = csc_matrix(self.form.P)
+            qp = self._layout.assemble(self._numbers)
+            whole = csc_matrix(qp.A)
+            self._P = csc_matrix(qp.P)
+            self._A, self._G = csc_matrix(whole[self._equal]), csc_matrix(whole[self._other])
             self._solver = piqp.SparseSolver()
             self._solver.settings.verbose = False
             if self._tolerance is not None:
                 to = self._solver.settings
                 to.eps_abs = to.eps_rel = self._tolerance
                 to.eps_duality_gap_abs = to.eps_duality_gap_rel = self._tolerance
-            self._solver.setup(
-                self._P, q, self._equalities, l[equal], self._slews, l[slew], u[slew],
-                self._low, self._high,
-            )  # fmt: skip
+            self._solver.setup(P=self._P, c=q, A=self._A, b=l[self._equal], G=self._G, **bounds)
         else:
-            self._equalities.data[:] = A[self._equal]
-            self._solver.update(
-                c=q, A=self._equalities, b=l[equal], h_l=l[slew], h_u=u[slew],
-                x_l=self._low, x_u=self._high,
-            )  # fmt: skip
+            self._P = csc_matrix(self._layout.assemble(self._numbers).P)
+            self._A.data[:], self._G.data[:] = A[self._equal_entries], A[self._other_entries]
+            self._solver.update(P=self._P, c=q, A=self._A, b=l[self._equal], G=self._G, **bounds)
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """Solve the QP (see ``Solver``)."""
-        lin = self._lin
-        assert lin is not None  # built
+        p = self._problem
         if not self._finite or self._solver is None:
-            return SolverResult(lin.U.copy(), Solve(status=SolveStatus.NON_FINITE, why="the problem is not finite"))
+            why = "the problem is not finite"
+            return Result(np.zeros_like(p.h), Solve(status=SolveStatus.NON_FINITE, why=why))
         status = self._solver.solve()
         x, info = self._solver.result.x, self._solver.result.info
         if not np.isfinite(x).all():
             self._solver = None
-            return SolverResult(
-                lin.U.copy(),
-                Solve(status=SolveStatus.NON_FINITE, why="PIQP returned a value that is not finite; rebuilt"),
-            )
+            why = "PIQP returned a value that is not finite; rebuilt"
+            return Result(np.zeros_like(p.h), Solve(status=SolveStatus.NON_FINITE, why=why))
         code = piqp.Status
         known = {
             code.PIQP_SOLVED: SolveStatus.SOLVED,
@@ -111,4 +106,4 @@ class PiqpYardstick:
             dual_residual=float(info.dual_res),
             why="" if known is SolveStatus.SOLVED else f"PIQP: {status}",
         )
-        return SolverResult(self.form.commands(lin, np.array(x)), solve)
+        return Result(solution_of(p, np.array(x)), solve)

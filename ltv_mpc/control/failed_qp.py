@@ -6,7 +6,7 @@ import math
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from zipfile import BadZipFile, ZipFile
 
 import msgspec
@@ -14,13 +14,53 @@ import numpy as np
 from numpy.lib import format as npy
 from scipy.sparse import csc_array
 
-from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.rows import ConstraintRow
+from ltv_mpc.control.ocp import limits
+from ltv_mpc.control.qp import QP
+from ltv_mpc.control.solvers.sparse import DYNAMICS, EXCESS, SparseLayout
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Solve
 
 FORMAT = "ltv-mpc qp 1"
 FILE = "QP file"
+
+STATES = (
+    *(("north", "m"), ("east", "m"), ("surge", "m/s"), ("sway", "m/s"), ("heading", "rad"), ("yaw rate", "rad/s")),
+    *((f"{side}'s {kind}", "N") for kind in ("thrust", "command") for side in ("port", "starboard")),
+)
+"""Name and unit of the states of a problem (ocp/assembly.py)."""
+
+
+class ConstraintRow(NamedTuple):
+    """Name, scale and unit of one row of A."""
+
+    name: str  # "slew of port in stage 4"
+    scale: float  # the row times this has the unit ``unit``
+    unit: str
+
+
+def row_names(layout: SparseLayout, scale: Array) -> tuple[ConstraintRow, ...]:
+    """Return name, scale and unit of each row of the QP of a cycle.
+
+    Parameters
+    ----------
+    layout : its layout.
+    scale : (12,) what is 1 in states and inputs (ocp/assembly.py).
+    """
+    of_limits = limits.names(scale)
+    M, named = layout.masks.low.shape[1], []
+    for kind, source in zip(layout.places.kind.tolist(), layout.places.source.tolist(), strict=True):
+        if kind == DYNAMICS:
+            stage, i = divmod(source, len(STATES))
+            named.append(ConstraintRow(f"dynamics of {STATES[i][0]} in stage {stage + 1}", scale[i], STATES[i][1]))
+            continue
+        knot, row = divmod(source, M)
+        if row < len(of_limits):
+            name, of, unit = of_limits[row]
+        else:
+            name, of, unit = f"row {row - len(of_limits) + 1} of fence and further limits", float(scale[0]), "m"
+        place = f"in stage {knot + 1}" if name.startswith("slew") else f"at the end of stage {knot}"
+        named.append(ConstraintRow(f"{'excess of ' * (kind == EXCESS)}{name} {place}", of, unit))
+    return tuple(named)
 
 
 @dataclass(frozen=True)

@@ -1,37 +1,33 @@
-"""Riccati solver: it finds the active limits, and solves the rest by Riccati sweeps (qp/riccati.py).
+"""Riccati solver: it finds the active limits, and solves the rest by Riccati sweeps (sweep.py).
 
-Each limit is a row  low <= g <= high.  The dual y of a hard row (box, slew) has no bound. A soft row may be exceeded at
-a cost of ``cap`` for each unit, so that  -cap <= y <= cap:  at the bound the row is exceeded. Two methods find y, the
-second where the first does not converge:
+The dual y of a hard row has no bound. A soft row may be exceeded at its penalty for each unit, so that
+-penalty <= y <= penalty:  at the bound the row is exceeded. Two methods find y, the second where the first does not
+converge:
 
-    active set       Limits whose dual y was not zero in the last solve are held by a large weight: w = RHO,
-                     l = y - RHO b for each such row g = b. Then y + RHO (g - b) is its dual. A row whose dual has the
-                     wrong sign is released, a violated row is added, and the sweep is repeated (a primal-dual active
-                     set method: Hintermueller, Ito & Kunisch 2002; with the multipliers of Hestenes 1969). A soft row
-                     whose dual would be larger than its cap is exceeded: w = 0, l = +-cap. If the last cycle's set is
-                     still right, one sweep is enough.
+    active set       Rows whose dual y was not zero in the last solve are held by a large weight: weight = RHO,
+                     linear = y - RHO b for each such row g = b. Then y + RHO (g - b) is its dual. A row whose dual has
+                     the wrong sign is released, a violated row is added, and the sweep is repeated (a primal-dual
+                     active set method: Hintermueller, Ito & Kunisch 2002; with the multipliers of Hestenes 1969). A
+                     soft row whose dual would be larger than its penalty is exceeded: weight = 0, linear = +-penalty.
+                     If the last cycle's set is still right, one sweep is enough.
     interior point   On both sides of a row let r be the distance beyond the bound, nu > 0 the dual, t > 0 a slack and
-                     e >= 0 the excess: r = e - t. Newton steps towards  t nu = sigma mu  and  e (cap - nu) = sigma mu
-                     give each side a weight, and keep its numbers positive while both products go to zero (Rao, Wright
-                     & Rawlings 1998). ``DUAL_REGULARISATION`` bounds the weights, which would otherwise grow until
-                     rounding ends the progress; it does not move the solution (a proximal method of multipliers:
-                     Friedlander & Orban 2012). It takes five to twenty sweeps from any start. When it names the same
-                     active rows twice, the active-set method finishes the solve, exactly.
+                     e >= 0 the excess: r = e - t. Newton steps towards  t nu = sigma mu  and  e (penalty - nu) =
+                     sigma mu  give each side a weight, and keep its numbers positive while both products go to zero
+                     (Rao, Wright & Rawlings 1998). ``DUAL_REGULARISATION`` bounds the weights, which would otherwise
+                     grow until rounding ends the progress; it does not move the solution (a proximal method of
+                     multipliers: Friedlander & Orban 2012). It takes five to twenty sweeps from any start. When it
+                     names the same active rows twice, the active-set method finishes the solve, exactly.
 
-The result is exact to 1e-7 of a thruster's largest thrust. The method is the solver ``riccati``, which checks the
-optimality conditions of its result (qp/optimality.py) and hands a problem that fails to OSQP. The solver ``osqp`` takes
-the result as a first guess, and has only to check its residuals.
+The result is exact to 1e-7 of a row's unit. The method is the solver ``riccati``, which checks the optimality
+conditions of its result and hands a problem that fails to OSQP. The solver ``osqp`` takes the result as a first guess,
+and has only to check its residuals.
 
 Arguments of the kernels in this file:
 
-    lin      the motion along the nominal trajectory
-    target   (N+1, 3) as in ``Solver.build``
-    o        weights, limits and scales
+    p        problem
     work     workspace of the sweeps
-    active   (N, R) sign of each row's dual, times ``BEYOND`` if the row is exceeded, 0 if the row is not active; order
-             of rows as in qp/riccati.py
-    y        (N, R) duals of the rows
-    dU       (N+1, 2) deviations of the commands from the nominal ones (N); overwritten
+    active   (N+1, M) sign of each row's dual, times ``BEYOND`` if the row is exceeded, 0 if the row is not active
+    y        (N+1, M) duals of the rows
 """
 
 from __future__ import annotations
@@ -43,12 +39,9 @@ import numpy as np
 
 from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation, describe_non_finite, unpack_linearisation
-from ltv_mpc.control.problem_data import Objective, pack_objective, unpack_objective
-from ltv_mpc.control.qp.optimality import optimality_error
-from ltv_mpc.control.qp.riccati import HARD_ROWS, SweepWorkspace, sweep, sweep_workspace
-from ltv_mpc.control.solvers.interface import Solver, SolverResult
+from ltv_mpc.control.ocp.problem import Problem, optimality_error
+from ltv_mpc.control.solvers.interface import Result, Solver
+from ltv_mpc.control.solvers.sweep import Sweep, sweep
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Solve, SolveStatus
 
@@ -56,10 +49,10 @@ RHO = 1e6
 """Weight of a row that is held, against a curvature of about 1: its error is the change of its dual / RHO."""
 
 BEYOND = 2.0
-"""Magnitude of ``active`` for a soft row that is exceeded: its dual is its cap."""
+"""Magnitude of ``active`` for a soft row that is exceeded: its dual is its penalty."""
 
 VIOLATION_TOLERANCE = 1e-7
-"""Smallest violation that counts, over the largest thrust. Rounding, times RHO, is a hundred times smaller."""
+"""Smallest violation that counts, in units of the row. Rounding, times RHO, is a hundred times smaller."""
 
 DUAL_SIGN_TOLERANCE = 1e-7
 """Smallest dual of the wrong sign that counts, in units of the cost."""
@@ -68,7 +61,7 @@ HELD_ROW_TOLERANCE = 1e-7
 """Largest error of a row that is held. OSQP moves away from a guess with larger ones, and returns slowly."""
 
 MAX_OPTIMALITY_ERROR = 1e-5
-"""Largest violation of the optimality conditions of a result that counts as solved, in units of the scaled QP."""
+"""Largest violation of the optimality conditions of a result that counts as solved, in units of the problem."""
 
 FIRST_SWEEPS, LATER_SWEEPS = 3, 3
 """Limits of the active-set sweeps: with the last solve's rows, and with those that the interior point names."""
@@ -114,24 +107,20 @@ class RiccatiSolver:
     max_error = MAX_OPTIMALITY_ERROR
     """Largest optimality error of a result that is used."""
 
-    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, other: Solver | None = None) -> None:
-        """Allocate the duals, which are the warm start.
+    def __init__(self, config: ResolvedConfig, other: Solver | None = None) -> None:
+        """Allocate nothing: the first problem gives the sizes.
 
         Parameters
         ----------
-        config : number of stages, knots, weights and limit of iterations.
-        limits : limits of thrusters and motion.
+        config : knots and limit of iterations.
         other : solves the problems whose result here violates the optimality conditions. It also solves the first
             problem, so that it is compiled and set up before it is needed. None: such a problem is not solved.
         """
         self._other, self._other_is_ready = other, False
-        self._max_sweeps = config.max_iterations
-        self._packed = pack_objective(config.knots, limits, config.weights)
-        self._limited = len(limits.limited_states)
-        self._duals = np.zeros((config.stages, HARD_ROWS + self._limited))
+        self._max_sweeps, self._knots = config.max_iterations, config.knots
         self._shift = math.nan
-        self._lin: Linearisation | None = None
-        self._target = np.zeros((config.stages + 1, 2))
+        self._problem: Problem | None = None
+        self._duals = np.zeros((0, 0))
 
     def shift_warm_start(self, stages: float) -> None:
         """Move the duals with the plan; the last ones are held.
@@ -146,87 +135,77 @@ class RiccatiSolver:
         """Start the next solve with no active row."""
         self._shift = math.nan
 
-    def build(self, lin: Linearisation, target: Array) -> None:
+    def build(self, problem: Problem) -> None:
         """Keep the problem: the sweeps read it as it is.
 
         Parameters
         ----------
-        lin : the motion along the nominal trajectory.
-        target : (N+1, 3) as in ``Solver.build``.
+        problem : is read by ``solve``.
         """
-        R = HARD_ROWS + self._limited + lin.rows.shape[1]
-        if self._duals.shape[1] != R:  # a fence was set or removed
-            self._duals = np.zeros((len(self._duals), R))
+        if self._duals.shape != problem.low.shape:
+            self._duals, self._work = np.zeros(problem.low.shape), Sweep.empty(problem)
             self.reset_warm_start()
-        self._lin, self._target = lin, target
+        self._problem = problem
 
     def update(self) -> None:
         """Do nothing: there is no workspace to update."""
 
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         """Solve the problem (see ``Solver``)."""
-        lin = self._lin
-        assert lin is not None, "build() must be called before solve()"
-        commands = np.empty_like(lin.U)
-        outcome, sweeps, violation, error = solve_packed(
-            self._packed, lin.flat, self._target, self._shift, self._max_sweeps, self._duals, commands
+        assert self._problem is not None, "build() must be called before solve()"
+        outcome, sweeps, violation, error = solve_from(
+            self._problem, self._work, self._knots, self._shift, self._max_sweeps, self._duals
         )
         solved = outcome == CONVERGED and error <= self.max_error
         if self._other is not None and not (solved and self._other_is_ready):
-            result = self._hand_over(self._other, lin)
+            result = self._hand_over(self._other)
             if not solved:
                 self._shift = math.nan if outcome == FAILED else 0.0
                 return result
         if outcome == FAILED:
             self.reset_warm_start()
-            finite = np.isfinite(lin.flat).all() and np.isfinite(self._target).all()
-            singular = "the cost is singular: it does not determine the commands"
-            why = singular if finite else describe_non_finite(lin, self._target)
+            finite = self._problem.finite
+            why = "the cost is singular: it does not determine the inputs" if finite else "the problem is not finite"
             status = SolveStatus.FAILED if finite else SolveStatus.NON_FINITE
-            return SolverResult(lin.U.copy(), Solve(status=status, iterations=sweeps, why=why))
+            return Result(np.zeros_like(self._work.z), Solve(status=status, iterations=sweeps, why=why))
         self._shift = 0.0
         why = "" if solved else f"optimality error {error:.1e} after {sweeps} Riccati sweeps"
         status = SolveStatus.SOLVED if solved else SolveStatus.ITERATION_LIMIT
         solve = Solve(status=status, iterations=sweeps, primal_residual=violation, dual_residual=error, why=why)
-        return SolverResult(commands, solve)
+        return Result(self._work.z.copy(), solve)
 
-    def _hand_over(self, other: Solver, lin: Linearisation) -> SolverResult:
+    def _hand_over(self, other: Solver) -> Result:
         """Return the other solver's result of the same problem, from no warm start."""
+        assert self._problem is not None
         self._other_is_ready = True
         other.reset_warm_start()
-        other.build(lin, self._target)
+        other.build(self._problem)
         other.update()
         return other.solve()
 
 
 @jit
-def solve_packed(
-    packed: Array, flat: Array, target: Array, stages: float, max_sweeps: int, y: Array, commands: Array
+def solve_from(
+    p: Problem, work: Sweep, t: Array, stages: float, max_sweeps: int, y: Array
 ) -> tuple[int, int, float, float]:
-    """Solve a problem whose weights and limits are packed, from the duals of an earlier one.
+    """Solve a problem from the duals of an earlier one.
 
     Parameters
     ----------
-    packed : a packed objective (problem_data.py).
-    flat : ``Linearisation.flat``.
-    target, max_sweeps : as in ``solve``.
+    p : problem.
+    work : is overwritten; its z is the solution.
+    t : (N+1,) knots in first stages.
     stages : by how many first stages the knots of the earlier problem lie earlier; NaN if there is none.
-    y : (N, R) duals of the earlier problem; overwritten with those of this one.
-    commands : (N+1, 2) is overwritten with the commands (N).
+    max_sweeps : limit of sweeps; the solve can take two more.
+    y : (N+1, M) duals of the earlier problem; overwritten with those of this one.
 
     Returns
     -------
-    Outcome, number of sweeps and largest violation, as ``solve``; then the optimality error (qp/optimality.py).
+    Outcome, number of sweeps and largest violation, as ``solve``; then ``optimality_error``.
     """
-    o, lin = unpack_objective(packed), unpack_linearisation(flat, len(target) - 1)
-    shift_duals(y, o.t, stages)
-    work = sweep_workspace(lin, target, o)
-    outcome, sweeps, violation = solve(lin, target, o, work, max_sweeps, y, commands)
-    error = optimality_error(lin, target, o, work, y, commands)
-    for k in range(len(target)):
-        for i in range(2):
-            commands[k, i] += lin.U[k, i]
-    return outcome, sweeps, violation, error
+    shift_duals(y, t, stages)
+    outcome, sweeps, violation = solve(p, work, max_sweeps, y)
+    return outcome, sweeps, violation, optimality_error(p, work.z, y)
 
 
 @jit
@@ -235,7 +214,7 @@ def shift_duals(y: Array, t: Array, stages: float) -> None:
 
     Parameters
     ----------
-    y : (N, R) duals; overwritten.
+    y : (N+1, M) duals; overwritten.
     t : (N+1,) knots in first stages.
     stages : by how many first stages the new knots lie later; NaN: set the duals to zero.
     """
@@ -246,91 +225,77 @@ def shift_duals(y: Array, t: Array, stages: float) -> None:
 
 
 @jit
-def solve(
-    lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace, max_sweeps: int, y: Array, dU: Array
-) -> tuple[int, int, float]:
-    """Solve the QP.
+def solve(p: Problem, work: Sweep, max_sweeps: int, y: Array) -> tuple[int, int, float]:
+    """Solve a problem.
 
     Parameters
     ----------
-    lin, target, o, work, dU : as at the head of this file; ``work`` is overwritten.
+    p, work : as at the head of this file; ``work`` is overwritten, and its z is the solution.
     max_sweeps : limit of sweeps; the solve can take two more.
-    y : (N, R) duals of the last solve, which show the first active set; overwritten with those of this one.
+    y : (N+1, M) duals of the last solve, which show the first active set; overwritten with those of this one.
 
     Returns
     -------
-    FAILED, NOT_CONVERGED or CONVERGED; number of sweeps; largest violation of box and slew, over the largest thrust.
+    FAILED, NOT_CONVERGED or CONVERGED; number of sweeps; largest violation of the hard rows.
     """
-    active = _active_rows(y, work.cap)
-    outcome, sweeps = _active_set(lin, target, o, work, active, FIRST_SWEEPS, y, dU)
+    active = _active_rows(p, y)
+    outcome, sweeps = _active_set(p, work, active, FIRST_SWEEPS, y)
     if outcome == NOT_CONVERGED:
-        outcome, more = _interior_point(lin, target, o, work, active, max_sweeps - sweeps, y, dU)
+        outcome, more = _interior_point(p, work, active, max_sweeps - sweeps, y)
         sweeps += more
     if outcome == FAILED:
-        dU[:, :] = 0.0
+        work.z[:, :] = 0.0
         y[:, :] = 0.0
         return outcome, sweeps, 0.0
     violation = 0.0
     for k in range(y.shape[0]):
-        for i in range(HARD_ROWS):
-            violation = max(violation, work.g[k, i] - work.high[k, i], work.low[k, i] - work.g[k, i])
+        for i in range(y.shape[1]):
+            if np.isinf(p.penalty[k, i]):
+                violation = max(violation, work.g[k, i] - p.high[k, i], p.low[k, i] - work.g[k, i])
     return outcome, sweeps, violation
 
 
 @jit
-def _active_rows(y: Array, cap: Array) -> Array:
+def _active_rows(p: Problem, y: Array) -> Array:
     """Return which rows the duals show to be active: ``active``."""
     active = np.sign(y)
     for k in range(y.shape[0]):
-        for i in range(HARD_ROWS, y.shape[1]):
-            if abs(y[k, i]) >= cap[k, i] - DUAL_SIGN_TOLERANCE:
+        for i in range(y.shape[1]):
+            if np.isinf(p.high[k, i] if y[k, i] > 0.0 else p.low[k, i]):
+                active[k, i] = 0.0
+            elif abs(y[k, i]) >= p.penalty[k, i] - DUAL_SIGN_TOLERANCE:
                 active[k, i] *= BEYOND
     return active
 
 
 @jit
-def _active_set(
-    lin: Linearisation,
-    target: Array,
-    o: Objective,
-    work: SweepWorkspace,
-    active: Array,
-    max_sweeps: int,
-    y: Array,
-    dU: Array,
-) -> tuple[int, int]:
+def _active_set(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: Array) -> tuple[int, int]:
     """Solve by the active-set method; return its outcome and the number of sweeps."""
     for sweeps in range(1, max_sweeps + 1):
-        _hold(work, active, y)
-        if not sweep(lin, target, o, work, dU):
+        for k in range(active.shape[0]):
+            for i in range(active.shape[1]):
+                sign = active[k, i]
+                work.weight[k, i] = work.linear[k, i] = 0.0
+                if abs(sign) == 1.0:
+                    work.weight[k, i] = RHO
+                    work.linear[k, i] = y[k, i] - RHO * (p.high[k, i] if sign > 0.0 else p.low[k, i])
+                elif sign != 0.0:
+                    work.linear[k, i] = np.sign(sign) * p.penalty[k, i]
+        if not sweep(p, work):
             return FAILED, sweeps
-        if not _update_active(work, active, y):
+        if not _update_active(p, work, active, y):
             return CONVERGED, sweeps
     return NOT_CONVERGED, max_sweeps
 
 
 @jit
-def _hold(work: SweepWorkspace, active: Array, y: Array) -> None:
-    """Set the terms of the next sweep of the active-set method."""
-    for k in range(active.shape[0]):
-        for i in range(active.shape[1]):
-            sign = active[k, i]
-            work.weight[k, i] = work.linear[k, i] = 0.0
-            if abs(sign) == 1.0:
-                work.weight[k, i] = RHO
-                work.linear[k, i] = y[k, i] - RHO * (work.high[k, i] if sign > 0.0 else work.low[k, i])
-            elif sign != 0.0:
-                work.linear[k, i] = np.sign(sign) * work.cap[k, i]
-
-
-@jit
-def _update_active(work: SweepWorkspace, active: Array, y: Array) -> bool:
+def _update_active(p: Problem, work: Sweep, active: Array, y: Array) -> bool:
     """Update the active rows and their duals after a sweep; return True if they are not those of the solution yet."""
     changed = False
     for k in range(active.shape[0]):
         for i in range(active.shape[1]):
-            held, cap, g = active[k, i], work.cap[k, i], work.g[k, i]
-            low, high = work.low[k, i] - VIOLATION_TOLERANCE, work.high[k, i] + VIOLATION_TOLERANCE
+            held, cap, g = active[k, i], p.penalty[k, i], work.g[k, i]
+            low, high = p.low[k, i] - VIOLATION_TOLERANCE, p.high[k, i] + VIOLATION_TOLERANCE
             dual = work.weight[k, i] * g + work.linear[k, i]
             now = held
             if abs(held) == 1.0 and dual * held >= -DUAL_SIGN_TOLERANCE:
@@ -353,53 +318,44 @@ def _update_active(work: SweepWorkspace, active: Array, y: Array) -> bool:
 class _Barrier(NamedTuple):
     """Numbers of the upper bounds (0) and of the lower ones (1), and their steps; nu = 0 where there is no bound."""
 
-    t: Array  # (2, N, R) slacks
+    t: Array  # (2, N+1, M) slacks
     e: Array  # excesses, 0 for a hard row
     nu: Array  # duals
-    room: Array  # cap - nu, kept apart: the difference would be lost in the rounding of a cap of 1e4
+    room: Array  # penalty - nu, kept apart: the difference would be lost in the rounding of a penalty of 1e4
     dt: Array
     de: Array
     dnu: Array
 
 
 @jit
-def _interior_point(
-    lin: Linearisation,
-    target: Array,
-    o: Objective,
-    work: SweepWorkspace,
-    active: Array,
-    max_sweeps: int,
-    y: Array,
-    dU: Array,
-) -> tuple[int, int]:
+def _interior_point(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: Array) -> tuple[int, int]:
     """Solve by the interior-point method until the active set is known; return the outcome and the number of sweeps."""
-    barrier = _initial_barrier(work)
-    sweeps, step, mu, regularisation = 0, 1.0, _mean_product(barrier), DUAL_REGULARISATION
+    barrier = _initial_barrier(p)
+    sweeps, step, mu, regularisation = 0, 1.0, _mean_product(p, barrier), DUAL_REGULARISATION
     failed = False
     while sweeps < max_sweeps:
         aim = max(max(MIN_SIGMA, (1.0 - step) ** 2) * mu, 0.1 * MU_CONVERGED)
-        _set_barrier_terms(barrier, aim, regularisation, work)
+        _set_barrier_terms(p, barrier, aim, regularisation, work)
         sweeps += 1
-        if not sweep(lin, target, o, work, dU):
+        if not sweep(p, work):
             return FAILED, sweeps
-        primal, dual = _find_step(barrier, aim, regularisation, work)
+        primal, dual = _find_step(p, barrier, aim, regularisation, work)
         _take_step(barrier, primal, dual)
         same = _name_active(barrier, active)
-        step, mu = min(primal, dual), _mean_product(barrier)
+        step, mu = min(primal, dual), _mean_product(p, barrier)
         if not np.isfinite(mu):
             return FAILED, sweeps
         if mu < MU_CONVERGED and step > WHOLE_STEP:
-            for k in range(y.shape[0]):  # the duals that belong to the commands of the last sweep
+            for k in range(y.shape[0]):  # the duals that belong to the inputs of the last sweep
                 for i in range(y.shape[1]):
                     y[k, i] = work.weight[k, i] * work.g[k, i] + work.linear[k, i]
-            if optimality_error(lin, target, o, work, y, dU) < MAX_OPTIMALITY_ERROR:
+            if optimality_error(p, work.z, y) < MAX_OPTIMALITY_ERROR:
                 return CONVERGED, sweeps
             regularisation = LAST_REGULARISATION
         failed = failed and same  # the active-set method, with these rows and earlier duals
         if mu < MU_IDENTIFIED and same and (mu < MU_CONVERGED or not failed):
             _duals(barrier.nu, y)
-            outcome, more = _active_set(lin, target, o, work, active, LATER_SWEEPS, y, dU)
+            outcome, more = _active_set(p, work, active, LATER_SWEEPS, y)
             sweeps += more
             if outcome != NOT_CONVERGED:
                 return outcome, sweeps
@@ -409,61 +365,66 @@ def _interior_point(
 
 
 @jit
-def _initial_barrier(work: SweepWorkspace) -> _Barrier:
+def _bound(p: Problem, side: int, k: int, i: int) -> float:
+    """Return the bound of a side as an upper bound of  side's sign times g; infinite if there is none."""
+    return float(p.high[k, i] if side == 0 else -p.low[k, i])
+
+
+@jit
+def _initial_barrier(p: Problem) -> _Barrier:
     """Return the numbers at which the interior point starts."""
-    N, R = work.low.shape
-    t, e, nu, room = np.ones((2, N, R)), np.zeros((2, N, R)), np.zeros((2, N, R)), np.zeros((2, N, R))
-    dt, de, dnu = np.zeros((2, N, R)), np.zeros((2, N, R)), np.zeros((2, N, R))
+    K, R = p.low.shape
+    t, e, nu, room = np.ones((2, K, R)), np.zeros((2, K, R)), np.zeros((2, K, R)), np.zeros((2, K, R))
+    dt, de, dnu = np.zeros((2, K, R)), np.zeros((2, K, R)), np.zeros((2, K, R))
     product = INITIAL_SLACK * INITIAL_DUAL
-    for k in range(N):
-        for i in range(HARD_ROWS, R):
-            product = max(product, work.cap[k, i] * max(work.low[k, i], -work.high[k, i]))
-    for k in range(N):
+    for k in range(K):
         for i in range(R):
-            for side in range(2):
-                within = work.high[k, i] if side == 0 else -work.low[k, i]
+            if not np.isinf(p.penalty[k, i]):
+                product = max(product, p.penalty[k, i] * max(p.low[k, i], -p.high[k, i]))
+    for side in range(2):
+        for k in range(K):
+            for i in range(R):
+                within, cap = _bound(p, side, k, i), p.penalty[k, i]
                 if np.isinf(within):
                     continue
-                cap = work.cap[k, i]
                 t[side, k, i] = max(within, INITIAL_SLACK)
                 nu[side, k, i] = min(product / t[side, k, i], 0.5 * cap)
                 room[side, k, i] = cap - nu[side, k, i]
-                if i >= HARD_ROWS:
+                if not np.isinf(cap):
                     e[side, k, i] = product / room[side, k, i]
     return _Barrier(t, e, nu, room, dt, de, dnu)
 
 
 @jit
-def _set_barrier_terms(barrier: _Barrier, aim: float, regularisation: float, work: SweepWorkspace) -> None:
+def _set_barrier_terms(p: Problem, barrier: _Barrier, aim: float, regularisation: float, work: Sweep) -> None:
     """Set weight and linear of the next sweep, of both sides of each row."""
     t, e, nu = barrier.t, barrier.e, barrier.nu
     for k in range(t.shape[1]):
         for i in range(t.shape[2]):
             weight = linear = 0.0
             for side in range(2):
-                sign, bound = (1.0, work.high[k, i]) if side == 0 else (-1.0, work.low[k, i])
-                x, room = nu[side, k, i], barrier.room[side, k, i]
+                bound, x, room = _bound(p, side, k, i), nu[side, k, i], barrier.room[side, k, i]
                 if np.isinf(bound):
                     continue
                 w = 1.0 / (t[side, k, i] / x + e[side, k, i] / room + regularisation)
+                sign = 1.0 if side == 0 else -1.0
                 weight += w
-                linear += sign * (x + w * (aim / x - aim / room)) - w * bound
+                linear += sign * (x + w * (aim / x - aim / room) - w * bound)
             work.weight[k, i], work.linear[k, i] = weight, linear
 
 
 @jit
-def _find_step(barrier: _Barrier, aim: float, regularisation: float, work: SweepWorkspace) -> tuple[float, float]:
+def _find_step(p: Problem, barrier: _Barrier, aim: float, regularisation: float, work: Sweep) -> tuple[float, float]:
     """Compute the steps; return the fractions of slacks' and duals' steps that keep all numbers positive."""
-    g = work.g
     primal = dual = 1.0
-    for k in range(g.shape[0]):
-        for i in range(g.shape[1]):
-            for side in range(2):
+    for side in range(2):
+        for k in range(work.g.shape[0]):
+            for i in range(work.g.shape[1]):
                 t, e, nu = barrier.t[side, k, i], barrier.e[side, k, i], barrier.nu[side, k, i]
-                room = barrier.room[side, k, i]
-                beyond = g[k, i] - work.high[k, i] if side == 0 else work.low[k, i] - g[k, i]
-                if np.isinf(beyond):  # no bound
+                room, bound = barrier.room[side, k, i], _bound(p, side, k, i)
+                if np.isinf(bound):
                     continue
+                beyond = (work.g[k, i] if side == 0 else -work.g[k, i]) - bound
                 # e + de - (t + dt) = beyond - regularisation dnu, and both products are the aim to first order
                 dnu = (beyond + aim / nu - aim / room) / (t / nu + e / room + regularisation)
                 dt, de = aim / nu - t - t * dnu / nu, aim / room - e + e * dnu / room
@@ -482,13 +443,11 @@ def _find_step(barrier: _Barrier, aim: float, regularisation: float, work: Sweep
 @jit
 def _take_step(barrier: _Barrier, primal: float, dual: float) -> None:
     """Take the step."""
-    for side in range(2):
-        for k in range(barrier.t.shape[1]):
-            for i in range(barrier.t.shape[2]):
-                barrier.t[side, k, i] += primal * barrier.dt[side, k, i]
-                barrier.e[side, k, i] += primal * barrier.de[side, k, i]
-                barrier.nu[side, k, i] += dual * barrier.dnu[side, k, i]
-                barrier.room[side, k, i] -= dual * barrier.dnu[side, k, i]
+    for i in range(barrier.t.size):
+        barrier.t.flat[i] += primal * barrier.dt.flat[i]
+        barrier.e.flat[i] += primal * barrier.de.flat[i]
+        barrier.nu.flat[i] += dual * barrier.dnu.flat[i]
+        barrier.room.flat[i] -= dual * barrier.dnu.flat[i]
 
 
 @jit
@@ -510,22 +469,25 @@ def _name_active(barrier: _Barrier, active: Array) -> bool:
 
 @jit
 def _duals(nu: Array, y: Array) -> None:
-    """Compute y (N, R) from the duals of both sides."""
+    """Compute y (N+1, M) from the duals of both sides."""
     for k in range(y.shape[0]):
         for i in range(y.shape[1]):
             y[k, i] = nu[0, k, i] - nu[1, k, i]
 
 
 @jit
-def _mean_product(barrier: _Barrier) -> float:
-    """Return mu, the mean product of slack and dual, and of excess and what its dual is below its cap."""
+def _mean_product(p: Problem, barrier: _Barrier) -> float:
+    """Return mu, the mean product of slack and dual, and of excess and what its dual is below its penalty."""
     t, e, nu = barrier.t, barrier.e, barrier.nu
-    _, N, R = t.shape
-    total = 0.0
+    total, count = 0.0, 1
     for side in range(2):
-        for k in range(N):
-            for i in range(R):
+        for k in range(t.shape[1]):
+            for i in range(t.shape[2]):
+                if np.isinf(_bound(p, side, k, i)):
+                    continue
                 total += t[side, k, i] * nu[side, k, i]
-                if i >= HARD_ROWS:
+                count += 1
+                if not np.isinf(p.penalty[k, i]):
                     total += e[side, k, i] * barrier.room[side, k, i]
-    return float(total / (2 * N * (2 * R - HARD_ROWS)))
+                    count += 1
+    return float(total / count)

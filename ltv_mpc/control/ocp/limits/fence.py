@@ -1,9 +1,9 @@
-"""Rows of fence and corridor in the QP: half-planes that bound the predicted track.
+"""Fence and corridor: half-planes that bound the predicted track, soft.
 
-At each knot k the QP has at most M = ``ROWS`` soft rows  a' dp_k >= b  in the deviation dp of the position, with the
-outward normal m of a zone at its point nearest to the nominal position p, and its required clearance c:
+At each knot k there are at most ``ROWS`` rows  m' dp_k / S >= b  in the deviation dp of the position, with the outward
+normal m of a zone at its point nearest to the nominal position p, and its required clearance c:
 
-    a = m / S,    b = (c - d(p)) / S,    cost of the excess: PENALTY g_k  for each S metres
+    b = (c - d(p)) / S,    cost of the excess: PENALTY g_k  for each S metres
 
 d is the clearance (``geofence/zones.py``), S the scale of a position and g_k the length of the stage. In a stage longer
 than the first one the rows are those of its point with the least clearance.
@@ -27,13 +27,12 @@ from ltv_mpc.control.fence_clearance import (
     sag_m,
     stage_lack,
 )
-from ltv_mpc.control.horizon_limits import NO_BOUND
-from ltv_mpc.control.linearisation import advance_deviation, unpack_linearisation
+from ltv_mpc.control.linearisation import unpack_linearisation
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import Objective, stage_length, unpack_constants
 from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, allocate, half_planes, insert_row
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
-from ltv_mpc.vehicle.flow import STATES
 
 CORRIDOR_ROWS = 2
 """Rows of the corridor at a knot, behind the ``ROWS`` of the fence."""
@@ -43,19 +42,20 @@ REACH = 4.0
 
 
 @jit
-def fill_rows(packed: Array, flat: Array, stages: int, scene: Scene) -> None:
-    """Write the rows of a cycle.
+def fill(packed: Array, flat: Array, scene: Scene, rows: int, p: Problem) -> None:
+    """Fill in the rows of a cycle, which are the last ones of a problem.
 
     Parameters
     ----------
     packed : packed constants (problem_data.py).
-    flat : ``Linearisation.flat``: its X is read, its rows are overwritten.
-    stages : N.
+    flat : ``Linearisation.flat``.
     scene : zones and obstacles.
+    rows : how many rows a knot has for fence and corridor.
+    p : problem; these rows are overwritten.
     """
-    o, lin = unpack_constants(packed).objective, unpack_linearisation(flat, stages)
-    X, Z = lin.X, len(scene.need)
-    scale = o.state_scale[0]
+    stages = len(p.f)
+    o, X, Z = unpack_constants(packed).objective, unpack_linearisation(flat, stages).X, len(scene.need)
+    scale, first = o.state_scale[0], p.G.shape[1] - rows
     points, required = np.empty((stages, 2)), np.empty((stages, Z))
     times, reach = np.empty(stages), np.full(stages, REACH * scale)
     at = _worst_points(X, scene, o)
@@ -67,19 +67,28 @@ def fill_rows(packed: Array, flat: Array, stages: int, scene: Scene) -> None:
         sag = sag_m(X, k, g * scene.stage_s) if at[k - 1] < 1.0 else 0.0
         for z in range(Z):
             required[k - 1, z] = scene.need[z] + sag
-    rows = allocate(stages)
-    half_planes(scene.zones, points, required, scene.exits, reach, rows)
-    for k in range(stages):
+    found = allocate(stages)
+    half_planes(scene.zones, points, required, scene.exits, reach, found)
+    for k in range(1, stages + 1):
         for i in range(len(scene.discs)):
-            _insert_disc(scene, i, times[k], k, points, reach[k], rows)
+            _insert_disc(scene, i, times[k - 1], k - 1, points, reach[k - 1], found)
+        g = stage_length(o, k)
         for j in range(ROWS):
-            used = rows.zone[k, j] >= 0
-            for i in range(2):
-                lin.rows[k, j, i] = rows.normal[k, j, i] / scale if used else 0.0
-            lin.rows[k, j, 2] = -rows.slack[k, j] / scale if used else -NO_BOUND
-            lin.rows[k, j, 3] = PENALTY * stage_length(o, k + 1)
-        if lin.rows.shape[1] > ROWS:
-            _fill_corridor(lin.rows[k, ROWS:], scene, k + 1, X[k + 1], o)
+            if found.zone[k - 1, j] >= 0:
+                normal = found.normal[k - 1, j]
+                _set_row(p, k, first + j, normal[0], normal[1], -found.slack[k - 1, j] / scale, PENALTY * g)
+        if rows > ROWS and len(scene.path) > 1:
+            distance, mn, me = cross_track(scene, k, X[k, 0], X[k, 1])
+            for j, side in ((ROWS, -1.0), (ROWS + 1, 1.0)):
+                low = -(scene.half_width_m + side * distance) / scale
+                _set_row(p, k, first + j, side * mn, side * me, low, CORRIDOR_PENALTY * g)
+
+
+@jit
+def _set_row(p: Problem, k: int, row: int, north: float, east: float, low: float, penalty: float) -> None:
+    """Set the row  normal' dp / S >= low."""
+    p.G[k, row, 0], p.G[k, row, 1] = north, east
+    p.low[k, row], p.penalty[k, row] = low, penalty
 
 
 @jit
@@ -96,45 +105,6 @@ def _worst_points(X: Array, scene: Scene, o: Objective) -> Array:
             if knot > worst[k - 1]:
                 at[k - 1], worst[k - 1] = 1.0, knot
     return at
-
-
-@jit
-def least_surplus(flat: Array, stages: int, commands: Array) -> float:
-    """Return by how much the linear model meets every row with some commands; negative: not all are met.
-
-    Parameters
-    ----------
-    flat : ``Linearisation.flat`` with rows.
-    stages : N.
-    commands : (N+1, 2) port and starboard thrust (N).
-
-    Returns
-    -------
-    The least of a' dp_k - b, in units of S.
-    """
-    lin = unpack_linearisation(flat, stages)
-    least, dU, d, last = np.inf, commands - lin.U, np.zeros(STATES), np.zeros(STATES)
-    for k in range(stages):
-        advance_deviation(lin, k, dU, last, d)
-        for j in range(lin.rows.shape[1]):
-            row = lin.rows[k, j]
-            least = min(least, row[0] * d[0] + row[1] * d[1] - row[2])
-    return float(least)
-
-
-@jit
-def _fill_corridor(rows: Array, scene: Scene, k: int, x: Array, o: Objective) -> None:
-    """Write the rows (2, 4) of the corridor at knot k, whose nominal state is x."""
-    scale = o.state_scale[0]
-    for j in range(len(rows)):
-        rows[j, 0] = rows[j, 1] = 0.0
-        rows[j, 2] = -NO_BOUND
-        rows[j, 3] = CORRIDOR_PENALTY * stage_length(o, k)
-    if len(scene.path) > 1:
-        distance, mn, me = cross_track(scene, k, x[0], x[1])
-        for j, side in ((0, -1.0), (1, 1.0)):
-            rows[j, 0], rows[j, 1] = side * mn / scale, side * me / scale
-            rows[j, 2] = -(scene.half_width_m + side * distance) / scale
 
 
 @jit

@@ -1,0 +1,171 @@
+"""Problem of one cycle: the motion along the nominal trajectory, the terms of the cost and the limits.
+
+State and input of the problem (ocp/problem.py) are deviations from the nominal trajectory, over their scales:
+
+    x = [n, e, u, v, psi, r, F1, F2, U1, U2]    the vehicle's state, delivered thrusts and commands at a knot
+    u = [change of U1, change of U2]            from that knot to the next
+
+so that box and slew are bounds of a state and of an input. The commands are linear between the knots. With the
+derivatives A, B0, B1 of the flow (linearisation.py) by state, commands at the begin and at the end of a stage,
+
+    dX_(k+1) = A dX_k + (B0 + B1) dU_k + B1 (change of dU) + Phi_k - Xbar_(k+1),    dU_(k+1) = dU_k + (change of dU)
+
+The gap Phi_k - Xbar_(k+1) is 0 along a solution of the equations of motion.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltv_mpc.control.config import Weights
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation, unpack_linearisation
+from ltv_mpc.control.ocp import limits, terms
+from ltv_mpc.control.ocp.limits import motion
+from ltv_mpc.control.ocp.problem import Problem, clear
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS, Objective, pack_objective, unpack_objective
+from ltv_mpc.jit import jit
+from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.flow import STATES
+
+SIZE = CHANGES + 2
+"""Numbers of a stage: 10 states and 2 inputs."""
+
+
+def empty(stages: int, rows: int = 0) -> Problem:
+    """Return a problem of a cycle without numbers.
+
+    Parameters
+    ----------
+    stages : N.
+    rows : of further limits at a knot, behind those of ``ocp/limits``.
+    """
+    return Problem.empty(stages, CHANGES, 2, limits.ROWS + rows)
+
+
+@jit
+def fill(packed: Array, flat: Array, target: Array, p: Problem) -> None:
+    """Fill in the motion, all terms of the cost and the limits that have rows at every knot.
+
+    Parameters
+    ----------
+    packed : a packed objective (problem_data.py).
+    flat : ``Linearisation.flat``.
+    target : (N+1, 3) as in ``ocp/terms``.
+    p : is overwritten; further rows are empty.
+    """
+    o, lin = unpack_objective(packed), unpack_linearisation(flat, len(target) - 1)
+    clear(p)
+    for k in range(len(lin.Phi)):
+        _add_motion(p, k, lin, o)
+        terms.add(p, k + 1, lin, target, o)
+    limits.add(p, lin, target, o)
+
+
+@jit
+def _add_motion(p: Problem, k: int, lin: Linearisation, o: Objective) -> None:
+    """Add the dynamics of a stage."""
+    F = p.F[k]
+    for i in range(STATES):
+        over = 1.0 / scale(i, o)
+        p.f[k, i] = (lin.Phi[k, i] - lin.X[k + 1, i]) * over
+        for j in range(STATES):
+            F[i, j] = lin.A[k, i, j] * scale(j, o) * over
+        for j in range(2):
+            F[i, COMMANDS + j] = (lin.B0[k, i, j] + lin.B1[k, i, j]) * o.thrust_scale[j] * over
+            F[i, CHANGES + j] = lin.B1[k, i, j] * o.thrust_scale[j] * over
+    for j in range(2):
+        F[COMMANDS + j, COMMANDS + j] = F[COMMANDS + j, CHANGES + j] = 1.0
+
+
+@jit
+def scale(i: int, o: Objective) -> float:
+    """Return what is 1 in number i of a stage; a delivered thrust has the scale of its command.
+
+    Parameters
+    ----------
+    i : number 0 .. 11, as at the head of this file.
+    o : has the scales.
+
+    Returns
+    -------
+    The scale in the unit of the state or the input.
+    """
+    return float(o.state_scale[i] if i < 6 else o.thrust_scale[i % 2])
+
+
+@jit
+def commands_of(packed: Array, flat: Array, z: Array) -> Array:
+    """Return the commands of a solution.
+
+    Parameters
+    ----------
+    packed : a packed objective.
+    flat : ``Linearisation.flat`` that the problem was made from.
+    z : (N+1, 12) solution.
+
+    Returns
+    -------
+    (N+1, 2) port and starboard thrust at the knots (N); the first row is the command in force.
+    """
+    o, U = unpack_objective(packed), unpack_linearisation(flat, len(z) - 1).U.copy()
+    for k in range(1, len(z)):
+        for i in range(2):
+            U[k, i] += z[k, COMMANDS + i] * o.thrust_scale[i]
+    return U
+
+
+@jit
+def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
+    """Return the cost of a trajectory along the exact flow, without that of fence and corridor.
+
+    Parameters
+    ----------
+    X, U, C, target, o : as in ``ocp/terms``.
+    """
+    total, penalty = 0.0, motion.excess_penalty(X, target, o)
+    for k in range(1, len(X)):
+        total += stage_cost(k, X, U, C, target, o, penalty)
+    return total
+
+
+@jit
+def stage_cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective, penalty: float) -> float:
+    """Return the part of ``cost`` that knot k = 1 .. N adds.
+
+    Every part is at least zero, so an incomplete sum is a lower bound: a search for the cheapest of several
+    trajectories can abandon one as soon as it costs more than another.
+
+    Parameters
+    ----------
+    k, X, U, C, target, o : as in ``ocp/terms``.
+    penalty : ``motion.excess_penalty``.
+    """
+    return terms.cost(k, X, U, C, target, o) + motion.cost(k, X, target, o, penalty)
+
+
+def scales(limits: HorizonLimits) -> Array:
+    """Return what is 1 in each number of a stage (12,).
+
+    Parameters
+    ----------
+    limits : has the scales.
+    """
+    return np.concatenate([limits.state_scale, np.tile(limits.thrust_scale, 3)])
+
+
+def problem_along(lin: Linearisation, target: Array, knots: Array, limits: HorizonLimits, weights: Weights) -> Problem:
+    """Return a new problem along a motion, without fence and further terms.
+
+    Parameters
+    ----------
+    lin : the motion.
+    target : (N+1, 3) as in ``ocp/terms``; the headings may be left out where the weights have none.
+    knots : (N+1,) in first stages.
+    limits : limits of thrusters and motion.
+    weights : weights of the cost.
+    """
+    problem, wanted = empty(len(lin.Phi)), np.zeros((len(target), 3))
+    wanted[:, : target.shape[1]] = target
+    fill(pack_objective(knots, limits, weights), lin.flat, wanted, problem)
+    return problem
