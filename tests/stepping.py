@@ -17,7 +17,7 @@ def step(node: Node, t_ns: int, inbox: Inbox) -> list[Message]:
 def feed_each(node: Node, due: Sequence[Due], at_once: int = 50) -> list[list[Message]]:
     """Do many steps in batches, and return the output of each.
 
-    They give the same bits as single steps (test_batched_steps) in a fraction of the time.
+    They give the same bits as single steps (test_lookahead), in less time.
     """
     batches = (due[first : first + at_once] for first in range(0, len(due), at_once))
     return [outputs for batch in batches for outputs in node.steps(batch)]

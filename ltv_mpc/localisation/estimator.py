@@ -14,16 +14,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from itertools import islice
 from typing import Any
 
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.altimeter import Altimeter
-from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_of
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import Alignment
+from ltv_mpc.localisation.filter.checkpoint import belief_of, checkpoint_of, settings_of
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
-from ltv_mpc.localisation.filter.preintegration import sample_matrix
 from ltv_mpc.localisation.filter.state import grid
 from ltv_mpc.localisation.publishing import CheckpointSchedule, EstimateSchedule, estimate
 from ltv_mpc.localisation.reinitialisation import is_usable
@@ -102,8 +100,6 @@ class Estimator:
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """Use every message of each inbox, in its order, at the message's own time.
 
-        Inertial samples between which nothing else happens are integrated at once.
-
         Parameters
         ----------
         due : steps that are due, in order of time.
@@ -112,12 +108,7 @@ class Estimator:
         -------
         The messages that each step publishes.
         """
-        if len(due) == 1:  # a search for batches would cost more than it saves
-            return [self._step(due[0][1])]
-        outputs: list[list[Message]] = []
-        while (first := len(outputs)) < len(due):
-            outputs += self._integrate(due, first) or [self._step(due[first][1])]
-        return outputs
+        return [self._step(inbox) for _, inbox in due]
 
     def _step(self, inbox: Inbox) -> list[Message]:
         """Use every message of the inbox in its order."""
@@ -134,36 +125,6 @@ class Estimator:
             elif isinstance(message, EstimatorState):
                 self._restore(message)
         return out
-
-    def _integrate(self, due: Sequence[Due], first: int) -> list[list[Message]]:
-        """Integrate at once the steps from ``first`` on that hold one sample each, up to the next estimate.
-
-        Return the messages of each step; an empty list if there is none, or if a step needs more than integration.
-        """
-        if self.filter is None or not (self._sequencing.is_idle and self._supervision.is_idle):
-            return []
-        samples: list[ImuSample] = []
-        received_ns: list[int] = []
-        for _, inbox in islice(due, first, None):
-            sample = inbox[0].message
-            if len(inbox) != 1 or type(sample) is not ImuSample or sample.t_ns > self._schedule.next_ns:
-                break
-            samples.append(sample)
-            received_ns.append(inbox[0].received_t_ns)
-        number = self._sequencing.consecutive(samples) if samples else 0
-        if not number:
-            return []
-        samples = samples[:number]
-        measured = sample_matrix(samples)
-        if not self._screening.accepts_all(samples, received_ns[:number], measured):
-            return []
-        number = self._sequencing.apply_consecutive(samples, measured)
-        self._screening.record_last(samples[number - 1], received_ns[number - 1], measured[number - 1 : number])
-        self._supervision.store(samples[:number])
-        self._out = []
-        self._sequencing.reach(samples[number - 1].t_ns)
-        self._supervision.check()
-        return [[] for _ in range(number - 1)] + [self._out]
 
     def _restore(self, state: EstimatorState) -> None:
         """Continue from the state of another process of this node, unless this one has a filter already."""

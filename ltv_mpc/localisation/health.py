@@ -15,6 +15,8 @@ Inconsistent  The filter is inconsistent if an essential sensor (profiler, botto
               NIS is above ``GROSS_NIS``, or if one of both holds for two sensors of any kind. Then either the filter is
               wrong or a sensor that it needs. The compass alone is not sufficient, because the gyros are better. A
               profiler that is a quarter noisier than its file states has an inconsistent status, the filter has not.
+Samples       The NIS shows whether innovations have the size that the filter expects. Their values also show a bias,
+              and which sensor noise is wrong in metres, m/s or radians: the report has a few of the newest message.
 """
 
 from __future__ import annotations
@@ -27,14 +29,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtr, chdtri
 
-from ltv_mpc.jit import jit
 from ltv_mpc.localisation.filter.error_state_filter import Innovations
 from ltv_mpc.localisation.out_of_sequence import REACH_NS
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import SENSORS, fitted
 from ltv_mpc.localisation.sensors.sensor import Availability
 from ltv_mpc.localisation.sensors.settings import latency_ns
-from ltv_mpc.messages import Array, FilterStatus, SensorReport, SensorStatus
+from ltv_mpc.messages import Array, FilterStatus, InnovationSample, SensorReport, SensorStatus
 
 WINDOW_NS = 10_000_000_000
 """Length of the window."""
@@ -52,6 +53,9 @@ NOT_REJECTED = ("used", "deweighted", "late_applied")
 """Outcomes of measurements that corrected the filter; the count of "used" includes the two others."""
 AT_SURFACE = frozenset(s.name for s in SENSORS if s.availability is Availability.SURFACE)
 """Sensors whose silence is normal during the descent."""
+MAX_ROWS = 4
+"""Maximum number of innovations of one message: of a profiler about one a beam. It has 56 of them, and most say the
+same, because they share the error of the vehicle."""
 
 
 class _Record(NamedTuple):
@@ -142,11 +146,8 @@ class HealthMonitor:
 
     def _judge(self, name: str, t_ns: int) -> tuple[float | None, SensorStatus]:
         window = self._window[name]
-        rows = passed = 0
-        squares = pairs = 0.0
-        for record in window:
-            rows, passed = rows + record.rows, passed + record.passed
-            squares, pairs = squares + record.squares, pairs + record.pairs
+        rows, passed = sum(record.rows for record in window), sum(record.passed for record in window)
+        squares, pairs = sum(record.squares for record in window), sum(record.pairs for record in window)
         nis = squares / passed / self._expected if passed else None
         last_ns = self._last_ns.get(name)
         if last_ns is None or t_ns - last_ns > self._silent_ns[name]:
@@ -161,7 +162,40 @@ class HealthMonitor:
         return nis, SensorStatus.OK
 
 
-@jit
+class InnovationSamples:
+    """Store of the newest innovations of each sensor since the last report."""
+
+    def __init__(self) -> None:
+        self._newest: dict[tuple[str, int], InnovationSample] = {}
+
+    def observe(self, innovations: Innovations) -> None:
+        """Store those innovations of one message that passed the gate, at most ``MAX_ROWS`` at equal steps.
+
+        Parameters
+        ----------
+        innovations : of one message, before the gate.
+        """
+        accepted = np.flatnonzero(innovations.accepted)
+        if not len(accepted):
+            return
+        shown = accepted[:: -(-len(accepted) // MAX_ROWS)]
+        # A message with a single row may come from one of several transponders, which its index names.
+        source = int(innovations.indices[0]) if len(innovations.residual) == 1 else 0
+        self._newest[innovations.sensor, source] = InnovationSample(
+            sensor=innovations.sensor,
+            t_ns=innovations.t_ns,
+            rows=tuple(innovations.indices[shown].tolist()),
+            innovations=tuple(innovations.residual[shown].tolist()),
+            sd=tuple(np.sqrt(innovations.S[shown, shown]).tolist()),
+        )
+
+    def take(self) -> tuple[InnovationSample, ...]:
+        """Return what was stored since the last call, in order of the first message of each sensor."""
+        samples = tuple(self._newest.values())
+        self._newest.clear()
+        return samples
+
+
 def innovation_statistics(residual: Array, S: Array, accepted: npt.NDArray[np.bool_]) -> tuple[int, float, float]:
     """Return how many rows of a message passed, the sum of their x, and the sum of rho_ij^2 over their pairs.
 
@@ -171,22 +205,9 @@ def innovation_statistics(residual: Array, S: Array, accepted: npt.NDArray[np.bo
     S : (m, m) their covariance.
     accepted : (m,) which of them passed the gate.
     """
-    weight = np.zeros(len(residual))
-    for i in range(len(residual)):
-        if accepted[i]:
-            weight[i] = 1.0 / S[i, i]
-    passed, squares, pairs, of_each = 0, 0.0, 0.0, np.zeros(len(residual))
-    for i in range(len(residual)):
-        if accepted[i]:
-            passed += 1
-            squares += residual[i] * residual[i] * weight[i]
-            row = S[i]
-            for j in range(len(residual)):
-                of_each[j] += row[j] * row[j] * weight[i] * weight[j]
-    for j in range(len(residual)):
-        if accepted[j]:
-            pairs += of_each[j]
-    return passed, squares, pairs
+    r, passed = residual[accepted], S[accepted][:, accepted]
+    variance = passed.diagonal()
+    return len(r), float((r * r / variance).sum()), float(((passed * passed) @ (1.0 / variance) / variance).sum())
 
 
 def band(independent: float) -> tuple[float, float]:

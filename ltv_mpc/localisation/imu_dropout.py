@@ -26,7 +26,7 @@ import numpy as np
 from ltv_mpc.frames import rotation_exp, skew
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
 from ltv_mpc.localisation.sensors.imu import Imu
-from ltv_mpc.localisation.sensors.rows import Rows
+from ltv_mpc.localisation.sensors.sensor import Rows
 from ltv_mpc.messages import Array, ImuSample, Triple
 
 VELOCITY_WALK = 0.1**2  # m2/s3: what thrusters can do, and more
@@ -70,7 +70,7 @@ def inflate(Q: Array, seconds: float, gap_s: float) -> None:
 
 
 def coast(x: Array, R: Array, Phi: Array, Q: Array, seconds: float, gap_s: float, turn_radps: float, imu: Imu) -> None:
-    """Propagate a part of a gap, in place, as ``preintegration.integrate`` propagates a sample.
+    """Propagate a part of a gap, in place, as ``strapdown.integrate`` propagates a sample.
 
     Parameters
     ----------
@@ -85,8 +85,7 @@ def coast(x: Array, R: Array, Phi: Array, Q: Array, seconds: float, gap_s: float
     if gap_s <= MAX_TURN_S:
         R[:, :] = rotation_exp(np.array([0.0, 0.0, seconds * turn_radps])) @ R
     A, noise = np.eye(len(Phi)), np.zeros(len(Phi))
-    p, v = np.arange(POSITION.start, POSITION.stop), np.arange(VELOCITY.start, VELOCITY.stop)
-    A[p, v] = seconds
+    A[POSITION, VELOCITY] = seconds * np.eye(3)
     noise[ATTITUDE] = LEVEL_WALK * seconds
     noise[ATTITUDE.stop - 1] = TURN_WALK * min(gap_s, MAX_TURN_S) ** 2 / 12.0 * seconds
     for states, sd, tau_s in (
@@ -99,13 +98,22 @@ def coast(x: Array, R: Array, Phi: Array, Q: Array, seconds: float, gap_s: float
         noise[states] = sd**2 * (1.0 - keep * keep)
     Phi[:, :] = A @ Phi
     Q[:, :] = A @ Q @ A.T + np.diag(noise)
+    add_velocity_walk(Q, seconds)
+
+
+def add_velocity_walk(Q: Array, seconds: float) -> None:
+    """Add the noise of a velocity that is a random walk to a covariance of position and velocity.
+
+    Parameters
+    ----------
+    Q : covariance whose first states are position and velocity; changes.
+    seconds : duration of the walk (s).
+    """
+    p, v = np.arange(POSITION.start, POSITION.stop), np.arange(VELOCITY.start, VELOCITY.stop)
     Q[p, p] += VELOCITY_WALK * seconds**3 / 3.0
     Q[p, v] += VELOCITY_WALK * seconds**2 / 2.0
     Q[v, p] += VELOCITY_WALK * seconds**2 / 2.0
     Q[v, v] += VELOCITY_WALK * seconds
-
-
-_LEVEL = np.array([[*range(ATTITUDE.start, ATTITUDE.stop), *range(ACCELEROMETER_BIAS.start, ACCELEROMETER_BIAS.stop)]])
 
 
 def level(belief: Belief, force: Triple) -> Rows:
@@ -118,7 +126,7 @@ def level(belief: Belief, force: Triple) -> Rows:
     """
     f = belief.R @ (np.array(force) - belief.x[ACCELEROMETER_BIAS])
     return Rows(
-        state=np.repeat(_LEVEL, 2, axis=0),
+        state=np.tile(np.r_[ATTITUDE, ACCELEROMETER_BIAS], (2, 1)),
         partial=np.hstack([-skew(f)[:2], -belief.R[:2]]),
         residual=-f[:2],
         variance=np.full(2, ACCELERATION_SD_MPS2**2),

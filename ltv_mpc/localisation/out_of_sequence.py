@@ -16,7 +16,7 @@ Cost    A snapshot copies the covariance. A late message repeats the filter's wo
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE, fitted
 from ltv_mpc.localisation.sensors.sensor import Availability, Measurement
 from ltv_mpc.localisation.sensors.settings import latency_ns
-from ltv_mpc.messages import Array, ImuSample
+from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Progress, no_progress
 
 REACH_NS = 1_250_000_000
@@ -112,32 +112,6 @@ class MeasurementBuffer:
         self._progress()
         self.filter.advance(t_ns, sample)
         segments[-1].operations.append(Operation(t_ns, sample))
-
-    def count_contiguous(self, samples: Sequence[ImuSample]) -> int:
-        """Return the number of samples that follow each other before the next snapshot is due.
-
-        Parameters
-        ----------
-        samples : inertial samples in order of arrival.
-        """
-        return self.filter.count_contiguous(samples, self._segments[-1].t_ns + self._spacing_ns)
-
-    def advance_batch(self, samples: Sequence[ImuSample], measured: Array) -> int:
-        """Integrate samples that follow each other (``ErrorStateFilter.advance_batch``).
-
-        Parameters
-        ----------
-        samples : (K,) inertial samples, as many as ``count_contiguous`` returned.
-        measured : (K, 6) their angular rates (rad/s) and specific forces (m/s2), body axes.
-
-        Returns
-        -------
-        The number of samples that were integrated: fewer than K if the belief ceased to be finite.
-        """
-        self._progress()
-        done = self.filter.advance_batch(samples, measured)
-        self._segments[-1].operations.extend([Operation(sample.t_ns, sample) for sample in samples[:done]])
-        return done
 
     def correct(self, message: Measurement) -> None:
         """Correct the filter by a measurement of its own instant (``ErrorStateFilter.correct``).

@@ -15,7 +15,6 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ltv_mpc.frames import roll_pitch_heading
-from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, GYRO_BIAS, Belief
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -24,9 +23,10 @@ from ltv_mpc.localisation.sensors.compass import heading_partials
 from ltv_mpc.localisation.sensors.sensor import Availability
 from ltv_mpc.localisation.sensors.settings import latency_ns
 from ltv_mpc.localisation.water import current_model
-from ltv_mpc.messages import Array, Estimate, Triple
+from ltv_mpc.messages import Array, Estimate
 
-_TILT, _GYRO = ATTITUDE.start, GYRO_BIAS.start
+_REPORTED = (0, 1, 3, 4)
+"""Indices of position and velocity, north and east."""
 
 CHECKPOINT_NS = 5_000_000_000
 SUBMERGED_M, SURFACED_M = 1.0, 0.5
@@ -173,55 +173,26 @@ def estimate(filter_: ErrorStateFilter, depth_m: Array, altitude_m: float | None
     altitude_m : height above the bottom (m); None if it is not seen.
     """
     belief = filter_.belief
-    heading, yaw_rate, covariance = _angles(
-        belief.x,
-        belief.R,
-        filter_.angular_rate_radps,
-        filter_.earth_rate_radps,
-        filter_.core_covariance(),
-        filter_.angular_rate_variance,
-    )
+    roll, pitch, heading = roll_pitch_heading(belief.R)
+    w = filter_.angular_rate_radps - belief.x[GYRO_BIAS] - filter_.earth_rate_radps @ belief.R
+    turn = np.array([0.0, math.sin(roll), math.cos(roll)]) / math.cos(pitch)  # heading' = turn . w
+    J = np.zeros((6, CORE))
+    J[range(4), _REPORTED] = 1.0
+    J[4, ATTITUDE], J[5, GYRO_BIAS] = heading_partials(belief.R), -turn
+    covariance = J @ filter_.core_covariance() @ J.T
+    covariance[5, 5] += filter_.angular_rate_variance * (turn @ turn)
     north, east, down, v_north, v_east, v_down = belief.x[:6].tolist()
     return Estimate(
         t_ns=belief.t_ns,
         north_m=north,
         east_m=east,
         heading_rad=heading,
-        yaw_rate_radps=yaw_rate,
+        yaw_rate_radps=float(turn @ w),
         velocity_north_mps=v_north,
         velocity_east_mps=v_east,
         depth_m=down,
         velocity_down_mps=v_down,
         altitude_m=altitude_m,
-        covariance=covariance,
+        covariance=0.5 * (covariance + covariance.T),
         current=current_model.profile(belief, depth_m),
     )
-
-
-@jit
-def _angles(x: Array, R: Array, rate: Triple, W: Array, C: Array, noise: float) -> tuple[float, float, Array]:
-    """Return heading, heading rate and the covariance (6, 6).
-
-    ``rate`` is the measured angular rate, W the Earth's, C (15, 15) the covariance of the core states and ``noise`` the
-    variance of the gyros' white noise.
-    """
-    roll, pitch, heading = roll_pitch_heading(R)
-    w = np.empty(3)
-    for i in range(3):
-        w[i] = rate[i] - x[_GYRO + i] - (R[0, i] * W[0] + R[1, i] * W[1] + R[2, i] * W[2])
-    y, z = math.sin(roll) / math.cos(pitch), math.cos(roll) / math.cos(pitch)
-    by_tilt = heading_partials(R)
-    JC, at = np.empty((6, CORE)), (0, 1, 3, 4)
-    for i in range(4):
-        copy_to(JC[i], C[at[i]])
-    for j in range(CORE):
-        JC[4, j] = by_tilt[0] * C[_TILT, j] + by_tilt[1] * C[_TILT + 1, j] + by_tilt[2] * C[_TILT + 2, j]
-        JC[5, j] = -y * C[_GYRO + 1, j] - z * C[_GYRO + 2, j]
-    out = np.empty((6, 6))
-    for i in range(6):
-        for j in range(4):
-            out[i, j] = JC[i, at[j]]
-        out[i, 4] = by_tilt[0] * JC[i, _TILT] + by_tilt[1] * JC[i, _TILT + 1] + by_tilt[2] * JC[i, _TILT + 2]
-        out[i, 5] = -y * JC[i, _GYRO + 1] - z * JC[i, _GYRO + 2]
-    out[5, 5] += noise * (y * y + z * z)
-    return heading, y * w[1] + z * w[2], 0.5 * (out + out.T)

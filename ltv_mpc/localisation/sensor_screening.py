@@ -15,17 +15,12 @@ jump    An inertial sample differs from the one before by more than a vehicle ca
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from ltv_mpc.jit import jit
-from ltv_mpc.localisation.filter.preintegration import sample_matrix
 from ltv_mpc.localisation.sensors import SENSORS
-from ltv_mpc.messages import Array, ImuSample, Message, Triple
+from ltv_mpc.messages import ImuSample, Message, Triple
 
 MAX_CLOCK_LEAD_NS = 250_000_000
 """Maximum difference between the stamp and the arrival time of a message. It covers clocks that differ a little."""
@@ -58,7 +53,6 @@ class SensorScreening:
     def __init__(self) -> None:
         self._last: dict[type[Message], tuple[int, object]] = {}
         self._sample: ImuSample | None = None
-        self._measured: Array | None = None  # of that sample, (1, 6), if it was one of many
         self._required = 0
         self._arrivals: dict[type[Message], _Arrivals] = {}
 
@@ -85,43 +79,6 @@ class SensorScreening:
                 return "stuck"
         return "jump" if isinstance(message, ImuSample) and self._jumps(message) else None
 
-    def accepts_all(self, samples: Sequence[ImuSample], received_ns: Sequence[int], measured: Array) -> bool:
-        """Return True if a quick check shows that all of these samples are plausible.
-
-        Parameters
-        ----------
-        samples : (K,) inertial samples in order of arrival.
-        received_ns : (K,) times of their arrival (ns).
-        measured : (K, 6) their angular rates (rad/s) and specific forces (m/s2), body axes.
-
-        Returns
-        -------
-        False also if the quick check cannot tell; then ``rejection`` decides for each sample.
-        """
-        arrivals, before = self._arrivals.get(ImuSample), self._sample
-        if arrivals is None or arrivals.is_back or before is None or self._required:
-            return False
-        stamps = [before.t_ns, *[sample.t_ns for sample in samples]]
-        if self._last[ImuSample][0] != before.t_ns or stamps[1] < arrivals.newest_ns:
-            return False
-        if stamps[-1] > min(received_ns) + MAX_CLOCK_LEAD_NS:  # the last stamp is the largest if they are in order
-            return False
-        last = sample_matrix([before]) if self._measured is None else self._measured
-        return _are_consistent(np.array(stamps), last, measured)
-
-    def record_last(self, sample: ImuSample, received_ns: int, measured: Array) -> None:
-        """Store the last sample of those that ``accepts_all`` has accepted.
-
-        Parameters
-        ----------
-        sample : inertial sample.
-        received_ns : time of its arrival (ns).
-        measured : (1, 6) its angular rate (rad/s) and specific force (m/s2), body axes.
-        """
-        self._sample, self._last[ImuSample] = sample, (sample.t_ns, _READINGS[ImuSample](sample))
-        self._measured = measured
-        self._arrivals[ImuSample] = _Arrivals(sample.t_ns, received_ns - sample.t_ns)
-
     def _is_stale(self, kind: type[Message], t_ns: int, received_ns: int) -> bool:
         delay_ns = received_ns - t_ns
         arrivals = self._arrivals.get(kind)
@@ -136,7 +93,7 @@ class SensorScreening:
         return False
 
     def _jumps(self, sample: ImuSample) -> bool:
-        before, self._sample, self._measured = self._sample, sample, None
+        before, self._sample = self._sample, sample
         if before is None or before.t_ns == sample.t_ns:
             return False
         seconds = max(abs(sample.t_ns - before.t_ns) * 1e-9, MIN_INTERVAL_S)
@@ -148,26 +105,6 @@ class SensorScreening:
         elif self._required:
             self._required -= 1
         return self._required > 0
-
-
-@jit
-def _are_consistent(stamps_ns: npt.NDArray[np.int64], before: Array, measured: Array) -> bool:
-    """Return True if each sample (K, 6) is later than the one before it, differs from it, and does not jump.
-
-    ``before`` (1, 6) is the sample before the first; ``stamps_ns`` (K + 1,) begin with its stamp.
-    """
-    for k in range(len(measured)):
-        seconds = max((stamps_ns[k + 1] - stamps_ns[k]) * 1e-9, MIN_INTERVAL_S)
-        last = before[0] if k == 0 else measured[k - 1]
-        differs = False
-        for i in range(6):
-            change = abs(measured[k, i] - last[i])
-            differs |= change > 0.0
-            if not change <= (MAX_ANGULAR_ACCELERATION_RADPS2 if i < 3 else MAX_JERK_MPS3) * seconds:
-                return False
-        if stamps_ns[k + 1] <= stamps_ns[k] or not differs:
-            return False
-    return True
 
 
 def _differs(a: Triple, b: Triple, limit: float) -> bool:

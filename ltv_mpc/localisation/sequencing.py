@@ -13,7 +13,6 @@ from __future__ import annotations
 import bisect
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from ltv_mpc.localisation import imu_dropout
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
@@ -23,35 +22,13 @@ from ltv_mpc.localisation.reinitialisation import is_finite
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE
 from ltv_mpc.localisation.sensors.sensor import Measurement
-from ltv_mpc.messages import AdcpPing, Array, ImuSample
+from ltv_mpc.localisation.shadow_filter import ShadowFilter
+from ltv_mpc.messages import AdcpPing, ImuSample
 from ltv_mpc.node import Progress
 
 _MAX_WAITING = 1000
 """Maximum number of measurements that wait for an inertial sample. Beyond it the inertial unit has failed, and the
 oldest measurement is dropped."""
-
-
-class FollowsFilter(Protocol):
-    """A second filter that receives the same samples and measurements as the active one."""
-
-    def advance(self, t_ns: int, sample: ImuSample) -> None:
-        """Propagate to ``t_ns`` by the rates of ``sample``.
-
-        Parameters
-        ----------
-        t_ns : time to propagate to (ns).
-        sample : inertial sample that covers this time.
-        """
-        ...
-
-    def correct(self, message: Measurement) -> None:
-        """Correct by a measurement, at its own time.
-
-        Parameters
-        ----------
-        message : measurement of the filter's time or of an earlier one.
-        """
-        ...
 
 
 class Sequencing:
@@ -78,7 +55,7 @@ class Sequencing:
         publish : called with the filter when it stands at an estimate's instant and the estimate is complete.
         progress : called with every propagation step, as a sign of life.
         """
-        self.shadow: FollowsFilter | None = None
+        self.shadow: ShadowFilter | None = None
         self._spacing_ns = snapshot_spacing_ns(sensor_config)
         self._schedule = schedule
         self._account = account
@@ -92,11 +69,6 @@ class Sequencing:
     def filter(self) -> ErrorStateFilter | None:
         """The active filter; None until one has been set."""
         return None if self._buffer is None else self._buffer.filter
-
-    @property
-    def is_idle(self) -> bool:
-        """True if no measurement waits, no estimate is open and no shadow filter runs."""
-        return not (self._schedule.is_open or self._waiting or self.shadow is not None)
 
     def set_filter(self, filter_: ErrorStateFilter) -> None:
         """Make ``filter_`` the active filter, with an empty buffer of past measurements.
@@ -144,45 +116,6 @@ class Sequencing:
         for message in messages:
             self.apply(message)
         self._schedule.resume(state)
-
-    def consecutive(self, samples: Sequence[ImuSample]) -> int:
-        """Return how many of ``samples`` can be integrated at once, because nothing happens between them.
-
-        Parameters
-        ----------
-        samples : inertial samples in order of arrival.
-
-        Returns
-        -------
-        The number of samples, from the first on; 0 if the filter's belief is not finite.
-        """
-        buffer = self._required()
-        return buffer.count_contiguous(samples) if is_finite(buffer.filter.belief) else 0
-
-    def apply_consecutive(self, samples: Sequence[ImuSample], measured: Array) -> int:
-        """Integrate samples that follow one another.
-
-        Parameters
-        ----------
-        samples : (K,) inertial samples, as many as ``consecutive`` returned.
-        measured : (K, 6) their angular rates (rad/s) and specific forces (m/s2), body axes.
-
-        Returns
-        -------
-        The number of samples that were integrated: fewer than K if the belief ceased to be finite.
-        """
-        return self._required().advance_batch(samples, measured)
-
-    def reach(self, t_ns: int) -> None:
-        """Publish the estimate of ``t_ns`` if it is due and complete.
-
-        Parameters
-        ----------
-        t_ns : validity time of the last sample that was integrated (ns).
-        """
-        self._schedule.reach(t_ns)
-        if self._schedule.is_complete:
-            self._publish(self._required().filter)
 
     def _required(self) -> MeasurementBuffer:
         assert self._buffer is not None, "set_filter() must be called first"

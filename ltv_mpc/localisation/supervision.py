@@ -12,7 +12,7 @@ Warm restart      A filter that continues from a checkpoint is reported as resta
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.adaptive.process_noise import NoiseLevel
@@ -20,8 +20,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import Alignment
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief
-from ltv_mpc.localisation.health import HealthMonitor, filter_status
-from ltv_mpc.localisation.innovation_samples import InnovationSamples
+from ltv_mpc.localisation.health import HealthMonitor, InnovationSamples, filter_status
 from ltv_mpc.localisation.out_of_sequence import snapshot_spacing_ns
 from ltv_mpc.localisation.reinitialisation import RESTARTED_NS, Reinitialisation, is_finite, is_usable
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -79,11 +78,6 @@ class Supervision:
         return self._reinitialisation.count
 
     @property
-    def is_idle(self) -> bool:
-        """True if no filter is being aligned to replace the active one."""
-        return self._replacement is None
-
-    @property
     def is_inconsistent(self) -> bool:
         """True while the filter's innovations are inconsistent."""
         return self._reinitialisation.is_inconsistent
@@ -111,28 +105,18 @@ class Supervision:
         self._set_filter(ErrorStateFilter(self._sensor_config, self._config, belief))
 
     def receive(self, message: ImuSample | Measurement) -> None:
-        """Store a message for a reinitialisation, and give it to one that is under way.
+        """Store a message for ``RECENT_NS``, for a reinitialisation, and give it to one that is under way.
 
         Parameters
         ----------
         message : before it is applied to the filter.
         """
-        self.store([message])
+        self._recent.append(message)
+        if isinstance(message, ImuSample):
+            while self._recent[0].t_ns < message.t_ns - RECENT_NS:
+                self._recent.popleft()
         if self._replacement is not None:
             self._replacement.take(message)
-
-    def store(self, messages: Sequence[ImuSample | Measurement]) -> None:
-        """Store messages for a reinitialisation, and drop those older than ``RECENT_NS``.
-
-        Parameters
-        ----------
-        messages : at least one, in order of arrival.
-        """
-        self._recent.extend(messages)
-        newest = messages[-1]
-        if isinstance(newest, ImuSample):
-            while self._recent[0].t_ns < newest.t_ns - RECENT_NS:
-                self._recent.popleft()
 
     def check(self) -> None:
         """Replace the filter if it is not finite, its replacement is aligned, or its shadow filter is to take over."""

@@ -21,15 +21,14 @@ from __future__ import annotations
 import bisect
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
 
 import numpy as np
 
-from ltv_mpc.frames import GRAVITY_MPS2, roll_pitch_heading, rotation, rotation_exp
+from ltv_mpc.frames import GRAVITY_MPS2, roll_pitch_heading, rotation
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.alignment import LEVELLING_NS
+from ltv_mpc.localisation.filter.alignment import LEVELLING_NS, levelling_samples, mean_specific_force
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
-from ltv_mpc.localisation.imu_dropout import TURN_WALK, VELOCITY_WALK
+from ltv_mpc.localisation.imu_dropout import TURN_WALK, add_velocity_walk
 from ltv_mpc.localisation.reinitialisation import ACCELERATION_SD_MPS2
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.sensor import Measurement
@@ -40,8 +39,6 @@ MAX_ESTIMATE_LEAD_NS = 30_000_000_000
 """Maximum time from the checkpoint to an estimate of the same filter."""
 
 _MAX_MESSAGES = 6000
-
-Message: TypeAlias = ImuSample | Measurement
 
 
 class WarmRestart:
@@ -64,15 +61,15 @@ class WarmRestart:
         newer_ns = -1 if estimate is None else estimate.t_ns - belief.t_ns
         self._estimate = estimate if 0 <= newer_ns <= MAX_ESTIMATE_LEAD_NS else None
         self._since_ns = belief.t_ns if self._estimate is None else self._estimate.t_ns
-        self._messages: list[Message] = []  # by time, then arrival
+        self._messages: list[ImuSample | Measurement] = []  # by time, then arrival
 
     @property
     def waiting_for(self) -> str:
         """Sensors that are missing, as text; empty when the belief can be computed."""
-        samples = self._samples()
+        samples = levelling_samples(self._messages)
         return "" if samples and samples[-1].t_ns - samples[0].t_ns >= LEVELLING_NS else "imu"
 
-    def take(self, message: Message) -> None:
+    def take(self, message: ImuSample | Measurement) -> None:
         """Store a message. Messages come in order of arrival.
 
         Parameters
@@ -83,9 +80,9 @@ class WarmRestart:
             bisect.insort(self._messages, message, key=lambda m: m.t_ns)
             del self._messages[:-_MAX_MESSAGES]
 
-    def belief(self) -> tuple[Belief, list[Message]]:
+    def belief(self) -> tuple[Belief, list[ImuSample | Measurement]]:
         """Return the belief at the first sample's time, and the messages to be applied to it."""
-        samples = self._samples()
+        samples = levelling_samples(self._messages)
         if self.waiting_for:
             raise RuntimeError(f"cannot restart: waiting for {self.waiting_for}")
         start_ns = samples[0].t_ns
@@ -100,11 +97,6 @@ class WarmRestart:
         self._level(belief, samples, heading)
         belief.t_ns = start_ns
         return belief, [m for m in self._messages if m.t_ns > start_ns or (m.t_ns == start_ns and m is not samples[0])]
-
-    def _samples(self) -> list[ImuSample]:
-        """Return the samples that level the belief."""
-        samples = [m for m in self._messages if isinstance(m, ImuSample)]
-        return [m for m in samples if m.t_ns <= samples[0].t_ns + LEVELLING_NS]
 
     def _advance_to_estimate(self, belief: Belief) -> tuple[float, float]:
         """Move the belief to the last estimate's time; return its heading (rad) and rate of turn (rad/s)."""
@@ -125,7 +117,7 @@ class WarmRestart:
     def _level(self, belief: Belief, samples: Sequence[ImuSample], heading: float) -> None:
         """Set roll and pitch from the samples, and the given heading, at the end of the first sample."""
         imu, P = self._sensor_config.imu, belief.P
-        force, seconds = _specific_force(samples)
+        force, seconds = mean_specific_force(samples[1:])
         f = force - belief.x[ACCELEROMETER_BIAS]
         pitch = math.atan2(f[0], math.hypot(f[1], f[2]))
         belief.R = rotation(math.atan2(-f[1], -f[2]), pitch, heading)
@@ -147,12 +139,7 @@ class WarmRestart:
             (ACCELEROMETER_BIAS, imu.accelerometer_bias_sd_mps2, imu.accelerometer_bias_tau_s),
             (belief.layout.compass_bias, compass.bias_sd_rad, compass.bias_tau_s),
         ):
-            keep = math.exp(-seconds / tau_s)
-            belief.x[states] *= keep
-            belief.P[states, :] *= keep
-            belief.P[:, states] *= keep
-            indices = np.arange(states.start, states.stop)
-            belief.P[indices, indices] += sd**2 * (1.0 - keep * keep)
+            belief.propagate_bias(states, sd, tau_s, seconds)
         current_model.add_random_walk(belief, self._config, seconds)
 
 
@@ -170,25 +157,5 @@ def _propagate_position(P: Array, seconds: float) -> None:
 def _propagate_gap(belief: Belief, seconds: float) -> None:
     """Propagate position and velocity over a gap."""
     belief.x[POSITION] += seconds * belief.x[VELOCITY]
-    P = belief.P
-    _propagate_position(P, seconds)
-    for p, v in zip(range(POSITION.start, POSITION.stop), range(VELOCITY.start, VELOCITY.stop), strict=True):
-        P[p, p] += VELOCITY_WALK * seconds**3 / 3.0
-        P[p, v] += VELOCITY_WALK * seconds**2 / 2.0
-        P[v, p] = P[p, v]
-        P[v, v] += VELOCITY_WALK * seconds
-
-
-def _specific_force(samples: Sequence[ImuSample]) -> tuple[Array, float]:
-    """Return the mean specific force of the samples after the first (m/s2), and their time (s).
-
-    The force is in the body axes at the end of the first sample.
-    """
-    total, R_first, seconds = np.zeros(3), np.eye(3), 0.0
-    for sample in samples[1:]:
-        dt = sample.interval_ns * 1e-9
-        turn = np.array(sample.angular_rate_radps) * dt
-        total += dt * (R_first @ rotation_exp(0.5 * turn) @ np.array(sample.specific_force_mps2))
-        R_first = R_first @ rotation_exp(turn)
-        seconds += dt
-    return total / seconds, seconds
+    _propagate_position(belief.P, seconds)
+    add_velocity_walk(belief.P, seconds)

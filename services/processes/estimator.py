@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import os
 
 import msgspec
-import numpy as np
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.correction import update_covariance
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import fitted
 from ltv_mpc.localisation.sensors.imu import IMU
-from ltv_mpc.localisation.sensors.rows import Rows
 from ltv_mpc.localisation.sensors.sensor import Availability
 from ltv_mpc.node import ReceivedMessage
 from services.bus.options import BusOptions
@@ -76,8 +72,3 @@ def warm_up(sensor_config: SensorConfig, config: EstimatorConfig) -> None:
     late = [s.at_rest(second // 2, x) for s, x in fitted(sensor_config) if s.availability is not Availability.SURFACE]
     for message in (*start, *samples[:-1], *end, samples[-1], *late):
         estimator.steps([(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])])
-    for states in (2, 8):  # the covariance update has two branches: more rows than states, or fewer
-        place, one = np.arange(8)[:, None] % states, np.ones((8, 1))
-        update_covariance(
-            np.eye(8), Rows(state=place, partial=one, residual=np.zeros(8), variance=np.ones(8)), math.inf
-        )

@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.messages import (
     CycleTiming,
     Disturbance,
@@ -170,7 +169,7 @@ def test_an_unrecorded_run_has_the_summary_of_a_recorded_one(tmp_path: Any) -> N
 
 
 def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the plant, the sensors and the estimator: how often each is asked, and how many single steps are left."""
+    """Of the plant and the sensors: how often each is asked, and how many single steps are left."""
     single: dict[str, int] = {}
 
     def counted(kind: type, method: str) -> None:
@@ -184,7 +183,6 @@ def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypa
 
     counted(Plant, "_step")
     counted(Sensors, "_step")
-    counted(Estimator, "_step")
     run_config = descent("sensors=paper", duration_s=4.0)
     scenario = run_config.scenario
     nodes = make_nodes(run_config, publish_unread_topics=False)
@@ -193,7 +191,6 @@ def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypa
     assert ticks == 701
     assert single["Plant"] < ticks / 5
     assert single["Sensors"] < ticks / 20
-    assert single["Estimator"] < ticks / 2
 
 
 # --- rules, on nodes small enough ------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 A hypothesis has an unknown size nu (for example a drift of the current at all depths). Under it the mean error of the
 belief is E nu, with one column of E per hypothesis. E propagates like an error:
-    IMU propagation                  E := Phi E  on the core states (``filter/preintegration.py``)
+    IMU propagation                  E := Phi E  on the core states (``filter/strapdown.py``)
     update with W = L^-1 H P         Y = L^-1 H E,   E := E - W^T Y
 Innovations r in use contain nu, since y = L^-1 r ~ N(Y nu, I):
     score  d := d + Y^T y,           information  J := J + Y^T Y
@@ -14,13 +14,10 @@ Source  Willsky & Jones 1976, A generalized likelihood ratio approach to the det
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.blas import dgemm
 
-from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
 MAX_SD = 5.0
@@ -63,7 +60,7 @@ class FailureSignatures:
         self.information[:, columns] = 0.0
 
     def update(self, W: Array, Y: Array, y: Array) -> None:
-        """Update by whitened rows (``filter/correction.py``), all arrays C-contiguous.
+        """Update by whitened rows (``filter/update.py``).
 
         Parameters
         ----------
@@ -71,38 +68,8 @@ class FailureSignatures:
         Y : (m, K) L^-1 H E.
         y : (m,) L^-1 r.
         """
-        # BLAS expects column-major arrays, so it gets the transposes: E^T := E^T - Y^T W, in place
-        dgemm(-1.0, Y.T, W.T, beta=1.0, c=self.error.T, trans_b=1, overwrite_c=1)
+        self.error -= W.T @ Y
         J = Y.T @ Y
         bound = MAX_SD * np.sqrt(J.diagonal())
         self.score += np.minimum(np.maximum(y @ Y, -bound), bound)
         self.information += J
-
-
-@jit
-def update_signatures(error: Array, score: Array, information: Array, W: Array, Y: Array, y: Array) -> None:
-    """Update signatures by few whitened rows, in place, as ``FailureSignatures.update`` does.
-
-    Parameters
-    ----------
-    error : (n, K) E.
-    score : (K,) d.
-    information : (K, K) J.
-    W, Y, y : (m, n), (m, K), (m,) whitened rows.
-    """
-    m, n = W.shape
-    K = error.shape[1]
-    for i in range(n):
-        for k in range(m):
-            w = W[k, i]
-            for j in range(K):
-                error[i, j] -= w * Y[k, j]
-    for j in range(K):
-        gained, own = 0.0, 0.0
-        for k in range(m):
-            gained += Y[k, j] * y[k]
-            own += Y[k, j] * Y[k, j]
-            for b in range(K):
-                information[j, b] += Y[k, j] * Y[k, b]
-        bound = MAX_SD * math.sqrt(own)
-        score[j] += min(max(gained, -bound), bound)

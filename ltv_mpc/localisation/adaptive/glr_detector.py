@@ -28,7 +28,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.jit import jit
 from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.messages import Array
 
@@ -54,6 +53,9 @@ _OLD = 0.9
 
 _SHAPE_ERROR = 0.15
 """Standard deviation of the compensation relative to itself, because a front is not exactly a ramp."""
+
+_COLUMNS_OF = np.eye(COLUMNS).reshape(COLUMNS, STEPS, 2).transpose(1, 0, 2)
+"""(STEPS, COLUMNS, 2), the two columns of each instant."""
 
 _NONE_NS = -(2**62)
 """Start time of an instant that is not in use."""
@@ -126,8 +128,10 @@ class GlrDetector:
         signatures, t_ns = belief.signatures, belief.t_ns
         if not signatures.score.size:
             return
-        layout = belief.layout
-        _grow(signatures.error, self._pending_s, layout.mean.start, layout.north.start, layout.east.start)
+        layout, E = belief.layout, signatures.error
+        for axis, nodes in enumerate((layout.north, layout.east)):
+            E[nodes, axis::2] += self._pending_s
+            E[layout.mean.start + axis, axis::2] += self._pending_s
         self._pending_s = 0.0
         slot = t_ns // STEP_NS % STEPS
         if self._start_ns[slot] // STEP_NS != t_ns // STEP_NS:
@@ -146,83 +150,32 @@ class GlrDetector:
         signatures = belief.signatures
         if not signatures.score.size:
             return None
-        first, last, statistic, evidence, nu, covariance = _evaluate(
-            signatures.score, signatures.information, self._start_ns
-        )
+        D, start_ns = self._hypotheses()
+        d, precision = signatures.score @ D, D.transpose(0, 2, 1) @ signatures.information @ D + np.eye(2) / _SD_MPS2**2
+        covariance = np.linalg.inv(precision)
+        nu = (covariance @ d[..., None])[..., 0]
+        statistic = (d * nu).sum(axis=1)
         if not statistic.max(initial=0.0) > limit:
             return None
+        evidence = 0.5 * (statistic - np.log(np.linalg.det(precision)))
         share = np.exp(evidence - evidence.max())
         share /= share.sum()
         selected = np.flatnonzero(share > _MIN_EVIDENCE)
-        E, means, roots = signatures.error, [], []
+        means, roots = [], []
         for k in selected:
-            since = E[:, first[k] : first[k] + 2]
-            signature = since if last[k] < 0 else since - E[:, last[k] : last[k] + 2]
+            signature = signatures.error @ D[k]
             means.append(signature @ nu[k])
             roots.append(math.sqrt(share[k]) * signature @ np.linalg.cholesky(covariance[k]))
         error = share[selected] @ np.array(means)
         roots += [math.sqrt(share[k]) * (mean - error)[:, None] for k, mean in zip(selected, means, strict=True)]
         roots.append(_SHAPE_ERROR * error[:, None])
-        old = share[self._start_ns[first // 2] <= belief.t_ns - reach_ns].sum() > _OLD
+        old = share[start_ns <= belief.t_ns - reach_ns].sum() > _OLD
         return OnsetDetection(float(statistic.max()), bool(old), error, np.concatenate(roots, axis=1))
 
-
-@jit
-def _grow(E: Array, dt: float, mean: int, north: int, east: int) -> None:
-    """Add ``dt`` to the signatures of all currents; ``mean``, ``north``, ``east`` are their first indices."""
-    for axis, start in enumerate((north, east)):
-        for i in range(start, start + east - north):
-            for j in range(axis, E.shape[1], 2):
-                E[i, j] += dt
-        for j in range(axis, E.shape[1], 2):
-            E[mean + axis, j] += dt
-
-
-@jit
-def _evaluate(
-    score: Array, information: Array, start_ns: Instants
-) -> tuple[Instants, Instants, Array, Array, Array, Array]:
-    """Evaluate all hypotheses.
-
-    Return for each: first column of its start and of its end (-1: no end), 2 ln L, ln evidence, nu (2,) and the
-    covariance of nu (2, 2).
-    """
-    n = len(start_ns)
-    count_max = n * (n + 1) // 2
-    first, last = np.empty(count_max, dtype=np.int64), np.empty(count_max, dtype=np.int64)
-    statistic, evidence, nu, covariance = (
-        np.empty(count_max),
-        np.empty(count_max),
-        np.empty((count_max, 2)),
-        np.empty((count_max, 2, 2)),
-    )
-    prior = 1.0 / (_SD_MPS2 * _SD_MPS2)
-    count = 0
-    for i in range(n):
-        if start_ns[i] == _NONE_NS:
-            continue
-        a = 2 * i
-        for k in range(-1, n):
-            d0, d1 = score[a], score[a + 1]
-            J00, J01, J11 = information[a, a], information[a, a + 1], information[a + 1, a + 1]
-            if k >= 0:
-                if start_ns[k] <= start_ns[i]:
-                    continue
-                b = 2 * k
-                d0 -= score[b]
-                d1 -= score[b + 1]
-                J00 += information[b, b] - 2.0 * information[a, b]
-                J01 += information[b, b + 1] - information[a, b + 1] - information[b, a + 1]
-                J11 += information[b + 1, b + 1] - 2.0 * information[a + 1, b + 1]
-            J00 += prior
-            J11 += prior
-            det = J00 * J11 - J01 * J01
-            nu[count, 0] = (J11 * d0 - J01 * d1) / det
-            nu[count, 1] = (J00 * d1 - J01 * d0) / det
-            covariance[count, 0, 0], covariance[count, 1, 1] = J11 / det, J00 / det
-            covariance[count, 0, 1] = covariance[count, 1, 0] = -J01 / det
-            statistic[count] = nu[count, 0] * d0 + nu[count, 1] * d1
-            evidence[count] = 0.5 * statistic[count] - 0.5 * math.log(det / (prior * prior))
-            first[count], last[count] = a, 2 * k if k >= 0 else -1
-            count += 1
-    return first[:count], last[:count], statistic[:count], evidence[:count], nu[:count], covariance[:count]
+    def _hypotheses(self) -> tuple[Array, Instants]:
+        """Return D (H, COLUMNS, 2), which takes the columns of each hypothesis, and the start times (H,) (ns)."""
+        start_ns = self._start_ns
+        used = start_ns != _NONE_NS
+        starts, ends = np.nonzero(used[:, None] & (start_ns[:, None] < start_ns))
+        D = np.concatenate([_COLUMNS_OF[used], _COLUMNS_OF[starts] - _COLUMNS_OF[ends]])
+        return D, start_ns[np.concatenate([np.flatnonzero(used), starts])]

@@ -22,7 +22,6 @@ import math
 import numpy as np
 from scipy.special import chdtri
 
-from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
 MAX_SD = 5.0
@@ -69,7 +68,9 @@ class InnovationMeanTest:
         """
         keep = np.zeros(len(self.s)) if self._t_ns is None else np.exp((self._t_ns - t_ns) / self._tau_ns)
         self._t_ns = t_ns
-        self.s, self.W = _added(self.s, self.W, keep, np.ascontiguousarray(d), np.ascontiguousarray(V))
+        sd = math.sqrt(max(_squares(d[None], V[None])[0], MAX_SD**2))
+        self.s = keep[:, None] * self.s + MAX_SD / sd * d
+        self.W = keep[:, None, None] ** 2 * self.W + V
 
     def chi_square(self) -> Array:
         """Return s^T W^-1 s for each time constant, (T,); 0 before the first message."""
@@ -84,33 +85,7 @@ class InnovationMeanTest:
         return other
 
 
-@jit
-def _added(s: Array, W: Array, keep: Array, d: Array, V: Array) -> tuple[Array, Array]:
-    """Return s and W with one more message; ``keep`` (T,) is lambda."""
-    squared = _square(d, V)
-    part = MAX_SD / math.sqrt(squared) if squared > MAX_SD * MAX_SD else 1.0
-    new_s, new_W = np.empty_like(s), np.empty_like(W)
-    for t in range(len(keep)):
-        for i in range(len(d)):
-            new_s[t, i] = keep[t] * s[t, i] + part * d[i]
-            for j in range(len(d)):
-                new_W[t, i, j] = keep[t] * keep[t] * W[t, i, j] + V[i, j]
-    return new_s, new_W
-
-
-@jit
 def _squares(s: Array, W: Array) -> Array:
-    """Return s^T W^-1 s of each time constant, (T,)."""
-    out = np.empty(len(s))
-    for t in range(len(s)):
-        out[t] = _square(s[t], W[t])
-    return out
-
-
-@jit
-def _square(s: Array, W: Array) -> float:
-    """Return s^T W^-1 s of one or two entries in closed form; a compiled ``solve`` raises on NaN."""
-    if len(s) == 1:
-        return float(s[0] * s[0] / W[0, 0])
-    across = W[1, 1] * s[0] * s[0] - (W[0, 1] + W[1, 0]) * s[0] * s[1] + W[0, 0] * s[1] * s[1]
-    return float(across / (W[0, 0] * W[1, 1] - W[0, 1] * W[1, 0]))
+    """Return s^T W^-1 s, (T,), for s (T, G) and W (T, G, G)."""
+    squares: Array = (s * np.linalg.solve(W, s[..., None])[..., 0]).sum(axis=-1)
+    return squares

@@ -143,11 +143,8 @@ class AdaptiveProcessNoise:
         self._clear()
 
     def _clear(self) -> None:
-        self._means, self._vertical, self._shears = (
-            InnovationMeanTest(_MEANS_S, 2),
-            InnovationMeanTest(_MEANS_S, 1),
-            InnovationMeanTest(_SHEARS_S, 2),
-        )
+        self._means, self._vertical = InnovationMeanTest(_MEANS_S, 2), InnovationMeanTest(_MEANS_S, 1)
+        self._shears = InnovationMeanTest(_SHEARS_S, 2)
         self._inconsistent_ns: int | None = None
 
     def level(self, t_ns: int) -> NoiseLevel:

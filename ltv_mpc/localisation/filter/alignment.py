@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import bisect
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -51,6 +52,34 @@ _MAX_MESSAGES = 6000
 
 HEAVE_SD_MPS = 0.1
 """Standard deviation of the vertical velocity at the surface (m/s)."""
+
+
+def levelling_samples(messages: Sequence[ImuSample | Measurement]) -> list[ImuSample]:
+    """Return the inertial samples of the first ``LEVELLING_NS``.
+
+    Parameters
+    ----------
+    messages : of any sensors, by time.
+    """
+    samples = [m for m in messages if isinstance(m, ImuSample)]
+    return [m for m in samples if m.t_ns <= samples[0].t_ns + LEVELLING_NS]
+
+
+def mean_specific_force(samples: Sequence[ImuSample]) -> tuple[Array, float]:
+    """Return the mean specific force of samples (m/s2), (3,), in the body axes before the first, and their time (s).
+
+    Parameters
+    ----------
+    samples : inertial samples that follow each other.
+    """
+    total, C, seconds = np.zeros(3), np.eye(3), 0.0  # C: present body axes to those before the first sample
+    for sample in samples:
+        dt = sample.interval_ns * 1e-9
+        turn = np.array(sample.angular_rate_radps) * dt
+        total += dt * (C @ rotation_exp(0.5 * turn) @ np.array(sample.specific_force_mps2))
+        C = C @ rotation_exp(turn)
+        seconds += dt
+    return total / seconds, seconds
 
 
 class Alignment:
@@ -124,8 +153,7 @@ class Alignment:
 
     def _samples(self) -> list[ImuSample]:
         """Return the samples for levelling: those of the first ``LEVELLING_NS`` after the fix."""
-        samples = [m for m in self._after_fix() if isinstance(m, ImuSample)]
-        return [m for m in samples if m.t_ns <= samples[0].t_ns + LEVELLING_NS]
+        return levelling_samples(self._after_fix())
 
     def _after_fix(self) -> list[ImuSample | Measurement]:
         """Return the messages after the fix, in order, without those that determine the belief itself."""
@@ -134,19 +162,6 @@ class Alignment:
         first = bisect.bisect_right(self._messages, self._fix.t_ns, key=lambda m: m.t_ns)
         makes = {(type(m), m.t_ns) for m in (self._heading, self._depth) if m is not None}
         return [m for m in self._messages[first:] if (type(m), m.t_ns) not in makes]
-
-    def _specific_force(self) -> tuple[Array, float]:
-        """Return the mean specific force in the body axes at t0 (m/s2), (3,), and its noise variance per axis."""
-        total = np.zeros(3)
-        C = np.eye(3)  # current body axes to body axes at t0
-        seconds = 0.0
-        for sample in self._samples():
-            dt = sample.interval_ns * 1e-9
-            turn = np.array(sample.angular_rate_radps) * dt
-            total += dt * (C @ rotation_exp(0.5 * turn) @ np.array(sample.specific_force_mps2))
-            C = C @ rotation_exp(turn)
-            seconds += dt
-        return total / seconds, self._sensor_config.imu.velocity_random_walk_mps_per_rts**2 / seconds
 
     def belief(self) -> tuple[Belief, list[ImuSample | Measurement]]:
         """Return the belief at t0 and the later messages, which the caller applies to it in order.
@@ -164,7 +179,8 @@ class Alignment:
         belief = Belief.blank(layout, fix.t_ns)
         P = belief.P
 
-        f, white = self._specific_force()
+        f, seconds = mean_specific_force(self._samples())
+        white = sensor_config.imu.velocity_random_walk_mps_per_rts**2 / seconds
         pitch = math.atan2(f[0], math.hypot(f[1], f[2]))
         belief.R = rotation(math.atan2(-f[1], -f[2]), pitch, heading.heading_rad)
 
@@ -184,11 +200,8 @@ class Alignment:
         P[down, layout.compass_bias] = -compass_bias
         P[layout.compass_bias, down] = -compass_bias
 
-        speed_sd = (
-            0.0
-            if sensor_config.lbl is None
-            else sensor_config.lbl.sound_speed_sd_mps / sensor_config.lbl.sound_speed_mps
-        )
+        lbl = sensor_config.lbl
+        speed_sd = 0.0 if lbl is None else lbl.sound_speed_sd_mps / lbl.sound_speed_mps
         for states, sd in (
             (layout.beam_bias, sensor_config.adcp.beam_bias_sd_mps),
             (layout.near_bias, sensor_config.adcp.near_bias_sd_mps),

@@ -1,7 +1,7 @@
 """Error-state Kalman filter of vehicle and water: propagated by the IMU, corrected by all other sensors.
 
 Between two corrections the estimate is integrated sample by sample, and only the transition of the core states
-accumulates (``preintegration.py``). ``propagate_covariance`` then propagates the full covariance once:
+accumulates (``strapdown.py``). ``propagate_covariance`` then propagates the full covariance once:
     P_cc := Phi P_cc Phi^T + Q,  P_cr := Phi P_cr      c: the fifteen core states, r: all others
 The states behind the core are constants, first-order Gauss-Markov processes or random walks.
 The vehicle's dynamic model is not fused: thruster commands are no evidence of motion here.
@@ -13,7 +13,7 @@ from __future__ import annotations
 import copy
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -27,14 +27,13 @@ from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
 from ltv_mpc.localisation.adaptive.glr_detector import COLUMNS
 from ltv_mpc.localisation.adaptive.process_noise import AdaptiveProcessNoise
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.correction import Correction, correct
-from ltv_mpc.localisation.filter.preintegration import imu_noise, integrate, propagate, propagated_core, sample_matrix
 from ltv_mpc.localisation.filter.state import CORE, GYRO_BIAS, Belief, reach_m
+from ltv_mpc.localisation.filter.strapdown import imu_noise, integrate, propagate, propagated_core
+from ltv_mpc.localisation.filter.update import Correction, correct
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE
 from ltv_mpc.localisation.sensors.adcp import LinearisedPing
-from ltv_mpc.localisation.sensors.rows import Indices, Linearised
-from ltv_mpc.localisation.sensors.sensor import AnySensor, Availability, Context, Measurement
+from ltv_mpc.localisation.sensors.sensor import AnySensor, Availability, Context, Indices, Linearised, Measurement
 from ltv_mpc.localisation.water import current_model
 from ltv_mpc.localisation.water.grid_window import move_window
 from ltv_mpc.messages import AdcpPing, Array, ImuSample, Triple
@@ -158,63 +157,24 @@ class ErrorStateFilter:
         if gap_ns:
             self._cross_gap(min(t_ns, belief.t_ns + gap_ns), sample, gap_ns)
         if belief.t_ns < t_ns:
-            self._integrate([t_ns], [sample], sample_matrix([sample]))
+            self._integrate(t_ns, sample)
 
-    def count_contiguous(self, samples: Sequence[ImuSample], until_ns: int) -> int:
-        """Return how many samples, from the first on, can be integrated as one batch.
-
-        Each must start where the last one ended, without a gap, and before ``until_ns``. The number is 0 at a satellite
-        epoch and within an IMU dropout.
-
-        Parameters
-        ----------
-        samples : samples in order of time.
-        until_ns : end of the batch.
-        """
-        state, now_ns = self._state, self.belief.t_ns
-        if state.clones_position or state.coasted_ns:
-            return 0
-        for number, sample in enumerate(samples):
-            t_ns = sample.t_ns
-            contiguous = t_ns > now_ns and (
-                t_ns - sample.interval_ns == now_ns or not imu_dropout.gap_before_ns(sample, now_ns)
-            )
-            if now_ns >= until_ns or not contiguous:
-                return number
-            now_ns = t_ns
-        return len(samples)
-
-    def advance_batch(self, samples: Sequence[ImuSample], measured: Array) -> int:
-        """Propagate the estimate through contiguous samples.
-
-        Parameters
-        ----------
-        samples : K contiguous samples (``count_contiguous``).
-        measured : (K, 6) the same samples as ``preintegration.sample_matrix`` stacks them.
-
-        Returns
-        -------
-        Number of samples used. It is less than K if the estimate became non-finite: the last one used caused it.
-        """
-        return self._integrate([sample.t_ns for sample in samples], samples, measured)
-
-    def _integrate(self, until_ns: Sequence[int], samples: Sequence[ImuSample], measured: Array) -> int:
-        """Integrate each sample up to its time in ``until_ns``; return the number of samples used."""
+    def _integrate(self, t_ns: int, sample: ImuSample) -> None:
+        """Integrate a sample from the time of the belief to ``t_ns``."""
         state, belief = self._state, self.belief
-        stamps_ns = np.array([belief.t_ns, *until_ns])
-        seconds = 1e-9 * (stamps_ns[1:] - stamps_ns[:-1])
-        done = integrate(belief.x, belief.R, state.Phi, state.Q, measured, seconds, self._noise, self._earth)
-        state.angular_rate_radps = samples[done - 1].angular_rate_radps
-        state.pending_ns += until_ns[done - 1] - belief.t_ns
-        belief.t_ns = until_ns[done - 1]
-        return done
+        measured = np.array((*sample.angular_rate_radps, *sample.specific_force_mps2))
+        seconds = 1e-9 * (t_ns - belief.t_ns)
+        integrate(belief.x, belief.R, state.Phi, state.Q, measured, seconds, self._noise, self._earth)
+        state.angular_rate_radps = sample.angular_rate_radps
+        state.pending_ns += t_ns - belief.t_ns
+        belief.t_ns = t_ns
 
     def _cross_gap(self, t_ns: int, sample: ImuSample, gap_ns: int) -> None:
         """Propagate to ``t_ns`` within the gap of ``gap_ns`` before ``sample``, where nothing was measured."""
         state, belief = self._state, self.belief
         seconds, gap_s = (t_ns - belief.t_ns) * 1e-9, gap_ns * 1e-9
         if gap_ns <= imu_dropout.MAX_BRIDGED_NS:
-            self._integrate([t_ns], [sample], sample_matrix([sample]))
+            self._integrate(t_ns, sample)
             imu_dropout.inflate(state.Q, seconds, gap_s)
             return
         down = belief.R[2]
@@ -248,16 +208,9 @@ class ErrorStateFilter:
         if state.pending_ns == 0:
             return
         dt = state.pending_ns * 1e-9
-        P, E = belief.P, belief.signatures.error
-        propagate(P, E, state.Phi, state.Q)
-        bias = belief.layout.compass_bias
-        if bias.stop > bias.start:
-            keep = math.exp(-dt / self._sensor_config.compass.bias_tau_s)
-            belief.x[bias] *= keep
-            E[bias] *= keep
-            P[bias, :] *= keep
-            P[:, bias] *= keep
-            P[bias, bias] += self._sensor_config.compass.bias_sd_rad**2 * (1.0 - keep * keep)
+        propagate(belief.P, belief.signatures.error, state.Phi, state.Q)
+        compass = self._sensor_config.compass
+        belief.propagate_bias(belief.layout.compass_bias, compass.bias_sd_rad, compass.bias_tau_s, dt)
         current_model.add_random_walk(belief, self._config, dt)
         state.process_noise.propagate(belief, dt)
         state.pending_ns = 0
@@ -326,16 +279,9 @@ class ErrorStateFilter:
             self.account[f"{name}.deweighted"] += correction.deweighted
         self.account[f"{name}.{refused}"] += len(rows.residual) - used
         if self.observers:
-            indices = linearised.indices
-            innovations = Innovations(
-                sensor=name,
-                t_ns=self.belief.t_ns,
-                indices=np.arange(len(rows.residual)) if indices is None else indices,
-                residual=rows.residual,
-                S=correction.S,
-                accepted=correction.accepted,
-                definite=correction.definite,
-            )
+            indices = np.arange(len(rows.residual)) if linearised.indices is None else linearised.indices
+            accepted, definite = correction.accepted, correction.definite
+            innovations = Innovations(name, self.belief.t_ns, indices, rows.residual, correction.S, accepted, definite)
             for observer in self.observers:
                 observer(innovations)
         return correction

@@ -16,15 +16,14 @@ Source  Groves 2013, chapter 14 (error state in a local frame).
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltv_mpc import so3
 from ltv_mpc.frames import rotation_exp, skew
-from ltv_mpc.jit import jit
 from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.water.column import WaterColumn
@@ -39,7 +38,6 @@ VELOCITY = slice(3, 6)
 ATTITUDE = slice(6, 9)
 GYRO_BIAS = slice(9, 12)
 ACCELEROMETER_BIAS = slice(12, 15)
-_ATTITUDE = ATTITUDE.start
 CORE = 15
 """Number of core states, which the IMU propagates. They are the first states of every layout."""
 
@@ -79,38 +77,24 @@ class Layout:
         -------
         Layout with ``size`` states.
         """
-        end = CORE
-
-        def take(count: int) -> slice:
-            nonlocal end
-            start, end = end, end + count
-            return slice(start, end)
-
-        adcp = sensor_config.adcp
+        adcp, lbl = sensor_config.adcp, sensor_config.lbl
         nodes = len(grid(config))
         above_m, below_m = reach_m(adcp)
         cells = min(nodes, math.ceil((config.kept_m + above_m + below_m) / config.cell_m) + 3)
-        epoch = take(2)
-        beam_bias = take(4 if adcp.beam_bias_sd_mps > 0 else 0)
-        near_bias = take(4 if adcp.near_bias_sd_mps > 0 else 0)
-        mounting = take(3 if adcp.mounting_known_to_rad > 0 else 0)
-        compass_bias = take(1 if sensor_config.compass.bias_sd_rad > 0 else 0)
-        sound_speed = take(1 if sensor_config.lbl is not None and sensor_config.lbl.sound_speed_sd_mps > 0 else 0)
-        mean = take(2)
-        north, east = take(cells), take(cells)
-        return cls(
-            epoch=epoch,
-            beam_bias=beam_bias,
-            near_bias=near_bias,
-            mounting=mounting,
-            compass_bias=compass_bias,
-            sound_speed=sound_speed,
-            mean=mean,
-            north=north,
-            east=east,
-            nodes=nodes,
-            size=end,
-        )
+        sizes = {
+            "epoch": 2,
+            "beam_bias": 4 if adcp.beam_bias_sd_mps > 0 else 0,
+            "near_bias": 4 if adcp.near_bias_sd_mps > 0 else 0,
+            "mounting": 3 if adcp.mounting_known_to_rad > 0 else 0,
+            "compass_bias": 1 if sensor_config.compass.bias_sd_rad > 0 else 0,
+            "sound_speed": 1 if lbl is not None and lbl.sound_speed_sd_mps > 0 else 0,
+            "mean": 2,
+            "north": cells,
+            "east": cells,
+        }
+        ends = itertools.accumulate(sizes.values(), initial=CORE)
+        states = {name: slice(start, stop) for name, (start, stop) in zip(sizes, itertools.pairwise(ends), strict=True)}
+        return cls(**states, nodes=nodes, size=states["east"].stop)
 
 
 def grid(config: EstimatorConfig) -> Array:
@@ -127,22 +111,6 @@ def reach_m(adcp: Adcp) -> tuple[float, float]:
     upward = tilt + adcp.beam_angle_rad + _ROLLS_RAD > 0.5 * math.pi
     downward = tilt - adcp.beam_angle_rad - _ROLLS_RAD < 0.5 * math.pi
     return nearby + upward * adcp.range_m, nearby + downward * adcp.range_m
-
-
-@jit
-def apply_error(x: Array, R: Array, error: Array) -> None:
-    """Add an error to the estimate in place: x := x + e, R := exp(phi^) R.
-
-    Parameters
-    ----------
-    x : (n,) states.
-    R : (3, 3) attitude, body to NED.
-    error : (n,) error e; its attitude part is phi (rad, NED).
-    """
-    for k in range(len(x)):
-        x[k] += error[k]
-    phi = error[_ATTITUDE : _ATTITUDE + 3]
-    so3.write(so3.multiply(so3.exp(phi[0], phi[1], phi[2]), so3.read(R)), R)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -198,25 +166,34 @@ class Belief:
         )
 
     def apply_error(self, error: Array) -> None:
-        """Add an error (n,), with the sign convention above, to the estimate. The covariance does not change.
+        """Add an error to the estimate: x := x + e, R := exp(phi^) R, M := exp(mu^) M. The covariance does not change.
 
         Parameters
         ----------
-        error : (n,) error.
+        error : (n,) error e, with the sign convention above.
         """
-        apply_error(self.x, self.R, error)
-        self.apply_mounting_error(error)
-
-    def apply_mounting_error(self, error: Array) -> None:
-        """Apply the mounting part of an error (n,): M := exp(mu^) M.
-
-        Parameters
-        ----------
-        error : (n,) error.
-        """
+        self.x += error
+        self.R[:] = rotation_exp(error[ATTITUDE]) @ self.R
         mounting = self.layout.mounting
         if mounting.stop > mounting.start:
             self.mounting = rotation_exp(error[mounting]) @ self.mounting
+
+    def propagate_bias(self, states: slice, sd: float, tau_s: float, seconds: float) -> None:
+        """Propagate biases that are first-order Gauss-Markov processes, b := exp(-t / tau) b.
+
+        Parameters
+        ----------
+        states : states of the biases, with one standard deviation and one time constant; may be empty.
+        sd : standard deviation of the ensemble, in the unit of the state.
+        tau_s : time constant (s).
+        seconds : time t (s).
+        """
+        if states.stop == states.start:
+            return
+        keep = math.exp(-seconds / tau_s)
+        for array in (self.x[states], self.P[states, :], self.P[:, states], self.signatures.error[states]):
+            array *= keep
+        self.P[states, states] += sd**2 * (1.0 - keep * keep) * np.eye(states.stop - states.start)
 
     def clone_position(self, lever_m: Triple = (0.0, 0.0, 0.0)) -> None:
         """Clone the current antenna position into the satellite epoch: x_e := p + q with q = R l.

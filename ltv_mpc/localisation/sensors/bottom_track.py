@@ -16,8 +16,7 @@ from msgspec import Meta
 
 from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief
 from ltv_mpc.localisation.sensors.adcp import beam_directions
-from ltv_mpc.localisation.sensors.rows import Linearised, Rows
-from ltv_mpc.localisation.sensors.sensor import Context, Sensor
+from ltv_mpc.localisation.sensors.sensor import Context, Linearised, Rows, Sensor
 from ltv_mpc.localisation.sensors.settings import Latency, PositiveSd, Sd, SensorSettings, Share
 from ltv_mpc.messages import BottomTrack
 
@@ -54,13 +53,7 @@ def linearise(belief: Belief, ping: BottomTrack, tracking: BottomTracking, conte
     l = np.array(adcp.lever_arm_m)  # noqa: E741  (the lever arm's symbol)
     d = -belief.x[VELOCITY]
     s = belief.R.T @ d - np.cross(np.array(context.rate) - belief.x[GYRO_BIAS], l)
-    mounting = belief.layout.mounting
-    at = [
-        *range(VELOCITY.start, VELOCITY.stop),
-        *range(ATTITUDE.start, ATTITUDE.stop),
-        *range(GYRO_BIAS.start, GYRO_BIAS.stop),
-        *range(mounting.start, mounting.stop),
-    ]
+    at = np.r_[VELOCITY, ATTITUDE, GYRO_BIAS, belief.layout.mounting]
     partial = np.empty((len(found), len(at)))
     partial[:, :3] = -u
     partial[:, 3:6] = np.cross(u, d)
@@ -68,7 +61,7 @@ def linearise(belief: Belief, ping: BottomTrack, tracking: BottomTracking, conte
     if len(at) > 9:
         partial[:, 9:] = np.cross(b, s)
     rows = Rows(
-        state=np.tile(np.array(at), (len(found), 1)),
+        state=np.tile(at, (len(found), 1)),
         partial=partial,
         residual=ping.beam_velocity_mps[found] - b @ s,
         variance=np.full(len(found), tracking.beam_noise_sd_mps**2),

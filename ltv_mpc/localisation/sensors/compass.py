@@ -11,10 +11,8 @@ import math
 import numpy as np
 
 from ltv_mpc.frames import wrap_angle
-from ltv_mpc.jit import jit
 from ltv_mpc.localisation.filter.state import ATTITUDE, Belief
-from ltv_mpc.localisation.sensors.rows import Linearised, Rows
-from ltv_mpc.localisation.sensors.sensor import Context, Sensor
+from ltv_mpc.localisation.sensors.sensor import Context, Linearised, Rows, Sensor
 from ltv_mpc.localisation.sensors.settings import Latency, PositiveSd, Sd, Seconds, SensorSettings
 from ltv_mpc.messages import Array, CompassHeading
 
@@ -33,7 +31,6 @@ def heading(R: Array) -> float:
     return math.atan2(R[1, 0], R[0, 0])
 
 
-@jit
 def heading_partials(R: Array) -> Array:
     """Return d heading / d phi, (3,), for an attitude R (3, 3), body to NED."""
     n, e, d = R[0, 0], R[1, 0], R[2, 0]

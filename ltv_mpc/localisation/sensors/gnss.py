@@ -10,13 +10,11 @@ import numpy as np
 
 from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, Belief
 from ltv_mpc.localisation.sensors import lever_arm
-from ltv_mpc.localisation.sensors.rows import Linearised, Rows
-from ltv_mpc.localisation.sensors.sensor import Availability, Context, Sensor
+from ltv_mpc.localisation.sensors.sensor import Availability, Context, Linearised, Rows, Sensor
 from ltv_mpc.localisation.sensors.settings import Latency, Lever, PositiveSd, SensorSettings
 from ltv_mpc.messages import GnssFix, Triple
 
-_TURNING = (*range(ATTITUDE.start, ATTITUDE.stop), *range(GYRO_BIAS.start, GYRO_BIAS.stop))
-_STATES = np.array([[own, *_TURNING] for own in (0, 1, 3, 4)])
+_STATES = np.array([np.r_[own, ATTITUDE, GYRO_BIAS] for own in (0, 1, 3, 4)])
 
 
 class Gnss(SensorSettings, frozen=True, kw_only=True):
@@ -61,10 +59,6 @@ def rows(belief: Belief, fix: GnssFix, gnss: Gnss, rate: Triple) -> Rows:
 
 def _linearise(belief: Belief, fix: GnssFix, gnss: Gnss, context: Context) -> Linearised:
     return Linearised(rows=rows(belief, fix, gnss, context.rate))
-
-
-def _at_rest(t_ns: int, _: Gnss) -> GnssFix:
-    return GnssFix(t_ns=t_ns, north_m=0.0, east_m=0.0, velocity_north_mps=0.0, velocity_east_mps=1e-15 * t_ns)
 
 
 GNSS = Sensor(

@@ -1,4 +1,4 @@
-"""Strapdown inertial unit: it propagates the filter (``filter/preintegration.py``) and has no measurement rows."""
+"""Strapdown inertial unit: it propagates the filter (``filter/strapdown.py``) and has no measurement rows."""
 
 from __future__ import annotations
 

@@ -26,8 +26,7 @@ from msgspec import Meta
 
 from ltv_mpc.localisation.filter.state import ATTITUDE, POSITION, Belief
 from ltv_mpc.localisation.sensors import lever_arm
-from ltv_mpc.localisation.sensors.rows import Linearised, Rows, unusable
-from ltv_mpc.localisation.sensors.sensor import Availability, Context, Sensor
+from ltv_mpc.localisation.sensors.sensor import Availability, Context, Linearised, Rows, Sensor, unusable
 from ltv_mpc.localisation.sensors.settings import Lever, Position, PositiveSd, Sd, SensorSettings, Share
 from ltv_mpc.messages import LblRange
 
@@ -79,9 +78,8 @@ def rows(belief: Belief, lbl_range: LblRange, lbl: Lbl) -> Rows:
     partial[0, :3] = k * u
     partial[0, 3:6] = k * u @ head.by_attitude
     partial[0, 6:] = -k * k * r
-    attitude = range(ATTITUDE.start, ATTITUDE.stop)
     return Rows(
-        state=np.array([[*range(POSITION.start, POSITION.stop), *attitude, *range(speed.start, speed.stop)]]),
+        state=np.r_[POSITION, ATTITUDE, speed][None],
         partial=partial,
         residual=np.array([0.5 * lbl.sound_speed_mps * lbl_range.travel_time_s - k * r - 0.5 * np.trace(DP)]),
         variance=np.array([max(lbl.range_sd_m**2 + C, floor)]),

@@ -11,8 +11,7 @@ import numpy as np
 
 from ltv_mpc.localisation.filter.state import ATTITUDE, Belief
 from ltv_mpc.localisation.sensors import lever_arm
-from ltv_mpc.localisation.sensors.rows import Linearised, Rows, unusable
-from ltv_mpc.localisation.sensors.sensor import Availability, Context, Sensor
+from ltv_mpc.localisation.sensors.sensor import Availability, Context, Linearised, Rows, Sensor, unusable
 from ltv_mpc.localisation.sensors.settings import Latency, PositiveSd, SensorSettings
 from ltv_mpc.messages import TdcpFix, Triple
 
@@ -39,12 +38,11 @@ def rows(belief: Belief, fix: TdcpFix, tdcp: Tdcp, antenna_m: Triple) -> Rows:
     Two rows: north, east.
     """
     e = belief.layout.epoch.start
-    attitude = range(ATTITUDE.start, ATTITUDE.stop)
     antenna = lever_arm.point(belief, antenna_m)
     (q_n, q_e, _), by = antenna.offset, antenna.by_attitude
     x = belief.x
     return Rows(
-        state=np.array([[0, e, *attitude], [1, e + 1, *attitude]]),
+        state=np.array([np.r_[0, e, ATTITUDE], np.r_[1, e + 1, ATTITUDE]]),
         partial=np.array([[1.0, -1.0, *by[0]], [1.0, -1.0, *by[1]]]),
         residual=np.array([fix.north_m - (x[0] + q_n - x[e]), fix.east_m - (x[1] + q_e - x[e + 1])]),
         variance=np.full(2, tdcp.displacement_sd_m**2),

@@ -12,12 +12,11 @@ import numpy as np
 
 from ltv_mpc.localisation.filter.state import ATTITUDE, POSITION, Belief
 from ltv_mpc.localisation.sensors import lever_arm
-from ltv_mpc.localisation.sensors.rows import Linearised, Rows
-from ltv_mpc.localisation.sensors.sensor import Availability, Context, Sensor
+from ltv_mpc.localisation.sensors.sensor import Availability, Context, Linearised, Rows, Sensor
 from ltv_mpc.localisation.sensors.settings import Coordinate, Latency, Lever, PositiveSd, Sd, SensorSettings, Share
 from ltv_mpc.messages import UsblFix
 
-_STATES = np.array([[own, *range(ATTITUDE.start, ATTITUDE.stop)] for own in (0, 1)])
+_STATES = np.array([np.r_[own, ATTITUDE] for own in (0, 1)])
 
 
 class Usbl(SensorSettings, frozen=True, kw_only=True):

@@ -8,7 +8,7 @@ import numpy as np
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Innovations
-from ltv_mpc.localisation.innovation_samples import MAX_ROWS, InnovationSamples
+from ltv_mpc.localisation.health import MAX_ROWS, InnovationSamples
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import LocalisationReport
 from tests.stepping import step

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from ltv_mpc.frames import roll_pitch_heading, wrap_angle
-from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_of
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.localisation.filter.checkpoint import belief_of, checkpoint_of, settings_of
 from ltv_mpc.localisation.filter.state import POSITION, VELOCITY
+from ltv_mpc.localisation.imu_dropout import TURN_WALK, VELOCITY_WALK
 from ltv_mpc.localisation.publishing import CHECKPOINT_NS, SUBMERGED_M
 from ltv_mpc.localisation.reinitialisation import RESTARTED_NS
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.warm_restart import TURN_WALK, VELOCITY_WALK, WarmRestart
+from ltv_mpc.localisation.warm_restart import WarmRestart
 from ltv_mpc.messages import (
     Estimate,
     EstimatorState,

@@ -9,12 +9,11 @@ from ltv_mpc.localisation.adaptive.glr_detector import STEP_NS, STEPS
 from ltv_mpc.localisation.adaptive.process_noise import AdaptiveProcessNoise, NoiseLevel
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.correction import correct
-from ltv_mpc.localisation.filter.invariant_correction import HEADING, heading_coupling
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, Layout
+from ltv_mpc.localisation.filter.update import HEADING, correct, heading_coupling
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
-from ltv_mpc.localisation.sensors.rows import Rows
+from ltv_mpc.localisation.sensors.sensor import Rows
 from ltv_mpc.messages import AdcpPing
 from tests.stepping import feed
 
@@ -43,9 +42,9 @@ def rows_touching(states, m, seed=1):
     return Rows(state, rng.standard_normal((m, 6)), 0.1 * rng.standard_normal(m), rng.uniform(0.1, 2.0, m))
 
 
-@pytest.mark.parametrize(("m", "touched"), [(1, N), (2, N), (4, N), (5, N), (60, N), (120, 60)])
+@pytest.mark.parametrize(("m", "touched"), [(1, N), (5, N), (120, 60)])
 def test_a_correction_moves_them_by_the_textbooks_gain_and_hears_their_scores(belief, m, touched):
-    """120 rows on 60 states are compressed; one row beyond the gate is left out."""
+    """One row, a few, and more rows than states; one row beyond the gate is left out."""
     rows = rows_touching(touched, m)
     gate = 1e9
     if m > 1:

@@ -5,9 +5,8 @@ import pytest
 from scipy.integrate import quad_vec, solve_ivp
 
 from ltv_mpc.frames import earth_rate, rotation, rotation_exp, rotation_log
-from ltv_mpc.localisation.filter.preintegration import imu_noise, integrate, propagate, sample_matrix
+from ltv_mpc.localisation.filter.strapdown import imu_noise, integrate, propagate
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.messages import ImuSample
 
 IMU = SensorConfig.load("realistic").imu
 NOISE = imu_noise(IMU)
@@ -36,8 +35,8 @@ def start(seed=0):
 
 def run(x, R, rates, forces, earth=FAST_EARTH, noise=NOISE, dt=DT):
     Phi, Q = np.eye(15), np.zeros((15, 15))
-    measured = np.hstack([rates, forces])
-    assert integrate(x, R, Phi, Q, measured, np.full(len(measured), dt), noise, earth) == len(measured)
+    for measured in np.hstack([rates, forces]):
+        integrate(x, R, Phi, Q, measured, dt, noise, earth)
     return Phi, Q
 
 
@@ -171,15 +170,6 @@ def test_accumulated_noise_is_that_of_every_sample_propagated_to_the_end():
     np.testing.assert_array_equal(x, y)
 
 
-def test_integration_stops_after_the_sample_that_makes_it_non_finite():
-    x, R = start()
-    measured = np.tile(np.hstack([RATE, FORCE]), (5, 1))
-    measured[2, 3] = np.inf
-    with np.errstate(all="ignore"):  # without compilation numpy warns
-        done = integrate(x, R, np.eye(15), np.zeros((15, 15)), measured, np.full(5, DT), NOISE, FAST_EARTH)
-    assert done == 3
-
-
 def test_the_full_covariance_follows_the_core_states():
     """Reference: T P T^T + Q and T E with T = diag(Phi, 1); the result is bitwise symmetric."""
     rng = np.random.default_rng(6)
@@ -196,10 +186,3 @@ def test_the_full_covariance_follows_the_core_states():
     np.testing.assert_allclose(E, moved, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(P, expected, rtol=1e-12, atol=1e-10)
     np.testing.assert_array_equal(P, P.T)
-
-
-def test_a_row_of_samples_is_angular_rate_then_specific_force():
-    sample = ImuSample(
-        t_ns=0, interval_ns=10_000_000, angular_rate_radps=(0.1, 0.2, 0.3), specific_force_mps2=(1.0, 2.0, -9.8)
-    )
-    np.testing.assert_array_equal(sample_matrix([sample, sample]), [[0.1, 0.2, 0.3, 1.0, 2.0, -9.8]] * 2)

@@ -79,11 +79,8 @@ def belief_of(
     """
     layout = Layout.of(sensor_config, config)
     n, cells = layout.size, layout.north.stop - layout.north.start
-    seen, dropped, links = (
-        checkpoint.measured_grid_points,
-        checkpoint.dropped_grid_points,
-        len(conditioning_states(layout, 0)),
-    )
+    seen, dropped = checkpoint.measured_grid_points, checkpoint.dropped_grid_points
+    links = len(conditioning_states(layout, 0))
     whole = (
         checkpoint.settings_crc == settings_of(sensor_config, config, prior)
         and len(checkpoint.x) == n

@@ -16,7 +16,6 @@ Source  Lupton & Sukkarieh 2012, IEEE T-RO 28(1); Groves 2013, chapters 5 and 14
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from ltv_mpc import so3
 from ltv_mpc.frames import GRAVITY_MPS2
 from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.localisation.sensors.imu import Imu
-from ltv_mpc.messages import Array, ImuSample, Triple
+from ltv_mpc.messages import Array, Triple
 from ltv_mpc.so3 import Matrix3
 
 
@@ -44,11 +43,6 @@ def imu_noise(imu: Imu) -> Array:
             imu.accelerometer_bias_tau_s,
         ]
     )
-
-
-def sample_matrix(samples: Sequence[ImuSample]) -> Array:
-    """Stack samples into an array (K, 6): angular rate (rad/s) and specific force (m/s2), FRD."""
-    return np.array([(*sample.angular_rate_radps, *sample.specific_force_mps2) for sample in samples])
 
 
 @jit_outlined
@@ -87,8 +81,8 @@ def _transition(A: Array, C: Matrix3, a: Triple, W: Triple, dt: float, keep_g: f
 
 
 @jit
-def integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: Array, noise: Array, W: Array) -> int:
-    """Integrate samples in order, in place, and accumulate the error transition.
+def integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: float, noise: Array, earth: Array) -> None:
+    """Integrate one sample, in place, and accumulate the error transition.
 
     Parameters
     ----------
@@ -96,27 +90,12 @@ def integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: Arr
     R : (3, 3) attitude, body to NED; changes.
     Phi : (15, 15) accumulated transition, Phi := Phi_k Phi.
     Q : (15, 15) accumulated process noise, Q := Phi_k Q Phi_k^T + Q_k.
-    measured : (K, 6) mean angular rate (rad/s) and specific force (m/s2) of each sample, FRD.
-    dt : (K,) duration of each sample (s).
+    measured : (6,) mean angular rate (rad/s) and specific force (m/s2) of the sample, FRD.
+    dt : duration (s).
     noise : (6,) of ``imu_noise``.
-    W : (3,) Earth rate (rad/s, NED); zero if the gyros do not sense it.
-
-    Returns
-    -------
-    Number of samples integrated. It is less than K if position or velocity became non-finite: then the sample that
-    caused it is the last one.
+    earth : (3,) Earth rate (rad/s, NED); zero if the gyros do not sense it.
     """
-    earth = W[0], W[1], W[2]
-    for k in range(len(dt)):
-        _integrate(x, R, Phi, Q, measured[k], dt[k], noise, earth)
-        if not math.isfinite(x[0] + x[2] + x[3] + x[5]):
-            return k + 1
-    return len(dt)
-
-
-@jit
-def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: float, noise: Array, W: Triple) -> None:
-    """Integrate one sample."""
+    W = earth[0], earth[1], earth[2]
     w = measured[0] - x[9], measured[1] - x[10], measured[2] - x[11]
     f0, f1, f2 = measured[3] - x[12], measured[4] - x[13], measured[5] - x[14]
     R1 = so3.read(R)
@@ -164,7 +143,6 @@ def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: fl
         Q[12 + i, 12 + i] += d_a
 
 
-@jit
 def propagated_core(P: Array, Phi: Array, Q: Array) -> Array:
     """Return the propagated covariance of the core states, Phi P_cc Phi^T + Q, bitwise symmetric.
 
@@ -178,40 +156,11 @@ def propagated_core(P: Array, Phi: Array, Q: Array) -> Array:
     -------
     (15, 15), the core block that ``propagate`` would write.
     """
-    c = Phi.shape[0]
-    return _core(_forward(P, Phi, c), Phi, Q)
+    c = len(Phi)
+    core = Phi @ P[:c, :c] @ Phi.T + Q
+    return 0.5 * (core + core.T)
 
 
-@jit_outlined
-def _forward(P: Array, Phi: Array, n: int) -> Array:
-    """Return the first n columns of Phi P_c, (15, n); P_c are the core rows of P."""
-    c = Phi.shape[0]
-    moved = np.zeros((c, n))
-    for i in range(c):
-        for a in range(c):
-            f = Phi[i, a]
-            if f != 0.0:
-                for j in range(n):
-                    moved[i, j] += f * P[a, j]
-    return moved
-
-
-@jit
-def _core(moved: Array, Phi: Array, Q: Array) -> Array:
-    """Return Phi P_cc Phi^T + Q from ``moved`` = Phi P_c."""
-    c = Phi.shape[0]
-    out = np.empty((c, c))
-    for i in range(c):
-        for j in range(i, c):
-            upper = lower = 0.0
-            for a in range(c):
-                upper += moved[i, a] * Phi[j, a]
-                lower += moved[j, a] * Phi[i, a]
-            out[i, j] = out[j, i] = 0.5 * (upper + lower + Q[i, j] + Q[j, i])
-    return out
-
-
-@jit
 def propagate(P: Array, E: Array, Phi: Array, Q: Array) -> None:
     """Propagate the full covariance over the accumulated samples, in place, and reset Phi := I, Q := 0.
 
@@ -226,20 +175,8 @@ def propagate(P: Array, E: Array, Phi: Array, Q: Array) -> None:
     Phi : (15, 15) accumulated transition; reset.
     Q : (15, 15) accumulated process noise; reset.
     """
-    n, c = P.shape[0], Phi.shape[0]
-    moved = _forward(P, Phi, n)
-    core = _core(moved, Phi, Q)
-    for i in range(c):
-        for j in range(c):
-            P[i, j] = core[i, j]
-        for j in range(c, n):
-            P[i, j] = moved[i, j]
-    for j in range(c, n):
-        for i in range(c):
-            P[j, i] = moved[i, j]
-    along = _forward(E, Phi, E.shape[1])
-    for i in range(c):
-        for j in range(E.shape[1]):
-            E[i, j] = along[i, j]
-        for j in range(c):
-            Phi[i, j], Q[i, j] = 1.0 if i == j else 0.0, 0.0
+    c = len(Phi)
+    core, cross = propagated_core(P, Phi, Q), Phi @ P[:c, c:]
+    P[:c, :c], P[:c, c:], P[c:, :c] = core, cross, cross.T
+    E[:c] = Phi @ E[:c]
+    Phi[:], Q[:] = np.eye(c), 0.0
