@@ -69,7 +69,7 @@ class EdgeLoop:
             message, header = self._validator.validate(frame)
         except WireError:  # counted by the validator
             return ()
-        return () if header.epoch == self._epoch else self._edge.take(message, at_us)
+        return () if header.epoch == self._epoch else self._edge.take(message, at_us, (header.epoch, header.sequence))
 
     def _put(self, outputs: Iterable[Output], link: Link) -> None:
         for output in outputs:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from ltv_mpc.messages import Acknowledgement, Authority, Estimate, Plan
+from ltv_mpc.messages import Acknowledgement, Applied, Authority, Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.wire import decode
 from services.edges.edge import Outgoing, Received
@@ -145,6 +145,8 @@ class MavlinkFlight(Flight):
                 assert output.covariance is not None
                 fields["covariance"] = output.covariance.tolist()  # by it the controller weighs the change of velocity
                 self._receive("estimate", self.sender, fields)
+            elif isinstance(output, Applied):
+                self._receive("applied", self.sender, msgspec.structs.asdict(output))
             else:
                 self.outputs.append(output)
                 answer = Acknowledgement(
@@ -158,8 +160,8 @@ class MavlinkFlight(Flight):
 
     def _step(self) -> None:
         while self._under_way and self._under_way[0][0] <= self.host_us:
-            plan, _ = decode(Plan, self._under_way.pop(0)[1])
-            self._take(self.edge.take(plan, self.host_us))
+            plan, header = decode(Plan, self._under_way.pop(0)[1])
+            self._take(self.edge.take(plan, self.host_us, (header.epoch, header.sequence)))
         if self.host_us % STEP_PERIOD_US == 0:
             self._take(self.edge.step(self.host_us))
         if self.station_beats and self.host_us % BEAT_US == 0:

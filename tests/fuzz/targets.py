@@ -278,7 +278,8 @@ def ros2() -> Target:
         outputs = edge.receive(Received(channel, payload, attachment, 0))
         assert edge.accepted + edge.refused == sum(before) + 1
         for late in edge.step(4_000_000):  # so that requests do not pile up
-            assert isinstance(late, Outgoing)
+            if not isinstance(late, Outgoing):
+                signal_is_sound(late)
         return [output for output in outputs if not isinstance(output, Outgoing)] if edge.accepted > before[0] else None
 
     def check(messages: Any) -> None:

@@ -9,6 +9,7 @@ import msgspec
 
 from ltv_mpc.messages import (
     Acknowledgement,
+    Applied,
     Array,
     Authority,
     Command,
@@ -18,6 +19,7 @@ from ltv_mpc.messages import (
     Plan,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.edges.applied import AppliedReporter
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
 from services.edges.mavlink.actuation import Overrides, State
 from services.edges.mavlink.autopilot import Autopilot
@@ -55,7 +57,7 @@ class MavlinkEdge(Edge):
 
     name = "mavlink"
     reads = (Plan, Acknowledgement, ControllerStatus)
-    writes = (Estimate, Command)
+    writes = (Estimate, Command, Applied)
 
     def __init__(self, epoch: int, settings: Settings, codec: Codec) -> None:
         super().__init__(epoch)
@@ -64,6 +66,7 @@ class MavlinkEdge(Edge):
         self.autopilot = Autopilot(settings.ground_station)
         self.navigation = Navigation(settings.accuracy, dives=dives)
         self.overrides = Overrides(settings.vehicle)
+        self._applied = AppliedReporter(settings.vehicle)
         self._mission = MissionFollower(settings.speed_mps, dives=dives)
         self._numbers = LossCounter(256)
         self._seen_us: dict[str, int] = {}
@@ -104,9 +107,9 @@ class MavlinkEdge(Edge):
         if isinstance(refusal, ListRefused):
             self._problem = str(refusal)
 
-    def take(self, message: Message, now_us: int) -> Iterable[Output]:
+    def take(self, message: Message, now_us: int, identity: tuple[int, int] = (0, -1)) -> Iterable[Output]:
         """Take a plan, a status or a reply of the controller."""
-        super().take(message, now_us)
+        super().take(message, now_us, identity)
         match message:
             case Acknowledgement():
                 if (refusal := self._mission.acknowledged(message)) is not None:
@@ -120,8 +123,9 @@ class MavlinkEdge(Edge):
         return []
 
     def step(self, now_us: int) -> Iterable[Output]:
-        """Return the override of this period, and once a second what keeps the link alive."""
+        """Return the override of this period and what acts, and once a second what keeps the link alive."""
         thrust_N, why = self._thrust(now_us)
+        yield from self._applied.report(self.plans, thrust_N, self.clock.read(now_us))
         if self.autopilot.kind is not None:
             row = self.overrides.step(self.autopilot.kind, thrust_N, self.autopilot.armed, now_us)
             if row is not None:
@@ -136,13 +140,13 @@ class MavlinkEdge(Edge):
         if self.autopilot.kind is not None and self._settings.follow_mission:
             yield from map(self._send, self._mission.requests(self._codec.make, self._target, now_us))
 
-    def release(self, now_us: int) -> Iterable[Outgoing]:  # noqa: ARG002
+    def release(self, now_us: int) -> Iterable[Output]:
         """Return neutral, while armed, and the release, several times because frames may be lost."""
+        yield from self._applied.report(self.plans, None, self.clock.read(now_us))
         kind = self.autopilot.kind
-        if kind is None or self.overrides.state is State.IDLE:
-            return []
-        rows = [self.overrides.neutral(kind)] * (RELEASES if self.autopilot.armed else 0)
-        return [self._override(row) for row in (*rows, *[self.overrides.release(kind)] * RELEASES)]
+        if kind is not None and self.overrides.state is not State.IDLE:
+            rows = [self.overrides.neutral(kind)] * (RELEASES if self.autopilot.armed else 0)
+            yield from map(self._override, (*rows, *[self.overrides.release(kind)] * RELEASES))
 
     # --- out ---
 

@@ -55,7 +55,9 @@ def test_the_loop_steps_at_once_when_a_plan_has_come() -> None:
     stop.on_request(mailbox.wake)
     listen = (f"tcp/127.0.0.1:{loopback.free_port()}",)
     with open_session(BusOptions(listen=listen), stop=stop, say=print) as session:
-        loop = EdgeLoop(CountingEdge(epoch=1), session, mailbox, 1, print)
+        edge = CountingEdge(epoch=1)
+        edge.clock.update(0, 0)
+        loop = EdgeLoop(edge, session, mailbox, 1, print)
         thread = threading.Thread(target=loop.run, args=(sent, PERIOD_US, stop))
         thread.start()
         try:
@@ -63,6 +65,7 @@ def test_the_loop_steps_at_once_when_a_plan_has_come() -> None:
             header = Header(epoch=2, sequence=0, sent_monotonic_us=0)
             mailbox.offer(BY_TYPE[Plan], "plan", encode(plan(0), header))
             assert sent.payloads.get(timeout=PATIENCE_S) == b"plan"
+            assert edge.plans.identity == (2, 0)
             mailbox.offer(None, "", b"frame of the other side")
         finally:
             stop.request()

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ltv_mpc import config, references
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.messages import Action, Command, Estimate
+from ltv_mpc.messages import Action, Applied, Command, Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
 from services.edges.edge import Outgoing, Received, Refused
@@ -183,10 +183,63 @@ def test_a_failsafe_the_end_of_the_plan_and_a_disarmed_controller_end_it() -> No
 
 def test_a_lost_autopilot_gets_nothing_more_and_a_process_that_stops_lets_go() -> None:
     flight = driving()
-    rows = list(flight.edge.release(flight.host_us))
+    rows = [frame for frame in flight.edge.release(flight.host_us) if isinstance(frame, Outgoing)]
     for frame in rows[:-1]:  # the last one is lost
         flight.autopilot.receive(frame.payload, 0)
     assert flight.autopilot.overrides == {}
+
+
+@pytest.mark.parametrize("current_mps", [0.0, 0.3])
+def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lunge(current_mps: float) -> None:
+    """The target is 5 m ahead. Without reports of what acts it learns (0.29, -0.40) m/s of current in still water."""
+    flight = MavlinkFlight()
+    flight.hull.current = (0.0, current_mps)
+    flight.fly(3.0)
+    flight.arm()
+    flight.command(action="arm")
+    flight.fly(80.0)
+    heading = flight.autopilot.boat.attitude()[2]
+    flight.hull.x[0] -= 5.0 * math.cos(heading)
+    flight.hull.x[1] -= 5.0 * math.sin(heading)
+    observer = flight.node.controller.observer
+    believed = observer.bias_mps
+    flight.arm(mode=4)
+    flight.fly(60.0)
+    np.testing.assert_allclose(observer.bias_mps, believed, atol=0.005)
+    assert "released, or driven by somebody else?" in flight.plans[-1].health_why
+    flight.arm(mode=0)
+    track = flight.fly(90.0)
+    way = -track[0] / np.linalg.norm(track[0])
+    assert (track @ way).max() < 0.3
+    assert distance_m(track[-500:]).max() < 0.3
+    np.testing.assert_allclose(observer.bias_mps, believed, atol=0.05)
+
+
+def test_what_acts_is_the_command_of_the_override_and_zero_once_it_is_released() -> None:
+    flight = driving()
+    plan = flight.plans[-1]
+    thrust_N, t_ns = np.array([[10.0, -5.0, 0.0]] * 2), flight.edge.clock.read(flight.host_us)
+    assert t_ns is not None
+    plan = msgspec.structs.replace(
+        plan, cycle_t_ns=t_ns, t_ns=t_ns + np.array([-1_000_000_000, 3_000_000_000]), thrust_N=thrust_N
+    )
+    flight.edge.take(plan, flight.host_us, (7, 3))
+    reports = [
+        output
+        for k in range(1, 31)
+        for output in flight.edge.step(flight.host_us + 50_000 * k)
+        if isinstance(output, Applied)
+    ]
+    assert 14 <= len(reports) <= 16  # ten in a second
+    last = reports[-1]
+    assert (last.plan_epoch, last.plan_sequence, last.plan_cycle_t_ns) == (7, 3, t_ns)
+    assert last.command_N == (10.0, -5.0, 0.0)
+    np.testing.assert_allclose(last.thrust_N, last.command_N, atol=0.1)
+    assert abs(reports[0].thrust_N[0]) < 0.8 * 10.0  # the lag
+    (released, *_) = flight.edge.release(flight.host_us + 1_510_000)
+    assert isinstance(released, Applied)
+    assert released.command_N == (0.0, 0.0, 0.0)
+    assert released.thrust_N[0] > 9.0
 
 
 def test_while_disarmed_nothing_but_the_release_is_sent() -> None:
