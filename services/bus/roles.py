@@ -46,7 +46,7 @@ EDGES = ("ros2", "mavlink")
 """Roles of the edges, which replace the estimator and command as operators do."""
 
 EDGE_WRITES = (Estimate, Command, Obstacles, Applied)
-EDGE_READS = (Plan, Acknowledgement, ControllerStatus, Estimate, FenceInForce)
+EDGE_READS = (Plan, Acknowledgement, Command, ControllerStatus, Estimate, FenceInForce)
 
 ROS_PREFIX = "ros-"
 """Start of the role of the nodes of a ROS 2 domain."""

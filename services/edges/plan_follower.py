@@ -50,9 +50,9 @@ class PlanFollower:
         return None if t_ns > self._end_ns(plan) else plan.thrust_at(t_ns)
 
     def health(self, t_ns: int) -> Health:
-        """Return the timeliness of the plans at vehicle time ``t_ns``."""
+        """Return the timeliness of the plans at vehicle time ``t_ns``; nothing is late before the first one."""
         if not self._plans:
-            return Health.DEGRADED
+            return Health.NOMINAL
         left_ns, silent_ns = self._end_ns(self._plans[-1]) - t_ns, t_ns - self.received_t_ns
         return plan_health(silent_ns=silent_ns, period_ns=self._period.median_ns, left_ns=left_ns)
 

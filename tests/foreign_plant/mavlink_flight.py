@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ltv_mpc.messages import Acknowledgement, Applied, Authority, Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.time_shift import shifted
 from services.bus.wire import decode
 from services.edges.edge import Outgoing, Received
 from services.edges.mavlink.codec import Codec
@@ -100,6 +101,8 @@ class MavlinkFlight(Flight):
         self.station_beats = True
         self.rejection = ""
         """Reason with which the controller rejects each command of the edge; empty: it accepts them."""
+        self.relays = False
+        """The edge's commands go to the controller, which replies."""
         self.frames = {"to edge": 0, "to autopilot": 0}
         self._faults = faults or Faults()
         self._rng = random.Random(1)
@@ -147,6 +150,9 @@ class MavlinkFlight(Flight):
                 self._receive("estimate", self.sender, fields)
             elif isinstance(output, Applied):
                 self._receive("applied", self.sender, msgspec.structs.asdict(output))
+            elif self.relays:
+                self.outputs.append(output)
+                self._receive("command", self.sender, msgspec.structs.asdict(output))
             else:
                 self.outputs.append(output)
                 answer = Acknowledgement(
@@ -175,6 +181,10 @@ class MavlinkFlight(Flight):
             else:
                 self.deliver(self.autopilot.receive(data, EDGE_LINK))
         if self._runs and self.host_us % 300_000 == 0 and self._sync.active:
+            known = len(self.outputs)
             self._cycle()
+            for message in [one for one in self.outputs[known:] if isinstance(one, Acknowledgement)]:
+                reply = shifted(message, self._sync.published_shift_ns)
+                self._take(self.edge.take(reply, self.host_us))
         self._track.append((self.hull.x[0], self.hull.x[1]))
         self.host_us += STEP_US

@@ -77,6 +77,11 @@ class Autopilot:
             self.system != 0 and message.get_srcSystem() == self.system and message.get_srcComponent() == self.component
         )
 
+    @property
+    def is_manual(self) -> bool:
+        """True in its mode MANUAL."""
+        return self.kind is not None and self.mode == self.kind.value
+
     def station_is_there(self, now_us: int) -> bool:
         """Return True if the ground station has sent a heartbeat recently."""
         return now_us <= self._station_us + STATION_TIMEOUT_US
@@ -91,7 +96,7 @@ class Autopilot:
             return "disarmed"
         if self.failsafe:
             return "autopilot failsafe"
-        if self.mode != self.kind.value:
+        if not self.is_manual:
             return f"mode {MODES[self.kind].get(self.mode, self.mode)}"
         if not self.station_is_there(now_us):
             return "ground station lost"

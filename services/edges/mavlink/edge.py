@@ -23,12 +23,14 @@ from services.edges.applied import AppliedReporter
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
 from services.edges.mavlink.actuation import Overrides, State
 from services.edges.mavlink.autopilot import Autopilot
-from services.edges.mavlink.codec import Codec, frames_of
-from services.edges.mavlink.mission import ListRefused, MissionFollower
+from services.edges.mavlink.codec import COMPONENT, Codec, frames_of
+from services.edges.mavlink.download import ListRefused
+from services.edges.mavlink.mission import MissionFollower
 from services.edges.mavlink.navigation import MS, Accuracy, Navigation
 
 INTERVALS_US = {"SYSTEM_TIME": (2, 1_000_000), "ATTITUDE": (30, 50_000), "LOCAL_POSITION_NED": (32, 100_000),
-                "GPS_GLOBAL_ORIGIN": (49, 1_000_000), "EKF_STATUS_REPORT": (193, 1_000_000)}  # fmt: skip
+                "MISSION_CURRENT": (42, 1_000_000), "GPS_GLOBAL_ORIGIN": (49, 1_000_000),
+                "EKF_STATUS_REPORT": (193, 1_000_000)}  # fmt: skip
 """Number and interval of each requested message."""
 
 SECOND_US = 1_000_000
@@ -37,6 +39,7 @@ SET_MESSAGE_INTERVAL = 511
 ONBOARD_CONTROLLER, NO_AUTOPILOT, ACTIVE = 18, 8, 4
 NOTICE, WARNING = 5, 4
 RELEASES = 5
+TEXT_BYTES = 50  # of a STATUSTEXT; a longer text comes in pieces
 
 
 Handler: TypeAlias = Callable[[Any, int], Iterable[Output]]
@@ -56,7 +59,7 @@ class MavlinkEdge(Edge):
     """Edge to ArduPilot. A received frame is a datagram, with one or more frames of MAVLink."""
 
     name = "mavlink"
-    reads = (Plan, Acknowledgement, ControllerStatus)
+    reads = (Plan, Acknowledgement, Command, ControllerStatus)
     writes = (Estimate, Command, Applied)
 
     def __init__(self, epoch: int, settings: Settings, codec: Codec) -> None:
@@ -72,6 +75,7 @@ class MavlinkEdge(Edge):
         self._seen_us: dict[str, int] = {}
         self._asked_us = -SECOND_US
         self._why = ""
+        self._text_id = 0
         self._reported = (0, 0)  # restarts and resets
         self._problem = ""  # of mission or fence, not reported yet
 
@@ -85,6 +89,9 @@ class MavlinkEdge(Edge):
         outputs: list[Output] = []
         for one in frames_of(frame.payload):
             outputs += super().receive(frame._replace(payload=one))
+        for output in outputs:
+            if isinstance(output, Estimate):
+                self._mission.here = output.north_m, output.east_m
         return outputs
 
     def convert(self, frame: Received) -> Iterable[Output]:
@@ -96,7 +103,7 @@ class MavlinkEdge(Edge):
             self.lost = self._numbers.lost
         if kind == "HEARTBEAT":
             self.autopilot.heartbeat(message, frame.now_us)
-        elif (handle := self._handler(kind)) is not None and self.autopilot.is_from(message):
+        elif (handle := self._handler(kind)) and self.autopilot.is_from(message) and self._is_mine(message):
             self._seen_us[kind] = frame.now_us
             return handle(message, frame.now_us)
         return ()
@@ -114,9 +121,11 @@ class MavlinkEdge(Edge):
             case Acknowledgement():
                 if (refusal := self._mission.acknowledged(message)) is not None:
                     self.refuse(refusal)
+            case Command():
+                self._mission.operator(message)
             case Plan():
-                if (number := self._mission.reached(message)) is not None:
-                    return [self._send(self._codec.make.mission_item_reached_encode(number))]
+                numbers = self._mission.follow(message, now_us)
+                return [self._send(self._codec.make.mission_item_reached_encode(number)) for number in numbers]
             case ControllerStatus(error_m=float() as error_m):
                 boot_ms = (self.clock.read(now_us) or 0) // MS & 0xFFFFFFFF
                 return [self._send(self._codec.make.named_value_float_encode(boot_ms, b"mpc_err", error_m))]
@@ -131,7 +140,7 @@ class MavlinkEdge(Edge):
             if row is not None:
                 yield self._override(row)
             if why != self._why:
-                yield self._text(WARNING if why else NOTICE, f"released: {why}" if why else "driving")
+                yield from self._text(WARNING if why else NOTICE, f"released: {why}" if why else "driving")
                 self._why = why
         yield from self._reports()
         if now_us >= self._asked_us + SECOND_US:
@@ -183,13 +192,15 @@ class MavlinkEdge(Edge):
         if counted != self._reported:
             if counted[0] > self._reported[0]:
                 self.clock.reset()
-                yield self._text(WARNING, "autopilot restarted")
+                yield from self._text(WARNING, "autopilot restarted")
             else:
-                yield self._text(WARNING, f"EKF reset, {counted[1]} so far")
+                yield from self._text(WARNING, f"EKF reset, {counted[1]} so far")
             self._reported = counted
         if self._problem:
-            yield self._text(WARNING, self._problem)
+            yield from self._text(WARNING, self._problem)
             self._problem = ""
+        elif self._mission.texts:
+            yield from self._text(NOTICE, self._mission.texts.popleft())
 
     @property
     def _target(self) -> tuple[int, int]:
@@ -198,9 +209,14 @@ class MavlinkEdge(Edge):
     def _override(self, row: list[int]) -> Outgoing:
         return self._send(self._codec.make.rc_channels_override_encode(*self._target, *row))
 
-    def _text(self, severity: int, text: str) -> Outgoing:
-        line = f"LTV-MPC: {text}"[:50].encode("ascii", "replace")
-        return self._send(self._codec.make.statustext_encode(severity, line))
+    def _text(self, severity: int, text: str) -> Iterator[Outgoing]:
+        """Yield a text for the ground station, in pieces of 50 characters."""
+        line = f"LTV-MPC: {text}".encode("ascii", "replace")
+        self._text_id = self._text_id % 65_535 + 1
+        identity = self._text_id if len(line) > TEXT_BYTES else 0
+        for number, at in enumerate(range(0, len(line), TEXT_BYTES)):
+            piece = line[at : at + TEXT_BYTES]
+            yield self._send(self._codec.make.statustext_encode(severity, piece, identity, number))
 
     def _send(self, message: Any) -> Outgoing:
         return Outgoing("", self._codec.encode(message))
@@ -220,8 +236,16 @@ class MavlinkEdge(Edge):
             "GPS_GLOBAL_ORIGIN": mission.origin,
             "MISSION_COUNT": mission.count,
             "MISSION_ITEM_INT": mission.item,
+            "MISSION_ACK": mission.refusal,
+            "MISSION_CURRENT": lambda message, _: mission.current(message, is_set=self.autopilot.is_manual),
+            "STATUSTEXT": mission.text,
         }
         return handlers.get(kind)
+
+    def _is_mine(self, message: Any) -> bool:
+        """Return False for a message to another station, such as the items that the ground station asked for."""
+        system, component = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
+        return system in (0, self._settings.ground_station) and component in (0, COMPONENT)
 
     def _system_time(self, message: Any, now_us: int) -> Iterable[Output]:
         self.clock.update(message.time_boot_ms * MS, now_us)

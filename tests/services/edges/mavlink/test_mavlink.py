@@ -13,9 +13,10 @@ pytest.importorskip("pymavlink", reason="not installed: pip install pymavlink (e
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from ltv_mpc import config, references
+from ltv_mpc import config
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import Action, Applied, Command, Estimate
+from ltv_mpc.references import Origin
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
 from services.edges.edge import Outgoing, Received, Refused
@@ -23,7 +24,7 @@ from services.edges.mavlink.actuation import Overrides, State, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
 from services.edges.mavlink.codec import Codec, frames_of
 from services.edges.mavlink.edge import MavlinkEdge, Settings
-from services.edges.mavlink.mission import fence_of, reference_of
+from services.edges.mavlink.fence_items import fence_of
 from services.edges.mavlink.navigation import Accuracy, Navigation
 from tests.foreign_plant.flight import distance_m
 from tests.foreign_plant.mavlink_flight import EXAMPLE, MavlinkFlight, vehicle
@@ -31,6 +32,7 @@ from tests.services.controller_status import status
 
 BOAT = "bluerobotics-boat"
 KEY = bytes(range(32))
+ORIGIN = Origin(latitude_deg=50.2, longitude_deg=-5.1)
 
 
 def codec(system: int = 1, component: int = 1, key: bytes | None = None) -> Codec:
@@ -417,7 +419,7 @@ def test_a_filter_without_a_position_gives_no_estimate() -> None:
     assert flight.edge.reason == "position: the EKF has none"
 
 
-# --- mission ---------------------------------------------------------------------------------------------------------
+# --- fence ----
 
 
 def item(
@@ -431,78 +433,6 @@ def item(
 ) -> Any:
     x, y = round(lat * 1e7), round(lon * 1e7)
     return codec().make.mission_item_int_encode(1, 1, seq, frame, command, 0, 1, param1, param2, 0.0, 0.0, x, y, 0.0)
-
-
-def read(text: str) -> references.Reference:
-    reference: references.Reference = config.parse(config.loads(text), references.Reference, source="mission")
-    return reference
-
-
-def test_a_mission_is_a_reference_in_degrees_with_its_speed() -> None:
-    items = [item(0, 16), item(1, 178, param2=1.5), item(2, 16, 50.201), item(3, 16, 50.201, -5.099), item(4, 20)]
-    route = read(reference_of(items, (50.2, -5.1), 0.5, dives=False))
-    assert isinstance(route, references.Waypoints)
-    assert route.speed_mps == 1.5
-    assert [place.latitude_deg for place in route.waypoints] == [50.201, 50.201]
-    assert isinstance(read(reference_of(items[:3], (50.2, -5.1), 0.5, dives=False)), references.Point)
-    assert reference_of(items[:1], (50.2, -5.1), 0.5, dives=False) == ""
-    with pytest.raises(Refused, match="must be global"):
-        reference_of([item(0, 16), item(1, 16, frame=1)], (50.2, -5.1), 0.5, dives=False)
-
-
-def test_a_changed_mission_is_followed_once_on_a_bad_link() -> None:
-    from tests.foreign_plant.scenarios.mavlink import BAD
-
-    flight = MavlinkFlight(faults=BAD)
-    flight.fly(3.0)
-    flight.autopilot.lists[0] = [item(0, 16), item(1, 16, 50.2001), item(2, 16, 50.2001, -5.0999)]
-    flight.fly(40.0)
-    commands = [output for output in flight.outputs if isinstance(output, Command)]
-    assert [command.action for command in commands] == [Action.FOLLOW]
-    assert "latitude_deg = 50.2001" in commands[0].reference_toml
-    flight.autopilot.lists[0] = flight.autopilot.lists[0][:2]
-    flight.fly(40.0)
-    assert len([output for output in flight.outputs if isinstance(output, Command)]) == 2
-
-
-def reached_items(flight: MavlinkFlight) -> list[int]:
-    """Collect the numbers of the items that the autopilot is told to be reached."""
-    numbers: list[int] = []
-    send = flight.send
-
-    def listen(way: str, data: bytes) -> None:
-        message = codec().decode(data) if way == "to autopilot" else None
-        if message is not None and message.get_type() == "MISSION_ITEM_REACHED":
-            numbers.append(message.seq)
-        send(way, data)
-
-    flight.send = listen  # type: ignore[method-assign]
-    return numbers
-
-
-def test_the_last_place_of_the_followed_mission_is_reported_as_reached_once() -> None:
-    flight = MavlinkFlight()
-    reached = reached_items(flight)
-    flight.autopilot.lists[0] = [item(0, 16), item(1, 16, 50.2001), item(2, 16, 50.2001, -5.0999), item(3, 178)]
-    flight.fly(15.0)
-    plan = flight.plans[-1]
-
-    def take(*arrived: bool) -> None:
-        for one in arrived:
-            flight._take(flight.edge.take(msgspec.structs.replace(plan, arrived=one), flight.host_us))
-
-    take(False, False)
-    assert reached == []
-    take(True, True, True)
-    assert reached == [2]
-    flight.rejection = "too fast"
-    flight.autopilot.lists[0] = [item(0, 16), item(1, 16, 50.3)]
-    flight.fly(15.0)
-    take(False, True)
-    assert reached == [2]  # another reference is followed
-
-
-# --- fence ----
 
 
 def polygon(command: int, first: int = 0, side_deg: float = 1e-3, count: float = 4.0) -> list[Any]:
@@ -522,13 +452,13 @@ def test_the_items_of_a_fence_are_its_zones() -> None:
         item(9, 5003, param1=200.0),
         item(10, 5004, 50.2003, param1=3.0),
     ]
-    fence = config.parse(config.loads(fence_of(items, (50.2, -5.1))), Fence, source="fence")
+    fence = config.parse(config.loads(fence_of(items, ORIGIN)), Fence, source="fence")
     square, circle, wreck, buoy = fence.zones()
     assert (square.keep_in, circle.keep_in, wreck.keep_in, buoy.keep_in) == (True, True, False, False)
     assert square.vertices_m[0] == pytest.approx((-55.6, -35.7), abs=0.1)  # 5e-4 degrees of latitude and of longitude
     assert np.linalg.norm(circle.vertices_m, axis=1) == pytest.approx(200.0)
     assert (buoy.radius_m, float(buoy.vertices_m[0, 0])) == (3.0, pytest.approx(33.4, abs=0.1))
-    assert fence_of([item(0, 5000)], (50.2, -5.1)) == ""
+    assert fence_of([item(0, 5000)], ORIGIN) == ""
 
 
 @pytest.mark.parametrize(
@@ -545,7 +475,7 @@ def test_the_items_of_a_fence_are_its_zones() -> None:
 )
 def test_a_fence_that_is_no_area_is_refused(items: list[Any], says: str) -> None:
     with pytest.raises(Refused, match=says):
-        fence_of(items, (50.2, -5.1))
+        fence_of(items, ORIGIN)
 
 
 def test_the_fence_of_the_autopilot_is_kept_and_its_end_removes_it() -> None:
@@ -568,8 +498,8 @@ def test_a_refused_mission_or_fence_is_a_text_for_the_ground_station() -> None:
     flight.autopilot.lists[1] = polygon(5001)[:3]
     flight.fly(12.0)
     expected = [
-        "LTV-MPC: mission: frame 1 of item 1 must be global",
-        "LTV-MPC: fence: the last polygon has 3 of 4 vertic",  # a text has 50 characters
+        "LTV-MPC: mission: item 1 MAV_CMD_NAV_WAYPOINT (16) frame 1 must be global",
+        "LTV-MPC: fence: the last polygon has 3 of 4 vertices",
     ]
     assert sorted(text for text in flight.autopilot.log if "item" in text or "polygon" in text) == sorted(expected)
     flight.rejection = "too fast"
