@@ -1,14 +1,14 @@
 """Just-in-time compilation: a typed decorator, and a cache that is never stale. Only this file imports numba.
 
 numba's own cache notices an edit of a function's file, but not of another file that the function calls into. So the
-cache is in a folder whose name is a hash of every source file with compiled functions, of the compiler's version and of
-the processor: an edit of any of them starts a new folder. Each checkout has a folder of its own, because numba
-distinguishes functions by the path of their file. If the folder cannot be written, a temporary one is used.
+machine code of each function is stored under a hash of all that it depends on (``kernel_hash.py``), in a folder whose
+name is a hash of the compiler's version and of the processor. If the folder cannot be written, a temporary one is used.
 Child processes inherit it through the environment.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import platform
@@ -16,22 +16,16 @@ import tempfile
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar, cast
+from types import FunctionType
+from typing import Any, ClassVar, ParamSpec, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from ltv_mpc.kernel_hash import kernel_hash
+
 P = ParamSpec("P")
 R = TypeVar("R")
-
-MARK = b"@jit"
-"""Text that a source file with compiled functions contains."""
-
-
-def _sources() -> list[Path]:
-    here = Path(__file__).resolve().parent
-    roots = [here, here.parent / "sim"]
-    return sorted(p for root in roots if root.is_dir() for p in root.rglob("*.py") if MARK in p.read_bytes())
 
 
 def _processor() -> str:
@@ -43,15 +37,9 @@ def _processor() -> str:
 
 
 def fingerprint() -> str:
-    """Return a hash of all compiled sources, their place, the compiler and the processor: 16 hexadecimal digits."""
-    digest = hashlib.sha256()
-    for path in _sources():
-        digest.update(str(path).encode() + b"\0" + path.read_bytes() + b"\0")
-    for package in ("numba", "llvmlite", "numpy"):
-        digest.update(f"{package} {metadata.version(package)}\n".encode())
-    digest.update(_processor().encode())
-    digest.update(platform.python_version().encode())
-    return digest.hexdigest()[:16]
+    """Return a hash of compiler and processor: 16 hexadecimal digits."""
+    versions = [f"{package} {metadata.version(package)}" for package in ("numba", "llvmlite", "numpy")]
+    return hashlib.sha256("\n".join([*versions, _processor(), platform.python_version()]).encode()).hexdigest()[:16]
 
 
 def _writable(folder: Path) -> bool:
@@ -88,6 +76,66 @@ from llvmlite import ir  # noqa: E402
 from numba.core import caching, cgutils, dispatcher, types  # noqa: E402
 
 
+class _Locator(caching._CacheLocator):
+    """Place of a function's machine code: a file that is named after the function and its hash."""
+
+    def __init__(self, function: FunctionType, file: str) -> None:
+        """Compute the hash."""
+        self._py_file, self._function = file, function
+        self._hash = kernel_hash(function, OPTIONS[function])
+
+    def get_cache_path(self) -> str:
+        """Return the folder of its module."""
+        return str(CACHE / self._function.__module__)
+
+    def get_source_stamp(self) -> str:
+        """Return nothing: the file's name has the hash."""
+        return ""
+
+    def get_disambiguator(self) -> str:
+        """Return the hash, which is a part of the file's name."""
+        return self._hash
+
+    @classmethod
+    def from_function(cls, py_func: FunctionType, py_file: str) -> _Locator:
+        """Return the place of a function."""
+        return cls(py_func, py_file)
+
+
+class _CacheImpl(caching.CompileResultCacheImpl):
+    """numba's storage of a compiled function, in the place of ``_Locator``."""
+
+    _locator_classes: ClassVar = [_Locator]  # type: ignore[misc]
+
+
+class _Cache(caching.FunctionCache):
+    """Cache of one function; its place is found at the first call, when all that the function names exists."""
+
+    _impl_class = _CacheImpl
+
+    def __init__(self, function: FunctionType) -> None:
+        """Store the function."""
+        self._py_func, self._name, self._enabled = function, repr(function), True
+
+    @functools.cached_property
+    def _impl(self) -> _CacheImpl:
+        return _CacheImpl(self._py_func)  # type: ignore[no-untyped-call]
+
+    @functools.cached_property
+    def _cache_path(self) -> str:
+        return str(self._impl.locator.get_cache_path())
+
+    @functools.cached_property
+    def _cache_file(self) -> Any:  # type: ignore[override]
+        return caching.IndexDataCacheFile(  # type: ignore[no-untyped-call]
+            self._cache_path, self._impl.filename_base, ""
+        )
+
+
+OPTIONS: dict[Any, dict[str, Any]] = {}
+"""Options with which each function is compiled."""
+
+
 def jit(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function at its first call.
 
@@ -115,7 +163,10 @@ def _compiled(function: Callable[P, R], *, forceinline: bool) -> Callable[P, R]:
         "forceinline": forceinline,
         "no_cfunc_wrapper": True,
     }
-    return cast("Callable[P, R]", numba.njit(cache=True, **options)(function))
+    OPTIONS[function] = options
+    compiled = numba.njit(**options)(function)
+    compiled._cache = _Cache(cast("FunctionType", function))
+    return cast("Callable[P, R]", compiled)
 
 
 def share_compilation() -> None:

@@ -9,6 +9,7 @@ times are in docs/notes/compile-time.md.
 from __future__ import annotations
 
 import gc
+import hashlib
 import os
 import subprocess
 import sys
@@ -18,6 +19,8 @@ from pathlib import Path
 
 import msgspec
 
+import ltv_mpc
+import sim
 from ltv_mpc.jit import CACHE, share_compilation
 from services.supervisor.parent_death import OrphanCleanup, die_with_parent
 
@@ -25,7 +28,7 @@ NOTE = "compiling, once after a change of the sources: a minute or two"
 """Line that announces a compilation."""
 
 MARK = "rehearsed"
-"""File in the cache folder, which is named after the sources; if it exists, everything is compiled."""
+"""File in the cache folder; its name goes on with a hash of the sources, of which everything is compiled."""
 
 MACHINE_CODE_BYTES = 15_500_000
 """Approximate size of all machine code. Its share grows as evenly as the time; that of the functions does not."""
@@ -35,7 +38,16 @@ POLL_S = 0.2
 
 def is_warm() -> bool:
     """Return True if everything is compiled."""
-    return (CACHE / MARK).exists()
+    return _mark().exists()
+
+
+def _mark() -> Path:
+    """Return the file that says that these sources are compiled."""
+    digest = hashlib.sha256()
+    for package in (ltv_mpc, sim):
+        for path in sorted(Path(package.__path__[0]).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return CACHE / f"{MARK}-{digest.hexdigest()[:16]}"
 
 
 def command(scenario: str) -> list[str]:
@@ -46,7 +58,8 @@ def command(scenario: str) -> list[str]:
 def fill(scenario: Path, log: Path, cleanup: OrphanCleanup, wait: Callable[[float], None]) -> int:
     """Run ``command`` with its output in ``log``, and return its exit code.
 
-    ``wait`` is called again and again with the share that is compiled. An exception of it ends the compilation.
+    ``wait`` is called again and again with the share that is compiled, approximately. An exception of it ends the
+    compilation.
     """
     with log.open("wb") as output:
         process = subprocess.Popen(
@@ -57,9 +70,10 @@ def fill(scenario: Path, log: Path, cleanup: OrphanCleanup, wait: Callable[[floa
             start_new_session=True,
         )
     cleanup.add(process.pid)
+    before = stored_bytes()
     try:
         while process.poll() is None:
-            wait(share())
+            wait(share(before))
     finally:
         process.kill()  # its own children end with it
         code = process.wait()
@@ -67,9 +81,14 @@ def fill(scenario: Path, log: Path, cleanup: OrphanCleanup, wait: Callable[[floa
     return code
 
 
-def share() -> float:
-    """Return the approximate share that is compiled, 0 to 1, of this checkout alone: another's cache may be inside."""
-    return min(1.0, sum(path.stat().st_size for path in CACHE.glob("*/*.nbc")) / MACHINE_CODE_BYTES)
+def share(before: int) -> float:
+    """Return the share that is compiled, approximately, 0 to 1; ``before``: ``stored_bytes`` at the beginning."""
+    return min(1.0, (stored_bytes() - before) / MACHINE_CODE_BYTES)
+
+
+def stored_bytes() -> int:
+    """Return the size of the machine code in the cache, also that of other versions of the sources."""
+    return sum(path.stat().st_size for path in CACHE.glob("*/*.nbc"))
 
 
 def warm_up(scenario: str) -> None:
@@ -151,7 +170,7 @@ def main(arguments: Sequence[str]) -> int:
             child.wait()
     failed = [child.returncode for child in children if child.returncode]
     if not failed:
-        (CACHE / MARK).touch()
+        _mark().touch()
     return failed[0] if failed else 0
 
 

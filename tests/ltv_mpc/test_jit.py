@@ -19,34 +19,72 @@ from ltv_mpc import jit
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def folder_in(tree: Path) -> str:
-    """Return the cache folder that a copy of the sources names."""
-    code = "from ltv_mpc import jit; print(jit.fingerprint())"
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+CALLEE = '''
+import numpy as np
+from typing import NamedTuple
+from ltv_mpc.jit import jit
+
+GAIN = 2.0
+
+class Pair(NamedTuple):
+    first: float
+    second: float
+
+@jit
+def inner(x):
+    """Return a multiple."""
+    return GAIN * x
+
+@jit
+def other(x):
+    return x
+'''
+
+CALLER = """
+from ltv_mpc.vehicle import callee
+from ltv_mpc.vehicle.callee import Pair, inner
+from ltv_mpc.jit import jit
+
+@jit
+def outer(p: Pair) -> float:
+    return inner(p.first) - callee.GAIN * p.second
+
+result = outer(Pair(3.0, 1.0)), len(outer.stats.cache_misses)
+"""
+
+
+def outcome(tree: Path, cache: Path) -> str:
+    """Return the result of ``CALLER`` in a copy of the sources, and how many functions it had to compile."""
+    code = "from ltv_mpc.vehicle import caller; print(*caller.result)"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(tree)}
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tree, env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-P", "-c", code], cwd=tree, env=environment, capture_output=True, text=True, check=True
     )
     return done.stdout.strip()
 
 
-def test_an_edit_of_a_callee_in_another_file_starts_a_new_cache(tmp_path):
-    """numba's own cache would keep the caller's old machine code."""
-    shutil.copytree(ROOT / "ltv_mpc", tmp_path / "ltv_mpc", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copytree(ROOT / "sim", tmp_path / "sim", ignore=shutil.ignore_patterns("__pycache__"))
-    before = folder_in(tmp_path)
-    assert before == folder_in(tmp_path)
-    callee = tmp_path / "ltv_mpc" / "vehicle" / "dynamics.py"
-    callee.write_text(callee.read_text().replace("+ p.mass_sway * v * r", "- p.mass_sway * v * r"))
-    assert folder_in(tmp_path) != before
-
-
-def test_each_checkout_has_a_cache_of_its_own(tmp_path):
-    """numba compiles a function of another path again: a shared folder would count as filled, and would not be."""
-    folders = set()
-    for name in ("one", "other"):
-        shutil.copytree(ROOT / "ltv_mpc", tmp_path / name / "ltv_mpc", ignore=shutil.ignore_patterns("__pycache__"))
-        folders.add(folder_in(tmp_path / name))
-    assert len(folders) == 2
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("GAIN * x", "GAIN * x + 1.0", "5.0 1"),
+        ("GAIN = 2.0", "GAIN = 3.0", "6.0 1"),
+        ("first: float\n    second: float", "second: float\n    first: float", "-4.0 1"),
+        ("Return a multiple.", "Return the product\n\n    with the gain.", "4.0 0"),
+        ("    return x\n", "    return 2.0 * x\n", "4.0 0"),
+    ],
+    ids=["callee", "constant", "field order", "docstring", "function that is not called"],
+)
+def test_a_function_is_compiled_again_when_what_it_depends_on_changes_and_only_then(tmp_path, old, new, expected):
+    """numba's own cache would keep the caller's old machine code, and compile again after each change of the file."""
+    for name in ("one", "other"):  # two checkouts share what is the same
+        tree = tmp_path / name
+        shutil.copytree(ROOT / "ltv_mpc", tree / "ltv_mpc", ignore=shutil.ignore_patterns("__pycache__"))
+        (tree / "ltv_mpc" / "vehicle" / "callee.py").write_text(CALLEE)
+        (tree / "ltv_mpc" / "vehicle" / "caller.py").write_text(CALLER)
+        assert outcome(tree, tmp_path / "cache") == ("4.0 1" if name == "one" else "4.0 0")
+    callee = tree / "ltv_mpc" / "vehicle" / "callee.py"
+    callee.write_text(CALLEE.replace(old, new))
+    assert outcome(tree, tmp_path / "cache") == expected
 
 
 def test_without_a_home_that_can_be_written_it_compiles_into_a_temporary_folder(tmp_path):
@@ -67,7 +105,7 @@ def test_without_a_home_that_can_be_written_it_compiles_into_a_temporary_folder(
     assert done.stdout.startswith(str(tmp_path))
 
 
-def test_a_given_cache_folder_gets_a_subfolder_per_sources_and_children_inherit_it(tmp_path):
+def test_a_given_cache_folder_gets_a_subfolder_per_compiler_and_children_inherit_it(tmp_path):
     """A value of the user's for numba must not bring back stale code."""
     code = "from ltv_mpc import jit; print(jit.CACHE)"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
