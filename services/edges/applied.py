@@ -25,8 +25,8 @@ class AppliedReporter:
         self._t_ns = self._reported_ns = 0
         self._released = True
 
-    def report(self, plans: PlanFollower, command_N: Array | None, t_ns: int | None) -> list[Applied]:
-        """Take the command from ``t_ns`` on, None for released thrusters. Return the report if it is due.
+    def report(self, plans: PlanFollower, command_N: Array | None, t_ns: int | None, why: str = "") -> list[Applied]:
+        """Take the command from ``t_ns`` on, None for released thrusters, and why. Return the report if it is due.
 
         It is due at once when the thrusters are released.
         """
@@ -54,6 +54,7 @@ class AppliedReporter:
                 plans_late=plans.late,
                 plans_rejected=0,
                 health=plans.health(t_ns),
+                why=why,
             )
         ]
 

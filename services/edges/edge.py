@@ -110,6 +110,8 @@ class Edge(abc.ABC):
         self.lost = 0  # foreign frames that were sent and have not arrived, as far as their numbers show
         self.refused_by_reason: Counter[str] = Counter()
         self.reason = ""  # of the last refusal
+        self.idle = ""
+        """Why the edge does not drive, a sentence; empty if it does."""
         self._command_id = epoch
 
     @property

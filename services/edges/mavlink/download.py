@@ -1,7 +1,7 @@
 """Download of mission and fence of an autopilot, by the mission protocol of MAVLink.
 
 A request that has no answer within ``TIMEOUT_US`` is repeated; after ``TRIES`` the download is given up until the next
-poll. A count during a download begins it anew, a refusal (another station uploads) ends it. An item counts only if it
+poll. A count during a download starts it again, a refusal (another station uploads) ends it. An item counts only if it
 was the one that was asked for. A list may be replaced in the middle of a download without a sign, so one that differs
 from the list in force is downloaded again, and counts once it has come twice: it is never a mixture of two.
 """

@@ -74,7 +74,7 @@ class MavlinkEdge(Edge):
         self._numbers = LossCounter(256)
         self._seen_us: dict[str, int] = {}
         self._asked_us = -SECOND_US
-        self._why = ""
+        self._told = ""
         self._text_id = 0
         self._reported = (0, 0)  # restarts and resets
         self._problem = ""  # of mission or fence, not reported yet
@@ -133,15 +133,18 @@ class MavlinkEdge(Edge):
 
     def step(self, now_us: int) -> Iterable[Output]:
         """Return the override of this period and what acts, and once a second what keeps the link alive."""
-        thrust_N, why = self._thrust(now_us)
-        yield from self._applied.report(self.plans, thrust_N, self.clock.read(now_us))
+        why = self.autopilot.why_not(now_us)
+        thrust_N, self.idle = self._thrust(why, now_us)
+        yield from self._applied.report(self.plans, thrust_N, self.clock.read(now_us), why)
         if self.autopilot.kind is not None:
             row = self.overrides.step(self.autopilot.kind, thrust_N, self.autopilot.armed, now_us)
             if row is not None:
                 yield self._override(row)
-            if why != self._why:
-                yield from self._text(WARNING if why else NOTICE, f"released: {why}" if why else "driving")
-                self._why = why
+            if self.idle != self._told:
+                yield from self._text(
+                    WARNING if self.idle else NOTICE, f"not driving: {self.idle}" if self.idle else "driving"
+                )
+                self._told = self.idle
         yield from self._reports()
         if now_us >= self._asked_us + SECOND_US:
             self._asked_us = now_us
@@ -151,7 +154,7 @@ class MavlinkEdge(Edge):
 
     def release(self, now_us: int) -> Iterable[Output]:
         """Return neutral, while armed, and the release, several times because frames may be lost."""
-        yield from self._applied.report(self.plans, None, self.clock.read(now_us))
+        yield from self._applied.report(self.plans, None, self.clock.read(now_us), "the edge has stopped")
         kind = self.autopilot.kind
         if kind is not None and self.overrides.state is not State.IDLE:
             rows = [self.overrides.neutral(kind)] * (RELEASES if self.autopilot.armed else 0)
@@ -159,14 +162,13 @@ class MavlinkEdge(Edge):
 
     # --- out ---
 
-    def _thrust(self, now_us: int) -> tuple[Array | None, str]:
-        """Return the thrust (N), or None and why the edge does not drive."""
-        why = self.autopilot.why_not(now_us)
+    def _thrust(self, why: str, now_us: int) -> tuple[Array | None, str]:
+        """Return the thrust (N), or None and why the edge does not drive, for which the autopilot may have a reason."""
         authority = self.plans.authority
         if not why and authority not in (Authority.CONTROLLER, Authority.MANUAL):
-            why = f"controller {authority.value}"
+            why = f"controller {authority.value}; ltv-mpc ctl arm"
         thrust_N = None if why else self.plans.thrust_N(self.clock.read(now_us))
-        return thrust_N, why or ("" if thrust_N is not None else "no plan")
+        return thrust_N, why or ("" if thrust_N is not None else "no plan; is the controller running?")
 
     def _every_second(self, now_us: int) -> Iterator[Output]:
         """Yield heartbeat, requests of time and of the messages that do not come, and a reference until it is taken.

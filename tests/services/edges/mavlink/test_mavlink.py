@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from ltv_mpc import config
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.messages import Action, Applied, Command, Estimate
+from ltv_mpc.messages import Action, Applied, Command, Estimate, Health
 from ltv_mpc.references import Origin
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
@@ -117,7 +117,7 @@ def ends(flight: MavlinkFlight, text: str) -> None:
     """Check that the edge has told why, has let go of the channels, and is silent."""
     assert flight.autopilot.overrides == {}
     assert flight.edge.overrides.state is State.IDLE
-    assert flight.autopilot.log[-1] == f"LTV-MPC: released: {text}"
+    assert flight.autopilot.log[-1].startswith(f"LTV-MPC: not driving: {text};")
     assert flight.autopilot.actuated_while_disarmed == 0
 
 
@@ -139,7 +139,7 @@ def test_without_the_ground_station_it_lets_go_and_does_not_stand_for_it() -> No
     assert flight.edge.overrides.state is State.NEUTRAL
     assert {us for us, _ in flight.autopilot.overrides.values()} == {1500}
     flight.fly(2.0)
-    ends(flight, "ground station lost")
+    ends(flight, "ground station 255 lost")
     flight.fly(6.0)
     assert flight.autopilot.failsafe  # the edge has not stood for the ground station
 
@@ -152,12 +152,16 @@ def test_a_second_ground_station_does_not_stand_for_the_first() -> None:
         beat = other.heartbeat_encode(6, 8, 0, 0, 4)
         flight.deliver(flight.autopilot.receive(bytes(beat.pack(other)), 1))
         flight.fly(1.0)
-    ends(flight, "ground station lost")
+    ends(flight, "ground station 255 lost")
 
 
 @pytest.mark.parametrize(
     ("command", "first", "second", "text"),
-    [(176, 1.0, 4.0, "mode HOLD"), (176, 1.0, 10.0, "mode AUTO"), (400, 0.0, 0.0, "disarmed")],
+    [
+        (176, 1.0, 4.0, "autopilot in mode HOLD"),
+        (176, 1.0, 10.0, "autopilot in mode AUTO"),
+        (400, 0.0, 0.0, "autopilot disarmed"),
+    ],
 )
 def test_a_change_of_mode_or_disarm_ends_it(command: int, first: float, second: float, text: str) -> None:
     flight = driving()
@@ -172,7 +176,7 @@ def test_a_failsafe_the_end_of_the_plan_and_a_disarmed_controller_end_it() -> No
     flight = driving()
     flight.autopilot.failsafe = True
     flight.fly(3.0)
-    ends(flight, "autopilot failsafe")
+    ends(flight, "autopilot in failsafe")
     flight = driving()
     flight.kill_controller()
     flight.fly(8.0)
@@ -208,13 +212,16 @@ def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lun
     flight.arm(mode=4)
     flight.fly(60.0)
     np.testing.assert_allclose(observer.bias_mps, believed, atol=0.005)
-    assert "released, or driven by somebody else?" in flight.plans[-1].health_why
+    why = "not driving: autopilot in mode HOLD; set MANUAL"
+    assert flight.plans[-1].health_why == why
+    assert f"LTV-MPC: {why}" in flight.autopilot.log
     flight.arm(mode=0)
     track = flight.fly(90.0)
     way = -track[0] / np.linalg.norm(track[0])
     assert (track @ way).max() < 0.3
     assert distance_m(track[-500:]).max() < 0.3
     np.testing.assert_allclose(observer.bias_mps, believed, atol=0.05)
+    assert flight.plans[-1].health is Health.NOMINAL
 
 
 def test_what_acts_is_the_command_of_the_override_and_zero_once_it_is_released() -> None:
