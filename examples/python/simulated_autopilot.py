@@ -2,7 +2,7 @@
 
     python examples/python/simulated_autopilot.py udpout:127.0.0.1:14550 udpout:127.0.0.1:14551 [GCS_SYSID]
 
-Each address is a link: `ltv-mpc mavlink --connect udpin:127.0.0.1:14550` at one, a ground station at the other. It
+Each address is a link: `ltv-mpc mavlink --autopilot udpin:127.0.0.1:14550` at one, a ground station at the other. It
 needs pymavlink and numpy, and nothing of this project. Its rules, as in ArduPilot 4.5:
 
 - RC_CHANNELS_OVERRIDE counts from MAV_GCS_SYSID alone, and as that ground station's heartbeat. 0 releases a channel,

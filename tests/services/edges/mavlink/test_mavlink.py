@@ -588,12 +588,12 @@ def test_on_a_signed_link_unsigned_and_repeated_frames_are_refused() -> None:
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("mavlink --connect serial:/dev/x", "must be udpin:HOST:PORT"),
-        ("mavlink --connect udpin:127.0.0.1:0", "must be udpin:HOST:PORT"),
+        ("mavlink --autopilot serial:/dev/x", "must be udpin:HOST:PORT"),
+        ("mavlink --autopilot udpin:127.0.0.1:0", "must be udpin:HOST:PORT"),
         ("mavlink --vehicle surface", "has no pwm_us and pwm_N"),
         ("mavlink --signing-key /nowhere", "cannot be read"),
         ("mavlink --signing-key {file}", "must be 32"),
-        ("mavlink --router udp", "must be PROTOCOL/ADDRESS"),
+        ("mavlink --connect udpin:127.0.0.1:14550", "must be PROTOCOL/ADDRESS"),
         ("mavlink --sd 1,2,3", "must be four numbers"),
         ("mavlink --sd 1,0,0.1,0.1", "must be four numbers"),
     ],
