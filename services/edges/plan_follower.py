@@ -1,4 +1,4 @@
-"""Plan in force at an instant: the newest that has begun, until its end."""
+"""Plan in force at an instant: the newest of those that have started, until its end."""
 
 from __future__ import annotations
 

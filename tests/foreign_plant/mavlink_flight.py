@@ -139,7 +139,8 @@ class MavlinkFlight(Flight):
             if to == EDGE_LINK or (to < 0 and to != -1 - EDGE_LINK):
                 self.send("to edge", data)
 
-    def _take(self, outputs: Any) -> None:
+    def pass_on(self, outputs: Any) -> None:
+        """Pass what the edge returns to its receivers."""
         for output in outputs:
             if isinstance(output, Outgoing):
                 self.send("to autopilot", output.payload)
@@ -162,14 +163,14 @@ class MavlinkFlight(Flight):
                     authority=Authority.DISARMED,
                     why=self.rejection,
                 )
-                self._take(self.edge.take(answer, self.host_us))
+                self.pass_on(self.edge.take(answer, self.host_us))
 
     def _step(self) -> None:
         while self._under_way and self._under_way[0][0] <= self.host_us:
             plan, header = decode(Plan, self._under_way.pop(0)[1])
-            self._take(self.edge.take(plan, self.host_us, (header.epoch, header.sequence)))
+            self.pass_on(self.edge.take(plan, self.host_us, (header.epoch, header.sequence)))
         if self.host_us % STEP_PERIOD_US == 0:
-            self._take(self.edge.step(self.host_us))
+            self.pass_on(self.edge.step(self.host_us))
         if self.station_beats and self.host_us % BEAT_US == 0:
             self.beat()
         self.deliver(self.autopilot.step())
@@ -177,7 +178,7 @@ class MavlinkFlight(Flight):
         self._air = [one for one in self._air if one[0] > self.host_us]
         for _, _, way, data in now:
             if way == "to edge":
-                self._take(self.edge.receive(Received("", data, b"", self.host_us)))
+                self.pass_on(self.edge.receive(Received("", data, b"", self.host_us)))
             else:
                 self.deliver(self.autopilot.receive(data, EDGE_LINK))
         if self._runs and self.host_us % 300_000 == 0 and self._sync.active:
@@ -185,6 +186,6 @@ class MavlinkFlight(Flight):
             self._cycle()
             for message in [one for one in self.outputs[known:] if isinstance(one, Acknowledgement)]:
                 reply = shifted(message, self._sync.published_shift_ns)
-                self._take(self.edge.take(reply, self.host_us))
+                self.pass_on(self.edge.take(reply, self.host_us))
         self._track.append((self.hull.x[0], self.hull.x[1]))
         self.host_us += STEP_US

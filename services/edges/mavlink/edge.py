@@ -33,6 +33,8 @@ INTERVALS_US = {"SYSTEM_TIME": (2, 1_000_000), "ATTITUDE": (30, 50_000), "LOCAL_
                 "EKF_STATUS_REPORT": (193, 1_000_000)}  # fmt: skip
 """Number and interval of each requested message."""
 
+OF_MISSION = ("GPS_GLOBAL_ORIGIN", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK", "MISSION_CURRENT", "STATUSTEXT")
+
 SECOND_US = 1_000_000
 SILENT_US = 3_000_000
 SET_MESSAGE_INTERVAL = 511
@@ -77,7 +79,6 @@ class MavlinkEdge(Edge):
         self._told = ""
         self._text_id = 0
         self._reported = (0, 0)  # restarts and resets
-        self._problem = ""  # of mission or fence, not reported yet
 
     @property
     def waiting_for(self) -> str:
@@ -112,7 +113,7 @@ class MavlinkEdge(Edge):
         """Count a refusal; that of a mission or fence is also reported to the ground station."""
         super().refuse(refusal)
         if isinstance(refusal, ListRefused):
-            self._problem = str(refusal)
+            self._mission.texts.append(str(refusal))
 
     def take(self, message: Message, now_us: int, identity: tuple[int, int] = (0, -1)) -> Iterable[Output]:
         """Take a plan, a status or a reply of the controller."""
@@ -198,11 +199,8 @@ class MavlinkEdge(Edge):
             else:
                 yield from self._text(WARNING, f"EKF reset, {counted[1]} so far")
             self._reported = counted
-        if self._problem:
-            yield from self._text(WARNING, self._problem)
-            self._problem = ""
-        elif self._mission.texts:
-            yield from self._text(NOTICE, self._mission.texts.popleft())
+        if self._mission.texts:
+            yield from self._text(WARNING, self._mission.texts.popleft())
 
     @property
     def _target(self) -> tuple[int, int]:
@@ -227,7 +225,7 @@ class MavlinkEdge(Edge):
 
     def _handler(self, kind: str) -> Handler | None:
         """Return the function that takes a message of the autopilot."""
-        navigation, mission = self.navigation, self._mission
+        navigation = self.navigation
         handlers: dict[str, Handler] = {
             "ATTITUDE": lambda message, _: navigation.attitude(message),
             "LOCAL_POSITION_NED": lambda message, _: navigation.position(message),
@@ -235,13 +233,9 @@ class MavlinkEdge(Edge):
             "EKF_STATUS_REPORT": lambda message, _: navigation.filter_status(message),
             "SYSTEM_TIME": self._system_time,
             "TIMESYNC": self._timesync,
-            "GPS_GLOBAL_ORIGIN": mission.origin,
-            "MISSION_COUNT": mission.count,
-            "MISSION_ITEM_INT": mission.item,
-            "MISSION_ACK": mission.refusal,
-            "MISSION_CURRENT": lambda message, _: mission.current(message, is_set=self.autopilot.is_manual),
-            "STATUSTEXT": mission.text,
         }
+        if kind in OF_MISSION:
+            return lambda message, now_us: self._mission.take(kind, message, now_us, is_manual=self.autopilot.is_manual)
         return handlers.get(kind)
 
     def _is_mine(self, message: Any) -> bool:

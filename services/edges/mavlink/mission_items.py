@@ -66,6 +66,14 @@ class Leg(NamedTuple):
     along_m: tuple[float, ...]  # distance of each place from the begin
     wait_s: float = 0.0  # at its end; inf: for ever
 
+    @property
+    def texts(self) -> list[str]:
+        """Places, speed and time."""
+        wait = ", then holds" if self.wait_s == math.inf else f", waits {self.wait_s:g} s" if self.wait_s else ""
+        last = len(self.stops) - 1
+        at = f"at {self.speed_mps:g} m/s"
+        return [f"{one.number}: {one} {at}{wait if k == last else ''}" for k, one in enumerate(self.stops)]
+
 
 class _Writer:
     """Legs of a mission, written item by item."""

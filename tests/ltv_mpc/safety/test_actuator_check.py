@@ -196,7 +196,7 @@ def test_the_reason_has_the_commands_of_both_as_they_were_when_it_began():
     )
 
 
-def test_a_report_that_says_why_the_plans_are_not_followed_degrades_at_once_until_it_ends():
+def test_a_report_that_says_why_no_plan_is_followed_degrades_until_it_ends():
     """Also where the command happens to be that of the plan: somebody else may drive."""
     check, plan = ActuatorCheck(BOAT, 300_000_000), Controller(BOAT, POINT).plan(Estimate.at_rest())
     check.sent(plan)

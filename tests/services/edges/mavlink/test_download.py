@@ -69,7 +69,7 @@ class ArduPilot:
 
 
 @pytest.mark.parametrize("block", range(10))
-def test_in_any_order_and_with_losses_the_newest_list_comes_whole_and_never_a_mixture(block: int) -> None:
+def test_with_losses_and_in_any_order_the_newest_list_comes_whole(block: int) -> None:
     """A hundred schedules: 30 % of the frames lost each way, answers up to 1 s late, three lists on the way."""
     for seed in range(100 * block, 100 * block + 100):
         rng = random.Random(seed)

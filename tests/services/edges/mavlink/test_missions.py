@@ -212,7 +212,7 @@ LEGS = (
 )
 
 
-def test_a_mission_is_driven_leg_by_leg_with_its_speeds_and_waits_and_each_item_is_reported() -> None:
+def test_a_mission_is_driven_leg_by_leg_and_each_item_is_reported() -> None:
     flight = MavlinkFlight()
     reached = reached_items(flight)
     flight.relays = True
@@ -294,7 +294,7 @@ def test_an_accepted_command_of_an_operator_ends_the_mission(accepted: bool) -> 
     list(edge.take(reply, now_us))
     arrived = msgspec.structs.replace(flight.plans[-1], arrived=True)
     for seconds in range(3):
-        flight._take(edge.take(arrived, now_us + 1_000_000 * seconds))
+        flight.pass_on(edge.take(arrived, now_us + 1_000_000 * seconds))
     flight.fly(2.0)
     assert reached == ([] if accepted else [1])
     assert len(followed(flight)) == (1 if accepted else 2)
@@ -312,13 +312,13 @@ def test_a_refused_mission_leaves_the_one_in_force() -> None:
     assert flight.autopilot.log[-1] == "LTV-MPC: mission: item 3 MAV_CMD_DO_SET_SERVO (183) is not driven here"
     arrived = msgspec.structs.replace(flight.plans[-1], arrived=True)
     for _ in range(3):
-        flight._take(flight.edge.take(arrived, flight.host_us))
+        flight.pass_on(flight.edge.take(arrived, flight.host_us))
     assert reached == [1, 2]  # once
     assert len(followed(flight)) == 1
     flight.rejection = "too fast"
     flight.autopilot.lists[0] = [HOME, item(1, 16, north_m=30.0)]
     flight.fly(15.0)
-    flight._take(flight.edge.take(arrived, flight.host_us))
+    flight.pass_on(flight.edge.take(arrived, flight.host_us))
     assert reached == [1, 2]  # another reference is followed
 
 
