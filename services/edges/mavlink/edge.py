@@ -195,6 +195,7 @@ class MavlinkEdge(Edge):
         if counted != self._reported:
             if counted[0] > self._reported[0]:
                 self.clock.reset()
+                self._mission.current = None  # its own change is none by the ground station
                 yield from self._text(WARNING, "autopilot restarted")
             else:
                 yield from self._text(WARNING, f"EKF reset, {counted[1]} so far")

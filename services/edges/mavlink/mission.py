@@ -71,7 +71,8 @@ class MissionFollower:
         self._sent: dict[ListKind, int] = {}  # newest command of each kind
         self._operators: deque[int] = deque(maxlen=100)  # commands of others that end the mission if accepted
         self._progress = Progress([])
-        self._current: int | None = None  # item of the autopilot
+        self.current: int | None = None
+        """Item of the autopilot; None: unknown."""
         self.here: Pair | None = None
         """Where the vehicle is, north and east (m)."""
         self.texts: deque[str] = deque()
@@ -88,10 +89,10 @@ class MissionFollower:
         if kind == "GPS_GLOBAL_ORIGIN":
             self._origin = Origin(latitude_deg=message.latitude * 1e-7, longitude_deg=message.longitude * 1e-7)
         elif kind == "MISSION_CURRENT":
-            if is_manual and self._current not in (None, message.seq) and mission.items:
+            if is_manual and self.current not in (None, message.seq) and mission.items:
                 self._changed.add(MISSION)
                 first = message.seq
-            self._current = message.seq
+            self.current = message.seq
         elif kind == "MISSION_ACK":
             for download in self._downloads.values():
                 download.refusal(message, now_us)

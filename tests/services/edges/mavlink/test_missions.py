@@ -17,9 +17,11 @@ from ltv_mpc import config, references
 from ltv_mpc.messages import Acknowledgement, Action, Authority, Command
 from ltv_mpc.references import Origin
 from services.edges.edge import Outgoing, Received
+from services.edges.mavlink.mission import MissionFollower, Progress
 from services.edges.mavlink.mission_items import COMMANDS, Leg, legs_of
 from tests.foreign_plant.mavlink_flight import MavlinkFlight
 from tests.services.edges.mavlink.test_mavlink import codec
+from tests.services.edges.plans import plan
 
 ORIGIN = Origin(latitude_deg=50.2, longitude_deg=-5.1)
 HERE = (0.0, 0.0)
@@ -113,21 +115,29 @@ def test_a_dive_goes_to_the_depth_of_each_item_and_surfaces_to_land() -> None:
     found = legs(
         item(1, 16, east_m=-20.0, z=-50.0),
         item(2, 16, east_m=-60.0, z=-50.0),
-        item(3, 18, 1.0, 0.0, 50.0, east_m=-120.0, z=-25.0),
+        item(3, 18, 1.25, 0.0, 50.0, east_m=-120.0, z=-25.0),
         item(4, 21, 25.0, north_m=100.0, east_m=70.0, z=-25.0),
         dives=True,
     )
     down, circle, back, up = map(read, found)
     assert [place.depth_m for place in down.waypoints] == [50.0, 50.0]
     assert isinstance(circle, references.Circle)
-    assert (circle.depth_m, circle.radius_m, circle.turns, circle.clockwise) == (25.0, 50.0, 1.0, True)
+    assert (circle.depth_m, circle.radius_m, circle.turns, circle.clockwise) == (25.0, 50.0, 1.25, True)
     assert circle.bearing_deg == pytest.approx(90.0, abs=0.01)  # it comes from the east
     np.testing.assert_allclose(found[2].stops[0][1:3], (100.0, 70.0), atol=0.02)
     assert [place.depth_m for place in back.waypoints] == [25.0, 25.0]
-    assert back.waypoints[0].east_m == pytest.approx(-70.0, abs=0.02)
+    begin = back.waypoints[0]  # a quarter of a turn clockwise from the east
+    assert (begin.north_m, begin.east_m) == pytest.approx((-50.0, -120.0), abs=0.02)
     assert isinstance(up, references.Point)
     assert up.depth_m == 0.0
     assert numbers(found) == [[1, 2], [3], [4], [4]]
+
+
+def test_a_negative_radius_is_counter_clockwise() -> None:
+    circle, away = legs(item(1, 18, 0.25, 0.0, -5.0, north_m=20.0), item(2, 16, east_m=60.0))
+    assert circle.toml.count("clockwise = false") == 1
+    begin = read(away).waypoints[0]  # it came from the south
+    assert (begin.north_m, begin.east_m) == pytest.approx((20.0, 5.0), abs=0.02)
 
 
 def test_two_items_at_one_place_are_a_wait_or_a_change_of_depth_there() -> None:
@@ -221,11 +231,12 @@ def test_a_mission_is_driven_leg_by_leg_and_each_item_is_reported() -> None:
     flight.arm()
     flight.command(action="arm")
     flight.fly(15.0)
-    while 3 not in reached:
-        flight.fly(0.5)
-        assert len(flight.track) < 10_000
+    for until in ([2], [2, 3]):
+        while len(reached) < len(until):
+            flight.fly(0.5)
+            assert len(flight.track) < 10_000
+        assert reached == until
     at_s = len(flight.track) * 0.02
-    assert reached == [2, 3]
     while len(followed(flight)) < 2:
         flight.fly(0.5)
         assert len(flight.track) < 10_000
@@ -239,6 +250,40 @@ def test_a_mission_is_driven_leg_by_leg_and_each_item_is_reported() -> None:
     assert texts[0].startswith("LTV-MPC: 2: 50.2000")
     assert texts[1].endswith("at 0.8 m/s, waits 10 s")
     assert texts[2].endswith("at 0.4 m/s, then holds")
+
+
+def test_a_plan_that_is_older_than_the_reply_says_nothing_of_the_leg() -> None:
+    """It is of the reference before, at whose end the vehicle may be."""
+    progress = Progress(legs(item(1, 16, north_m=10.0)))
+    arrived = msgspec.structs.replace(plan(0), arrived=True)
+    assert progress.follow(arrived, 0) == []
+    assert list(progress.accept(300)) == []
+    assert progress.follow(arrived, 0) == []
+    later = msgspec.structs.replace(arrived, cycle_t_ns=300)
+    assert progress.follow(later, 0) == [1]
+    assert progress.follow(later, 0) == []
+    assert not progress.is_done(10**15)
+
+
+def test_a_late_reply_to_the_mission_before_is_none_to_the_new_one() -> None:
+    follower = MissionFollower(0.5, dives=False)
+    follower.here = HERE
+    make, numbers = codec().make, iter(range(1, 9))
+    follower.take("GPS_GLOBAL_ORIGIN", make.gps_global_origin_encode(502000000, -51000000, 0), 0, is_manual=True)
+
+    def send(north_m: float, now_us: int) -> None:
+        for at_us in (now_us, now_us + 2_000_000):
+            follower.take("MISSION_COUNT", make.mission_count_encode(255, 191, 2), at_us, is_manual=True)
+            for one in (HOME, item(1, 16, north_m=north_m)):
+                follower.take("MISSION_ITEM_INT", one, at_us, is_manual=True)
+
+    send(10.0, 0)
+    (first,) = follower.commands(lambda: next(numbers))
+    send(20.0, 10_000_000)
+    reply = Acknowledgement(t_ns=0, command_id=1, accepted=True, authority=Authority.CONTROLLER, why="")
+    assert follower.acknowledged(reply) is None
+    (second,) = follower.commands(lambda: next(numbers))
+    assert second.reference_toml != first.reference_toml
 
 
 PLACES = (HOME, item(1, 16, north_m=10.0), item(2, 16, north_m=10.0, east_m=7.0))
@@ -273,6 +318,13 @@ def test_the_same_mission_sent_again_begins_again_and_clearing_it_holds() -> Non
     assert len(followed(flight)) == 3
     assert way.waypoints[-1].longitude_deg == pytest.approx(-5.0999, abs=1e-5)
     assert way.waypoints[0].north_m == pytest.approx(flight.hull.x[0], abs=1.0)  # straight to item 2
+    flight.arm(mode=10)  # in AUTO the autopilot goes on by itself
+    flight.fly(1.2)
+    flight.from_station(flight.station.mission_set_current_encode(1, 1, 1))
+    flight.fly(2.0)
+    flight.arm(mode=0)
+    flight.fly(1.2)
+    assert len(followed(flight)) == 3
     flight.from_station(flight.station.mission_clear_all_encode(1, 1, 0))
     flight.fly(25.0)
     assert len(followed(flight)) == 3
