@@ -236,7 +236,8 @@ class MavlinkEdge(Edge):
             "TIMESYNC": self._timesync,
         }
         if kind in OF_MISSION:
-            return lambda message, now_us: self._mission.take(kind, message, now_us, is_manual=self.autopilot.is_manual)
+            by_station = self.autopilot.is_manual and self.navigation.restarts == self._reported[0]
+            return lambda message, now_us: self._mission.take(kind, message, now_us, by_station=by_station)
         return handlers.get(kind)
 
     def _is_mine(self, message: Any) -> bool:

@@ -83,13 +83,13 @@ class MissionFollower:
         due = (download.request(make, target, now_us) for download in self._downloads.values())
         return (request for request in due if request is not None)
 
-    def take(self, kind: str, message: Any, now_us: int, *, is_manual: bool) -> Iterable[Output]:
-        """Take a message of the autopilot."""
+    def take(self, kind: str, message: Any, now_us: int, *, by_station: bool) -> Iterable[Output]:
+        """Take a message of the autopilot, whose item changes ``by_station`` or by itself."""
         first, mission = 1, self._downloads[MISSION]
         if kind == "GPS_GLOBAL_ORIGIN":
             self._origin = Origin(latitude_deg=message.latitude * 1e-7, longitude_deg=message.longitude * 1e-7)
         elif kind == "MISSION_CURRENT":
-            if is_manual and self.current not in (None, message.seq) and mission.items:
+            if by_station and self.current not in (None, message.seq) and mission.items:
                 self._changed.add(MISSION)
                 first = message.seq
             self.current = message.seq

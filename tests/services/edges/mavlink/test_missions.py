@@ -269,13 +269,13 @@ def test_a_late_reply_to_the_mission_before_is_none_to_the_new_one() -> None:
     follower = MissionFollower(0.5, dives=False)
     follower.here = HERE
     make, numbers = codec().make, iter(range(1, 9))
-    follower.take("GPS_GLOBAL_ORIGIN", make.gps_global_origin_encode(502000000, -51000000, 0), 0, is_manual=True)
+    follower.take("GPS_GLOBAL_ORIGIN", make.gps_global_origin_encode(502000000, -51000000, 0), 0, by_station=True)
 
     def send(north_m: float, now_us: int) -> None:
         for at_us in (now_us, now_us + 2_000_000):
-            follower.take("MISSION_COUNT", make.mission_count_encode(255, 191, 2), at_us, is_manual=True)
+            follower.take("MISSION_COUNT", make.mission_count_encode(255, 191, 2), at_us, by_station=True)
             for one in (HOME, item(1, 16, north_m=north_m)):
-                follower.take("MISSION_ITEM_INT", one, at_us, is_manual=True)
+                follower.take("MISSION_ITEM_INT", one, at_us, by_station=True)
 
     send(10.0, 0)
     (first,) = follower.commands(lambda: next(numbers))
@@ -324,6 +324,11 @@ def test_the_same_mission_sent_again_begins_again_and_clearing_it_holds() -> Non
     flight.fly(2.0)
     flight.arm(mode=0)
     flight.fly(1.2)
+    for current, sent_s in ((0, {}), (2, {42: 0.0})):  # restarts, with another item at once or after a second
+        flight.fly(6.0)
+        flight.autopilot.ms, flight.autopilot.current, flight.autopilot.sent_s = 0, current, sent_s
+        flight.fly(3.0)
+    assert flight.edge.navigation.restarts == 2
     assert len(followed(flight)) == 3
     flight.from_station(flight.station.mission_clear_all_encode(1, 1, 0))
     flight.fly(25.0)
