@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -57,7 +58,7 @@ def mavlink(
         if error.name is None or not error.name.startswith("pymavlink"):
             raise
         raise ConfigError("ltv-mpc mavlink", "", NOT_INSTALLED) from None
-    address = _address(autopilot)
+    host, port, listens = _address(autopilot)
     of = Vehicle.load(vehicle)
     if missing := [n for n, t in (("port", of.thruster.port), ("starboard", of.thruster.starboard)) if not t.pwm_us]:
         problem = f"[thruster.{missing[0]}] has no pwm_us and pwm_N: the vehicle bluerobotics-boat has them"
@@ -69,7 +70,6 @@ def mavlink(
         accuracy=_accuracy(sd),
         follow_mission=not no_mission,
     )
-    host, port, listens = address
     config = process.Config(bus=bus, host=host, port=port, listens=listens, edge=edge, signing_key=key)
     return process.main(config)
 
@@ -105,10 +105,8 @@ def _address(text: str) -> tuple[str, int, bool]:
     """Return host, port, and whether the edge listens there. Raises ``ConfigError``."""
     from ltv_mpc.errors import ConfigError
 
-    kind, _, rest = text.partition(":")
-    host, _, port = rest.rpartition(":")
-    number = int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else 0
-    if kind not in ("udpin", "udpout") or not host or not 1 <= number <= 65_535:
+    found = re.fullmatch("(udpin|udpout):(.+):([0-9]{1,5})", text)
+    if found is None or not 1 <= int(found[3]) <= 65_535:
         problem = "must be udpin:HOST:PORT or udpout:HOST:PORT, as in udpin:127.0.0.1:14550"
         raise ConfigError("option --autopilot", "", problem, value=text)
-    return host, number, kind == "udpin"
+    return found[2], int(found[3]), found[1] == "udpin"

@@ -7,6 +7,8 @@ The controller then plans from what acts, and learns nothing while the commands 
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 
 from ltv_mpc.messages import Applied, Array, Triple
@@ -43,8 +45,8 @@ class AppliedReporter:
         return [
             Applied(
                 t_ns=t_ns,
-                thrust_N=_triple(self._thrust_N),
-                command_N=_triple(self._command_N),
+                thrust_N=cast(Triple, tuple(self._thrust_N.tolist())),
+                command_N=cast(Triple, tuple(self._command_N.tolist())),
                 command_slew_N_per_s=(0.0, 0.0, 0.0),
                 plan_epoch=epoch,
                 plan_sequence=sequence,
@@ -57,8 +59,3 @@ class AppliedReporter:
                 why=why,
             )
         ]
-
-
-def _triple(thrust_N: Array) -> Triple:
-    port, starboard, vertical = thrust_N.tolist()
-    return port, starboard, vertical
