@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeAlias
+from zlib import crc32
 
 import msgspec
 
@@ -25,7 +26,7 @@ from services.edges.mavlink.actuation import Overrides, State
 from services.edges.mavlink.autopilot import Autopilot
 from services.edges.mavlink.codec import COMPONENT, Codec, frames_of
 from services.edges.mavlink.download import ListRefused
-from services.edges.mavlink.mission import MissionFollower
+from services.edges.mavlink.mission import NOTICE, WARNING, MissionFollower
 from services.edges.mavlink.navigation import MS, Accuracy, Navigation
 
 INTERVALS_US = {"SYSTEM_TIME": (2, 1_000_000), "ATTITUDE": (30, 50_000), "LOCAL_POSITION_NED": (32, 100_000),
@@ -39,7 +40,6 @@ SECOND_US = 1_000_000
 SILENT_US = 3_000_000
 SET_MESSAGE_INTERVAL = 511
 ONBOARD_CONTROLLER, NO_AUTOPILOT, ACTIVE = 18, 8, 4
-NOTICE, WARNING = 5, 4
 RELEASES = 5
 TEXT_BYTES = 50  # of a STATUSTEXT; a longer text comes in pieces
 
@@ -77,7 +77,6 @@ class MavlinkEdge(Edge):
         self._seen_us: dict[str, int] = {}
         self._asked_us = -SECOND_US
         self._told = ""
-        self._text_id = 0
         self._reported = (0, 0)  # restarts and resets
 
     @property
@@ -113,7 +112,7 @@ class MavlinkEdge(Edge):
         """Count a refusal; that of a mission or fence is also reported to the ground station."""
         super().refuse(refusal)
         if isinstance(refusal, ListRefused):
-            self._mission.texts.append(str(refusal))
+            self._mission.texts.append((WARNING, str(refusal)))
 
     def take(self, message: Message, now_us: int, identity: tuple[int, int] = (0, -1)) -> Iterable[Output]:
         """Take a plan, a status or a reply of the controller."""
@@ -142,9 +141,7 @@ class MavlinkEdge(Edge):
             if row is not None:
                 yield self._override(row)
             if self.idle != self._told:
-                yield from self._text(
-                    WARNING if self.idle else NOTICE, f"not driving: {self.idle}" if self.idle else "driving"
-                )
+                yield from self._text(*((WARNING, f"not driving: {self.idle}") if self.idle else (NOTICE, "driving")))
                 self._told = self.idle
         yield from self._reports()
         if now_us >= self._asked_us + SECOND_US:
@@ -201,7 +198,7 @@ class MavlinkEdge(Edge):
                 yield from self._text(WARNING, f"EKF reset, {counted[1]} so far")
             self._reported = counted
         if self._mission.texts:
-            yield from self._text(WARNING, self._mission.texts.popleft())
+            yield from self._text(*self._mission.texts.popleft())
 
     @property
     def _target(self) -> tuple[int, int]:
@@ -213,8 +210,7 @@ class MavlinkEdge(Edge):
     def _text(self, severity: int, text: str) -> Iterator[Outgoing]:
         """Yield a text for the ground station, in pieces of 50 characters."""
         line = f"LTV-MPC: {text}".encode("ascii", "replace")
-        self._text_id = self._text_id % 65_535 + 1
-        identity = self._text_id if len(line) > TEXT_BYTES else 0
+        identity = 1 + crc32(line) % 65_535 if len(line) > TEXT_BYTES else 0
         for number, at in enumerate(range(0, len(line), TEXT_BYTES)):
             piece = line[at : at + TEXT_BYTES]
             yield self._send(self._codec.make.statustext_encode(severity, piece, identity, number))

@@ -21,6 +21,7 @@ from services.edges.mavlink.fence_items import fence_of
 from services.edges.mavlink.mission_items import Leg, legs_of
 
 MISSION, FENCE = ListKind.MISSION, ListKind.FENCE
+NOTICE, WARNING = 5, 4  # MAV_SEVERITY
 
 NEAR_M, PASSED_M = 2.0, 4.0
 """Distance of the vehicle from a place on its way at which it counts as reached, and that of the target behind it."""
@@ -75,8 +76,8 @@ class MissionFollower:
         """Item of the autopilot; None: unknown."""
         self.here: Pair | None = None
         """Where the vehicle is, north and east (m)."""
-        self.texts: deque[str] = deque()
-        """Texts for the ground station."""
+        self.texts: deque[tuple[int, str]] = deque()
+        """Texts for the ground station, with their severity."""
 
     def requests(self, make: Any, target: tuple[int, int], now_us: int) -> Iterator[Any]:
         """Yield what is due of the mission protocol."""
@@ -128,7 +129,7 @@ class MissionFollower:
                 self._progress = Progress([]) if kind is MISSION else self._progress
                 return ListRefused(f"{kind.label} rejected: {reply.why}")
             if kind is MISSION:
-                self.texts.extend(self._progress.accept(reply.t_ns))
+                self.texts.extend((NOTICE, text) for text in self._progress.accept(reply.t_ns))
         return None
 
     def follow(self, plan: Plan, now_us: int) -> list[int]:
@@ -165,7 +166,7 @@ class MissionFollower:
     def _end(self, text: str) -> None:
         self._progress = Progress([])
         self._due.pop(MISSION, None)
-        self.texts.append(text)
+        self.texts.append((NOTICE, text))
 
 
 def _passed(leg: Leg, at: int, plan: Plan) -> bool:
