@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, TypeAlias
+from collections.abc import Iterable, Iterator
+from typing import Any
 from zlib import crc32
 
 import msgspec
@@ -42,9 +42,6 @@ SET_MESSAGE_INTERVAL = 511
 ONBOARD_CONTROLLER, NO_AUTOPILOT, ACTIVE = 18, 8, 4
 RELEASES = 5
 TEXT_BYTES = 50  # of a STATUSTEXT; a longer text comes in pieces
-
-
-Handler: TypeAlias = Callable[[Any, int], Iterable[Output]]
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
@@ -103,9 +100,9 @@ class MavlinkEdge(Edge):
             self.lost = self._numbers.lost
         if kind == "HEARTBEAT":
             self.autopilot.heartbeat(message, frame.now_us)
-        elif (handle := self._handler(kind)) and self.autopilot.is_from(message) and self._is_mine(message):
+        elif self.autopilot.is_from(message) and self._is_mine(message):
             self._seen_us[kind] = frame.now_us
-            return handle(message, frame.now_us)
+            return self._take_in(kind, message, frame.now_us)
         return ()
 
     def refuse(self, refusal: Refused) -> None:
@@ -220,32 +217,27 @@ class MavlinkEdge(Edge):
 
     # --- in ---
 
-    def _handler(self, kind: str) -> Handler | None:
-        """Return the function that takes a message of the autopilot."""
-        navigation = self.navigation
-        handlers: dict[str, Handler] = {
-            "ATTITUDE": lambda message, _: navigation.attitude(message),
-            "LOCAL_POSITION_NED": lambda message, _: navigation.position(message),
-            "ODOMETRY": lambda message, _: navigation.odometry(message),
-            "EKF_STATUS_REPORT": lambda message, _: navigation.filter_status(message),
-            "SYSTEM_TIME": self._system_time,
-            "TIMESYNC": self._timesync,
-        }
-        if kind in OF_MISSION:
-            by_station = self.autopilot.is_manual and self.navigation.restarts == self._reported[0]
-            return lambda message, now_us: self._mission.take(kind, message, now_us, by_station=by_station)
-        return handlers.get(kind)
+    def _take_in(self, kind: str, message: Any, now_us: int) -> Iterable[Output]:
+        """Take a message of the autopilot."""
+        match kind:
+            case "ATTITUDE":
+                return self.navigation.attitude(message)
+            case "LOCAL_POSITION_NED":
+                return self.navigation.position(message)
+            case "ODOMETRY":
+                return self.navigation.odometry(message)
+            case "EKF_STATUS_REPORT":
+                return self.navigation.filter_status(message)
+            case "SYSTEM_TIME":
+                self.clock.update(message.time_boot_ms * MS, now_us)
+            case "TIMESYNC" if message.tc1 != 0:  # an answer, and no request
+                self.clock.exchange(message.tc1, message.ts1 // 1000, now_us)
+            case _ if kind in OF_MISSION:
+                by_station = self.autopilot.is_manual and self.navigation.restarts == self._reported[0]
+                return self._mission.take(kind, message, now_us, by_station=by_station)
+        return ()
 
     def _is_mine(self, message: Any) -> bool:
         """Return False for a message to another station, such as the items that the ground station asked for."""
         system, component = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
         return system in (0, self._settings.ground_station) and component in (0, COMPONENT)
-
-    def _system_time(self, message: Any, now_us: int) -> Iterable[Output]:
-        self.clock.update(message.time_boot_ms * MS, now_us)
-        return ()
-
-    def _timesync(self, message: Any, now_us: int) -> Iterable[Output]:
-        if message.tc1 != 0:  # an answer, and no request
-            self.clock.exchange(message.tc1, message.ts1 // 1000, now_us)
-        return ()
