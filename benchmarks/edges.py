@@ -313,7 +313,7 @@ def _edge(connection: str, endpoint: str, udp: int, folder: Path) -> tuple[str, 
 
         boat = folder / "boat.toml"
         boat.write_text(to_toml(vehicle()))
-        link = ("--connect", f"udpin:127.0.0.1:{udp}", "--router", endpoint)
+        link = ("--autopilot", f"udpin:127.0.0.1:{udp}", "--connect", endpoint)
         return ("mavlink", *link, "--vehicle", str(boat), "--sd", ACCURACY)
     return ()
 

@@ -900,6 +900,12 @@ class Applied(Message, frozen=True, kw_only=True, eq=False):
             description="timeliness of the plans: degraded if two are missing, failsafe after the end of the last one"
         ),
     ] = Health.NOMINAL
+    why: Annotated[
+        str,
+        Meta(
+            max_length=200, description="why the plans are not followed, such as a released autopilot; empty: they are"
+        ),
+    ] = ""
 
 
 # --- written by the vehicle's monitors of battery and leaks -----------------------------------------------------------

@@ -2,7 +2,7 @@
 
     python examples/python/simulated_autopilot.py udpout:127.0.0.1:14550 udpout:127.0.0.1:14551 [GCS_SYSID]
 
-Each address is a link: `ltv-mpc mavlink --connect udpin:127.0.0.1:14550` at one, a ground station at the other. It
+Each address is a link: `ltv-mpc mavlink --autopilot udpin:127.0.0.1:14550` at one, a ground station at the other. It
 needs pymavlink and numpy, and nothing of this project. Its rules, as in ArduPilot 4.5:
 
 - RC_CHANNELS_OVERRIDE counts from MAV_GCS_SYSID alone, and as that ground station's heartbeat. 0 releases a channel,
@@ -51,7 +51,7 @@ class Boat:
         u, v, r = self.surge, self.sway, self.rate
         self.surge += STEP_S * (port + starboard - (4.0 + 9.0 * abs(u)) * u + 24.0 * v * r) / 16.0
         self.sway += STEP_S * (-(20.0 + 60.0 * abs(v)) * v - 16.0 * u * r) / 24.0
-        self.rate += STEP_S * (0.3 * (port - starboard) - (4.0 + 6.0 * abs(r)) * r) / 3.0
+        self.rate += STEP_S * (0.3 * (port - starboard) - (4.0 + 6.0 * abs(r)) * r + (16.0 - 24.0) * u * v) / 3.0
         self.heading = math.remainder(self.heading + STEP_S * r, 2 * math.pi)
         north, east, _ = self.velocity()
         self.north, self.east = self.north + STEP_S * north, self.east + STEP_S * east
@@ -87,7 +87,8 @@ class Autopilot:
         self.intervals: dict[int, float] = {}
         self.sent_s: dict[int, float] = {}
         self.lists: dict[int, list[Any]] = {0: [], 1: [], 2: []}  # mission, fence, rally points
-        self.upload: tuple[int, list[Any]] | None = None  # count, items
+        self.upload: tuple[int, list[Any], tuple[int, int]] | None = None  # count, items, from whom
+        self.current, self.pieces = 0, ""  # item of the mission; text that is under way
         self.actuated_while_disarmed = 0
         self.log: list[str] = []
 
@@ -122,8 +123,11 @@ class Autopilot:
         if kind == "HEARTBEAT" and who[0] == self.gcs_sysid:
             self.gcs_s = self.now_s
         elif kind == "STATUSTEXT":
-            self.log.append(m.text)
-            print(m.text, flush=True)
+            self.pieces += m.text
+            if m.id == 0 or len(m.text) < 50:  # the last piece
+                self.log.append(self.pieces)
+                print(self.pieces, flush=True)
+                self.pieces = ""
         elif kind == "RC_CHANNELS_OVERRIDE" and who[0] == self.gcs_sysid:
             self.gcs_s = self.now_s
             for channel in range(1, 9):
@@ -141,6 +145,8 @@ class Autopilot:
             return self.command(m, who, link)
         elif kind == "MISSION_ITEM_REACHED":
             print(f"item {m.seq} reached", flush=True)
+        elif kind == "MISSION_SET_CURRENT":
+            self.current = m.seq
         elif kind.startswith("MISSION_"):
             return self.on_mission(m, kind, who, link)
         return []
@@ -165,22 +171,31 @@ class Autopilot:
         make, of, items = self.mav, m.mission_type, self.lists.get(m.mission_type)
         if items is None:
             return []
+        denied = self.upload is not None and self.upload[2] != who
+        if denied and kind != "MISSION_ACK":
+            return self.send(make.mission_ack_encode(*who, 14, of), link)
+        if kind == "MISSION_CLEAR_ALL":
+            self.lists[of] = []
+            return self.send(make.mission_ack_encode(*who, 0, of), link)
         if kind == "MISSION_REQUEST_LIST":
             return self.send(make.mission_count_encode(*who, len(items), of), link)
-        if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and 0 <= m.seq < len(items):
+        if kind in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
+            if not 0 <= m.seq < len(items):
+                return self.send(make.mission_ack_encode(*who, 13, of), link)
             item = items[m.seq]
             item.target_system, item.target_component, item.seq, item.mission_type = *who, m.seq, of
             return self.send(item, link)
         if kind == "MISSION_COUNT":
-            self.upload = m.count, []
+            self.upload = m.count, [], who
         if kind == "MISSION_ITEM_INT" and self.upload is not None and m.seq == len(self.upload[1]):
             self.upload[1].append(m)
         if kind in ("MISSION_COUNT", "MISSION_ITEM_INT") and self.upload is not None:
-            count, got = self.upload
+            count, got, _ = self.upload
             if len(got) < count:
                 return self.send(make.mission_request_int_encode(*who, len(got), of), link)
             self.lists[of], self.upload = got, None
-            return self.send(make.mission_ack_encode(*who, 0, of), link)
+            text = [] if of else self.send(make.statustext_encode(6, b"Flight plan received"))
+            return text + self.send(make.mission_ack_encode(*who, 0, of), link)
         return []
 
     def thrusts(self) -> tuple[float, float]:
@@ -212,6 +227,7 @@ class Autopilot:
             (30, lambda: make.attitude_encode(self.ms, *self.boat.attitude())),
             (32, lambda: make.local_position_ned_encode(self.ms, north, east, down, *speed)),
             (33, lambda: make.global_position_int_encode(self.ms, *self.degrees(north, east), 0, 0, 0, 0, 0, 0)),
+            (42, lambda: make.mission_current_encode(self.current)),
             (49, lambda: make.gps_global_origin_encode(*(round(x * 1e7) for x in ORIGIN_DEG), 0)),
             (193, lambda: make.ekf_status_report_encode(0x1F, 0.1, 0.1, 0.1, 0.1, 0.1)),
         ):

@@ -3,7 +3,8 @@
 A report agrees if a plan that may be in force asks for its commands, or if they approach that plan at the slew limit.
 That is the plan that the report names as accepted, or the one before until it begins. If the report names none, or one
 that was replaced more than ``LATE_NS`` ago, each plan that was in force within ``LATE_NS`` may be: a plan can be late.
-Each plan begins at the reported command, so actuators that do not follow agree for a moment with each new plan; a
+A report that says why the plans are not followed contradicts them in any case, and degrades the health at once. Each
+plan begins at the reported command, so actuators that do not follow agree for a moment with each new plan; a
 contradiction ends only after a time of agreement.
 """
 
@@ -36,6 +37,9 @@ CATCH_UP_SHARE = 0.8
 
 KEPT_NS = 10_000_000_000
 """Age up to which plans are kept: reports may be delayed by it."""
+
+NOT_DRIVING = "not driving: "
+"""Start of the health's reason while the actuators report why they do not follow the plans."""
 
 WHAT_IT_CAN_BE = "released, or driven by somebody else?"
 
@@ -106,6 +110,12 @@ class ActuatorCheck:
             self._since_ns, self.health = None, NOMINAL  # the clock was set back
         (last_ns, last_N), command_N = self._last, np.array(applied.command_N)
         self._last = t_ns, command_N
+        if applied.why:
+            self._contradicted(t_ns)
+            self.health = HealthState(Health.DEGRADED, f"{NOT_DRIVING}{applied.why}")
+            return
+        if self.health.why.startswith(NOT_DRIVING):
+            self.health = NOMINAL
         plans = self._in_force(applied)
         if not plans:
             return
@@ -118,14 +128,18 @@ class ActuatorCheck:
             if self._since_ns is None:
                 self._agreed_ns = t_ns
             return
+        if t_ns - self._contradicted(t_ns) > CONTRADICTED_NS and self.health is NOMINAL:
+            reported, asked = self._text(command_N), self._text(plans[0].thrust_at(t_ns))
+            why = f"the actuators command {reported} N, the plan in force {asked} N: {WHAT_IT_CAN_BE}"
+            self.health = HealthState(Health.DEGRADED, why)
+
+    def _contradicted(self, t_ns: int) -> int:
+        """Note a contradiction; return the time of its first report."""
         if self._since_ns is None:
             self._since_ns = t_ns
             self.began_ns = self._agreed_ns or t_ns
         self._until_ns = t_ns
-        if self.health is NOMINAL and t_ns - self._since_ns > CONTRADICTED_NS:
-            reported, asked = self._text(command_N), self._text(plans[0].thrust_at(t_ns))
-            why = f"the actuators command {reported} N, the plan in force {asked} N: {WHAT_IT_CAN_BE}"
-            self.health = HealthState(Health.DEGRADED, why)
+        return self._since_ns
 
     def _in_force(self, applied: Applied) -> list[Plan]:
         """Return the plans that may be in force at a report, the newest first; none if that is not known."""

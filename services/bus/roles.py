@@ -13,6 +13,7 @@ from typing import Any
 
 from ltv_mpc.messages import (
     Acknowledgement,
+    Applied,
     Command,
     ControllerStatus,
     Estimate,
@@ -44,8 +45,8 @@ SOURCE_PREFIX = f"{BY_TYPE[Estimate].written_by}-"
 EDGES = ("ros2", "mavlink")
 """Roles of the edges, which replace the estimator and command as operators do."""
 
-EDGE_WRITES = (Estimate, Command, Obstacles)
-EDGE_READS = (Plan, Acknowledgement, ControllerStatus, Estimate, FenceInForce)
+EDGE_WRITES = (Estimate, Command, Obstacles, Applied)
+EDGE_READS = (Plan, Acknowledgement, Command, ControllerStatus, Estimate, FenceInForce)
 
 ROS_PREFIX = "ros-"
 """Start of the role of the nodes of a ROS 2 domain."""

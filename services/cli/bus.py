@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 
@@ -89,14 +89,14 @@ def _block(
     return options
 
 
-def with_bus(role: str = "", *, without: Iterable[str] = ()) -> Callable[[Callable[..., int]], Callable[..., int]]:
+def with_bus(role: str = "") -> Callable[[Callable[..., int]], Callable[..., int]]:
     """Add the bus options to a command, which receives them as its parameter ``bus``.
 
-    ``role`` selects the certificate that the command uses with --certs; ``without`` names options to leave out.
+    ``role`` selects the certificate that the command uses with --certs.
     """
 
     def decorate(function: Callable[..., int]) -> Callable[..., int]:
-        block = [option for option in _parameters(_block) if option.name not in ("role", *without)]
+        block = [option for option in _parameters(_block) if option.name != "role"]
 
         def command(**given: Any) -> int:
             bus = _block(**{option.name: given.pop(option.name) for option in block}, role=role)

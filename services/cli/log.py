@@ -22,7 +22,6 @@ class Format(enum.StrEnum):
 
     CSV = "csv"
     PARQUET = "parquet"
-    PERFETTO = "perfetto"
 
 
 @log.callback()
@@ -97,9 +96,7 @@ def recover(
 @log.command()
 def export(
     run: Run = "latest",
-    form: Annotated[
-        Format, typer.Option("--format", help="Tables with one file for each key, or a trace for ui.perfetto.dev.")
-    ] = Format.CSV,
+    form: Annotated[Format, typer.Option("--format", help="Format of the tables.")] = Format.CSV,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -109,9 +106,8 @@ def export(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Write one table for each key, or trace.json with the stages of each cycle from estimate to thrust."""
+    """Write one table for each key."""
     from services.recording import export as tables
-    from services.recording import perfetto
     from services.recording.recover import segments
     from services.run import folder
 
@@ -123,12 +119,8 @@ def export(
     from services.reporting import log_text
     from services.reporting.terminal import progress_bar
 
-    result: tables.ExportResult | perfetto.TraceSummary
     with progress_bar(f"{recording} as {form.value}") as told:
-        if form is Format.PERFETTO:
-            result = perfetto.write(parts, place / "trace.json", progress=told)
-        else:
-            result = tables.export(parts, place, "csv" if form is Format.CSV else "parquet", progress=told)
+        result = tables.export(parts, place, "csv" if form is Format.CSV else "parquet", progress=told)
     if as_json:
         import msgspec
 

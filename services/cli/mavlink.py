@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,14 +17,12 @@ if TYPE_CHECKING:
 NOT_INSTALLED = "needs the package pymavlink: pip install pymavlink (extra mavlink)"
 
 
-@with_bus("mavlink", without=["connect"])
+@with_bus("mavlink")
 def mavlink(
     autopilot: Annotated[
-        str, typer.Option("--connect", metavar="udpin|udpout:HOST:PORT", help="Where the autopilot sends, or listens.")
+        str,
+        typer.Option("--autopilot", metavar="udpin|udpout:HOST:PORT", help="Where the autopilot sends, or listens."),
     ] = "udpin:127.0.0.1:14550",
-    router: Annotated[
-        list[str] | None, typer.Option("--router", "-e", metavar="ENDPOINT", help="Router of this bus; repeatable.")
-    ] = None,
     gcs_sysid: Annotated[
         int, typer.Option("--gcs-sysid", metavar="N", help="MAV_GCS_SYSID of the autopilot.", min=1, max=255)
     ] = 255,
@@ -47,13 +46,10 @@ def mavlink(
 ) -> int:
     """Connect to ArduPilot: position in, thrusts out.
 
-    Reads plan and controller/status; writes estimate and command. It replaces the estimator.
+    Reads plan and controller/status; writes estimate, command and applied. It replaces the estimator.
     """
-    from msgspec import structs
-
     from ltv_mpc.errors import ConfigError
     from ltv_mpc.vehicle.parameters import Vehicle
-    from services.cli.bus import check_endpoint
 
     try:
         from services.edges.mavlink.edge import Settings
@@ -62,9 +58,7 @@ def mavlink(
         if error.name is None or not error.name.startswith("pymavlink"):
             raise
         raise ConfigError("ltv-mpc mavlink", "", NOT_INSTALLED) from None
-    address = _address(autopilot)
-    for endpoint in router or ():
-        check_endpoint("--router", endpoint, bus.certs)
+    host, port, listens = _address(autopilot)
     of = Vehicle.load(vehicle)
     if missing := [n for n, t in (("port", of.thruster.port), ("starboard", of.thruster.starboard)) if not t.pwm_us]:
         problem = f"[thruster.{missing[0]}] has no pwm_us and pwm_N: the vehicle bluerobotics-boat has them"
@@ -76,9 +70,7 @@ def mavlink(
         accuracy=_accuracy(sd),
         follow_mission=not no_mission,
     )
-    own = structs.replace(bus, connect=tuple(router or ()))
-    host, port, listens = address
-    config = process.Config(bus=own, host=host, port=port, listens=listens, edge=edge, signing_key=key)
+    config = process.Config(bus=bus, host=host, port=port, listens=listens, edge=edge, signing_key=key)
     return process.main(config)
 
 
@@ -113,10 +105,8 @@ def _address(text: str) -> tuple[str, int, bool]:
     """Return host, port, and whether the edge listens there. Raises ``ConfigError``."""
     from ltv_mpc.errors import ConfigError
 
-    kind, _, rest = text.partition(":")
-    host, _, port = rest.rpartition(":")
-    number = int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else 0
-    if kind not in ("udpin", "udpout") or not host or not 1 <= number <= 65_535:
+    found = re.fullmatch("(udpin|udpout):(.+):([0-9]{1,5})", text)
+    if found is None or not 1 <= int(found[3]) <= 65_535:
         problem = "must be udpin:HOST:PORT or udpout:HOST:PORT, as in udpin:127.0.0.1:14550"
-        raise ConfigError("option --connect", "", problem, value=text)
-    return host, number, kind == "udpin"
+        raise ConfigError("option --autopilot", "", problem, value=text)
+    return found[2], int(found[3]), found[1] == "udpin"

@@ -55,7 +55,7 @@ def ros2(
 ) -> int:
     """Connect to ROS 2: odometry and goals in, thrusts out.
 
-    Reads plan, controller/status and topics; writes estimate, command and topics. It replaces the estimator.
+    Reads plan, controller/status and topics; writes estimate, command, applied and topics. It replaces the estimator.
     """
     from msgspec import structs
 

@@ -18,11 +18,9 @@ from collections import Counter, deque
 from collections.abc import Iterable
 from typing import ClassVar, NamedTuple, TypeAlias
 
-from ltv_mpc.messages import Array, Authority, Estimate, Message, Plan
-from ltv_mpc.safety.health import plan_end_ns
-from ltv_mpc.safety.input_monitor import Period
+from ltv_mpc.messages import Estimate, Message, Plan
 from ltv_mpc.validation import rejection_reason
-from ltv_mpc.vehicle.parameters import PLAN_TIMEOUT_S
+from services.edges.plan_follower import PlanFollower
 
 WINDOW_US = 30_000_000
 MAX_ROUND_TRIP_US = 1_000_000
@@ -95,41 +93,6 @@ class StampedClock:
         self._best.clear()
 
 
-class PlanFollower:
-    """Thrust of the newest plan at an instant."""
-
-    def __init__(self) -> None:
-        self._plan: Plan | None = None
-        self._period = Period()  # of the plans
-
-    def follow(self, plan: Plan) -> None:
-        """Set the plan to execute."""
-        if self._plan is None or plan.cycle_t_ns > self._plan.cycle_t_ns:
-            self._period.add(plan.cycle_t_ns)
-        self._plan = plan
-
-    def thrust_N(self, t_ns: int | None) -> Array | None:
-        """Return the thrust (3,) in N at vehicle time ``t_ns``; None without a plan or a time, and past the plan's end.
-
-        The plan ends as at any actuators, with the ``plan_timeout_s`` of a vehicle file that does not set it.
-        """
-        if self._plan is None or t_ns is None:
-            return None
-        if t_ns > plan_end_ns(self._plan.t_ns, self._period.median_ns, PLAN_TIMEOUT_S):
-            return None
-        return self._plan.thrust_at(t_ns)
-
-    @property
-    def has_plan(self) -> bool:
-        """True after the first plan."""
-        return self._plan is not None
-
-    @property
-    def authority(self) -> Authority:
-        """Source of the commands of the newest plan."""
-        return Authority.DISARMED if self._plan is None else self._plan.authority
-
-
 class Edge(abc.ABC):
     """Converter between this bus and another system. A subclass names what it reads and writes, and converts."""
 
@@ -147,6 +110,8 @@ class Edge(abc.ABC):
         self.lost = 0  # foreign frames that were sent and have not arrived, as far as their numbers show
         self.refused_by_reason: Counter[str] = Counter()
         self.reason = ""  # of the last refusal
+        self.idle = ""
+        """Why the edge does not drive, a sentence; empty if it does."""
         self._command_id = epoch
 
     @property
@@ -187,10 +152,10 @@ class Edge(abc.ABC):
         self._command_id += 1
         return self._command_id
 
-    def take(self, message: Message, now_us: int) -> Iterable[Output]:  # noqa: ARG002 (of overriding methods)
-        """Handle a message of this bus, of a type in ``reads``."""
+    def take(self, message: Message, now_us: int, identity: tuple[int, int] = (0, -1)) -> Iterable[Output]:
+        """Handle a message of this bus, of a type in ``reads``, with the epoch and the sequence of its header."""
         if isinstance(message, Plan):
-            self.plans.follow(message)
+            self.plans.follow(message, self.clock.read(now_us), identity)
         return ()
 
     @abc.abstractmethod
@@ -202,7 +167,7 @@ class Edge(abc.ABC):
         """Return what is due in this period, the thrusts above all."""
 
     @abc.abstractmethod
-    def release(self, now_us: int) -> Iterable[Outgoing]:
+    def release(self, now_us: int) -> Iterable[Output]:
         """Return the last frames, after which the edge sends nothing: the thrusters stop."""
 
 

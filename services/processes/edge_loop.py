@@ -39,7 +39,7 @@ class EdgeLoop:
         self._outbox = Outbox(session, node=edge.name, epoch=epoch, kinds=(*edge.writes, NodeStatus))
         self._validator = MessageValidator()
         self._epoch = epoch
-        self._reported = 0
+        self._reported, self._idle = 0, ""
         for kind in edge.reads:
             session.subscribe(expression(BY_TYPE[kind]), BY_TYPE[kind], mailbox)
 
@@ -69,7 +69,7 @@ class EdgeLoop:
             message, header = self._validator.validate(frame)
         except WireError:  # counted by the validator
             return ()
-        return () if header.epoch == self._epoch else self._edge.take(message, at_us)
+        return () if header.epoch == self._epoch else self._edge.take(message, at_us, (header.epoch, header.sequence))
 
     def _put(self, outputs: Iterable[Output], link: Link) -> None:
         for output in outputs:
@@ -79,8 +79,11 @@ class EdgeLoop:
                 self._outbox.publish(output)
 
     def publish_status(self, *, finished: bool = False) -> None:
-        """Publish the status of the edge; print the last reason at the 1st, 10th, 100th refusal."""
+        """Publish the status of the edge; print why it does not drive, and the last reason at the 1st, 10th refusal."""
         edge = self._edge
+        if edge.idle != self._idle:
+            self._idle = edge.idle
+            self._say(f"not driving: {edge.idle}" if edge.idle else "driving")
         if tenfold(edge.refused) > self._reported:
             self._reported = tenfold(edge.refused)
             self._say(f"refused, {edge.refused} so far: {edge.reason}")

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from services.bus.topics import topic_at
 from services.recording.export import ExportResult
 from services.recording.info import Info, Key, Segment
-from services.recording.perfetto import TraceSummary
 from services.recording.recover import Recovery
 from services.recording.writer import VEHICLE_MODE
 from services.runtime.console import counted, fold
@@ -62,14 +61,10 @@ def recovered(recovery: Recovery) -> str:
     return "\n".join(lines)
 
 
-def exported(result: ExportResult | TraceSummary) -> str:
-    """Format the result of an export: files and the number of their rows or trace events."""
-    if isinstance(result, TraceSummary):
-        parts = f"{result.slices} slices of {result.processes} processes, {result.arrows} arrows, {result.marks} marks"
-        lines = [f"{result.file}: {parts}; open it at https://ui.perfetto.dev"]
-    else:
-        rows = [(file.file, str(file.rows), str(file.columns)) for file in result.files]
-        lines = _columns([("file", "rows", "columns"), *rows])
+def exported(result: ExportResult) -> str:
+    """Format the result of an export: files and the number of their rows."""
+    rows = [(file.file, str(file.rows), str(file.columns)) for file in result.files]
+    lines = _columns([("file", "rows", "columns"), *rows])
     if result.unreadable:
         lines.append(f"{counted(result.unreadable, 'message')} left out: their content does not match their key")
     return "\n".join(lines)

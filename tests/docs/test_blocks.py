@@ -67,7 +67,7 @@ NOT_RUN = (
     (r"dask |zenoh-bridge-ros2dds |scp |sudo |systemctl ", ELSEWHERE),
 )
 
-ONCE = r"ltv-mpc (replay latest$|report latest$|doctor|log info latest$|log export latest --format perfetto)"
+ONCE = r"ltv-mpc (replay latest$|report latest$|doctor|log info latest$|log export latest --format parquet)"
 """What needs nothing of its page and leaves nothing that the page reads: run on the first one that has it."""
 
 ran_already: set[tuple[str, ...]] = set()

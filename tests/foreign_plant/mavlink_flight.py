@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import msgspec
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from ltv_mpc.messages import Acknowledgement, Authority, Estimate, Plan
+from ltv_mpc.messages import Acknowledgement, Applied, Authority, Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.time_shift import shifted
 from services.bus.wire import decode
 from services.edges.edge import Outgoing, Received
 from services.edges.mavlink.codec import Codec
@@ -100,6 +101,8 @@ class MavlinkFlight(Flight):
         self.station_beats = True
         self.rejection = ""
         """Reason with which the controller rejects each command of the edge; empty: it accepts them."""
+        self.relays = False
+        """The edge's commands go to the controller, which replies."""
         self.frames = {"to edge": 0, "to autopilot": 0}
         self._faults = faults or Faults()
         self._rng = random.Random(1)
@@ -136,7 +139,8 @@ class MavlinkFlight(Flight):
             if to == EDGE_LINK or (to < 0 and to != -1 - EDGE_LINK):
                 self.send("to edge", data)
 
-    def _take(self, outputs: Any) -> None:
+    def pass_on(self, outputs: Any) -> None:
+        """Pass what the edge returns to its receivers."""
         for output in outputs:
             if isinstance(output, Outgoing):
                 self.send("to autopilot", output.payload)
@@ -145,6 +149,11 @@ class MavlinkFlight(Flight):
                 assert output.covariance is not None
                 fields["covariance"] = output.covariance.tolist()  # by it the controller weighs the change of velocity
                 self._receive("estimate", self.sender, fields)
+            elif isinstance(output, Applied):
+                self._receive("applied", self.sender, msgspec.structs.asdict(output))
+            elif self.relays:
+                self.outputs.append(output)
+                self._receive("command", self.sender, msgspec.structs.asdict(output))
             else:
                 self.outputs.append(output)
                 answer = Acknowledgement(
@@ -154,14 +163,14 @@ class MavlinkFlight(Flight):
                     authority=Authority.DISARMED,
                     why=self.rejection,
                 )
-                self._take(self.edge.take(answer, self.host_us))
+                self.pass_on(self.edge.take(answer, self.host_us))
 
     def _step(self) -> None:
         while self._under_way and self._under_way[0][0] <= self.host_us:
-            plan, _ = decode(Plan, self._under_way.pop(0)[1])
-            self._take(self.edge.take(plan, self.host_us))
+            plan, header = decode(Plan, self._under_way.pop(0)[1])
+            self.pass_on(self.edge.take(plan, self.host_us, (header.epoch, header.sequence)))
         if self.host_us % STEP_PERIOD_US == 0:
-            self._take(self.edge.step(self.host_us))
+            self.pass_on(self.edge.step(self.host_us))
         if self.station_beats and self.host_us % BEAT_US == 0:
             self.beat()
         self.deliver(self.autopilot.step())
@@ -169,10 +178,14 @@ class MavlinkFlight(Flight):
         self._air = [one for one in self._air if one[0] > self.host_us]
         for _, _, way, data in now:
             if way == "to edge":
-                self._take(self.edge.receive(Received("", data, b"", self.host_us)))
+                self.pass_on(self.edge.receive(Received("", data, b"", self.host_us)))
             else:
                 self.deliver(self.autopilot.receive(data, EDGE_LINK))
         if self._runs and self.host_us % 300_000 == 0 and self._sync.active:
+            known = len(self.outputs)
             self._cycle()
+            for message in [one for one in self.outputs[known:] if isinstance(one, Acknowledgement)]:
+                reply = shifted(message, self._sync.published_shift_ns)
+                self.pass_on(self.edge.take(reply, self.host_us))
         self._track.append((self.hull.x[0], self.hull.x[1]))
         self.host_us += STEP_US

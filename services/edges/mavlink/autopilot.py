@@ -77,22 +77,27 @@ class Autopilot:
             self.system != 0 and message.get_srcSystem() == self.system and message.get_srcComponent() == self.component
         )
 
+    @property
+    def is_manual(self) -> bool:
+        """True in its mode MANUAL."""
+        return self.kind is not None and self.mode == self.kind.value
+
     def station_is_there(self, now_us: int) -> bool:
         """Return True if the ground station has sent a heartbeat recently."""
         return now_us <= self._station_us + STATION_TIMEOUT_US
 
     def why_not(self, now_us: int) -> str:
-        """Return why the edge may not drive; empty if it may."""
+        """Return why the edge may not drive, and what to do; empty if it may."""
         if self.kind is None:
-            return "no autopilot"
+            return "no autopilot; check its link"
         if now_us > self._seen_us + TIMEOUT_US:
-            return "autopilot lost"
-        if not self.armed:
-            return "disarmed"
+            return "autopilot lost; check its link"
         if self.failsafe:
-            return "autopilot failsafe"
-        if self.mode != self.kind.value:
-            return f"mode {MODES[self.kind].get(self.mode, self.mode)}"
+            return "autopilot in failsafe; end its cause and set MANUAL"
+        if not self.armed:
+            return "autopilot disarmed; arm it"
+        if not self.is_manual:
+            return f"autopilot in mode {MODES[self.kind].get(self.mode, self.mode)}; set MANUAL"
         if not self.station_is_there(now_us):
-            return "ground station lost"
+            return f"ground station {self._ground_station} lost; check its link and MAV_GCS_SYSID"
         return ""

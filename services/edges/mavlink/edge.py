@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, TypeAlias
+from collections.abc import Iterable, Iterator
+from typing import Any
+from zlib import crc32
 
 import msgspec
 
 from ltv_mpc.messages import (
     Acknowledgement,
+    Applied,
     Array,
     Authority,
     Command,
@@ -18,26 +20,28 @@ from ltv_mpc.messages import (
     Plan,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.edges.applied import AppliedReporter
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
 from services.edges.mavlink.actuation import Overrides, State
 from services.edges.mavlink.autopilot import Autopilot
-from services.edges.mavlink.codec import Codec, frames_of
-from services.edges.mavlink.mission import ListRefused, MissionFollower
+from services.edges.mavlink.codec import COMPONENT, Codec, frames_of
+from services.edges.mavlink.download import ListRefused
+from services.edges.mavlink.mission import NOTICE, WARNING, MissionFollower
 from services.edges.mavlink.navigation import MS, Accuracy, Navigation
 
 INTERVALS_US = {"SYSTEM_TIME": (2, 1_000_000), "ATTITUDE": (30, 50_000), "LOCAL_POSITION_NED": (32, 100_000),
-                "GPS_GLOBAL_ORIGIN": (49, 1_000_000), "EKF_STATUS_REPORT": (193, 1_000_000)}  # fmt: skip
+                "MISSION_CURRENT": (42, 1_000_000), "GPS_GLOBAL_ORIGIN": (49, 1_000_000),
+                "EKF_STATUS_REPORT": (193, 1_000_000)}  # fmt: skip
 """Number and interval of each requested message."""
+
+OF_MISSION = ("GPS_GLOBAL_ORIGIN", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK", "MISSION_CURRENT", "STATUSTEXT")
 
 SECOND_US = 1_000_000
 SILENT_US = 3_000_000
 SET_MESSAGE_INTERVAL = 511
 ONBOARD_CONTROLLER, NO_AUTOPILOT, ACTIVE = 18, 8, 4
-NOTICE, WARNING = 5, 4
 RELEASES = 5
-
-
-Handler: TypeAlias = Callable[[Any, int], Iterable[Output]]
+TEXT_BYTES = 50  # of a STATUSTEXT; a longer text comes in pieces
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
@@ -54,8 +58,8 @@ class MavlinkEdge(Edge):
     """Edge to ArduPilot. A received frame is a datagram, with one or more frames of MAVLink."""
 
     name = "mavlink"
-    reads = (Plan, Acknowledgement, ControllerStatus)
-    writes = (Estimate, Command)
+    reads = (Plan, Acknowledgement, Command, ControllerStatus)
+    writes = (Estimate, Command, Applied)
 
     def __init__(self, epoch: int, settings: Settings, codec: Codec) -> None:
         super().__init__(epoch)
@@ -64,13 +68,13 @@ class MavlinkEdge(Edge):
         self.autopilot = Autopilot(settings.ground_station)
         self.navigation = Navigation(settings.accuracy, dives=dives)
         self.overrides = Overrides(settings.vehicle)
+        self._applied = AppliedReporter(settings.vehicle)
         self._mission = MissionFollower(settings.speed_mps, dives=dives)
         self._numbers = LossCounter(256)
         self._seen_us: dict[str, int] = {}
         self._asked_us = -SECOND_US
-        self._why = ""
+        self._told = ""
         self._reported = (0, 0)  # restarts and resets
-        self._problem = ""  # of mission or fence, not reported yet
 
     @property
     def waiting_for(self) -> str:
@@ -82,6 +86,9 @@ class MavlinkEdge(Edge):
         outputs: list[Output] = []
         for one in frames_of(frame.payload):
             outputs += super().receive(frame._replace(payload=one))
+        for output in outputs:
+            if isinstance(output, Estimate):
+                self._mission.here = output.north_m, output.east_m
         return outputs
 
     def convert(self, frame: Received) -> Iterable[Output]:
@@ -93,42 +100,46 @@ class MavlinkEdge(Edge):
             self.lost = self._numbers.lost
         if kind == "HEARTBEAT":
             self.autopilot.heartbeat(message, frame.now_us)
-        elif (handle := self._handler(kind)) is not None and self.autopilot.is_from(message):
+        elif self.autopilot.is_from(message) and self._is_mine(message):
             self._seen_us[kind] = frame.now_us
-            return handle(message, frame.now_us)
+            return self._take_in(kind, message, frame.now_us)
         return ()
 
     def refuse(self, refusal: Refused) -> None:
         """Count a refusal; that of a mission or fence is also reported to the ground station."""
         super().refuse(refusal)
         if isinstance(refusal, ListRefused):
-            self._problem = str(refusal)
+            self._mission.texts.append((WARNING, str(refusal)))
 
-    def take(self, message: Message, now_us: int) -> Iterable[Output]:
+    def take(self, message: Message, now_us: int, identity: tuple[int, int] = (0, -1)) -> Iterable[Output]:
         """Take a plan, a status or a reply of the controller."""
-        super().take(message, now_us)
+        super().take(message, now_us, identity)
         match message:
             case Acknowledgement():
                 if (refusal := self._mission.acknowledged(message)) is not None:
                     self.refuse(refusal)
+            case Command():
+                self._mission.operator(message)
             case Plan():
-                if (number := self._mission.reached(message)) is not None:
-                    return [self._send(self._codec.make.mission_item_reached_encode(number))]
+                numbers = self._mission.follow(message, now_us)
+                return [self._send(self._codec.make.mission_item_reached_encode(number)) for number in numbers]
             case ControllerStatus(error_m=float() as error_m):
                 boot_ms = (self.clock.read(now_us) or 0) // MS & 0xFFFFFFFF
                 return [self._send(self._codec.make.named_value_float_encode(boot_ms, b"mpc_err", error_m))]
         return []
 
     def step(self, now_us: int) -> Iterable[Output]:
-        """Return the override of this period, and once a second what keeps the link alive."""
-        thrust_N, why = self._thrust(now_us)
+        """Return the override of this period and what acts, and once a second what keeps the link alive."""
+        why = self.autopilot.why_not(now_us)
+        thrust_N, self.idle = self._thrust(why, now_us)
+        yield from self._applied.report(self.plans, thrust_N, self.clock.read(now_us), why)
         if self.autopilot.kind is not None:
             row = self.overrides.step(self.autopilot.kind, thrust_N, self.autopilot.armed, now_us)
             if row is not None:
                 yield self._override(row)
-            if why != self._why:
-                yield self._text(WARNING if why else NOTICE, f"released: {why}" if why else "driving")
-                self._why = why
+            if self.idle != self._told:
+                yield from self._text(*((WARNING, f"not driving: {self.idle}") if self.idle else (NOTICE, "driving")))
+                self._told = self.idle
         yield from self._reports()
         if now_us >= self._asked_us + SECOND_US:
             self._asked_us = now_us
@@ -136,24 +147,23 @@ class MavlinkEdge(Edge):
         if self.autopilot.kind is not None and self._settings.follow_mission:
             yield from map(self._send, self._mission.requests(self._codec.make, self._target, now_us))
 
-    def release(self, now_us: int) -> Iterable[Outgoing]:  # noqa: ARG002
+    def release(self, now_us: int) -> Iterable[Output]:
         """Return neutral, while armed, and the release, several times because frames may be lost."""
+        yield from self._applied.report(self.plans, None, self.clock.read(now_us), "the edge has stopped")
         kind = self.autopilot.kind
-        if kind is None or self.overrides.state is State.IDLE:
-            return []
-        rows = [self.overrides.neutral(kind)] * (RELEASES if self.autopilot.armed else 0)
-        return [self._override(row) for row in (*rows, *[self.overrides.release(kind)] * RELEASES)]
+        if kind is not None and self.overrides.state is not State.IDLE:
+            rows = [self.overrides.neutral(kind)] * (RELEASES if self.autopilot.armed else 0)
+            yield from map(self._override, (*rows, *[self.overrides.release(kind)] * RELEASES))
 
     # --- out ---
 
-    def _thrust(self, now_us: int) -> tuple[Array | None, str]:
-        """Return the thrust (N), or None and why the edge does not drive."""
-        why = self.autopilot.why_not(now_us)
+    def _thrust(self, why: str, now_us: int) -> tuple[Array | None, str]:
+        """Return the thrust (N), or None and why the edge does not drive, for which the autopilot may have a reason."""
         authority = self.plans.authority
         if not why and authority not in (Authority.CONTROLLER, Authority.MANUAL):
-            why = f"controller {authority.value}"
+            why = f"controller {authority.value}; ltv-mpc ctl arm"
         thrust_N = None if why else self.plans.thrust_N(self.clock.read(now_us))
-        return thrust_N, why or ("" if thrust_N is not None else "no plan")
+        return thrust_N, why or ("" if thrust_N is not None else "no plan; is the controller running?")
 
     def _every_second(self, now_us: int) -> Iterator[Output]:
         """Yield heartbeat, requests of time and of the messages that do not come, and a reference until it is taken.
@@ -179,13 +189,13 @@ class MavlinkEdge(Edge):
         if counted != self._reported:
             if counted[0] > self._reported[0]:
                 self.clock.reset()
-                yield self._text(WARNING, "autopilot restarted")
+                self._mission.current = None  # its own change is none by the ground station
+                yield from self._text(WARNING, "autopilot restarted")
             else:
-                yield self._text(WARNING, f"EKF reset, {counted[1]} so far")
+                yield from self._text(WARNING, f"EKF reset, {counted[1]} so far")
             self._reported = counted
-        if self._problem:
-            yield self._text(WARNING, self._problem)
-            self._problem = ""
+        if self._mission.texts:
+            yield from self._text(*self._mission.texts.popleft())
 
     @property
     def _target(self) -> tuple[int, int]:
@@ -194,36 +204,40 @@ class MavlinkEdge(Edge):
     def _override(self, row: list[int]) -> Outgoing:
         return self._send(self._codec.make.rc_channels_override_encode(*self._target, *row))
 
-    def _text(self, severity: int, text: str) -> Outgoing:
-        line = f"LTV-MPC: {text}"[:50].encode("ascii", "replace")
-        return self._send(self._codec.make.statustext_encode(severity, line))
+    def _text(self, severity: int, text: str) -> Iterator[Outgoing]:
+        """Yield a text for the ground station, in pieces of 50 characters."""
+        line = f"LTV-MPC: {text}".encode("ascii", "replace")
+        identity = 1 + crc32(line) % 65_535 if len(line) > TEXT_BYTES else 0
+        for number, at in enumerate(range(0, len(line), TEXT_BYTES)):
+            piece = line[at : at + TEXT_BYTES]
+            yield self._send(self._codec.make.statustext_encode(severity, piece, identity, number))
 
     def _send(self, message: Any) -> Outgoing:
         return Outgoing("", self._codec.encode(message))
 
     # --- in ---
 
-    def _handler(self, kind: str) -> Handler | None:
-        """Return the function that takes a message of the autopilot."""
-        navigation, mission = self.navigation, self._mission
-        handlers: dict[str, Handler] = {
-            "ATTITUDE": lambda message, _: navigation.attitude(message),
-            "LOCAL_POSITION_NED": lambda message, _: navigation.position(message),
-            "ODOMETRY": lambda message, _: navigation.odometry(message),
-            "EKF_STATUS_REPORT": lambda message, _: navigation.filter_status(message),
-            "SYSTEM_TIME": self._system_time,
-            "TIMESYNC": self._timesync,
-            "GPS_GLOBAL_ORIGIN": mission.origin,
-            "MISSION_COUNT": mission.count,
-            "MISSION_ITEM_INT": mission.item,
-        }
-        return handlers.get(kind)
-
-    def _system_time(self, message: Any, now_us: int) -> Iterable[Output]:
-        self.clock.update(message.time_boot_ms * MS, now_us)
+    def _take_in(self, kind: str, message: Any, now_us: int) -> Iterable[Output]:
+        """Take a message of the autopilot."""
+        match kind:
+            case "ATTITUDE":
+                return self.navigation.attitude(message)
+            case "LOCAL_POSITION_NED":
+                return self.navigation.position(message)
+            case "ODOMETRY":
+                return self.navigation.odometry(message)
+            case "EKF_STATUS_REPORT":
+                return self.navigation.filter_status(message)
+            case "SYSTEM_TIME":
+                self.clock.update(message.time_boot_ms * MS, now_us)
+            case "TIMESYNC" if message.tc1 != 0:  # an answer, and no request
+                self.clock.exchange(message.tc1, message.ts1 // 1000, now_us)
+            case _ if kind in OF_MISSION:
+                by_station = self.autopilot.is_manual and self.navigation.restarts == self._reported[0]
+                return self._mission.take(kind, message, now_us, by_station=by_station)
         return ()
 
-    def _timesync(self, message: Any, now_us: int) -> Iterable[Output]:
-        if message.tc1 != 0:  # an answer, and no request
-            self.clock.exchange(message.tc1, message.ts1 // 1000, now_us)
-        return ()
+    def _is_mine(self, message: Any) -> bool:
+        """Return False for a message to another station, such as the items that the ground station asked for."""
+        system, component = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
+        return system in (0, self._settings.ground_station) and component in (0, COMPONENT)

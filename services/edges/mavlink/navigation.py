@@ -59,19 +59,11 @@ class Accuracy(msgspec.Struct, frozen=True):
         return covariance
 
     @property
-    def pose(self) -> Array:
-        """Covariance (6, 6) of position and rotation."""
-        return _diagonal(self.position_m, self.heading_rad)
-
-    @property
-    def twist(self) -> Array:
-        """Covariance (6, 6) of velocity and angular velocity."""
-        return _diagonal(self.velocity_mps, self.yaw_rate_radps)
-
-
-def _diagonal(linear: float, angular: float) -> Array:
-    covariance: Array = np.diag(np.square((linear,) * 3 + (0.0, 0.0, angular)))
-    return covariance
+    def pose_and_twist(self) -> tuple[Array, Array]:
+        """Covariances (6, 6) of position and rotation, and of velocity and angular velocity."""
+        pairs = (self.position_m, self.heading_rad), (self.velocity_mps, self.yaw_rate_radps)
+        pose, twist = (np.diag(np.square((linear,) * 3 + (0.0, 0.0, angular))) for linear, angular in pairs)
+        return pose, twist
 
 
 class _Attitude(NamedTuple):
@@ -169,12 +161,13 @@ class Navigation:
         pose, twist = _matrix("pose", message.pose_covariance), _matrix("velocity", message.velocity_covariance)
         if pose is None and twist is None:
             return iter((estimate,))
-        if pose is None:
-            pose = self._accuracy.pose
-        else:  # roll and pitch are small, and about axes that have the heading
+        assumed_pose, assumed_twist = self._accuracy.pose_and_twist
+        if pose is not None:  # roll and pitch are small, and about axes that have the heading
             turn = block_diag(np.eye(3), frames.rotation(0.0, 0.0, heading))
             pose = turn @ pose @ turn.T
-        P = covariance(R, velocity, rates, pose, self._accuracy.twist if twist is None else twist)
+        P = covariance(
+            R, velocity, rates, assumed_pose if pose is None else pose, assumed_twist if twist is None else twist
+        )
         return iter((structs.replace(estimate, covariance=P),))
 
     def _in_order(self, ms: int, newest_ms: int) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 from ltv_mpc.messages import (
     Acknowledgement,
     Action,
+    Applied,
     Command,
     ControllerStatus,
     CurrentProfile,
@@ -18,6 +19,7 @@ from ltv_mpc.messages import (
     Obstacles,
     Plan,
 )
+from services.edges.applied import AppliedReporter
 from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused
 from services.edges.ros2 import cdr, conversions
 from services.edges.ros2.conversions import Settings
@@ -42,11 +44,12 @@ class Ros2Edge(Edge):
 
     name = "ros2"
     reads = (Plan, Acknowledgement, ControllerStatus, Estimate, FenceInForce)
-    writes = (Estimate, Command, Obstacles)
+    writes = (Estimate, Command, Obstacles, Applied)
 
     def __init__(self, epoch: int, settings: Settings) -> None:
         super().__init__(epoch)
         self._settings = settings
+        self._applied = AppliedReporter(settings.vehicle)
         self._twist: Any = None
         self._odometry = False  # its source publishes odometry, and so no poses
         self._current: tuple[CurrentProfile, int] | None = None  # with the arrival
@@ -105,9 +108,9 @@ class Ros2Edge(Edge):
             case _:
                 return [self._follow([pose.pose for pose in message.poses], message.header)]
 
-    def take(self, message: Message, now_us: int) -> Iterable[Output]:
+    def take(self, message: Message, now_us: int, identity: tuple[int, int] = (0, -1)) -> Iterable[Output]:
         """Convert a message of this bus."""
-        super().take(message, now_us)
+        super().take(message, now_us, identity)
         match message:
             case Plan():
                 self._fence = message.fence
@@ -131,20 +134,23 @@ class Ros2Edge(Edge):
         return []
 
     def step(self, now_us: int) -> Iterable[Output]:
-        """Return the thrusts, zero past the plan's end, and the replies that the controller did not give in time."""
+        """Return the thrusts, zero past the plan's end, what acts, and the replies that did not come in time."""
         late = [(key, channel) for key, (channel, at_us) in self._requests.items() if now_us > at_us + REPLY_US]
-        outputs = [_reply(channel, False, "no reply from the controller within 3 s") for _, channel in late]
+        outputs: list[Output] = [
+            _reply(channel, False, "no reply from the controller within 3 s") for _, channel in late
+        ]
         for key, _ in late:
             del self._requests[key]
         t_ns = self.clock.read(now_us)
+        thrust_N = self.plans.thrust_N(t_ns)
         if t_ns is not None and self.plans.has_plan:
-            thrust_N = self.plans.thrust_N(t_ns)
             outputs += self._thrusts(ZERO if thrust_N is None else thrust_N, t_ns)
-        return outputs
+        return [*outputs, *self._applied.report(self.plans, thrust_N, t_ns)]
 
-    def release(self, now_us: int) -> Iterable[Outgoing]:
+    def release(self, now_us: int) -> Iterable[Output]:
         """Return zero thrusts."""
-        return self._thrusts(ZERO, self.clock.read(now_us) or 0)
+        t_ns = self.clock.read(now_us)
+        return [*self._thrusts(ZERO, t_ns or 0), *self._applied.report(self.plans, None, t_ns)]
 
     def _thrusts(self, thrust_N: Any, t_ns: int) -> list[Outgoing]:
         messages = conversions.thrust_messages(thrust_N, t_ns, self._settings)

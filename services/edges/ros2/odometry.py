@@ -8,7 +8,9 @@ Out   north = p_y, east = p_x, depth = -p_z            z = 0 of the frame is the
       yaw rate = -(R w)_z                              about the world's vertical
 
 The axes of ``pose.covariance`` are those of ``header.frame_id``, those of ``twist.covariance`` those of
-``child_frame_id``. All zeros mean that it is unknown.
+``child_frame_id``. By the customs of ROS a matrix is not given if its first entry is 0 or -1, and a quantity if its
+variance is negative or at least ``UNKNOWN``. Such a quantity adds nothing to the others. If some are given, position
+and heading that are not have the variances of ``NOT_GIVEN``, which the controller assumes without a covariance.
 """
 
 from __future__ import annotations
@@ -27,6 +29,13 @@ OTHER_CONVENTIONS = ("ned", "frd")
 """Suffixes by which REP 103 marks frames that are not ENU or FLU, as in ``odom_ned``."""
 
 LARGEST = 1e9
+UNKNOWN = 1e6
+"""Variance from which a quantity is not given."""
+
+NOT_GIVEN = {0: (1, 5.0**2), 1: (0, 5.0**2), 5: (4, 0.5**2)}
+"""Row of the estimate's covariance and its variance, by the row of the pose: x is east, y is north, then yaw."""
+
+KINDS = "pose", "twist"
 
 NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD = np.diag([1.0, -1.0, -1.0])
@@ -57,7 +66,7 @@ def estimate_of(message: Any, current: CurrentProfile | None = None) -> Estimate
         velocity_north_mps=float(velocity[1]),
         velocity_east_mps=float(velocity[0]),
         velocity_down_mps=float(-velocity[2]),
-        covariance=_covariance(R, velocity, rate, _matrix("pose", pose.covariance), _matrix("twist", twist.covariance)),
+        covariance=_covariance(R, velocity, rate, message),
         current=current,
     )
 
@@ -79,8 +88,15 @@ def vector(name: str, message: Any) -> Array:
     return _bounded(name, np.array([message.x, message.y, message.z], dtype=np.float64))
 
 
-def _matrix(name: str, covariance: Any) -> Array:
-    return _bounded(f"{name}.covariance", np.asarray(covariance, dtype=np.float64)).reshape(6, 6)
+def _matrix(name: str, covariance: Any) -> tuple[Array, Array]:
+    """Return a covariance (6, 6) with zeros for what is not given, and what is given (6,). Raises ``Refused``."""
+    P = np.array(covariance, dtype=np.float64).reshape(6, 6)
+    variance = P.diagonal().copy()
+    if np.isnan(P).any():
+        raise Refused(f"{name}.covariance: a value is not a number")
+    given = (variance >= 0.0) & (variance < UNKNOWN) & (variance[0] > 0.0 or variance[0] >= UNKNOWN)
+    P[~given], P[:, ~given] = 0.0, 0.0
+    return _bounded(f"{name}.covariance", P), given
 
 
 def _bounded(name: str, values: Array) -> Array:
@@ -90,9 +106,13 @@ def _bounded(name: str, values: Array) -> Array:
     return values
 
 
-def _covariance(R: Array, velocity: Array, rate: Array, pose: Array, twist: Array) -> Array | None:
-    """Return the covariance (6, 6) of the estimate; None if all entries are zero. Arguments in ENU and FLU."""
-    if not pose.any() and not twist.any():
+def _covariance(R: Array, velocity: Array, rate: Array, message: Any) -> Array | None:
+    """Return the covariance (6, 6) of the estimate; None if nothing of it is given. Arguments in ENU and FLU."""
+    (pose, pose_given), (twist, twist_given) = (_matrix(name, getattr(message, name).covariance) for name in KINDS)
+    if not (pose_given[[0, 1, 5]].any() or twist_given[[0, 1, 5]].any()):
         return None
     world, body = np.kron(np.eye(2), NED), np.kron(np.eye(2), FRD)
-    return covariance(NED @ R @ FRD, NED @ velocity, NED @ rate, world @ pose @ world, body @ twist @ body)
+    P = covariance(NED @ R @ FRD, NED @ velocity, NED @ rate, world @ pose @ world, body @ twist @ body)
+    for row, (to, variance) in NOT_GIVEN.items():
+        P[to, to] += 0.0 if pose_given[row] else variance
+    return P

@@ -15,9 +15,9 @@ from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Applied, Authority, Health, Plan
-from ltv_mpc.safety.actuator_check import WHAT_IT_CAN_BE
+from ltv_mpc.safety.actuator_check import WHAT_IT_CAN_BE, ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
-from ltv_mpc.safety.health import NOMINAL
+from ltv_mpc.safety.health import NOMINAL, HealthState
 from ltv_mpc.safety.plan_gate import PlanGate
 from tests.ltv_mpc.reports import report
 
@@ -194,6 +194,17 @@ def test_the_reason_has_the_commands_of_both_as_they_were_when_it_began():
         r"released, or driven by somebody else\?",
         why,
     )
+
+
+def test_a_report_that_says_why_no_plan_is_followed_degrades_until_it_ends():
+    """Also where the command happens to be that of the plan: somebody else may drive."""
+    check, plan = ActuatorCheck(BOAT, 300_000_000), Controller(BOAT, POINT).plan(Estimate.at_rest())
+    check.sent(plan)
+    given = report(0, (0.0, 0.0, 0.0))
+    for at_ns, why in ((100, ""), (200, "autopilot in failsafe"), (300, "autopilot disarmed"), (400, ""), (1000, "")):
+        check.add(msgspec.structs.replace(given, t_ns=plan.t_ns[0] + at_ns * 1_000_000, why=why))
+        assert check.health == (HealthState(Health.DEGRADED, f"not driving: {why}") if why else NOMINAL)
+        assert check.learns is (at_ns in (100, 1000))  # and half a second of agreement later
 
 
 WRONG = {

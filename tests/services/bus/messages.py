@@ -147,6 +147,7 @@ EXAMPLES: tuple[Message, ...] = (
         plan_late=False,
         plans_late=0,
         plans_rejected=0,
+        why="autopilot disarmed; arm it",
     ),
     ImuSample(t_ns=10_000_000, interval_ns=10_000_000, angular_rate_radps=TRIPLE, specific_force_mps2=TRIPLE),
     GnssFix(t_ns=0, north_m=1.0, east_m=-1.0, velocity_north_mps=0.0, velocity_east_mps=0.0),

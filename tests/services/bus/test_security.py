@@ -148,7 +148,7 @@ def test_the_sole_writer_of_a_topic_is_the_only_role_that_may_put_on_it() -> Non
             continue
         may = {role for role in ROLES if topic.key in writes(role)}
         armed_by_the_simulation = {"plant"} if topic.written_by == "operator" else set()
-        edges = set(EDGES) if topic.key in ("estimate", "command", "obstacles") else set()
+        edges = set(EDGES) if topic.key in ("estimate", "command", "obstacles", "applied") else set()
         assert may == {topic.written_by} | armed_by_the_simulation | edges, topic.key
 
 

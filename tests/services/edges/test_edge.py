@@ -8,8 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import Estimate
-from services.edges.edge import Edge, LossCounter, Outgoing, Output, PlanFollower, Received, Refused, StampedClock
+from ltv_mpc.messages import Estimate, Health
+from services.edges.edge import Edge, LossCounter, Outgoing, Output, Received, Refused, StampedClock
+from services.edges.plan_follower import PlanFollower
 from tests.services.edges.plans import SECOND_NS, plan
 
 
@@ -49,6 +50,22 @@ def test_a_long_plan_is_not_followed_for_more_than_five_seconds() -> None:
     plans.follow(msgspec.structs.replace(plan(0), t_ns=knots, thrust_N=np.full((15, 3), 10.0)))
     assert plans.thrust_N(4_999_000_000) is not None
     assert plans.thrust_N(5_001_000_000) is None
+
+
+def test_a_plan_is_in_force_until_the_next_one_begins() -> None:
+    plans = PlanFollower()
+    assert plans.health(0) is Health.NOMINAL  # else `arm` would be rejected until the first report after the first plan
+    plans.follow(plan(0), 100_000_000, (5, 1))
+    assert (plans.is_late, plans.late, plans.identity) == (True, 1, (5, 1))
+    later = plan(SECOND_NS + 500_000_000)
+    plans.follow(later, SECOND_NS, (5, 2))
+    assert (plans.is_late, plans.late, plans.received_t_ns) == (False, 1, SECOND_NS)
+    np.testing.assert_allclose(plans.thrust_N(SECOND_NS + 400_000_000), (10.0, -20.0, 5.0))
+    np.testing.assert_allclose(plans.thrust_N(SECOND_NS + 500_000_000), (0.0, 0.0, 0.0))
+    plans.follow(msgspec.structs.replace(later, thrust_N=later.thrust_N + 1.0), SECOND_NS, (5, 3))  # replaces it
+    np.testing.assert_allclose(plans.thrust_N(SECOND_NS + 500_000_000), (1.0, 1.0, 1.0))
+    assert plans.health(2 * SECOND_NS) is Health.NOMINAL
+    assert plans.health(4 * SECOND_NS) is Health.FAILSAFE
 
 
 @pytest.mark.parametrize(

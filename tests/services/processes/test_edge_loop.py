@@ -50,12 +50,16 @@ class Sent:
         self.payloads.put(frame.payload)
 
 
-def test_the_loop_steps_at_once_when_a_plan_has_come() -> None:
+def test_the_loop_steps_at_once_when_a_plan_has_come_and_says_why_it_does_not_drive() -> None:
     stop, mailbox, sent = StopRequest(), Mailbox(), Sent()
     stop.on_request(mailbox.wake)
     listen = (f"tcp/127.0.0.1:{loopback.free_port()}",)
     with open_session(BusOptions(listen=listen), stop=stop, say=print) as session:
-        loop = EdgeLoop(CountingEdge(epoch=1), session, mailbox, 1, print)
+        edge = CountingEdge(epoch=1)
+        edge.clock.update(0, 0)
+        edge.idle = "autopilot disarmed; arm it"
+        said: list[str] = []
+        loop = EdgeLoop(edge, session, mailbox, 1, said.append)
         thread = threading.Thread(target=loop.run, args=(sent, PERIOD_US, stop))
         thread.start()
         try:
@@ -63,8 +67,11 @@ def test_the_loop_steps_at_once_when_a_plan_has_come() -> None:
             header = Header(epoch=2, sequence=0, sent_monotonic_us=0)
             mailbox.offer(BY_TYPE[Plan], "plan", encode(plan(0), header))
             assert sent.payloads.get(timeout=PATIENCE_S) == b"plan"
+            assert edge.plans.identity == (2, 0)
+            edge.idle = ""
             mailbox.offer(None, "", b"frame of the other side")
         finally:
             stop.request()
             thread.join(PATIENCE_S)
         assert sent.payloads.get(timeout=PATIENCE_S) == b"release"
+        assert said == ["not driving: autopilot disarmed; arm it", "driving"]

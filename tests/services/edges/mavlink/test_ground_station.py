@@ -28,7 +28,7 @@ def test_a_mission_of_another_ground_station_is_driven() -> None:
     links = (f"udpout:127.0.0.1:{own}", f"udpout:127.0.0.1:{station}", MAVSDK_SYSTEM)
     arguments = ("--vehicle", "bluerobotics-boat", "--reference", "hover")
     with controller(loopback.free_port(), arguments) as (endpoint, _):
-        edge = (*CLI, "mavlink", "--connect", f"udpin:127.0.0.1:{own}", "--router", endpoint)
+        edge = (*CLI, "mavlink", "--autopilot", f"udpin:127.0.0.1:{own}", "--connect", endpoint)
         with (
             started(*edge, "--gcs-sysid", MAVSDK_SYSTEM),
             started(sys.executable, "-P", str(simulated), *links) as (_, autopilot),

@@ -13,9 +13,10 @@ pytest.importorskip("pymavlink", reason="not installed: pip install pymavlink (e
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from ltv_mpc import config, references
+from ltv_mpc import config
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.messages import Action, Command, Estimate
+from ltv_mpc.messages import Action, Applied, Command, Estimate, Health
+from ltv_mpc.references import Origin
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
 from services.edges.edge import Outgoing, Received, Refused
@@ -23,7 +24,7 @@ from services.edges.mavlink.actuation import Overrides, State, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
 from services.edges.mavlink.codec import Codec, frames_of
 from services.edges.mavlink.edge import MavlinkEdge, Settings
-from services.edges.mavlink.mission import fence_of, reference_of
+from services.edges.mavlink.fence_items import fence_of
 from services.edges.mavlink.navigation import Accuracy, Navigation
 from tests.foreign_plant.flight import distance_m
 from tests.foreign_plant.mavlink_flight import EXAMPLE, MavlinkFlight, vehicle
@@ -31,6 +32,7 @@ from tests.services.controller_status import status
 
 BOAT = "bluerobotics-boat"
 KEY = bytes(range(32))
+ORIGIN = Origin(latitude_deg=50.2, longitude_deg=-5.1)
 
 
 def codec(system: int = 1, component: int = 1, key: bytes | None = None) -> Codec:
@@ -97,6 +99,17 @@ def test_a_table_without_an_inverse_is_rejected(table: dict[str, Any], problem: 
         type(Vehicle.load(BOAT).thruster.port)(**(fields | {"pwm_us": (), "pwm_N": ()} | table))
 
 
+def test_coriolis_and_munk_moment_of_the_simulated_boat_do_no_work() -> None:
+    """So it has the equations of a vehicle file: without drag the kinetic energy is kept."""
+    boat = EXAMPLE.Boat()
+    boat.surge, boat.sway, boat.rate = u, v, r = 1.2, -0.4, 0.5
+    boat.step((0.0, 0.0))
+    changes = np.array((boat.surge - u, boat.sway - v, boat.rate - r)) / EXAMPLE.STEP_S
+    power_W = changes @ np.array((16.0 * u, 24.0 * v, 3.0 * r))
+    drag_W = (4.0 + 9.0 * u) * u**2 + (20.0 - 60.0 * v) * v**2 + (4.0 + 6.0 * r) * r**2
+    assert power_W + drag_W == pytest.approx(0.0, abs=1e-9)
+
+
 # --- may the edge drive? ---------------------------------------------------------------------------------------------
 
 
@@ -115,7 +128,7 @@ def ends(flight: MavlinkFlight, text: str) -> None:
     """Check that the edge has told why, has let go of the channels, and is silent."""
     assert flight.autopilot.overrides == {}
     assert flight.edge.overrides.state is State.IDLE
-    assert flight.autopilot.log[-1] == f"LTV-MPC: released: {text}"
+    assert flight.autopilot.log[-1].startswith(f"LTV-MPC: not driving: {text};")
     assert flight.autopilot.actuated_while_disarmed == 0
 
 
@@ -137,7 +150,7 @@ def test_without_the_ground_station_it_lets_go_and_does_not_stand_for_it() -> No
     assert flight.edge.overrides.state is State.NEUTRAL
     assert {us for us, _ in flight.autopilot.overrides.values()} == {1500}
     flight.fly(2.0)
-    ends(flight, "ground station lost")
+    ends(flight, "ground station 255 lost")
     flight.fly(6.0)
     assert flight.autopilot.failsafe  # the edge has not stood for the ground station
 
@@ -150,12 +163,16 @@ def test_a_second_ground_station_does_not_stand_for_the_first() -> None:
         beat = other.heartbeat_encode(6, 8, 0, 0, 4)
         flight.deliver(flight.autopilot.receive(bytes(beat.pack(other)), 1))
         flight.fly(1.0)
-    ends(flight, "ground station lost")
+    ends(flight, "ground station 255 lost")
 
 
 @pytest.mark.parametrize(
     ("command", "first", "second", "text"),
-    [(176, 1.0, 4.0, "mode HOLD"), (176, 1.0, 10.0, "mode AUTO"), (400, 0.0, 0.0, "disarmed")],
+    [
+        (176, 1.0, 4.0, "autopilot in mode HOLD"),
+        (176, 1.0, 10.0, "autopilot in mode AUTO"),
+        (400, 0.0, 0.0, "autopilot disarmed"),
+    ],
 )
 def test_a_change_of_mode_or_disarm_ends_it(command: int, first: float, second: float, text: str) -> None:
     flight = driving()
@@ -170,7 +187,7 @@ def test_a_failsafe_the_end_of_the_plan_and_a_disarmed_controller_end_it() -> No
     flight = driving()
     flight.autopilot.failsafe = True
     flight.fly(3.0)
-    ends(flight, "autopilot failsafe")
+    ends(flight, "autopilot in failsafe")
     flight = driving()
     flight.kill_controller()
     flight.fly(8.0)
@@ -183,10 +200,66 @@ def test_a_failsafe_the_end_of_the_plan_and_a_disarmed_controller_end_it() -> No
 
 def test_a_lost_autopilot_gets_nothing_more_and_a_process_that_stops_lets_go() -> None:
     flight = driving()
-    rows = list(flight.edge.release(flight.host_us))
+    rows = [frame for frame in flight.edge.release(flight.host_us) if isinstance(frame, Outgoing)]
     for frame in rows[:-1]:  # the last one is lost
         flight.autopilot.receive(frame.payload, 0)
     assert flight.autopilot.overrides == {}
+
+
+@pytest.mark.parametrize("current_mps", [0.0, 0.3])
+def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lunge(current_mps: float) -> None:
+    """The target is 5 m ahead. Without reports of what acts it learns (0.29, -0.40) m/s of current in still water."""
+    flight = MavlinkFlight()
+    flight.hull.current = (0.0, current_mps)
+    flight.fly(3.0)
+    flight.arm()
+    flight.command(action="arm")
+    flight.fly(80.0)
+    heading = flight.autopilot.boat.attitude()[2]
+    flight.hull.x[0] -= 5.0 * math.cos(heading)
+    flight.hull.x[1] -= 5.0 * math.sin(heading)
+    observer = flight.node.controller.observer
+    believed = observer.bias_mps
+    flight.arm(mode=4)
+    flight.fly(60.0)
+    np.testing.assert_allclose(observer.bias_mps, believed, atol=0.005)
+    why = "not driving: autopilot in mode HOLD; set MANUAL"
+    assert flight.plans[-1].health_why == why
+    assert f"LTV-MPC: {why}" in flight.autopilot.log
+    flight.arm(mode=0)
+    track = flight.fly(90.0)
+    way = -track[0] / np.linalg.norm(track[0])
+    assert (track @ way).max() < 0.3
+    assert distance_m(track[-500:]).max() < 0.3
+    np.testing.assert_allclose(observer.bias_mps, believed, atol=0.05)
+    assert flight.plans[-1].health is Health.NOMINAL
+
+
+def test_what_acts_is_the_command_of_the_override_and_zero_once_it_is_released() -> None:
+    flight = driving()
+    plan = flight.plans[-1]
+    thrust_N, t_ns = np.array([[10.0, -5.0, 0.0]] * 2), flight.edge.clock.read(flight.host_us)
+    assert t_ns is not None
+    plan = msgspec.structs.replace(
+        plan, cycle_t_ns=t_ns, t_ns=t_ns + np.array([-1_000_000_000, 3_000_000_000]), thrust_N=thrust_N
+    )
+    flight.edge.take(plan, flight.host_us, (7, 3))
+    reports = [
+        output
+        for k in range(1, 31)
+        for output in flight.edge.step(flight.host_us + 50_000 * k)
+        if isinstance(output, Applied)
+    ]
+    assert 14 <= len(reports) <= 16  # ten in a second
+    last = reports[-1]
+    assert (last.plan_epoch, last.plan_sequence, last.plan_cycle_t_ns) == (7, 3, t_ns)
+    assert last.command_N == (10.0, -5.0, 0.0)
+    np.testing.assert_allclose(last.thrust_N, last.command_N, atol=0.1)
+    assert abs(reports[0].thrust_N[0]) < 0.8 * 10.0  # the lag
+    (released, *_) = flight.edge.release(flight.host_us + 1_510_000)
+    assert isinstance(released, Applied)
+    assert released.command_N == (0.0, 0.0, 0.0)
+    assert released.thrust_N[0] > 9.0
 
 
 def test_while_disarmed_nothing_but_the_release_is_sent() -> None:
@@ -364,7 +437,7 @@ def test_a_filter_without_a_position_gives_no_estimate() -> None:
     assert flight.edge.reason == "position: the EKF has none"
 
 
-# --- mission ---------------------------------------------------------------------------------------------------------
+# --- fence ----
 
 
 def item(
@@ -378,78 +451,6 @@ def item(
 ) -> Any:
     x, y = round(lat * 1e7), round(lon * 1e7)
     return codec().make.mission_item_int_encode(1, 1, seq, frame, command, 0, 1, param1, param2, 0.0, 0.0, x, y, 0.0)
-
-
-def read(text: str) -> references.Reference:
-    reference: references.Reference = config.parse(config.loads(text), references.Reference, source="mission")
-    return reference
-
-
-def test_a_mission_is_a_reference_in_degrees_with_its_speed() -> None:
-    items = [item(0, 16), item(1, 178, param2=1.5), item(2, 16, 50.201), item(3, 16, 50.201, -5.099), item(4, 20)]
-    route = read(reference_of(items, (50.2, -5.1), 0.5, dives=False))
-    assert isinstance(route, references.Waypoints)
-    assert route.speed_mps == 1.5
-    assert [place.latitude_deg for place in route.waypoints] == [50.201, 50.201]
-    assert isinstance(read(reference_of(items[:3], (50.2, -5.1), 0.5, dives=False)), references.Point)
-    assert reference_of(items[:1], (50.2, -5.1), 0.5, dives=False) == ""
-    with pytest.raises(Refused, match="must be global"):
-        reference_of([item(0, 16), item(1, 16, frame=1)], (50.2, -5.1), 0.5, dives=False)
-
-
-def test_a_changed_mission_is_followed_once_on_a_bad_link() -> None:
-    from tests.foreign_plant.scenarios.mavlink import BAD
-
-    flight = MavlinkFlight(faults=BAD)
-    flight.fly(3.0)
-    flight.autopilot.lists[0] = [item(0, 16), item(1, 16, 50.2001), item(2, 16, 50.2001, -5.0999)]
-    flight.fly(40.0)
-    commands = [output for output in flight.outputs if isinstance(output, Command)]
-    assert [command.action for command in commands] == [Action.FOLLOW]
-    assert "latitude_deg = 50.2001" in commands[0].reference_toml
-    flight.autopilot.lists[0] = flight.autopilot.lists[0][:2]
-    flight.fly(40.0)
-    assert len([output for output in flight.outputs if isinstance(output, Command)]) == 2
-
-
-def reached_items(flight: MavlinkFlight) -> list[int]:
-    """Collect the numbers of the items that the autopilot is told to be reached."""
-    numbers: list[int] = []
-    send = flight.send
-
-    def listen(way: str, data: bytes) -> None:
-        message = codec().decode(data) if way == "to autopilot" else None
-        if message is not None and message.get_type() == "MISSION_ITEM_REACHED":
-            numbers.append(message.seq)
-        send(way, data)
-
-    flight.send = listen  # type: ignore[method-assign]
-    return numbers
-
-
-def test_the_last_place_of_the_followed_mission_is_reported_as_reached_once() -> None:
-    flight = MavlinkFlight()
-    reached = reached_items(flight)
-    flight.autopilot.lists[0] = [item(0, 16), item(1, 16, 50.2001), item(2, 16, 50.2001, -5.0999), item(3, 178)]
-    flight.fly(15.0)
-    plan = flight.plans[-1]
-
-    def take(*arrived: bool) -> None:
-        for one in arrived:
-            flight._take(flight.edge.take(msgspec.structs.replace(plan, arrived=one), flight.host_us))
-
-    take(False, False)
-    assert reached == []
-    take(True, True, True)
-    assert reached == [2]
-    flight.rejection = "too fast"
-    flight.autopilot.lists[0] = [item(0, 16), item(1, 16, 50.3)]
-    flight.fly(15.0)
-    take(False, True)
-    assert reached == [2]  # another reference is followed
-
-
-# --- fence ----
 
 
 def polygon(command: int, first: int = 0, side_deg: float = 1e-3, count: float = 4.0) -> list[Any]:
@@ -469,13 +470,13 @@ def test_the_items_of_a_fence_are_its_zones() -> None:
         item(9, 5003, param1=200.0),
         item(10, 5004, 50.2003, param1=3.0),
     ]
-    fence = config.parse(config.loads(fence_of(items, (50.2, -5.1))), Fence, source="fence")
+    fence = config.parse(config.loads(fence_of(items, ORIGIN)), Fence, source="fence")
     square, circle, wreck, buoy = fence.zones()
     assert (square.keep_in, circle.keep_in, wreck.keep_in, buoy.keep_in) == (True, True, False, False)
     assert square.vertices_m[0] == pytest.approx((-55.6, -35.7), abs=0.1)  # 5e-4 degrees of latitude and of longitude
     assert np.linalg.norm(circle.vertices_m, axis=1) == pytest.approx(200.0)
     assert (buoy.radius_m, float(buoy.vertices_m[0, 0])) == (3.0, pytest.approx(33.4, abs=0.1))
-    assert fence_of([item(0, 5000)], (50.2, -5.1)) == ""
+    assert fence_of([item(0, 5000)], ORIGIN) == ""
 
 
 @pytest.mark.parametrize(
@@ -492,7 +493,7 @@ def test_the_items_of_a_fence_are_its_zones() -> None:
 )
 def test_a_fence_that_is_no_area_is_refused(items: list[Any], says: str) -> None:
     with pytest.raises(Refused, match=says):
-        fence_of(items, (50.2, -5.1))
+        fence_of(items, ORIGIN)
 
 
 def test_the_fence_of_the_autopilot_is_kept_and_its_end_removes_it() -> None:
@@ -515,8 +516,8 @@ def test_a_refused_mission_or_fence_is_a_text_for_the_ground_station() -> None:
     flight.autopilot.lists[1] = polygon(5001)[:3]
     flight.fly(12.0)
     expected = [
-        "LTV-MPC: mission: frame 1 of item 1 must be global",
-        "LTV-MPC: fence: the last polygon has 3 of 4 vertic",  # a text has 50 characters
+        "LTV-MPC: mission: item 1 MAV_CMD_NAV_WAYPOINT (16) frame 1 must be global",
+        "LTV-MPC: fence: the last polygon has 3 of 4 vertices",
     ]
     assert sorted(text for text in flight.autopilot.log if "item" in text or "polygon" in text) == sorted(expected)
     flight.rejection = "too fast"
@@ -587,12 +588,12 @@ def test_on_a_signed_link_unsigned_and_repeated_frames_are_refused() -> None:
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("mavlink --connect serial:/dev/x", "must be udpin:HOST:PORT"),
-        ("mavlink --connect udpin:127.0.0.1:0", "must be udpin:HOST:PORT"),
+        ("mavlink --autopilot serial:/dev/x", "must be udpin:HOST:PORT"),
+        ("mavlink --autopilot udpin:127.0.0.1:0", "must be udpin:HOST:PORT"),
         ("mavlink --vehicle surface", "has no pwm_us and pwm_N"),
         ("mavlink --signing-key /nowhere", "cannot be read"),
         ("mavlink --signing-key {file}", "must be 32"),
-        ("mavlink --router udp", "must be PROTOCOL/ADDRESS"),
+        ("mavlink --connect udpin:127.0.0.1:14550", "must be PROTOCOL/ADDRESS"),
         ("mavlink --sd 1,2,3", "must be four numbers"),
         ("mavlink --sd 1,0,0.1,0.1", "must be four numbers"),
     ],

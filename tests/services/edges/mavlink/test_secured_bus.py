@@ -28,7 +28,7 @@ def test_the_edge_works_on_a_secured_bus(free_port: int, tmp_path: Path) -> None
     endpoint, udp = f"tls/127.0.0.1:{free_port}", loopback.free_port()
     bus = ("--certs", str(tmp_path))
     simulated = ROOT / "examples/python/simulated_autopilot.py"
-    edge = (*CLI, "mavlink", "--connect", f"udpin:127.0.0.1:{udp}", "--router", endpoint, *bus)
+    edge = (*CLI, "mavlink", "--autopilot", f"udpin:127.0.0.1:{udp}", "--connect", endpoint, *bus)
     estimates = Mailbox()
     options = BusOptions(connect=(endpoint,), certs=tmp_path, role="display")
     with started(*CLI, "router", "--listen", endpoint, *bus) as (_, router):

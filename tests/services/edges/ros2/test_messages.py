@@ -14,12 +14,14 @@ from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.messages import (
     Acknowledgement,
     Action,
+    Applied,
     Authority,
     Command,
     CurrentProfile,
     Estimate,
     FenceInForce,
     FenceReport,
+    Health,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.reference_point import ReferencePoint
@@ -290,6 +292,25 @@ def test_thrusts_follow_the_plan_and_end_with_it() -> None:
     )  # port ahead of starboard turns to starboard: about up, negative
     assert read(edge.step(2_100_000), "port").data == 0.0
     assert read(edge.release(0), "starboard").data == 0.0
+
+
+def test_what_acts_are_the_thrusts_it_forwards_and_zero_past_the_end_of_the_plan() -> None:
+    edge = edge_with()
+    edge.receive(Received("odometry", odometry(), b"", 0))
+    list(edge.take(plan(T_NS), 100_000, (7, 3)))
+
+    def applied(now_us: int) -> Applied:
+        (report,) = (output for output in edge.step(now_us) if isinstance(output, Applied))
+        return report
+
+    driving = applied(500_000)
+    assert driving.command_N == (5.0, -10.0, 2.5)
+    assert (driving.t_ns, driving.plan_epoch, driving.plan_sequence) == (T_NS + 500_000_000, 7, 3)
+    assert (driving.plan_received_t_ns, driving.plan_late) == (T_NS + 100_000_000, True)
+    assert 0.0 < applied(700_000).thrust_N[0] < 7.0  # behind the command, by the lag
+    assert not any(isinstance(output, Applied) for output in edge.step(750_000))
+    ended = applied(2_100_000)
+    assert (ended.command_N, ended.health) == ((0.0, 0.0, 0.0), Health.FAILSAFE)
 
 
 def test_one_array_has_the_thrusts_in_the_order_and_scale_that_are_set() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from ltv_mpc.messages import Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -227,15 +228,42 @@ def test_the_covariance_is_that_of_samples_drawn_from_the_messages_own() -> None
 def test_of_a_level_vehicle_heading_and_velocity_err_together() -> None:
     """It goes east at 2 m/s: a heading that is wrong by d to starboard has it go 2 d to the south."""
     pose = np.zeros((6, 6))
-    pose[5, 5] = 0.01
+    pose[0, 0], pose[5, 5] = 1e-9, 0.01
     covariance = estimate(linear=(2.0, 0.0, 0.0), pose_covariance=pose).covariance
-    expected = np.zeros((6, 6))
+    expected = np.diag([0.0, 1e-9, 0.0, 0.0, 0.0, 0.0])
     expected[4, 4], expected[2, 2], expected[2, 4], expected[4, 2] = 0.01, 0.04, -0.02, -0.02
     np.testing.assert_allclose(covariance, expected, atol=1e-12)
 
 
-def test_a_covariance_of_zeros_is_one_that_nobody_knows() -> None:
-    assert estimate().covariance is None
+@pytest.mark.parametrize("first", [0.0, -1.0, 1e6, math.inf])
+def test_a_covariance_that_nobody_knows_is_none(first: float) -> None:
+    """All zeros, -1 in the first entry, or a million for each quantity; of both pose and twist."""
+    matrix = np.diag([first] * 6) if first > 0.0 else np.diag([first, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert estimate(pose_covariance=matrix, twist_covariance=matrix).covariance is None
+
+
+@pytest.mark.parametrize("unknown", [1e6, 99e9, math.inf, -1.0])
+def test_a_quantity_that_is_not_given_adds_nothing_to_the_others(unknown: float) -> None:
+    """With z, roll and pitch at 1e6 the velocity had a standard deviation of 19.6 m/s for one of 0.1 m/s."""
+    pose = np.diag([0.04, 0.09, unknown, unknown, unknown, 0.01])
+    pose[5, 4] = pose[4, 5] = 50.0  # of a quantity that is not given
+    twist = np.diag([0.01, 0.01, unknown, unknown, unknown, 0.0004])
+    tilted = Rotation.from_euler("xyz", (0.1, -0.2, 0.3)).as_quat()
+    moving: dict[str, Any] = {"quaternion": tuple(tilted), "linear": (2.0, 0.3, 0.1), "angular": (0.1, 0.2, 0.3)}
+    found = estimate(pose_covariance=pose, twist_covariance=twist, **moving).covariance
+    pose, twist = np.diag([0.04, 0.09, 0, 0, 0, 0.01]), np.diag([0.01, 0.01, 0, 0, 0, 0.0004])
+    plain = estimate(pose_covariance=pose, twist_covariance=twist, **moving).covariance
+    np.testing.assert_allclose(found, plain, atol=1e-12)
+
+
+def test_what_is_given_is_used_beside_what_is_not() -> None:
+    twist = np.diag([0.01, 0.04, 0.0, 0.0, 0.0, 0.0004])
+    found = estimate(linear=(2.0, 0.0, 0.0), twist_covariance=twist).covariance  # it goes east
+    np.testing.assert_allclose(found, np.diag([25.0, 25.0, 0.04, 0.01, 0.25, 0.0004]), atol=1e-12)
+    pose = np.diag([1e6, 0.09, 0.0, 0.0, 0.0, 0.01])
+    pose[0, 5] = pose[5, 0] = 50.0
+    found = estimate(pose_covariance=pose, twist_covariance=np.diag([-1.0, 0, 0, 0, 0, 0])).covariance
+    np.testing.assert_allclose(found, np.diag([0.09, 25.0, 0.0, 0.0, 0.01, 0.0]), atol=1e-12)
 
 
 @pytest.mark.parametrize(

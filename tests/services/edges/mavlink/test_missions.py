@@ -1,0 +1,391 @@
+"""Missions of an autopilot: the legs of its items, refusals by number and name, what is reached, and what ends one."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink", reason="not installed: pip install pymavlink (extra mavlink)")
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from ltv_mpc import config, references
+from ltv_mpc.messages import Acknowledgement, Action, Authority, Command
+from ltv_mpc.references import Origin
+from services.edges.edge import Outgoing, Received
+from services.edges.mavlink.mission import MissionFollower, Progress
+from services.edges.mavlink.mission_items import COMMANDS, Leg, legs_of
+from tests.foreign_plant.mavlink_flight import MavlinkFlight
+from tests.services.edges.mavlink.test_mavlink import codec
+from tests.services.edges.plans import plan
+
+ORIGIN = Origin(latitude_deg=50.2, longitude_deg=-5.1)
+HERE = (0.0, 0.0)
+NAV_CONDITION_DO = {
+    number: entry.name
+    for number, entry in dialect.enums["MAV_CMD"].items()
+    if any(kind in entry.name for kind in ("_NAV_", "_CONDITION_", "_DO_"))
+}
+
+
+def item(seq: int, command: int, *parameters: float, north_m: float = 0.0, east_m: float = 0.0, **other: Any) -> Any:
+    """Return an item at a place in metres from the origin; ``z`` and ``frame`` by name, and ``x``, ``y`` for none."""
+    latitude, longitude = references.geodesy.degrees(north_m, east_m, ORIGIN)
+    fields = {"frame": 6, "z": 0.0, "x": round(latitude * 1e7), "y": round(longitude * 1e7)} | other
+    first, second, third, fourth = (*parameters, 0.0, 0.0, 0.0, 0.0)[:4]
+    return codec().make.mission_item_int_encode(
+        1, 1, seq, fields["frame"], command, 0, 1, first, second, third, fourth, fields["x"], fields["y"], fields["z"]
+    )
+
+
+HOME = item(0, 16)
+
+
+def legs(*items: Any, dives: bool = False, first: int = 1) -> list[Leg]:
+    return legs_of([HOME, *items], ORIGIN, 0.5, HERE, dives=dives, first=first)
+
+
+def read(leg: Leg) -> references.Reference:
+    reference: references.Reference = config.parse(config.loads(leg.toml), references.Reference, source="leg")
+    return reference
+
+
+def numbers(found: list[Leg]) -> list[list[int]]:
+    return [[stop.number for stop in leg.stops] for leg in found]
+
+
+# --- items -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dives", [False, True])
+@pytest.mark.parametrize("number", sorted(NAV_CONDITION_DO))
+def test_each_command_is_driven_or_refused_by_number_and_name(number: int, dives: bool) -> None:
+    """All NAV, CONDITION and DO commands that pymavlink knows, as item 2 of a mission."""
+    parameters = {18: (1.0, 0.0, 5.0), 19: (20.0,), 93: (20.0,), 177: (1.0, 2.0), 178: (1.0, 0.7)}.get(number, ())
+    mission = (
+        item(1, 16, north_m=20.0),
+        item(2, number, *parameters, north_m=20.0, east_m=20.0),
+        item(3, 16, east_m=40.0),
+    )
+    if number in COMMANDS and (dives or number != 21):
+        found = legs(*mission, dives=dives)
+        assert found[-1].wait_s == math.inf
+        driven = [one for leg in numbers(found) for one in leg]
+        assert driven[:2] == ([1, 2] if number in (16, 17, 18, 19, 20, 21, 82) else [1, 1] if number == 177 else [1, 3])
+        assert (3 in driven) is (number not in (17, 20))  # nothing is driven behind these
+    else:
+        with pytest.raises(ValueError, match=rf"mission: item 2 {NAV_CONDITION_DO[number]} \({number}\)"):
+            legs(*mission, dives=dives)
+
+
+def test_each_leg_keeps_its_own_speed_and_its_wait() -> None:
+    """The mission of ``cases/mission.waypoints``: speeds by leg, a loiter of 20 s, a spline, and the way back."""
+    found = legs(
+        item(1, 178, 1.0, 0.3, -1.0),
+        item(2, 16, north_m=22.0),
+        item(3, 19, 20.0, north_m=22.0, east_m=28.0),
+        item(4, 82, north_m=11.0, east_m=42.0),
+        item(5, 178, 1.0, 1.2, -1.0),
+        item(6, 16, east_m=28.0),
+        item(7, 20),
+    )
+    assert [leg.speed_mps for leg in found] == [0.3, 0.3, 1.2]
+    assert [leg.wait_s for leg in found] == [20.0, 0.0, math.inf]
+    assert numbers(found) == [[2, 3], [4], [6, 7]]
+    ways = [[references.geodesy.local(place, ORIGIN) for place in read(leg).waypoints] for leg in found]
+    expected = [[(22, 0), (22, 28)], [(22, 28), (11, 42)], [(11, 42), (0, 28), (0, 0)]]
+    for way, places in zip(ways, expected, strict=True):
+        np.testing.assert_allclose(way, places, atol=0.02)
+
+
+def test_a_single_place_is_driven_at_the_speed_of_the_mission() -> None:
+    """A point has no speed: the way begins where the vehicle is."""
+    (leg,) = legs(item(1, 178, 1.0, 0.2), item(2, 16, north_m=30.0))
+    way = read(leg)
+    assert isinstance(way, references.Waypoints)
+    assert (way.speed_mps, len(way.waypoints), leg.along_m) == (0.2, 2, (pytest.approx(30.0, abs=0.02),))
+
+
+def test_a_dive_goes_to_the_depth_of_each_item_and_surfaces_to_land() -> None:
+    """The places of ArduSub's own ``DiveMission``: three at 50 m, a circle and a landing place at 25 m."""
+    found = legs(
+        item(1, 16, east_m=-20.0, z=-50.0),
+        item(2, 16, east_m=-60.0, z=-50.0),
+        item(3, 18, 1.25, 0.0, 50.0, east_m=-120.0, z=-25.0),
+        item(4, 21, 25.0, north_m=100.0, east_m=70.0, z=-25.0),
+        dives=True,
+    )
+    down, circle, back, up = map(read, found)
+    assert [place.depth_m for place in down.waypoints] == [50.0, 50.0]
+    assert isinstance(circle, references.Circle)
+    assert (circle.depth_m, circle.radius_m, circle.turns, circle.clockwise) == (25.0, 50.0, 1.25, True)
+    assert circle.bearing_deg == pytest.approx(90.0, abs=0.01)  # it comes from the east
+    np.testing.assert_allclose(found[2].stops[0][1:3], (100.0, 70.0), atol=0.02)
+    assert [place.depth_m for place in back.waypoints] == [25.0, 25.0]
+    begin = back.waypoints[0]  # a quarter of a turn clockwise from the east
+    assert (begin.north_m, begin.east_m) == pytest.approx((-50.0, -120.0), abs=0.02)
+    assert isinstance(up, references.Point)
+    assert up.depth_m == 0.0
+    assert numbers(found) == [[1, 2], [3], [4], [4]]
+
+
+def test_a_negative_radius_is_counter_clockwise() -> None:
+    circle, away = legs(item(1, 18, 0.25, 0.0, -5.0, north_m=20.0), item(2, 16, east_m=60.0))
+    assert circle.toml.count("clockwise = false") == 1
+    begin = read(away).waypoints[0]  # it came from the south
+    assert (begin.north_m, begin.east_m) == pytest.approx((20.0, 5.0), abs=0.02)
+
+
+def test_two_items_at_one_place_are_a_wait_or_a_change_of_depth_there() -> None:
+    found = legs(item(1, 16, north_m=20.0), item(2, 19, 9.0, north_m=20.0), item(3, 17, x=0, y=0))
+    assert numbers(found) == [[1], [2], [3]]
+    assert [leg.wait_s for leg in found] == [0.0, 9.0, math.inf]
+    _, deeper = map(read, legs(item(1, 16, north_m=9.0, z=-2.0), item(2, 16, north_m=9.0, z=-7.0), dives=True))
+    assert isinstance(deeper, references.Point)
+    assert deeper.depth_m == 7.0
+
+
+def test_jumps_repeat_and_a_delay_waits() -> None:
+    mission = (item(1, 93, 5.0), item(2, 16, north_m=20.0), item(3, 16, east_m=20.0), item(4, 177, 2.0, 2.0))
+    found = legs(*mission)
+    assert numbers(found) == [[], [2, 3, 2, 3, 2, 3]]
+    assert isinstance(read(found[0]), references.Hold)
+    assert found[0].wait_s == 5.0
+    assert numbers(legs(*mission, first=3)) == [[3, 2, 3, 2, 3]]
+    assert legs() == []
+
+
+@pytest.mark.parametrize(
+    ("refused", "dives", "says"),
+    [
+        (item(2, 177, 1.0, -1.0), False, "not for ever"),
+        (item(2, 177, 9.0, 1.0), False, "from 1 to 2"),
+        (item(2, 177, math.nan, 1.0), False, "from 1 to 2"),
+        (item(2, 177, 1.0, 5000.0), False, "makes more than 2000 steps"),
+        (item(2, 178, 1.0, 0.0), False, "speed 0 m/s must be above 0"),
+        (item(2, 18, 1.0), False, "needs turns .* and a radius"),
+        (item(2, 93, -1.0), False, "needs seconds"),
+        (item(2, 16, frame=1), False, "frame 1 must be global"),
+        (item(2, 16, frame=5, z=-3.0), True, "relative to home"),
+        (item(2, 16, z=2.0), True, "altitude 2 m"),
+        (item(2, 16, z=math.nan), True, "altitude nan m"),
+        (item(2, 16, x=100_000_000), False, "farther than 50 km"),
+    ],
+)
+def test_an_item_that_cannot_be_driven_is_refused(refused: Any, dives: bool, says: str) -> None:
+    with pytest.raises(ValueError, match=rf"mission: item 2 MAV_CMD_\w+ \(\d+\).*{says}"):
+        legs(item(1, 16, north_m=20.0), refused, dives=dives)
+
+
+# --- following -------------------------------------------------------------------------------------------------------
+
+
+def followed(flight: MavlinkFlight, action: Action = Action.FOLLOW) -> list[Command]:
+    return [one for one in flight.outputs if isinstance(one, Command) and one.action is action]
+
+
+def reached_items(flight: MavlinkFlight) -> list[int]:
+    """Collect the numbers of the items that the autopilot is told to be reached."""
+    reached: list[int] = []
+    send = flight.send
+
+    def listen(way: str, data: bytes) -> None:
+        message = codec().decode(data) if way == "to autopilot" else None
+        if message is not None and message.get_type() == "MISSION_ITEM_REACHED":
+            reached.append(message.seq)
+        send(way, data)
+
+    flight.send = listen  # type: ignore[method-assign]
+    return reached
+
+
+def upload(flight: MavlinkFlight, *items: Any) -> None:
+    """Send a mission as a ground station, over its own link."""
+    make, station = flight.station, flight.from_station
+    station(make.mission_count_encode(1, 1, len(items), 0))
+    for one in items:
+        one.target_system, one.target_component = 1, 1
+        station(one)
+
+
+LEGS = (
+    HOME,
+    item(1, 178, 1.0, 0.8),
+    item(2, 16, north_m=8.0),
+    item(3, 19, 10.0, north_m=8.0, east_m=8.0),
+    item(4, 178, 1.0, 0.4),
+    item(5, 16, east_m=8.0),
+)
+
+
+def test_a_mission_is_driven_leg_by_leg_and_each_item_is_reported() -> None:
+    flight = MavlinkFlight()
+    reached = reached_items(flight)
+    flight.relays = True
+    flight.fly(3.0)
+    upload(flight, *LEGS)
+    flight.arm()
+    flight.command(action="arm")
+    flight.fly(15.0)
+    for until in ([2], [2, 3]):
+        while len(reached) < len(until):
+            flight.fly(0.5)
+            assert len(flight.track) < 10_000
+        assert reached == until
+    at_s = len(flight.track) * 0.02
+    while len(followed(flight)) < 2:
+        flight.fly(0.5)
+        assert len(flight.track) < 10_000
+    assert len(flight.track) * 0.02 - at_s == pytest.approx(10.0, abs=2.0)
+    slow = flight.fly(15.0)
+    assert np.hypot(*np.diff(slow[-250:], axis=0).T).mean() / 0.02 == pytest.approx(0.4, abs=0.1)
+    flight.fly(25.0)
+    assert reached == [2, 3, 5]
+    assert np.hypot(*(flight.track[-1] - (0.0, 8.0))) < 0.5
+    texts = [text for text in flight.autopilot.log if "m/s" in text]
+    assert texts[0].startswith("LTV-MPC: 2: 50.2000")
+    assert texts[1].endswith("at 0.8 m/s, waits 10 s")
+    assert texts[2].endswith("at 0.4 m/s, then holds")
+
+
+def test_a_plan_that_is_older_than_the_reply_says_nothing_of_the_leg() -> None:
+    """It is of the reference before, at whose end the vehicle may be."""
+    progress = Progress(legs(item(1, 16, north_m=10.0)))
+    arrived = msgspec.structs.replace(plan(0), arrived=True)
+    assert progress.follow(arrived, 0) == []
+    assert list(progress.accept(300)) == []
+    assert progress.follow(arrived, 0) == []
+    later = msgspec.structs.replace(arrived, cycle_t_ns=300)
+    assert progress.follow(later, 0) == [1]
+    assert progress.follow(later, 0) == []
+    assert not progress.is_done(10**15)
+
+
+def test_a_late_reply_to_the_mission_before_is_none_to_the_new_one() -> None:
+    follower = MissionFollower(0.5, dives=False)
+    follower.here = HERE
+    make, numbers = codec().make, iter(range(1, 9))
+    follower.take("GPS_GLOBAL_ORIGIN", make.gps_global_origin_encode(502000000, -51000000, 0), 0, by_station=True)
+
+    def send(north_m: float, now_us: int) -> None:
+        for at_us in (now_us, now_us + 2_000_000):
+            follower.take("MISSION_COUNT", make.mission_count_encode(255, 191, 2), at_us, by_station=True)
+            for one in (HOME, item(1, 16, north_m=north_m)):
+                follower.take("MISSION_ITEM_INT", one, at_us, by_station=True)
+
+    send(10.0, 0)
+    (first,) = follower.commands(lambda: next(numbers))
+    send(20.0, 10_000_000)
+    reply = Acknowledgement(t_ns=0, command_id=1, accepted=True, authority=Authority.CONTROLLER, why="")
+    assert follower.acknowledged(reply) is None
+    (second,) = follower.commands(lambda: next(numbers))
+    assert second.reference_toml != first.reference_toml
+
+
+PLACES = (HOME, item(1, 16, north_m=10.0), item(2, 16, north_m=10.0, east_m=7.0))
+
+
+def test_a_changed_mission_is_followed_once_on_a_bad_link() -> None:
+    from tests.foreign_plant.scenarios.mavlink import BAD
+
+    flight = MavlinkFlight(faults=BAD)
+    flight.fly(3.0)
+    flight.autopilot.lists[0] = list(PLACES)
+    flight.fly(60.0)
+    (command,) = followed(flight)
+    assert "latitude_deg = 50.20008" in command.reference_toml
+    flight.autopilot.lists[0] = list(PLACES[:2])
+    flight.fly(60.0)
+    assert len(followed(flight)) == 2
+
+
+def test_the_same_mission_sent_again_begins_again_and_clearing_it_holds() -> None:
+    flight = MavlinkFlight()
+    flight.fly(3.0)
+    upload(flight, *PLACES)
+    flight.fly(25.0)
+    assert len(followed(flight)) == 1
+    upload(flight, *PLACES)
+    flight.fly(5.0)
+    assert len(followed(flight)) == 2
+    flight.from_station(flight.station.mission_set_current_encode(1, 1, 2))
+    flight.fly(2.0)
+    way = config.parse(config.loads(followed(flight)[-1].reference_toml), references.Reference, source="leg")
+    assert len(followed(flight)) == 3
+    assert way.waypoints[-1].longitude_deg == pytest.approx(-5.0999, abs=1e-5)
+    assert way.waypoints[0].north_m == pytest.approx(flight.hull.x[0], abs=1.0)  # straight to item 2
+    flight.arm(mode=10)  # in AUTO the autopilot goes on by itself
+    flight.fly(1.2)
+    flight.from_station(flight.station.mission_set_current_encode(1, 1, 1))
+    flight.fly(2.0)
+    flight.arm(mode=0)
+    flight.fly(1.2)
+    for current, sent_s in ((0, {}), (2, {42: 0.0})):  # restarts, with another item at once or after a second
+        flight.fly(6.0)
+        flight.autopilot.ms, flight.autopilot.current, flight.autopilot.sent_s = 0, current, sent_s
+        flight.fly(3.0)
+    assert flight.edge.navigation.restarts == 2
+    assert len(followed(flight)) == 3
+    flight.from_station(flight.station.mission_clear_all_encode(1, 1, 0))
+    flight.fly(25.0)
+    assert len(followed(flight)) == 3
+    assert len(followed(flight, Action.HOLD)) == 1
+    assert flight.autopilot.log[-1] == "LTV-MPC: mission cleared: holds"
+
+
+@pytest.mark.parametrize("accepted", [True, False])
+def test_an_accepted_command_of_an_operator_ends_the_mission(accepted: bool) -> None:
+    """Else the mission would go on when the vehicle has arrived at the operator's point."""
+    flight = MavlinkFlight()
+    reached = reached_items(flight)
+    flight.fly(3.0)
+    upload(flight, HOME, item(1, 19, 1.0, north_m=10.0), PLACES[2])
+    flight.fly(15.0)
+    edge, now_us = flight.edge, flight.host_us
+    list(edge.take(Command(command_id=77, action=Action.HOLD), now_us))
+    reply = Acknowledgement(t_ns=0, command_id=77, accepted=accepted, authority=Authority.CONTROLLER, why="")
+    list(edge.take(reply, now_us))
+    arrived = msgspec.structs.replace(flight.plans[-1], arrived=True)
+    for seconds in range(3):
+        flight.pass_on(edge.take(arrived, now_us + 1_000_000 * seconds))
+    flight.fly(2.0)
+    assert reached == ([] if accepted else [1])
+    assert len(followed(flight)) == (1 if accepted else 2)
+    assert ("LTV-MPC: mission ended by a command of the operator" in flight.autopilot.log) is accepted
+
+
+def test_a_refused_mission_leaves_the_one_in_force() -> None:
+    flight = MavlinkFlight()
+    reached = reached_items(flight)
+    flight.fly(3.0)
+    flight.autopilot.lists[0] = list(PLACES)
+    flight.fly(15.0)
+    flight.autopilot.lists[0] = [*PLACES, item(3, 183, 9.0, 1500.0)]
+    flight.fly(15.0)
+    assert flight.autopilot.log[-1] == "LTV-MPC: mission: item 3 MAV_CMD_DO_SET_SERVO (183) is not driven here"
+    arrived = msgspec.structs.replace(flight.plans[-1], arrived=True)
+    for _ in range(3):
+        flight.pass_on(flight.edge.take(arrived, flight.host_us))
+    assert reached == [1, 2]  # once
+    assert len(followed(flight)) == 1
+    flight.rejection = "too fast"
+    flight.autopilot.lists[0] = [HOME, item(1, 16, north_m=30.0)]
+    flight.fly(15.0)
+    flight.pass_on(flight.edge.take(arrived, flight.host_us))
+    assert reached == [1, 2]  # another reference is followed
+
+
+def test_answers_to_another_station_are_not_taken() -> None:
+    """A router passes them on: the ground station has the same system number."""
+    flight = MavlinkFlight()
+    flight.fly(15.0)
+    c = codec()
+    for component, asked in ((190, False), (191, True)):
+        count = c.make.mission_count_encode(255, component, 3, 0)
+        flight.edge.receive(Received("", c.encode(count), b"", flight.host_us))
+        sent = [c.decode(one.payload) for one in flight.edge.step(flight.host_us) if isinstance(one, Outgoing)]
+        assert any(one.get_type() == "MISSION_REQUEST_INT" for one in sent) is asked
