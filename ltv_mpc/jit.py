@@ -103,7 +103,7 @@ class _Locator(caching._CacheLocator):
 
 
 class _CacheImpl(caching.CompileResultCacheImpl):
-    """numba's storage of a compiled function, in the place of ``_Locator``."""
+    """Storage of a compiled function in the place of ``_Locator``, as numba does it."""
 
     _locator_classes: ClassVar = [_Locator]  # type: ignore[misc]
 
