@@ -98,7 +98,13 @@ class _Locator(caching._CacheLocator):
 
     @classmethod
     def from_function(cls, py_func: FunctionType, py_file: str) -> _Locator:
-        """Return the place of a function."""
+        """Return the place of a function.
+
+        Parameters
+        ----------
+        py_func : plain Python function.
+        py_file : its file.
+        """
         return cls(py_func, py_file)
 
 

@@ -49,7 +49,7 @@ class WeightSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 class Weights(WeightSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All weights of the cost; the defaults are those of the paper's vehicle.
 
-    The cost is half of a sum (``qp/sparse.py``). Each stage adds position |p - ref|^2 + thrust |U / F|^2 + change |dU /
+    The cost is half of a sum (``ocp/terms``). Each stage adds position |p - ref|^2 + thrust |U / F|^2 + change |dU /
     F|^2, with U the commands and F the largest thrusts. The end of the horizon adds terminal position |p - ref|^2 +
     terminal velocity |p' - ref'|^2, where p' is the velocity over ground. The paper's cost is the first term alone. The
     weights of thrust and of its change are a point of the curve of error against power (docs/notes/pareto.md).

@@ -16,7 +16,7 @@ from scipy.sparse import csc_array
 
 from ltv_mpc.control.ocp import limits
 from ltv_mpc.control.qp import QP
-from ltv_mpc.control.solvers.sparse import DYNAMICS, EXCESS, SparseLayout
+from ltv_mpc.control.solvers.sparse import DYNAMICS, EXCESS, LOWER, UPPER, SparseLayout
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Solve
 
@@ -36,6 +36,10 @@ class ConstraintRow(NamedTuple):
     name: str  # "slew of port in stage 4"
     scale: float  # the row times this has the unit ``unit``
     unit: str
+
+
+OF_KIND = {EXCESS: "excess of ", UPPER: "upper ", LOWER: "lower "}
+"""Beginning of the name of a soft limit's row."""
 
 
 def row_names(layout: SparseLayout, scale: Array) -> tuple[ConstraintRow, ...]:
@@ -59,7 +63,7 @@ def row_names(layout: SparseLayout, scale: Array) -> tuple[ConstraintRow, ...]:
         else:
             name, of, unit = f"row {row - len(of_limits) + 1} of fence and further limits", float(scale[0]), "m"
         place = f"in stage {knot + 1}" if name.startswith("slew") else f"at the end of stage {knot}"
-        named.append(ConstraintRow(f"{'excess of ' * (kind == EXCESS)}{name} {place}", of, unit))
+        named.append(ConstraintRow(f"{OF_KIND.get(kind, '')}{name} {place}", of, unit))
     return tuple(named)
 
 

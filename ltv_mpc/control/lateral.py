@@ -32,13 +32,12 @@ from ltv_mpc.control.disturbance import heading_free_mps
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation, describe_non_finite
-from ltv_mpc.control.ocp import assembly, limits
-from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
-from ltv_mpc.control.ocp.limits import fence
-from ltv_mpc.control.ocp.problem import Problem, is_finite, least_surplus
+from ltv_mpc.control.linearisation import describe_non_finite
+from ltv_mpc.control.ocp.cycle import Cycle
+from ltv_mpc.control.ocp.extension import Limit, Term
+from ltv_mpc.control.ocp.problem import Problem, is_finite
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
-from ltv_mpc.control.problem_data import COMMANDS, coefficients_of, pack_constants
+from ltv_mpc.control.problem_data import coefficients_of, pack_constants
 from ltv_mpc.control.solvers import Result, Solver, SolverFactory
 from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus, Times
 from ltv_mpc.node import Stopwatch
@@ -86,24 +85,25 @@ class LateralPlanner:
         stopwatch : is called with a stage's name when that stage of a cycle ends.
         terms : of a user, beside those of ``ocp/``.
         """
-        self.target = np.zeros((config.stages + 1, 3))
-        """Target at the knots: ``ocp/terms``."""
         self.previous = PreviousPlan(knots_ns)
         self.fencing = Fencing(vehicle, knots_ns, config.limits.max_cross_track_m)
         """Fence, obstacles and corridor in force."""
-        self._packed = packed
-        self._lin = Linearisation.empty(config.stages)
-        scale = assembly.scales(HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9))
-        self._further = Extensions(terms, np.diff(config.knots), scale[: COMMANDS + 2], self.target)
-        self._plain = self._fenced = assembly.empty(config.stages, self._further.rows)
+        scales = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9)
+        self._cycle = Cycle(packed, config.knots, scales, self.fencing.scene, terms)
         self._fallback = Fallback(vehicle, packed, self.previous, config.period_ns)
         self._vehicle, self._config_for = vehicle, functools.cache(functools.partial(_config_for, config))
         self._config = self._config_for(path=False, heading=False)
         self._make_solver: Callable[[], Solver] = lambda: make_solver(self._weakened_vehicle(), self._config)
-        self._solvers = {0: self._make_solver()}  # by the half-planes of a stage: a QP has a fixed pattern
-        self._last_solver = self._solvers[0]
+        self._solvers: dict[int, Solver] = {}  # by the rows of a knot: a QP has a fixed pattern
+        self._last_solver: Solver | None = None
         self._stopwatch = stopwatch
         self._rows_bind = False  # in the last QP; True: the next one has the rows
+        self._solver(self._cycle.plain, math.nan)
+
+    @property
+    def target(self) -> Array:
+        """Target at the knots (``ocp/terms``)."""
+        return self._cycle.target
 
     def set_current(self, estimate: Estimate, depth_m: Array) -> None:
         """Set the current along the horizon.
@@ -113,12 +113,10 @@ class LateralPlanner:
         estimate : its current profile is used; no current if it has none.
         depth_m : (N+1,) predicted depths at the knots (m).
         """
-        rows = self._further.rows + self.fencing.rows
-        if self._fenced.low.shape[1] != limits.ROWS + rows:
-            self._fenced = assembly.empty(len(self.target) - 1, rows) if self.fencing.rows else self._plain
+        if self._cycle.set_fence_rows(self.fencing.rows):
             self._rows_bind = True  # the solver of this pattern is set up now
         profile = profile_of(estimate)
-        fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._lin.C)
+        fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._cycle.lin.C)
 
     def bend_target(self, start: Start) -> None:
         """Lead the targets round the zones, where the line through them is blocked, and bring far ones nearer.
@@ -128,7 +126,7 @@ class LateralPlanner:
         start : the vehicle at the plan's start. Target and current are set before.
         """
         limited = self._config.limits.has_state_limit
-        self.fencing.bend(start.lateral[:2], self._lin.C[0], self.target, limited=limited)
+        self.fencing.bend(start.lateral[:2], self._cycle.lin.C[0], self.target, limited=limited)
 
     def relax_target(self, start: Start, knots: Times, radius_m: float) -> None:
         """Move the target of each knot to the point of a disc about it that is nearest to the previous plan.
@@ -158,7 +156,7 @@ class LateralPlanner:
         start, why, goal : as ``Fallback.ramp`` takes them; the current is the one that was set.
         """
         delivered = None if goal is None else goal[:, :2] * self.previous.shares
-        return self._as_commands(self._fallback.ramp(start, self._lin.C, why, delivered))
+        return self._as_commands(self._fallback.ramp(start, self._cycle.lin.C, why, delivered))
 
     def set_shares(self, shares: Pair) -> None:
         """Plan with thrusters that deliver a share of their commands; the solver is rebuilt if the shares change.
@@ -191,11 +189,11 @@ class LateralPlanner:
         ----------
         p : (21,) coefficients.
         """
-        coefficients_of(self._packed)[:] = p
+        coefficients_of(self._cycle.packed)[:] = p
 
     def _repack(self) -> None:
-        config, learned = self._config, coefficients_of(self._packed).copy()
-        self._packed[:] = pack_constants(
+        config, learned = self._config, coefficients_of(self._cycle.packed).copy()
+        self._cycle.packed[:] = pack_constants(
             self._weakened_vehicle(), config.weights, config.knots, STAGE_NS * 1e-9, config.limits.state_bounds
         )
         self.set_coefficients(learned)
@@ -208,7 +206,7 @@ class LateralPlanner:
         ----------
         start, why : as ``Fallback.stop`` takes them; the current is the one that was set.
         """
-        return self._as_commands(self._fallback.stop(start, self._lin.C, why))
+        return self._as_commands(self._fallback.stop(start, self._cycle.lin.C, why))
 
     def plan(self, start: Start) -> LateralPlan:
         """Return the QP's plan, or that of the first fallback level that gives one.
@@ -229,10 +227,12 @@ class LateralPlanner:
         """Return a plan with a braking tail, if the vehicle would enter a zone when no other plan follows it."""
         if plan.origin is PlanOrigin.ZERO or not self.fencing.is_active:
             return plan
-        enters_s = self.fencing.coasting_enters_s(self._packed, plan.X, plan.U, self._lin.C, self._fallback.end)
+        enters_s = self.fencing.coasting_enters_s(
+            self._cycle.packed, plan.X, plan.U, self._cycle.lin.C, self._fallback.end
+        )
         if math.isinf(enters_s):
             return plan
-        braking = self._fallback.with_braking_tail(start, self._lin.C, plan)
+        braking = self._fallback.with_braking_tail(start, self._cycle.lin.C, plan)
         return braking if self.fencing.enters_s(braking.X) > enters_s else plan
 
     def discard_solvers(self) -> None:
@@ -244,12 +244,13 @@ class LateralPlanner:
 
         Returns the plan, or the report of the solve that gave no usable one.
         """
-        lin, packed, target, scene = self._lin, self._packed, self.target, self.fencing.scene
+        cycle = self._cycle
+        cycle.scene = self.fencing.scene
         shift = self._linearise(start)
         X, U = self._fallback.empty()
         left = self._config.sqp_iterations
         while left > 0:
-            near = self.fencing.rows > 0 and (self._rows_bind or nominal.comes_near(packed, lin.X, scene))
+            near = cycle.fenced is not None and (self._rows_bind or nominal.comes_near(cycle))
             self._stopwatch("linearise")
             commands, solve = self._solve_qp(shift, near=near)
             if solve.status is not SolveStatus.SOLVED:
@@ -258,7 +259,7 @@ class LateralPlanner:
                 # The line search brings it into box and slew, and takes it only as far as the cost does not rise.
             elif not math.isfinite(np.vdot(commands, commands)):
                 return Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
-            step, enters = nominal.line_search(packed, lin, target, commands, X, U, scene, self._further)
+            step, enters = nominal.line_search(cycle, commands, X, U)
             # A step above zero has a finite cost, so its states and commands are finite.
             if step == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return Solve(status=SolveStatus.NON_FINITE, why="the predicted motion is not finite")
@@ -268,32 +269,22 @@ class LateralPlanner:
             else:
                 left -= 1
             if left > 0:
-                nominal.relinearise(packed, lin.flat, X, U)
+                nominal.relinearise(cycle.packed, cycle.lin.flat, X, U)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _solve_qp(self, shift: float, *, near: bool) -> tuple[Array, Solve]:
         """Return the commands of the QP and the solver's report; ``near``: with the fence's rows where they bind."""
-        has_rows = near and self._rows_bind
-        if not has_rows:
-            self._fill(self._plain)
-        if near:
-            self._fill(self._fenced)
-            fence.fill(self._packed, self._lin.flat, self.fencing.scene, self.fencing.rows, self._fenced)
-        result = self._run_solver(self._fenced if has_rows else self._plain, shift)
-        first = limits.ROWS + self._further.rows
-        surplus = least_surplus(self._fenced, result.z, first) if near else math.inf
+        cycle, has_rows = self._cycle, near and self._rows_bind
+        fenced = cycle.fill(cycle.fenced) if near and cycle.fenced is not None else None
+        result = self._run_solver(fenced if has_rows and fenced is not None else cycle.fill(cycle.plain), shift)
+        surplus = cycle.surplus(result.z) if near else math.inf
         self._rows_bind = surplus < (BINDING if has_rows else 0.0)
-        if self._rows_bind and not has_rows:
-            result = self._run_solver(self._fenced, 0.0)
-        return assembly.commands_of(self._packed, self._lin.flat, result.z), result.solve
-
-    def _fill(self, problem: Problem) -> None:
-        """Fill in all of a problem but the rows of the fence."""
-        assembly.fill(self._packed, self._lin.flat, self.target, problem)
-        self._further.add(problem, limits.ROWS, self._lin.X, self._lin.U)
+        if self._rows_bind and not has_rows and fenced is not None:
+            result = self._run_solver(fenced, 0.0)
+        return cycle.commands(result.z), result.solve
 
     def _run_solver(self, problem: Problem, shift: float) -> Result:
-        solver = self._solver(problem.low.shape[1], shift)
+        solver = self._solver(problem, shift)
         solver.build(problem)
         self._stopwatch("build")
         solver.update()
@@ -301,21 +292,23 @@ class LateralPlanner:
         result = solver.solve()
         self._stopwatch("solve")
         if result.solve.status is SolveStatus.NON_FINITE and not is_finite(problem):
-            why = describe_non_finite(self._lin, self.target)
+            why = describe_non_finite(self._cycle.lin, self.target)
             return result._replace(solve=msgspec.structs.replace(result.solve, why=why))
         return result
 
-    def _solver(self, rows: int, shift: float) -> Solver:
-        """Return the solver of a QP of this pattern, with its warm start.
+    def _solver(self, problem: Problem, shift: float) -> Solver:
+        """Return the solver of problems of this size, with its warm start.
 
         Parameters
         ----------
-        rows : rows of limits at a knot.
+        problem : of that size.
         shift : by how many first stages the knots of the last QP lie earlier; NaN if it is not related to the next one.
         """
+        rows = problem.sizes[3]
         if rows not in self._solvers:
             self._solvers[rows] = self._make_solver()
-            self._solvers[rows].build(self._full_problem(rows))
+            motion = nominal.any_motion(self._cycle)
+            self._solvers[rows].build(self._cycle.full_problem(problem, motion))
         solver = self._solvers[rows]
         if solver is not self._last_solver or math.isnan(shift):
             solver.reset_warm_start()
@@ -323,20 +316,6 @@ class LateralPlanner:
             solver.shift_warm_start(shift)
         self._last_solver = solver
         return solver
-
-    def _full_problem(self, rows: int) -> Problem:
-        """Return a problem in which every number that can differ from zero does: it fixes the pattern of a solver.
-
-        Otherwise the pattern, and with it the rounding, would depend on what was solved before.
-        """
-        rng, lin = np.random.default_rng(0), Linearisation.empty(len(self.target) - 1)
-        lin.flat[:] = rng.normal(size=lin.flat.shape)
-        nominal.relinearise(self._packed, lin.flat, lin.X.copy(), lin.U.copy())
-        problem, first = assembly.empty(len(lin.Phi), rows - limits.ROWS), limits.ROWS + self._further.rows
-        assembly.fill(self._packed, lin.flat, rng.normal(size=self.target.shape), problem)
-        self._further.add(problem, limits.ROWS, lin.X, lin.U)
-        problem.G[1:, first:, :2], problem.low[1:, first:], problem.penalty[1:, first:] = 1.0, -1.0, 1.0
-        return problem
 
     def _linearise(self, start: Start) -> float:
         """Linearise along the previous plan on the new knots, or along a steering guess if that costs less.
@@ -346,24 +325,14 @@ class LateralPlanner:
         stages, commands = self.previous.lateral_commands(start.t_ns)
         report = None if self.previous.plan is None else self.previous.plan.fence
         was_clear = report is not None and report.exceeded == 0
-        kind = nominal.choose_nominal(
-            self._packed,
-            start.lateral,
-            self.target,
-            commands,
-            stages,
-            self._lin,
-            self.fencing.scene,
-            was_clear,
-            self._further,
-        )
+        kind = nominal.choose_nominal(self._cycle, start.lateral, commands, stages, was_clear=was_clear)
         return stages if kind == nominal.PREVIOUS_PLAN else math.nan
 
     def _fall_back(self, start: Start, solve: Solve) -> LateralPlan:
         """Return the plan of the first fallback level that gives one."""
         self.discard_solvers()
-        np.nan_to_num(self._lin.C, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-        return self._fallback.plan(start, self._lin.C, solve)
+        np.nan_to_num(self._cycle.lin.C, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        return self._fallback.plan(start, self._cycle.lin.C, solve)
 
     def _as_commands(self, plan: LateralPlan) -> LateralPlan:
         """Return a plan of delivered thrusts with the commands that lead to them."""

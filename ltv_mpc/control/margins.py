@@ -9,7 +9,7 @@ Over stages k = 1 .. N of length g_k the controller minimises, with state X and 
 U, a constant error c of the current, and z = [X; U; c] (12,):
 
     z+ = A_k z + B_k U+,    A_k = [[A, B0, h I], [0, 0, 0], [0, 0, I]],    B_k = [B1; I; 0]            linearisation.py
-    J  = sum g_k (w |p|^2 + r |U+ / F|^2) + s / g_k |(U+ - U) / F|^2 + w_N |p_N|^2 + m |p'_N|^2           cost.py
+    J  = sum g_k (w |p|^2 + r |U+ / F|^2) + s / g_k |(U+ - U) / F|^2 + w_N |p_N|^2 + m |p'_N|^2           ocp/terms
 
 The Riccati recursion from the last stage to the first ends with U+ = - K z. The state of the loop, once a cycle at the
 time of the estimate, is [X; F; b; U_k, U_(k-1), ..]: the plant's state, the thrusts that the controller takes for

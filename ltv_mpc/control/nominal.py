@@ -18,7 +18,7 @@ Arguments of the kernels in this file:
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from ltv_mpc.control.horizon_limits import clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
 from ltv_mpc.control.linearisation import Linearisation, linearise_rollout, propagate, unpack_linearisation
 from ltv_mpc.control.ocp.assembly import cost
+from ltv_mpc.control.ocp.cycle import Cycle
 from ltv_mpc.control.problem_data import Constants, Objective, unpack_constants
 from ltv_mpc.control.shooting_grid import locate
 from ltv_mpc.control.terminal_check import check_terminal
@@ -91,7 +92,7 @@ def _shift_into_limits(old: Array, stages: float, objective: Objective, U: Array
 
 
 class Score(NamedTuple):
-    """What a trajectory costs, and how it ends."""
+    """Costs of a trajectory, and how it ends."""
 
     cost: float  # without fence and corridor
     fence: float  # cost of too small clearances
@@ -99,30 +100,7 @@ class Score(NamedTuple):
     tail: float  # cost beyond the horizon
 
 
-class Further(Protocol):
-    """Terms and limits of a user, beside those that are compiled (``ocp/extension.py``)."""
-
-    def cost(self, X: Array, U: Array) -> float:
-        """Return what a trajectory costs in them.
-
-        Parameters
-        ----------
-        X, U : states and commands at the knots.
-        """
-        ...
-
-
-def choose_nominal(
-    packed: Array,
-    start: Array,
-    target: Array,
-    old: Array,
-    stages: float,
-    lin: Linearisation,
-    scene: Scene,
-    was_clear: bool,
-    further: Further,
-) -> int:
+def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was_clear: bool) -> int:
     """Choose the nominal trajectory, and linearise along it.
 
     The candidates are the previous plan and two steering guesses, ahead and astern; the one of least cost is chosen.
@@ -133,39 +111,51 @@ def choose_nominal(
 
     Parameters
     ----------
-    packed, start, target, old : as at the head of this file.
+    cycle : has target, zones and the current; the rest of its linearisation is overwritten.
+    start, old : as at the head of this file.
     stages : as there; NaN if there is no previous plan.
-    lin : has the current C; all the rest is overwritten.
-    scene : zones and obstacles, whose clearances count in the cost.
     was_clear : True if the previous plan lacked no clearance when it was made.
-    further : its cost counts.
 
     Returns
     -------
     PREVIOUS_PLAN, STEERED_AHEAD or STEERED_ASTERN.
     """
+    packed, target, lin, guess, scene = cycle.packed, cycle.target, cycle.lin, cycle.guess, cycle.scene
     kind, best = STEERED_AHEAD, Score(math.inf, math.inf, False, 0.0)
     if not math.isnan(stages):
         best = Score(*_continue(packed, start, old, stages, target, lin.flat, scene))
-        kind, best = PREVIOUS_PLAN, best._replace(cost=best.cost + further.cost(lin.X, lin.U))
-    X, U = np.empty_like(lin.X), np.empty_like(lin.U)
+        kind, best = PREVIOUS_PLAN, best._replace(cost=best.cost + cycle.further.cost(lin.X, lin.U))
+    guess.C[...] = lin.C
     for other_kind in (STEERED_AHEAD, STEERED_ASTERN):
         least = math.inf if best.stuck else best.cost + best.fence
-        other = Score(*_steer(packed, start, target, other_kind == STEERED_ASTERN, least, lin.flat, scene, X, U))
+        other = Score(*_steer(packed, start, target, other_kind == STEERED_ASTERN, least, guess.flat, scene))
         if math.isinf(other.cost):
             continue
-        other = other._replace(cost=other.cost + further.cost(X, U))
+        other = other._replace(cost=other.cost + cycle.further.cost(guess.X, guess.U))
         if was_clear and kind == PREVIOUS_PLAN and other.fence > FAR_LESS * best.fence:
             continue
         # A way through a zone leads to no end, so what comes after it does not count in its favour.
         tail = 1.0 if (best.stuck or other.stuck) and other.fence <= best.fence else 0.0
         before = best.cost + best.fence + tail * best.tail
         if other.cost + other.fence + tail * other.tail < before or math.isinf(best.cost):
-            lin.X[...], lin.U[...] = X, U
+            lin.X[...], lin.U[...] = guess.X, guess.U
             kind, best = other_kind, other
     if kind != PREVIOUS_PLAN:
         relinearise(packed, lin.flat, lin.X, lin.U)
     return kind
+
+
+def any_motion(cycle: Cycle) -> Linearisation:
+    """Return a linearisation along a motion that is like no other: no number is zero by chance.
+
+    Parameters
+    ----------
+    cycle : has the constants.
+    """
+    lin = Linearisation.empty(len(cycle.target) - 1)
+    lin.flat[:] = np.random.default_rng(0).normal(size=lin.flat.shape)
+    relinearise(cycle.packed, lin.flat, lin.X.copy(), lin.U.copy())
+    return lin
 
 
 @jit
@@ -182,26 +172,18 @@ def _continue(
 
 @jit
 def _steer(
-    packed: Array,
-    start: Array,
-    target: Array,
-    astern: bool,
-    least: float,
-    flat: Array,
-    scene: Scene,
-    X: Array,
-    U: Array,
+    packed: Array, start: Array, target: Array, astern: bool, least: float, flat: Array, scene: Scene
 ) -> tuple[float, float, bool, float]:
     """Make a steering guess, X and U; return its ``Score``, with infinite cost if it costs more than ``least``."""
-    c, C = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1).C
-    _set_initial_knot(start, X, U)
+    c, guess = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1)
+    _set_initial_knot(start, guess.X, guess.U)
     if astern and c.objective.low_state[0] >= 0.0:  # the bow goes first
         return np.inf, np.inf, False, 0.0
-    of_terms = steering_guess(X, U, C, target, astern, least, c)
+    of_terms = steering_guess(guess.X, guess.U, guess.C, target, astern, least, c)
     if np.isinf(of_terms):
         return np.inf, np.inf, False, 0.0
-    end = check_terminal(X, C, target, c)
-    return of_terms, fence_cost(X, scene, c.objective), end.stuck, end.tail_cost
+    end = check_terminal(guess.X, guess.C, target, c)
+    return of_terms, fence_cost(guess.X, scene, c.objective), end.stuck, end.tail_cost
 
 
 @jit
@@ -228,28 +210,23 @@ def relinearise(packed: Array, flat: Array, X: Array, U: Array) -> None:
     linearise_rollout(lin, constants.objective.t, constants.stage_s, constants.p)
 
 
-@jit
-def comes_near(packed: Array, X: Array, scene: Scene) -> bool:
-    """Return True if a trajectory comes near to a zone, an obstacle or the edge of the corridor.
+def comes_near(cycle: Cycle) -> bool:
+    """Return True if the nominal trajectory comes near to a zone, an obstacle or the edge of the corridor.
 
     Parameters
     ----------
-    packed, X : as at the head of this file.
-    scene : zones and obstacles.
+    cycle : has trajectory and zones.
     """
+    return bool(_is_near(cycle.packed, cycle.lin.X, cycle.scene))
+
+
+@jit
+def _is_near(packed: Array, X: Array, scene: Scene) -> bool:
+    """Return ``is_near`` of a trajectory."""
     return is_near(X, scene, unpack_constants(packed).objective)
 
 
-def line_search(
-    packed: Array,
-    lin: Linearisation,
-    target: Array,
-    commands: Array,
-    X: Array,
-    U: Array,
-    scene: Scene,
-    further: Further,
-) -> tuple[float, bool]:
+def line_search(cycle: Cycle, commands: Array, X: Array, U: Array) -> tuple[float, bool]:
     """Find the largest step from the nominal trajectory towards the QP's commands that does not raise the cost.
 
     The QP knows the motion to first order only, so a full step can cost more than none. The solver meets box and slew
@@ -257,25 +234,23 @@ def line_search(
 
     Parameters
     ----------
-    packed, target : as at the head of this file.
-    lin : its X, U and C are the nominal trajectory and the current.
+    cycle : has the nominal trajectory, target and zones.
     commands : (N+1, 2) port and starboard thrust that the QP asks for (N).
     X, U : are overwritten with states and commands of the trajectory found.
-    scene : zones and obstacles, whose clearances count in the cost.
-    further : its cost counts.
 
     Returns
     -------
     The fraction of the step taken, and True if the whole step comes too near to a zone, where the nominal trajectory
     does not. The fraction is 0 if no step qualifies, and X and U are then the nominal trajectory.
     """
+    packed, target, lin, scene = cycle.packed, cycle.target, cycle.lin, cycle.scene
     before = Score(*_step(packed, lin.flat, target, lin.U, 0.0, X, U, scene))
-    limit, enters = before.cost + further.cost(X, U) + before.fence, False
+    limit, enters = before.cost + cycle.further.cost(X, U) + before.fence, False
     for part in STEPS:
         after = Score(*_step(packed, lin.flat, target, commands, part, X, U, scene))
         if part == STEPS[0]:
             enters = after.fence > before.fence == 0.0
-        if after.cost + further.cost(X, U) + after.fence <= limit:
+        if after.cost + cycle.further.cost(X, U) + after.fence <= limit:
             if after.stuck and not before.stuck and after.fence >= before.fence:
                 break  # within the horizon it costs less not to turn; but a way out of a zone is taken
             return part, enters

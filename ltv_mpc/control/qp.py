@@ -58,7 +58,6 @@ def residuals(qp: QP, x: Array, y: Array) -> Residuals:
     Ax = qp.A @ x
     stationarity = np.abs(qp.P @ x + qp.q + qp.A.T @ y).max()
     primal = max(np.maximum(qp.l - Ax, 0.0).max(), np.maximum(Ax - qp.u, 0.0).max())
-    upper, lower = np.maximum(y, 0.0), np.maximum(-y, 0.0)
-    to_upper = np.where(upper > 0, upper * np.abs(qp.u - Ax), 0.0)
-    to_lower = np.where(lower > 0, lower * np.abs(Ax - qp.l), 0.0)
-    return Residuals(float(stationarity), float(primal), float(max(to_upper.max(), to_lower.max())))
+    on = y != 0.0
+    off = (np.where(y > 0.0, qp.u, qp.l) - Ax)[on]
+    return Residuals(float(stationarity), float(primal), float(np.abs(y[on] * off).max(initial=0.0)))

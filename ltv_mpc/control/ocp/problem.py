@@ -10,7 +10,7 @@ F = [A, B], H = [Q, S'; S, R], h = [q, r] and G = [C, D] of the textbook (Rawlin
 row with two infinite bounds is none. A penalty that is larger than the dual that the hard limit would have is exact:
 the row is then exceeded only where it cannot be kept (Fletcher 1987, section 12.3; Kerrigan & Maciejowski 2000).
 
-All is without unit: what is 1 in x and u is said by who makes the problem (``assembly.py``).
+All is without unit; ``assembly.py`` has the scales of x and u.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class Numbers(NamedTuple):
 
 
 class Masks(NamedTuple):
-    """What a layout has: entries that may differ from zero, and bounds that may be finite."""
+    """Entries of a layout that may differ from zero, and bounds that may be finite."""
 
     H: Mask
     F: Mask
@@ -65,7 +65,7 @@ class Masks(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where the numbers of a problem stand in the QP: places among stored entries, and indices in flat arrays."""
+    """Places of a problem's numbers in the QP: among stored entries, with indices in flat arrays."""
 
     column: Indices  # (N+1, n+m) column of each number of z; -1: none
     excess: Indices  # (N+1, M) column of each row's excess; -1: none

@@ -230,7 +230,7 @@ def test_compiled_code_that_raises_costs_one_fallback_level(method):
     controller, solver = faulty()
     estimate, before = fly(controller, moving(), 5)
 
-    def raises(*_):
+    def raises(*_, **__):
         raise FloatingPointError("as asked")
 
     with pytest.MonkeyPatch.context() as patch:
@@ -255,9 +255,9 @@ def test_a_solver_recovers_one_cycle_after_a_problem_with_nan(solver):
     estimate, _ = fly(controller, moving(), 4)
     begin = nominal.choose_nominal
 
-    def with_nan(numbers, start, target, commands, stages, lin, *others):
-        chosen = begin(numbers, start, target, commands, stages, lin, *others)
-        lin.flat[-5:] = np.nan
+    def with_nan(cycle, *others, **settings):
+        chosen = begin(cycle, *others, **settings)
+        cycle.lin.flat[-5:] = np.nan
         return chosen
 
     with pytest.MonkeyPatch.context() as patch:

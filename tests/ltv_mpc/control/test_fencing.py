@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
-from ltv_mpc.control import lateral
 from ltv_mpc.control.config import MotionLimits, Weights
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.nominal_model import advance
+from ltv_mpc.control.ocp.cycle import Cycle
 from ltv_mpc.control.ocp.limits import ROWS
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.prediction import Prediction
@@ -213,7 +213,7 @@ def test_plans_are_those_of_qps_that_always_have_the_rows(east_m: float, monkeyp
         state = lazy.save(estimate.t_ns)
         eager.restore(state, estimate.t_ns)
         with monkeypatch.context() as patch:
-            patch.setattr(lateral, "least_surplus", lambda *_: calls.append(0) or -1.0)
+            patch.setattr(Cycle, "surplus", lambda *_: calls.append(0) or -1.0)
             expected = eager.plan(estimate)
         plan = lazy.plan(estimate)
         np.testing.assert_allclose(plan.thrust_N, expected.thrust_N, atol=0.1)

@@ -19,7 +19,12 @@ ROW = 0
 
 @jit
 def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the rows of knot k (ocp/limits)."""
+    """Add the rows of a knot.
+
+    Parameters
+    ----------
+    p, k, lin, target, o : as in ``ocp/terms``.
+    """
     for i in range(2):
         low, high = command_bounds(lin.U[0, i], o.t[k] * o.max_change[i], o.low[i], o.high[i])
         p.G[k, ROW + i, COMMANDS + i] = 1.0

@@ -42,7 +42,12 @@ def cost(k: int, X: Array, target: Array, o: Objective, penalty: float) -> float
 
 @jit
 def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the rows of knot k (ocp/limits)."""
+    """Add the rows of a knot.
+
+    Parameters
+    ----------
+    p, k, lin, target, o : as in ``ocp/terms``.
+    """
     for j in range(2):
         if is_limited(o, j):
             i = LIMITED_STATES[j]

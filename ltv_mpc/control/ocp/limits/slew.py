@@ -19,7 +19,12 @@ ROW = 2
 
 @jit
 def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the rows of the stage that ends at knot k (ocp/limits)."""
+    """Add the rows of the stage that ends at a knot.
+
+    Parameters
+    ----------
+    p, k, lin, target, o : as in ``ocp/terms``.
+    """
     for i in range(2):
         largest, change = stage_length(o, k) * o.max_change[i], lin.U[k, i] - lin.U[k - 1, i]
         p.G[k - 1, ROW + i, CHANGES + i] = 1.0

@@ -18,7 +18,12 @@ from ltv_mpc.messages import Array
 
 @jit
 def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value at knot k (ocp/terms)."""
+    """Return the value at a knot.
+
+    Parameters
+    ----------
+    k, X, U, C, target, o : as in ``ocp/terms``.
+    """
     if o.heading == 0.0:
         return 0.0
     off = _short_way(X[k, 4] - target[k - 1, 2])
@@ -27,7 +32,12 @@ def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> f
 
 @jit
 def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model at knot k (ocp/terms)."""
+    """Add the quadratic model at a knot.
+
+    Parameters
+    ----------
+    p, k, lin, target, o : as in ``ocp/terms``.
+    """
     if o.heading != 0.0:
         weight = o.heading * stage_length(o, k) * o.state_scale[4]
         p.H[k, 4, 4] += weight * o.state_scale[4]

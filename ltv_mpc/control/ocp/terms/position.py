@@ -16,14 +16,24 @@ from ltv_mpc.messages import Array
 
 @jit
 def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value at knot k (ocp/terms)."""
+    """Return the value at a knot.
+
+    Parameters
+    ----------
+    k, X, U, C, target, o : as in ``ocp/terms``.
+    """
     dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
     return float(0.5 * o.position * stage_length(o, k) * (dn * dn + de * de))
 
 
 @jit
 def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model at knot k (ocp/terms)."""
+    """Add the quadratic model at a knot.
+
+    Parameters
+    ----------
+    p, k, lin, target, o : as in ``ocp/terms``.
+    """
     for i in range(2):
         weight = o.position * stage_length(o, k) * o.state_scale[i]
         p.H[k, i, i] += weight * o.state_scale[i]

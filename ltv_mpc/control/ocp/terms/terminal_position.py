@@ -14,7 +14,12 @@ from ltv_mpc.messages import Array
 
 @jit
 def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value at knot k (ocp/terms)."""
+    """Return the value at a knot.
+
+    Parameters
+    ----------
+    k, X, U, C, target, o : as in ``ocp/terms``.
+    """
     if k < len(X) - 1:
         return 0.0
     dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
@@ -23,7 +28,12 @@ def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> f
 
 @jit
 def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model at knot k (ocp/terms)."""
+    """Add the quadratic model at a knot.
+
+    Parameters
+    ----------
+    p, k, lin, target, o : as in ``ocp/terms``.
+    """
     if k == len(lin.X) - 1:
         for i in range(2):
             p.H[k, i, i] += o.terminal_position * o.state_scale[i] * o.state_scale[i]

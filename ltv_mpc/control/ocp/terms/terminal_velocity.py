@@ -17,7 +17,12 @@ from ltv_mpc.messages import Array
 
 @jit
 def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value at knot k (ocp/terms)."""
+    """Return the value at a knot.
+
+    Parameters
+    ----------
+    k, X, U, C, target, o : as in ``ocp/terms``.
+    """
     if k < len(X) - 1:
         return 0.0
     velocity, _ = velocity_over_ground(X[k], C[k])
@@ -27,7 +32,12 @@ def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> f
 
 @jit
 def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model at knot k (ocp/terms)."""
+    """Add the quadratic model at a knot.
+
+    Parameters
+    ----------
+    p, k, lin, target, o : as in ``ocp/terms``.
+    """
     if k == len(lin.X) - 1:
         velocity, slope = velocity_over_ground(lin.X[k], lin.C[k])
         for axis in range(2):

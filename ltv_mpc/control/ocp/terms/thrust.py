@@ -14,14 +14,24 @@ from ltv_mpc.messages import Array
 
 @jit
 def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value at knot k (ocp/terms)."""
+    """Return the value at a knot.
+
+    Parameters
+    ----------
+    k, X, U, C, target, o : as in ``ocp/terms``.
+    """
     port, starboard = U[k, 0] / o.thrust_scale[0], U[k, 1] / o.thrust_scale[1]
     return float(0.5 * o.thrust * stage_length(o, k) * (port * port + starboard * starboard))
 
 
 @jit
 def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model at knot k (ocp/terms)."""
+    """Add the quadratic model at a knot.
+
+    Parameters
+    ----------
+    p, k, lin, target, o : as in ``ocp/terms``.
+    """
     weight = o.thrust * stage_length(o, k)
     for i in range(2):
         p.H[k, COMMANDS + i, COMMANDS + i] += weight

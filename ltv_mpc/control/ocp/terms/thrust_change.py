@@ -16,7 +16,12 @@ from ltv_mpc.messages import Array
 
 @jit
 def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value at knot k (ocp/terms)."""
+    """Return the value at a knot.
+
+    Parameters
+    ----------
+    k, X, U, C, target, o : as in ``ocp/terms``.
+    """
     port = (U[k, 0] - U[k - 1, 0]) / o.thrust_scale[0]
     starboard = (U[k, 1] - U[k - 1, 1]) / o.thrust_scale[1]
     return float(0.5 * o.thrust_change / stage_length(o, k) * (port * port + starboard * starboard))
@@ -24,7 +29,12 @@ def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> f
 
 @jit
 def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model at knot k, in the input of the stage before it (ocp/terms)."""
+    """Add the quadratic model at a knot, in the input of the stage before it.
+
+    Parameters
+    ----------
+    p, k, lin, target, o : as in ``ocp/terms``.
+    """
     weight = o.thrust_change / stage_length(o, k)
     for i in range(2):
         p.H[k - 1, CHANGES + i, CHANGES + i] += weight

@@ -1,0 +1,116 @@
+"""Cycle: what the trajectories and problems of one cycle are made from, and the problems themselves.
+
+The arrays stay the same from cycle to cycle, and each cycle overwrites them. There are two problems: with the rows of
+fence and corridor and without, because a problem without them is solved faster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ltv_mpc.control.fence_clearance import Scene
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.ocp import assembly, limits
+from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
+from ltv_mpc.control.ocp.limits import fence
+from ltv_mpc.control.ocp.problem import Problem, least_surplus
+from ltv_mpc.control.problem_data import COMMANDS
+from ltv_mpc.messages import Array
+
+
+class Cycle:
+    """Constants, target, zones and linearisation of a cycle, and its problems."""
+
+    def __init__(
+        self, packed: Array, knots: Array, scales: HorizonLimits, scene: Scene, terms: Sequence[Term | Limit] = ()
+    ) -> None:
+        """Allocate the arrays.
+
+        Parameters
+        ----------
+        packed : packed constants (``problem_data.pack_constants``).
+        knots : (N+1,) in first stages.
+        scales : scales of the vehicle.
+        scene : zones and obstacles.
+        terms : of a user, beside those of ``ocp/``.
+        """
+        stages = len(knots) - 1
+        self.packed, self.scene = packed, scene
+        self.target = np.zeros((stages + 1, 3))
+        """Target at the knots (``ocp/terms``)."""
+        self.lin, self.guess = Linearisation.empty(stages), Linearisation.empty(stages)
+        """The motion along the nominal trajectory; room for another trajectory."""
+        self.further = Extensions(terms, np.diff(knots), assembly.scales(scales)[: COMMANDS + 2], self.target)
+        """Terms and limits of a user."""
+        self.plain = assembly.empty(stages, self.further.rows)
+        """Problem without the rows of the fence."""
+        self.fenced: Problem | None = None
+        """Problem with these rows; None if there is no fence."""
+
+    def set_fence_rows(self, rows: int) -> bool:
+        """Set how many rows of a knot are those of fence and corridor, and return True if the number has changed.
+
+        Parameters
+        ----------
+        rows : 0 without a fence.
+        """
+        if rows == self.fence_rows:
+            return False
+        self.fenced = assembly.empty(len(self.target) - 1, self.further.rows + rows) if rows else None
+        return True
+
+    @property
+    def fence_rows(self) -> int:
+        """Rows of fence and corridor at a knot."""
+        return 0 if self.fenced is None else self.fenced.sizes[3] - self.plain.sizes[3]
+
+    def fill(self, problem: Problem) -> Problem:
+        """Fill in one of both problems along the nominal trajectory, and return it.
+
+        Parameters
+        ----------
+        problem : is overwritten.
+        """
+        assembly.fill(self.packed, self.lin.flat, self.target, problem)
+        self.further.add(problem, limits.ROWS, self.lin.X, self.lin.U)
+        if problem is self.fenced:
+            fence.fill(self.packed, self.lin.flat, self.scene, self.fence_rows, problem)
+        return problem
+
+    def surplus(self, z: Array) -> float:
+        """Return by how much a solution keeps the rows of the fence; negative: not all of them.
+
+        Parameters
+        ----------
+        z : (N+1, 12) solution of either problem; the other one is filled in.
+        """
+        return np.inf if self.fenced is None else least_surplus(self.fenced, z, self.plain.sizes[3])
+
+    def commands(self, z: Array) -> Array:
+        """Return the commands (N+1, 2) of a solution (N).
+
+        Parameters
+        ----------
+        z : (N+1, 12) solution.
+        """
+        return assembly.commands_of(self.packed, self.lin.flat, z)
+
+    def full_problem(self, problem: Problem, lin: Linearisation) -> Problem:
+        """Return a problem of a size in which every number that can differ from zero does: it gives the pattern.
+
+        Otherwise the pattern, and with it the rounding, would depend on what was solved before.
+
+        Parameters
+        ----------
+        problem : of that size.
+        lin : along any motion of the vehicle.
+        """
+        N, n, m, M = problem.sizes
+        full, first = Problem.empty(N, n, m, M), self.plain.sizes[3]
+        assembly.fill(self.packed, lin.flat, np.ones_like(self.target), full)
+        self.further.add(full, limits.ROWS, lin.X, lin.U)
+        full.G[1:, first:, :2], full.low[1:, first:], full.penalty[1:, first:] = 1.0, -1.0, 1.0
+        return full
