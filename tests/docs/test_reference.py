@@ -20,7 +20,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from ltv_mpc import Controller, Estimate, references, settings_schema
-from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp import QP
 from ltv_mpc.messages import Health
 from ltv_mpc.safety.health import HealthState
 from services.bus.topics import TOPICS
