@@ -36,7 +36,7 @@ from ltv_mpc.control.linearisation import Linearisation, describe_non_finite
 from ltv_mpc.control.ocp import assembly, limits
 from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
 from ltv_mpc.control.ocp.limits import fence
-from ltv_mpc.control.ocp.problem import Problem, least_surplus
+from ltv_mpc.control.ocp.problem import Problem, is_finite, least_surplus
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
 from ltv_mpc.control.problem_data import COMMANDS, coefficients_of, pack_constants
 from ltv_mpc.control.solvers import Result, Solver, SolverFactory
@@ -300,7 +300,7 @@ class LateralPlanner:
         self._stopwatch("update")
         result = solver.solve()
         self._stopwatch("solve")
-        if result.solve.status is SolveStatus.NON_FINITE and not problem.finite:
+        if result.solve.status is SolveStatus.NON_FINITE and not is_finite(problem):
             why = describe_non_finite(self._lin, self.target)
             return result._replace(solve=msgspec.structs.replace(result.solve, why=why))
         return result
@@ -315,6 +315,7 @@ class LateralPlanner:
         """
         if rows not in self._solvers:
             self._solvers[rows] = self._make_solver()
+            self._solvers[rows].build(self._full_problem(rows))
         solver = self._solvers[rows]
         if solver is not self._last_solver or math.isnan(shift):
             solver.reset_warm_start()
@@ -322,6 +323,20 @@ class LateralPlanner:
             solver.shift_warm_start(shift)
         self._last_solver = solver
         return solver
+
+    def _full_problem(self, rows: int) -> Problem:
+        """Return a problem in which every number that can differ from zero does: it fixes the pattern of a solver.
+
+        Otherwise the pattern, and with it the rounding, would depend on what was solved before.
+        """
+        rng, lin = np.random.default_rng(0), Linearisation.empty(len(self.target) - 1)
+        lin.flat[:] = rng.normal(size=lin.flat.shape)
+        nominal.relinearise(self._packed, lin.flat, lin.X.copy(), lin.U.copy())
+        problem, first = assembly.empty(len(lin.Phi), rows - limits.ROWS), limits.ROWS + self._further.rows
+        assembly.fill(self._packed, lin.flat, rng.normal(size=self.target.shape), problem)
+        self._further.add(problem, limits.ROWS, lin.X, lin.U)
+        problem.G[1:, first:, :2], problem.low[1:, first:], problem.penalty[1:, first:] = 1.0, -1.0, 1.0
+        return problem
 
     def _linearise(self, start: Start) -> float:
         """Linearise along the previous plan on the new knots, or along a steering guess if that costs less.

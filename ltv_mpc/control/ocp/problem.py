@@ -55,13 +55,27 @@ class Problem(NamedTuple):
         N, n, z = self.F.shape
         return N, n, z - n, self.G.shape[1]
 
-    @property
-    def finite(self) -> bool:
-        """True if all numbers but bounds and penalties are finite, and these are numbers."""
-        return not (
-            any(np.isnan(np.vdot(part, part)) or np.isinf(np.vdot(part, part)) for part in self[:5])
-            or any(np.isnan(part).any() for part in self[5:])
-        )
+
+@jit
+def is_finite(p: Problem) -> bool:
+    """Return True if all numbers are finite; bounds and penalties may be infinite.
+
+    Parameters
+    ----------
+    p : problem.
+    """
+    total = 0.0
+    for part in (p.f, p.h):
+        for i in range(part.size):
+            total += part.flat[i]
+    for part in (p.F, p.H, p.G):
+        for i in range(part.size):
+            total += part.flat[i]
+    for part in (p.low, p.high, p.penalty):
+        for i in range(part.size):
+            if np.isnan(part.flat[i]):
+                return False
+    return bool(np.isfinite(total))
 
 
 @jit

@@ -42,7 +42,8 @@ class Solver(Protocol):
 
         Parameters
         ----------
-        problem : of any size; the next cycle overwrites it.
+        problem : of any size; the next cycle overwrites it. The first one of a size is never solved: it has a number in
+            every place where a later one can have one, so that a sparse solver knows its pattern.
         """
         ...
 

@@ -26,7 +26,7 @@ import osqp
 from scipy.sparse import csc_array, csc_matrix
 
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.ocp.problem import Problem, costates, roll_out, row_values
+from ltv_mpc.control.ocp.problem import Problem, costates, is_finite, roll_out, row_values
 from ltv_mpc.control.solvers import riccati
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.sparse import (
@@ -167,6 +167,9 @@ class OsqpSolver:
         ----------
         problem : is read now alone.
         """
+        self._problem, self._finite = problem, is_finite(problem)
+        if not self._finite:
+            return
         before = self._layout
         if before is None or before.masks.H.shape != problem.H.shape or before.masks.low.shape != problem.low.shape:
             before = None
@@ -180,12 +183,11 @@ class OsqpSolver:
             )  # fmt: skip
             self._solver = None
         assert self._layout is not None
-        self._problem = problem
-        size, costate = prepare(
-            problem, self._layout.places, self._knots, self._shift, self._work, self._duals, self._at
-        )
+        places = self._layout.places
+        size, costate = prepare(problem, places, self._knots, self._shift, self._work, self._duals, self._at)
         self._finite = size >= 0.0
-        self._eps = max(self._tolerance * size, ROUNDING * costate)
+        has_soft = self._layout.places.excess.max() >= 0
+        self._eps = max(self._tolerance * size, ROUNDING * costate if has_soft else 0.0)
 
     def update(self) -> None:
         """Pass the problem to OSQP; the first one sets it up (see ``Solver``)."""
@@ -212,7 +214,7 @@ class OsqpSolver:
         assert p is not None, "build() must be called before solve()"
         if not self._finite or solver is None or layout is None:
             return self._no_solution(p, "the problem is not finite")
-        at, z = self._at, np.zeros_like(self._work.z)
+        at, z = self._at, np.zeros_like(p.h)
         iterations, batch = 0, 0
         while True:
             length = BATCH * 2 ** max(0, batch - CONSTANT_BATCHES) if batch else FIRST_BATCH

@@ -39,7 +39,7 @@ import numpy as np
 
 from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.ocp.problem import Problem, optimality_error
+from ltv_mpc.control.ocp.problem import Problem, is_finite, optimality_error
 from ltv_mpc.control.solvers.interface import Result, Solver
 from ltv_mpc.control.solvers.sweep import Sweep, sweep
 from ltv_mpc.jit import jit
@@ -145,6 +145,8 @@ class RiccatiSolver:
         if self._duals.shape != problem.low.shape:
             self._duals, self._work = np.zeros(problem.low.shape), Sweep.empty(problem)
             self.reset_warm_start()
+            if self._other is not None:
+                self._other.build(problem)  # its pattern, too, is that of the first problem
         self._problem = problem
 
     def update(self) -> None:
@@ -164,7 +166,7 @@ class RiccatiSolver:
                 return result
         if outcome == FAILED:
             self.reset_warm_start()
-            finite = self._problem.finite
+            finite = is_finite(self._problem)
             why = "the cost is singular: it does not determine the inputs" if finite else "the problem is not finite"
             status = SolveStatus.FAILED if finite else SolveStatus.NON_FINITE
             return Result(np.zeros_like(self._work.z), Solve(status=status, iterations=sweeps, why=why))

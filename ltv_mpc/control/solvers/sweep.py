@@ -186,3 +186,6 @@ def _find_cost_to_go(work: Sweep, k: int, N: int, n: int) -> None:
                 work.v[i] += factor * work.law[k, a, n]
                 for j in range(n):
                     work.P[i, j] += factor * work.law[k, a, j]
+    for i in range(n):  # rounding makes it unsymmetric, and the recursion would let that grow
+        for j in range(i):
+            work.P[i, j] = work.P[j, i] = 0.5 * (work.P[i, j] + work.P[j, i])

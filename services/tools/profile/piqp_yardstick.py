@@ -13,7 +13,7 @@ import numpy as np
 import piqp
 from scipy.sparse import csc_matrix
 
-from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.ocp.problem import Problem, is_finite
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.sparse import DYNAMICS, HARD, SparseLayout, fill, fits, solution_of
 from ltv_mpc.messages import Solve, SolveStatus
@@ -42,7 +42,7 @@ class PiqpYardstick:
             self._lay_out(SparseLayout(problem, self._layout))
         assert self._layout is not None
         fill(problem, self._layout.places, self._numbers)
-        self._finite = problem.finite
+        self._finite = is_finite(problem)
 
     def _lay_out(self, layout: SparseLayout) -> None:
         self._layout, self._numbers, self._solver = layout, layout.allocate(), None

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Plan, Vehicle, references
+from ltv_mpc.control.config import ResolvedConfig, Weights
+from ltv_mpc.control.lateral import LateralPlanner
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction, Start
-from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.messages import Applied, Array
+from tests.ltv_mpc.control.problems import Form
 from tests.ltv_mpc.reports import report
 
 PAPER = Vehicle.load("paper")
@@ -70,11 +71,10 @@ def closed_loop() -> Callable[..., tuple[list[Estimate], list[Plan]]]:
     return descend
 
 
-@dataclass(frozen=True)
-class Cycle:
+class Cycle(NamedTuple):
     """Inputs of one cycle's QP."""
 
-    form: SparseQp
+    form: Form
     lin: Linearisation
     target: Array
     stages: float  # since the last problem; NaN: unrelated to it
@@ -84,16 +84,16 @@ class Cycle:
 def cycles() -> list[Cycle]:
     """Return over 200 problems of closed loops: descents, one from 2 m off with a wrong heading."""
     seen: list[Cycle] = []
-    build = OsqpSolver.build
+    config = ResolvedConfig(horizon_s=5.1, weights=Weights())  # as the solvers that get these problems
+    run_solver = LateralPlanner._run_solver
 
-    def remembered(self, lin, target):  # type: ignore[no-untyped-def]
-        copied = Linearisation.from_arrays(*lin[:-1])  # the controller's own is used again
-        seen.append(Cycle(self.form, copied, np.array(target), self._shift))
-        return build(self, lin, target)
+    def remembered(self, problem, shift):  # type: ignore[no-untyped-def]
+        copied = Linearisation.from_arrays(*self._lin[:-1])  # the controller's own is used again
+        seen.append(Cycle(Form(config.knots), copied, np.array(self.target), shift))
+        return run_solver(self, problem, shift)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(OsqpSolver, "build", remembered)
-        config = ControllerConfig(horizon_s=5.1)  # as long as that of the solvers that get these problems
+        patch.setattr(LateralPlanner, "_run_solver", remembered)
         for seed, start in ((1, {}), (2, {}), (3, {"north_m": 2.0, "heading_rad": 3.0})):
-            descend(seed, 70, config, start)
+            descend(seed, 70, ControllerConfig(horizon_s=5.1), start)
     return seen

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import piqp
@@ -11,10 +12,13 @@ from scipy.sparse import csc_matrix
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, linearise, roll_out
-from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.sparse import SparseQp
-from ltv_mpc.control.solvers import SOLVERS, Solver, SolverResult
-from ltv_mpc.messages import Array
+from ltv_mpc.control.ocp.assembly import problem_along
+from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS
+from ltv_mpc.control.qp import QP
+from ltv_mpc.control.solvers import SOLVERS, Solver, solve_qp
+from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
+from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 
 PAPER = Vehicle.load("paper")
@@ -65,36 +69,74 @@ def unlike_any_motion(seed: int, stages: int) -> tuple[Linearisation, Array]:
     return lin, rng.normal(size=(stages + 1, 2))
 
 
+class Form(NamedTuple):
+    """Knots, limits and weights of a problem."""
+
+    knots: Array
+    limits: HorizonLimits = LIMITS
+    weights: Weights = Weights()
+
+    def problem(self, lin: Linearisation, target: Array, rows: Array | None = None) -> Problem:
+        """Return the problem along a motion; ``rows`` (N, M, 4): normal of dp over the scale, bound and penalty."""
+        plain = problem_along(lin, target, self.knots, self.limits, self.weights)
+        return plain if rows is None else with_rows(plain, rows, self.limits)
+
+    def commands(self, lin: Linearisation, z: Array) -> Array:
+        """Return the commands (N+1, 2) of a solution."""
+        return lin.U + z[:, COMMANDS:CHANGES] * self.limits.thrust_scale
+
+    def optimum(self, lin: Linearisation, target: Array, rows: Array | None = None) -> Array:
+        """Return the commands (N+1, 2) of the optimum."""
+        problem = self.problem(lin, target, rows)
+        return self.commands(lin, solution_of(problem, precise(sparse_qp(problem))))
+
+
+def with_rows(plain: Problem, rows: Array, limits: HorizonLimits) -> Problem:
+    """Return a problem with half-planes in addition."""
+    N, n, m, M = plain.sizes
+    p = Problem.empty(N, n, m, M + rows.shape[1])
+    for to, part in zip(p[:4], plain[:4], strict=True):
+        to[...] = part
+    for to, part in zip(p[4:], plain[4:], strict=True):
+        to[:, :M] = part
+    p.G[1:, M:, :2] = rows[:, :, :2] * limits.state_scale[:2]
+    p.low[1:, M:], p.penalty[1:, M:] = rows[:, :, 2], rows[:, :, 3]
+    return p
+
+
 def precise(qp: QP) -> Array:
-    """Return the optimum x (n,) by an interior-point method, to about 1e-12."""
+    """Return the optimum x (n,) by an interior-point method, to about 1e-12, or where that fails by an active-set one."""
     rows, equal = csc_matrix(qp.A), qp.l == qp.u
     solver = piqp.SparseSolver()
     solver.settings.eps_abs = solver.settings.eps_rel = 1e-13
     solver.settings.eps_duality_gap_abs = solver.settings.eps_duality_gap_rel = 1e-14
     solver.setup(csc_matrix(qp.P), qp.q, rows[equal], qp.l[equal], rows[~equal], qp.l[~equal], qp.u[~equal])
-    solver.solve()
+    if solver.solve() is not piqp.Status.PIQP_SOLVED:
+        other = solve_qp(qp, "daqp")
+        if other.solve.status is SolveStatus.SOLVED:
+            return other.x
     return np.array(solver.result.x)
 
 
-def solved(solver: Solver, lin: Linearisation, target: Array) -> SolverResult:
-    """Return the result of a cycle, from the solver's present warm start."""
-    solver.build(lin, target)
+class Answer(NamedTuple):
+    """Commands of a solve, and the solver's report."""
+
+    commands: Array
+    solve: Solve
+
+
+def solved(solver: Solver, form: Form, lin: Linearisation, target: Array, rows: Array | None = None) -> Answer:
+    """Return the answer to a cycle, from the solver's present warm start."""
+    solver.build(form.problem(lin, target, rows))
     solver.update()
-    return solver.solve()
+    result = solver.solve()
+    return Answer(form.commands(lin, result.z), result.solve)
 
 
-def answer(solver: Solver, lin: Linearisation, target: Array, stages: float = math.nan) -> SolverResult:
-    """Return the result of a cycle ``stages`` first stages after the last one; NaN: there was none."""
+def answer(solver: Solver, form: Form, lin: Linearisation, target: Array, stages: float = math.nan) -> Answer:
+    """Return the answer to a cycle ``stages`` first stages after the last one; NaN: there was none."""
     if math.isnan(stages):
         solver.reset_warm_start()
     else:
         solver.shift_warm_start(stages)
-    return solved(solver, lin, target)
-
-
-def optimum(
-    lin: Linearisation, target: Array, limits: HorizonLimits, weights: Weights, knots: Array | None = None
-) -> Array:
-    """Commands (N+1, 2) of the sparse QP's optimum; the knots are equidistant if none are given."""
-    form = SparseQp(equidistant(len(lin.U) - 1) if knots is None else knots, limits, weights)
-    return form.commands(lin, precise(form.build(lin, target)))
+    return solved(solver, form, lin, target)

@@ -161,7 +161,7 @@ class Failing:
                 if not factory.fails:
                     return result
                 failed = Solve(status=SolveStatus.ITERATION_LIMIT, primal_residual=0.5, why="as asked")
-                return type(result)(result.commands + np.nan, failed)
+                return type(result)(result.z + np.nan, failed)
 
         return FailingSolver(make(vehicle, config))
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle, advance, references
-from ltv_mpc.control import line_search, nominal_trajectory
+from ltv_mpc.control import nominal
 from ltv_mpc.control.prediction import Prediction
-from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import make
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
+from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.messages import Health, Solve
 from ltv_mpc.references.follower import Follower
@@ -77,7 +77,7 @@ class FaultySolver(RecordingSolver):
         result = super().solve()
         match self.factory.fault:
             case "nan":
-                return result._replace(commands=result.commands + np.nan)
+                return result._replace(z=result.z + np.nan)
             case "raises":
                 raise np.linalg.LinAlgError("as asked")
             case "residual":
@@ -162,7 +162,7 @@ def test_a_shifted_plan_with_a_motion_that_is_not_finite_gives_way_to_zero_thrus
     estimate, before = fly(controller, moving(), 20)
     solver.fault = "infeasible"
     monkeypatch.setattr(
-        nominal_trajectory, "shifted_trajectory", lambda _numbers, _start, _old, _stages, _C, _X, U: U.fill(math.nan)
+        nominal, "shifted_trajectory", lambda _numbers, _start, _old, _stages, _C, _X, U: U.fill(math.nan)
     )
     plan = controller.plan(estimate)
     check(plan, before)
@@ -181,14 +181,14 @@ STAGES = (
     (EstimateGate, "check"),
     (OsqpSolver, "build"),
     (OsqpSolver, "update"),
-    (SparseQp, "build"),
+    (SparseLayout, "assemble"),
 )
 
 
 @pytest.mark.parametrize(("part", "method"), STAGES)
 def test_a_cycle_in_which_a_part_raises_has_a_plan_and_the_next_one_is_solved(part, method):
     controller, solver = Controller(SURFACES, POINT), None
-    if part is SparseQp:  # built by the recorder of a failed QP
+    if part is SparseLayout:  # built by the recorder of a failed QP
         solver = Faulty()
         controller = Controller(SURFACES, POINT, make_solver=FailureRecorder(solver))
     estimate, before = fly(controller, moving(), 5)
@@ -236,7 +236,7 @@ def test_compiled_code_that_raises_costs_one_fallback_level(method):
     with pytest.MonkeyPatch.context() as patch:
         if method == "shifted_trajectory":
             solver.fault = "infeasible"
-        patch.setattr(line_search if method == "line_search" else nominal_trajectory, method, raises)
+        patch.setattr(nominal, method, raises)
         plan = controller.plan(estimate)
         check(plan, before)
         assert plan.origin in (SHIFTED, ZERO)
@@ -253,15 +253,15 @@ def test_a_solver_recovers_one_cycle_after_a_problem_with_nan(solver):
     config = ControllerConfig(solver=solver)
     controller, unaffected = (Controller(SURFACES, POINT, config) for _ in range(2))
     estimate, _ = fly(controller, moving(), 4)
-    begin = nominal_trajectory.choose_nominal
+    begin = nominal.choose_nominal
 
-    def with_nan(numbers, start, target, commands, stages, flat, *scene):
-        chosen = begin(numbers, start, target, commands, stages, flat, *scene)
-        flat[-5:] = np.nan
+    def with_nan(numbers, start, target, commands, stages, lin, *others):
+        chosen = begin(numbers, start, target, commands, stages, lin, *others)
+        lin.flat[-5:] = np.nan
         return chosen
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nominal_trajectory, "choose_nominal", with_nan)
+        patch.setattr(nominal, "choose_nominal", with_nan)
         for k in range(3):
             plan = controller.plan(estimate, t_ns=estimate.t_ns + k)
             check(plan)

@@ -12,8 +12,9 @@ from ltv_mpc import Controller, ControllerConfig, Fence, Obstacle, Obstacles
 from ltv_mpc.control import lateral
 from ltv_mpc.control.config import MotionLimits, Weights
 from ltv_mpc.control.fencing import Fencing
-from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.nominal_model import advance
+from ltv_mpc.control.ocp.limits import ROWS
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
@@ -150,9 +151,9 @@ def rows_of_each_qp(fence: Fence, cycles: int) -> list[list[int]]:
         solver = make(vehicle, config)
         build = solver.build
 
-        def counted(lin: Linearisation, target: Array) -> None:
-            counts.append(lin.rows.shape[1])
-            build(lin, target)
+        def counted(problem: Problem) -> None:
+            counts.append(problem.sizes[3] - ROWS)
+            build(problem)
 
         solver.build = counted  # type: ignore[method-assign]
         return solver

@@ -10,12 +10,12 @@ import pytest
 
 from ltv_mpc import Controller, CurrentProfile, Estimate, Vehicle, advance
 from ltv_mpc.control.config import ResolvedConfig, Weights
-from ltv_mpc.control.cost import cost
+from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.problem_data import pack_objective, unpack_objective
 from ltv_mpc.control.solvers import SOLVERS, make
 from ltv_mpc.messages import SolveStatus
 from ltv_mpc.references import Hold, Point, Reference
-from tests.ltv_mpc.control.problems import LIMITS, answer, motion, optimum
+from tests.ltv_mpc.control.problems import LIMITS, Form, answer, motion
 
 PAPER = Vehicle.load("paper")
 WEIGHTS = Weights(heading_per_rad2=0.3)
@@ -97,7 +97,7 @@ def test_the_cost_of_a_heading_by_hand():
     X[:, 4] = 0.0, 0.1, 3.0, -0.2
     target[:3, 2] = 0.0, -3.0, 2.0 * math.pi
     objective = unpack_objective(pack_objective(t, LIMITS, WEIGHTS))
-    expected = 0.3 * (0.01 + (6.0 - 2.0 * math.pi) ** 2 + 2.0 * 0.04)
+    expected = 0.5 * 0.3 * (0.01 + (6.0 - 2.0 * math.pi) ** 2 + 2.0 * 0.04)
     assert cost(X, U, C, target, objective) == pytest.approx(expected)
 
 
@@ -107,7 +107,8 @@ def test_solvers_find_the_optimum_with_a_heading(solver):
     for seed in range(3):
         lin, target = motion(seed, config.stages)
         target = np.column_stack([target, np.full(len(target), 2.0)])
-        ours = answer(make(PAPER, config), lin, target)
+        form = Form(config.knots, LIMITS, WEIGHTS)
+        ours = answer(make(PAPER, config), form, lin, target)
         assert ours.solve.status is SolveStatus.SOLVED
         assert solver != "osqp" or ours.solve.iterations == 1  # its first guess is the optimum
-        np.testing.assert_allclose(ours.commands, optimum(lin, target, LIMITS, WEIGHTS), atol=0.02)
+        np.testing.assert_allclose(ours.commands, form.optimum(lin, target), atol=0.02)

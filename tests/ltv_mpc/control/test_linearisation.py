@@ -12,12 +12,9 @@ from ltv_mpc.control.linearisation import (
     linearise,
     linearise_along,
     linearise_rollout,
-    multiply_A,
-    multiply_A_transposed,
     roll_out,
     velocity_over_ground,
 )
-from ltv_mpc.control.qp.sparse import STATE_PATTERN
 from ltv_mpc.vehicle.dynamics import derivative
 from ltv_mpc.vehicle.flow import advance_stage
 
@@ -74,22 +71,10 @@ def test_a_linearised_roll_out_lies_on_the_exact_flow():
     np.testing.assert_array_equal(along.flat, lin.flat)
 
 
-def test_products_with_A_are_those_of_the_dense_matrix():
-    rng = np.random.default_rng(6)
-    A = rng.normal(size=(N, 8, 8)) * STATE_PATTERN
-    A[:, [0, 1], [0, 1]] = 1.0
-    for k in range(N):
-        x, product, transposed = rng.normal(size=8), np.empty(8), np.empty(8)
-        multiply_A(A, k, x, product)
-        multiply_A_transposed(A, k, x, transposed)
-        np.testing.assert_allclose(product, A[k] @ x, atol=1e-12)
-        np.testing.assert_allclose(transposed, A[k].T @ x, atol=1e-12)
-
-
 @pytest.mark.parametrize("name", [*Linearisation._fields[:-1], "target"])
 def test_an_input_that_is_not_finite_is_named_with_its_first_index(name):
     lin, target = linearise(*trajectory(7), 0.3, P), np.zeros((N + 1, 2))
-    lin = Linearisation.from_arrays(*lin[:-2], np.zeros((N, 3, 4)))
+    lin = Linearisation.from_arrays(*lin[:-1])
     assert describe_non_finite(lin, target) == "the QP's numbers are not finite"
     values = target if name == "target" else getattr(lin, name)
     values[1].flat[-1] = np.inf

@@ -12,19 +12,21 @@ import pytest
 
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.cost import cost
 from ltv_mpc.control.disturbance import STILL_WATER
-from ltv_mpc.control.horizon_limits import LIMITED_STATES, MIN_PENALTY, HorizonLimits
+from ltv_mpc.control.horizon_limits import MIN_PENALTY, HorizonLimits
 from ltv_mpc.control.nominal_model import advance
-from ltv_mpc.control.problem_data import excess_penalty, pack_objective, unpack_objective
-from ltv_mpc.control.qp.problem import QP, residuals
-from ltv_mpc.control.qp.sparse import SparseQp
+from ltv_mpc.control.ocp.assembly import cost
+from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.problem_data import pack_objective, unpack_objective
+from ltv_mpc.control.qp import QP, residuals
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.solvers import Solver, make, riccati_solver, solve_qp
+from ltv_mpc.control.solvers import make, riccati, solve_qp
 from ltv_mpc.control.solvers.osqp import OsqpSolver
+from ltv_mpc.control.solvers.sparse import EXCESS, LOWER, UPPER, SparseLayout, solution_of
+from ltv_mpc.control.solvers.sweep import Sweep
 from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Line, Place, Point
-from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, equidistant, motion, precise
+from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, Form, equidistant, motion, precise, solved
 
 N = 17
 YAW = MotionLimits.symmetric(yaw_rate_radps=0.15)
@@ -37,22 +39,14 @@ def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
     return ControllerConfig(limits=limits, max_iterations=4000, horizon_s=horizon_s, **fields)  # type: ignore[arg-type]
 
 
-def form_of(limits: MotionLimits) -> SparseQp:
+def form_of(limits: MotionLimits) -> Form:
     config = settled(settings(limits), PAPER)
-    return SparseQp(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3, limits.state_bounds), config.weights)
+    return Form(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3, limits.state_bounds), config.weights)
 
 
-def excesses(form: SparseQp, x: Array) -> Array:
-    """(N, limited) of a solution."""
-    return x[form.variables - N * len(form.limits.limited_states) :].reshape(N, -1)
-
-
-def hard(form: SparseQp, qp: QP) -> Array | None:
-    """Return the solution with every excess at zero; None if there is none."""
-    u = qp.u.copy()
-    u[form.equalities + 4 * N + 2 :: 3] = 0.0
-    solution = solve_qp(QP(qp.P, qp.q, qp.A, qp.l, u), "daqp")
-    return solution.x if solution.solve.status is SolveStatus.SOLVED else None
+def laid_out(problem: Problem) -> tuple[SparseLayout, QP]:
+    layout = SparseLayout(problem)
+    return layout, layout.assemble(layout.filled(problem))
 
 
 @pytest.mark.parametrize("limits", [YAW, BOTH, AHEAD], ids=["yaw", "both", "ahead"])
@@ -60,17 +54,21 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
     form, kept, bought = form_of(limits), 0, 0
     for seed in range(12):
         lin, target = motion(seed, N)
-        qp = form.build(lin, target)
-        x, within = precise(qp), hard(form, qp)
-        if within is None:
-            assert excesses(form, x).max() > 1e-3
+        problem = form.problem(lin, target)
+        layout, qp = laid_out(problem)
+        x, u = precise(qp), qp.u.copy()
+        u[layout.places.kind == EXCESS] = 0.0
+        within = solve_qp(QP(qp.P, qp.q, qp.A, qp.l, u), "daqp")  # every excess at zero
+        excess = x[layout.places.excess[layout.places.excess >= 0]].max()
+        if within.solve.status is not SolveStatus.SOLVED:
+            assert excess > 1e-3
             bought += 1
         else:
-            np.testing.assert_allclose(form.commands(lin, x), form.commands(lin, within), atol=1e-6)
-            assert excesses(form, x).max() < 1e-7
-            free = SparseQp(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3), form.weights)
-            off = form.commands(lin, x) - free.commands(lin, precise(free.build(lin, target)))
-            kept += bool(np.abs(off).max() > 1.0)  # and it holds something back
+            ours, hard = (form.commands(lin, solution_of(problem, of)) for of in (x, within.x))
+            np.testing.assert_allclose(ours, hard, atol=1e-6)
+            assert excess < 1e-7
+            free = Form(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3), form.weights)
+            kept += bool(np.abs(ours - free.optimum(lin, target)).max() > 1.0)  # and it holds something back
     assert kept >= 3
     assert bought >= 1
 
@@ -81,23 +79,18 @@ def test_every_solver_has_them(solver: str, limits: MotionLimits) -> None:
     form = form_of(limits)
     for seed in (1, 2, 3, 5, 7):
         lin, target = motion(seed, N)
-        made: Solver = make(PAPER, settings(limits, solver=solver))
-        made.build(lin, target)
-        made.update()
-        commands, solve = made.solve()
+        commands, solve = solved(make(PAPER, settings(limits, solver=solver)), form, lin, target)
         assert solve.status is SolveStatus.SOLVED, solve.why
-        np.testing.assert_allclose(commands, form.commands(lin, precise(form.build(lin, target))), atol=0.1)
+        np.testing.assert_allclose(commands, form.optimum(lin, target), atol=0.1)
 
 
 def test_a_limit_that_is_nowhere_near_changes_nothing() -> None:
     for seed in range(4):
         lin, target = motion(seed, N)
-        answers = []
-        for limits in (MotionLimits(), MotionLimits.symmetric(surge_mps=20.0, yaw_rate_radps=20.0)):
-            solver = make(PAPER, settings(limits))
-            solver.build(lin, target)
-            solver.update()
-            answers.append(solver.solve())
+        answers = [
+            solved(make(PAPER, settings(limits)), form_of(limits), lin, target)
+            for limits in (MotionLimits(), MotionLimits.symmetric(surge_mps=20.0, yaw_rate_radps=20.0))
+        ]
         assert answers[1].solve.iterations <= 2 * answers[0].solve.iterations
         np.testing.assert_allclose(answers[1].commands, answers[0].commands, atol=0.01)
 
@@ -107,14 +100,13 @@ def test_the_first_guess_of_osqp_is_the_solution(limits: MotionLimits) -> None:
     """The Riccati method finds the active limits of the motion, which of them are exceeded, and all multipliers."""
     beyond = 0
     for seed in range(12):
-        lin, target = motion(seed, N)
-        solver = make(PAPER, settings(limits))
-        solver.build(lin, target)
-        assert isinstance(solver, OsqpSolver)
-        x, y = solver.point()
-        left = residuals(solver.problem(), x, y)
+        problem = form_of(limits).problem(*motion(seed, N))
+        solver = OsqpSolver(settled(settings(limits), PAPER))
+        solver.build(problem)
+        layout, qp = laid_out(problem)
+        left = residuals(qp, solver._at.x, solver._at.y)
         assert max(left.stationarity, left.primal, left.complementarity) < 1e-3
-        beyond += bool((excesses(solver.form, x) > 1e-3).any())
+        beyond += bool((solver._at.x[layout.places.excess[layout.places.excess >= 0]] > 1e-3).any())
     assert beyond >= 1
 
 
@@ -122,15 +114,15 @@ def test_multipliers_are_the_slope_of_the_least_cost() -> None:
     """What the optimum of an independent solver gains if a limit yields: finite differences."""
     form, seen = form_of(BOTH), set()
     for seed in range(12):
-        lin, target = motion(seed, N)
-        qp, y = form.build(lin, target), np.zeros((N, 4 + len(LIMITED_STATES)))
-        riccati_solver.solve_packed(form.packed, lin.flat, target, math.nan, 60, y, np.zeros((N + 1, 2)))
-        penalty = excess_penalty(lin.X, target, unpack_objective(form.packed))
-        soft = np.argwhere((np.abs(y[:, 4:]) > 1e-2) & (np.abs(y[:, 4:]) < penalty - 1e-2))
-        for k, m in soft[:3]:
-            dual = y[k, 4 + m]
-            row = form.equalities + 4 * N + 3 * (2 * k + m) + (dual < 0.0)
-            bounds = qp.u if dual > 0.0 else qp.l
+        problem = form.problem(*motion(seed, N))
+        y = np.zeros(problem.low.shape)
+        riccati.solve(problem, Sweep.empty(problem), 60, y)
+        soft = np.argwhere((np.abs(y) > 1e-2) & (np.abs(y) < problem.penalty - 1e-2) & np.isfinite(problem.penalty))
+        layout, qp = laid_out(problem)
+        for k, i in soft[:3]:
+            dual = y[k, i]
+            side, bounds = (UPPER, qp.u) if dual > 0.0 else (LOWER, qp.l)
+            (row,) = np.flatnonzero((layout.places.kind == side) & (layout.places.source == k * y.shape[1] + i))
             bound, costs = bounds[row], []
             for step in (-1e-4, 1e-4):
                 bounds[row] = bound + step
@@ -138,26 +130,22 @@ def test_multipliers_are_the_slope_of_the_least_cost() -> None:
                 costs.append(0.5 * x @ (qp.P @ x) + qp.q @ x)
             bounds[row] = bound
             assert (costs[0] - costs[1]) / 2e-4 == pytest.approx(dual, rel=0.02, abs=1e-3)
-            seen.add((int(m), bool(dual > 0.0)))
+            seen.add((int(i), bool(dual > 0.0)))
     assert len(seen) >= 3  # both states, both signs of one
 
 
 def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
     """Duals of the limits and their excesses are carried over with the others."""
     for seed in (1, 2, 5):
-        lin, target = motion(seed, N)
-        solver = make(PAPER, settings(BOTH))
-        assert isinstance(solver, OsqpSolver)
-        solver.build(lin, target)
+        problem = form_of(BOTH).problem(*motion(seed, N))
+        solver = OsqpSolver(settled(settings(BOTH), PAPER))
+        solver.build(problem)
         solver.update()
         assert solver.solve().solve.status is SolveStatus.SOLVED
-        solution = solver.point()
+        solution = solver._at.x.copy(), solver._at.y.copy()
         solver.shift_warm_start(0.0)
-        solver.build(lin, target)
-        duals = solver.point()[1][solver.form.equalities + 4 * N :].reshape(-1, 3)
-        penalty = excess_penalty(lin.X, target, unpack_objective(solver.form.packed))
-        np.testing.assert_allclose(duals[:, 2], np.minimum(duals[:, 0] - duals[:, 1] - penalty, 0.0))
-        for again, before in zip(solver.point(), solution, strict=True):
+        solver.build(problem)
+        for again, before in zip((solver._at.x, solver._at.y), solution, strict=True):
             np.testing.assert_allclose(again, before, atol=1e-4)
 
 
@@ -218,16 +206,6 @@ def test_of_a_target_out_of_reach_only_the_direction_counts() -> None:
 
     np.testing.assert_allclose(thrust_N(20.0, BOTH), thrust_N(900.0, BOTH), atol=1e-9)
     assert np.abs(thrust_N(20.0, MotionLimits()) - thrust_N(900.0, MotionLimits())).max() > 1.0
-
-
-def test_words_of_their_rows() -> None:
-    names = [row.name for row in form_of(YAW).row_names]
-    assert names[-3:] == [
-        f"{of} yaw rate at the end of stage 17" for of in ("upper limit of", "lower limit of", "excess of")
-    ]
-    assert len(names) == form_of(YAW).rows
-    assert form_of(MotionLimits()).limits.limited_states == ()
-    assert [form_of(limits).limits.limited_states for limits in (YAW, BOTH)] == [(5,), LIMITED_STATES]
 
 
 def test_the_exact_flow_is_judged_by_them_too() -> None:

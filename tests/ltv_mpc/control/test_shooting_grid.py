@@ -7,13 +7,12 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, Vehicle, references
 from ltv_mpc.control.config import STAGE_NS, Weights
-from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, linearise_along, roll_out
-from ltv_mpc.control.nominal_trajectory import shift_controls
+from ltv_mpc.control.nominal import shift_controls
+from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.problem_data import pack_constants, pack_objective, unpack_objective
 from ltv_mpc.control.shooting_grid import knots, locate
-from ltv_mpc.control.solvers import osqp
 from ltv_mpc.control.vertical import follow_depth
 
 PAPER = Vehicle.load("paper")
@@ -54,17 +53,6 @@ def test_commands_are_carried_over_in_time():
     np.testing.assert_allclose(new[1:], np.transpose(want))
 
 
-def test_duals_move_in_time():
-    rng = np.random.default_rng(1)
-    at = GROWING[1:] + 1.7
-    E = 8 * N + 2
-    rows = rng.normal(size=(2, N, 2))
-    y = np.concatenate([np.zeros(E), rows.ravel()])
-    osqp._shift_limits(y, E, 0, GROWING, 1.7)
-    want = [[np.interp(at, GROWING[1:], kind[:, i]) for i in range(2)] for kind in rows]
-    np.testing.assert_allclose(y[E:].reshape(2, N, 2), np.array(want).transpose(0, 2, 1))
-
-
 def test_what_stays_the_same_costs_the_same_however_long_the_stages_are():
     """A vehicle at rest, 1 m off, under constant thrust; and a ramp of thrust, the last stage of it."""
     weights = Weights(terminal_position_per_m2=0.0, terminal_velocity_s2_per_m2=0.0, thrust=0.2, thrust_change=0.1)
@@ -76,10 +64,10 @@ def test_what_stays_the_same_costs_the_same_however_long_the_stages_are():
         return cost(X, U, C, np.zeros((len(t), 2)), unpack_objective(pack_objective(t, LIMITS, weights)))
 
     steady = [costs(t, lambda t: np.full(len(t), 30.0)) for t in (GROWING, np.arange(35.0))]
-    assert steady[0] == pytest.approx(steady[1]) == pytest.approx(34 * (1 + 0.2 * (30 / 62.5) ** 2))
+    assert steady[0] == pytest.approx(steady[1]) == pytest.approx(34 * 0.5 * (1 + 0.2 * (30 / 62.5) ** 2))
     free = costs(GROWING, lambda t: 0.0 * t)
-    ramp = costs(GROWING, lambda t: 0.5 * t) - free - 0.2 * (LENGTHS * (0.5 * GROWING[1:] / 62.5) ** 2).sum()
-    assert ramp == pytest.approx(34 * 0.1 * (0.5 / 62.5) ** 2)
+    ramp = costs(GROWING, lambda t: 0.5 * t) - free - 0.5 * 0.2 * (LENGTHS * (0.5 * GROWING[1:] / 62.5) ** 2).sum()
+    assert ramp == pytest.approx(34 * 0.5 * 0.1 * (0.5 / 62.5) ** 2)
 
 
 def test_the_vertical_law_acts_as_often_as_before():

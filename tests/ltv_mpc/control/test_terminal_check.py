@@ -71,7 +71,7 @@ def test_what_is_beyond_the_horizon_is_the_integral_of_the_squared_distance(off_
     V = characteristic_scales(PAPER).speed_mps
     until_s = MAX_TAIL_TIMES * characteristic_scales(PAPER).time_s
     integral, _ = quad(lambda t: max(off_m - (V - flow_mps) * t, 0.0) ** 2, 0.0, until_s, limit=500)
-    assert found.tail_cost == pytest.approx(Weights().position_per_m2 / STAGE_S * integral, rel=1e-3)
+    assert found.tail_cost == pytest.approx(0.5 * Weights().position_per_m2 / STAGE_S * integral, rel=1e-3)
 
 
 def test_a_vehicle_that_is_weak_astern_comes_round_and_holds_its_place():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -19,20 +20,23 @@ from ltv_mpc.control.fence_clearance import (
     fence_cost,
     surplus_m,
 )
-from ltv_mpc.control.fence_rows import CORRIDOR_ROWS, fill_rows, least_surplus
-from ltv_mpc.control.horizon_limits import NO_BOUND, HorizonLimits
+from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.ocp import assembly, limits
+from ltv_mpc.control.ocp.limits import fence
+from ltv_mpc.control.ocp.limits.fence import CORRIDOR_ROWS
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
-from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.solvers import Solver, make, riccati_solver
+from ltv_mpc.control.solvers import make, riccati
+from ltv_mpc.control.solvers.sparse import LOWER, SparseLayout
+from ltv_mpc.control.solvers.sweep import Sweep
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.half_planes import ROWS
 from ltv_mpc.geofence.routes import NO_ZONES
 from ltv_mpc.geofence.zones import pack_zones
 from ltv_mpc.messages import Array, SolveStatus
 from tests.ltv_mpc.control.fence_scenes import SMALL, STAGES, scene
-from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, equidistant, motion, precise
+from tests.ltv_mpc.control.problems import PAPER, SOLVER_NAMES, Form, equidistant, motion, precise, solved
 from tests.ltv_mpc.geofence.shapes import disc
 
 N, M = STAGES, 3
@@ -42,47 +46,38 @@ def settings(solver: str = "osqp") -> ControllerConfig:
     return ControllerConfig(max_iterations=4000, horizon_s=N * 0.3, solver=solver)
 
 
-def problem(seed: int, distance: float) -> tuple[Linearisation, Array]:
+def problem(seed: int, distance: float) -> tuple[Linearisation, Array, Array]:
     """Return a problem with a wall between its nominal end and its target, and one row that is not used."""
-    free, target = motion(seed, N)
-    lin = Linearisation.from_arrays(*free[:-2], np.empty((N, M, 4)))
-    rng = np.random.default_rng(seed)
+    lin, target = motion(seed, N)
+    rows, rng = np.zeros((N, M, 4)), np.random.default_rng(seed)
     away = lin.X[N, :2] - target[N - 1]
     angle = np.arctan2(away[1], away[0])
     for j in range(2):
         m = np.array([np.cos(angle), np.sin(angle)])
         angle += rng.uniform(-0.8, 0.8)
         wall = m @ lin.X[N, :2] - distance * (j + 1)
-        lin.rows[:, j, :2] = m
-        lin.rows[:, j, 2] = wall - lin.X[1:, :2] @ m
-    lin.rows[:, 2] = 0.0
-    lin.rows[:, 2, 2] = -NO_BOUND
-    lin.rows[:, :, 3] = PENALTY
-    return lin, target
+        rows[:, j, :2] = m
+        rows[:, j, 2] = wall - lin.X[1:, :2] @ m
+    rows[:, 2, 2] = -np.inf
+    rows[:, :, 3] = PENALTY
+    return lin, target, rows
 
 
-def form() -> SparseQp:
+def form() -> Form:
     config = settled(settings(), PAPER)
-    return SparseQp(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3), config.weights)
+    return Form(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3), config.weights)
 
 
 @pytest.mark.parametrize("solver", SOLVER_NAMES)
 def test_every_solver_has_them(solver: str) -> None:
     of, active = form(), 0
     for seed in range(8):
-        lin, target = problem(seed, 0.05)
-        made: Solver = make(PAPER, settings(solver))
-        made.build(lin, target)
-        made.update()
-        commands, solve = made.solve()
-        x = precise(of.build(lin, target))
+        lin, target, rows = problem(seed, 0.05)
+        commands, solve = solved(make(PAPER, settings(solver)), of, lin, target, rows)
+        best = of.optimum(lin, target, rows)
         assert solve.status is SolveStatus.SOLVED, solve.why
-        np.testing.assert_allclose(commands, of.commands(lin, x), atol=0.1)
-        free = SparseQp(equidistant(N), of.limits, of.weights)
-        without = Linearisation.from_arrays(*lin[:-2])
-        active += bool(
-            np.abs(of.commands(lin, x) - free.commands(without, precise(free.build(without, target)))).max() > 1.0
-        )
+        np.testing.assert_allclose(commands, best, atol=0.1)
+        active += bool(np.abs(best - of.optimum(lin, target)).max() > 1.0)
     assert active >= 4
 
 
@@ -92,16 +87,14 @@ def test_two_walls_that_leave_no_room_between_them_are_no_hard_problem(solver: s
     """Both walls are exceeded in all stages, and their penalties cancel."""
     of = form()
     for seed in range(8):
-        lin, target = problem(seed, 0.05)
-        lin.rows[:, 1, :2] = -lin.rows[:, 0, :2]
-        lin.rows[:, :2, 2] += overlap
-        lin.rows[:, 1, 2] = overlap - lin.rows[:, 0, 2]
-        made: Solver = make(PAPER, msgspec.structs.replace(settings(solver), max_iterations=70))
-        made.build(lin, target)
-        made.update()
-        commands, solve = made.solve()
+        lin, target, rows = problem(seed, 0.05)
+        rows[:, 1, :2] = -rows[:, 0, :2]
+        rows[:, :2, 2] += overlap
+        rows[:, 1, 2] = overlap - rows[:, 0, 2]
+        made = make(PAPER, msgspec.structs.replace(settings(solver), max_iterations=70))
+        commands, solve = solved(made, of, lin, target, rows)
         assert solve.status is SolveStatus.SOLVED, solve.why
-        np.testing.assert_allclose(commands, of.commands(lin, precise(of.build(lin, target))), atol=0.1)
+        np.testing.assert_allclose(commands, of.optimum(lin, target, rows), atol=0.1)
 
 
 def corridor(half_width_m: float) -> Scene:
@@ -111,15 +104,31 @@ def corridor(half_width_m: float) -> Scene:
     return scene(path=path, targets=targets, path_reach=8, half_width_m=half_width_m)
 
 
-def filled(of: Scene, seed: int, rows: int, stages: int = N) -> tuple[Linearisation, Array]:
+class Filled(NamedTuple):
+    """Nominal positions, and the rows of a scene there."""
+
+    X: Array
+    rows: Array  # (N, R, 4) normal of dp over the scale, bound, penalty
+
+
+def rows_of(packed: Array, lin: Linearisation, of: Scene, rows: int) -> Array:
+    """Return the rows (N, R, 4) of a scene along a motion."""
+    p = assembly.empty(len(lin.Phi), rows)
+    fence.fill(packed, lin.flat, of, rows, p)
+    scale = unpack_constants(packed).objective.state_scale[:2]
+    first = p.sizes[3] - rows
+    parts = p.G[1:, first:, :2] / scale, p.low[1:, first:, None], p.penalty[1:, first:, None]
+    return np.concatenate(parts, axis=2)
+
+
+def filled(of: Scene, seed: int, rows: int, stages: int = N) -> tuple[Filled, Array]:
     """Return random nominal positions with the rows of a scene, and the packed constants."""
     packed = pack_constants(SMALL, settled(settings(), SMALL).weights, equidistant(stages), 0.3)
-    lin = Linearisation.empty(stages, rows)
+    lin = Linearisation.empty(stages)
     rng = np.random.default_rng(seed)
     lin.X[...] = 0.0
     lin.X[:, :2] = rng.uniform((-2.5, -2.5), (4.5, 3.5), (stages + 1, 2))
-    fill_rows(packed, lin.flat, stages, of)
-    return lin, packed
+    return Filled(lin.X, rows_of(packed, lin, of, rows)), packed
 
 
 def test_a_row_is_the_derivative_of_the_clearance_of_its_zone() -> None:
@@ -155,7 +164,7 @@ def test_the_cost_is_that_of_the_rows_at_the_nominal_trajectory() -> None:
         o = unpack_constants(packed).objective
         surplus = np.array([[surplus_m(of, z, *lin.X[k, :2], 0.3 * k) for z in range(4)] for k in range(1, N + 1)])
         lacks = np.maximum(-surplus, 0.0)
-        assert fence_cost(lin.X, of, o) == pytest.approx(2.0 * PENALTY * lacks.sum() / o.state_scale[0])
+        assert fence_cost(lin.X, of, o) == pytest.approx(PENALTY * lacks.sum() / o.state_scale[0])
 
 
 def test_the_rows_of_a_long_stage_are_those_of_its_point_of_least_clearance() -> None:
@@ -165,11 +174,11 @@ def test_the_rows_of_a_long_stage_are_those_of_its_point_of_least_clearance() ->
     packed = pack_constants(SMALL, settled(settings(), SMALL).weights, knots, 0.3)
     scale, of, seen = unpack_constants(packed).objective.state_scale[0], scene(), {"knot": 0, "between": 0}
     for seed in range(20):
-        lin, rng = Linearisation.empty(N, ROWS), np.random.default_rng(seed)
+        lin, rng = Linearisation.empty(N), np.random.default_rng(seed)
         lin.X[...] = 0.0
         lin.X[:, :2] = rng.uniform((-2.5, -2.5), (4.5, 3.5), (N + 1, 2))
         lin.X[:, 2], lin.X[:, 5] = 0.5, 0.4
-        fill_rows(packed, lin.flat, N, of)
+        rows = rows_of(packed, lin, of, ROWS)
         for k, g in enumerate(lengths):
             parts = np.arange(math.ceil(g), 0, -1) / math.ceil(g)
             points = lin.X[k, :2] + parts[:, None] * (lin.X[k + 1, :2] - lin.X[k, :2])
@@ -182,8 +191,8 @@ def test_the_rows_of_a_long_stage_are_those_of_its_point_of_least_clearance() ->
                 continue
             sag_m = 0.5 * 0.4 * (0.3 * g) ** 2 / 8.0 if parts[worst] < 1.0 else 0.0
             expected = max(lacks[worst, :3].max() + sag_m, lacks[worst, 3])
-            assert lin.rows[k, 0, 2] * scale == pytest.approx(expected, abs=1e-9)
-            assert lin.rows[k, 0, 3] == PENALTY * g
+            assert rows[k, 0, 2] * scale == pytest.approx(expected, abs=1e-9)
+            assert rows[k, 0, 3] == PENALTY * g
             seen["between" if parts[worst] < 1.0 else "knot"] += 1
     assert min(seen.values()) > 20
 
@@ -195,7 +204,7 @@ def test_a_row_without_a_zone_bounds_nothing() -> None:
     )
     assert (lin.rows[:, 0, :2] != 0.0).any(axis=1).all()
     np.testing.assert_array_equal(lin.rows[:, 1:, :2], 0.0)
-    np.testing.assert_array_equal(lin.rows[:, 1:, 2], -NO_BOUND)
+    np.testing.assert_array_equal(lin.rows[:, 1:, 2], -np.inf)
 
 
 def test_every_obstacle_has_a_row_where_there_is_no_fence() -> None:
@@ -261,35 +270,32 @@ def test_the_cost_of_the_corridor_is_its_excess() -> None:
     o = unpack_constants(packed).objective
     across = np.array([abs(cross_track(of, k, *lin.X[k, :2])[0]) for k in range(1, N + 1)])
     extra = fence_cost(lin.X, of, o) - fence_cost(lin.X, of._replace(path=NO_PATH), o)
-    assert extra == pytest.approx(2.0 * CORRIDOR_PENALTY * np.maximum(across - 0.2, 0.0).sum() / o.state_scale[0])
+    assert extra == pytest.approx(CORRIDOR_PENALTY * np.maximum(across - 0.2, 0.0).sum() / o.state_scale[0])
 
 
-def along_a_corridor(seed: int, angle_rad: float = 0.4, half_width_m: float = 0.05) -> tuple[Linearisation, Array]:
+def along_a_corridor(
+    seed: int, angle_rad: float = 0.4, half_width_m: float = 0.05
+) -> tuple[Linearisation, Array, Array]:
     """Return a problem whose target is off the middle of a narrow corridor, which leads past the walls."""
-    free, target = motion(seed, N)
-    lin = Linearisation.from_arrays(*free[:-2], np.empty((N, ROWS + CORRIDOR_ROWS, 4)))
+    lin, target = motion(seed, N)
     way = target[N - 1] - lin.X[0, :2]
     angle = np.arctan2(way[1], way[0]) + (angle_rad if seed % 2 else -angle_rad)
     path = lin.X[0, :2] + np.outer(np.arange(-1.0, 6.0), [np.cos(angle), np.sin(angle)])
     of = scene(path=path, path_reach=8, half_width_m=half_width_m)
-    fill_rows(pack_constants(PAPER, form().weights, equidistant(N), 0.3), lin.flat, N, of)
-    return lin, target
+    packed = pack_constants(PAPER, form().weights, equidistant(N), 0.3)
+    return lin, target, rows_of(packed, lin, of, ROWS + CORRIDOR_ROWS)
 
 
 @pytest.mark.parametrize("solver", SOLVER_NAMES)
 def test_every_solver_keeps_to_a_corridor_as_an_independent_one(solver: str) -> None:
     of, active = form(), 0
     for seed in range(8):
-        lin, target = along_a_corridor(seed)
-        made: Solver = make(PAPER, settings(solver))
-        made.build(lin, target)
-        made.update()
-        commands, solve = made.solve()
-        best = of.commands(lin, precise(of.build(lin, target)))
+        lin, target, rows = along_a_corridor(seed)
+        commands, solve = solved(make(PAPER, settings(solver)), of, lin, target, rows)
+        best = of.optimum(lin, target, rows)
         assert solve.status is SolveStatus.SOLVED, solve.why
         np.testing.assert_allclose(commands, best, atol=0.1)
-        without = Linearisation.from_arrays(*lin[:-2], lin.rows[:, :ROWS])
-        active += bool(np.abs(best - of.commands(lin, precise(of.build(without, target)))).max() > 1.0)
+        active += bool(np.abs(best - of.optimum(lin, target, rows[:, :ROWS])).max() > 1.0)
     assert active >= 4
 
 
@@ -300,13 +306,14 @@ def test_multipliers_of_the_rows_are_the_slope_of_the_least_cost() -> None:
     """
     of, step, seen = form(), 1e-5, Counter[str]()
     for seed in range(24):
-        lin, target = along_a_corridor(seed, angle_rad=0.05, half_width_m=0.2)
-        qp, y = of.build(lin, target), np.zeros((N, 4 + lin.rows.shape[1]))
-        riccati_solver.solve_packed(of.packed, lin.flat, target, math.nan, 60, y, np.zeros((N + 1, 2)))
-        inside = np.argwhere((y[:, 4:] < -1.0) & (y[:, 4:] > 1.0 - lin.rows[:, :, 3]))
-        for k, j in inside[:: max(len(inside) // 3, 1)]:
-            row, costs = of.equalities + 4 * N + 2 * (k * lin.rows.shape[1] + j), []
-            bound = qp.l[row]
+        p = of.problem(*along_a_corridor(seed, angle_rad=0.05, half_width_m=0.2))
+        y, layout = np.zeros(p.low.shape), SparseLayout(p)
+        qp = layout.assemble(layout.filled(p))
+        riccati.solve(p, Sweep.empty(p), 60, y)
+        inside = np.argwhere((y < -1.0) & (y > 1.0 - p.penalty) & np.isfinite(p.penalty))
+        for k, i in inside[:: max(len(inside) // 3, 1)]:
+            (row,) = np.flatnonzero((layout.places.kind == LOWER) & (layout.places.source == k * y.shape[1] + i))
+            bound, costs = qp.l[row], []
             for moved in (bound - step, bound, bound + step):
                 qp.l[row] = moved
                 x = precise(qp)
@@ -314,28 +321,13 @@ def test_multipliers_of_the_rows_are_the_slope_of_the_least_cost() -> None:
             qp.l[row] = bound
             before, behind = (costs[0] - costs[1]) / step, (costs[1] - costs[2]) / step
             if abs(before - behind) < 5e-3 * abs(before + behind):
-                assert 0.5 * (before + behind) == pytest.approx(y[k, 4 + j], rel=1e-3)
-                seen["fence" if j < ROWS else "corridor"] += 1
+                assert 0.5 * (before + behind) == pytest.approx(y[k, i], rel=1e-3)
+                seen["fence" if i < limits.ROWS + ROWS else "corridor"] += 1
     assert seen["fence"] >= 8
     assert seen["corridor"] >= 2, seen
-
-
-def test_the_least_surplus_of_the_rows_is_that_of_the_linear_model() -> None:
-    rng, signs = np.random.default_rng(0), set()
-    for seed in range(20):
-        lin, _ = along_a_corridor(seed, half_width_m=0.05 + 0.2 * (seed % 4))
-        lin.Phi[...] += rng.normal(scale=0.02, size=lin.Phi.shape)  # gaps, as a nominal trajectory may have
-        dU = rng.normal(scale=5.0, size=lin.U.shape)
-        d, least = np.zeros(lin.X.shape[1]), math.inf
-        for k in range(N):
-            d = lin.A[k] @ d + lin.B0[k] @ dU[k] + lin.B1[k] @ dU[k + 1] + lin.Phi[k] - lin.X[k + 1]
-            least = min(least, float((lin.rows[k, :, :2] @ d[:2] - lin.rows[k, :, 2]).min()))
-        assert least_surplus(lin.flat, N, lin.U + dU) == pytest.approx(least, abs=1e-9)
-        signs.add(least > 0.0)
-    assert signs == {True, False}
 
 
 def test_without_a_path_the_rows_of_the_corridor_bound_nothing() -> None:
     lin, _ = filled(scene(), 0, ROWS + CORRIDOR_ROWS)
     np.testing.assert_array_equal(lin.rows[:, ROWS:, :2], 0.0)
-    np.testing.assert_array_equal(lin.rows[:, ROWS:, 2], -NO_BOUND)
+    np.testing.assert_array_equal(lin.rows[:, ROWS:, 2], -np.inf)

@@ -11,7 +11,8 @@ from ltv_mpc import Vehicle
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.fence_clearance import NO_PATH, Scene, entry_s, fence_cost
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.nominal_trajectory import PREVIOUS_PLAN, STEERED_AHEAD, choose_nominal, coasting_entry_s, ramp_to
+from ltv_mpc.control.nominal import PREVIOUS_PLAN, STEERED_AHEAD, choose_nominal, coasting_entry_s, ramp_to
+from ltv_mpc.control.ocp.extension import Extensions
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.geofence.fence import Fence
@@ -23,6 +24,7 @@ from tests.ltv_mpc.geofence.shapes import disc
 WEAK = Vehicle.load("weak-reverse")
 CONFIG = settled(ControllerConfig(), WEAK)
 N = CONFIG.stages
+NO_TERMS = Extensions((), np.diff(CONFIG.knots), np.ones(10), np.zeros((N + 1, 3)))
 
 
 def scene(*discs: tuple[float, float]) -> Scene:
@@ -54,7 +56,7 @@ def chosen(of: Scene) -> tuple[int, Array, float]:
     objective = unpack_constants(packed).objective
     astern = objective.low
     start = np.array([0.0, 8.0, -0.25, 0.0, math.pi / 2, 0.0, *astern, *astern])
-    kind, _ = choose_nominal(packed, start, target, np.tile(astern, (N + 1, 1)), 0.0, lin.flat, of, True)
+    kind = choose_nominal(packed, start, target, np.tile(astern, (N + 1, 1)), 0.0, lin, of, True, NO_TERMS)
     return kind, lin.X.copy(), fence_cost(lin.X, of, objective)
 
 
@@ -79,7 +81,7 @@ def test_a_guess_through_a_zone_does_not_replace_a_plan_through_it(in_the_way: b
     lin.C[:] = 0.0
     of, ahead = scene((0.1, 4.6)) if in_the_way else scene(), unpack_constants(packed).objective.high
     start = np.array([0.0, 6.0, 0.3, 0.0, -math.pi / 2, 0.0, *ahead, *ahead])
-    kind, _ = choose_nominal(packed, start, target, np.tile(ahead, (N + 1, 1)), 0.0, lin.flat, of, True)
+    kind = choose_nominal(packed, start, target, np.tile(ahead, (N + 1, 1)), 0.0, lin, of, True, NO_TERMS)
     assert kind == expected
 
 

@@ -10,13 +10,14 @@ import pytest
 
 from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.solvers import riccati_solver
+from ltv_mpc.control.solvers import riccati
 from ltv_mpc.control.solvers.osqp import OsqpSolver
-from ltv_mpc.control.solvers.riccati_solver import RiccatiSolver
+from ltv_mpc.control.solvers.riccati import RiccatiSolver
 from ltv_mpc.messages import Array, SolveStatus
-from tests.ltv_mpc.control.problems import LIMITS, LOWERED, answer, motion, optimum, unlike_any_motion
+from tests.ltv_mpc.control.problems import LIMITS, LOWERED, Form, answer, equidistant, motion, solved, unlike_any_motion
 
 CONFIG = ResolvedConfig(horizon_s=5.1, weights=Weights())
+FORM = Form(CONFIG.knots)
 EXACT_N = 2e-3
 """``OFF`` is six tenths of it."""
 
@@ -25,22 +26,22 @@ EXACT_N = 2e-3
 @pytest.mark.parametrize("stages", [1, 2, 17, 34])
 @pytest.mark.parametrize("problem", [motion, unlike_any_motion])
 def test_its_commands_are_the_optimum(problem, stages, limits):
-    solver = RiccatiSolver(msgspec.structs.replace(CONFIG, horizon_s=0.3 * stages, period_s=0.3), limits)
-    sweeps = []
+    solver = RiccatiSolver(msgspec.structs.replace(CONFIG, horizon_s=0.3 * stages, period_s=0.3))
+    form, sweeps = Form(equidistant(stages), limits), []
     for seed in range(5):
         lin, target = problem(seed, stages)
-        ours = answer(solver, lin, target)
+        ours = answer(solver, form, lin, target)
         assert ours.solve.status is SolveStatus.SOLVED
-        assert ours.solve.primal_residual <= 1.01 * riccati_solver.HELD_ROW_TOLERANCE
+        assert ours.solve.primal_residual <= 1.01 * riccati.HELD_ROW_TOLERANCE
         np.testing.assert_array_equal(ours.commands[0], lin.U[0])
-        np.testing.assert_allclose(ours.commands, optimum(lin, target, limits, CONFIG.weights), atol=EXACT_N)
+        np.testing.assert_allclose(ours.commands, form.optimum(lin, target), atol=EXACT_N)
         sweeps.append(ours.solve.iterations)
     if stages >= 17 and problem is motion:
-        assert max(sweeps) > riccati_solver.FIRST_SWEEPS, "none of these took the interior point"
-    assert max(sweeps) <= riccati_solver.MAX_SWEEPS
+        assert max(sweeps) > riccati.FIRST_SWEEPS, "none of these took the interior point"
+    assert max(sweeps) <= riccati.MAX_SWEEPS
 
 
-def wall_seen_twice(seed: int, stages: int) -> tuple[Linearisation, Array]:
+def wall_seen_twice(seed: int, stages: int) -> tuple[Linearisation, Array, Array]:
     """Return a problem with a target behind a wall that is two half-planes at almost the same angle, and a third one.
 
     The third is the opposite wall, in front of the first or behind it.
@@ -59,81 +60,79 @@ def wall_seen_twice(seed: int, stages: int) -> tuple[Linearisation, Array]:
             wall - lin.X[1:, :2] @ normal,
             10 ** rng.uniform(3.0, 4.5),
         )
-    return Linearisation.from_arrays(*lin[:-2], rows), target
+    return lin, target, rows
 
 
 @pytest.mark.parametrize("seed", [11, 54, 228])
 def test_half_planes_at_almost_the_same_angle_are_solved(seed):
     """Their duals still change when all products of slack and dual are nearly zero, the longer the more regularised."""
-    lin, target = wall_seen_twice(seed, 34)
     config = msgspec.structs.replace(CONFIG, horizon_s=10.2)
-    ours = answer(RiccatiSolver(config, LIMITS), lin, target)
+    ours = solved(RiccatiSolver(config), Form(equidistant(34)), *wall_seen_twice(seed, 34))
     assert ours.solve.status is SolveStatus.SOLVED, ours.solve.why
     assert ours.solve.iterations < 40  # 54 to 59 with the regularisations in the other order
 
 
 def test_stages_that_grow_and_gaps():
     config = msgspec.structs.replace(CONFIG, horizon_s=20.1, max_stages=17)
-    solver = RiccatiSolver(config, LIMITS)
+    solver, form = RiccatiSolver(config), Form(config.knots)
     for seed in range(3):
         lin, target = motion(seed, 17, gap=0.02)
-        theirs = optimum(lin, target, LIMITS, config.weights, config.knots)
-        np.testing.assert_allclose(answer(solver, lin, target).commands, theirs, atol=EXACT_N)
+        np.testing.assert_allclose(answer(solver, form, lin, target).commands, form.optimum(lin, target), atol=EXACT_N)
 
 
 def test_in_a_closed_loop_the_last_cycle_s_active_limits_mostly_hold(cycles):
-    solver = RiccatiSolver(CONFIG, LIMITS)
+    solver = RiccatiSolver(CONFIG)
     warm, cold = [], []
     for cycle in cycles:
-        ours = answer(solver, cycle.lin, cycle.target, cycle.stages)
+        ours = answer(solver, FORM, cycle.lin, cycle.target, cycle.stages)
         assert ours.solve.status is SolveStatus.SOLVED
-        exact = optimum(cycle.lin, cycle.target, LIMITS, CONFIG.weights)
+        exact = FORM.optimum(cycle.lin, cycle.target)
         np.testing.assert_allclose(ours.commands, exact, atol=EXACT_N)
         warm.append(ours.solve.iterations)
-        cold.append(answer(RiccatiSolver(CONFIG, LIMITS), cycle.lin, cycle.target).solve.iterations)
+        cold.append(answer(RiccatiSolver(CONFIG), FORM, cycle.lin, cycle.target).solve.iterations)
     assert np.median(warm) == 1
     assert sum(warm) < 0.9 * sum(cold)
 
 
 def test_a_problem_that_comes_again_takes_one_sweep():
-    solver = RiccatiSolver(CONFIG, LIMITS)
+    solver = RiccatiSolver(CONFIG)
     lin, target = motion(1, CONFIG.stages)
-    first = answer(solver, lin, target)
-    again = answer(solver, lin, target, 0.0)
+    first = answer(solver, FORM, lin, target)
+    again = answer(solver, FORM, lin, target, 0.0)
     assert again.solve.iterations == 1 < first.solve.iterations
     np.testing.assert_allclose(again.commands, first.commands, atol=1e-6)
 
 
 def test_the_iteration_limit_ends_it_and_its_commands_are_still_usable():
     config = msgspec.structs.replace(CONFIG, max_iterations=9)
-    solver = RiccatiSolver(config, LIMITS)
+    solver = RiccatiSolver(config)
     lin, target = motion(1, CONFIG.stages)
-    ours = answer(solver, lin, target)
+    ours = answer(solver, FORM, lin, target)
     assert ours.solve.status is SolveStatus.ITERATION_LIMIT
-    assert 9 <= ours.solve.iterations <= 9 + riccati_solver.LATER_SWEEPS
+    assert 9 <= ours.solve.iterations <= 9 + riccati.LATER_SWEEPS
     assert f"{ours.solve.iterations} Riccati sweeps" in ours.solve.why
-    assert ours.solve.dual_residual > riccati_solver.MAX_OPTIMALITY_ERROR
+    assert ours.solve.dual_residual > riccati.MAX_OPTIMALITY_ERROR
     assert 0.0 < ours.solve.primal_residual < 1.0
 
 
 def test_what_is_not_solved_is_solved_by_the_other_solver():
     config = msgspec.structs.replace(CONFIG, max_iterations=9)
-    other = OsqpSolver(CONFIG, LIMITS)
-    solver = RiccatiSolver(config, LIMITS, other)
+    other = OsqpSolver(CONFIG)
+    solver = RiccatiSolver(config, other)
     lin, target = motion(1, CONFIG.stages)
-    ours = answer(solver, lin, target)
+    ours = answer(solver, FORM, lin, target)
     assert ours.solve.status is SolveStatus.SOLVED
-    np.testing.assert_allclose(ours.commands, optimum(lin, target, LIMITS, CONFIG.weights), atol=0.05)
+    np.testing.assert_allclose(ours.commands, FORM.optimum(lin, target), atol=0.05)
 
 
 def test_a_result_that_violates_the_conditions_is_not_used():
     class Strict(RiccatiSolver):
         max_error = 0.0  # less than rounding
 
-    solver = Strict(CONFIG, LIMITS, OsqpSolver(CONFIG, LIMITS))
+    solver = Strict(CONFIG, OsqpSolver(CONFIG))
     lin, target = motion(2, CONFIG.stages)
-    assert answer(solver, lin, target).solve.status is SolveStatus.SOLVED
-    alone = answer(Strict(CONFIG, LIMITS), lin, target).solve
+    assert answer(solver, FORM, lin, target).solve.status is SolveStatus.SOLVED
+    alone = answer(Strict(CONFIG), FORM, lin, target).solve
     assert alone.status is SolveStatus.ITERATION_LIMIT
     assert "optimality error" in alone.why
 
@@ -146,27 +145,26 @@ def test_the_other_solver_is_set_up_with_the_first_problem_and_asked_no_more():
             self.solves += 1
             return super().solve()
 
-    other = Counting(CONFIG, LIMITS)
-    solver = RiccatiSolver(CONFIG, LIMITS, other)
+    other = Counting(CONFIG)
+    solver = RiccatiSolver(CONFIG, other)
     lin, target = motion(2, CONFIG.stages)
     for _ in range(3):
-        ours = answer(solver, lin, target)
-        np.testing.assert_array_equal(ours.commands, answer(RiccatiSolver(CONFIG, LIMITS), lin, target).commands)
+        ours = answer(solver, FORM, lin, target)
+        np.testing.assert_array_equal(ours.commands, answer(RiccatiSolver(CONFIG), FORM, lin, target).commands)
     assert other.solves == 1
 
 
-@pytest.mark.parametrize("field", ["X", "U", "C", "Phi", "A", "B0", "B1"])
+@pytest.mark.parametrize("field", ["X", "U", "Phi", "A", "B0", "B1"])
 def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(field):
     good, target = motion(2, CONFIG.stages)
     bad = type(good).from_arrays(*good[:-1])
     getattr(bad, field)[-1] = np.nan
-    used = RiccatiSolver(CONFIG, LIMITS)
-    answer(used, good, target)
-    failed = answer(used, bad, target)
+    used = RiccatiSolver(CONFIG)
+    answer(used, FORM, good, target)
+    failed = answer(used, FORM, bad, target)
     assert failed.solve.status is SolveStatus.NON_FINITE
-    assert field in failed.solve.why
     np.testing.assert_array_equal(failed.commands, bad.U)
-    ours, theirs = (answer(s, good, target, 1.0) for s in (used, RiccatiSolver(CONFIG, LIMITS)))
+    ours, theirs = (answer(s, FORM, good, target, 1.0) for s in (used, RiccatiSolver(CONFIG)))
     np.testing.assert_allclose(ours.commands, theirs.commands, atol=EXACT_N)
 
 
@@ -175,7 +173,10 @@ def test_a_cost_that_does_not_determine_the_commands_is_rejected():
     lin, target = motion(2, 5)
     lin.B1[...] = 0.0
     solve = answer(
-        RiccatiSolver(msgspec.structs.replace(CONFIG, weights=flat, horizon_s=1.5), LIMITS), lin, target
+        RiccatiSolver(msgspec.structs.replace(CONFIG, weights=flat, horizon_s=1.5)),
+        Form(equidistant(5), LIMITS, flat),
+        lin,
+        target,
     ).solve
     assert solve.status is SolveStatus.FAILED
     assert "does not determine" in solve.why
@@ -183,11 +184,11 @@ def test_a_cost_that_does_not_determine_the_commands_is_rejected():
 
 def test_duals_between_stages_are_read_linearly_and_the_last_ones_kept():
     N = 5
-    rows = np.random.default_rng(2).normal(size=(N, 4))
+    rows = np.random.default_rng(2).normal(size=(N + 1, 4))
     for by in (0.0, 0.4, 1.0, 1.7, 9.0):
         y = rows.copy()
-        riccati_solver.shift_duals(y, np.arange(N + 1.0), by)
-        at = np.clip(np.arange(N) + by, 0, N - 1)
-        np.testing.assert_allclose(y, np.array([np.interp(at, range(N), rows[:, i]) for i in range(4)]).T)
-    riccati_solver.shift_duals(y, np.arange(N + 1.0), math.nan)
+        riccati.shift_duals(y, np.arange(N + 1.0), by)
+        at = np.clip(np.arange(N + 1) + by, 0, N)
+        np.testing.assert_allclose(y, np.array([np.interp(at, range(N + 1), rows[:, i]) for i in range(4)]).T)
+    riccati.shift_duals(y, np.arange(N + 1.0), math.nan)
     np.testing.assert_array_equal(y, 0.0)

@@ -1,0 +1,89 @@
+"""Rows of box, slew and motion along a trajectory that resembles no motion, written out anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ltv_mpc.control.config import Weights
+from ltv_mpc.control.horizon_limits import MIN_PENALTY, HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.ocp.limits import LIMITS as ALL
+from ltv_mpc.control.ocp.limits import ROWS
+from ltv_mpc.control.ocp.problem import roll_out, row_values
+from ltv_mpc.messages import Array
+from tests.ltv_mpc.control.problems import Form
+
+N = 3
+KNOTS = np.array([0.0, 1.0, 2.0, 3.7])
+LENGTH = np.diff(KNOTS)
+FULL_N = np.array([62.5, 50.0])
+SCALE = np.array([1.5, 1.5, 0.4, 0.4, 1.0, 0.2, *FULL_N, *FULL_N, *FULL_N])
+LIMITS = HorizonLimits(np.array([-40.0, -50.0]), np.array([62.5, 30.0]), np.array([30.0, 20.0]), SCALE[:6])
+BOUNDS = np.array([[-0.1, -0.15], [0.3, 0.2]])
+WEIGHTS = Weights(position_per_m2=1.3, terminal_position_per_m2=7.0)
+FORM = Form(KNOTS, replace(LIMITS, state_bounds=BOUNDS), WEIGHTS)
+
+
+@pytest.fixture
+def lin() -> Linearisation:
+    """Return a trajectory with gaps between its stages; sensitivities without structure but for the documented one."""
+    rng = np.random.default_rng(5)
+    X = rng.normal(size=(N + 1, 8)) * SCALE[:8]
+    A, B0, B1 = (rng.normal(size=(N, 8, k)) for k in (8, 2, 2))
+    U = rng.uniform(-20, 20, (N + 1, 2))
+    return Linearisation.from_arrays(X, U, rng.normal(size=(N + 1, 2)), X[1:] + rng.normal(size=(N, 8)), A, B0, B1)
+
+
+@pytest.fixture
+def target() -> Array:
+    return np.random.default_rng(6).normal(size=(N + 1, 3)) * 3
+
+
+def test_rows_are_distances_of_commands_and_states_from_their_bounds(lin, target) -> None:
+    p, z = FORM.problem(lin, target), np.random.default_rng(7).normal(size=(N + 1, 12))
+    z[-1, 10:] = 0.0
+    roll_out(p, z)
+    X, U = lin.X + z[:, :8] * SCALE[:8], lin.U + z[:, 8:10] * FULL_N
+    dX, dU = np.zeros((N + 1, 8)), U - lin.U
+    for k in range(N):
+        dX[k + 1] = lin.A[k] @ dX[k] + lin.B0[k] @ dU[k] + lin.B1[k] @ dU[k + 1] + lin.Phi[k] - lin.X[k + 1]
+    np.testing.assert_allclose(X - lin.X, dX, atol=1e-9)  # the dynamics of the problem are those of the motion
+    np.testing.assert_allclose(np.diff(U - lin.U, axis=0), z[:-1, 10:] * FULL_N)
+    g = np.empty(p.low.shape)
+    row_values(p, z, g)
+    above, below = p.high - g, g - p.low
+    np.testing.assert_allclose(above[1:, :2] * FULL_N, [62.5, 30.0] - U[1:])
+    np.testing.assert_allclose(below[1:, :2] * FULL_N, U[1:] - [-40.0, -50.0])
+    change, largest = np.diff(U, axis=0), np.outer(LENGTH, [30.0, 20.0])
+    np.testing.assert_allclose(above[:-1, 2:4] * FULL_N, largest - change)
+    np.testing.assert_allclose(below[:-1, 2:4] * FULL_N, largest + change)
+    for row, state in ((4, 2), (5, 5)):
+        np.testing.assert_allclose(above[1:, row] * SCALE[state], BOUNDS[1, row - 4] - X[1:, state])
+        np.testing.assert_allclose(below[1:, row] * SCALE[state], X[1:, state] - BOUNDS[0, row - 4])
+    assert np.isinf(p.penalty[:, :4]).all()
+    assert p.low.shape[1] == ROWS == 2 * len(ALL)
+    far = np.hypot(*(target[:-1, :2] - lin.X[0, :2]).T)
+    pull = WEIGHTS.position_per_m2 * LENGTH @ far + WEIGHTS.terminal_position_per_m2 * far[-1]
+    penalty = max(MIN_PENALTY, pull * SCALE[0])
+    np.testing.assert_allclose(p.penalty[1:, 4:], np.outer(penalty * LENGTH, [1.0, 1.0]))
+
+
+def test_nothing_is_bounded_where_nothing_can_be_changed_or_no_limit_is_set(lin, target) -> None:
+    p = Form(KNOTS, LIMITS, WEIGHTS).problem(lin, target)
+    for bound in (p.low, p.high):
+        assert np.isinf(bound[0, :2]).all()  # the command in force
+        assert np.isinf(bound[-1, 2:4]).all()  # no stage follows
+        assert np.isinf(bound[:, 4:]).all()
+    assert not p.G[:, 4:].any()
+
+
+def test_a_start_outside_the_box_is_led_into_it_at_the_slew_limit(lin, target) -> None:
+    """From 150 N and -100 N, by 30 N and 20 N per first stage."""
+    lin.U[0] = 150.0, -100.0
+    p = FORM.problem(lin, target)
+    low, high = (bound[1:, :2] * FULL_N + lin.U[1:] for bound in (p.low, p.high))
+    np.testing.assert_allclose(high.T, [[120.0, 90.0, 62.5], [30.0, 30.0, 30.0]])
+    np.testing.assert_allclose(low.T, [[-40.0, -40.0, -40.0], [-80.0, -60.0, -50.0]])
