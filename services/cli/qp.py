@@ -61,10 +61,11 @@ def export_c(
 
     loaded = Vehicle.load(vehicle)
     config = settled(ControllerConfig() if settings is None else ControllerConfig.load(str(settings)), loaded)
-    from services.tools.c_code import export
+    from services.tools.c_code import export, solved_cycle
 
+    cycle = solved_cycle(loaded, config)
     place = folders.make("qp", {}, out=folder, force=force).path
-    exported = export(place, loaded, config)
+    exported = export(place, cycle, loaded, config)
     if as_json:
         import msgspec
 

@@ -28,7 +28,8 @@ from ltv_mpc.control.solvers.osqp import SETTINGS, Arrays, prepare
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.control.solvers.sparse import EXCESS, SparseLayout
 from ltv_mpc.control.solvers.sweep import Sweep
-from ltv_mpc.messages import Estimate
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Estimate, SolveStatus
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -49,10 +50,11 @@ class Exported(NamedTuple):
     rows: int
 
 
-def export(folder: Path, vehicle: Vehicle, config: ResolvedConfig) -> Exported:
-    """Write the code into ``folder``, over existing files.
+def solved_cycle(vehicle: Vehicle, config: ResolvedConfig) -> RecordingSolver:
+    """Return a solver with the problem of one cycle and its solution.
 
-    The vehicle is off its point and abeam of it, so that limits are active and the solution is not zero.
+    The vehicle is off its point and abeam of it, so that limits are active and the solution is not zero. Raises
+    ``ConfigError`` if the solver of the settings does not solve the problem.
     """
     made: list[RecordingSolver] = []
 
@@ -62,11 +64,18 @@ def export(folder: Path, vehicle: Vehicle, config: ResolvedConfig) -> Exported:
 
     once = msgspec.structs.replace(config, sqp_iterations=1)
     controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), once, make_solver=make_recorded)
-    controller.plan(Estimate.at_rest(north_m=-3.0, east_m=2.0, heading_rad=1.0))
-    problem, z = made[-1].problem, made[-1].result.z
+    plan = controller.plan(Estimate.at_rest(north_m=-3.0, east_m=2.0, heading_rad=1.0))
+    if plan.solve.status is not SolveStatus.SOLVED:
+        raise ConfigError("controller settings", "", f"the QP to export is not solved: {plan.solve.why}")
+    return made[-1]
+
+
+def export(folder: Path, cycle: RecordingSolver, vehicle: Vehicle, config: ResolvedConfig) -> Exported:
+    """Write the code of a solved cycle into ``folder``, over existing files."""
+    problem, z = cycle.problem, cycle.result.z
     layout = SparseLayout(problem)
     N, n, m, numbers = len(problem.f), layout.variables, layout.rows, layout.allocate()
-    at = Arrays(numbers, np.zeros(n), *np.zeros((2, m)), np.zeros(len(numbers.A)), *np.zeros((3, m)))
+    at = Arrays(numbers, *(np.zeros(size) for size in (n, m, m, len(numbers.A), m, m, m)))
     prepare(problem, layout.places, config.knots, math.nan, Sweep.empty(problem), np.zeros(problem.low.shape), at)
     matrices = (layout.P, numbers.P), (layout.A, at.A)
     P, A = (csc_matrix((data, of.indices, of.indptr), of.shape) for of, data in matrices)

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ltv_mpc.control.solvers import Result
+from ltv_mpc.control.solvers.recorder import RecordingSolver
 from services.cli.app import run
 
 PROGRAM = """
@@ -66,6 +68,19 @@ def test_the_layout_names_columns_and_rows_with_their_units(tmp_path: Path) -> N
     port = [line for line in lines if "port's command (N) at knot 2 " in line]
     assert port == ["  62.5, /* 22: port's command (N) at knot 2 */"]
     assert sum("slew of port in stage 2 (N)" in line for line in lines) == 2  # its scale and its factor
+    assert "  300.0, /* 0: dynamics of north in stage 1 (m) */" in lines  # EQUALITY_ROW of solvers/osqp.py
+
+
+def test_a_problem_that_is_not_solved_is_not_exported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: RecordingSolver) -> Result:
+        raise ValueError("as asked")
+
+    monkeypatch.setattr(RecordingSolver, "solve", broken)
+    assert run(["qp", "export-c", str(tmp_path / "c")]) == 2
+    assert "is not solved: ValueError: as asked" in capsys.readouterr().err
+    assert not (tmp_path / "c").exists()
 
 
 def test_a_folder_that_is_not_empty_is_left_alone_without_force(

@@ -16,8 +16,8 @@ import pytest
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.messages import Applied, Array, CycleTiming, Estimate, Message, Plan, SolveStatus
 from ltv_mpc.node import Cycle, Inbox, Node
