@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from ltv_mpc.control.config import ControllerConfig
     from ltv_mpc.control.controller import Controller
     from ltv_mpc.control.nominal_model import advance
+    from ltv_mpc.control.ocp.extension import Limit, Motion, Term
     from ltv_mpc.control.solvers import solve_qp
     from ltv_mpc.control.solvers.sparse import build_qp
     from ltv_mpc.geofence.fence import Fence
@@ -27,11 +28,14 @@ _HOME = {
     "CurrentProfile": "ltv_mpc.messages",
     "Estimate": "ltv_mpc.messages",
     "Fence": "ltv_mpc.geofence.fence",
+    "Limit": "ltv_mpc.control.ocp.extension",
+    "Motion": "ltv_mpc.control.ocp.extension",
     "Obstacle": "ltv_mpc.messages",
     "Obstacles": "ltv_mpc.messages",
     "Plan": "ltv_mpc.messages",
     "PlanOrigin": "ltv_mpc.messages",
     "SolveStatus": "ltv_mpc.messages",
+    "Term": "ltv_mpc.control.ocp.extension",
     "Vehicle": "ltv_mpc.vehicle.parameters",
     "advance": "ltv_mpc.control.nominal_model",
     "build_qp": "ltv_mpc.control.solvers.sparse",
@@ -46,11 +50,14 @@ __all__ = [
     "CurrentProfile",
     "Estimate",
     "Fence",
+    "Limit",
+    "Motion",
     "Obstacle",
     "Obstacles",
     "Plan",
     "PlanOrigin",
     "SolveStatus",
+    "Term",
     "Vehicle",
     "advance",
     "build_qp",

@@ -28,6 +28,7 @@ from scipy.sparse import csc_array, csc_matrix
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.ocp.problem import Problem, costates, is_finite, roll_out, row_values
 from ltv_mpc.control.solvers import riccati
+from ltv_mpc.control.solvers.active_set import FAILED
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.control.solvers.sparse import (
     DYNAMICS,
@@ -66,8 +67,10 @@ SETTINGS = {
 }
 """Plain ADMM on rows that are scaled already: step size 1, absolute residuals, limited by iterations, never by time."""
 
+SOLVED, INTERRUPTED = int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SIGINT)
+
 STATUS = {
-    int(osqp.SolverStatus.OSQP_SOLVED): SolveStatus.SOLVED,
+    SOLVED: SolveStatus.SOLVED,
     int(osqp.SolverStatus.OSQP_SOLVED_INACCURATE): SolveStatus.ITERATION_LIMIT,
     int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED): SolveStatus.ITERATION_LIMIT,
     int(osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE): SolveStatus.INFEASIBLE,
@@ -186,8 +189,7 @@ class OsqpSolver:
         places = self._layout.places
         size, costate = prepare(problem, places, self._knots, self._shift, self._work, self._duals, self._at)
         self._finite = size >= 0.0
-        has_soft = self._layout.places.excess.max() >= 0
-        self._eps = max(self._tolerance * size, ROUNDING * costate if has_soft else 0.0)
+        self._eps = max(self._tolerance * size, ROUNDING * costate if places.excess.max() >= 0 else 0.0)
 
     def update(self) -> None:
         """Pass the problem to OSQP; the first one sets it up (see ``Solver``)."""
@@ -221,14 +223,14 @@ class OsqpSolver:
             solver.update_settings(max_iter=min(length, self._max_iterations), eps_abs=self._eps)
             result = solver.solve(raise_error=False)
             status = int(result.info.status_val)
-            if status == int(osqp.SolverStatus.OSQP_SIGINT):
+            if status == INTERRUPTED:
                 signal.raise_signal(signal.SIGINT)  # OSQP catches Ctrl-C during a solve
             batch += 1
             iterations += int(result.info.iter)
             if not store_solution(np.asarray(result.x), np.asarray(result.y), layout.places, at, z, self._duals):
                 self._solver = None
                 return self._no_solution(p, "OSQP returned a value that is not finite; rebuilt")
-            if status == int(osqp.SolverStatus.OSQP_SOLVED) or iterations >= self._max_iterations:
+            if status == SOLVED or iterations >= self._max_iterations:
                 break
             if rescale(layout.places, at) > 0:
                 self._load(with_cost=False)
@@ -279,7 +281,7 @@ def prepare(
         if abs(duals.flat[i]) <= NOT_ACTIVE:
             duals.flat[i] = 0.0
     kept = duals.copy()
-    if riccati.solve(p, work, riccati.MAX_SWEEPS, duals)[0] == riccati.FAILED:
+    if riccati.solve(p, work, riccati.MAX_SWEEPS, duals)[0] == FAILED:
         for i in range(duals.size):
             duals.flat[i] = kept.flat[i]
     costate = np.zeros((p.h.shape[0], p.f.shape[1]))

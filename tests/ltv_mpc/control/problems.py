@@ -105,13 +105,13 @@ def with_rows(plain: Problem, rows: Array, limits: HorizonLimits) -> Problem:
 
 
 def precise(qp: QP) -> Array:
-    """Return the optimum x (n,) by an interior-point method, to about 1e-12, or where that fails by an active-set one."""
+    """Return the optimum x (n,) by an interior-point method, to about 1e-12; where that fails, by an active-set one."""
     rows, equal = csc_matrix(qp.A), qp.l == qp.u
     solver = piqp.SparseSolver()
     solver.settings.eps_abs = solver.settings.eps_rel = 1e-13
     solver.settings.eps_duality_gap_abs = solver.settings.eps_duality_gap_rel = 1e-14
     solver.setup(csc_matrix(qp.P), qp.q, rows[equal], qp.l[equal], rows[~equal], qp.l[~equal], qp.u[~equal])
-    if solver.solve() is not piqp.Status.PIQP_SOLVED:
+    if solver.solve() != piqp.Status.PIQP_SOLVED:
         other = solve_qp(qp, "daqp")
         if other.solve.status is SolveStatus.SOLVED:
             return other.x

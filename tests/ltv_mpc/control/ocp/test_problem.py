@@ -11,6 +11,7 @@ from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.ocp.problem import Problem, costates, least_surplus, optimality_error, roll_out, row_values
 from ltv_mpc.control.solvers import riccati
+from ltv_mpc.control.solvers.active_set import CONVERGED
 from ltv_mpc.control.solvers.sparse import SparseLayout, fits, solution_of, sparse_qp
 from ltv_mpc.control.solvers.sweep import Sweep
 from tests.ltv_mpc.control.problems import LIMITS, PAPER, Form, motion, precise
@@ -39,7 +40,7 @@ def anything(seed: int, n: int = 3, m: int = 2, M: int = 4, stages: int = 5) -> 
 def solved(p: Problem):
     """Return states and inputs, and the duals."""
     work, y = Sweep.empty(p), np.zeros(p.low.shape)
-    assert riccati.solve(p, work, 60, y)[0] == riccati.CONVERGED
+    assert riccati.solve(p, work, 60, y)[0] == CONVERGED
     return work.z, y
 
 

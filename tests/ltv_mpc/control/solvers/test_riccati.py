@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.solvers import riccati
+from ltv_mpc.control.solvers import active_set, interior_point, riccati
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.riccati import RiccatiSolver
 from ltv_mpc.messages import Array, SolveStatus
@@ -32,7 +32,7 @@ def test_its_commands_are_the_optimum(problem, stages, limits):
         lin, target = problem(seed, stages)
         ours = answer(solver, form, lin, target)
         assert ours.solve.status is SolveStatus.SOLVED
-        assert ours.solve.primal_residual <= 1.01 * riccati.HELD_ROW_TOLERANCE
+        assert ours.solve.primal_residual <= 1.01 * active_set.HELD_ROW_TOLERANCE
         np.testing.assert_array_equal(ours.commands[0], lin.U[0])
         np.testing.assert_allclose(ours.commands, form.optimum(lin, target), atol=EXACT_N)
         sweeps.append(ours.solve.iterations)
@@ -109,9 +109,9 @@ def test_the_iteration_limit_ends_it_and_its_commands_are_still_usable():
     lin, target = motion(1, CONFIG.stages)
     ours = answer(solver, FORM, lin, target)
     assert ours.solve.status is SolveStatus.ITERATION_LIMIT
-    assert 9 <= ours.solve.iterations <= 9 + riccati.LATER_SWEEPS
+    assert 9 <= ours.solve.iterations <= 9 + interior_point.LATER_SWEEPS
     assert f"{ours.solve.iterations} Riccati sweeps" in ours.solve.why
-    assert ours.solve.dual_residual > riccati.MAX_OPTIMALITY_ERROR
+    assert ours.solve.dual_residual > interior_point.MAX_OPTIMALITY_ERROR
     assert 0.0 < ours.solve.primal_residual < 1.0
 
 
