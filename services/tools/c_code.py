@@ -86,8 +86,8 @@ def export(folder: Path, cycle: RecordingSolver, vehicle: Vehicle, config: Resol
     scale, column = scales(HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9)), layout.places.column
     names = (*STATES, ("change of port's command to the next", "N"), ("change of starboard's command to the next", "N"))
     rows = [(row.scale, f"{i}: {row.name} ({row.unit})") for i, row in enumerate(row_names(layout, scale))]
-    placed = np.argwhere(column >= 0)[np.argsort(column[column >= 0])].tolist()
-    columns = [(scale[j], f"{i}: {names[j][0]} ({names[j][1]}) at knot {k}") for i, (k, j) in enumerate(placed)]
+    placed = enumerate(np.argwhere(column >= 0))  # columns have the order of states and inputs
+    columns = [(scale[j], f"{i}: {names[j][0]} ({names[j][1]}) at knot {k}") for i, (k, j) in placed]
     columns += [rows[i] for i in np.flatnonzero(layout.places.kind == EXCESS)]
     knots = [f"knot {k}" for k in range(1, N + 1)]
     solution = z[1:, COMMANDS:CHANGES] * scale[COMMANDS:CHANGES]

@@ -173,10 +173,20 @@ def test_a_peer_that_never_answers_holds_no_line() -> None:
         def solve(self) -> Any:
             return self.answer(None, why="nothing to say")
 
+    class Idle(Peer):
+        name, solves, packages, settings = "idle", "QP", (), ""
+
+        def solve(self) -> Any:
+            starts.add(tuple(self.lin.X[0]))
+            return self.answer(self.lin.U[1:])
+
+    starts: set[tuple[float, ...]] = set()
     episode = problems.simulated(N, 40, seed=0)[2]
     assert episode.kind == "hard"
     silent, own = closed(Entry(Silent), episode), closed(SolverByName("osqp"), episode._replace(cycles=40))
     assert silent.unsolved == episode.cycles + 1
+    assert closed(Entry(Idle), episode).unsolved == 0
+    assert len(starts) > episode.cycles  # each problem has the start of its own cycle
     assert own.unsolved == 0
     assert silent.thrust_N < 0.1 < own.thrust_N
     assert own.off_m < silent.off_m
