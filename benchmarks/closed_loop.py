@@ -25,13 +25,15 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
+from benchmarks import along
 from benchmarks.loop import STEP_NS, Loop, Outcome, run_config
 from benchmarks.optimum import Optimum
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.solvers import Solver, Result, make
+from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS
+from ltv_mpc.control.solvers import Result, Solver, make
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.provenance import provenance_table
@@ -54,28 +56,26 @@ class Converged:
 
     def __init__(self, inner: Solver, optimum: Optimum) -> None:
         self._inner, self._optimum = inner, optimum
-        self._lin: Linearisation
-        self._target: Array
         self.cycles = self.converged = 0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
 
-    def build(self, lin: Linearisation, target: Array) -> None:
+    def build(self, problem: Problem) -> None:
         """Build the QP of the inner solver."""
-        self._lin, self._target = lin, target
-        self._inner.build(lin, target)
+        self._problem = problem
+        self._inner.build(problem)
 
     def solve(self) -> Result:
         """Return IPOPT's commands if it converges to at most the QP's cost, else the QP's."""
-        answer, lin, optimum = self._inner.solve(), self._lin, self._optimum
+        answer, (lin, target), optimum = self._inner.solve(), along.now(), self._optimum
         self.cycles += 1
-        X0, C, target = lin.X[0], lin.C, self._target
-        start = optimum.roll(X0, answer.commands, C)
-        commands, done = optimum.solve(start, answer.commands, C, target)
+        X0, C, scale = lin.X[0], lin.C, optimum.limits.thrust_scale
+        first = lin.U + answer.z[:, COMMANDS:CHANGES] * scale
+        commands, done = optimum.solve(optimum.roll(X0, first, C), first, C, target)
         self.converged += done
-        if done and optimum.cost(X0, commands, C, target) <= optimum.cost(X0, answer.commands, C, target):
-            return Result(commands, answer.solve)
+        if done and optimum.cost(X0, commands, C, target) <= optimum.cost(X0, first, C, target):
+            return Result(along.solution(self._problem, commands, lin.U, optimum.limits), answer.solve)
         return answer
 
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from benchmarks.peers import symbolic
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
-from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import roll_out
+from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.problem_data import pack_objective, unpack_objective
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES, substeps
@@ -23,8 +23,8 @@ class Optimum:
 
     def __init__(self, vehicle: Vehicle, config: ResolvedConfig) -> None:
         self._p, self._weights = vehicle.coefficients(), config.weights
-        self._limits = HorizonLimits.from_vehicle(vehicle, STAGE_S)
-        self._packed = pack_objective(config.knots, self._limits, self._weights)
+        self.limits = HorizonLimits.from_vehicle(vehicle, STAGE_S)
+        self._packed = pack_objective(config.knots, self.limits, self._weights)
         self._N = N = config.stages
         self._knots, self._g = config.knots, np.diff(config.knots)
         self._h = self._g * STAGE_S
@@ -35,7 +35,7 @@ class Optimum:
         xs, us = [X0, *ca.horzsplit(X)], [U0, *ca.horzsplit(U)]
         gaps = [stage[self._h[k]](xs[k], us[k], us[k + 1], C[:, k], C[:, k + 1]) - xs[k + 1] for k in range(N)]
         steps = [us[k + 1] - us[k] for k in range(N)]
-        w, scale = self._weights, ca.DM(self._limits.thrust_scale)
+        w, scale = self._weights, ca.DM(self.limits.thrust_scale)
         objective = 0
         for k in range(N):
             g = self._g[k]
@@ -48,7 +48,7 @@ class Optimum:
         problem = {
             "x": ca.veccat(X, U),
             "p": ca.veccat(X0, U0, C, target),
-            "f": objective,
+            "f": 0.5 * objective,
             "g": ca.veccat(*gaps, *steps),
         }
         options = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9, "max_iter": 500}}
@@ -56,7 +56,8 @@ class Optimum:
 
     def cost(self, X0: Array, U: Array, C: Array, target: Array) -> float:
         """Return the cost of commands U (N+1, 2) along the exact flow."""
-        return cost(self.roll(X0, U, C), U, C, target, unpack_objective(self._packed))
+        wanted = np.column_stack([target, np.zeros(len(target))])  # no heading
+        return cost(self.roll(X0, U, C), U, C, wanted, unpack_objective(self._packed))
 
     def roll(self, X0: Array, U: Array, C: Array) -> Array:
         """Compute the exact flow (N+1, 8) under commands U (N+1, 2)."""
@@ -64,12 +65,12 @@ class Optimum:
 
     def solve(self, X: Array, U: Array, C: Array, target: Array) -> tuple[Array, bool]:
         """Return commands (N+1, 2) from a guess X (N+1, 8), U (N+1, 2), and whether IPOPT converged."""
-        N, limits = self._N, self._limits
+        N, limits = self._N, self.limits
         low, high = limits.box(U[0], self._knots)
         free, change = np.full(N * STATES, np.inf), np.outer(self._g, limits.max_change).ravel()
         answer = self._solve(
             x0=np.concatenate([X[1:].ravel(), U[1:].ravel()]),
-            p=np.concatenate([X[0], U[0], C.ravel(), target[:, :2].ravel()]),
+            p=np.concatenate([X[0], U[0], C.ravel(), target.ravel()]),
             lbx=np.concatenate([-free, low.ravel()]),
             ubx=np.concatenate([free, high.ravel()]),
             lbg=np.concatenate([np.zeros(N * STATES), -change]),

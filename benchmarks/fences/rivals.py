@@ -9,18 +9,16 @@ import msgspec
 import numpy as np
 
 from benchmarks.fences.scenes import Scene, settings_of
-from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.fallback import NOT_RUN
-from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.ocp import limits
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.control.solvers.interface import Solver
 from ltv_mpc.control.solvers.qpsolvers_backend import QpsolversBackend
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import pack_zones
-from ltv_mpc.messages import Array, Estimate, Pair, Plan, PlanOrigin
+from ltv_mpc.messages import Estimate, Pair, Plan, PlanOrigin
 from ltv_mpc.references import Place, Point, Waypoints
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -35,26 +33,21 @@ def waypoints(scene: Scene) -> list[Pair]:
 
 
 class HardRows(QpsolversBackend):
-    """PIQP on the QP with the rows of the fence as hard constraints: their excesses are zero."""
+    """PIQP on the QP with the rows of the fence, the last ones, as hard constraints."""
 
-    def build(self, lin: Linearisation, target: Array) -> None:
-        """Build the QP with no excess. Its last rows are, for each half-plane, the row and its excess."""
-        super().build(lin, target)
-        assert self._qp is not None
-        planes = lin.rows.shape[0] * lin.rows.shape[1]
-        if planes:
-            self._qp.u[-2 * planes + 1 :: 2] = self._qp.l[-2 * planes + 1 :: 2]
+    def build(self, problem: Problem) -> None:
+        """Take the problem with infinite penalties."""
+        penalty = problem.penalty.copy()
+        penalty[:, limits.ROWS :] = np.inf
+        super().build(problem._replace(penalty=penalty))
 
 
 def hard_controller(scene: Scene) -> Controller:
     """Return a controller with one QP a cycle, whose fence has hard rows."""
     settings = msgspec.structs.replace(settings_of(scene.name), solver="piqp", sqp_iterations=1)
 
-    def make_solver(vehicle: Vehicle, config: ResolvedConfig) -> Solver:
-        return HardRows(config, HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9, config.limits.state_bounds))
-
     goal = Point(north_m=scene.goal[0], east_m=scene.goal[1])
-    controller = Controller(scene.vehicle, goal, settings, make_solver=make_solver)
+    controller = Controller(scene.vehicle, goal, settings, make_solver=lambda _, config: HardRows(config))
     controller.set_fence(scene.fence)
     return controller
 

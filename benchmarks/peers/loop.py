@@ -8,12 +8,13 @@ import numpy as np
 
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import ResolvedConfig
+from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.solvers import SolverFactory
 from ltv_mpc.messages import Applied, Estimate, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.node import ReceivedMessage
-from services.tools.profile.measure import Candidate, limits_of
-from services.tools.profile.problems import Episode
+from services.tools.profile.measure import Candidate
+from services.tools.profile.problems import Episode, seconds
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,8 @@ class Entry:
 
     def solver_factory(self, episode: Episode) -> SolverFactory:
         """Return a factory of this peer."""
-        return lambda vehicle, _config: self.peer(episode.config, limits_of(episode), vehicle)
+        limits = HorizonLimits.from_vehicle(episode.vehicle, seconds(1), episode.config.limits.state_bounds)
+        return lambda vehicle, _config: self.peer(episode.config, limits, vehicle)
 
 
 class Loop(ControllerNode):

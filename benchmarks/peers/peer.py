@@ -1,4 +1,4 @@
-"""Base of all peers: a solver of the controller that takes a linearisation and returns commands at the knots.
+"""Base of all peers: a solver of the controller that takes a linearisation and finds commands at the knots.
 
 Peers that solve the nonlinear problem take from the linearisation only what it was taken along: the state at the start,
 the command in force, the current, and the commands to start from.
@@ -10,9 +10,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from benchmarks import along
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -40,9 +42,10 @@ class Peer:
     def reset_warm_start(self) -> None:
         """Reset the warm start."""
 
-    def build(self, lin: Linearisation, target: Array) -> None:
-        """Take the problem's numbers; what is held is a point, so no velocity is wanted at the end."""
-        self.lin, self.reference = lin, target[:-1]
+    def build(self, problem: Problem) -> None:
+        """Take what the problem was made from; what is held is a point, so no velocity is wanted at the end."""
+        self.problem = problem
+        self.lin, self.reference = along.now().lin, along.now().target[:-1]
 
     def update(self) -> None:
         """Nothing: peers set up and solve in one."""
@@ -52,11 +55,10 @@ class Peer:
         raise NotImplementedError
 
     def answer(self, following: Array | None, *, iterations: int = 0, why: str = "") -> Result:
-        """Return commands (N+1, 2) from those after the first (N, 2); None: no solution, for the reason ``why``."""
-        commands = self.lin.U.copy()
+        """Return the solution of commands after the first (N, 2); None: no solution, for the reason ``why``."""
         if following is None or not np.isfinite(following).all():
-            return Result(
-                commands, Solve(status=SolveStatus.FAILED, iterations=iterations, why=why or "not finite")
-            )
-        commands[1:] = following
-        return Result(commands, Solve(status=SolveStatus.SOLVED, iterations=iterations))
+            solve = Solve(status=SolveStatus.FAILED, iterations=iterations, why=why or "not finite")
+            return Result(np.zeros_like(self.problem.h), solve)
+        commands = np.vstack([self.lin.U[:1], following])
+        z = along.solution(self.problem, commands, self.lin.U, self.limits)
+        return Result(z, Solve(status=SolveStatus.SOLVED, iterations=iterations))

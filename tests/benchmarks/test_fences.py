@@ -11,9 +11,14 @@ import pytest
 from benchmarks.fences import full_loop
 from benchmarks.fences.__main__ import table
 from benchmarks.fences.flight import Job, fly, judged, keeps, sides, summed_cost
-from benchmarks.fences.rivals import waypoints
+from benchmarks.fences.rivals import HardRows, waypoints
 from benchmarks.fences.scenes import GAP_FACTOR, Scene, scene_of, vehicle_of
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.ocp import assembly, limits
+from ltv_mpc.control.ocp.problem import Problem
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import characteristic_scales
+from ltv_mpc.control.solvers.qpsolvers_backend import QpsolversBackend
 from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.geofence.zones import clearance, nearest, pack_zones
 from ltv_mpc.references import Place
@@ -96,6 +101,18 @@ def test_an_obstacle_that_is_reported_every_2_or_10_s_is_kept_clear_of(seed) -> 
     assert often.arrived
     assert rare.arrived
     assert often.track_m != rare.track_m
+
+
+def test_the_rival_has_hard_rows_for_the_fence_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[Problem] = []
+    monkeypatch.setattr(QpsolversBackend, "build", lambda _, problem: given.append(problem))
+    problem = assembly.empty(3, 2)
+    problem.penalty[:] = 7.0
+    HardRows(settled(ControllerConfig(), vehicle_of("paper")[0])).build(problem)
+    hard = np.isinf(given[0].penalty)
+    assert hard[:, limits.ROWS :].all()
+    assert not hard[:, : limits.ROWS].any()
+    assert (problem.penalty == 7.0).all()  # that of the controller stays
 
 
 def test_a_flight_with_sensors_is_judged_by_the_true_positions() -> None:

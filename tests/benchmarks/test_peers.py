@@ -9,15 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import along
 from benchmarks.peers import known, table
 from benchmarks.peers.loop import Entry, Held, closed
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, linearise, roll_out
-from ltv_mpc.control.qp.sparse import SparseQp
+from ltv_mpc.control.ocp.assembly import problem_along
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import solve_qp
+from ltv_mpc.control.solvers.interface import Result
+from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
 from ltv_mpc.messages import Array, SolveStatus
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.flow import substeps
@@ -58,15 +62,28 @@ def trajectory(seed: int, gap: float) -> tuple[Linearisation, Array]:
     return linearise(X, U, C, H, P), np.array([[0.02, -0.01]] * N + [[0.0, 0.0]])
 
 
-def along(commands: Array, lin: Linearisation) -> Linearisation:
+def under(commands: Array, lin: Linearisation) -> Linearisation:
     """Return the exact flow under other commands."""
     return linearise(roll_out(lin.X[0], commands, lin.C, np.full(N, H), P), commands, lin.C, H, P)
 
 
 def optimum(lin: Linearisation, target: Array, limits: HorizonLimits = LIMITS) -> Array:
     """Return the commands (N+1, 2) of the QP."""
-    form = SparseQp(CONFIG.knots, limits, CONFIG.weights)
-    return form.commands(lin, solve_qp(form.build(lin, target), "daqp").x)
+    problem = problem_along(lin, target, CONFIG.knots, limits, CONFIG.weights)
+    return commands_of(solution_of(problem, solve_qp(sparse_qp(problem), "daqp").x), lin)
+
+
+def commands_of(z: Array, lin: Linearisation) -> Array:
+    """Return the commands (N+1, 2) of a solution."""
+    return lin.U + z[:, COMMANDS:CHANGES] * LIMITS.thrust_scale
+
+
+def solved(peer: Peer, lin: Linearisation, target: Array, limits: HorizonLimits = LIMITS) -> Result:
+    """Return a peer's solution of the problem along a motion."""
+    along.is_at(lin, target)
+    peer.build(problem_along(lin, target, CONFIG.knots, limits, CONFIG.weights))
+    peer.update()
+    return peer.solve()
 
 
 @pytest.mark.parametrize("file", ["with_qpmpc", "with_cvxpy"])
@@ -74,12 +91,9 @@ def test_peers_that_solve_the_qp_find_its_optimum(file: str) -> None:
     peer = peer_of(file)(CONFIG, LIMITS, VEHICLE)
     for seed in range(4):  # the second and later ones go through what the first has set up
         lin, target = trajectory(seed, gap=0.01)
-        peer.build(lin, target)
-        peer.update()
-        answer = peer.solve()
+        answer = solved(peer, lin, target)
         assert answer.solve.status is SolveStatus.SOLVED
-        np.testing.assert_array_equal(answer.commands[0], lin.U[0])
-        np.testing.assert_allclose(answer.commands, optimum(lin, target), atol=0.02)
+        np.testing.assert_allclose(commands_of(answer.z, lin), optimum(lin, target), atol=0.02)
 
 
 @pytest.mark.parametrize(
@@ -98,14 +112,14 @@ def test_nonlinear_peers_find_what_repeated_linearisation_converges_to(
         lin, target = trajectory(seed, gap=0.0)
         for _ in range(40):
             commands = optimum(lin, target, limits)
-            lin = along(commands, lin)
+            lin = under(commands, lin)
         assert np.abs(optimum(lin, target, limits) - lin.U).max() < 1e-3  # converged
         guess = lin.U.copy()
         guess[2:] *= 0.98
-        peer.build(along(guess, lin), target)
-        answer = peer.solve()
+        near = under(guess, lin)
+        answer = solved(peer, near, target, limits)
         assert answer.solve.status is SolveStatus.SOLVED
-        np.testing.assert_allclose(answer.commands, lin.U, atol=within_N)
+        np.testing.assert_allclose(commands_of(answer.z, near), lin.U, atol=within_N)
 
 
 def test_the_symbolic_motion_is_the_controllers() -> None:
@@ -126,8 +140,7 @@ def test_the_symbolic_motion_is_the_controllers() -> None:
 def test_ipopts_duals_move_with_the_plan() -> None:
     """Each row's dual goes to the row of the same kind a stage earlier: less to do for the next problem."""
     peer: Any = peer_of("with_casadi")(CONFIG, LIMITS, VEHICLE)
-    peer.build(*trajectory(0, gap=0.0))
-    peer.solve()
+    solved(peer, *trajectory(0, gap=0.0))
     before = {name: dual.copy() for name, dual in peer._duals.items()}
     peer.shift_warm_start(1.1)
     for name, first, width in (("lam_x0", 0, 10), ("lam_g0", 0, 8), ("lam_g0", 8 * N, 2)):
@@ -146,10 +159,9 @@ def test_a_solution_that_is_not_finite_is_none() -> None:
         def solve(self) -> Any:
             return self.answer(np.full((N, 2), np.nan))
 
-    peer = Broken(CONFIG, LIMITS, VEHICLE)
-    peer.build(*trajectory(0, gap=0.0))
-    assert peer.solve().solve.status is SolveStatus.FAILED
-    assert np.isfinite(peer.solve().commands).all()
+    answer = solved(Broken(CONFIG, LIMITS, VEHICLE), *trajectory(0, gap=0.0))
+    assert answer.solve.status is SolveStatus.FAILED
+    assert not answer.z.any()
 
 
 def test_a_peer_that_never_answers_holds_no_line() -> None:
@@ -161,10 +173,20 @@ def test_a_peer_that_never_answers_holds_no_line() -> None:
         def solve(self) -> Any:
             return self.answer(None, why="nothing to say")
 
+    class Idle(Peer):
+        name, solves, packages, settings = "idle", "QP", (), ""
+
+        def solve(self) -> Any:
+            starts.add(tuple(self.lin.X[0]))
+            return self.answer(self.lin.U[1:])
+
+    starts: set[tuple[float, ...]] = set()
     episode = problems.simulated(N, 40, seed=0)[2]
     assert episode.kind == "hard"
     silent, own = closed(Entry(Silent), episode), closed(SolverByName("osqp"), episode._replace(cycles=40))
     assert silent.unsolved == episode.cycles + 1
+    assert closed(Entry(Idle), episode).unsolved == 0
+    assert len(starts) > episode.cycles  # each problem has the start of its own cycle
     assert own.unsolved == 0
     assert silent.thrust_N < 0.1 < own.thrust_N
     assert own.off_m < silent.off_m

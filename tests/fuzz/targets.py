@@ -28,10 +28,9 @@ from scipy.sparse import csc_array, eye_array
 
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.failed_qp import ConstraintRow, FailedQp
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.qp.failed_qp import FailedQp
-from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.rows import ConstraintRow
+from ltv_mpc.control.qp import QP
 from ltv_mpc.currents import read_prior, read_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig

@@ -60,13 +60,12 @@ class PiqpYardstick:
         """Update the workspace (see ``Solver``)."""
         if not self._finite or self._layout is None:
             return
-        _, q, A, l, u = self._numbers  # noqa: E741
+        P, q, A, l, u = self._numbers  # noqa: E741
         self._low[self._bounded], self._high[self._bounded] = l[self._bound], u[self._bound]
         bounds = {"x_l": self._low, "x_u": self._high, "h_l": l[self._other], "h_u": u[self._other]}
         if self._solver is None:
-            qp = self._layout.assemble(self._numbers)
-            whole = csc_matrix(qp.A)
-            self._P = csc_matrix(qp.P)
+            pattern, whole = self._layout.P, csc_matrix(self._layout.assemble(self._numbers).A)
+            self._P = csc_matrix((P.copy(), pattern.indices, pattern.indptr), pattern.shape)  # PIQP reads this half
             self._A, self._G = csc_matrix(whole[self._equal]), csc_matrix(whole[self._other])
             self._solver = piqp.SparseSolver()
             self._solver.settings.verbose = False
@@ -76,8 +75,7 @@ class PiqpYardstick:
                 to.eps_duality_gap_abs = to.eps_duality_gap_rel = self._tolerance
             self._solver.setup(P=self._P, c=q, A=self._A, b=l[self._equal], G=self._G, **bounds)
         else:
-            self._P = csc_matrix(self._layout.assemble(self._numbers).P)
-            self._A.data[:], self._G.data[:] = A[self._equal_entries], A[self._other_entries]
+            self._P.data[:], self._A.data[:], self._G.data[:] = P, A[self._equal_entries], A[self._other_entries]
             self._solver.update(P=self._P, c=q, A=self._A, b=l[self._equal], G=self._G, **bounds)
 
     def solve(self) -> Result:

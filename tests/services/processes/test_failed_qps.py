@@ -9,20 +9,29 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.qp.failed_qp import FailedQp
-from ltv_mpc.control.qp.sparse import SparseQp
+from ltv_mpc.control.failed_qp import FailedQp, row_names
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import linearise
+from ltv_mpc.control.ocp.assembly import problem_along, scales
+from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.messages import Solve, SolveStatus
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
 from services.processes.failed_qps import FailedQps
-from tests.ltv_mpc.control.problems import LIMITS, equidistant, motion
 
 
 @pytest.fixture
 def failure():
-    form = SparseQp(equidistant(5), LIMITS, Weights())
-    qp = form.build(*motion(3, 5))
+    """Return what makes a failed QP, of a vehicle at rest 5 m from its point: it wants more than the slew limit."""
+    vehicle = Vehicle.load("paper")
+    limits = HorizonLimits.from_vehicle(vehicle, 0.3)
+    lin = linearise(np.zeros((6, 8)), np.zeros((6, 2)), np.zeros((6, 2)), 0.3, vehicle.coefficients())
+    target = np.array([[5.0, 0.0]] * 5 + [[0.0, 0.0]])
+    problem = problem_along(lin, target, np.arange(6.0), limits, Weights())
+    layout = SparseLayout(problem)
+    qp, rows = layout.assemble(layout.filled(problem)), row_names(layout, scales(limits))
     solve = Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="slew of port in stage 2 violated by 3 N")
-    return lambda: FailedQp(qp, form.row_names, solve)
+    return lambda: FailedQp(qp, rows, solve)
 
 
 def shown(writer, t_ns):
@@ -71,7 +80,7 @@ def test_qp_show_solves_it_again_and_lists_the_active_rows(failure, tmp_path, ca
     assert printed["solved_again"]["status"] == "solved"
     assert printed["solved_again"]["stationarity"] < 1e-4
     slew = [name for name in printed["solved_again"]["active"] if name.startswith("slew of")]
-    assert slew  # the random motion needs more than 30 N per stage
+    assert slew
     assert run(["qp", "show", str(tmp_path / "one.npz")]) == 0
     text = capsys.readouterr().out
     assert "slew of port in stage 2 violated by 3 N" in text

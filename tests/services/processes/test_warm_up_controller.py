@@ -13,7 +13,7 @@ import msgspec, numpy as np
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, PlanOrigin, Vehicle, advance, references
 from ltv_mpc.control.solvers import make
 from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
-from ltv_mpc.messages import Applied, CycleTiming
+from ltv_mpc.messages import Applied, CycleTiming, Solve, SolveStatus
 from services.processes.controller import warm_up
 
 (solver,) = sys.argv[1:]
@@ -63,9 +63,11 @@ fails = True
 for k in range(20):
     origins.add(controller.plan(estimate, t_ns=estimate.t_ns + k).origin)
 assert set(PlanOrigin) - origins == {PlanOrigin.MANUAL}, origins
-few = msgspec.structs.replace(config, max_iterations=1, tolerance=1e-12)
-recorder = FailureRecorder()
-unsolved = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), few, make_solver=recorder)
+class Unsolved(RecordingSolver):
+    def solve(self):
+        return super().solve()._replace(solve=Solve(status=SolveStatus.FAILED))
+recorder = FailureRecorder(lambda *settings: Unsolved(make(*settings)))
+unsolved = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), config, make_solver=recorder)
 unsolved.plan(Estimate.at_rest(north_m=2.0, heading_rad=2.0))
 assert recorder.failed is not None
 after = compiled()

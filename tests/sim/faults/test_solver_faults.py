@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.qp.sparse import SparseQp
-from ltv_mpc.control.solvers.interface import SolverResult
+from ltv_mpc.control.solvers import make
+from ltv_mpc.control.solvers.interface import Result
 from ltv_mpc.messages import Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.faults.interval import Interval
@@ -21,18 +21,18 @@ from sim.faults.solver_faults import (
 )
 
 INTERVAL = Interval(100, 200)
-GOOD = SolverResult(np.ones((3, 2)), Solve(status=SolveStatus.SOLVED))
+GOOD = Result(np.ones((3, 2)), Solve(status=SolveStatus.SOLVED))
 
 
 class Good:
-    def solve(self) -> SolverResult:
+    def solve(self) -> Result:
         return GOOD
 
     def reset_warm_start(self) -> str:
         return "forgotten"
 
 
-def answer(fault: SolverFault, t_ns: int) -> SolverResult:
+def answer(fault: SolverFault, t_ns: int) -> Result:
     now = SolverClock()
     now.t_ns = t_ns
     return FaultySolver(Good(), [SolverFaultInterval(fault, INTERVAL)], now).solve()
@@ -46,8 +46,8 @@ def test_outside_its_spell_the_answer_is_the_solvers_own(fault, t_ns):
 
 def test_in_its_spell_there_is_no_finite_command():
     for fault, status in ((SolverFault.FAILS, SolveStatus.FAILED), (SolverFault.LIES, SolveStatus.SOLVED)):
-        commands, solve = answer(fault, 150)
-        assert np.isnan(commands).all()
+        z, solve = answer(fault, 150)
+        assert np.isnan(z).all()
         assert solve.status is status
     with pytest.raises(InjectedSolverError):
         answer(SolverFault.RAISES, 150)
@@ -55,6 +55,7 @@ def test_in_its_spell_there_is_no_finite_command():
 
 def test_the_factory_wraps_the_solver_that_the_settings_name():
     factory = faulty_solvers([SolverFaultInterval(SolverFault.FAILS, INTERVAL)], SolverClock())
-    solver = factory(Vehicle.load("paper"), ControllerConfig())
+    settings = Vehicle.load("paper"), ControllerConfig(solver="riccati")
+    solver = factory(*settings)
     assert isinstance(solver, FaultySolver)
-    assert isinstance(solver.form, SparseQp)  # everything else is the solver's own
+    assert solver.build.__func__ is type(make(*settings)).build  # everything else is the solver's own

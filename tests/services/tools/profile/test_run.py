@@ -16,6 +16,7 @@ import pytest
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.messages import Applied, Array, CycleTiming, Estimate, Message, Plan, SolveStatus
@@ -209,9 +210,9 @@ def test_every_candidate_has_the_drivers_problem(monkeypatch: pytest.MonkeyPatch
     asked: list[tuple[object, bytes, bytes]] = []
     build = RecordingSolver.build
 
-    def noted(self: Any, lin: Any, reference: Any) -> None:
-        asked.append((self, lin.X.tobytes(), lin.U.tobytes()))
-        build(self, lin, reference)
+    def noted(self: Any, problem: Problem) -> None:
+        asked.append((self, problem.f.tobytes(), problem.h.tobytes()))
+        build(self, problem)
 
     monkeypatch.setattr(RecordingSolver, "build", noted)
     episode = problems.simulated(6, 20, seed=3)[0]
