@@ -16,10 +16,11 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from ltv_mpc.csv_table import check_bounds
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references.base import BaseReference
-from ltv_mpc.references.csv_places import DEPTH, METRES, check_bounds, read_places
+from ltv_mpc.references.csv_places import DEPTH, METRES, read_places
 from ltv_mpc.references.leg_fit import along, fit_legs
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.references.path import Path as Track
@@ -158,7 +159,7 @@ def from_csv(timed: Timed, path: Path, *, source: str) -> Timed:
         If the file cannot be read or a row is not valid.
     """
     source = f"{source}: track {path.name}"
-    table = read_places(path, columns=("t_s",), origin=timed.origin, rows=(2, MAX_ROWS), what="track", source=source)
+    table = read_places(path, "t_s", origin=timed.origin, rows=(2, MAX_ROWS), what="track", source=source)
     rows = tuple(tuple(row[name] for name in ("t_s", *METRES, DEPTH) if name in row) for row in table.values())
     for k, before, after in zip(list(table)[1:], rows, rows[1:], strict=False):
         if after[0] <= before[0]:

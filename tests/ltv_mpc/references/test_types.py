@@ -112,7 +112,7 @@ def test_an_error_names_its_field_and_bound(text, says):
         ("# t\nt_s,north_m,east_m\n1,0,0\n1,1,0", "line 4 t_s = 1.0: must be later than the row before it, 1 s"),
         ("t_s,north_m,east_m\n0,0,0\n1,1e7,0", "line 3 north_m = 1e+07: must be >= -1e+06 and <= 1e+06"),
         ("t_s,latitude_deg,longitude_deg\n0,0,0\n1,1,0", "need an [origin]"),
-        ("t_s,t_s,north_m,east_m\n0,0,0,0\n1,1,1,0", "column t_s occurs twice"),
+        ("t_s,t_s,north_m,east_m\n0,0,0,0\n1,1,1,0", "column t_s occurs more than once"),
     ],
 )
 def test_an_error_in_a_track_names_file_line_and_column(tmp_path, csv, says):
