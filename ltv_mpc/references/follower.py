@@ -166,6 +166,7 @@ class Follower:
         limits = path_limits(vehicle)
         self._speeds = _Speeds(min(limits.cruise_mps, LIMIT_SHARE * max_speed_mps), min(limits.top_mps, max_speed_mps))
         self._allowed: Allowed = _unrestricted
+        self._whole: tuple[ReferenceStart, Schedule] | None = None  # schedule without restriction
         self._track: _Track | None = None  # None before the reference starts
         self._tau_s = 0.0
         self._rate = 1.0
@@ -236,7 +237,9 @@ class Follower:
             distance_m = math.hypot(north - start.north_m, east - start.east_m)
             point, self.skipped_m = self._allowed(Schedule(np.array((column, column)).T.copy(), distance_m))
             return _Track.at_rest(point, self.reference.depth_m, start, (north, east))
-        whole = self.reference.schedule(self._vehicle, start)
+        if self._whole is None or self._whole[0] != start:  # it does not depend on what is allowed
+            self._whole = start, self.reference.schedule(self._vehicle, start)
+        whole = self._whole[1]
         end_m = float(whole.table[NORTH, -1]), float(whole.table[EAST, -1])
         schedule, self.skipped_m = self._allowed(whole)
         return _Track.of(schedule, self._speeds.cruise_mps, start, end_m)
