@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.geofence import geojson
+from ltv_mpc.geofence import fence_files, geojson
 from ltv_mpc.geofence.ring import ring_problem
 from ltv_mpc.messages import Array, ZoneInForce
 from ltv_mpc.references.base import BaseReference
@@ -73,18 +73,22 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
                 raise ValueError(f"{zone.label}: {problem}")
 
     @classmethod
-    def load(cls, path: str, notes: list[str] | None = None) -> Fence:
-        """Read a fence: GeoJSON if the file's suffix is .geojson or .json, else TOML. Raises ``ConfigError``.
+    def load(cls, path: str, notes: list[str] | None = None, origin: Origin | None = None) -> Fence:
+        """Read a fence: GeoJSON, .plan or .waypoints by the file's suffix, else TOML. Raises ``ConfigError``.
 
         Parameters
         ----------
         path : of the file.
         notes : as in ``from_geojson``.
+        origin : that of the reference, for a list of fence items without home.
         """
         source = f"fence {path}"
         if path.lower().endswith(GEOJSON):
             return cls.from_geojson(config.read_text(Path(path), what="fence"), source, notes)
-        return config.parse(config.read_toml(Path(path), what="fence"), cls, source=source)
+        table = fence_files.read(Path(path), source, [] if notes is None else notes, origin)
+        if table is None:
+            table = config.read_toml(Path(path), what="fence")
+        return config.parse(table, cls, source=source)
 
     @classmethod
     def from_geojson(cls, text: str, source: str = "fence", notes: list[str] | None = None) -> Fence:
@@ -166,7 +170,7 @@ def fence_for(vehicle: Vehicle, reference: BaseReference, path: str, notes: list
     if not path:
         return None
     hull_radius_m(vehicle)
-    fence = Fence.load(path, notes)
+    fence = Fence.load(path, notes, reference.origin)
     compare_origins(fence, reference, source=f"fence {path}")
     return fence
 

@@ -62,7 +62,7 @@ def parse(content_text: str | bytes, source: str, notes: list[str]) -> tuple[dic
         raise ConfigError(source, "features", "must be a list of features")
     table: dict[str, Any] = {key: content[key] for key in ("margin_m", "origin") if key in content}
     numbers: Numbers = {}
-    _check_crs(content, "crs", source, notes)
+    check_crs(content, "crs", source, notes)
     for k, feature in enumerate(features):
         zone, entries = _entries(feature, f"features[{k}]", source, notes)
         table.setdefault(zone, []).extend(entries)
@@ -70,8 +70,15 @@ def parse(content_text: str | bytes, source: str, notes: list[str]) -> tuple[dic
     return table, numbers
 
 
-def _check_crs(of: Any, where: str, source: str, notes: list[str]) -> None:
-    """Reject coordinates with another datum than WGS 84, and note those that are nearly the same."""
+def check_crs(of: Any, where: str, source: str, notes: list[str]) -> None:
+    """Reject coordinates with another datum than WGS 84, and note those that are nearly the same.
+
+    Parameters
+    ----------
+    of : object of GeoJSON that may have a ``crs``.
+    where, source : name of the member and of the text in errors.
+    notes : receives a sentence about a datum that is nearly the same.
+    """
     crs = of.get("crs") if isinstance(of, dict) else None
     if crs is None:
         return
@@ -118,8 +125,8 @@ def _entries(feature: Any, where: str, source: str, notes: list[str]) -> tuple[s
         kind, coordinates = geometry["type"], geometry["coordinates"]
     except (TypeError, KeyError, ValueError):
         raise ConfigError(source, where, "must be a Feature with properties and a geometry") from None
-    _check_crs(feature, f"{where}.crs", source, notes)
-    _check_crs(geometry, f"{where}.geometry.crs", source, notes)
+    check_crs(feature, f"{where}.crs", source, notes)
+    check_crs(geometry, f"{where}.geometry.crs", source, notes)
     zone, at = given.get("zone"), f"{where}.geometry.coordinates"
     properties = {key: given[key] for key in PROPERTIES if given.get(key) is not None}
     if not isinstance(zone, str) or zone not in GEOMETRY:
@@ -127,7 +134,7 @@ def _entries(feature: Any, where: str, source: str, notes: list[str]) -> tuple[s
     if kind != GEOMETRY[zone] and (kind, zone == "keep_out_disc") != ("MultiPolygon", False):
         raise ConfigError(source, f"{where}.geometry.type", f'must be "{GEOMETRY[zone]}" for {zone}', value=kind)
     if kind == "Point":
-        return zone, [{**properties, "centre": _place(coordinates, at, source)}]
+        return zone, [{**properties, "centre": place_of(coordinates, at, source)}]
     if not isinstance(coordinates, list) or not coordinates:
         raise ConfigError(source, at, "must be a list of rings or polygons")
     polygons = [(at, coordinates)]
@@ -135,7 +142,7 @@ def _entries(feature: Any, where: str, source: str, notes: list[str]) -> tuple[s
         polygons = [(f"{at}[{i}]" if len(coordinates) > 1 else at, polygon) for i, polygon in enumerate(coordinates)]
     rings = [_ring(polygon, of, source) for of, polygon in polygons]
     if zone == "keep_in" and len(rings) > 1:
-        rings = [_union(rings, at, source)]
+        rings = [union(rings, at, source)]
     return zone, [{**properties, "vertices": ring} for ring in rings]
 
 
@@ -145,33 +152,45 @@ def _ring(polygon: Any, where: str, source: str) -> list[dict[str, float]]:
         raise ConfigError(source, where, "must be one ring: a hole is a zone of its own")
     places = polygon[0]
     if isinstance(places, list):
-        places = [_place(position, f"{where}[0][{i}]", source) for i, position in enumerate(places)]
+        places = [place_of(position, f"{where}[0][{i}]", source) for i, position in enumerate(places)]
     if not isinstance(places, list) or len(places) < 4 or places[0] != places[-1]:
         problem = "must be a closed ring of at least 3 vertices: the last position repeats the first"
         raise ConfigError(source, f"{where}[0]", problem)
     return [place for place, following in itertools.pairwise(places) if place != following]
 
 
-def _union(rings: list[list[dict[str, float]]], where: str, source: str) -> list[dict[str, float]]:
-    """Return the union of rings, which has to be one ring."""
+def union(rings: list[list[dict[str, float]]], where: str, source: str) -> list[dict[str, float]]:
+    """Return the union of rings, which has to be one ring.
+
+    Parameters
+    ----------
+    rings : vertices of each (degrees).
+    where, source : name of the rings and of the text in errors.
+    """
     import shapely  # as long as the start of a process, and rarely needed
 
     polygons = [shapely.Polygon([(place["longitude_deg"], place["latitude_deg"]) for place in ring]) for ring in rings]
     bad = next((i for i, polygon in enumerate(polygons) if not polygon.is_valid), None)
     if bad is not None:
         raise ConfigError(source, f"{where}[{bad}]", f"is no simple polygon: {shapely.is_valid_reason(polygons[bad])}")
-    union = shapely.union_all(polygons)
-    if union.geom_type != "Polygon" or union.interiors:
+    whole = shapely.union_all(polygons)
+    if whole.geom_type != "Polygon" or whole.interiors:
         problem = (
             "must be polygons that touch each other along edges and enclose no hole: the vehicle stays in their union"
         )
         raise ConfigError(source, where, problem)
-    positions = enumerate(shapely.get_coordinates(union.exterior)[:-1].tolist())
-    return [_place(position, f"{where}[{i}]", source) for i, position in positions]
+    positions = enumerate(shapely.get_coordinates(whole.exterior)[:-1].tolist())
+    return [place_of(position, f"{where}[{i}]", source) for i, position in positions]
 
 
-def _place(position: Any, where: str, source: str) -> dict[str, float]:
-    """Return a position [longitude, latitude, ...] as a place."""
+def place_of(position: Any, where: str, source: str) -> dict[str, float]:
+    """Return a position [longitude, latitude, ...] as a place.
+
+    Parameters
+    ----------
+    position : decoded JSON.
+    where, source : name of the position and of the text in errors.
+    """
     numbers = isinstance(position, list) and len(position) >= 2 and all(type(x) in (int, float) for x in position)
     if not numbers:
         raise ConfigError(source, where, "must be [longitude, latitude] in degrees", value=position)
