@@ -19,7 +19,7 @@ from ltv_mpc.geofence.geojson import union
 from ltv_mpc.references.geodesy import Origin, degrees
 from ltv_mpc.references.mission_files import WAYPOINT, read_json, read_waypoints
 
-MARGIN_M = 1.0
+MARGIN_M, MAX_RADIUS_M = 1.0, 100_000.0
 CORNERS = 32
 """Vertices of the polygon in an inclusion circle."""
 KEEP_IN, KEEP_OUT, CIRCLE_IN, CIRCLE_OUT = 5001, 5002, 5003, 5004  # MAV_CMD_NAV_FENCE
@@ -53,26 +53,31 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
     if kind not in (".plan", ".waypoints"):
         return None
     text = config.read_text(path, what="fence")
-    if kind == ".plan":
-        plan = read_json(text, source)
-        try:
-            home = plan["mission"]["plannedHomePosition"]
-            areas = list(_of_plan(plan["geoFence"]))
-            origin = Origin(latitude_deg=float(home[0]), longitude_deg=float(home[1]))
-        except (TypeError, KeyError, ValueError, IndexError) as error:
-            raise ConfigError(source, "geoFence", f"is not that of a plan: {error}") from None
-    else:
-        items = read_waypoints(text, source)
-        areas, first = list(_of_items(items, source)), items[0].parameters[4:6]
-        if origin is None or items[0].command == WAYPOINT:
-            origin = Origin(latitude_deg=first[0], longitude_deg=first[1])
-    notes.append(f"{source}: has no margins, each zone has {MARGIN_M:g} m")
-    table: dict[str, Any] = {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin)}
+    try:
+        if kind == ".plan":
+            plan = read_json(text, source)
+            first, areas = plan["mission"]["plannedHomePosition"], list(_of_plan(plan["geoFence"]))
+        else:
+            items = read_waypoints(text, source)
+            first, areas = items[0].parameters[4:6], list(_of_items(items, source))
+        if origin is None or kind == ".plan" or items[0].command == WAYPOINT:
+            origin = Origin(latitude_deg=float(first[0]), longitude_deg=float(first[1]))
+        notes.append(f"{source}: has no margins, each zone has {MARGIN_M:g} m")
+        return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **_zones(areas, source)}
+    except ConfigError:
+        raise
+    except (TypeError, KeyError, ValueError, IndexError, OverflowError) as error:
+        raise ConfigError(source, "", f"is no fence: {error}") from None
+
+
+def _zones(areas: Iterable[Area], source: str) -> dict[str, Any]:
+    """Return the tables of keep-in and keep-out zones."""
+    table: dict[str, Any] = {}
     groups: dict[int, list[list[dict[str, float]]]] = {}
     for area in areas:
         ring = [_place(position) for position in area.positions]
         if area.inside:
-            groups.setdefault(area.group, []).append(_polygon_in(area) if area.radius_m else ring)
+            groups.setdefault(area.group, []).append(_polygon_in(area) if 0.0 < area.radius_m <= MAX_RADIUS_M else ring)
         elif area.radius_m:
             table.setdefault("keep_out_disc", []).append({"centre": ring[0], "radius_m": area.radius_m})
         else:

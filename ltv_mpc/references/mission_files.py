@@ -77,7 +77,11 @@ def read(path: Path, source: str) -> dict[str, Any] | None:
     ]
     if len(places) == 1:
         return table | {"kind": "point"} | places[0]
-    return table | {"kind": "waypoints", "speed_mps": speed_mps or MAX_SPEED_MPS, "waypoints": places}
+    return table | {
+        "kind": "waypoints",
+        "speed_mps": MAX_SPEED_MPS if speed_mps is None else speed_mps,
+        "waypoints": places,
+    }
 
 
 Content = tuple[float | None, Sequence[float] | None, list[Position]]
@@ -173,13 +177,15 @@ def _plan(text: str, source: str) -> Content:
                 name = entry.get("complexItemType", entry["type"])
                 raise ConfigError(source, f"item {number}", f"{name} cannot be followed: give its waypoints")
             parameters = tuple(float(number or 0.0) for number in entry["params"])
+            if len(parameters) != 7:
+                raise ValueError(f"item {number} has {len(parameters)} of 7 parameters")
             items.append(Item(number, int(entry["command"]), int(entry["frame"]), parameters))
         home = [float(number) for number in mission["plannedHomePosition"][:2]]  # type: ignore[index]
         cruise_mps = mission.get("cruiseSpeed")  # type: ignore[union-attr]
-    except (TypeError, KeyError, ValueError) as error:
+    except (AttributeError, TypeError, KeyError, ValueError, OverflowError) as error:
         raise ConfigError(source, "mission", f"is not that of a plan: {error}") from None
     speed_mps, positions = _from_items(items, source)
-    return speed_mps or cruise_mps, home, positions
+    return cruise_mps if speed_mps is None else speed_mps, home, positions
 
 
 def _gpx(text: str, source: str) -> Content:
@@ -190,7 +196,7 @@ def _gpx(text: str, source: str) -> Content:
         raise ConfigError(source, "", 'is GPX: install the extra "gpx", gpxpy') from None
     try:
         gpx = gpxpy.parse(text)
-    except gpxpy.gpx.GPXException as error:
+    except (gpxpy.gpx.GPXException, ValueError) as error:
         raise ConfigError(source, "", f"is not valid GPX: {error}") from None
     paths = [route.points for route in gpx.routes]
     paths += [[point for segment in track.segments for point in segment.points] for track in gpx.tracks]
@@ -224,7 +230,10 @@ def _geojson(text: str, source: str) -> Content:
     at = f"{where}.geometry.coordinates"
     places = [place_of(one, at, source) for one in (coordinates if found["LineString"] else [coordinates])]
     origin = content.get("origin")
-    home = None if origin is None else (origin.get("latitude_deg"), origin.get("longitude_deg"))
+    try:
+        home = None if origin is None else (origin["latitude_deg"], origin["longitude_deg"])
+    except (TypeError, KeyError):
+        raise ConfigError(source, "origin", "must have latitude_deg and longitude_deg") from None
     positions: list[Position] = [(place["latitude_deg"], place["longitude_deg"], None) for place in places]
     return properties.get("speed_mps"), home, positions
 

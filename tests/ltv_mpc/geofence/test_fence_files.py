@@ -82,7 +82,7 @@ def test_inclusion_zones_of_one_group_are_their_union(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
-        ("f.plan", "{}", "geoFence: is not that of a plan"),
+        ("f.plan", "{}", "is no fence: 'mission'"),
         ("f.plan", plan([], []), "no zone: give at least one"),
         (
             "f.waypoints",
