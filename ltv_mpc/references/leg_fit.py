@@ -51,7 +51,7 @@ class LegFit(NamedTuple):
 
     ends: Array  # (V, 3) north, east, depth (m)
     at: Array  # (K,) number of the leg plus the share of it, increasing
-    deviation_m: float  # largest distance of a given point from its place on the legs
+    deviation_m: float  # largest distance of a given point from its place on the legs, at most ``corner_m`` or 2 cm
 
 
 def fit_legs(points: Array, corner_m: float) -> LegFit:
@@ -63,9 +63,22 @@ def fit_legs(points: Array, corner_m: float) -> LegFit:
     corner_m : largest distance between a corner and the arc that rounds it (m), which bounds the tolerance.
     """
     given = np.nan_to_num(points)
-    p, number = _averaged(given)
+    ends, at = _smooth_legs(given, max(CORNER_SHARE * corner_m, ACCURACY_M))
+    deviation_m = _deviation_m(given, ends, at)
+    if deviation_m > max(corner_m, 2.0 * ACCURACY_M):  # no noise, but a path in small steps
+        kept = _simplified(given, ACCURACY_M)
+        ends, at = given[kept], _least_squares(given, kept, given[kept])[1]
+        deviation_m = _deviation_m(given, ends, at)
+    if np.isnan(points[:, 2]).all():
+        ends[:, 2] = np.nan
+    return LegFit(ends, np.maximum.accumulate(at), deviation_m)
+
+
+def _smooth_legs(given: Array, largest_m: float) -> tuple[Array, Array]:
+    """Return the ends of legs by least squares and the places of the points, for a largest tolerance (m)."""
+    p, number = _averaged(given, largest_m)
     noise_m = _noise_m(p) * (1.0 + np.sqrt(2.0 * np.log(len(p))))
-    tolerance = max(min(noise_m, CORNER_SHARE * corner_m), ACCURACY_M)
+    tolerance = max(min(noise_m, largest_m), ACCURACY_M)
     short_m = SHORT_LEG * tolerance
     if len(p) < len(given):
         short_m = max(short_m, min(SHORT_LEG * float(np.median(_steps(p))), MAX_SHORT_M))
@@ -84,11 +97,12 @@ def fit_legs(points: Array, corner_m: float) -> LegFit:
         still = _simplified(ends, ACCURACY_M)
         kept, ends = kept[still], ends[still]
     ends, at = _least_squares(p, kept, ends)
-    at = np.interp(np.arange(len(points)), number, np.maximum.accumulate(at))
-    on = along(ends, at)
-    if np.isnan(points[:, 2]).all():
-        ends[:, 2] = np.nan
-    return LegFit(ends, at, float(np.hypot(*(given - on)[:, :2].T).max()))
+    return ends, np.interp(np.arange(len(given)), number, np.maximum.accumulate(at))
+
+
+def _deviation_m(given: Array, ends: Array, at: Array) -> float:
+    """Return the largest distance (m) of a point from its place on the legs."""
+    return float(np.hypot(*(given - along(ends, at))[:, :2].T).max())
 
 
 def along(ends: Array, at: Array) -> Array:
@@ -117,13 +131,14 @@ def _noise_m(p: Array) -> float:
     return float(np.median(fourth)) / FOURTH_DIFFERENCE if len(fourth) else 0.0
 
 
-def _averaged(p: Array) -> tuple[Array, Array]:
+def _averaged(p: Array, largest_m: float) -> tuple[Array, Array]:
     """Return points of which noisy neighbours are averaged, and their numbers among the given ones."""
     number = np.arange(len(p), dtype=float)[:, None]
     for _ in range(MAX_AVERAGES):
         steps = _steps(p)
         dense = steps < DENSE_M
-        if not dense.any() or np.median(steps[dense]) >= NOISY_STEPS * _noise_m(p):
+        noise_m = _noise_m(p)
+        if not dense.any() or np.median(steps[dense]) >= NOISY_STEPS * noise_m or noise_m > largest_m:
             break
         alone = np.ones(len(p), dtype=bool)  # or the first of its group
         alone[1::2] = ~dense[::2]

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from ltv_mpc import Controller, Estimate, advance
 from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references import Circle, Lawnmower, Line, Place, Reference, Timed, Waypoints
+from ltv_mpc.references.leg_fit import fit_legs
 from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -101,6 +102,16 @@ def test_noise_and_the_steps_of_a_grid_planner_do_not_slow_the_vehicle_down():
     assert reference.schedule(PAPER).duration_s == pytest.approx(math.hypot(20.0, 10.0) / 0.4, rel=0.08)
     (note,) = reference.notes(PAPER)
     assert note.startswith("the 400 waypoints scatter: the path of 1 legs smooths them and is up to 0.035 m away")
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.01, 0.4]), st.floats(-2.0, 1.0))
+def test_no_waypoint_is_farther_from_the_legs_than_corner_m(seed, corner_m, exponent):
+    """Walks at random, whose steps are small features rather than noise."""
+    points = np.cumsum(np.random.default_rng(seed).normal(0.0, 10.0**exponent, (40, 3)), axis=0)
+    fit = fit_legs(np.repeat(points, 2, axis=0), corner_m)
+    assert fit.deviation_m <= max(corner_m, 0.02)
+    assert (np.diff(fit.at) >= 0.0).all()
 
 
 def test_a_corner_between_dense_points_is_that_between_sparse_points():
