@@ -39,7 +39,7 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
 
     Parameters
     ----------
-    path : the file; its suffix tells the kind, in small or capital letters.
+    path : the file; its suffix names the kind, in small or capital letters.
     source : name of the file in errors.
     notes : receives a sentence about the margins.
     origin : that of the reference, for a list without home.

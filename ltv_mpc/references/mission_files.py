@@ -52,7 +52,7 @@ def read(path: Path, source: str) -> dict[str, Any] | None:
 
     Parameters
     ----------
-    path : the file; its suffix tells the kind, in small or capital letters.
+    path : the file; its suffix names the kind, in small or capital letters.
     source : name of the file in errors.
 
     Raises
