@@ -1,8 +1,8 @@
 """Bathymetry: depth of the bottom from soundings, scattered or on a grid, in a table of comma-separated values.
 
-Columns north_m, east_m and depth_m (below the surface, positive down) in any order; or latitude_deg and longitude_deg
-instead of north_m and east_m, relative to the [origin] of the mission's reference. Lines that start with # are
-comments. Of several soundings at one place the shallowest counts.
+Columns north_m, east_m and depth_m (below the surface, positive down; negative on land) in any order; or latitude_deg
+and longitude_deg instead of north_m and east_m, relative to the [origin] of the mission's reference. Of several
+soundings at one place the shallowest counts.
 
 Between soundings the bottom is linear, in the triangles of their Delaunay triangulation: a rock between them is not
 known. Outside the convex hull of all soundings the bottom is not known.
@@ -21,6 +21,8 @@ from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.csv_places import DEPTH, METRES, read_places
 from ltv_mpc.references.geodesy import Origin
 
+MAX_DRYING_M = 100.0
+"""Largest height of land above the surface, a negative depth: charts have drying heights."""
 MAX_SOUNDINGS = 100_000
 """Largest number of soundings: their triangulation takes some seconds."""
 
@@ -70,7 +72,13 @@ class Bathymetry:
         """
         source = f"bathymetry {path}"
         rows = read_places(
-            Path(path), columns=(DEPTH,), origin=origin, rows=(3, MAX_SOUNDINGS), what="bathymetry", source=source
+            Path(path),
+            DEPTH,
+            origin=origin,
+            rows=(3, MAX_SOUNDINGS),
+            what="bathymetry",
+            source=source,
+            least={DEPTH: -MAX_DRYING_M},
         )
         try:
             return cls(np.array([[row[name] for name in (*METRES, DEPTH)] for row in rows.values()]))

@@ -121,8 +121,9 @@ def expected(kind: Type | None, value: Any = None) -> str:
         case inspect.TupleType():
             return f"a list of {len(kind.item_types)}, each {expected(kind.item_types[0])}"
         case inspect.VarTupleType() | inspect.ListType():
-            length = f" of at least {kind.min_length}" if kind.min_length else ""
-            return f"a list{length}, each {expected(kind.item_type)}"
+            least, most = kind.min_length, kind.max_length
+            ends = [f"at least {least}"] * bool(least) + [f"at most {most:,}"] * bool(most)
+            return f"a list{' of ' * bool(ends)}{' and '.join(ends)}, each {expected(kind.item_type)}"
         case inspect.StructType():
             return f"a table with {', '.join(field_names(kind))}"
         case inspect.DictType():

@@ -49,13 +49,14 @@ DIRECTIONS = 64
 Columns: TypeAlias = npt.NDArray[np.int64]
 
 
-def allowed_path(schedule: Schedule, router: Router) -> tuple[Schedule, float]:
+def allowed_path(schedule: Schedule, router: Router, table: Array | None = None) -> tuple[Schedule, float]:
     """Return the schedule with detours for its columns that are nearer to a zone than the required clearance.
 
     Parameters
     ----------
     schedule : motion of the target.
     router : has the zones of the fence and the required clearance.
+    table : the divided table of the schedule, if it is known.
 
     Returns
     -------
@@ -63,30 +64,41 @@ def allowed_path(schedule: Schedule, router: Router) -> tuple[Schedule, float]:
     path whose end has no allowed point near it stays as it is.
     """
     zones, need, keeps_time = router.zones, router.need, isinstance(schedule, TimedSchedule)
-    table = _divided(schedule.table)
-    points = np.ascontiguousarray(table[[NORTH, EAST]].T)
-    kept = np.flatnonzero(are_clear(zones, need, points))
-    if len(kept) == table.shape[1]:
+    table = divided(schedule.table) if table is None else table
+    clear = are_clear(zones, need, np.ascontiguousarray(table[[NORTH, EAST]].T))
+    if clear.all():
         return schedule, 0.0
+    # Far from what is left out the path stays as it is, but for its times.
+    reach_m = np.array([-1.0, 1.0]) * (SPEED_M + need.max())
+    first, last = np.searchsorted(table[WAY], table[WAY, np.flatnonzero(~clear)[[0, -1]]] + reach_m)
+    ends = max(int(first) - 1, 0), min(int(last) + 1, table.shape[1])
+    begin_s, end_s = float(table[TIME, 0]), float(table[TIME, -1])
+    before, table, behind = np.split(table, ends, axis=1)
+    kept = np.flatnonzero(clear[slice(*ends)])
     left = table[:, kept].copy()
     step_s, step_m = np.diff(left[TIME]), np.diff(left[WAY])
     gap = np.diff(kept) > 1
     skipped_m = float(table[WAY, -1] - table[WAY, 0] - step_m[~gap].sum())
     if not keeps_time:
-        left[TIME] = np.concatenate([[0.0], np.cumsum(np.where(gap, 0.0, step_s))])[: len(kept)]
+        first_s = table[TIME, 0] if ends[0] else 0.0
+        left[TIME] = first_s + np.concatenate([[0.0], np.cumsum(np.where(gap, 0.0, step_s))])[: len(kept)]
     if not len(kept) or kept[-1] != table.shape[1] - 1:
-        end = nearest_allowed(zones, need, (float(points[-1, 0]), float(points[-1, 1])))
+        whole_end = float(table[NORTH, -1]), float(table[EAST, -1])
+        end = nearest_allowed(zones, need, whole_end)
         if end is None:
             return schedule, 0.0
-        skipped_m = max(skipped_m, math.dist(end, points[-1]))
+        skipped_m = max(skipped_m, math.dist(end, whole_end))
         last = table[:, -1:].copy()
         last[TIME], last[NORTH], last[EAST] = left[TIME, -1] if len(kept) else 0.0, *end
         left = np.hstack([left, last] if len(kept) else [last, last])
     elif len(kept) == 1:
         left = np.hstack([left, left])
     left = _with_detours(left, np.flatnonzero(gap), router, keeps_time=keeps_time)
+    delay_s = left[TIME, -1] - table[TIME, -1]
+    left = np.hstack([before, left, behind])
+    left[TIME, left.shape[1] - behind.shape[1] :] += delay_s
     if keeps_time:
-        left = _with_rests(left, float(table[TIME, 0]), float(table[TIME, -1]))
+        left = _with_rests(left, begin_s, end_s)
     return schedule._replace(table=left), skipped_m
 
 
@@ -201,12 +213,17 @@ def nearest_allowed(zones: Zones, need: Array, point: Pair) -> Pair | None:
     return None
 
 
-def _divided(table: Array) -> Array:
-    """Return the table (5, M) of a schedule with its steps divided into parts of at most ``STEP_M``."""
+def divided(table: Array) -> Array:
+    """Return the table (5, M) of a schedule with its steps divided into parts of at most ``STEP_M``.
+
+    Parameters
+    ----------
+    table : (5, K) table of the schedule.
+    """
     lengths = np.diff(table[WAY])
     step_m = max(STEP_M, float(lengths.sum()) / MAX_COLUMNS)
     parts = np.maximum(np.ceil(lengths / step_m), 1.0).astype(np.int64)
     if parts.max(initial=1) == 1:
         return table
-    at = np.concatenate([k + np.arange(count) / count for k, count in enumerate(parts)] + [[len(parts)]])
-    return np.array([np.interp(at, np.arange(table.shape[1]), row) for row in table])
+    first = np.concatenate([[0], np.cumsum(parts)])  # columns of the table among those of the parts
+    return np.array([np.interp(np.arange(first[-1] + 1), first, row) for row in table])

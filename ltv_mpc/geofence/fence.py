@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.geofence import geojson
+from ltv_mpc.geofence import fence_files, geojson
 from ltv_mpc.geofence.ring import ring_problem
 from ltv_mpc.messages import Array, ZoneInForce
 from ltv_mpc.references.base import BaseReference
@@ -73,28 +73,34 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
                 raise ValueError(f"{zone.label}: {problem}")
 
     @classmethod
-    def load(cls, path: str) -> Fence:
-        """Read a fence: GeoJSON if the file's suffix is .geojson or .json, else TOML. Raises ``ConfigError``.
+    def load(cls, path: str, notes: list[str] | None = None, origin: Origin | None = None) -> Fence:
+        """Read a fence: GeoJSON, .plan or .waypoints by the file's suffix, else TOML. Raises ``ConfigError``.
 
         Parameters
         ----------
         path : of the file.
+        notes : as in ``from_geojson``.
+        origin : that of the reference, for a list of fence items without home.
         """
         source = f"fence {path}"
-        if path.endswith(GEOJSON):
-            return cls.from_geojson(config.read_text(Path(path), what="fence"), source)
-        return config.parse(config.read_toml(Path(path), what="fence"), cls, source=source)
+        if path.lower().endswith(GEOJSON):
+            return cls.from_geojson(config.read_text(Path(path), what="fence"), source, notes)
+        table = fence_files.read(Path(path), source, [] if notes is None else notes, origin)
+        if table is None:
+            table = config.read_toml(Path(path), what="fence")
+        return config.parse(table, cls, source=source)
 
     @classmethod
-    def from_geojson(cls, text: str, source: str = "fence") -> Fence:
+    def from_geojson(cls, text: str, source: str = "fence", notes: list[str] | None = None) -> Fence:
         """Read a fence from the text of a GeoJSON file. Raises ``ConfigError``.
 
         Parameters
         ----------
         text : contents of the file.
         source : name of the text in errors.
+        notes : receives a sentence about coordinates that are not exactly those of WGS 84.
         """
-        table, numbers = geojson.parse(text, source)
+        table, numbers = geojson.parse(text, source, [] if notes is None else notes)
         try:
             return config.parse(table, cls, source=source)
         except ConfigError as error:
@@ -107,7 +113,7 @@ class Fence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         ----------
         path : of the file. GeoJSON needs the fence's origin.
         """
-        if path.endswith(GEOJSON):
+        if path.lower().endswith(GEOJSON):
             text = geojson.text(msgspec.to_builtins(self), self.origin, f"fence {path}")
         else:
             text = config.to_toml(self)
@@ -148,14 +154,14 @@ def _zone(label: str, of: Zone, vertices: Array, radius_m: float, margin_m: floa
     )
 
 
-def fence_for(vehicle: Vehicle, reference: BaseReference, path: str) -> Fence | None:
+def fence_for(vehicle: Vehicle, reference: BaseReference, path: str, notes: list[str] | None = None) -> Fence | None:
     """Read the fence of a mission, or return None for an empty path.
 
     Parameters
     ----------
     vehicle : a fence needs [hull] in its file.
     reference : has the same origin.
-    path : as ``Fence.load`` takes it.
+    path, notes : as ``Fence.load`` takes them.
 
     Raises
     ------
@@ -164,7 +170,7 @@ def fence_for(vehicle: Vehicle, reference: BaseReference, path: str) -> Fence | 
     if not path:
         return None
     hull_radius_m(vehicle)
-    fence = Fence.load(path)
+    fence = Fence.load(path, notes, reference.origin)
     compare_origins(fence, reference, source=f"fence {path}")
     return fence
 

@@ -5,13 +5,16 @@
     keep_out         Polygon            name, margin_m
     keep_out_disc    Point              name, margin_m, radius_m
 
-Coordinates are longitude and latitude (degrees). A polygon has one ring; a MultiPolygon of one polygon counts as that
-polygon. The collection's own members ``margin_m`` and ``origin`` are those of the fence. Other properties, such as
-colours, and properties that are null are ignored: programs that draw maps add them.
+Coordinates are longitude and latitude (degrees) on WGS 84; a ``crs`` (GeoJSON of 2008) with another datum is an error.
+A polygon has one ring, in which repeated positions count as one. The polygons of a MultiPolygon are keep-out zones of
+their own, or one keep-in zone, their union: two keep-in zones would leave their common part alone. The collection's
+own members ``margin_m`` and ``origin`` are those of the fence. Other properties, such as colours, and properties that
+are null are ignored: programs that draw maps add them.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping
 from typing import Any, TypeAlias
@@ -30,11 +33,14 @@ PROPERTIES = ("name", "margin_m", "radius_m")
 ORDER = "positions are [longitude, latitude]"
 """Reminder in errors of positions that are far away: a program may have written the latitude first."""
 
+CRS = {"CRS84": 0.0, "4326": 0.0, "4258": 1.0, "4269": 2.0}
+"""Largest distance (m) between WGS 84 and coordinate reference systems that are read: itself, ETRS89 and NAD83."""
+
 Numbers: TypeAlias = dict[str, list[int]]
 """Numbers of the features of each kind of zone, in their order."""
 
 
-def parse(content_text: str | bytes, source: str) -> tuple[dict[str, Any], Numbers]:
+def parse(content_text: str | bytes, source: str, notes: list[str]) -> tuple[dict[str, Any], Numbers]:
     """Return the table of a fence, as ``fence.toml`` holds it, and the numbers of its features.
 
     Raises ``ConfigError``.
@@ -43,6 +49,7 @@ def parse(content_text: str | bytes, source: str) -> tuple[dict[str, Any], Numbe
     ----------
     content_text : GeoJSON.
     source : name of the text in errors.
+    notes : receives a sentence about coordinates that are not exactly those of WGS 84.
     """
     try:
         content = msgspec.json.decode(content_text)
@@ -55,11 +62,36 @@ def parse(content_text: str | bytes, source: str) -> tuple[dict[str, Any], Numbe
         raise ConfigError(source, "features", "must be a list of features")
     table: dict[str, Any] = {key: content[key] for key in ("margin_m", "origin") if key in content}
     numbers: Numbers = {}
+    check_crs(content, "crs", source, notes)
     for k, feature in enumerate(features):
-        zone, entry = _entry(feature, f"features[{k}]", source)
-        table.setdefault(zone, []).append(entry)
-        numbers.setdefault(zone, []).append(k)
+        zone, entries = _entries(feature, f"features[{k}]", source, notes)
+        table.setdefault(zone, []).extend(entries)
+        numbers.setdefault(zone, []).extend([k] * len(entries))
     return table, numbers
+
+
+def check_crs(of: Any, where: str, source: str, notes: list[str]) -> None:
+    """Reject coordinates with another datum than WGS 84, and note those that are nearly the same.
+
+    Parameters
+    ----------
+    of : object of GeoJSON that may have a ``crs``.
+    where, source : name of the member and of the text in errors.
+    notes : receives a sentence about a datum that is nearly the same.
+    """
+    crs = of.get("crs") if isinstance(of, dict) else None
+    if crs is None:
+        return
+    try:
+        name = str(crs["properties"]["name"])
+    except (TypeError, KeyError):
+        name = str(crs)
+    off_m = CRS.get(name.rsplit(":", 1)[-1].upper())
+    if off_m is None:
+        problem = "must be CRS84 or EPSG:4326 (WGS 84): convert it, as with ogr2ogr -t_srs EPSG:4326"
+        raise ConfigError(source, where, problem, value=name[:80])
+    if off_m:
+        notes.append(f"{source}: {where} {name} is read as WGS 84, from which it differs by up to about {off_m:g} m")
 
 
 def with_features(error: ConfigError, numbers: Numbers) -> ConfigError:
@@ -86,40 +118,79 @@ def with_features(error: ConfigError, numbers: Numbers) -> ConfigError:
     return ConfigError(error.source, named(error.field), named(problem), value=error.value)
 
 
-def _entry(feature: Any, where: str, source: str) -> tuple[str, dict[str, Any]]:
-    """Return table and entry of one feature."""
+def _entries(feature: Any, where: str, source: str, notes: list[str]) -> tuple[str, list[dict[str, Any]]]:
+    """Return table and entries of one feature."""
     try:
         given, geometry = dict(feature["properties"]), feature["geometry"]
         kind, coordinates = geometry["type"], geometry["coordinates"]
     except (TypeError, KeyError, ValueError):
         raise ConfigError(source, where, "must be a Feature with properties and a geometry") from None
-    zone = given.get("zone")
+    check_crs(feature, f"{where}.crs", source, notes)
+    check_crs(geometry, f"{where}.geometry.crs", source, notes)
+    zone, at = given.get("zone"), f"{where}.geometry.coordinates"
     properties = {key: given[key] for key in PROPERTIES if given.get(key) is not None}
     if not isinstance(zone, str) or zone not in GEOMETRY:
         raise ConfigError(source, f"{where}.properties.zone", f"must be one of {', '.join(GEOMETRY)}", value=zone)
-    if kind == "MultiPolygon":
-        if not isinstance(coordinates, list) or len(coordinates) != 1:
-            problem = "must be one polygon: give each polygon a feature of its own"
-            raise ConfigError(source, f"{where}.geometry.coordinates", problem)
-        kind, coordinates = "Polygon", coordinates[0]
-    if kind != GEOMETRY[zone]:
+    if kind != GEOMETRY[zone] and (kind, zone == "keep_out_disc") != ("MultiPolygon", False):
         raise ConfigError(source, f"{where}.geometry.type", f'must be "{GEOMETRY[zone]}" for {zone}', value=kind)
     if kind == "Point":
-        return zone, {**properties, "centre": _place(coordinates, f"{where}.geometry.coordinates", source)}
-    if not isinstance(coordinates, list) or len(coordinates) != 1:
-        problem = "must be one ring: a hole is a zone of its own"
-        raise ConfigError(source, f"{where}.geometry.coordinates", problem)
-    ring = coordinates[0]
-    if not isinstance(ring, list) or len(ring) < 4 or ring[0] != ring[-1]:
+        return zone, [{**properties, "centre": place_of(coordinates, at, source)}]
+    if not isinstance(coordinates, list) or not coordinates:
+        raise ConfigError(source, at, "must be a list of rings or polygons")
+    polygons = [(at, coordinates)]
+    if kind == "MultiPolygon":
+        polygons = [(f"{at}[{i}]" if len(coordinates) > 1 else at, polygon) for i, polygon in enumerate(coordinates)]
+    rings = [_ring(polygon, of, source) for of, polygon in polygons]
+    if zone == "keep_in" and len(rings) > 1:
+        rings = [union(rings, at, source)]
+    return zone, [{**properties, "vertices": ring} for ring in rings]
+
+
+def _ring(polygon: Any, where: str, source: str) -> list[dict[str, float]]:
+    """Return the vertices of a polygon without repeated ones."""
+    if not isinstance(polygon, list) or len(polygon) != 1:
+        raise ConfigError(source, where, "must be one ring: a hole is a zone of its own")
+    places = polygon[0]
+    if isinstance(places, list):
+        places = [place_of(position, f"{where}[0][{i}]", source) for i, position in enumerate(places)]
+    if not isinstance(places, list) or len(places) < 4 or places[0] != places[-1]:
         problem = "must be a closed ring of at least 3 vertices: the last position repeats the first"
-        raise ConfigError(source, f"{where}.geometry.coordinates[0]", problem)
-    at = f"{where}.geometry.coordinates[0]"
-    places = [_place(position, f"{at}[{i}]", source) for i, position in enumerate(ring[:-1])]
-    return zone, {**properties, "vertices": places}
+        raise ConfigError(source, f"{where}[0]", problem)
+    return [place for place, following in itertools.pairwise(places) if place != following]
 
 
-def _place(position: Any, where: str, source: str) -> dict[str, float]:
-    """Return a position [longitude, latitude, ...] as a place."""
+def union(rings: list[list[dict[str, float]]], where: str, source: str) -> list[dict[str, float]]:
+    """Return the union of rings, which has to be one ring.
+
+    Parameters
+    ----------
+    rings : vertices of each (degrees).
+    where, source : name of the rings and of the text in errors.
+    """
+    import shapely  # as long as the start of a process, and rarely needed
+
+    polygons = [shapely.Polygon([(place["longitude_deg"], place["latitude_deg"]) for place in ring]) for ring in rings]
+    bad = next((i for i, polygon in enumerate(polygons) if not polygon.is_valid), None)
+    if bad is not None:
+        raise ConfigError(source, f"{where}[{bad}]", f"is no simple polygon: {shapely.is_valid_reason(polygons[bad])}")
+    whole = shapely.union_all(polygons)
+    if whole.geom_type != "Polygon" or whole.interiors:
+        problem = (
+            "must be polygons that touch each other along edges and enclose no hole: the vehicle stays in their union"
+        )
+        raise ConfigError(source, where, problem)
+    positions = enumerate(shapely.get_coordinates(whole.exterior)[:-1].tolist())
+    return [place_of(position, f"{where}[{i}]", source) for i, position in positions]
+
+
+def place_of(position: Any, where: str, source: str) -> dict[str, float]:
+    """Return a position [longitude, latitude, ...] as a place.
+
+    Parameters
+    ----------
+    position : decoded JSON.
+    where, source : name of the position and of the text in errors.
+    """
     numbers = isinstance(position, list) and len(position) >= 2 and all(type(x) in (int, float) for x in position)
     if not numbers:
         raise ConfigError(source, where, "must be [longitude, latitude] in degrees", value=position)

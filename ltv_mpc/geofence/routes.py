@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.geofence.allowed_path import allowed_path
+from ltv_mpc.geofence.allowed_path import allowed_path, divided
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones
 from ltv_mpc.messages import Array
@@ -32,6 +32,7 @@ class Routes:
         self._at_margins: Router | None = None
         self._zones, self._need = NO_ZONES, np.empty(0)
         self._standing = np.empty((0, 3))
+        self._divided: tuple[Schedule, Array] | None = None  # last path, and its table in small steps
 
     def set_zones(self, zones: Zones, need: Array) -> None:
         """Lead round other zones.
@@ -76,7 +77,11 @@ class Routes:
         ----------
         schedule : motion of the target.
         """
-        return (schedule, 0.0) if self._at_margins is None else allowed_path(schedule, self._at_margins)
+        if self._at_margins is None:
+            return schedule, 0.0
+        if self._divided is None or self._divided[0] is not schedule:
+            self._divided = schedule, divided(schedule.table)
+        return allowed_path(schedule, self._at_margins, self._divided[1])
 
     def _restart(self) -> None:
         zones, need = self._with_standing(self._need)

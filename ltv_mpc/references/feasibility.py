@@ -8,7 +8,7 @@ import numpy as np
 
 from ltv_mpc.references.limits import SUSTAINED_SHARE, Limits
 from ltv_mpc.references.path import Path
-from ltv_mpc.references.schedule import fastest_schedule, speed_limits
+from ltv_mpc.references.schedule import bends, fastest_schedule, speed_limits
 from ltv_mpc.vehicle.parameters import Vehicle
 
 EQUAL = 0.99
@@ -33,11 +33,13 @@ def path_notes(path: Path, speed_mps: float, limits: Limits, descent_rate_mps: f
             f"thrust holds in still water; full thrust holds {limits.top_mps:.2f} m/s"
         )
     limit = speed_limits(path, limits, descent_rate_mps)
-    corner, bend = path.turn > 0.0, (path.turn == 0.0) & (path.curvature > 0.0)
+    curvature, turn, _ = bends(path, limits.turn_in_m)
+    corner = (turn > 0.0) & (np.abs(path.turn) > EQUAL * turn)
+    bend = ~corner & (curvature > 0.0)
     if corner.any() and limit[corner].min() < EQUAL * straight:
         # a corner is a run of pieces; count the first piece of each run
         corners = int(np.count_nonzero(corner & ~np.concatenate([[False], corner[:-1]])))
-        sharpest = path.turn[corner].max()
+        sharpest = turn[corner].max()
         notes.append(
             f"{_count(corners, 'corner')} of up to {math.degrees(sharpest):.0f} degrees: speed reduced to "
             f"{limit[corner].min():.2f} m/s, because the vehicle turns at {limits.yaw_radps:.2f} rad/s at most and "
@@ -50,7 +52,7 @@ def path_notes(path: Path, speed_mps: float, limits: Limits, descent_rate_mps: f
             f"stops there and turns, {float(limits.turning_s(stops).sum()):.1f} s in total"
         )
     if bend.any() and limit[bend].min() < EQUAL * straight:
-        radius = 1.0 / path.curvature[bend].max()
+        radius = 1.0 / curvature[bend].max()
         notes.append(
             f"bends of {radius:.2g} m radius: speed reduced to {limit[bend].min():.2f} m/s, which the thrusts allow"
         )

@@ -119,14 +119,15 @@ class _Track(NamedTuple):
     leash_m: float
     start: ReferenceStart
     end_m: Pair  # north and east of the end of the reference, which need not be allowed
+    whole: Schedule | None = None  # of the path, without restriction
 
     @classmethod
-    def of(cls, schedule: Schedule, cruise_mps: float, start: ReferenceStart, end_m: Pair) -> _Track:
+    def of(cls, schedule: Schedule, cruise_mps: float, start: ReferenceStart, end_m: Pair, whole: Schedule) -> _Track:
         """Return the track of a schedule at a cruising speed (m/s).
 
         Parameters
         ----------
-        schedule : schedule of the path.
+        schedule, whole : schedule of the allowed path, and of the whole one.
         cruise_mps : cruising speed of the vehicle (m/s).
         start, end_m : start and end of the reference.
         """
@@ -134,7 +135,7 @@ class _Track(NamedTuple):
         last = float(schedule.table[DEPTH, -1])
         depth_m = None if math.isnan(last) else last
         length_m, duration_s = schedule.length_m, schedule.duration_s
-        return cls(schedule.table, schedule.lead_m, length_m, duration_s, depth_m, leash_m, start, end_m)
+        return cls(schedule.table, schedule.lead_m, length_m, duration_s, depth_m, leash_m, start, end_m, whole)
 
     @classmethod
     def at_rest(cls, schedule: Schedule, depth_m: float | None, start: ReferenceStart, end_m: Pair) -> _Track:
@@ -236,10 +237,12 @@ class Follower:
             distance_m = math.hypot(north - start.north_m, east - start.east_m)
             point, self.skipped_m = self._allowed(Schedule(np.array((column, column)).T.copy(), distance_m))
             return _Track.at_rest(point, self.reference.depth_m, start, (north, east))
-        whole = self.reference.schedule(self._vehicle, start)
+        track = self._track
+        whole = track.whole if track is not None and track.start == start else None
+        whole = whole or self.reference.schedule(self._vehicle, start)
         end_m = float(whole.table[NORTH, -1]), float(whole.table[EAST, -1])
         schedule, self.skipped_m = self._allowed(whole)
-        return _Track.of(schedule, self._speeds.cruise_mps, start, end_m)
+        return _Track.of(schedule, self._speeds.cruise_mps, start, end_m, whole)
 
     def path_beside(self, t_ns: Times) -> PathBeside | None:
         """Return the path beside a plan: from behind the target at its first knot to ahead of that at its last one.

@@ -60,6 +60,7 @@ class Limits:
     speed_mps: Array  # (61,) at each of ``CURVATURES``
     yaw_radps: float  # turning on the spot
     yaw_radps2: float
+    turn_in_m: float  # way at cruising speed while the yaw rate builds up, at least the length of the hull
     surge: SurgeLimits
 
     def speed_at(self, curvature: Array) -> Array:
@@ -94,12 +95,15 @@ def path_limits(vehicle: Vehicle) -> Limits:
     to_starboard = port.max_N * port.arm_m - starboard.min_N * starboard.arm_m
     to_port = starboard.max_N * starboard.arm_m - port.min_N * port.arm_m
     moment = SUSTAINED_SHARE * min(to_starboard, to_port)
+    yaw_radps = max(_steady(moment, vehicle.yaw.linear_damping_Nms, vehicle.yaw.quadratic_damping_kgm2), 1e-3)
+    yaw_radps2 = max(moment / vehicle.yaw.inertia_kgm2, 1e-4)
     return Limits(
         top_mps=_steady(ahead, linear, quadratic),
         cruise_mps=cruise,
         speed_mps=_steady_turning_speeds(vehicle, cruise),
-        yaw_radps=max(_steady(moment, vehicle.yaw.linear_damping_Nms, vehicle.yaw.quadratic_damping_kgm2), 1e-3),
-        yaw_radps2=max(moment / vehicle.yaw.inertia_kgm2, 1e-4),
+        yaw_radps=yaw_radps,
+        yaw_radps2=yaw_radps2,
+        turn_in_m=max(cruise * yaw_radps / yaw_radps2, vehicle.hull.length_m if vehicle.hull else 0.0),
         surge=SurgeLimits(
             full_N=SUSTAINED_SHARE * ahead,
             ahead_N=ACCELERATION_SHARE * ahead,

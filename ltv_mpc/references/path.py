@@ -6,8 +6,9 @@ the largest distance d of the arc from the corner:
 
     R = d cos(phi / 2) / (1 - cos(phi / 2)),   tangent length R tan(phi / 2)
 
-The tangent length is at most half of the shorter leg, so that short legs get a smaller R. At a corner that cannot be
-rounded the vehicle stops and turns on the spot.
+The tangent lengths of two corners on a leg are at most the leg, at equal R: points on a circle get its radius. At the
+first and the last leg the tangent length is at most half of it. At a corner that cannot be rounded the vehicle stops
+and turns on the spot.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ SAGITTA_M = 0.01
 MIN_RADIUS_M = 0.02
 """Smallest radius of a rounded corner (m). If it would be smaller, the vehicle stops and turns."""
 STRAIGHT_RAD = math.radians(1.0)
-"""Smallest change of direction that counts as a corner (rad)."""
+"""Smallest change of direction at which the vehicle stops and turns (rad)."""
 MIN_PIECE_M = 1e-9
 """Points closer than this count as one: two arcs may meet in the middle of a leg."""
 MIN_HALF_TURN_RAD, MIN_HALF_TURN_COSINE = 1e-6, 1e-9
@@ -43,7 +44,7 @@ class Path(NamedTuple):
     points: Array  # (K, 2) north, east (m)
     depth: Array  # (K,) (m), NaN without a depth
     curvature: Array  # (K-1,) (1/m), 0 on a straight leg
-    turn: Array  # (K-1,) (rad) total change of direction of the rounded corner that the piece belongs to, else 0
+    turn: Array  # (K-1,) (rad) change of direction of the rounded corner that the piece belongs to, + to starboard
     turn_on_spot: Array  # (K,) (rad) change of direction at a point where the vehicle stops and turns, else 0
 
     @property
@@ -86,26 +87,31 @@ def round_corners(points: Array, depth: Array, corner_m: float) -> Path:
     turns -= 2.0 * np.pi * np.round(turns / (2.0 * np.pi))
     # Of each point: position, depth, curvature and turn of the piece that leads to it, turn on the spot.
     out = [(points[0], depth[0], 0.0, 0.0, 0.0)]
-    for k, signed_turn in enumerate(turns, start=1):
-        turn = abs(float(signed_turn))
-        R = _radius(turn, corner_m, 0.5 * min(lengths[k - 1], lengths[k]))
-        if turn < STRAIGHT_RAD or R < MIN_RADIUS_M:
-            out.append((points[k], depth[k], 0.0, 0.0, turn if turn >= STRAIGHT_RAD else 0.0))
+    radii = _radii(turns, lengths, corner_m).tolist()
+    for k, (turn, R) in enumerate(zip(turns.tolist(), radii, strict=True), start=1):
+        if R < MIN_RADIUS_M:
+            out.append((points[k], depth[k], 0.0, 0.0, abs(turn) if abs(turn) >= STRAIGHT_RAD else 0.0))
             continue
-        for j, point in enumerate(_arc(points[k], course[k - 1], float(signed_turn), R)):
-            out.append((point, depth[k], 1.0 / R if j else 0.0, turn if j else 0.0, 0.0))
+        arc, tangent_m = _arc(points[k], course[k - 1], turn, R), R * math.tan(0.5 * abs(turn))
+        ends = [depth[k] + (depth[j] - depth[k]) * tangent_m / lengths[leg] for j, leg in ((k - 1, k - 1), (k + 1, k))]
+        for j, point in enumerate(arc):
+            z = ends[0] + (ends[1] - ends[0]) * j / (len(arc) - 1)
+            out.append((point, z, 1.0 / R if j else 0.0, turn if j else 0.0, 0.0))
     out.append((points[-1], depth[-1], 0.0, 0.0, 0.0))
     p, z, curvature, corner_turn, turn_on_spot = (np.array(column) for column in zip(*out, strict=True))
     keep = np.concatenate([[True], np.hypot(*np.diff(p, axis=0).T) > MIN_PIECE_M])
     return Path(p[keep], z[keep], curvature[keep][1:], corner_turn[keep][1:], turn_on_spot[keep])
 
 
-def _radius(turn: float, corner_m: float, max_tangent_m: float) -> float:
-    """Return the radius R (m) of the arc that rounds a corner; 0 if there is no such arc."""
-    half = 0.5 * turn
-    if half < MIN_HALF_TURN_RAD or math.cos(half) < MIN_HALF_TURN_COSINE:
-        return 0.0
-    return min(corner_m * math.cos(half) / (1.0 - math.cos(half)), max_tangent_m / math.tan(half))
+def _radii(turns: Array, lengths: Array, corner_m: float) -> Array:
+    """Return the radii R (K-2,) in m of the arcs that round corners; 0 if there is no such arc."""
+    half = 0.5 * np.abs(turns)
+    exists = (half >= MIN_HALF_TURN_RAD) & (np.cos(half) >= MIN_HALF_TURN_COSINE)
+    tangent = np.tan(np.where(exists, half, 0.0))  # over R
+    of_leg = np.concatenate([2.0 * tangent[:1], tangent[1:] + tangent[:-1], 2.0 * tangent[-1:]])
+    cosine = np.cos(np.where(exists, half, 0.5 * np.pi))
+    largest = lengths / np.maximum(of_leg, MIN_HALF_TURN_COSINE) if len(turns) else lengths
+    return np.where(exists, np.minimum(corner_m * cosine / (1.0 - cosine), np.minimum(largest[1:], largest[:-1])), 0.0)
 
 
 def _arc(corner: Array, course: float, turn: float, R: float) -> Array:

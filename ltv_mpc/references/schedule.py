@@ -30,7 +30,10 @@ MAX_COLUMNS = 50_000
 CREEP_MPS = 0.05
 """Speed from which any vehicle stops within one step; with drag alone it would never stop."""
 TURN_SHARE_ON_ARC = 0.9
-"""Share of the turning time spent on the arc of a corner; the heading leads the course, so the turn starts earlier."""
+"""Share of the turning time spent on a bend; the heading leads the course, so the turn starts earlier."""
+SAME_BEND = 3.0
+STRAIGHT_M = 0.01
+"""Distance of a bend from a straight line below which it is none: what the fit of legs leaves of the noise."""
 
 TIME, WAY, NORTH, EAST, DEPTH = range(5)
 """Rows of the table: time since the start (s), distance along the path, north, east, depth (m; NaN: no depth)."""
@@ -90,7 +93,7 @@ def fastest_schedule(
     waiting[corner] = limits.turning_s(path.turn_on_spot)
     waiting[0] += float(limits.turning_s(np.array(first_turn_rad)))
     limit[waiting > 0.0] = 0.0
-    _, t = speed_profile(s, limit, waiting, limits.surge)
+    t = departure_times(s, limit, step_limit, waiting, limits.surge)
     columns = np.repeat(np.arange(len(s)), 1 + (waiting > 0.0))  # two columns for a point at which the target waits
     leaves = np.concatenate([[False], columns[1:] == columns[:-1]])
     table = np.empty((5, len(columns)))
@@ -110,25 +113,61 @@ def speed_limits(path: Path, limits: Limits, descent_rate_mps: float) -> Array:
     limits : limits of the vehicle.
     descent_rate_mps : largest sinking speed (m/s).
     """
-    speed = np.minimum(limits.cruise_mps, limits.speed_at(path.curvature))
-    corner = path.turn > 0.0
-    # A rounded corner takes at least the turning time, except for the part of the turn before and after the arc.
-    arc = path.turn[corner] / path.curvature[corner]
-    speed[corner] = np.minimum(speed[corner], arc / (TURN_SHARE_ON_ARC * limits.turning_s(path.turn[corner])))
+    curvature, turn, length_m = bends(path, limits.turn_in_m)
+    speed = np.minimum(limits.cruise_mps, limits.speed_at(curvature))
+    # A bend takes at least the turning time, except for the part of the turn before and after it.
+    bent = turn > 0.0
+    turning_s = TURN_SHARE_ON_ARC * limits.turning_s(turn[bent])
+    speed[bent] = np.minimum(speed[bent], length_m[bent] / turning_s)
+    speed = np.maximum(speed, 0.5 * CREEP_MPS)  # a vehicle without thrust astern has no steady speed in a sharp bend
     slope = np.abs(np.nan_to_num(np.diff(path.depth))) / path.lengths
     steep = slope > 0.0
     speed[steep] = np.minimum(speed[steep], descent_rate_mps / slope[steep])
     return speed
 
 
+def bends(path: Path, turn_in_m: float) -> tuple[Array, Array, Array]:
+    """Return curvature (1/m), turn (rad, 0 on a smooth curve) and length (m) of the bend of each piece, each (K-1,).
+
+    Rounded corners in the same direction are one bend if they are nearer than ``turn_in_m`` and their radii differ by
+    less than the factor ``SAME_BEND``: the turn of a curve does not depend on the number of its points. The curvature
+    is the mean over ``turn_in_m`` within the bend. A bend that leaves its tangent by less than ``STRAIGHT_M`` over that
+    length is straight.
+
+    Parameters
+    ----------
+    path : geometry with K points.
+    turn_in_m : length in which the vehicle turns in (m).
+    """
+    way = np.concatenate([[0.0], np.cumsum(path.lengths)])
+    heading = np.concatenate([[0.0], np.cumsum(path.curvature * path.lengths)])
+    arc = np.flatnonzero(path.turn)
+    ratio = path.curvature[arc[1:]] / path.curvature[arc[:-1]]
+    same = (path.turn[arc[1:]] * path.turn[arc[:-1]] > 0.0) & (way[arc[1:]] - way[arc[:-1] + 1] < turn_in_m)
+    apart = np.flatnonzero(~same | (ratio > SAME_BEND) | (ratio < 1.0 / SAME_BEND))
+    begin, end = arc[np.append(0, apart + 1)[: len(arc)]], arc[np.append(apart, -1)[: len(arc)]] + 1
+    of = np.repeat(np.arange(len(begin)), end - begin)  # bend of each of its pieces
+    piece = np.concatenate([[], *map(np.arange, begin, end)]).astype(np.int64)
+    curvature, turn, length_m = path.curvature.copy(), np.zeros(len(path.turn)), np.zeros(len(path.turn))
+    turn[piece], length_m[piece] = (heading[end] - heading[begin])[of], (way[end] - way[begin])[of]
+    middle = 0.5 * (way[piece] + way[piece + 1])
+    low = np.maximum(middle - 0.5 * turn_in_m, way[begin][of])
+    high = np.minimum(middle + 0.5 * turn_in_m, way[end][of])
+    curvature[piece] = np.diff(np.interp([low, high], way, heading), axis=0)[0] / (high - low)
+    straight = (path.turn != 0.0) & (turn * np.maximum(length_m, turn_in_m) < 8.0 * STRAIGHT_M)
+    curvature[straight] = turn[straight] = 0.0
+    return curvature, turn, length_m
+
+
 @jit
-def speed_profile(s: Array, limit: Array, waiting: Array, surge: SurgeLimits) -> tuple[Array, Array]:
-    """Return the speeds (M,) in m/s, and the times (M,) in s at which the target leaves each point.
+def departure_times(s: Array, limit: Array, step_limit: Array, waiting: Array, surge: SurgeLimits) -> Array:
+    """Return the times (M,) in s at which the target leaves each point.
 
     Parameters
     ----------
     s : (M,) distance along the path (m).
-    limit : (M,) speed limit (m/s).
+    limit : (M,) speed limit at each point (m/s).
+    step_limit : (M-1,) speed limit between them (m/s).
     waiting : (M,) time at rest at each point (s).
     surge : forces, mass and drag along the path.
     """
@@ -145,10 +184,10 @@ def speed_profile(s: Array, limit: Array, waiting: Array, surge: SurgeLimits) ->
     t[0] = waiting[0]
     for i in range(M - 1):
         ds = s[i + 1] - s[i]
-        # a step from rest to rest takes 2 sqrt(ds / a)
-        speed = max(v[i] + v[i + 1], np.sqrt(ds * min(surge.ahead_N, astern) / mass), CREEP_MPS)
-        t[i + 1] = t[i] + 2.0 * ds / speed + waiting[i + 1]
-    return v, t
+        # a step from rest to rest takes 2 sqrt(ds / a), or more at its speed limit
+        speed = max(0.5 * (v[i] + v[i + 1]), 0.5 * np.sqrt(ds * min(surge.ahead_N, astern) / mass), 0.5 * CREEP_MPS)
+        t[i + 1] = t[i] + ds / min(speed, step_limit[i]) + waiting[i + 1]
+    return t
 
 
 @jit

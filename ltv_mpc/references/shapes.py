@@ -12,6 +12,7 @@ from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.feasibility import descent_notes, path_notes
 from ltv_mpc.references.geodesy import Place, local
+from ltv_mpc.references.leg_fit import ACCURACY_M, LegFit, fit_legs
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.references.path import MAX_POINTS, Path, chord_count, round_corners, smooth_curve, with_lead_in
 from ltv_mpc.references.schedule import Schedule, fastest_schedule
@@ -21,6 +22,8 @@ Size: TypeAlias = Annotated[float, Meta(gt=0, le=100_000)]
 Turns: TypeAlias = Annotated[float, Meta(gt=0, le=100)]
 Angle: TypeAlias = Annotated[float, Meta(ge=-360, le=360)]
 
+SAME_M, ROUNDING_M = 1e-3, 1e-6
+"""Smallest extent of a path, and distance below which two successive waypoints are one."""
 LEAD_IN_M = 0.5
 """Distance from the first point above which the path is preceded by a straight leg to it."""
 MIN_TURN_RAD = math.radians(15.0)
@@ -113,30 +116,60 @@ class Line(Shape, frozen=True, kw_only=True, tag="line"):
 class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
     """Straight legs between waypoints; ``closed`` adds the leg back to the first, ``laps`` repeats the closed path."""
 
-    waypoints: Annotated[tuple[Place, ...], Meta(min_length=2, max_length=10_000)]
+    waypoints: Annotated[tuple[Place, ...], Meta(min_length=2, max_length=MAX_POINTS)]
     closed: bool = False
     laps: Annotated[int, Meta(ge=1, le=1000)] = 1
 
     def path(self) -> Path:
         """Return the geometry: the legs, with rounded corners."""
+        ends = self._fit()[0].ends
+        return round_corners(ends[:, :2], ends[:, 2], self.corner_m)
+
+    def notes(self, vehicle: Vehicle) -> list[str]:
+        """Return sentences about doubled and noisy waypoints, and about what the vehicle cannot do.
+
+        Parameters
+        ----------
+        vehicle : parameters of the vehicle.
+        """
+        fit, doubled = self._fit()
+        notes = []
+        if doubled:
+            notes.append(
+                f"waypoints at the position of the one before them count as one with it: {len(doubled)}, the first is "
+                f"waypoints[{doubled[0] % len(self.waypoints)}]"
+            )
+        if fit.deviation_m > ACCURACY_M:
+            notes.append(
+                f"the {len(self.waypoints)} waypoints scatter: the path of {len(fit.ends) - 1} legs smooths them and "
+                f"is up to {fit.deviation_m:.2g} m away from them"
+            )
+        return notes + super().notes(vehicle)
+
+    def _fit(self) -> tuple[LegFit, list[int]]:
+        """Return the legs near the waypoints, and the numbers of those at the position of the one before them."""
         places = list(self.waypoints)
-        for k, place in enumerate(places):
-            try:
-                local(place, self.origin)
-            except ValueError as error:
-                raise ValueError(f"waypoints[{k}]: {error}") from None
         if self.laps > 1 and not self.closed:
             raise ValueError("laps > 1 needs closed = true")
         if self.closed:
             if self.laps * len(places) > MAX_POINTS:
                 raise ValueError(f"laps x waypoints must be <= {MAX_POINTS}")
             places = places * self.laps + places[:1]
-        points = np.array([local(place, self.origin) for place in places])
-        same = np.hypot(*np.diff(points, axis=0).T) < 1e-3
-        if same.any():
-            k = int(np.argmax(same)) % len(self.waypoints)
-            raise ValueError(f"waypoints[{k}] and the one after it are the same position")
-        return round_corners(points, _depths_between(points, places, self.depth_m), self.corner_m)
+        points = np.empty((len(places), 2))
+        for k, place in enumerate(places):
+            try:
+                points[k] = local(place, self.origin)
+            except ValueError as error:
+                raise ValueError(f"waypoints[{k % len(self.waypoints)}]: {error}") from None
+        if np.hypot(*np.ptp(points, axis=0)) < SAME_M:
+            raise ValueError("all waypoints are the same position")
+        doubled = (1 + np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) < ROUNDING_M)).tolist()
+        for k in doubled:
+            if None is not places[k].depth_m != places[k - 1].depth_m is not None:
+                problem = "are the same position at different depths: a path does not go down on the spot"
+                raise ValueError(f"waypoints[{k % len(self.waypoints)}] and the one before it {problem}")
+        depth = _depths_between(points, places, self.depth_m)
+        return fit_legs(np.column_stack([points, depth]), self.corner_m), doubled
 
 
 class Lawnmower(Shape, frozen=True, kw_only=True, tag="lawnmower"):

@@ -3,12 +3,12 @@
 Columns t_s, north_m, east_m, and optionally depth_m, in any order; or latitude_deg and longitude_deg instead of north_m
 and east_m, relative to the [origin] of the reference. Lines that start with # are comments. Times increase, and the
 target moves uniformly between two rows. A row that the vehicle cannot reach in time (cruising speed, curvature of the
-track) is reached as soon as possible, and all later rows are delayed by the same time.
+track over the length in which the vehicle turns in, descent rate) is reached as soon as possible. Positions that differ
+by the noise of a log are smoothed as those of a path (``leg_fit.py``).
 """
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -16,13 +16,15 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from ltv_mpc.csv_table import check_bounds
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references.base import BaseReference
-from ltv_mpc.references.csv_places import DEPTH, METRES, check_bounds, read_places
+from ltv_mpc.references.csv_places import DEPTH, METRES, read_places
+from ltv_mpc.references.leg_fit import along, fit_legs
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.references.path import Path as Track
-from ltv_mpc.references.path import with_lead_in
+from ltv_mpc.references.path import smooth_curve, with_lead_in
 from ltv_mpc.references.schedule import TIME, Schedule, fastest_schedule
 from ltv_mpc.references.shapes import LEAD_IN_M
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -30,8 +32,10 @@ from ltv_mpc.vehicle.parameters import Vehicle
 Row: TypeAlias = Annotated[tuple[float, ...], Meta(min_length=3, max_length=4)]
 
 MAX_ROWS = 20_000
-IN_TIME = 0.99
-"""Share of the time between two rows: a step that needs at most 1 / IN_TIME of its time counts as in time."""
+IN_TIME_S = 0.1
+"""Delay up to which a row counts as reached in time."""
+CORNER_M = 0.4
+"""Largest distance of a corner from the path that smooths the rows: the default of a path."""
 
 
 class TimedSchedule(Schedule):
@@ -74,12 +78,12 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         vehicle : parameters of the vehicle, which limit the speed.
         anchor : start of the reference, from which a straight leg leads to the first row; None: start at that row.
         """
-        table, length = self._table(vehicle)
+        table = self._table(vehicle)
         if table[TIME, 0] > 0.0:  # until then the target rests at the first row
             first = table[:, :1].copy()
             first[TIME] = 0.0
-            table, length = np.concatenate([first, table], axis=1), np.concatenate([[0.0], length])
-        track = Track(table[2:4].T, table[4], np.zeros(len(length)), np.zeros(len(length)), np.zeros(len(length) + 1))
+            table = np.concatenate([first, table], axis=1)
+        track = smooth_curve(table[2:4].T, np.zeros(table.shape[1] - 1))._replace(depth=table[4])
         if anchor is None:
             return TimedSchedule(table, 0.0)
         start = np.array([anchor.north_m, anchor.east_m])
@@ -104,48 +108,40 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         ----------
         vehicle : parameters of the vehicle.
         """
-        table, _ = self._table(vehicle)
         t = np.array([row[0] for row in self.rows])
-        late = table[TIME] - t
-        if late[-1] <= 1e-6:
+        late = self._table(vehicle)[TIME] - t
+        if late.max() <= IN_TIME_S:
             return []
-        step = np.diff(late)
+        first = int(np.argmax(late > IN_TIME_S))
         return [
-            f"{np.count_nonzero(step > 1e-6)} of {len(step)} rows cannot be reached in time (the vehicle does "
-            f"{path_limits(vehicle).cruise_mps:.2f} m/s straight on, less in bends): the first at t_s = "
-            f"{t[1:][step > 1e-6][0]:g}; the last row is reached {late[-1]:.1f} s late"
+            f"{np.count_nonzero(late > IN_TIME_S)} of {len(t)} rows cannot be reached in time (the vehicle does "
+            f"{path_limits(vehicle).cruise_mps:.2f} m/s straight on, less in bends): the first at t_s = {t[first]:g}; "
+            f"the latest by {late.max():.1f} s, the last by {late[-1]:.1f} s"
         ]
 
-    def _table(self, vehicle: Vehicle) -> tuple[Array, Array]:
-        """Return the table (5, M) of the schedule, and the lengths (M-1,) of its steps (m)."""
-        rows = np.array(self.rows)
-        steps = np.diff(rows[:, 1:3], axis=0)
-        length = np.hypot(*steps.T)
-        limits = path_limits(vehicle)
-        needed = length / limits.speed_at(_curvature(steps, length))
-        asked = np.diff(rows[:, 0])
-        took = np.where(needed > asked / IN_TIME, needed, asked)
-        table = np.empty((5, len(rows)))
-        table[0] = rows[0, 0] + np.concatenate([[0.0], np.cumsum(took)])
-        table[1] = np.concatenate([[0.0], np.cumsum(length)])
-        table[2:4] = rows[:, 1:3].T
-        table[4] = rows[:, 3] if rows.shape[1] == 4 else (math.nan if self.depth_m is None else self.depth_m)
-        return table, length
-
-
-def _curvature(steps: Array, length: Array) -> Array:
-    """Return the curvature (M-1,) in 1/m of each step, the larger of those at its ends.
-
-    At a corner it is 2 tan(phi / 2) over the mean length of the two steps.
-    """
-    at = np.zeros(len(steps) + 1)
-    moving = length > 1e-9
-    course = np.arctan2(steps[:, 1], steps[:, 0])
-    turn = np.abs(np.remainder(np.diff(course) + np.pi, 2.0 * np.pi) - np.pi)
-    both = moving[1:] & moving[:-1]
-    mean = np.where(both, 0.5 * (length[1:] + length[:-1]), 1.0)
-    at[1:-1] = np.where(both, 2.0 * np.tan(0.5 * np.minimum(turn, 3.0)) / mean, 0.0)
-    return np.maximum(at[1:], at[:-1])
+    def _table(self, vehicle: Vehicle) -> Array:
+        """Return the table (5, K) of the schedule: each row at its time, or as soon as the vehicle can be there."""
+        rows, limits = np.array(self.rows), path_limits(vehicle)
+        depth = (
+            rows[:, 3] if rows.shape[1] == 4 else np.full(len(rows), np.nan if self.depth_m is None else self.depth_m)
+        )
+        fit = fit_legs(np.column_stack([rows[:, 1:3], depth]), CORNER_M)
+        points = along(fit.ends, fit.at)
+        corners = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fit.ends[:, :2], axis=0).T))])
+        way = np.interp(fit.at, np.arange(len(corners)), corners)
+        # the largest speed is constant between the places at which a corner is half the turning-in length away
+        half_m = 0.5 * limits.turn_in_m
+        places = np.unique(np.concatenate([way, corners[1:-1] - half_m, corners[1:-1] + half_m]))
+        places = places[(places >= way[0]) & (places <= way[-1])]
+        middle = 0.5 * (places[1:] + places[:-1])
+        course = np.unwrap(np.arctan2(*np.diff(fit.ends[:, :2], axis=0).T[::-1]))
+        ends = course[np.searchsorted(corners[1:-1], [middle - half_m, middle + half_m])]
+        needed = np.diff(places) / limits.speed_at(np.abs(ends[1] - ends[0]) / limits.turn_in_m)
+        reached = np.interp(way, places, np.concatenate([[0.0], np.cumsum(needed)])) if len(places) > 1 else 0.0 * way
+        sinking_s = np.abs(np.nan_to_num(np.diff(points[:, 2], prepend=points[0, 2]))) / self.descent_rate_mps
+        needed = np.cumsum(np.maximum(np.diff(reached, prepend=0.0), sinking_s))
+        t = needed + np.maximum.accumulate(rows[:, 0] - needed)
+        return np.vstack([t, way, points.T])
 
 
 def from_csv(timed: Timed, path: Path, *, source: str) -> Timed:
@@ -163,7 +159,7 @@ def from_csv(timed: Timed, path: Path, *, source: str) -> Timed:
         If the file cannot be read or a row is not valid.
     """
     source = f"{source}: track {path.name}"
-    table = read_places(path, columns=("t_s",), origin=timed.origin, rows=(2, MAX_ROWS), what="track", source=source)
+    table = read_places(path, "t_s", origin=timed.origin, rows=(2, MAX_ROWS), what="track", source=source)
     rows = tuple(tuple(row[name] for name in ("t_s", *METRES, DEPTH) if name in row) for row in table.values())
     for k, before, after in zip(list(table)[1:], rows, rows[1:], strict=False):
         if after[0] <= before[0]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Annotated, TypeAlias
 
 from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.messages import Estimate, Pair, ReferenceStart
+from ltv_mpc.references import mission_files
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.feasibility import descent_notes
 from ltv_mpc.references.geodesy import Latitude, Longitude, Metres, Place, local
@@ -143,7 +145,9 @@ Reference: TypeAlias = (
 
 
 def load(name: str) -> Reference:
-    """Return a shipped reference by name (``"descent"``, ``"square"``), or read a TOML file by path.
+    """Return a shipped reference by name (``"descent"``, ``"square"``), or read a file by path.
+
+    The file is TOML, or of another program (``mission_files.py``: .plan, .waypoints, .gpx, .geojson).
 
     A CSV file that the reference names is read too; its path is relative to the folder of the TOML file.
 
@@ -152,6 +156,8 @@ def load(name: str) -> Reference:
     ConfigError
         If the reference does not exist or is not valid.
     """
+    if config.is_path(name) and (table := mission_files.read(Path(name), f"reference {name}")) is not None:
+        return config.parse(table, Reference, source=f"reference {name}")  # type: ignore[arg-type]
     reference: Reference = config.load(name, Reference, what="reference", package=PACKAGE)  # type: ignore[arg-type]
     if isinstance(reference, Timed) and reference.file:
         path = config.find(name, what="reference", package=PACKAGE)

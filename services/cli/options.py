@@ -25,14 +25,14 @@ ControllerSettings: TypeAlias = Annotated[
     typer.Option("--settings", metavar="FILE", help="TOML file with keys of [controller], without that header."),
 ]
 ReferenceFile: TypeAlias = Annotated[
-    str, typer.Option("--reference", metavar="NAME|FILE", help="Reference to follow: a shipped name or a TOML file.")
+    str, typer.Option("--reference", metavar="NAME|FILE", help="Path or point to follow, docs/references.md.")
 ]
 ScenarioName: TypeAlias = Annotated[
     str, typer.Argument(metavar="SCENARIO", help="Scenario: a shipped name (demo, descent, hover) or a TOML file.")
 ]
 FenceFile: TypeAlias = Annotated[
     str | None,
-    typer.Option("--fence", metavar="FILE", help="Keep-in and keep-out zones: TOML or GeoJSON, docs/fences.md."),
+    typer.Option("--fence", metavar="FILE", help="Keep-in and keep-out zones, docs/fences.md."),
 ]
 BathymetryFile: TypeAlias = Annotated[
     str | None,

@@ -96,17 +96,18 @@ def check(
         from ltv_mpc.control.config import ControllerConfig
         from ltv_mpc.geofence.fence import fence_for
 
+        notes: list[str] = []
         followed = references.load(reference)
         mission = mission_check.check_mission(
             loaded,
             followed,
-            fence_for(loaded, followed, fence or ""),
+            fence_for(loaded, followed, fence or "", notes),
             start=None if start is None else _place(start),
             current_mps=current,
             bottom=None if bottom is None else _bottom(bottom, followed.origin),
             limits=None if settings is None else ControllerConfig.load(str(settings)).limits,
         )
-        result = replace(result, mission=mission)
+        result = replace(result, mission=replace(mission, notes=[*notes, *mission.notes]))
     typer.echo(_json(result) if as_json else vehicle_check.table(result))
     if result.mission is not None and not as_json:
         typer.echo(mission_check.table(result.mission))

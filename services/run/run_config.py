@@ -150,7 +150,7 @@ def _notes(scenario: Scenario, settings: ResolvedConfig, prior: WaterPrior | Non
     growing = f", the last of {(end - before) * STAGE_NS / 1e9:.1f} s" if end - before > 1.0 else ""
     notes = [f"horizon {settings.reach_s:.3g} s in {settings.stages} stages{growing}"]
     if scenario.water.file:
-        profile = read_profile(scenario.water.file)
+        profile = read_profile(scenario.water.file, notes)
         first, last = float(profile.depth_m[0]), float(profile.depth_m[-1])
         name = Path(scenario.water.file).name
         notes.append(f"currents {name}: {first:g} to {last:g} m, held constant above and below")

@@ -83,12 +83,13 @@ def check_mission(
     if isinstance(bottom, Bathymetry) and schedule is not None:
         lowest, too_deep = check_bottom(bottom, schedule, limits.min_altitude_m or 0.0)
         problems += too_deep
-    zones, corridor_m, needed_m, notes = [], None, None, []
+    zones, corridor_m, needed_m, notes = [], None, None, reference.notes(vehicle)
     duration_s = 0.0 if schedule is None else schedule.duration_s
     if fence is not None and schedule is not None:
         hull_m = hull_radius_m(vehicle)
         found = check_fence(fence, hull_m, schedule, start)
-        zones, notes, duration_s = found.zones, found.notes, found.duration_s
+        zones, duration_s = found.zones, found.duration_s
+        notes += found.notes
         problems += found.problems + _margin_problems(zones, stopping_m, speed_mps)
         corridor_m = None if found.narrowest is None else found.narrowest[0]
         if drift_m is not None:

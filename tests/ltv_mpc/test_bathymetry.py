@@ -10,8 +10,10 @@ import pytest
 from ltv_mpc.bathymetry import MAX_SOUNDINGS, Bathymetry, bathymetry_for
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.references import Point
+from ltv_mpc.references import Line, Place, Point
 from ltv_mpc.references.geodesy import Origin, tangent_plane
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.tools.bottom_check import check_bottom
 
 HEADER = "north_m,east_m,depth_m\n"
 SQUARE = HEADER + "0,0,10\n0,100,10\n100,0,30\n100,100,30\n"
@@ -47,6 +49,16 @@ def test_columns_are_in_any_order_beside_others_and_comments(tmp_path: Path) -> 
     assert depths(read(tmp_path, text), (50.0, 0.0)) == pytest.approx([20.0])
 
 
+def test_a_drying_height_is_land_above_the_surface(tmp_path: Path) -> None:
+    bank = read(tmp_path, HEADER + "0,0,-2\n0,100,8\n100,0,8\n")
+    assert depths(bank, (0.0, 0.0), (0.0, 50.0)) == pytest.approx([-2.0, 3.0])
+    over = Line(start=Place(north_m=1.0, east_m=1.0), end=Place(north_m=1.0, east_m=90.0), speed_mps=0.3, depth_m=0.0)
+    bottom, problems = check_bottom(bank, over.schedule(Vehicle.load("paper")), 0.0)
+    assert bottom is not None
+    assert bottom.altitude_m == pytest.approx(-1.8)
+    assert problems[0].startswith("the reference is too deep for")
+
+
 def test_degrees_are_relative_to_the_origin_of_the_reference(tmp_path: Path) -> None:
     origin = Origin(latitude_deg=50.0, longitude_deg=-5.0)
     corners = [(50.0, -5.0, 10.0), (50.001, -5.0, 30.0), (50.0, -4.999, 10.0)]
@@ -70,7 +82,8 @@ def test_degrees_are_relative_to_the_origin_of_the_reference(tmp_path: Path) -> 
         (HEADER + "0,0,1\n0,1,1\n", "needs a header and at least 3 rows of numbers"),
         (HEADER + "0,0,1\n0,1,deep\n1,0,1\n", 'line 3 depth_m = "deep": must be a number'),
         (HEADER + "0,0,1\n0,1,inf\n1,0,1\n", 'line 3 depth_m = "inf": must be a number'),
-        (HEADER + "0,0,1\n\n0,1,-4\n1,0,1\n", "line 4 depth_m = -4: must be >= 0 and <= 11000"),
+        (HEADER + "0,0,1\n\n0,1,-400\n1,0,1\n", "line 4 depth_m = -400: must be >= -100 and <= 11000"),
+        (HEADER + "0,0,1\n5,0,1,2\n1,0,1\n", "line 3: has 4 cells, the header names 3 columns: name each of them"),
         (HEADER + "0,0,1\n0,1e7,4\n1,0,1\n", "line 3 east_m = 1e+07: must be >= -1e+06 and <= 1e+06"),
         (HEADER + "0,0,1\n0,1\n1,0,1\n", "line 3 depth_m: missing: column 3 of a line that has 2"),
         (HEADER + "0,0,1\n1,1,1\n2,2,1\n", "needs three soundings that are not in one line"),

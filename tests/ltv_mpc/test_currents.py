@@ -41,6 +41,27 @@ def test_a_profile_is_read_whatever_the_order_of_columns_and_the_comments(tmp_pa
     np.testing.assert_array_equal(profile.east_mps, [-0.2, 0.4])
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_semicolons_and_tabs_separate_decimal_commas(tmp_path, separator):
+    text = "depth_m;v_north_mps;u_east_mps\n0,5;0,11;-0,02\n1.5;0,12;3e-2\n".replace(";", separator)
+    profile = read(tmp_path, text)
+    np.testing.assert_array_equal(profile.depth_m, [0.5, 1.5])
+    np.testing.assert_array_equal(profile.north_mps, [0.11, 0.12])
+    np.testing.assert_array_equal(profile.east_mps, [-0.02, 0.03])
+
+
+def test_descending_depths_and_ends_without_a_current_are_read_with_a_note(tmp_path):
+    rows = ["5,NaN,NaN", "10,0.05,0.03", "20,0.04,0.02", "30,nan,NA", "40,NA,NA"]
+    for order in (rows, rows[::-1]):
+        (tmp_path / "c.csv").write_text(HEADER + "\n".join(order))
+        notes: list[str] = []
+        profile = read_profile(tmp_path / "c.csv", notes)
+        np.testing.assert_array_equal(profile.depth_m, [10.0, 20.0])
+        np.testing.assert_array_equal(profile.north_mps, [0.05, 0.04])
+        assert "rows without a current are left out at its ends, it has 10 to 20 m" in notes[0]
+        assert ("the depths descend in the file" in notes[0]) == (order is not rows)
+
+
 def test_a_single_depth_is_a_profile(tmp_path):
     assert read(tmp_path, "depth_m,v_north_mps,u_east_mps\n5,0.1,0.2\n").depth_m.tolist() == [5.0]
 
@@ -137,6 +158,11 @@ HEADER = "depth_m,v_north_mps,u_east_mps\n"
         ("\n \n", ["empty"]),
         ("# only words\n", ["header"]),
         (HEADER, ["no row"]),
+        (HEADER + "0,nan,nan\n1,nan,NA\n", ["no row"]),
+        (HEADER + "0,0,0\n1,nan,nan\n2,0,0\n", ["line 3 v_north_mps", "finite"]),
+        (HEADER + '"1",0.5,0.11,0.02\n', ["line 2", "4 cells", "names 3 columns", "row.names = FALSE"]),
+        (HEADER + "0,0,0,10,-0,05\n", ["line 2", "6 cells", "decimal commas", "semicolons"]),
+        (HEADER + "0;0;0\n", ["line 2 depth_m", "0;0;0", "number"]),
         (b"\x7f\x7f\x00\x10\x9c\xff\xfe", ["byte", "text"]),
         (b"depth_m,v_north_mps,u_east_mps\n0,0,\x000\n", ["binary data"]),
     ],

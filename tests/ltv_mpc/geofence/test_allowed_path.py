@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 
-from ltv_mpc.geofence.allowed_path import STEP_M, allowed_path, nearest_allowed
+from ltv_mpc.geofence.allowed_path import STEP_M, allowed_path, divided, nearest_allowed
 from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.route import SLACK_M, Router
 from ltv_mpc.geofence.zones import Zones, clearances, pack_zones
@@ -43,6 +43,29 @@ TANGENTS_M = 2.0 * math.sqrt(50.0**2 + 3.0**2 - 5.0**2) + 10.0 * (
 def test_a_path_that_is_clear_stays_as_it_is() -> None:
     schedule = line(0.0, 40.0)
     assert allowed_path(schedule, Router(ONE, NEED)) == (schedule, 0.0)
+
+
+class CountingRouter(Router):
+    """Router that counts its searches."""
+
+    searches = 0
+
+    def way(self, start: Array, goal: Array, *, remember: bool = True) -> Array:
+        self.searches += 1
+        return super().way(start, goal, remember=remember)
+
+
+def test_a_detour_on_a_long_path_takes_no_more_work_than_on_a_short_one() -> None:
+    """Far from the zone the columns are those of the path, later by the detour."""
+    counts = []
+    for end_m in (100.0, 20_000.0):
+        before, router = line(0.0, end_m), CountingRouter(ONE, NEED)
+        after, _ = allowed_path(before, router)
+        counts.append(router.searches)
+        behind = divided(before.table)[:, -100:].copy()
+        behind[TIME] += after.duration_s - before.duration_s
+        np.testing.assert_allclose(after.table[:, -100:], behind)
+    assert counts[0] == counts[1]
 
 
 def test_the_target_takes_the_way_round_a_zone_at_the_speed_that_it_has_before_it() -> None:

@@ -177,22 +177,93 @@ def test_geojson_of_programs_that_draw_maps_is_read() -> None:
 def test_errors_about_the_zones_of_geojson_name_the_feature() -> None:
     """The faulty feature is the third, and the second one that is to be kept in."""
     before = feature("keep_out_disc", "Point", radius_m=3.0), feature("keep_in", "Polygon", name="keep_in[7]")
-    two = feature("keep_in", "MultiPolygon")
-    two["geometry"]["coordinates"] *= 2  # type: ignore[index]
     swapped = feature("keep_in", "Polygon")
     swapped["geometry"]["coordinates"] = [[[60.39, 5.32], [60.39, 5.33], [60.4, 5.33], [60.39, 5.32]]]  # type: ignore[index]
     line = feature("keep_in", "Polygon")
     line["geometry"]["coordinates"] = [[[5.32, 60.39], [5.33, 60.39], [5.32, 60.39], [5.32, 60.39]]]  # type: ignore[index]
     for third, message in (
-        (two, r"features\[2\].geometry.coordinates: must be one polygon"),
         (feature("keep_in", "Polygon", margin_m=-1.0), r"features\[2\].margin_m = -1.0: must be"),
         (feature("keep_out_disc", "Point"), r'key "radius_m" in features\[2\] is missing'),
-        (line, r"features\[2\]: vertices\[2\] and vertices\[0\] are the same position"),
+        (line, r"features\[2\].vertices = .*: must be a list of at least 3 and at most 500, each"),
         (swapped, r"features\[2\]: vertices\[0\]: .* from the origin; positions are \[longitude, latitude\]"),
         (feature([], "Polygon"), r"features\[2\].properties.zone"),  # type: ignore[arg-type]
     ):
         with pytest.raises(ConfigError, match=message):
             Fence.from_geojson(collection(*before, third))
+
+
+def collection_of(zone: str, *polygons: list[list[float]], **members: object) -> str:
+    """Return a collection of one feature."""
+    one = feature(zone, "MultiPolygon")
+    one["geometry"]["coordinates"] = [[ring] for ring in polygons]  # type: ignore[index]
+    return json.dumps(json.loads(collection(one)) | members)
+
+
+def square(east_deg: float, north_deg: float = 0.0) -> list[list[float]]:
+    """Return the closed ring of a square of 1 by 2 thousandths of a degree."""
+    e, n = 5.32 + east_deg, 60.39 + north_deg
+    return [[e, n], [e + 0.002, n], [e + 0.002, n + 0.001], [e, n + 0.001], [e, n]]
+
+
+@pytest.mark.parametrize("name", ["urn:ogc:def:crs:EPSG::4230", "EPSG:4267", "urn:ogc:def:crs:EPSG::4301", "EPSG:3857"])
+def test_coordinates_of_another_datum_are_refused_by_its_name(name: str) -> None:
+    """ED50 is 102 m off, NAD27 92 m, Tokyo 465 m."""
+    crs = {"type": "name", "properties": {"name": name}}
+    with pytest.raises(ConfigError, match=rf"crs = .{name}.: must be CRS84 or EPSG:4326"):
+        Fence.from_geojson(collection_of("keep_in", square(0.0), crs=crs))
+    of_feature = json.loads(collection_of("keep_in", square(0.0)))
+    of_feature["features"][0]["crs"] = crs
+    with pytest.raises(ConfigError, match=rf"features\[0\].crs = .{name}."):
+        Fence.from_geojson(json.dumps(of_feature))
+
+
+@pytest.mark.parametrize(
+    ("name", "note"),
+    [
+        ("urn:ogc:def:crs:OGC:1.3:CRS84", []),
+        ("EPSG:4326", []),
+        ("urn:ogc:def:crs:EPSG::4258", ["up to about 1 m"]),
+        ("EPSG:4269", ["up to about 2 m"]),
+    ],
+)
+def test_coordinates_of_nearly_the_same_datum_are_read_with_a_note(name: str, note: list[str]) -> None:
+    notes: list[str] = []
+    crs = {"type": "name", "properties": {"name": name}}
+    Fence.from_geojson(collection_of("keep_in", square(0.0), crs=crs), "fence", notes)
+    assert [part in said for part, said in zip(note, notes, strict=True)] == [True] * len(note)
+
+
+def test_repeated_vertices_and_a_closing_position_of_another_height_are_read() -> None:
+    ring = [[*position, 2.0] for position in square(0.0)]
+    ring[-1][2] = 7.0
+    ring.insert(2, ring[1])
+    (zone,) = Fence.from_geojson(collection_of("keep_in", ring)).zones()
+    (plain,) = Fence.from_geojson(collection_of("keep_in", square(0.0))).zones()
+    np.testing.assert_array_equal(zone.vertices_m, plain.vertices_m)
+
+
+def test_polygons_to_keep_out_of_are_zones_and_polygons_to_keep_in_are_their_union() -> None:
+    out = list(Fence.from_geojson(collection_of("keep_out", square(0.0), square(0.004))).zones())
+    assert [zone.label for zone in out] == ["keep_out[0]", "keep_out[1]"]
+    shapely = pytest.importorskip("shapely")
+    corner = square(0.001, 0.0005)
+    for two in ((square(0.0), square(0.002)), (square(0.0), corner)):
+        (zone,) = Fence.from_geojson(collection_of("keep_in", *two)).zones()
+        parts = [next(Fence.from_geojson(collection_of("keep_in", one)).zones()) for one in two]
+        union = shapely.union_all([shapely.Polygon(part.vertices_m) for part in parts])
+        assert shapely.Polygon(zone.vertices_m).symmetric_difference(union).area == pytest.approx(0.0, abs=1.0)
+    with pytest.raises(ConfigError, match=r"features\[0\].geometry.coordinates: must be polygons that touch"):
+        Fence.from_geojson(collection_of("keep_in", square(0.0), square(0.004)))
+
+
+def test_the_largest_numbers_of_corners_and_zones_stand_in_the_error() -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 502)
+    ring = np.column_stack([5.32 + 0.001 * np.cos(angle), 60.39 + 0.001 * np.sin(angle)])
+    ring[-1] = ring[0]
+    with pytest.raises(ConfigError, match=r"features\[0\].vertices.* at most 500"):
+        Fence.from_geojson(collection_of("keep_in", ring.tolist()))
+    with pytest.raises(ConfigError, match=r"keep_out = .*: must be a list of at most 100, each"):
+        Fence.from_geojson(collection_of("keep_out", *[square(0.004 * k) for k in range(101)]))
 
 
 def test_a_latitude_above_90_degrees_is_explained_as_a_longitude() -> None:

@@ -47,6 +47,25 @@ def test_the_target_keeps_its_schedule_while_the_vehicle_is_near():
     assert follower.progress.remaining_m == pytest.approx(12.0 - target[0])
 
 
+class CountedLine(Line, frozen=True, kw_only=True):
+    """Line that counts its schedules in ``counts``."""
+
+    counts: list[int]
+
+    def schedule(self, vehicle, anchor=None):
+        self.counts.append(1)
+        return super().schedule(vehicle, anchor)
+
+
+def test_another_restriction_does_not_compute_the_path_again():
+    line = CountedLine(counts=[], start=LINE.start, end=LINE.end, speed_mps=LINE.speed_mps)
+    follower, seen = has_started(line), []
+    for _ in range(3):
+        follower.restrict(lambda schedule: (seen.append(schedule), (schedule, 0.0))[1])
+    assert line.counts == [1]
+    assert all(schedule is seen[0] for schedule in seen)
+
+
 def test_the_target_waits_for_a_vehicle_that_falls_behind_and_never_goes_back():
     follower, t_s, way = has_started(LINE), 0.0, []
     for behind in (0.0, 0.3, 0.6, 0.7, 3.0, 3.0, 3.0, 0.0, 0.0):

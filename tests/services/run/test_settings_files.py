@@ -21,6 +21,18 @@ def test_a_track_in_a_file_of_its_own_is_in_the_reference(tmp_path: Path) -> Non
     assert to_toml(references.load(str(alone))) == to_toml(references.load(str(tmp_path / "track.toml")))
 
 
+def test_a_path_and_a_fence_of_another_program_are_kept_as_toml(tmp_path: Path) -> None:
+    rows = ["0 1 0 16 0 0 0 0 50.2 -5.1 0 1", *(f"{k} 0 3 16 0 0 0 0 50.20{k} -5.1 0 1" for k in (1, 2))]
+    ring = [f"{k} 0 3 5001 3 0 0 0 50.{k} -5.{k % 2} 0 1" for k in range(3)]
+    for name, lines in (("path.WAYPOINTS", rows), ("fence.waypoints", ring)):
+        (tmp_path / name).write_text("\n".join(["QGC WPL 110", *lines]))
+    path, fence = str(tmp_path / "path.WAYPOINTS"), str(tmp_path / "fence.waypoints")
+    files = controller_files("paper", path, fence, "", ControllerConfig())
+    (tmp_path / "kept.toml").write_text(files["config/reference.toml"])
+    assert references.load(str(tmp_path / "kept.toml")) == references.load(path)
+    assert loads(files["config/fence.toml"])["origin"] == {"latitude_deg": 50.2, "longitude_deg": -5.1}
+
+
 def test_a_water_prior_is_kept_beside_the_settings_that_name_it(tmp_path: Path) -> None:
     text = "depth_m,v_north_mps,u_east_mps,sd_mps\n0,0,0,0.1\n1,0,0,0.1\n"
     (tmp_path / "mine.csv").write_text(text)

@@ -249,6 +249,8 @@ def test_the_harbour_of_the_page_has_notes_and_no_problems() -> None:
     result = check_mission(PAPER, load("examples/references/harbour.toml"), fence, current_mps=0.1)
     assert result.problems == []
     assert [note.split(": ")[0] for note in result.notes] == [
+        "3 corners of up to 90 degrees",
+        "171.6 m take 435 s instead of 429 s",
         'the path lies in keep_out[0] "pier" or its margin',
         'the path lies in keep_out[1] "wreck" or its margin',
         'the path lies in keep_out_disc[0] "mooring buoy" or its margin',

@@ -1,0 +1,125 @@
+"""Fences in files of other programs: QGroundControl plans, and ArduPilot's lists of fence items (QGC WPL 110).
+
+Inclusion zones of one group are one keep-in zone, their union, as the vehicle has to be in one of them; all those of a
+plan are one group. An inclusion circle becomes the polygon in it. The files have no margins: all are ``MARGIN_M``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from ltv_mpc import config
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.geofence.geojson import union
+from ltv_mpc.references.geodesy import Origin, degrees
+from ltv_mpc.references.mission_files import WAYPOINT, read_json, read_waypoints
+
+MARGIN_M, MAX_RADIUS_M = 1.0, 100_000.0
+CORNERS = 32
+"""Vertices of the polygon in an inclusion circle."""
+KEEP_IN, KEEP_OUT, CIRCLE_IN, CIRCLE_OUT = 5001, 5002, 5003, 5004  # MAV_CMD_NAV_FENCE
+
+
+class Area(NamedTuple):
+    """Polygon, or circle around its only position; positions are latitude and longitude (degrees)."""
+
+    inside: bool  # the vehicle stays in it
+    group: int
+    positions: list[Sequence[float]]
+    radius_m: float = 0.0
+
+
+def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> dict[str, Any] | None:
+    """Return the table of a fence, as ``fence.toml`` holds it; None for a file that is none of another program.
+
+    Parameters
+    ----------
+    path : the file; its suffix names the kind, in small or capital letters.
+    source : name of the file in errors.
+    notes : receives a sentence about the margins.
+    origin : that of the reference, for a list without home.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or is not a fence.
+    """
+    kind = path.suffix.lower()
+    if kind not in (".plan", ".waypoints"):
+        return None
+    text = config.read_text(path, what="fence")
+    try:
+        if kind == ".plan":
+            plan = read_json(text, source)
+            first, areas = plan["mission"]["plannedHomePosition"], list(_of_plan(plan["geoFence"]))
+        else:
+            items = read_waypoints(text, source)
+            first, areas = items[0].parameters[4:6], list(_of_items(items, source))
+        if origin is None or kind == ".plan" or items[0].command == WAYPOINT:
+            origin = Origin(latitude_deg=float(first[0]), longitude_deg=float(first[1]))
+        notes.append(f"{source}: has no margins, each zone has {MARGIN_M:g} m")
+        return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **_zones(areas, source)}
+    except ConfigError:
+        raise
+    except (TypeError, KeyError, ValueError, IndexError, OverflowError) as error:
+        raise ConfigError(source, "", f"is no fence: {error}") from None
+
+
+def _zones(areas: Iterable[Area], source: str) -> dict[str, Any]:
+    """Return the tables of keep-in and keep-out zones."""
+    table: dict[str, Any] = {}
+    groups: dict[int, list[list[dict[str, float]]]] = {}
+    for area in areas:
+        ring = [_place(position) for position in area.positions]
+        if area.inside:
+            groups.setdefault(area.group, []).append(_polygon_in(area) if 0.0 < area.radius_m <= MAX_RADIUS_M else ring)
+        elif area.radius_m:
+            table.setdefault("keep_out_disc", []).append({"centre": ring[0], "radius_m": area.radius_m})
+        else:
+            table.setdefault("keep_out", []).append({"vertices": ring})
+    for group, rings in groups.items():
+        one = union(rings, f"inclusion zones of group {group}", source) if len(rings) > 1 else rings[0]
+        table.setdefault("keep_in", []).append({"vertices": one})
+    return table
+
+
+def _of_plan(fence: Any) -> Iterator[Area]:
+    for polygon in fence["polygons"]:
+        yield Area(bool(polygon["inclusion"]), 0, polygon["polygon"])
+    for circle in fence["circles"]:
+        yield Area(bool(circle["inclusion"]), 0, [circle["circle"]["center"]], float(circle["circle"]["radius"]))
+
+
+def _of_items(items: Iterable[Any], source: str) -> Iterator[Area]:
+    ring: list[Any] = []
+    for item in items:
+        size, group, *_, latitude, longitude, _ = item.parameters
+        if ring and item.command != ring[0].command:
+            problem = f"the polygon before it has {len(ring)} of {ring[0].parameters[0]:g} vertices"
+            raise ConfigError(source, f"item {item.number}", problem)
+        if item.command in (KEEP_IN, KEEP_OUT):
+            ring.append(item)
+            if len(ring) == size:
+                yield Area(item.command == KEEP_IN, int(group), [one.parameters[4:6] for one in ring])
+                ring = []
+        elif item.command in (CIRCLE_IN, CIRCLE_OUT):
+            yield Area(item.command == CIRCLE_IN, int(group), [(latitude, longitude)], size)
+        elif item.number or item.command != WAYPOINT:  # item 0 may be home
+            raise ConfigError(source, f"item {item.number}", "is no part of a fence", value=item.command)
+    if ring:
+        raise ConfigError(source, "", f"the last polygon has {len(ring)} of {ring[0].parameters[0]:g} vertices")
+
+
+def _place(position: Sequence[float]) -> dict[str, float]:
+    return {"latitude_deg": float(position[0]), "longitude_deg": float(position[1])}
+
+
+def _polygon_in(circle: Area) -> list[dict[str, float]]:
+    centre = Origin(latitude_deg=circle.positions[0][0], longitude_deg=circle.positions[0][1])
+    angles = [2.0 * math.pi * k / CORNERS for k in range(CORNERS)]
+    return [_place(degrees(circle.radius_m * math.cos(a), circle.radius_m * math.sin(a), centre)) for a in angles]

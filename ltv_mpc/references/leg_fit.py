@@ -1,0 +1,214 @@
+"""Legs through sampled points: few straight legs near points that are dense, noisy or doubled.
+
+Planners, logs and mission editors write points whose corners are not corners of the path. Three steps find its legs:
+
+1. Neighbours are averaged in pairs while their distance is below ``NOISY_STEPS`` standard deviations of the noise.
+2. Points within a tolerance of the leg between two others are left out (Douglas & Peucker 1973). A leg never goes back
+   along itself: the point at which the path turns back is kept.
+3. The ends of the legs move to the least-squares fit of all points. Legs that noise made of one corner become one, and
+   legs of many noisy points are halved, so that they follow a curve.
+
+    tolerance = sigma (1 + sqrt(2 ln K)), at most corner_m / 4, at least ACCURACY_M
+
+The largest of K errors of standard deviation sigma is about sigma sqrt(2 ln K). Fourth differences of the points show
+sigma: a smooth curve hardly has any.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solveh_banded
+
+from ltv_mpc.messages import Array
+
+Numbers = npt.NDArray[np.int64]
+
+ACCURACY_M = 0.01
+"""Smallest tolerance, also where the vehicle stops at corners: a curve without noise is followed within it."""
+CORNER_SHARE = 0.25
+"""Largest tolerance over ``corner_m``."""
+DENSE_M = 1.5
+"""Largest distance between points of which the noise is estimated."""
+FOURTH_DIFFERENCE = 9.85
+"""Median length of a fourth difference in the plane over the standard deviation: sqrt(70), and 1.177 for two axes."""
+NOISY_STEPS, MAX_AVERAGES = 5.0, 20
+REFINEMENTS = 3
+"""Number of fits after which legs are joined."""
+SHORT_LEG, MAX_SHORT_M, SHORT_OFF = 6.0, 0.3, 3.0
+"""Length of a leg that noise or means may have made of a corner: in tolerances, and in distances of means, up to
+``MAX_SHORT_M``. Distance of its end from the line past it, in tolerances.
+"""
+MANY_POINTS = 24
+"""Number of points of a leg that is halved."""
+
+
+class LegFit(NamedTuple):
+    """V ends of legs, and where the K given points are on them."""
+
+    ends: Array  # (V, 3) north, east, depth (m)
+    at: Array  # (K,) number of the leg plus the share of it, increasing
+    deviation_m: float  # largest distance of a given point from its place on the legs, at most ``corner_m`` or 2 cm
+
+
+def fit_legs(points: Array, corner_m: float) -> LegFit:
+    """Return the legs near the points, in their order.
+
+    Parameters
+    ----------
+    points : (K, 3) north, east, depth (m); depths may all be NaN.
+    corner_m : largest distance between a corner and the arc that rounds it (m), which bounds the tolerance.
+    """
+    given = np.nan_to_num(points)
+    ends, at = _smooth_legs(given, max(CORNER_SHARE * corner_m, ACCURACY_M))
+    deviation_m = _deviation_m(given, ends, at)
+    if deviation_m > max(corner_m, 2.0 * ACCURACY_M):  # no noise, but a path in small steps
+        kept = _simplified(given, ACCURACY_M)
+        ends, at = given[kept], _least_squares(given, kept, given[kept])[1]
+        deviation_m = _deviation_m(given, ends, at)
+    if np.isnan(points[:, 2]).all():
+        ends[:, 2] = np.nan
+    return LegFit(ends, np.maximum.accumulate(at), deviation_m)
+
+
+def _smooth_legs(given: Array, largest_m: float) -> tuple[Array, Array]:
+    """Return the ends of legs by least squares and the places of the points, for a largest tolerance (m)."""
+    p, number = _averaged(given, largest_m)
+    noise_m = _noise_m(p) * (1.0 + np.sqrt(2.0 * np.log(len(p))))
+    tolerance = max(min(noise_m, largest_m), ACCURACY_M)
+    short_m = SHORT_LEG * tolerance
+    if len(p) < len(given):
+        short_m = max(short_m, min(SHORT_LEG * float(np.median(_steps(p))), MAX_SHORT_M))
+    kept = _simplified(p, tolerance)
+    ends = p[kept]
+    for _ in range(REFINEMENTS):
+        ends, _ = _least_squares(p, kept, ends)
+        still = np.delete(np.arange(len(ends)), _at_short_legs(ends, short_m, SHORT_OFF * tolerance))
+        still = still[_simplified(ends[still], tolerance)]
+        kept, ends = kept[still], ends[still]
+    if tolerance > ACCURACY_M:
+        halved = 1 + np.flatnonzero(np.diff(kept) >= MANY_POINTS)
+        ends = np.insert(ends, halved, 0.5 * (ends[halved] + ends[halved - 1]), axis=0)
+        kept = np.insert(kept, halved, (kept[halved] + kept[halved - 1]) // 2)
+        ends, _ = _least_squares(p, kept, ends)
+        still = _simplified(ends, ACCURACY_M)
+        kept, ends = kept[still], ends[still]
+    ends, at = _least_squares(p, kept, ends)
+    return ends, np.interp(np.arange(len(given)), number, np.maximum.accumulate(at))
+
+
+def _deviation_m(given: Array, ends: Array, at: Array) -> float:
+    """Return the largest distance (m) of a point from its place on the legs."""
+    return float(np.hypot(*(given - along(ends, at))[:, :2].T).max())
+
+
+def along(ends: Array, at: Array) -> Array:
+    """Return the points (K, 3) at places on legs, as in ``LegFit``.
+
+    Parameters
+    ----------
+    ends : (V, 3) north, east, depth (m).
+    at : (K,) number of the leg plus the share of it.
+    """
+    return np.column_stack([np.interp(at, np.arange(len(ends)), column) for column in ends.T])
+
+
+def _steps(p: Array) -> Array:
+    """Return the horizontal distances (K-1,) in m of successive points."""
+    steps: Array = np.hypot(*np.diff(p[:, :2], axis=0).T)
+    return steps
+
+
+def _noise_m(p: Array) -> float:
+    """Return the standard deviation (m) of the noise of one coordinate where points are dense; 0 elsewhere."""
+    if len(p) < 5:
+        return 0.0
+    steps = np.lib.stride_tricks.sliding_window_view(_steps(p), 4)
+    fourth = np.hypot(*np.diff(p[:, :2], 4, axis=0)[steps.max(axis=1) < DENSE_M].T)
+    return float(np.median(fourth)) / FOURTH_DIFFERENCE if len(fourth) else 0.0
+
+
+def _averaged(p: Array, largest_m: float) -> tuple[Array, Array]:
+    """Return points of which noisy neighbours are averaged, and their numbers among the given ones."""
+    number = np.arange(len(p), dtype=float)[:, None]
+    for _ in range(MAX_AVERAGES):
+        steps = _steps(p)
+        dense = steps < DENSE_M
+        noise_m = _noise_m(p)
+        if not dense.any() or np.median(steps[dense]) >= NOISY_STEPS * noise_m or noise_m > largest_m:
+            break
+        alone = np.ones(len(p), dtype=bool)  # or the first of its group
+        alone[1::2] = ~dense[::2]
+        alone[-1] &= not dense[-1]
+        first = np.flatnonzero(alone)
+        size = np.diff(first, append=len(p))[:, None]
+        p, number = (np.add.reduceat(of, first) / size for of in (p, number))
+    return p, number[:, 0]
+
+
+def _simplified(p: Array, tolerance: float) -> Numbers:
+    """Return the numbers of the points that are kept as ends of legs."""
+    # A corner between points that are not dense is kept without a search: a long mission consists of these.
+    far_apart = _steps(p) >= DENSE_M
+    _, off = _places(p[1:-1], p[:-2], p[2:] - p[:-2])
+    corner = far_apart[1:] & far_apart[:-1] & (off > 2.0 * tolerance)
+    kept = {0, *(1 + np.flatnonzero(corner)).tolist(), len(p) - 1}
+    parts = list(itertools.pairwise(sorted(kept)))
+    while parts:
+        a, b = parts.pop()
+        if b - a < 2:
+            continue
+        leg = p[b] - p[a]
+        share, off = _places(p[a + 1 : b], p[a], leg)
+        k = int(np.argmax(off))
+        if off[k] <= tolerance:
+            far = np.maximum.accumulate(share)
+            back = (far - share) * np.hypot(*leg[:2])
+            if back.max() <= 2.0 * tolerance:
+                continue
+            k = int(np.searchsorted(far, far[np.argmax(back)]))
+        kept.add(a + 1 + k)
+        parts += [(a, a + 1 + k), (a + 1 + k, b)]
+    return np.array(sorted(kept))
+
+
+def _at_short_legs(ends: Array, short_m: float, off_m: float) -> Numbers:
+    """Return the numbers of the ends that go with short legs: of each leg, the end nearer to a line past it."""
+    off = np.full(len(ends), np.inf)
+    _, off[1:-1] = _places(ends[1:-1], ends[:-2], ends[2:] - ends[:-2])
+    short = np.flatnonzero(_steps(ends) < short_m)
+    nearer = np.where(off[short] < off[short + 1], short, short + 1)
+    return np.unique(nearer[off[nearer] < off_m])
+
+
+def _places(p: Array, begin: Array, leg: Array) -> tuple[Array, Array]:
+    """Return where the points nearest to p (K, 3) are on legs (share 0 .. 1), and their distances (m), each (K,)."""
+    square = (leg[..., :2] ** 2).sum(axis=-1)
+    share = ((p - begin)[:, :2] * leg[..., :2]).sum(axis=1) / np.where(square > 0.0, square, 1.0)
+    share = np.clip(share, 0.0, 1.0)
+    off = p - begin - share[:, None] * leg
+    return share, np.maximum(np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2]))
+
+
+def _least_squares(p: Array, kept: Numbers, ends: Array) -> tuple[Array, Array]:
+    """Return the ends (V, 3) that minimise the squared distances of points from their places on legs, and the places.
+
+    Parameters
+    ----------
+    p : (K, 3) points (m).
+    kept : (V,) numbers of the points at the ends.
+    ends : (V, 3) ends by which the places (leg and share) are found.
+    """
+    legs = len(kept) - 1
+    leg = np.clip(np.searchsorted(kept, np.arange(len(p)), side="right") - 1, 0, legs - 1)
+    share, _ = _places(p, ends[leg], np.diff(ends, axis=0)[leg])
+    share[kept[:-1]], share[-1] = 0.0, 1.0
+    banded, right = np.zeros((2, legs + 1)), np.zeros((legs + 1, 3))
+    np.add.at(banded[0], leg + 1, share * (1.0 - share))
+    for end, own in ((leg, 1.0 - share), (leg + 1, share)):
+        np.add.at(banded[1], end, own * own)
+        np.add.at(right, end, own[:, None] * p)
+    return solveh_banded(banded, right), leg + share

@@ -1,0 +1,105 @@
+"""Fences in files of other programs: QGroundControl plans and ArduPilot's lists of fence items."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.geofence.fence import Fence
+from ltv_mpc.references.geodesy import Origin, tangent_plane
+
+HOME = Origin(latitude_deg=50.2, longitude_deg=-5.1)
+
+
+def square(north_deg: float, east_deg: float) -> list[list[float]]:
+    """Return the corners of a square of 0.001 degrees as latitude and longitude."""
+    n, e = 50.2 + north_deg, -5.1 + east_deg
+    return [[n, e], [n + 0.001, e], [n + 0.001, e + 0.001], [n, e + 0.001]]
+
+
+def plan(polygons: list[tuple[bool, list[list[float]]]], circles: list[tuple[bool, list[float], float]]) -> str:
+    fence = {
+        "polygons": [{"inclusion": inside, "polygon": ring, "version": 1} for inside, ring in polygons],
+        "circles": [
+            {"inclusion": inside, "circle": {"center": centre, "radius": radius}, "version": 1}
+            for inside, centre, radius in circles
+        ],
+        "version": 2,
+    }
+    mission = {"plannedHomePosition": [50.2, -5.1, 0.0], "items": []}
+    return json.dumps({"fileType": "Plan", "geoFence": fence, "mission": mission})
+
+
+def items(*rows: tuple[int, float, int, float, float]) -> str:
+    lines = [f"{k}\t0\t3\t{c}\t{p1}\t{p2}\t0\t0\t{n:.8f}\t{e:.8f}\t0\t1" for k, (c, p1, p2, n, e) in enumerate(rows)]
+    return "\n".join(["QGC WPL 110", *lines])
+
+
+def test_the_polygons_and_circles_of_a_plan_and_of_a_list_are_zones(tmp_path: Path) -> None:
+    out, centre = square(0.0002, 0.0002), [50.2004, -5.0996]
+    (tmp_path / "f.plan").write_text(plan([(True, square(0.0, 0.0)), (False, out)], [(False, centre, 4.0)]))
+    rows = [(16, 0.0, 0, 50.2, -5.1)]
+    rows += [(5001, 4.0, 0, *corner) for corner in square(0.0, 0.0)] + [(5002, 4.0, 0, *corner) for corner in out]
+    (tmp_path / "f.WAYPOINTS").write_text(items(*rows, (5004, 4.0, 0, *centre)))
+    for name in ("f.plan", "f.WAYPOINTS"):
+        notes: list[str] = []
+        fence = Fence.load(str(tmp_path / name), notes)
+        basin, pier, buoy = fence.zones()
+        assert [basin.keep_in, pier.keep_in, buoy.keep_in] == [True, False, False]
+        for zone, ring in ((basin, square(0.0, 0.0)), (pier, out), (buoy, [centre])):
+            right = [tangent_plane(latitude, longitude, HOME) for latitude, longitude in ring]
+            np.testing.assert_allclose(zone.vertices_m, right, atol=1e-3)
+        assert buoy.radius_m == 4.0
+        assert basin.margin_m == 1.0
+        assert "has no margins, each zone has 1 m" in notes[0]
+
+
+def test_an_inclusion_circle_is_the_polygon_in_it(tmp_path: Path) -> None:
+    (tmp_path / "f.plan").write_text(plan([], [(True, [50.2, -5.1], 50.0)]))
+    (zone,) = Fence.load(str(tmp_path / "f.plan")).zones()
+    np.testing.assert_allclose(np.hypot(*zone.vertices_m.T), 50.0, atol=1e-3)
+
+
+def test_inclusion_zones_of_one_group_are_their_union(tmp_path: Path) -> None:
+    pytest.importorskip("shapely")
+    two = square(0.0, 0.0), square(0.0, 0.001)
+    (tmp_path / "f.plan").write_text(plan([(True, ring) for ring in two], []))
+    (zone,) = Fence.load(str(tmp_path / "f.plan")).zones()
+    assert np.ptp(zone.vertices_m[:, 1]) == pytest.approx(tangent_plane(50.2, -5.098, HOME)[1], rel=1e-4)
+    for groups, count in (((1, 1), 1), ((1, 2), 2)):
+        rows = [(5001, 4.0, group, *corner) for group, ring in zip(groups, two, strict=True) for corner in ring]
+        (tmp_path / "f.waypoints").write_text(items(*rows))
+        assert len(Fence.load(str(tmp_path / "f.waypoints"), None, HOME).keep_in) == count
+    (tmp_path / "f.plan").write_text(plan([(True, square(0.0, 0.0)), (True, square(0.01, 0.0))], []))
+    with pytest.raises(ConfigError, match="inclusion zones of group 0: must be polygons that touch"):
+        Fence.load(str(tmp_path / "f.plan"))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("f.plan", "{}", "is no fence: 'mission'"),
+        ("f.plan", plan([], []), "no zone: give at least one"),
+        (
+            "f.waypoints",
+            items((5001, 3.0, 0, 50.0, -5.0), (5002, 3.0, 0, 50.0, -5.0)),
+            "item 1: the polygon before it has 1 of 3",
+        ),
+        ("f.waypoints", items((5001, 3.0, 0, 50.0, -5.0)), "the last polygon has 1 of 3 vertices"),
+        (
+            "f.waypoints",
+            items((16, 0.0, 0, 50.0, -5.0), (16, 0.0, 0, 50.0, -5.0)),
+            "item 1 = 16: is no part of a fence",
+        ),
+        ("f.waypoints", items((5003, 0.0, 0, 50.0, -5.0)), "keep_in"),
+    ],
+)
+def test_what_is_no_fence_is_refused_by_item(tmp_path: Path, name: str, text: str, says: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ConfigError) as error:
+        Fence.load(str(tmp_path / name))
+    assert says in str(error.value)

@@ -1,0 +1,147 @@
+"""Paths in files of other programs: files made by other programs' libraries, and what is refused by item."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltv_mpc import references
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.references import Place, Point, Waypoints
+from ltv_mpc.references.geodesy import Origin
+
+ORIGIN = Origin(latitude_deg=50.2, longitude_deg=-5.1)
+PLACES = [(50.2, -5.1), (50.2003, -5.1001), (50.2004, -5.0995), (50.2001, -5.0994)]
+
+
+def expected(speed_mps: float = 20.0, depths: tuple[float, ...] = ()) -> Waypoints:
+    places = [Place(latitude_deg=at, longitude_deg=on) for at, on in PLACES]
+    if depths:
+        places = [
+            Place(latitude_deg=at, longitude_deg=on, depth_m=z) for (at, on), z in zip(PLACES, depths, strict=True)
+        ]
+    return Waypoints(waypoints=tuple(places), speed_mps=speed_mps, origin=ORIGIN)
+
+
+def assert_same(read: references.Reference, right: Waypoints) -> None:
+    assert isinstance(read, Waypoints)
+    np.testing.assert_allclose(read.path().points, right.path().points, atol=1e-3)
+    np.testing.assert_allclose(read.path().depth, right.path().depth, atol=1e-3)
+    assert read.speed_mps == right.speed_mps
+
+
+def test_a_mission_written_by_pymavlink_is_the_same_path(tmp_path: Path) -> None:
+    mavwp = pytest.importorskip("pymavlink.mavwp")
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    loader = mavwp.MAVWPLoader()
+    rows = [(0, 16, 0.0, *PLACES[0], 0.0), (3, 178, 0.0, 0.0, 0.0, 0.0)]
+    rows += [(3, 16, 0.0, *place, -depth) for place, depth in zip(PLACES, (0.0, 2.0, 5.0, 1.0), strict=True)]
+    for k, (frame, command, wait, latitude, longitude, height) in enumerate(rows):
+        speed = 0.4 if command == 178 else 0.0
+        item = mavlink.MAVLink_mission_item_message(
+            1, 1, k, frame, command, 0, 1, wait, speed, 0.0, 0.0, latitude, longitude, height
+        )
+        loader.add(item)
+    loader.save(str(tmp_path / "m.waypoints"))
+    (tmp_path / "m.WAYPOINTS").write_text((tmp_path / "m.waypoints").read_text())
+    for name in ("m.waypoints", "m.WAYPOINTS"):
+        assert_same(references.load(str(tmp_path / name)), expected(0.4, (0.0, 2.0, 5.0, 1.0)))
+
+
+def test_a_route_and_a_track_written_by_gpxpy_are_the_same_path(tmp_path: Path) -> None:
+    gpxpy = pytest.importorskip("gpxpy")
+    route, track = gpxpy.gpx.GPX(), gpxpy.gpx.GPX()
+    route.routes.append(gpxpy.gpx.GPXRoute())
+    route.routes[0].points = [gpxpy.gpx.GPXRoutePoint(at, on, elevation=7.0) for at, on in PLACES]
+    track.tracks.append(gpxpy.gpx.GPXTrack())
+    for part in (PLACES[:2], PLACES[2:]):
+        segment = gpxpy.gpx.GPXTrackSegment([gpxpy.gpx.GPXTrackPoint(at, on) for at, on in part])
+        track.tracks[0].segments.append(segment)
+    for gpx in (route, track):
+        (tmp_path / "m.gpx").write_text(gpx.to_xml())
+        assert_same(references.load(str(tmp_path / "m.gpx")), expected())
+    both = gpxpy.gpx.GPX()
+    both.routes, both.tracks = route.routes, track.tracks
+    (tmp_path / "m.gpx").write_text(both.to_xml())
+    with pytest.raises(ConfigError, match="must have one route or track, it has 2"):
+        references.load(str(tmp_path / "m.gpx"))
+
+
+def line_string(**properties: object) -> dict[str, object]:
+    coordinates = [[on, at, 3.0] for at, on in PLACES]
+    geometry = {"type": "LineString", "coordinates": coordinates}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+def test_a_line_and_a_point_of_geojson_stand_beside_the_zones_of_a_fence(tmp_path: Path) -> None:
+    ring = [[-5.2, 50.1], [-5.0, 50.1], [-5.0, 50.3], [-5.2, 50.1]]
+    zone = {
+        "type": "Feature",
+        "properties": {"zone": "keep_in"},
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+    }
+    path = tmp_path / "m.GEOJSON"
+    for content in (
+        line_string(speed_mps=0.3),
+        {"type": "FeatureCollection", "features": [zone, line_string(speed_mps=0.3)]},
+    ):
+        path.write_text(json.dumps(content))
+        assert_same(references.load(str(path)), expected(0.3))
+    path.write_text(json.dumps({"type": "Point", "coordinates": [-5.1, 50.2]}))
+    assert references.load(str(path)) == Point(latitude_deg=50.2, longitude_deg=-5.1, origin=ORIGIN)
+    shapely = pytest.importorskip("shapely")
+    path.write_text(shapely.to_geojson(shapely.LineString([(on, at) for at, on in PLACES])))
+    assert_same(references.load(str(path)), expected())
+
+
+def plan(*items: dict[str, object]) -> str:
+    mission = {"cruiseSpeed": 1.5, "plannedHomePosition": [50.2, -5.1, 12.0], "items": items}
+    return json.dumps({"fileType": "Plan", "mission": mission})
+
+
+def simple(number: int, command: int, *parameters: float | None, frame: int = 3) -> dict[str, object]:
+    return {"type": "SimpleItem", "doJumpId": number, "command": command, "frame": frame, "params": parameters}
+
+
+def test_a_plan_of_qgroundcontrol_is_the_same_path(tmp_path: Path) -> None:
+    items = [simple(k, 16, 0, 0, 0, None, *place, 50) for k, place in enumerate(PLACES, start=1)]
+    (tmp_path / "m.plan").write_text(plan(*items))
+    assert_same(references.load(str(tmp_path / "m.plan")), expected(1.5))
+    (tmp_path / "m.plan").write_text(plan(simple(1, 178, 1, 0.7, -1, 0, 0, 0, 0, frame=2), *items))
+    assert_same(references.load(str(tmp_path / "m.plan")), expected(0.7))
+
+
+HOME = "QGC WPL 110\n0 1 0 16 0 0 0 0 50.2 -5.1 0 1\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("m.waypoints", HOME + "1 0 3 19 20 0 0 0 50.2 -5 0 1\n", "item 1 NAV_LOITER_TIME (19)"),
+        ("m.waypoints", HOME + "1 0 3 16 20 0 0 0 50.2 -5 0 1\n", "item 1 NAV_WAYPOINT (16): a path does not wait"),
+        ("m.waypoints", HOME + "1 0 1 16 0 0 0 0 50.2 -5 0 1\n", "item 1 NAV_WAYPOINT (16): its frame 1"),
+        ("m.waypoints", HOME + "1 0 3 17 0 0 0 0 50.2 -5 0 1\n2 0 3 16 0 0 0 0 50.2 -5 0 1", "item 2 NAV_WAYPOINT"),
+        (
+            "m.waypoints",
+            HOME + "1 0 3 16 0 0 0 0 50.21 -5 0 1\n2 0 3 178 1 0.3 -1 0 0 0 0 1\n3 0 3 20 0 0 0 0 0 0 0 1\n",
+            "item 2 DO_CHANGE_SPEED (178): a path has one speed; item 3 NAV_RETURN_TO_LAUNCH (20)",
+        ),
+        ("m.waypoints", "QGC WPL 120\n", "line 1 = "),
+        ("m.waypoints", HOME + "1 0 3 16 0 0 0 0 50.2 -5 0\n", "line 3 = "),
+        ("m.waypoints", HOME, "has no path and no point"),
+        ("m.plan", "{", "is not valid JSON"),
+        ("m.plan", "{}", "mission: is not that of a plan"),
+        ("m.plan", plan({"type": "ComplexItem", "complexItemType": "survey"}), "item 1: survey cannot be followed"),
+        ("m.geojson", '{"type": "FeatureCollection", "features": []}', "they hold 0"),
+        ("m.geojson", '{"type": "MultiPoint", "coordinates": []}', "features[0]: must be a LineString, a Point"),
+        ("m.KML", "<kml/>", "is KML: convert it, as with ogr2ogr m.geojson m.KML"),
+    ],
+)
+def test_what_a_path_cannot_do_is_refused_by_item_and_name(tmp_path: Path, name: str, text: str, says: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ConfigError) as error:
+        references.load(str(tmp_path / name))
+    assert says in str(error.value)

@@ -1,0 +1,192 @@
+"""Paths through sampled points: the number of points, their noise and doubled points do not change the motion."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from ltv_mpc import Controller, Estimate, advance
+from ltv_mpc.messages import Array, ReferenceStart
+from ltv_mpc.references import Circle, Lawnmower, Line, Place, Reference, Timed, Waypoints
+from ltv_mpc.references.leg_fit import fit_legs
+from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY
+from ltv_mpc.vehicle.parameters import Vehicle
+
+PAPER, SURFACE = Vehicle.load("paper"), Vehicle.load("surface")
+HERE = Place(north_m=0.0, east_m=0.0)
+NOISE_M = 0.02
+"""Largest noise of a coordinate: 1 % of the length of both vehicles."""
+
+ANGLE = np.linspace(0.0, 2.0 * np.pi, 20_001)
+RANDOM = np.random.default_rng(6).normal(size=(3, 2, 2)) * 5.0 / np.arange(1, 4)[:, None, None] ** 2.5
+MOWER = Lawnmower(start=HERE, course_deg=0.0, length_m=20.0, width_m=12.0, spacing_m=4.0, speed_mps=1.0)
+CURVES = {
+    "circle": 3.0 * np.column_stack([np.cos(ANGLE), np.sin(ANGLE)]),
+    "figure of eight": np.column_stack([8.0 * np.sin(ANGLE), 4.0 * np.sin(2.0 * ANGLE)]),
+    "random curve": sum(
+        np.outer(np.cos(k * ANGLE), a) + np.outer(np.sin(k * ANGLE), b) for k, (a, b) in enumerate(RANDOM, 1)
+    ),
+    "lawnmower": msgspec.structs.replace(MOWER, corner_m=0.0).path().points,
+}
+PATHS = CURVES | {"lawnmower": MOWER.path().points}
+"""The curves with rounded corners."""
+
+
+def waypoints(points: Array, speed_mps: float, **fields: object) -> Waypoints:
+    places = tuple(Place(north_m=float(n), east_m=float(e)) for n, e in points)
+    return Waypoints(waypoints=places, speed_mps=speed_mps, **fields)
+
+
+def samples(curve: Array, count: int, noise_m: float = 0.0) -> Array:
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(curve, axis=0).T))])
+    at = np.linspace(0.0, way[-1], count + 1)
+    if len(curve) < 100:  # its corners are points too
+        at = np.unique(np.concatenate([at, way]))
+    points = np.column_stack([np.interp(at, way, column) for column in curve.T])
+    return points + np.random.default_rng(count).uniform(-noise_m, noise_m, points.shape)
+
+
+def off_curve_m(curve: Array, points: Array) -> float:
+    return float(cKDTree(samples(curve, 20_000)).query(points)[0].max())
+
+
+@pytest.mark.parametrize("count", [24, 90, 359, 361, 720, 20_000])
+@pytest.mark.parametrize("radius_m", [1.0, 3.0])
+def test_a_circle_of_waypoints_takes_as_long_as_the_circle(radius_m, count):
+    circle = Circle(centre=HERE, radius_m=radius_m, speed_mps=2.0).schedule(SURFACE)
+    points = samples(CURVES["circle"] * radius_m / 3.0, count)
+    assert waypoints(points, 2.0).schedule(SURFACE).duration_s == pytest.approx(circle.duration_s, rel=0.03)
+
+
+@pytest.mark.parametrize("count", [361, 2_000, 20_000])
+@pytest.mark.parametrize(("vehicle", "speed_mps"), [(PAPER, 0.4), (SURFACE, 2.0)], ids=["paper", "surface"])
+@pytest.mark.parametrize("curve", CURVES)
+def test_lap_time_and_path_do_not_depend_on_noise_and_number_of_points(curve, vehicle, speed_mps, count):
+    exact = waypoints(samples(CURVES[curve], 720), speed_mps).schedule(vehicle)
+    assert off_curve_m(PATHS[curve], exact.table[[NORTH, EAST]].T) < 0.02
+    for noise_m in (0.0, 0.5 * NOISE_M, NOISE_M):
+        schedule = waypoints(samples(CURVES[curve], count, noise_m), speed_mps).schedule(vehicle)
+        assert schedule.duration_s == pytest.approx(exact.duration_s, rel=0.035)
+        assert off_curve_m(PATHS[curve], schedule.table[[NORTH, EAST]].T) < 0.02 + noise_m
+
+
+def off_circle_m(reference: Reference, radius_m: float) -> float:
+    """Largest distance from the circle that the nominal vehicle flies along it."""
+    controller, off = Controller(SURFACE, reference), 0.0
+    estimate = Estimate.at_rest(north_m=radius_m, heading_rad=0.5 * math.pi, depth_m=None)
+    for _ in range(75):
+        estimate = advance(SURFACE, estimate, controller.plan(estimate), duration_s=0.3)
+        off = max(off, abs(math.hypot(estimate.north_m, estimate.east_m) - radius_m))
+    return off
+
+
+@pytest.mark.parametrize(("count", "noise_m"), [(24, 0.0), (361, 0.0), (720, NOISE_M), (20_000, NOISE_M)])
+def test_a_circle_of_waypoints_is_flown_as_closely_as_the_circle(count, noise_m):
+    circle = off_circle_m(Circle(centre=HERE, radius_m=3.0, speed_mps=2.0), 3.0)
+    assert off_circle_m(waypoints(samples(CURVES["circle"], count, noise_m), 2.0), 3.0) < 1.2 * circle
+
+
+def test_noise_and_the_steps_of_a_grid_planner_do_not_slow_the_vehicle_down():
+    along = np.arange(0.0, 40.01, 0.05)
+    noisy = np.column_stack([along, np.random.default_rng(0).normal(0.0, 0.002, len(along))])
+    reference = waypoints(noisy, 0.4)
+    assert reference.schedule(PAPER).duration_s == pytest.approx(100.0, rel=0.05)
+    grid = np.cumsum([(0.05, 0.05 * (k % 2)) for k in range(400)], axis=0)
+    reference = waypoints(grid, 0.4)
+    assert reference.schedule(PAPER).duration_s == pytest.approx(math.hypot(20.0, 10.0) / 0.4, rel=0.08)
+    (note,) = reference.notes(PAPER)
+    assert note.startswith("the 400 waypoints scatter: the path of 1 legs smooths them and is up to 0.035 m away")
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.01, 0.4]), st.floats(-2.0, 1.0))
+def test_no_waypoint_is_farther_from_the_legs_than_corner_m(seed, corner_m, exponent):
+    """Walks at random, whose steps are small features rather than noise."""
+    points = np.cumsum(np.random.default_rng(seed).normal(0.0, 10.0**exponent, (40, 3)), axis=0)
+    fit = fit_legs(np.repeat(points, 2, axis=0), corner_m)
+    assert fit.deviation_m <= max(corner_m, 0.02)
+    assert (np.diff(fit.at) >= 0.0).all()
+
+
+def test_a_corner_between_dense_points_is_that_between_sparse_points():
+    points = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 20.0]])
+    for corner_m in (0.0, 0.4, 2.0):
+        sparse = waypoints(points, 0.4, corner_m=corner_m).path()
+        dense = waypoints(samples(points, 4_000), 0.4, corner_m=corner_m).path()
+        np.testing.assert_allclose(dense.points, sparse.points, atol=1e-6)
+
+
+def test_a_path_back_along_itself_keeps_its_turning_points():
+    north = np.concatenate([np.linspace(0.0, 10.0, 101), np.linspace(9.9, 5.0, 50), np.linspace(5.1, 20.0, 150)])
+    path = waypoints(np.column_stack([north, 0.0 * north]), 0.4).path()
+    np.testing.assert_allclose(path.points[:, 0], [0.0, 10.0, 5.0, 20.0], atol=1e-9)
+    np.testing.assert_allclose(path.turn_on_spot, [0.0, math.pi, math.pi, 0.0])
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.005, NOISE_M])
+def test_a_timed_track_of_a_noisy_log_keeps_its_times(noise_m):
+    t = np.arange(0.0, 100.01, 0.1)
+    for points in (np.column_stack([0.4 * t, 0.0 * t]), 10.0 * np.column_stack([np.cos(0.03 * t), np.sin(0.03 * t)])):
+        noise = np.random.default_rng(0).normal(0.0, noise_m, points.shape)
+        track = Timed(rows=tuple(map(tuple, np.column_stack([t, points + noise]).tolist())))
+        table = track.schedule(PAPER).table
+        assert table[TIME, -1] == pytest.approx(100.0, abs=0.2)
+        assert np.hypot(*(table[[NORTH, EAST]].T - points).T).max() < 0.02 + 4.0 * noise_m
+
+
+lengths = st.floats(-1.0, 6.0).map(lambda exponent: 10.0**exponent)
+speeds = st.floats(-3.0, 1.3).map(lambda exponent: 10.0**exponent)
+
+
+def references_of(length_m: float, speed_mps: float, rate_mps: float) -> list[Reference]:
+    """One reference of each kind, of about this length."""
+    deep = Place(north_m=length_m, east_m=0.0, depth_m=30.0)
+    fields = {"speed_mps": speed_mps, "descent_rate_mps": rate_mps}
+    corner = (Place(north_m=0.0, east_m=0.0, depth_m=0.0), deep, Place(north_m=length_m, east_m=length_m, depth_m=5.0))
+    return [
+        Line(start=corner[0], end=deep, **fields),
+        Waypoints(waypoints=corner, **fields),
+        Waypoints(waypoints=corner, corner_m=0.0, **fields),
+        Circle(centre=HERE, radius_m=min(length_m, 1e5), depth_m=3.0, **fields),
+        Timed(rows=((0.0, 0.0, 0.0, 0.0), (20.0, length_m, 0.0, 30.0)), descent_rate_mps=rate_mps),
+    ]
+
+
+@settings(deadline=None, max_examples=25)
+@given(lengths, speeds, speeds, st.floats(0.0, 2.0))
+@example(40.0, 0.01, 0.02, 1.0)
+@example(1e5, 0.2, 0.2, 0.0)
+@example(1.0, 0.05, 0.05, 0.0)
+def test_no_reference_is_faster_or_sinks_faster_than_its_speeds(length_m, speed_mps, rate_mps, start_mps):
+    anchor = ReferenceStart(
+        t_ns=0, north_m=0.0, east_m=0.0, depth_m=0.0, heading_rad=1.0, velocity_mps=(start_mps, 0.0)
+    )
+    for vehicle in (PAPER, SURFACE):
+        for reference in references_of(length_m, speed_mps, min(rate_mps, 10.0)):
+            for start in (None, anchor):
+                table = reference.schedule(vehicle, start).table
+                steps = np.diff(table)
+                assert (steps[TIME] >= 0.0).all()
+                if not isinstance(reference, Timed):
+                    assert (steps[WAY] <= speed_mps * steps[TIME] * (1.0 + 1e-6) + 1e-9).all()
+                assert (np.abs(steps[DEPTH]) <= reference.descent_rate_mps * steps[TIME] * (1.0 + 1e-6) + 1e-9).all()
+
+
+def test_doubled_points_are_one_with_a_note():
+    corners = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]])
+    ring = np.vstack([corners[[0, 0, 1, 1, 1, 2, 3]], corners[:1]])
+    for laps in (1, 2):
+        doubled = waypoints(ring, 0.4, closed=True, laps=laps)
+        once = waypoints(corners, 0.4, closed=True, laps=laps)
+        np.testing.assert_allclose(doubled.path().points, once.path().points, atol=1e-9)
+        assert doubled.notes(PAPER)[1:] == once.notes(PAPER)
+        assert "count as one with it" in doubled.notes(PAPER)[0]
+        assert doubled.notes(PAPER)[0].endswith("the first is waypoints[1]")
+    goal = waypoints(corners[[0, 1, 1]], 0.4)
+    np.testing.assert_allclose(goal.path().points, corners[:2])
