@@ -159,6 +159,8 @@ class DisturbanceObserver:
         self._shift = np.zeros(2)  # from the origin to the point that is held in its place, north and east (m)
         # After each update, the oldest first: time of the estimate, belief.
         self._before: deque[tuple[int, Belief]] = deque(maxlen=DOUBTED_ESTIMATES)
+        self.nis = 0.0
+        """Normalised innovation squared of the last update, of three degrees of freedom."""
         self.thrust_in_doubt = False
         """A thruster may deliver less than the controller takes it to deliver."""
 
@@ -355,7 +357,7 @@ class DisturbanceObserver:
         later = profile if last.current is None else estimate.current or profile
         seconds = (estimate.t_ns - last.t_ns) * 1e-9
         s2 = velocity_change_variance(velocity_variance(last), velocity_variance(estimate), seconds)
-        mean, P, north, east, yaw_rate = update_belief(
+        mean, P, north, east, yaw_rate, self.nis = update_belief(
             (self._belief[0], self._propagated(last, estimate)),
             (
                 estimate.t_ns,

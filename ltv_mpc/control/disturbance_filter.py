@@ -110,7 +110,7 @@ def update_belief(
     profiles: tuple[Profile, Profile],
     noise: Noise,
     track: Array,
-) -> tuple[Array, Array, float, float, float]:
+) -> tuple[Array, Array, float, float, float, float]:
     """Update the belief with the newest velocity over ground and yaw rate: the measurement update of the filter.
 
     Parameters
@@ -124,15 +124,15 @@ def update_belief(
 
     Returns
     -------
-    Mean (12,) and covariance (12, 12) after the update, filtered velocity over ground, north and east (m/s), and yaw
-    rate (rad/s). An estimate whose numbers are not finite does not change them.
+    Mean (12,) and covariance (12, 12) after the update, filtered velocity over ground, north and east (m/s), yaw rate
+    (rad/s), and the normalised innovation squared, chi-squared of three if all is right. An estimate whose numbers are not finite does not change them.
     """
     mean, P = belief
     first = CURRENT if noise[3] else ARM
     seconds = float(newest[0] - measured[0]) * 1e-9
     cos, sin = np.cos(newest[3]), np.sin(newest[3])
     at, out, Q = mean.copy(), mean.copy(), P.copy()
-    H, r2, z, begin = np.zeros((3, STATES)), np.empty(3), np.empty(3), np.empty(3)
+    H, r2, z, begin, nis = np.zeros((3, STATES)), np.empty(3), np.empty(3), np.empty(3), 0.0
     for iteration in range(MAX_ITERATIONS):
         h, end = _predicted(at, newest, file, measured, commands, profiles)
         if iteration == 0:
@@ -154,9 +154,11 @@ def update_belief(
             copy_to(begin, z)
         copy_to(out, mean)
         Q = P.copy()
-        _correct(out, Q, H, r2, z, at)
+        square = _correct(out, Q, H, r2, z, at)
+        if iteration == 0:
+            nis = square
         if not np.isfinite(out.sum()):
-            return mean, P, newest[1], newest[2], newest[4]
+            return mean, P, newest[1], newest[2], newest[4], nis
         largest = 0.0
         for j in range(STATES):
             largest = max(largest, abs(out[j] - at[j]) / STEPS[j])
@@ -173,13 +175,13 @@ def update_belief(
         track[INNOVATION, i] = begin[i]
         begin[i] *= 1.0 - K
     north, east = newest[1] - cos * begin[0] + sin * begin[1], newest[2] - sin * begin[0] - cos * begin[1]
-    return out, Q, north, east, newest[4] - begin[2]
+    return out, Q, north, east, newest[4] - begin[2], nis
 
 
 @jit_outlined
-def _correct(x: Array, P: Array, H: Array, r2: Array, z: Array, at: Array) -> None:
-    """Correct mean and covariance with the three rows of H, linear about ``at``, one after the other."""
-    g = np.empty(STATES)
+def _correct(x: Array, P: Array, H: Array, r2: Array, z: Array, at: Array) -> float:
+    """Correct mean and covariance with the rows of H, linear about ``at``, one by one; return the sum of y^2 / S."""
+    g, square = np.empty(STATES), 0.0
     for i in range(3):
         S, y = r2[i], z[i]
         for j in range(STATES):  # g = P h, and y = z - H (x - at)
@@ -188,6 +190,7 @@ def _correct(x: Array, P: Array, H: Array, r2: Array, z: Array, at: Array) -> No
                 g[j] += P[j, k] * H[i, k]
             S += H[i, j] * g[j]
             y -= H[i, j] * (x[j] - at[j])
+        square += y * y / S
         for j in range(STATES):
             x[j] += g[j] / S * y
         # P - g g' / S, symmetric to the last bit; its walks keep it positive definite
@@ -197,6 +200,7 @@ def _correct(x: Array, P: Array, H: Array, r2: Array, z: Array, at: Array) -> No
                 P[k, j] = P[j, k]
     for j in range(MODEL, STATES - 1):
         x[j] = min(max(x[j], -MAX_LOG), MAX_LOG)
+    return square
 
 
 @jit_outlined
