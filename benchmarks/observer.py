@@ -2,10 +2,11 @@
 
     .venv/bin/python -m benchmarks.observer [--runs N] [--vehicles NAME ...] [--cases TEXT ...] [--jobs N]
 
-Each run follows a square of 20 m from rest, in a current of a fifth of the top speed that nothing tells. Cases are those
-of the robustness table. The estimates have an error of the velocity that varies over some seconds, of the covariance
-that they tell. The normalised innovation squared has the mean 3 where all is right, and is above 11.3 in 1 % of the
-updates; an observer whose noise is larger than the truth has less. A file is named by the first words of its alarm.
+Each run follows a square of 20 m from rest, in a current of a fifth of the top speed that nothing tells. Cases are
+those of the robustness table. The estimates have an error of the velocity that varies over some seconds, of the
+covariance that they tell. The normalised innovation squared has the mean 3 where all is right, and is above 11.3 in 1 %
+of the updates; an observer whose noise is larger than the truth has less. A file is named by the first words of its
+alarm.
 """
 
 from __future__ import annotations

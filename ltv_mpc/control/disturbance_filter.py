@@ -125,7 +125,8 @@ def update_belief(
     Returns
     -------
     Mean (12,) and covariance (12, 12) after the update, filtered velocity over ground, north and east (m/s), yaw rate
-    (rad/s), and the normalised innovation squared, chi-squared of three if all is right. An estimate whose numbers are not finite does not change them.
+    (rad/s), and the normalised innovation squared, chi-squared of three if all is right. An estimate whose numbers are
+    not finite does not change them.
     """
     mean, P = belief
     first = CURRENT if noise[3] else ARM
