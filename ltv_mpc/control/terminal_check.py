@@ -127,4 +127,4 @@ def _closing(state: Array, current: Array, place: Array, pace: Array, c: Constan
 @jit
 def _stands(pace: Array) -> bool:
     """Return True for a target that does not move: on a path the course is given, and with it which end goes first."""
-    return pace[0] == 0.0 and pace[1] == 0.0
+    return bool(pace[0] == 0.0 and pace[1] == 0.0)
