@@ -30,7 +30,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, STATES, adapted, propagate, update_belief
+from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, NIS, STATES, adapted, propagate, update_belief
 from ltv_mpc.control.prediction import Prediction, current_at_depth, profile_of
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Array, CurrentProfile, DisturbanceState, Estimate
@@ -146,21 +146,18 @@ class DisturbanceObserver:
         sd = np.full(STATES, settings.model_sd)
         sd[CURRENT:ARM] = DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps
         sd[ARM:MODEL], sd[-1] = settings.lever_arm_sd_m, MOMENT_SHARE * turning_radps2
-        self._prior = sd**2
-        self._trusts_profiles = settings.sd_mps is None
-        self._other_bias = np.zeros(2)  # of the profile while estimates have none, and the other way round
-        self._walks = np.zeros(STATES)  # of the arm and the model, per second
-        self._walks[ARM:MODEL] = ARM_WALK_M_PER_RTS**2
-        self._walks[MODEL:] = MODEL_WALK_PER_RTS**2 * learns_model
-        self._walks[-1] = (MOMENT_WALK_PER_RTS * turning_radps2) ** 2
-        self._belief: Belief = np.zeros(STATES), np.diag(self._prior)
-        self._track = np.zeros((3, 3))  # of the noise, as ``update_belief`` takes it
+        self._other_bias = np.zeros(2)  # of a profile while the estimates have none, or of still water
+        walks = np.zeros(STATES)  # of the arm and the model, per second
+        walks[ARM:MODEL] = ARM_WALK_M_PER_RTS**2
+        walks[MODEL:] = MODEL_WALK_PER_RTS**2 * learns_model
+        walks[-1] = (MOMENT_WALK_PER_RTS * turning_radps2) ** 2
+        self._prior_and_walks = sd**2, walks
+        self._belief: Belief = np.zeros(STATES), np.diag(sd**2)
+        self._track = np.zeros((4, 3))  # of the noise, as ``update_belief`` takes it
         self._last: tuple[Estimate, Estimate] | None = None  # as it was given, and with filtered velocities
         self._shift = np.zeros(2)  # from the origin to the point that is held in its place, north and east (m)
         # After each update, the oldest first: time of the estimate, belief.
         self._before: deque[tuple[int, Belief]] = deque(maxlen=DOUBTED_ESTIMATES)
-        self.nis = 0.0
-        """Normalised innovation squared of the last update, of three degrees of freedom."""
         self.thrust_in_doubt = False
         """A thruster may deliver less than the controller takes it to deliver."""
 
@@ -173,6 +170,11 @@ class DisturbanceObserver:
     def bias_mps(self) -> Array:
         """Estimated bias (2,), north and east (m/s)."""
         return self._belief[0][CURRENT:ARM].copy()
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared of the last update, of three degrees of freedom."""
+        return float(self._track[NIS, 0])
 
     @property
     def is_bounded(self) -> bool:
@@ -293,7 +295,7 @@ class DisturbanceObserver:
 
     def _trusts(self, estimate: Estimate) -> bool:
         """Return True for an estimate with a profile whose bias has to prove itself."""
-        return self._trusts_profiles and estimate.current is not None
+        return self._settings.sd_mps is None and estimate.current is not None
 
     def _share_in_use(self, estimate: Estimate) -> float:
         """Return the share of the bias that is used, and does not fade."""
@@ -307,7 +309,7 @@ class DisturbanceObserver:
         mean, P = (part.copy() for part in self._belief)
         mean[CURRENT:ARM], self._other_bias = self._other_bias, mean[CURRENT:ARM].copy()
         P[CURRENT:ARM], P[:, CURRENT:ARM] = 0.0, 0.0
-        P[CURRENT:ARM, CURRENT:ARM] = np.diag(self._prior[CURRENT:ARM])
+        P[CURRENT:ARM, CURRENT:ARM] = np.diag(self._prior_and_walks[0][CURRENT:ARM])
         self._belief = mean, P
         self._before.clear()
 
@@ -320,7 +322,8 @@ class DisturbanceObserver:
         seconds = (estimate.t_ns - last.t_ns) * 1e-9
         known = last.depth_m is not None and estimate.depth_m is not None
         depth_m = abs(estimate.depth_m - last.depth_m) if known else 0.0  # type: ignore[operator]
-        walks, prior = self._walks * seconds, self._prior
+        prior, walks = self._prior_and_walks
+        walks = walks * seconds
         if self._trusts(estimate):
             prior = prior.copy()
             prior[CURRENT:ARM], walks[CURRENT:ARM] = PROFILE_SD_MPS**2, PROFILE_WALK_MPS_PER_RTS**2 * seconds
@@ -345,9 +348,9 @@ class DisturbanceObserver:
         if state is None:
             return
         seconds = max(age_ns, 0) * 1e-9
-        P = state.covariance + np.diag(self._walks) * seconds
+        P = state.covariance + np.diag(self._prior_and_walks[1]) * seconds
         P[CURRENT:ARM, CURRENT:ARM] += self._walk(seconds, 0.0) * np.eye(2)
-        known = self._prior > 0.0  # what this observer's settings estimate
+        known = self._prior_and_walks[0] > 0.0  # what this observer's settings estimate
         # The next update bounds the variances by the prior.
         self._belief = np.where(known, state.mean, 0.0), np.where(np.outer(known, known), P, 0.0)
 
@@ -357,7 +360,7 @@ class DisturbanceObserver:
         later = profile if last.current is None else estimate.current or profile
         seconds = (estimate.t_ns - last.t_ns) * 1e-9
         s2 = velocity_change_variance(velocity_variance(last), velocity_variance(estimate), seconds)
-        mean, P, north, east, yaw_rate, self.nis = update_belief(
+        mean, P, north, east, yaw_rate = update_belief(
             (self._belief[0], self._propagated(last, estimate)),
             (
                 estimate.t_ns,

@@ -73,8 +73,10 @@ Noise: TypeAlias = tuple[float, float, float, bool]
 is not updated.
 """
 
-WHITE, FILTERED, INNOVATION = range(3)
-"""Rows of the (3, 3) track of the noise: w, p, and the last innovation, each for surge, sway and yaw."""
+WHITE, FILTERED, INNOVATION, NIS = range(4)
+"""Rows of the (4, 3) track of the noise: w, p, and the last innovation, each for surge, sway and yaw; first in its row
+the normalised innovation squared, chi-squared of three if all is right.
+"""
 
 
 @jit
@@ -110,7 +112,7 @@ def update_belief(
     profiles: tuple[Profile, Profile],
     noise: Noise,
     track: Array,
-) -> tuple[Array, Array, float, float, float, float]:
+) -> tuple[Array, Array, float, float, float]:
     """Update the belief with the newest velocity over ground and yaw rate: the measurement update of the filter.
 
     Parameters
@@ -120,20 +122,19 @@ def update_belief(
     file : (21,) coefficients of the vehicle file.
     measured, commands : as ``predict_state`` takes them, from the last estimate.
     profiles : of the last and of the newest estimate, without the bias.
-    track : (3, 3) rows ``WHITE``, ``FILTERED``, ``INNOVATION``, updated.
+    track : (4, 3) rows ``WHITE``, ``FILTERED``, ``INNOVATION``, ``NIS``, updated.
 
     Returns
     -------
-    Mean (12,) and covariance (12, 12) after the update, filtered velocity over ground, north and east (m/s), yaw rate
-    (rad/s), and the normalised innovation squared, chi-squared of three if all is right. An estimate whose numbers are
-    not finite does not change them.
+    Mean (12,) and covariance (12, 12) after the update, filtered velocity over ground, north and east (m/s), and yaw
+    rate (rad/s). An estimate whose numbers are not finite does not change them.
     """
     mean, P = belief
     first = CURRENT if noise[3] else ARM
     seconds = float(newest[0] - measured[0]) * 1e-9
     cos, sin = np.cos(newest[3]), np.sin(newest[3])
     at, out, Q = mean.copy(), mean.copy(), P.copy()
-    H, r2, z, begin, nis = np.zeros((3, STATES)), np.empty(3), np.empty(3), np.empty(3), 0.0
+    H, r2, z, begin = np.zeros((3, STATES)), np.empty(3), np.empty(3), np.empty(3)
     for iteration in range(MAX_ITERATIONS):
         h, end = _predicted(at, newest, file, measured, commands, profiles)
         if iteration == 0:
@@ -157,9 +158,9 @@ def update_belief(
         Q = P.copy()
         square = _correct(out, Q, H, r2, z, at)
         if iteration == 0:
-            nis = square
+            track[NIS, 0] = square
         if not np.isfinite(out.sum()):
-            return mean, P, newest[1], newest[2], newest[4], nis
+            return mean, P, newest[1], newest[2], newest[4]
         largest = 0.0
         for j in range(STATES):
             largest = max(largest, abs(out[j] - at[j]) / STEPS[j])
@@ -176,7 +177,7 @@ def update_belief(
         track[INNOVATION, i] = begin[i]
         begin[i] *= 1.0 - K
     north, east = newest[1] - cos * begin[0] + sin * begin[1], newest[2] - sin * begin[0] - cos * begin[1]
-    return out, Q, north, east, newest[4] - begin[2], nis
+    return out, Q, north, east, newest[4] - begin[2]
 
 
 @jit_outlined

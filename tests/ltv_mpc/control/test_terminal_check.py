@@ -94,9 +94,7 @@ def test_a_vehicle_that_is_weak_astern_comes_round_and_holds_its_place():
 
 
 @pytest.mark.parametrize(("behind_m", "current_mps"), [(10.0, 0.2), (20.0, 0.2), (10.0, 0.25)])
-def test_to_a_point_behind_it_in_a_current_from_abeam_a_vehicle_that_is_weak_astern_turns_at_once(
-    behind_m: float, current_mps: float
-):
+def test_a_vehicle_that_is_weak_astern_turns_at_once_to_a_point_behind_it(behind_m: float, current_mps: float):
     """Astern it makes 0.09 m/s or nothing, and a plan that turns at its end would put the turn off."""
     still = np.zeros(1)
     current = CurrentProfile(depth_m=still, north_mps=still, east_mps=still + current_mps)
