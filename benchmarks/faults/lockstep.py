@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import msgspec
 import numpy as np
 
+from benchmarks.faults import world
 from benchmarks.faults.draw import Run
 from benchmarks.faults.kinds import INSTRUMENTS, MESSAGES, Fault
 from benchmarks.faults.log import INTRUDERS_EPOCH, Case, Log, Observed, lost_between
@@ -23,7 +24,6 @@ from services.bus.message_validation import MessageValidator
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
-from sim.faults import world
 from sim.faults.antenna import Antenna
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval, MessageFaults

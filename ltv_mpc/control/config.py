@@ -79,7 +79,8 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Estimation of the current's bias, of the lever arm and of the vehicle's model: ``disturbance.py``.
 
     ``sd_mps`` is the prior standard deviation of each component of the bias. If it is not set, it is 0.15 for estimates
-    without a current profile, and no bias is estimated for those with one. 0: never estimate a bias; above 0: always.
+    without a current profile, and the bias of a profile is small and slow until it is significant. 0: never estimate a
+    bias; above 0: the same with and without a profile.
     """
 
     sd_mps: Annotated[float, Meta(ge=0, le=2)] | None = None

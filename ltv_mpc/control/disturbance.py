@@ -1,11 +1,14 @@
 """Disturbance observer: what the vehicle's motion says of the water, of the estimated point and of the vehicle file.
 
 The controller uses the estimate's current profile plus a bias b (2,), north and east, the same at all depths; without a
-profile the bias is the whole current. The estimates may describe a point that is l (2,), forward and starboard, away
-from the declared one: an antenna, or a hull that turns about another point than the model. Masses, drag and yaw moment
-may be others than the vehicle file says: q (8,). An error of the file is fixed to the body and a current to the earth,
-so turns and changes of speed tell them apart; one filter estimates all of them (``disturbance_filter.py``), and the
-controller predicts and plans with the model that it has learned.
+profile the bias is the whole current. A profile is trusted: the velocity over ground of a navigation filter has the
+same error as its profile, so that the velocity through the water is right, and no bias is needed. A bias of a profile
+is small and slow at first, and as far as it is not significant it is not used and fades. Forces that last make it
+significant: wind, a profile that is wrong. The estimates may describe a point that is l (2,), forward and starboard,
+away from the declared one: an antenna, or a hull that turns about another point than the model. Masses, drag and yaw
+moment may be others than the vehicle file says: q (8,). An error of the file is fixed to the body and a current to the
+earth, so turns and changes of speed tell them apart; one filter estimates all of them (``disturbance_filter.py``), and
+the controller predicts and plans with the model that it has learned.
 
 When the vehicle drifts with the water, drag is zero to first order, so b is unobservable; its variance is then bounded
 by the prior. A steady course shows nothing of l and q. An arm is used as far as it is significant, so that a vehicle
@@ -15,8 +18,6 @@ A thruster that delivers less than it reports looks like a current, and so do ac
 loss of thrust is in doubt (``thrust_loss_detector.py``), the belief is that of ``DOUBTED_ESTIMATES`` before, and it is
 not updated. While the actuators contradict the plans (``actuator_check.py``), it is that of their last report that
 agreed. Under an override of the thrusts it keeps its value, and its variance grows.
-
-By default the bias works for estimates without a current profile, and does nothing for estimates with one.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, STATES, adapted, propagate, update_belief
+from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, NIS, STATES, adapted, propagate, update_belief
 from ltv_mpc.control.prediction import Prediction, current_at_depth, profile_of
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Array, CurrentProfile, DisturbanceState, Estimate
@@ -44,6 +45,9 @@ DEFAULT_SD_MPS = 0.15
 """Prior standard deviation of the bias if the estimates have no current profile (m/s). A tighter one makes a lever arm
 of a strong current, and a wider one makes a current of the model's error in the first seconds.
 """
+
+PROFILE_SD_MPS, PROFILE_WALK_MPS_PER_RTS, FADING_S = 0.02, 0.001, 10.0
+"""Prior standard deviation and random walk of the bias of a profile, and time constant with which it fades."""
 
 NOISE_SHARE = 0.0015
 """Default noise of the velocity over ground, over the top speed: what is unmodelled grows with a vehicle's speed."""
@@ -61,7 +65,9 @@ MOMENT_SHARE, MOMENT_WALK_PER_RTS = 0.1, 0.03
 """Prior standard deviation and random walk of the steady yaw moment, over that of both thrusters."""
 
 INSIGNIFICANT, SIGNIFICANT = 0.5, 2.0
-"""Square of a component of the arm over its variance: up to the first nothing is used, from the second on all."""
+"""Square of a component of the arm over its variance: up to the first nothing is used, from the second on all. In the
+same way the bias of a profile is used.
+"""
 
 HEADING_FREE_SHARE, SHIFT_TIME_S, SHIFT_WAY_M = 0.03, 15.0, 2.0
 """Speed through the water over the top speed, below which the heading is free; and time or way in which the estimated
@@ -140,13 +146,14 @@ class DisturbanceObserver:
         sd = np.full(STATES, settings.model_sd)
         sd[CURRENT:ARM] = DEFAULT_SD_MPS if settings.sd_mps is None else settings.sd_mps
         sd[ARM:MODEL], sd[-1] = settings.lever_arm_sd_m, MOMENT_SHARE * turning_radps2
-        self._prior = sd**2
-        self._walks = np.zeros(STATES)  # of the arm and the model, per second
-        self._walks[ARM:MODEL] = ARM_WALK_M_PER_RTS**2
-        self._walks[MODEL:] = MODEL_WALK_PER_RTS**2 * learns_model
-        self._walks[-1] = (MOMENT_WALK_PER_RTS * turning_radps2) ** 2
-        self._belief: Belief = np.zeros(STATES), np.diag(self._prior)
-        self._track = np.zeros((3, 3))  # of the noise, as ``update_belief`` takes it
+        self._other_bias = np.zeros(2)  # of a profile while the estimates have none, or of still water
+        walks = np.zeros(STATES)  # of the arm and the model, per second
+        walks[ARM:MODEL] = ARM_WALK_M_PER_RTS**2
+        walks[MODEL:] = MODEL_WALK_PER_RTS**2 * learns_model
+        walks[-1] = (MOMENT_WALK_PER_RTS * turning_radps2) ** 2
+        self._prior_and_walks = sd**2, walks
+        self._belief: Belief = np.zeros(STATES), np.diag(sd**2)
+        self._track = np.zeros((4, 3))  # of the noise, as ``update_belief`` takes it
         self._last: tuple[Estimate, Estimate] | None = None  # as it was given, and with filtered velocities
         self._shift = np.zeros(2)  # from the origin to the point that is held in its place, north and east (m)
         # After each update, the oldest first: time of the estimate, belief.
@@ -163,6 +170,11 @@ class DisturbanceObserver:
     def bias_mps(self) -> Array:
         """Estimated bias (2,), north and east (m/s)."""
         return self._belief[0][CURRENT:ARM].copy()
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared of the last update, of three degrees of freedom."""
+        return float(self._track[NIS, 0])
 
     @property
     def is_bounded(self) -> bool:
@@ -193,13 +205,13 @@ class DisturbanceObserver:
     def covariance_of_mean(self, seconds: float) -> Array:
         """Return the covariance (2, 2) of the mean of the bias from the last estimate on (m^2/s^2).
 
-        It is zero if the profile of that estimate is used as it is.
+        It is zero if that estimate has a profile that is trusted: its own deviations count.
 
         Parameters
         ----------
         seconds : length of the mean (s).
         """
-        if self._last is None or not self._applies_to(self._last[0]):
+        if self._last is None or self._settings.sd_mps == 0 or self._trusts(self._last[0]):
             return np.zeros((2, 2))
         last = self._last[0]
         sinking_m = abs(last.velocity_down_mps or 0.0) * seconds
@@ -225,6 +237,8 @@ class DisturbanceObserver:
         """
         given, (before, last) = estimate, self._last or (estimate, None)
         interval_ns = 0 if last is None else estimate.t_ns - last.t_ns
+        if last is not None and self._trusts(last) is not self._trusts(estimate):
+            self._exchange_bias()
         if self.thrust_in_doubt and self._before:
             _, self._belief = self._before[0]
             self._before.clear()
@@ -240,8 +254,9 @@ class DisturbanceObserver:
                 self._track[1:] = 0.0
         self._last = given, estimate
         at_origin = self.arm_in_use.to_origin(estimate)
-        if self._applies_to(estimate):
-            at_origin = _with_bias(at_origin, *self.bias_mps.tolist())
+        bias_mps = self._share_in_use(estimate) * self.bias_mps
+        if self._settings.sd_mps != 0 and (estimate.current is None or bias_mps.any()):
+            at_origin = _with_bias(at_origin, *bias_mps.tolist())
         return self._at_held_point(at_origin, estimate, interval_ns * 1e-9)
 
     def _at_held_point(self, at_origin: Estimate, estimate: Estimate, seconds: float) -> Estimate:
@@ -278,10 +293,25 @@ class DisturbanceObserver:
         if self._before:
             _, self._belief = self._before[-1]
 
-    def _applies_to(self, estimate: Estimate) -> bool:
-        """Return True if the bias is added to the estimate's current."""
-        sd_mps = self._settings.sd_mps
-        return sd_mps != 0 and (sd_mps is not None or estimate.current is None)
+    def _trusts(self, estimate: Estimate) -> bool:
+        """Return True for an estimate with a profile whose bias has to prove itself."""
+        return self._settings.sd_mps is None and estimate.current is not None
+
+    def _share_in_use(self, estimate: Estimate) -> float:
+        """Return the share of the bias that is used, and does not fade."""
+        if not self._trusts(estimate):
+            return 1.0
+        b = self.bias_mps
+        return _significance(float(b @ np.linalg.solve(self.covariance, b)))
+
+    def _exchange_bias(self) -> None:
+        """Go over to the bias of a profile from that of still water, or back; it is uncertain again."""
+        mean, P = (part.copy() for part in self._belief)
+        mean[CURRENT:ARM], self._other_bias = self._other_bias, mean[CURRENT:ARM].copy()
+        P[CURRENT:ARM], P[:, CURRENT:ARM] = 0.0, 0.0
+        P[CURRENT:ARM, CURRENT:ARM] = np.diag(self._prior_and_walks[0][CURRENT:ARM])
+        self._belief = mean, P
+        self._before.clear()
 
     def _walk(self, seconds: float, depth_m: float) -> float:
         """Return the variance of the bias's walk over a time and a change of depth (m^2/s^2)."""
@@ -292,9 +322,14 @@ class DisturbanceObserver:
         seconds = (estimate.t_ns - last.t_ns) * 1e-9
         known = last.depth_m is not None and estimate.depth_m is not None
         depth_m = abs(estimate.depth_m - last.depth_m) if known else 0.0  # type: ignore[operator]
-        walks = self._walks * seconds
-        walks[CURRENT:ARM] = self._walk(seconds, depth_m) if self._applies_to(estimate) else 0.0
-        covariance: Array = propagate(self._belief[1], walks, self._prior)
+        prior, walks = self._prior_and_walks
+        walks = walks * seconds
+        if self._trusts(estimate):
+            prior = prior.copy()
+            prior[CURRENT:ARM], walks[CURRENT:ARM] = PROFILE_SD_MPS**2, PROFILE_WALK_MPS_PER_RTS**2 * seconds
+        elif self._settings.sd_mps != 0:
+            walks[CURRENT:ARM] = self._walk(seconds, depth_m)
+        covariance: Array = propagate(self._belief[1], walks, prior)
         return covariance
 
     def save(self) -> DisturbanceState:
@@ -313,9 +348,9 @@ class DisturbanceObserver:
         if state is None:
             return
         seconds = max(age_ns, 0) * 1e-9
-        P = state.covariance + np.diag(self._walks) * seconds
+        P = state.covariance + np.diag(self._prior_and_walks[1]) * seconds
         P[CURRENT:ARM, CURRENT:ARM] += self._walk(seconds, 0.0) * np.eye(2)
-        known = self._prior > 0.0  # what this observer's settings estimate
+        known = self._prior_and_walks[0] > 0.0  # what this observer's settings estimate
         # The next update bounds the variances by the prior.
         self._belief = np.where(known, state.mean, 0.0), np.where(np.outer(known, known), P, 0.0)
 
@@ -341,10 +376,11 @@ class DisturbanceObserver:
                 (profile.depth_m, profile.north_mps, profile.east_mps),
                 (later.depth_m, later.north_mps, later.east_mps),
             ),
-            (self._noise[0] + s2, *self._noise[1:], self._applies_to(last) and self._applies_to(estimate)),
+            (self._noise[0] + s2, *self._noise[1:], self._settings.sd_mps != 0),
             self._track,
         )
         self._belief = mean, P
+        mean[CURRENT:ARM] *= 1.0 - (1.0 - self._share_in_use(estimate)) * min(seconds / FADING_S, 1.0)
         return _with_motion(estimate, north, east, yaw_rate)
 
 
@@ -362,7 +398,12 @@ def _significant(arm_m: float, variance: float) -> float:
     """Return the part of a component of the lever arm (m) that is used, by its variance (m^2)."""
     if arm_m == 0.0 or variance <= 0.0:
         return 0.0
-    return arm_m * min(max((arm_m * arm_m / variance - INSIGNIFICANT) / (SIGNIFICANT - INSIGNIFICANT), 0.0), 1.0)
+    return arm_m * _significance(arm_m * arm_m / variance)
+
+
+def _significance(square: float) -> float:
+    """Return 0 for noise to 1 for a state that is significant, by its square over its variance."""
+    return min(max((square - INSIGNIFICANT) / (SIGNIFICANT - INSIGNIFICANT), 0.0), 1.0)
 
 
 def _with_bias(estimate: Estimate, north: float, east: float) -> Estimate:

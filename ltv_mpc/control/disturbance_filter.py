@@ -73,8 +73,10 @@ Noise: TypeAlias = tuple[float, float, float, bool]
 is not updated.
 """
 
-WHITE, FILTERED, INNOVATION = range(3)
-"""Rows of the (3, 3) track of the noise: w, p, and the last innovation, each for surge, sway and yaw."""
+WHITE, FILTERED, INNOVATION, NIS = range(4)
+"""Rows of the (4, 3) track of the noise: w, p, and the last innovation, each for surge, sway and yaw; first in its row
+the normalised innovation squared, chi-squared of three if all is right.
+"""
 
 
 @jit
@@ -120,7 +122,7 @@ def update_belief(
     file : (21,) coefficients of the vehicle file.
     measured, commands : as ``predict_state`` takes them, from the last estimate.
     profiles : of the last and of the newest estimate, without the bias.
-    track : (3, 3) rows ``WHITE``, ``FILTERED``, ``INNOVATION``, updated.
+    track : (4, 3) rows ``WHITE``, ``FILTERED``, ``INNOVATION``, ``NIS``, updated.
 
     Returns
     -------
@@ -154,7 +156,9 @@ def update_belief(
             copy_to(begin, z)
         copy_to(out, mean)
         Q = P.copy()
-        _correct(out, Q, H, r2, z, at)
+        square = _correct(out, Q, H, r2, z, at)
+        if iteration == 0:
+            track[NIS, 0] = square
         if not np.isfinite(out.sum()):
             return mean, P, newest[1], newest[2], newest[4]
         largest = 0.0
@@ -177,9 +181,9 @@ def update_belief(
 
 
 @jit_outlined
-def _correct(x: Array, P: Array, H: Array, r2: Array, z: Array, at: Array) -> None:
-    """Correct mean and covariance with the three rows of H, linear about ``at``, one after the other."""
-    g = np.empty(STATES)
+def _correct(x: Array, P: Array, H: Array, r2: Array, z: Array, at: Array) -> float:
+    """Correct mean and covariance with the rows of H, linear about ``at``, one by one; return the sum of y^2 / S."""
+    g, square = np.empty(STATES), 0.0
     for i in range(3):
         S, y = r2[i], z[i]
         for j in range(STATES):  # g = P h, and y = z - H (x - at)
@@ -188,6 +192,7 @@ def _correct(x: Array, P: Array, H: Array, r2: Array, z: Array, at: Array) -> No
                 g[j] += P[j, k] * H[i, k]
             S += H[i, j] * g[j]
             y -= H[i, j] * (x[j] - at[j])
+        square += y * y / S
         for j in range(STATES):
             x[j] += g[j] / S * y
         # P - g g' / S, symmetric to the last bit; its walks keep it positive definite
@@ -197,6 +202,7 @@ def _correct(x: Array, P: Array, H: Array, r2: Array, z: Array, at: Array) -> No
                 P[k, j] = P[j, k]
     for j in range(MODEL, STATES - 1):
         x[j] = min(max(x[j], -MAX_LOG), MAX_LOG)
+    return square
 
 
 @jit_outlined

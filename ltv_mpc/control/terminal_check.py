@@ -7,7 +7,7 @@ keeps pace with the target,
 
     s = the largest with |e s + b| <= V          closing speed towards the target; V - |b| if there is none
     V = top speed ahead, or astern where the stern points along e s + b
-    stuck: d > NEAR_LENGTHS L and s < SLOW_RATIO of the top speed ahead
+    stuck: d > NEAR_LENGTHS L, and s < SLOW_RATIO of the top speed ahead, or d / s > TURN_TIMES T + d / s of the bow
 
     tail cost = 1/2 w / h integral of (d - s t)^2 dt until the target is reached, over MAX_TAIL_TIMES T at most
 
@@ -32,6 +32,15 @@ NEAR_LENGTHS = 0.1
 
 SLOW_RATIO = 0.1
 """Closing speed below which a vehicle is stuck, over its top speed ahead."""
+
+TURN_TIMES = 2.0
+"""Time that a turn is worth, over the time scale T. A vehicle that would arrive later than by a turn is stuck, too."""
+
+STEERED = 0.87
+"""Speed over the top speed that a vehicle which is weak astern has left while it keeps its course across a current."""
+
+BEGIN = 4
+"""Knot at which a trajectory that goes astern is checked, too: a plan that turns at its end would put the turn off."""
 
 MAX_TAIL_TIMES = 200.0
 """Longest time of the tail cost over the time scale T: 24 minutes for the paper's vehicle. A station is held for long,
@@ -69,11 +78,11 @@ def closing_speed(en: float, ee: float, bn: float, be: float, V: float) -> float
 
 @jit
 def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalCheck:
-    """Check the end of a trajectory.
+    """Check a trajectory: its end, and how it begins.
 
     Parameters
     ----------
-    X : (N+1, 8) states at the knots; only the last is used.
+    X : (N+1, 8) states at the knots.
     C : (N+1, 2) current at the knots, north and east (m/s).
     target : (N+1, 3) as in ``ocp/terms``.
     c : constants of the controller.
@@ -82,21 +91,40 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
     -------
     Whether it is stuck, and its tail cost.
     """
-    N, o, p = len(target) - 1, c.objective, c.p
-    dn, de = target[N - 1, 0] - X[N, 0], target[N - 1, 1] - X[N, 1]
-    d = math.sqrt(dn * dn + de * de)
-    T, ahead = TIME_S * c.time_ratio, steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
-    if d <= NEAR_LENGTHS * ahead * T:
+    N, o, T = len(target) - 1, c.objective, TIME_S * c.time_ratio
+    ends_stuck, d, s = _closing(X[N], C[N], target[N - 1], target[N], c)
+    if d == 0.0:
         return TerminalCheck(False, 0.0)
-    en, ee = dn / d, de / d
-    bn, be = target[N, 0] - C[N, 0], target[N, 1] - C[N, 1]
-    s = closing_speed(en, ee, bn, be, ahead)
-    if math.cos(X[N, 4]) * (en * s + bn) + math.sin(X[N, 4]) * (ee * s + be) < 0.0:
-        astern = steady_speed(max(-o.low[0] - o.low[1], 0.0), p.linear_surge, p.quadratic_surge)
-        s = closing_speed(en, ee, bn, be, astern)
+    k = min(BEGIN, N - 1)
+    begins_stuck = _stands(target[N]) and X[k, 6] + X[k, 7] < 0.0 and _closing(X[k], C[k], target[k], target[N], c)[0]
     t = MAX_TAIL_TIMES * T
     if s * t > d:
         t = d / s
-    return TerminalCheck(
-        s < SLOW_RATIO * ahead, 0.5 * o.position / c.stage_s * t * (d * d - d * s * t + s * s * t * t / 3.0)
-    )
+    tail_cost = 0.5 * o.position / c.stage_s * t * (d * d - d * s * t + s * s * t * t / 3.0)
+    return TerminalCheck(ends_stuck or begins_stuck, tail_cost)
+
+
+@jit
+def _closing(state: Array, current: Array, place: Array, pace: Array, c: Constants) -> tuple[bool, float, float]:
+    """Return whether a state is stuck, its distance (m), 0 if it is near, and its closing speed (m/s)."""
+    o, p, T = c.objective, c.p, TIME_S * c.time_ratio
+    dn, de = place[0] - state[0], place[1] - state[1]
+    d = math.sqrt(dn * dn + de * de)
+    ahead = steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
+    if d <= NEAR_LENGTHS * ahead * T:
+        return False, 0.0, ahead
+    en, ee = dn / d, de / d
+    bn, be = pace[0] - current[0], pace[1] - current[1]
+    s = closing_speed(en, ee, bn, be, ahead)
+    if math.cos(state[4]) * (en * s + bn) + math.sin(state[4]) * (ee * s + be) >= 0.0:
+        return s < SLOW_RATIO * ahead, d, s
+    astern, bow_first = steady_speed(max(-o.low[0] - o.low[1], 0.0), p.linear_surge, p.quadratic_surge), s
+    s = closing_speed(en, ee, bn, be, STEERED * astern if astern < ahead and _stands(pace) else astern)
+    late = _stands(pace) and d * (bow_first - s) > TURN_TIMES * T * s * bow_first
+    return s < SLOW_RATIO * ahead or late, d, s
+
+
+@jit
+def _stands(pace: Array) -> bool:
+    """Return True for a target that does not move: on a path the course is given, and with it which end goes first."""
+    return bool(pace[0] == 0.0 and pace[1] == 0.0)

@@ -198,7 +198,7 @@ def _gpx(text: str, source: str) -> Content:
         gpx = gpxpy.parse(text)
     except (gpxpy.gpx.GPXException, ValueError) as error:
         raise ConfigError(source, "", f"is not valid GPX: {error}") from None
-    paths = [route.points for route in gpx.routes]
+    paths: list[list[Any]] = [list(route.points) for route in gpx.routes]
     paths += [[point for segment in track.segments for point in segment.points] for track in gpx.tracks]
     paths = paths or [[point] for point in gpx.waypoints]
     if len(paths) != 1:

@@ -27,6 +27,11 @@ ALARM_FACTOR = 1.25
 SIGMAS_OF_ARM, SIGMAS_OF_FACTOR = 3.0, 2.5
 """Lever arm, and logarithm of a factor, over their standard deviations from which they count."""
 
+CONTRADICTED, SIGMAS_IF_CONTRADICTED = 9.0, 1.5
+"""Square of the whole model over its covariance from which something is wrong for certain, and what each factor then
+needs. With right files it is below 1, with the half or the double of one factor 10 to 80 (docs/notes/wrong-file.md).
+"""
+
 CONFIRMED_S = 15.0
 """Time for which both conditions must hold: the first turns of a run can look like a lever arm for 8 s."""
 
@@ -83,7 +88,12 @@ def _errors_of_arm(arm: Belief) -> Iterator[tuple[str, str]]:
 def _errors_of_model(model: Belief) -> Iterator[tuple[str, str]]:
     """Yield name and text of each factor that is far from 1 and certain."""
     mean, P = model
+    least = math.log(ALARM_FACTOR)
+    if np.abs(mean).max() <= least:
+        return
+    contradicted = float(mean @ np.linalg.solve(P, mean)) > CONTRADICTED
+    sigmas = SIGMAS_IF_CONTRADICTED if contradicted else SIGMAS_OF_FACTOR
     for i, name in enumerate(FACTORS):
-        if name is not None and abs(mean[i]) > max(math.log(ALARM_FACTOR), SIGMAS_OF_FACTOR * math.sqrt(P[i, i])):
+        if name is not None and abs(mean[i]) > max(least, sigmas * math.sqrt(P[i, i])):
             times = f"looks {math.exp(mean[i]):.2g} of the file's: run `ltv-mpc vehicle identify`"
             yield f"{name} differs from the vehicle file's", f"{name} {times}"

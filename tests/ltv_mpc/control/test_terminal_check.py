@@ -91,3 +91,20 @@ def test_a_vehicle_that_is_weak_astern_comes_round_and_holds_its_place():
     assert max(abs(math.remainder(psi - WEST, math.tau)) for psi in heading[-30:]) < 0.05
     turned = np.unwrap(heading)
     assert abs(turned[-1] - turned[0]) < 1.1 * math.pi  # the short way, once
+
+
+@pytest.mark.parametrize(("behind_m", "current_mps"), [(10.0, 0.2), (20.0, 0.2), (10.0, 0.25)])
+def test_a_vehicle_that_is_weak_astern_turns_at_once_to_a_point_behind_it(behind_m: float, current_mps: float):
+    """Astern it makes 0.09 m/s or nothing, and a plan that turns at its end would put the turn off."""
+    still = np.zeros(1)
+    current = CurrentProfile(depth_m=still, north_mps=still, east_mps=still + current_mps)
+    estimate = msgspec.structs.replace(Estimate.at_rest(), current=current)
+    controller = Controller(WEAK, references.Point(north_m=-behind_m, east_m=0.0))
+    track = []
+    for _ in range(round((30.0 + 2.0 * behind_m) / STAGE_S)):
+        estimate = advance(WEAK, estimate, controller.plan(estimate), duration_s=STAGE_S)
+        track.append((estimate.north_m, estimate.east_m))
+    north, east = np.array(track).T
+    assert np.hypot(north[-1] + behind_m, east[-1]) < 1.0
+    assert np.abs(east).max() < 3.0
+    assert north.min() > -behind_m - 1.0

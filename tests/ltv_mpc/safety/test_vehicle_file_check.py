@@ -78,6 +78,13 @@ def test_a_small_an_uncertain_and_a_new_error_are_not(uncertain: VehicleFileChec
     assert uncertain.why == ""
 
 
+def test_a_model_that_is_wrong_as_a_whole_is_named_by_its_uncertain_factors():
+    """Half the mass of `surface`, on a square: two standard deviations, and more abeam, where no name is given."""
+    half = np.array([-0.28, -0.5, -0.12, -0.01, 0.28, -0.01, 0.04, 0.02])
+    assert checked(model=half, sd=0.14).why.startswith("mass ahead looks 0.76")
+    assert checked(model=np.where(np.arange(8) == 0, half, 0.0), sd=0.14).why == ""
+
+
 def test_a_learned_current_that_stays_at_its_bound_is_named():
     check = VehicleFileCheck()
     for t in range(21):
