@@ -21,6 +21,7 @@ By default the bias works for estimates without a current profile, and does noth
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from functools import cache
 from typing import TypeAlias
@@ -29,7 +30,16 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, STATES, adapted, propagate, update_belief
+from ltv_mpc.control.disturbance_filter import (
+    ARM,
+    CURRENT,
+    INNOVATION,
+    MODEL,
+    STATES,
+    adapted,
+    propagate,
+    update_belief,
+)
 from ltv_mpc.control.prediction import Prediction, current_at_depth, profile_of
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Array, CurrentProfile, DisturbanceState, Estimate
@@ -80,6 +90,11 @@ MAX_INTERVAL_NS = 2_000_000_000
 
 DOUBTED_ESTIMATES = 17
 """Number of estimates before thrust is in doubt whose updates can be taken back: 5 s at 0.3 s."""
+
+ERROR_TIME_S, ERROR_MEMORY_S = 1.5, 30.0
+"""Time constant of the mean innovation, and the time in which its largest value is forgotten: an approach at constant
+speed shows nothing of the error with which the vehicle will stop.
+"""
 
 Belief: TypeAlias = tuple[Array, Array]
 """Mean and covariance: of the bias, (2,) north and east (m/s) and (2, 2), or of all states b, l, q."""
@@ -153,6 +168,9 @@ class DisturbanceObserver:
         self._before: deque[tuple[int, Belief]] = deque(maxlen=DOUBTED_ESTIMATES)
         self.thrust_in_doubt = False
         """A thruster may deliver less than the controller takes it to deliver."""
+        self.model_error_mps2 = 0.0
+        """Acceleration that the model has not explained lately, beyond the noise: from the mean innovation (m/s^2)."""
+        self._mean_error = np.zeros(2)  # ahead and to starboard (m/s^2)
 
     @property
     def current(self) -> Belief | None:
@@ -345,6 +363,11 @@ class DisturbanceObserver:
             self._track,
         )
         self._belief = mean, P
+        share = min(seconds / ERROR_TIME_S, 1.0)
+        self._mean_error += share * (self._track[INNOVATION, :2] / seconds - self._mean_error)
+        noise = 2.0 * math.sqrt(0.5 * share * (self._noise[0] + s2)) / seconds
+        kept = self.model_error_mps2 * max(1.0 - seconds / ERROR_MEMORY_S, 0.0)
+        self.model_error_mps2 = max(math.hypot(*self._mean_error.tolist()) - noise, kept)
         return _with_motion(estimate, north, east, yaw_rate)
 
 

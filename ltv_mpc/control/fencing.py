@@ -171,7 +171,7 @@ class Fencing:
         slow_mps, need_m = max(SLOW * self._scales.speed_mps, SLOW_MPS), float(self.scene.disc_need_m[0])
         return self._routes.set_standing(self.obstacles.standing(t_ns, slow_mps, need_m))
 
-    def update(self, start: Start, estimate: Estimate, growth_m: float) -> None:
+    def update(self, start: Start, estimate: Estimate, growth_m: float, model_error_mps2: float = 0.0) -> None:
         """Update required clearances and exits for this cycle.
 
         Parameters
@@ -179,6 +179,8 @@ class Fencing:
         start : the vehicle at the plan's start.
         estimate : its covariance counts.
         growth_m : growth of the standard deviation of the position since the estimate (m).
+        model_error_mps2 : acceleration that the model has not explained lately (m/s^2). In the time in which the
+            vehicle stops or turns, it carries the vehicle half of its square times the acceleration too far.
         """
         self._no_way = False
         self.meeting_margins = ()
@@ -189,7 +191,9 @@ class Fencing:
             (nn, ne), (_, ee) = estimate.covariance[:2, :2].tolist()
             sd_m += math.sqrt(largest_variance_m2(nn, ne, ee))
         north_m, east_m = start.lateral[:2].tolist()
-        lacking = update_required(zones, north_m, east_m, hull_m, sd_m, need, self.scene.exits)
+        stop_s = math.hypot(*start.lateral[2:4].tolist()) / self._scales.speed_mps * self._scales.time_s
+        error_m = 0.5 * model_error_mps2 * stop_s * stop_s
+        lacking = update_required(zones, north_m, east_m, hull_m, sd_m, need, self.scene.exits, error_m)
         if growth_m > 0.0 and lacking > 1 and SD_FACTOR * sd_m > zones.margin.min():
             asked = hull_m + np.maximum(zones.margin, SD_FACTOR * sd_m)
             lacks = clearances(zones, start.lateral[None, :2])[0] < asked

@@ -319,6 +319,8 @@ class ControllerNode:
             monitor.restart()
         elif estimate is not None:
             observer = self.controller.observer
+            if self.controller.vehicle_file_check.stamps_are_late:
+                monitor.dismiss()
             check = monitor.update(estimate, observer.current, observer.coefficients)
         self._set_thrust_shares()
         why = self.controller.vehicle_file_check.why

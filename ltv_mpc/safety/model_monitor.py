@@ -209,6 +209,11 @@ class ModelMonitor:
         self._last, self._residual, self._quiet_cycles = None, _MeanResidual(), 0
         self._detector.clear_window()
 
+    def dismiss(self) -> None:
+        """Withdraw alarm and weak thruster, and what the motion has shown so far: it was not that of its stamps."""
+        self._detector, self.alarm = ThrustLossDetector(), False
+        self.weak_thruster.restore((1.0, 1.0))
+
     def add_report(self, applied: Applied) -> None:
         """Add a report of the actuators.
 
