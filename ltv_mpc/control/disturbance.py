@@ -30,16 +30,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.disturbance_filter import (
-    ARM,
-    CURRENT,
-    INNOVATION,
-    MODEL,
-    STATES,
-    adapted,
-    propagate,
-    update_belief,
-)
+from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, STATES, adapted, propagate, update_belief
 from ltv_mpc.control.prediction import Prediction, current_at_depth, profile_of
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Array, CurrentProfile, DisturbanceState, Estimate
@@ -92,8 +83,8 @@ DOUBTED_ESTIMATES = 17
 """Number of estimates before thrust is in doubt whose updates can be taken back: 5 s at 0.3 s."""
 
 ERROR_TIME_S, ERROR_MEMORY_S = 1.5, 30.0
-"""Time constant of the mean innovation, and the time in which its largest value is forgotten: an approach at constant
-speed shows nothing of the error with which the vehicle will stop.
+"""Time constants of the mean innovation, and of the decay of its largest value: an approach at constant speed shows
+nothing of the error with which the vehicle will stop.
 """
 
 Belief: TypeAlias = tuple[Array, Array]
@@ -364,7 +355,7 @@ class DisturbanceObserver:
         )
         self._belief = mean, P
         share = min(seconds / ERROR_TIME_S, 1.0)
-        self._mean_error += share * (self._track[INNOVATION, :2] / seconds - self._mean_error)
+        self._mean_error += share * (self._track[-1, :2] / seconds - self._mean_error)
         noise = 2.0 * math.sqrt(0.5 * share * (self._noise[0] + s2)) / seconds
         kept = self.model_error_mps2 * max(1.0 - seconds / ERROR_MEMORY_S, 0.0)
         self.model_error_mps2 = max(math.hypot(*self._mean_error.tolist()) - noise, kept)

@@ -223,10 +223,8 @@ class Fencing:
         ----------
         X : (N+1, 6) or (N+1, 8) states at the knots.
         """
-        hull = self._vehicle.hull
-        if hull is None or not self.is_active:
-            return math.inf
-        return float(entry_s(X, self._times_s, self.scene, hull.radius_m))
+        hull = self._vehicle.hull if self.is_active else None
+        return math.inf if hull is None else float(entry_s(X, self._times_s, self.scene, hull.radius_m))
 
     def coasting_enters_s(self, packed: Array, X: Array, U: Array, C: Array, end: int) -> float:
         """Return when the hull enters a zone if the thrusters ramp to zero from a knot on (s); infinite for never.
@@ -235,8 +233,8 @@ class Fencing:
         ----------
         packed, X, U, C, end : as in ``coasting_entry_s`` (nominal_trajectory.py).
         """
-        hull = self._vehicle.hull
-        if hull is None or not self.is_active:
+        hull = self._vehicle.hull if self.is_active else None
+        if hull is None:
             return math.inf
         return float(coasting_entry_s(packed, X, U, C, end, self._times_s, self.scene, hull.radius_m))
 

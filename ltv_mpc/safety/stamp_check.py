@@ -1,7 +1,7 @@
 """Stamp check: whether the estimates are older than their stamps say.
 
-A navigation that stamps its estimates when they arrive gives a state of the time t - d with the stamp t. The motion then
-follows the thrusts d later than it should, whatever masses, drag and arms are. From one estimate to the next
+A navigation that stamps its estimates when they arrive gives a state of the time t - d with the stamp t. Its motion
+follows the thrusts d later than it should, whatever masses, drag and arms are. From one estimate to the next one
 
     [du, dr] = theta' phi(d) + e,    phi(d) = [dI_1(d), dI_2(d), u dt, |u| u dt, r dt, |r| r dt, u v dt, v r dt, dt,
                                                d cos psi, d sin psi]
@@ -9,10 +9,10 @@ follows the thrusts d later than it should, whatever masses, drag and arms are. 
     dI_i(d)     impulse of the reported thrust of port and starboard over the interval, d seconds before
     theta       unknown (11, 2): what thrust, drag, Coriolis and Munk forces, wind and an unknown current do
 
-Least squares with forgetting give for each delay d of ``DELAYS_S`` the theta that explains the motion best, and the sum
-of the squares s_j(d) that it leaves in surge and yaw. Among N intervals with noise of unknown size
+Least squares with forgetting give for each delay d of ``DELAYS_NS`` the theta that explains the motion best, and sums
+of squares s_j(d) that it leaves in surge and yaw. Among N intervals with noise of unknown size
 
-    J(d) = N/2 sum over j of log(s_j(d) + N ``NOISE``^2)                                         nats
+    J(d) = (N - 11)/2 sum over j of log(s_j(d) + N ``NOISE``^2)                                  nats
 
 is the negative log-likelihood. The delay is that of the least J, between the steps by a parabola. It counts with
 ``EVIDENCE_NATS`` more than a delay of at most one step, and above ``MIN_DELAY_S``. So a wrong vehicle file is no delay,
@@ -33,25 +33,28 @@ from ltv_mpc.safety.thrust_impulse import ThrustImpulse
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STEP_S = 0.1
-DELAYS_S = STEP_S * np.arange(16)
-"""Delays that are compared (s)."""
+DELAYS_NS = [round(k * STEP_S * 1e9) for k in range(16)]
+"""Delays that are compared (ns)."""
 
 MIN_DELAY_S, EVIDENCE_NATS = 0.15, 10.0
-"""Least delay that is named, and its evidence. Right stamps gave 8.5 nats at most: docs/notes/late-stamps.md."""
+"""Least delay that is named, and its least evidence (docs/notes/late-stamps.md)."""
 
 MEMORY_S, MIN_INTERVALS = 90.0, 60.0
 """Time in which an interval is forgotten to e^-1, and the number of intervals from which eleven unknowns are known."""
 
-NOISE = 2e-3
-"""Noise of a change of velocity over the top speed, and of a change of yaw rate over the rate of full thrust."""
+NOISE, RIDGE = 2e-3, 1e-4
+"""Noise of a change of velocity over the top speed, and of a change of yaw rate over the rate of full thrust; and what
+is added to the squares of the regressors, so that a motion that shows nothing of an unknown leaves it at zero.
+"""
 
-MAX_INTERVAL_S = 1.05
+MAX_INTERVAL_NS = 1_050_000_000
 """Longest interval: beyond it the velocities in between are not linear."""
 
 EVALUATED = 10
 """Intervals from one evaluation to the next."""
 
-UNKNOWNS, CHANGES = 11, 2
+UNKNOWNS, SIZE = 11, 13
+"""Number of unknowns in theta, and of these with du and dr."""
 
 
 class StampCheck:
@@ -65,14 +68,13 @@ class StampCheck:
         vehicle : gives the scales of thrust, speed and yaw rate; no more of it is used.
         """
         thrusters = vehicle.thrusters[:2]
-        self._thrust_N = max(max(t.max_N, -t.min_N) for t in thrusters)
-        couple_Nm = sum(t.max_N * t.arm_m for t in thrusters)
-        self._scales = path_limits(vehicle).top_mps, 0.5 * couple_Nm / vehicle.yaw.inertia_kgm2
-        self._impulse = ThrustImpulse()
-        self._reported_ns = 0
+        self._thrust_N = max(t.max_N for t in thrusters)
+        turning_radps2 = sum(t.max_N * t.arm_m for t in thrusters) / vehicle.yaw.inertia_kgm2
+        self._scales = path_limits(vehicle).top_mps, 0.5 * turning_radps2  # of velocity and yaw rate
+        self._impulse, self._reported_ns = ThrustImpulse(), 0
         self._last: tuple[int, Array, Array] | None = None  # time (ns), motion, impulses
         self._rows: list[Array] = []  # (D, 13) of the newest intervals
-        self._products = np.zeros((len(DELAYS_S), UNKNOWNS + CHANGES, UNKNOWNS + CHANGES))  # of those before
+        self._products = np.zeros((len(DELAYS_NS), SIZE, SIZE))  # of those before
         self._intervals = 0.0
         self.delay_s = 0.0
         """Delay of the estimates, if it is certain (s); 0: none. It changes by more than one step only."""
@@ -96,21 +98,17 @@ class StampCheck:
         current : at that time, as far as it is known.
         """
         t_ns, last = estimate.t_ns, self._last
-        if last is not None and t_ns == last[0]:
-            return
-        impulses = [self._impulse.until(t_ns - round(delay_s * 1e9)) for delay_s in DELAYS_S.tolist()]
-        if impulses[-1] is None or t_ns - self._reported_ns > MAX_INTERVAL_S * 1e9:
+        impulses = [self._impulse.until(t_ns - delay_ns) for delay_ns in DELAYS_NS]
+        if impulses[-1] is None or t_ns - self._reported_ns > MAX_INTERVAL_NS:
             self._last = None
             return
-        now = t_ns, self._motion(estimate, current), np.array(impulses) / self._thrust_N
-        self._last = now
-        if last is None or not 0 < t_ns - last[0] <= MAX_INTERVAL_S * 1e9:
+        self._last = _, motion, impulse = t_ns, self._motion(estimate, current), np.array(impulses) / self._thrust_N
+        if last is None or not 0 < t_ns - last[0] <= MAX_INTERVAL_NS:
             return
-        seconds, (u, v, r, *_) = (t_ns - last[0]) * 1e-9, (0.5 * (last[1] + now[1])).tolist()
-        du, _, dr, dcos, dsin = (now[1] - last[1]).tolist()
-        forces = seconds * np.array((u, abs(u) * u, r, abs(r) * r, u * v, v * r, 1.0))
-        row = np.empty((len(DELAYS_S), UNKNOWNS + CHANGES))
-        row[:, :2], row[:, 2:9], row[:, 9:] = now[2] - last[2], forces, (dcos, dsin, du, dr)
+        seconds, row = (t_ns - last[0]) * 1e-9, np.empty((len(DELAYS_NS), SIZE))
+        u, v, r = (0.5 * (last[1] + motion)[:3]).tolist()
+        row[:, :2], row[:, 9:] = impulse - last[2], (motion - last[1])[[3, 4, 0, 2]]
+        row[:, 2:9] = seconds * np.array((u, abs(u) * u, r, abs(r) * r, u * v, v * r, 1.0))
         self._rows.append(row)
         self._intervals = math.exp(-seconds / MEMORY_S) * self._intervals + 1.0
         if len(self._rows) == EVALUATED:
@@ -133,11 +131,8 @@ class StampCheck:
 
     def _most_likely(self) -> tuple[float, float]:
         """Return the most likely delay (s), and its evidence against a delay of at most one step (nats)."""
-        A, B = (
-            self._products[:, :UNKNOWNS, :UNKNOWNS] + 1e-4 * np.eye(UNKNOWNS),
-            self._products[:, :UNKNOWNS, UNKNOWNS:],
-        )
-        explained = (B * np.linalg.solve(A, B)).sum(axis=1)
+        A, B = np.split(self._products[:, :UNKNOWNS], [UNKNOWNS], axis=2)
+        explained = (B * np.linalg.solve(A + RIDGE * np.eye(UNKNOWNS), B)).sum(axis=1)
         left = np.diagonal(self._products, axis1=1, axis2=2)[:, UNKNOWNS:] - explained
         J = 0.5 * (self._intervals - UNKNOWNS) * np.log(np.maximum(left, 0.0) + self._intervals * NOISE**2).sum(axis=1)
         k = int(np.clip(np.argmin(J), 1, len(J) - 2))
