@@ -81,13 +81,15 @@ def test_right_stamps_are_never_late(true):
     assert set(checked(**true)) == {0.0}
 
 
-def test_a_delay_below_the_least_one_and_one_without_reports_or_motion_is_not_named():
+def test_a_delay_below_the_least_one_and_one_without_reports_or_motion_but_noise_is_not_named():
     assert set(checked(0.08)) == {0.0}
     assert set(checked(0.5, reports=False)) == {0.0}
     resting, rng = StampCheck(VEHICLE), np.random.default_rng(5)
     for k in range(300):
-        resting.add_report(msgspec.structs.replace(REPORT, t_ns=ns(0.3 * k), thrust_N=(0.5, 0.5, 0.0)))
-        r, north = (1e-3 * rng.standard_normal(2)).tolist()
+        resting.add_report(
+            msgspec.structs.replace(REPORT, t_ns=ns(0.3 * k), thrust_N=(*rng.uniform(0.0, 0.1, 2).tolist(), 0.0))
+        )
+        r, north = (0.02 * rng.standard_normal(2)).tolist()
         moved = msgspec.structs.replace(
             Estimate.at_rest(), t_ns=ns(0.3 * k), yaw_rate_radps=r, velocity_north_mps=north
         )
