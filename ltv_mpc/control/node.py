@@ -185,7 +185,7 @@ class ControllerNode:
                 if self.sources.receive(received, at_origin):
                     self._model_monitor.restart()
             case Applied() as applied:
-                if self._is_newer(self.reports, received, applied.t_ns):
+                if self.reports.accepts(received, applied.t_ns):
                     self._applied = applied
                     self.controller.add_report(applied)
                     self._model_monitor.add_report(applied)
@@ -305,12 +305,6 @@ class ControllerNode:
         no_pilot = self.mission.operator_is_silent(t_ns, MANUAL_TIMEOUT_NS)
         if action is not MissionAction.GO_ON and self.arbiter.authority is Authority.MANUAL and no_pilot:
             self.arbiter.request(Action.RELEASE)
-
-    @staticmethod
-    def _is_newer(monitor: InputMonitor, received: ReceivedMessage, stamp_ns: int) -> bool:
-        return monitor.receive(
-            epoch=received.epoch, sequence=received.sequence, stamp_ns=stamp_ns, received_ns=received.received_t_ns
-        )
 
     def _check_model(self) -> ModelCheck | None:
         """Compare the motion with the model's; return the report that is due."""
