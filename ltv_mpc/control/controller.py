@@ -114,12 +114,7 @@ class Controller:
         plan_ns = plan_end_ns(self._knots_ns, config.period_ns, vehicle.plan_timeout_s)
         self._delay = Delay(_first_delay_ns(config), config.delay_quantile, least_ns, plan_ns)
         self._lateral = LateralPlanner(
-            vehicle,
-            config,
-            packed,
-            knots_ns=self._knots_ns,
-            make_solver=make_solver,
-            stopwatch=stopwatch,
+            vehicle, config, packed, knots_ns=self._knots_ns, make_solver=make_solver, stopwatch=stopwatch
         )
         self._stopwatch = stopwatch
         self._followers = [self._follower(reference)]  # of the reference, and of the hold while it is paused

@@ -346,10 +346,7 @@ class DisturbanceObserver:
             self._file,
             prediction.measured(last, commands),
             prediction.delivered(commands),
-            (
-                (profile.depth_m, profile.north_mps, profile.east_mps),
-                (later.depth_m, later.north_mps, later.east_mps),
-            ),
+            ((profile.depth_m, profile.north_mps, profile.east_mps), (later.depth_m, later.north_mps, later.east_mps)),
             (self._noise[0] + s2, *self._noise[1:], self._applies_to(last) and self._applies_to(estimate)),
             self._track,
         )

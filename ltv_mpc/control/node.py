@@ -231,9 +231,7 @@ class ControllerNode:
         implausible, ages = self.controller.estimate_gate.rejected.total(), self.controller.config.ages
         return tuple(
             InputReport(
-                input=name,
-                rejected=monitor.rejected + more,
-                **monitor.state_at(self._cycle_ns, ages)._asdict(),
+                input=name, rejected=monitor.rejected + more, **monitor.state_at(self._cycle_ns, ages)._asdict()
             )
             for name, monitor, more in (("estimate", self.sources.monitor, implausible), (ACTUATORS, self.reports, 0))
         )

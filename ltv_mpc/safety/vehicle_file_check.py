@@ -38,6 +38,7 @@ UNDECLARED = "the estimates turn as if measured away from the declared [referenc
 BOUNDED = "the learned current is at its bound"
 
 LATE = "the estimates are older than their stamps"
+STAMP_WHEN_MEASURED = "stamp each with the time at which its state was measured, not with that of its arrival"
 
 FACTORS = ("mass ahead", None, "moment of inertia", "drag ahead", None, "drag in yaw")
 """Names of the model's factors in the order of the states. Those abeam are left out: a hull seldom moves abeam, so
@@ -75,8 +76,7 @@ class VehicleFileCheck:
         if bounded:
             errors[BOUNDED] = f"{BOUNDED}: check estimates, thrusters and vehicle file"
         if late_s > 0.0:
-            what_to_do = "stamp each with the time at which its state was measured, not with that of its arrival"
-            errors = {LATE: f"{LATE} by about {late_s:.1f} s: {what_to_do}"}
+            errors = {LATE: f"{LATE} by about {late_s:.1f} s: {STAMP_WHEN_MEASURED}"}
         before = self._since_ns
         self._since_ns = {name: min(before.get(name, t_ns), t_ns) for name in errors}
         lasting = [name for name, since_ns in self._since_ns.items() if t_ns - since_ns >= CONFIRMED_S * 1e9]
