@@ -36,13 +36,13 @@ STEP_S = 0.1
 DELAYS_NS = [round(k * STEP_S * 1e9) for k in range(16)]
 """Delays that are compared (ns)."""
 
-MIN_DELAY_S, EVIDENCE_NATS = 0.15, 10.0
+MIN_DELAY_S, EVIDENCE_NATS = 0.15, 12.0
 """Least delay that is named, and its least evidence (docs/notes/late-stamps.md)."""
 
 MEMORY_S, MIN_INTERVALS = 90.0, 60.0
 """Time in which an interval is forgotten to e^-1, and the number of intervals from which eleven unknowns are known."""
 
-NOISE, RIDGE = 2e-3, 1e-4
+NOISE, RIDGE = 5e-3, 1e-4
 """Noise of a change of velocity over the top speed, and of a change of yaw rate over the rate of full thrust; and what
 is added to the squares of the regressors, so that a motion that shows nothing of an unknown leaves it at zero.
 """
@@ -135,8 +135,8 @@ class StampCheck:
         explained = (B * np.linalg.solve(A + RIDGE * np.eye(UNKNOWNS), B)).sum(axis=1)
         left = np.diagonal(self._products, axis1=1, axis2=2)[:, UNKNOWNS:] - explained
         J = 0.5 * (self._intervals - UNKNOWNS) * np.log(np.maximum(left, 0.0) + self._intervals * NOISE**2).sum(axis=1)
-        k = int(np.clip(np.argmin(J), 1, len(J) - 2))
+        k = int(np.argmin(J))
+        if not 0 < k < len(J) - 1:
+            return 0.0, 0.0
         before, at, after = J[k - 1 : k + 2].tolist()
-        curvature = before - 2.0 * at + after
-        between = 0.5 * (before - after) / curvature if curvature > 0.0 else 0.0
-        return STEP_S * (k + min(max(between, -1.0), 1.0)), float(J[:2].min() - J.min())
+        return STEP_S * (k + 0.5 * (before - after) / (before - 2.0 * at + after)), float(J[:2].min()) - at
