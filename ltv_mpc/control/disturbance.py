@@ -152,16 +152,14 @@ class DisturbanceObserver:
         self._walks[MODEL:] = MODEL_WALK_PER_RTS**2 * learns_model
         self._walks[-1] = (MOMENT_WALK_PER_RTS * turning_radps2) ** 2
         self._belief: Belief = np.zeros(STATES), np.diag(self._prior)
-        self._track = np.zeros((3, 3))  # of the noise, as ``update_belief`` takes it
+        # Noise, as ``update_belief`` takes it; and the model's error (m/s^2): mean ahead, to starboard, largest.
+        self._track = np.zeros((4, 3))
         self._last: tuple[Estimate, Estimate] | None = None  # as it was given, and with filtered velocities
         self._shift = np.zeros(2)  # from the origin to the point that is held in its place, north and east (m)
         # After each update, the oldest first: time of the estimate, belief.
         self._before: deque[tuple[int, Belief]] = deque(maxlen=DOUBTED_ESTIMATES)
         self.thrust_in_doubt = False
         """A thruster may deliver less than the controller takes it to deliver."""
-        self.model_error_mps2 = 0.0
-        """Acceleration that the model has not explained lately, beyond the noise: from the mean innovation (m/s^2)."""
-        self._mean_error = np.zeros(2)  # ahead and to starboard (m/s^2)
 
     @property
     def current(self) -> Belief | None:
@@ -177,6 +175,11 @@ class DisturbanceObserver:
     def is_bounded(self) -> bool:
         """True while a component of the bias is at its bound: there is more to explain than a current."""
         return bool(np.abs(self.bias_mps).max() >= self._noise[2])
+
+    @property
+    def model_error_mps2(self) -> float:
+        """Acceleration that the model has not explained lately, beyond the noise: from the mean innovation (m/s^2)."""
+        return float(self._track[3, 2])
 
     @property
     def covariance(self) -> Array:
@@ -246,7 +249,7 @@ class DisturbanceObserver:
                 self._before.append((estimate.t_ns, self._belief))
             else:
                 self._belief = self._belief[0], self._propagated(last, estimate)
-                self._track[1:] = 0.0
+                self._track[1:3] = 0.0
         self._last = given, estimate
         at_origin = self.arm_in_use.to_origin(estimate)
         if self._applies_to(estimate):
@@ -352,10 +355,10 @@ class DisturbanceObserver:
         )
         self._belief = mean, P
         share = min(seconds / ERROR_TIME_S, 1.0)
-        self._mean_error += share * (self._track[-1, :2] / seconds - self._mean_error)
+        self._track[3, :2] += share * (self._track[2, :2] / seconds - self._track[3, :2])
         noise = 2.0 * math.sqrt(0.5 * share * (self._noise[0] + s2)) / seconds
         kept = self.model_error_mps2 * max(1.0 - seconds / ERROR_MEMORY_S, 0.0)
-        self.model_error_mps2 = max(math.hypot(*self._mean_error.tolist()) - noise, kept)
+        self._track[3, 2] = max(float(np.hypot(*self._track[3, :2])) - noise, kept)
         return _with_motion(estimate, north, east, yaw_rate)
 
 

@@ -132,8 +132,8 @@ class ModelMonitor:
         self._impulse = ThrustImpulse()
         self._last: _Motion | None = None
         self._detector = ThrustLossDetector()
-        self._missing = np.zeros(3)  # impulse (N s), turn (N m s) and time (s) since the last publication
-        self._published_ns: int | None = None
+        # Time of the last publication (ns), and since then missing impulse (N s), turn (N m s), and time (s).
+        self._missing: tuple[int | None, Array] = None, np.zeros(3)
         self._quiet_cycles = 0
         self.weak_thruster = WeakThruster()
         """Thruster that lost thrust, if it is one."""
@@ -166,8 +166,7 @@ class ModelMonitor:
 
     def restart(self) -> None:
         """Begin with another source of estimates: its motion is not compared with that of the last one."""
-        self._last, self._published_ns, self._quiet_cycles = None, None, 0
-        self._missing[:] = 0.0
+        self._last, self._missing, self._quiet_cycles = None, (None, np.zeros(3)), 0
         self._detector.clear_window()
 
     def dismiss(self) -> None:
@@ -211,7 +210,7 @@ class ModelMonitor:
             return None
         alarm = self.alarm
         self._evaluate(before, motion)
-        since_ns = self._published_ns
+        since_ns = self._missing[0]
         due = since_ns is None or not 0 <= motion.t_ns - since_ns < PUBLICATION_PERIOD_NS  # also if time went back
         return self._message(motion.t_ns) if due or self.alarm is not alarm else None
 
@@ -274,7 +273,7 @@ class ModelMonitor:
         shear = p.dry_mass * (math.cos(heading) * dn + math.sin(heading) * de)
         z_x = i1 + i2 - drag + coriolis - shear - p.mass_surge * (bu - au)
         z_n = i1 * p.arm_port - i2 * p.arm_starboard - twist + munk - p.inertia_yaw * (b.r - a.r)
-        self._missing += z_x, z_n, dt
+        self._missing[1][:] += z_x, z_n, dt
         s_x = fresh = cross = lift = 0.0
         current_sd = b.learned_sd or 0.0
         unmodelled = 0.0
@@ -313,8 +312,8 @@ class ModelMonitor:
         return noise + mass * mass * velocity_change_variance(a.variance[0], b.variance[0], dt)
 
     def _message(self, t_ns: int) -> ModelCheck:
-        force, moment, seconds = self._missing.tolist()
-        self._missing[:], self._published_ns = 0.0, t_ns
+        force, moment, seconds = self._missing[1].tolist()
+        self._missing = t_ns, np.zeros(3)
         return ModelCheck(
             t_ns=t_ns,
             residual_N=-force / seconds,

@@ -322,7 +322,7 @@ def pushing(t_ns: int, thrust_N: tuple[float, float]) -> Plan:
 
 
 @pytest.mark.parametrize("share", [1.0, 0.6])
-def test_the_acceleration_that_the_model_does_not_explain_is_its_error_for_half_a_minute(share: float):
+def test_an_acceleration_that_is_not_explained_is_the_model_s_error(share: float):
     """Both thrusters of a vehicle at rest push, and deliver a share of what they report; the model is not learned."""
     observer = DisturbanceObserver(Disturbance(model_sd=0.0, lever_arm_sd_m=0.0), PAPER)
     commands, vehicle, model = SentCommands(PAPER), Prediction(PAPER), Prediction(PAPER)

@@ -81,7 +81,7 @@ def test_right_stamps_are_never_late(true):
     assert set(checked(**true)) == {0.0}
 
 
-def test_a_delay_below_the_least_one_and_one_without_reports_or_motion_but_noise_is_not_named():
+def test_a_small_delay_and_one_without_reports_or_motion_are_not_named():
     assert set(checked(0.08)) == {0.0}
     assert set(checked(0.5, reports=False)) == {0.0}
     resting, rng = StampCheck(VEHICLE), np.random.default_rng(5)
