@@ -33,7 +33,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.fences.flight import METHODS, REPORT_S, Job, fly
+from benchmarks.fences.flight import METHODS, MODELS, REPORT_S, Job, fly
 from benchmarks.fences.full_loop import DIVING
 from benchmarks.fences.scenes import scene_of
 from services.tools.batch.executor import run_each
@@ -101,6 +101,7 @@ def against_ipopt(found: dict[str, dict[str, Any]]) -> str:
 
 def _key(job: Job) -> str:
     kind = "zones" if not job.moving else "moving" if job.report_s == REPORT_S else f"moving, {job.report_s:g} s"
+    kind += "" if job.model == "right" else f", {job.model} model"
     return f"{kind} {job.method} {job.seed}"
 
 
@@ -111,19 +112,20 @@ def main() -> None:
     parser.add_argument("--moving", type=int, default=300)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:4])
     parser.add_argument("--report-s", type=float, default=REPORT_S, help="time between two reports of an obstacle")
+    parser.add_argument("--model", choices=MODELS, default="right", help="how the true vehicle differs from its file")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     names = {seed: scene_of(seed, moving=False).name for seed in range(options.scenes)}
     jobs = [
-        Job(seed, method, False)
+        Job(seed, method, False, model=options.model)
         for seed, name in names.items()
         for method in options.methods
         if method != "sensors" or name in DIVING
     ]
     jobs += [
-        Job(seed, method, True, options.report_s)
+        Job(seed, method, True, options.report_s, options.model)
         for seed in range(options.moving)
         for method in options.methods
         if method != "sensors"

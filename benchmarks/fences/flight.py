@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -20,12 +21,20 @@ from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, Obstacles, Pair, SolveStatus
 from ltv_mpc.references import Point
+from sim.motion import apply_mismatch
+from sim.scenario import Mismatch
 
 METHODS = ("fence", "hard", "bent", "pid", "ipopt", "sensors")
 CYCLE_NS = 300_000_000
 REPORT_S = 10.0
 PARTS = 3
 """Positions per cycle of which the clearance is taken."""
+
+HEAVY = Mismatch(mass=1.3, drag=0.7, thrust=0.8)
+"""The vehicle that stops worst: its mass, drag and thrust over those of its file."""
+
+CORNER = 0.3
+"""Largest error of mass, drag and thrust of the vehicles that are drawn."""
 
 
 class Job(NamedTuple):
@@ -35,6 +44,7 @@ class Job(NamedTuple):
     method: str
     moving: bool
     report_s: float = REPORT_S  # time between two reports of an obstacle
+    model: str = "right"  # a key of ``MODELS``
 
 
 class Flown(NamedTuple):
@@ -52,6 +62,16 @@ class Flown(NamedTuple):
     track_m: list[Pair]  # position after each cycle
 
 
+def drawn(seed: int) -> Mismatch:
+    """Return a vehicle whose mass, drag and thrust are each ``CORNER`` more or less than those of its file."""
+    mass, drag, thrust = (1.0 + CORNER * np.random.default_rng([32, seed]).choice((-1.0, 1.0), 3)).tolist()
+    return Mismatch(mass=mass, drag=drag, thrust=thrust)
+
+
+MODELS: dict[str, Callable[[int], Mismatch]] = {"right": lambda _: Mismatch(), "heavy": lambda _: HEAVY, "drawn": drawn}
+"""How the true vehicle differs from the file of the controller, by the seed of the scene."""
+
+
 def fly(job: Job) -> Flown:
     """Fly one scene."""
     scene = scene_of(job.seed, moving=job.moving)
@@ -61,7 +81,9 @@ def fly(job: Job) -> Flown:
     near_m = characteristic_scales(vehicle).length_m
     controller = None if job.method == "pid" else _controller(scene, job.method)
     law = pid_commands(scene) if controller is None else None
-    commands, prediction = SentCommands(vehicle), Prediction(vehicle)
+    commands, prediction, true = SentCommands(vehicle), Prediction(vehicle), MODELS[job.model](job.seed)
+    prediction.coefficients[:] = apply_mismatch(vehicle.coefficients(), true)
+    prediction.set_shares(true.thrusts[:2])
     track, times, thrusts = [(estimate.north_m, estimate.east_m)], [0.0], [(0.0, 0.0)]
     unsolved: list[float] = []
     arrived = False

@@ -11,9 +11,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -58,6 +60,8 @@ class Conditions:
     noise_m: float = 0.0  # white noise of each estimated position, north and east; no covariance
     period_s: float = 0.1  # of the estimates
     latency_s: float = 0.0  # age of an estimate when it arrives
+    jitter_s: float = 0.0  # by which that age is more or less, at random
+    stamped_at_arrival: bool = False  # instead of when the state was true
     current_mps: float = 0.0  # of the water, which no estimate contains
     side_force: float = 0.0  # of a steady wind, as a share of the largest thrust of both thrusters
     released_s: Pair = (
@@ -182,17 +186,25 @@ def fly(
     rng = np.random.default_rng([7, start.seed])
     thrusters = _Thrusters(vehicle)
     period = round(conditions.period_s / STEP_S)
-    latency_ns = round(conditions.latency_s * 1e9)
-    waiting: list[Estimate] = []
+    waiting: list[tuple[int, Estimate]] = []  # with the time of the arrival (ns)
     newest: Estimate | None = None
     state = np.array([*start.position_m, start.heading_rad, 0.0, 0.0, 0.0, 0.0, 0.0])
     tracks, commands, nominal = [], [], []
     for k in range(0, round(duration_s / STEP_S), CHUNK):
         t_ns, t_s = k * STEP_NS, k * STEP_S
         if k % period == 0:
-            waiting.append(_estimate(t_ns, state, conditions, rng, dives=vehicle.can_dive))
-        while waiting and waiting[0].t_ns + latency_ns <= t_ns:
-            newest = waiting.pop(0)
+            age_s = conditions.latency_s + (
+                conditions.jitter_s * rng.uniform(-1.0, 1.0) if conditions.jitter_s else 0.0
+            )
+            made = _estimate(t_ns, state, conditions, rng, dives=vehicle.can_dive)
+            waiting.append((t_ns + round(age_s * 1e9), made))
+            waiting.sort(key=itemgetter(0))
+        while waiting and waiting[0][0] <= t_ns:
+            arrival_ns, made = waiting.pop(0)
+            if conditions.stamped_at_arrival:
+                newest = msgspec.structs.replace(made, t_ns=arrival_ns)
+            elif newest is None or made.t_ns > newest.t_ns:
+                newest = made
         thrusters.receive(t_ns)
         if k % pilot.cycle_steps == 0 and newest is not None:
             applied = thrusters.report(t_ns, state) if t_s < conditions.reports_s else None

@@ -264,6 +264,7 @@ class Controller:
         self._delay.add_receipt(applied)
         self._prediction.add_report(applied)
         self.actuator_check.add(applied)
+        self._estimates.stamp_check.add_report(applied)
         self.sent_commands.correct(applied.t_ns, applied.command_N)
 
     def add_timing(self, timing: CycleTiming) -> None:
@@ -361,7 +362,8 @@ class Controller:
             if self._estimates.health(now_ns) is NOMINAL:
                 self.follower.arrive(decision.estimate, self.config.position_tolerance_m)
         self._lateral.fencing.set_path(self.follower.path_beside(knots) if decision.follows else None)
-        self._lateral.fencing.update(start, decision.estimate, self._estimates.growth_m)
+        error_mps2 = self.observer.model_error_mps2
+        self._lateral.fencing.update(start, decision.estimate, self._estimates.growth_m, error_mps2)
         follower = self.follower if decision.follows else None
         self._vertical.depth_limits.look_ahead(start, self._lateral.previous.plan, follower)
         vertical = self._plan_vertical(decision, start, knots)
@@ -454,11 +456,14 @@ class Controller:
             check.began_ns = None
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
+            given, stamps = estimate, self._estimates.stamp_check
             estimate = self.observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
+            stamps.update(given, estimate.current)
             self._prediction.coefficients[:] = self.observer.coefficients
             self._lateral.set_coefficients(self._prediction.coefficients)
             arm, model = self.observer.lever_arm, self.observer.model
-            self.vehicle_file_check.update(estimate.t_ns, arm, model, bounded=self.observer.is_bounded)
+            of_water = self.observer.is_bounded
+            self.vehicle_file_check.update(estimate.t_ns, arm, model, bounded=of_water, late_s=stamps.delay_s)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self.observer)

@@ -22,6 +22,7 @@ agreed. Under an override of the thrusts it keeps its value, and its variance gr
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from functools import cache
 from typing import TypeAlias
@@ -86,6 +87,11 @@ MAX_INTERVAL_NS = 2_000_000_000
 
 DOUBTED_ESTIMATES = 17
 """Number of estimates before thrust is in doubt whose updates can be taken back: 5 s at 0.3 s."""
+
+ERROR_TIME_S, ERROR_MEMORY_S = 1.5, 30.0
+"""Time constants of the mean innovation, and of the decay of its largest value: an approach at constant speed shows
+nothing of the error with which the vehicle will stop.
+"""
 
 Belief: TypeAlias = tuple[Array, Array]
 """Mean and covariance: of the bias, (2,) north and east (m/s) and (2, 2), or of all states b, l, q."""
@@ -153,7 +159,8 @@ class DisturbanceObserver:
         walks[-1] = (MOMENT_WALK_PER_RTS * turning_radps2) ** 2
         self._prior_and_walks = sd**2, walks
         self._belief: Belief = np.zeros(STATES), np.diag(sd**2)
-        self._track = np.zeros((4, 3))  # of the noise, as ``update_belief`` takes it
+        # Noise, as ``update_belief`` takes it; and the model's error (m/s^2): mean ahead, to starboard, largest.
+        self._track = np.zeros((4, 3))
         self._last: tuple[Estimate, Estimate] | None = None  # as it was given, and with filtered velocities
         self._shift = np.zeros(2)  # from the origin to the point that is held in its place, north and east (m)
         # After each update, the oldest first: time of the estimate, belief.
@@ -180,6 +187,11 @@ class DisturbanceObserver:
     def is_bounded(self) -> bool:
         """True while a component of the bias is at its bound: there is more to explain than a current."""
         return bool(np.abs(self.bias_mps).max() >= self._noise[2])
+
+    @property
+    def model_error_mps2(self) -> float:
+        """Acceleration that the model has not explained lately, beyond the noise: from the mean innovation (m/s^2)."""
+        return float(self._track[3, 2])
 
     @property
     def covariance(self) -> Array:
@@ -251,7 +263,7 @@ class DisturbanceObserver:
                 self._before.append((estimate.t_ns, self._belief))
             else:
                 self._belief = self._belief[0], self._propagated(last, estimate)
-                self._track[1:] = 0.0
+                self._track[1:3] = 0.0
         self._last = given, estimate
         at_origin = self.arm_in_use.to_origin(estimate)
         bias_mps = self._share_in_use(estimate) * self.bias_mps
@@ -372,15 +384,17 @@ class DisturbanceObserver:
             self._file,
             prediction.measured(last, commands),
             prediction.delivered(commands),
-            (
-                (profile.depth_m, profile.north_mps, profile.east_mps),
-                (later.depth_m, later.north_mps, later.east_mps),
-            ),
+            ((profile.depth_m, profile.north_mps, profile.east_mps), (later.depth_m, later.north_mps, later.east_mps)),
             (self._noise[0] + s2, *self._noise[1:], self._settings.sd_mps != 0),
             self._track,
         )
         self._belief = mean, P
         mean[CURRENT:ARM] *= 1.0 - (1.0 - self._share_in_use(estimate)) * min(seconds / FADING_S, 1.0)
+        share = min(seconds / ERROR_TIME_S, 1.0)
+        self._track[3, :2] += share * (self._track[2, :2] / seconds - self._track[3, :2])
+        noise = 2.0 * math.sqrt(0.5 * share * (self._noise[0] + s2)) / seconds
+        kept = self.model_error_mps2 * max(1.0 - seconds / ERROR_MEMORY_S, 0.0)
+        self._track[3, 2] = max(float(np.hypot(*self._track[3, :2])) - noise, kept)
         return _with_motion(estimate, north, east, yaw_rate)
 
 

@@ -23,7 +23,7 @@ from ltv_mpc.node import DEFAULT_SOURCE, ReceivedMessage
 from ltv_mpc.safety.estimate_gate import standard_deviation
 from ltv_mpc.safety.health import MAX_STAMP_AHEAD_NS, NOMINAL, HealthState
 from ltv_mpc.safety.input_monitor import InputMonitor
-from ltv_mpc.safety.source_selector import MAX_CANDIDATES, MAX_SILENCE_NS, Judgement, Source, SourceSelector
+from ltv_mpc.safety.source_selector import MAX_SILENCE_NS, Judgement, Source, SourceSelector, remember
 
 SIGMAS = 3.0
 UNKNOWN_SD_M, UNKNOWN_SD_RAD = 0.5, 0.1
@@ -89,12 +89,7 @@ class EstimateSources:
     def _use(self, received: ReceivedMessage, estimate: Estimate) -> bool:
         """Use an estimate of the active source if it is the newest. Return True if it is believed."""
         before_ns = None if self.newest is None else self.newest.t_ns
-        if not self.monitor.receive(
-            epoch=received.epoch,
-            sequence=received.sequence,
-            stamp_ns=estimate.t_ns,
-            received_ns=received.received_t_ns,
-        ):
+        if not self.monitor.accepts(received, estimate.t_ns):
             return False
         self.newest = estimate
         accepted = not self._controller.estimate_gate.check(estimate)
@@ -109,9 +104,7 @@ class EstimateSources:
             or (before is not None and estimate.t_ns <= before.t_ns)
         ):
             return Judgement(believed=False, consistent=False, agrees=False)
-        self._candidates[source] = estimate
-        if len(self._candidates) > MAX_CANDIDATES:
-            del self._candidates[next(iter(self._candidates))]
+        remember(self._candidates, source, estimate)
         consistent = before is None or not gate.jumps(before, estimate)
         return Judgement(believed=True, consistent=consistent, agrees=self._agrees(estimate))
 

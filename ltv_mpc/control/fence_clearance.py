@@ -260,18 +260,8 @@ def is_near(X: Array, scene: Scene, o: Objective) -> bool:
     if len(scene.need) + len(scene.discs) == 0 and len(scene.path) < 2:
         return False
     spare = NEAR * o.state_scale[0]
-    wide = Scene(
-        scene.zones,
-        scene.need + spare,
-        scene.exits,
-        scene.discs,
-        scene.disc_need_m + spare,
-        scene.stage_s,
-        scene.path,
-        scene.targets,
-        scene.path_reach,
-        scene.half_width_m - spare,
-    )
+    zones, need, exits, discs, disc_need_m, stage_s, path, targets, reach, width_m = scene
+    wide = Scene(zones, need + spare, exits, discs, disc_need_m + spare, stage_s, path, targets, reach, width_m - spare)
     return bool(fence_cost(X, wide, o) > 0.0)
 
 

@@ -52,12 +52,10 @@ class FencePublisher:
         t_ns : current time, vehicle time (ns).
         """
         fence = self._controller.fence
-        if fence is self._fence:
-            period_ns = OBSTACLES_PERIOD_NS if self._obstacles else FENCE_PERIOD_NS
-            if fence is None and not self._obstacles:
-                return None
-            if self._published_ns is not None and 0 <= t_ns - self._published_ns < period_ns:
-                return None
+        period_ns = OBSTACLES_PERIOD_NS if self._obstacles else FENCE_PERIOD_NS
+        recently = self._published_ns is not None and 0 <= t_ns - self._published_ns < period_ns
+        if fence is self._fence and (recently or (fence is None and not self._obstacles)):
+            return None
         report = self._controller.fence_in_force(t_ns)
         self._fence, self._obstacles, self._published_ns = fence, bool(report.obstacles), t_ns
         return report

@@ -171,7 +171,7 @@ class Fencing:
         slow_mps, need_m = max(SLOW * self._scales.speed_mps, SLOW_MPS), float(self.scene.disc_need_m[0])
         return self._routes.set_standing(self.obstacles.standing(t_ns, slow_mps, need_m))
 
-    def update(self, start: Start, estimate: Estimate, growth_m: float) -> None:
+    def update(self, start: Start, estimate: Estimate, growth_m: float, model_error_mps2: float = 0.0) -> None:
         """Update required clearances and exits for this cycle.
 
         Parameters
@@ -179,6 +179,8 @@ class Fencing:
         start : the vehicle at the plan's start.
         estimate : its covariance counts.
         growth_m : growth of the standard deviation of the position since the estimate (m).
+        model_error_mps2 : acceleration that the model has not explained lately (m/s^2). In the time in which the
+            vehicle stops or turns, it carries the vehicle half of its square times the acceleration too far.
         """
         self._no_way = False
         self.meeting_margins = ()
@@ -189,7 +191,9 @@ class Fencing:
             (nn, ne), (_, ee) = estimate.covariance[:2, :2].tolist()
             sd_m += math.sqrt(largest_variance_m2(nn, ne, ee))
         north_m, east_m = start.lateral[:2].tolist()
-        lacking = update_required(zones, north_m, east_m, hull_m, sd_m, need, self.scene.exits)
+        stop_s = math.hypot(*start.lateral[2:4].tolist()) / self._scales.speed_mps * self._scales.time_s
+        error_m = 0.5 * model_error_mps2 * stop_s * stop_s
+        lacking = update_required(zones, north_m, east_m, hull_m, sd_m, need, self.scene.exits, error_m)
         if growth_m > 0.0 and lacking > 1 and SD_FACTOR * sd_m > zones.margin.min():
             asked = hull_m + np.maximum(zones.margin, SD_FACTOR * sd_m)
             lacks = clearances(zones, start.lateral[None, :2])[0] < asked
@@ -219,10 +223,8 @@ class Fencing:
         ----------
         X : (N+1, 6) or (N+1, 8) states at the knots.
         """
-        hull = self._vehicle.hull
-        if hull is None or not self.is_active:
-            return math.inf
-        return float(entry_s(X, self._times_s, self.scene, hull.radius_m))
+        hull = self._vehicle.hull if self.is_active else None
+        return math.inf if hull is None else float(entry_s(X, self._times_s, self.scene, hull.radius_m))
 
     def coasting_enters_s(self, packed: Array, X: Array, U: Array, C: Array, end: int) -> float:
         """Return when the hull enters a zone if the thrusters ramp to zero from a knot on (s); infinite for never.
@@ -231,8 +233,8 @@ class Fencing:
         ----------
         packed, X, U, C, end : as in ``coasting_entry_s`` (nominal.py).
         """
-        hull = self._vehicle.hull
-        if hull is None or not self.is_active:
+        hull = self._vehicle.hull if self.is_active else None
+        if hull is None:
             return math.inf
         return float(coasting_entry_s(packed, X, U, C, end, self._times_s, self.scene, hull.radius_m))
 

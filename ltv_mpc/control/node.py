@@ -185,7 +185,7 @@ class ControllerNode:
                 if self.sources.receive(received, at_origin):
                     self._model_monitor.restart()
             case Applied() as applied:
-                if self._is_newer(self.reports, received, applied.t_ns):
+                if self.reports.accepts(received, applied.t_ns):
                     self._applied = applied
                     self.controller.add_report(applied)
                     self._model_monitor.add_report(applied)
@@ -231,9 +231,7 @@ class ControllerNode:
         implausible, ages = self.controller.estimate_gate.rejected.total(), self.controller.config.ages
         return tuple(
             InputReport(
-                input=name,
-                rejected=monitor.rejected + more,
-                **monitor.state_at(self._cycle_ns, ages)._asdict(),
+                input=name, rejected=monitor.rejected + more, **monitor.state_at(self._cycle_ns, ages)._asdict()
             )
             for name, monitor, more in (("estimate", self.sources.monitor, implausible), (ACTUATORS, self.reports, 0))
         )
@@ -306,12 +304,6 @@ class ControllerNode:
         if action is not MissionAction.GO_ON and self.arbiter.authority is Authority.MANUAL and no_pilot:
             self.arbiter.request(Action.RELEASE)
 
-    @staticmethod
-    def _is_newer(monitor: InputMonitor, received: ReceivedMessage, stamp_ns: int) -> bool:
-        return monitor.receive(
-            epoch=received.epoch, sequence=received.sequence, stamp_ns=stamp_ns, received_ns=received.received_t_ns
-        )
-
     def _check_model(self) -> ModelCheck | None:
         """Compare the motion with the model's; return the report that is due."""
         estimate, monitor, check = self.controller.estimate_gate.accepted, self._model_monitor, None
@@ -319,6 +311,8 @@ class ControllerNode:
             monitor.restart()
         elif estimate is not None:
             observer = self.controller.observer
+            if self.controller.vehicle_file_check.stamps_are_late:
+                monitor.dismiss()
             check = monitor.update(estimate, observer.current, observer.coefficients)
         self._set_thrust_shares()
         why = self.controller.vehicle_file_check.why

@@ -35,11 +35,9 @@ NEXT: Mapping[Action, Mapping[Authority, Authority]] = {
     Action.STOP: dict.fromkeys(Authority, STOPPED),
     Action.MANUAL: {CONTROLLER: MANUAL, MANUAL: MANUAL},
     Action.RELEASE: {MANUAL: CONTROLLER},
-    Action.FOLLOW: {state: state for state in Authority},
-    Action.HOLD: {state: state for state in Authority},
-    Action.SOURCE: {state: state for state in Authority},
-    Action.FENCE: {state: state for state in Authority},
-    Action.CLEAR: {state: state for state in Authority},
+} | {
+    action: {state: state for state in Authority}
+    for action in (Action.FOLLOW, Action.HOLD, Action.SOURCE, Action.FENCE, Action.CLEAR)
 }
 """Next state by action and present state. An action is rejected in a state for which it has no entry."""
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.health import DEFAULT_AGES, DEGRADED_PERIODS, MAX_STAMP_AHEAD_NS, Ages, timeout_ns
 
 SPACINGS = 9
@@ -35,7 +36,8 @@ class Period:
     """Spacing between successive stamps of one kind of message."""
 
     def __init__(self) -> None:
-        self._last_ns: int | None = None
+        self.last_ns: int | None = None
+        """Newest stamp (ns); None before the first."""
         self._spacings: deque[int] = deque(maxlen=SPACINGS)
         self._median_ns: int | None = 0  # None: not computed since the last stamp
 
@@ -46,10 +48,10 @@ class Period:
         ----------
         t_ns : stamp (ns).
         """
-        if self._last_ns is not None:
-            self._spacings.append(max(t_ns - self._last_ns, 0))
+        if self.last_ns is not None:
+            self._spacings.append(max(t_ns - self.last_ns, 0))
             self._median_ns = None
-        self._last_ns = t_ns
+        self.last_ns = t_ns
 
     @property
     def median_ns(self) -> int:
@@ -111,6 +113,17 @@ class InputMonitor:
         """
         contested = self._contested_ns is not None and t_ns - self._contested_ns <= CONTESTED_NS
         return self._second if contested else ""
+
+    def accepts(self, received: ReceivedMessage, stamp_ns: int) -> bool:
+        """Return True if an entry of an inbox is accepted as the newest one: ``receive``.
+
+        Parameters
+        ----------
+        received : its header and its arrival count.
+        stamp_ns : time of validity of its message (ns).
+        """
+        at_ns = received.received_t_ns
+        return self.receive(epoch=received.epoch, sequence=received.sequence, stamp_ns=stamp_ns, received_ns=at_ns)
 
     def receive(self, *, epoch: int, sequence: int, stamp_ns: int, received_ns: int) -> bool:
         """Return True if a message is accepted as the newest one.

@@ -70,36 +70,6 @@ class Cause(NamedTuple):
     why: str
 
 
-class _Arrivals:
-    """Times of arrival of one input."""
-
-    def __init__(self) -> None:
-        self.newest_ns: int | None = None
-        self._period = Period()
-
-    def add(self, received_ns: int) -> None:
-        """Add the arrival of a message.
-
-        Parameters
-        ----------
-        received_ns : its time (ns).
-        """
-        self.newest_ns = received_ns
-        self._period.add(received_ns)
-
-    def silence(self, t_ns: int) -> str:
-        """Return a text if the input is silent, else an empty one.
-
-        Parameters
-        ----------
-        t_ns : now (ns).
-        """
-        if self.newest_ns is None:
-            return "no message yet"
-        limit_ns = max(SILENT_NS, SILENT_PERIODS * self._period.median_ns)
-        return "" if t_ns - self.newest_ns <= limit_ns else "no message any more"
-
-
 class MissionPolicy:
     """Causes that end a mission, and the action in force."""
 
@@ -108,7 +78,7 @@ class MissionPolicy:
         self.state = MissionState()
         """Start of the mission and the action in force; the saved state of the policy."""
         self._settings = settings
-        self._battery, self._leak = _Arrivals(), _Arrivals()
+        self._battery, self._leak = Period(), Period()  # arrivals
         self._newest_battery: Battery | None = None
         self._charged_ns: int | None = None  # arrival of the last message above the thresholds
         self._leaking = False
@@ -242,7 +212,7 @@ class MissionPolicy:
     def _unknown_causes(self) -> set[str]:
         """Return the causes of which nothing is known yet: since the start no message of their input has arrived."""
         arrivals = {"battery": self._battery, "leak": self._leak}
-        return {name for name, input_ in arrivals.items() if input_.newest_ns is None}
+        return {name for name, input_ in arrivals.items() if input_.last_ns is None}
 
     def _causes(self, t_ns: int) -> Iterator[Cause]:
         settings, start_ns = self._settings, self.state.start_t_ns
@@ -258,16 +228,16 @@ class MissionPolicy:
         if settings.leak:
             if self._leaking:
                 yield Cause("leak", SURFACE, "leak detected")
-            if silence := self._leak.silence(t_ns):
+            if silence := _silence(self._leak, t_ns):
                 yield Cause("leak input", GO_ON, f"leak: {silence}")
 
     def _battery_causes(self, t_ns: int) -> Iterator[Cause]:
-        battery, received_ns, charged_ns = self._newest_battery, self._battery.newest_ns, self._charged_ns
+        battery, received_ns, charged_ns = self._newest_battery, self._battery.last_ns, self._charged_ns
         if battery is not None and received_ns is not None and (below := self._below(battery)):
             low = charged_ns is None or received_ns - charged_ns >= BATTERY_LOW_NS
             if low:
                 yield Cause("battery", SURFACE, f"battery {below}")
-        if silence := self._battery.silence(t_ns):
+        if silence := _silence(self._battery, t_ns):
             yield Cause("battery input", GO_ON, f"battery: {silence}")
         elif battery is not None and battery.remaining is None and self._settings.battery_min_share is not None:
             yield Cause("battery input", GO_ON, "battery: no `remaining` in its messages")
@@ -280,3 +250,11 @@ class MissionPolicy:
         if share is not None and battery.remaining is not None and battery.remaining < share:
             return f"below {100 * share:g} % of its energy"
         return ""
+
+
+def _silence(arrivals: Period, t_ns: int) -> str:
+    """Return a text if an input is silent, else an empty one."""
+    if arrivals.last_ns is None:
+        return "no message yet"
+    limit_ns = max(SILENT_NS, SILENT_PERIODS * arrivals.median_ns)
+    return "" if t_ns - arrivals.last_ns <= limit_ns else "no message any more"

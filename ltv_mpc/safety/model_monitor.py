@@ -115,47 +115,6 @@ class _Motion(NamedTuple):
         return cos * vn + sin * ve, cos * ve - sin * vn
 
 
-class _MeanResidual:
-    """Mean force and moment, observed minus predicted, since the last publication."""
-
-    def __init__(self) -> None:
-        self._impulse = self._turn = self._seconds = 0.0  # N s, N m s, s
-        self._published_ns: int | None = None
-
-    def subtract(self, impulse: float, turn: float, seconds: float) -> None:
-        """Subtract the missing impulses (N s, N m s) of an interval (s).
-
-        Parameters
-        ----------
-        impulse, turn : missing impulses in surge (N s) and yaw (N m s).
-        seconds : length of the interval (s).
-        """
-        self._impulse -= impulse
-        self._turn -= turn
-        self._seconds += seconds
-
-    def is_due(self, t_ns: int) -> bool:
-        """Return True before the first publication, ``PUBLICATION_PERIOD_NS`` after the last one, or if time went back.
-
-        Parameters
-        ----------
-        t_ns : current time (ns).
-        """
-        return self._published_ns is None or not 0 <= t_ns - self._published_ns < PUBLICATION_PERIOD_NS
-
-    def publish(self, t_ns: int) -> Pair:
-        """Return the mean force (N) and moment (N m), and start again.
-
-        Parameters
-        ----------
-        t_ns : time of publication (ns).
-        """
-        mean = self._impulse / self._seconds, self._turn / self._seconds
-        self._impulse = self._turn = self._seconds = 0.0
-        self._published_ns = t_ns
-        return mean
-
-
 class ModelMonitor:
     """Detector of lost thrust from the motion of one vehicle.
 
@@ -173,7 +132,8 @@ class ModelMonitor:
         self._impulse = ThrustImpulse()
         self._last: _Motion | None = None
         self._detector = ThrustLossDetector()
-        self._residual = _MeanResidual()
+        # Time of the last publication (ns), and since then missing impulse (N s), turn (N m s), and time (s).
+        self._missing: tuple[int | None, Array] = None, np.zeros(3)
         self._quiet_cycles = 0
         self.weak_thruster = WeakThruster()
         """Thruster that lost thrust, if it is one."""
@@ -206,8 +166,13 @@ class ModelMonitor:
 
     def restart(self) -> None:
         """Begin with another source of estimates: its motion is not compared with that of the last one."""
-        self._last, self._residual, self._quiet_cycles = None, _MeanResidual(), 0
+        self._last, self._missing, self._quiet_cycles = None, (None, np.zeros(3)), 0
         self._detector.clear_window()
+
+    def dismiss(self) -> None:
+        """Withdraw alarm and weak thruster, and what the motion has shown so far: it was not that of its stamps."""
+        self._detector, self.alarm = ThrustLossDetector(), False
+        self.weak_thruster.restore((1.0, 1.0))
 
     def add_report(self, applied: Applied) -> None:
         """Add a report of the actuators.
@@ -245,7 +210,8 @@ class ModelMonitor:
             return None
         alarm = self.alarm
         self._evaluate(before, motion)
-        due = self._residual.is_due(motion.t_ns)
+        since_ns = self._missing[0]
+        due = since_ns is None or not 0 <= motion.t_ns - since_ns < PUBLICATION_PERIOD_NS  # also if time went back
         return self._message(motion.t_ns) if due or self.alarm is not alarm else None
 
     def _motion(self, e: Estimate, learned: Belief | None) -> _Motion | None:
@@ -307,7 +273,7 @@ class ModelMonitor:
         shear = p.dry_mass * (math.cos(heading) * dn + math.sin(heading) * de)
         z_x = i1 + i2 - drag + coriolis - shear - p.mass_surge * (bu - au)
         z_n = i1 * p.arm_port - i2 * p.arm_starboard - twist + munk - p.inertia_yaw * (b.r - a.r)
-        self._residual.subtract(z_x, z_n, dt)
+        self._missing[1][:] += z_x, z_n, dt
         s_x = fresh = cross = lift = 0.0
         current_sd = b.learned_sd or 0.0
         unmodelled = 0.0
@@ -346,11 +312,12 @@ class ModelMonitor:
         return noise + mass * mass * velocity_change_variance(a.variance[0], b.variance[0], dt)
 
     def _message(self, t_ns: int) -> ModelCheck:
-        force, moment = self._residual.publish(t_ns)
+        force, moment, seconds = self._missing[1].tolist()
+        self._missing = t_ns, np.zeros(3)
         return ModelCheck(
             t_ns=t_ns,
-            residual_N=force,
-            residual_Nm=moment,
+            residual_N=-force / seconds,
+            residual_Nm=-moment / seconds,
             evidence=self.evidence,
             thrust_loss=self.loss,
             alarm=self.alarm,

@@ -31,12 +31,13 @@ from ltv_mpc.jit import copy_to, count_up_to, jit
 from ltv_mpc.messages import Array, Health, Plan, Triple
 from ltv_mpc.safety.health import plan_end_ns, plan_health
 from ltv_mpc.safety.input_monitor import Period
+from ltv_mpc.safety.source_selector import MAX_CANDIDATES, remember
 from ltv_mpc.vehicle.parameters import Vehicle
 
 TOLERANCE_N = 1e-6
 """Tolerance for rounding in a plan's thrusts and in their change between knots; the command itself has no tolerance."""
 
-MAX_COMMANDERS = 64
+MAX_COMMANDERS = MAX_CANDIDATES
 """Number of commanders whose last sequence is remembered, so that an old frame of one of them is not followed again."""
 
 
@@ -87,10 +88,7 @@ class Commander:
         """
         if epoch != self.epoch:
             self.epoch, self.period = epoch, Period()
-        self.last_sequence.pop(epoch, None)
-        self.last_sequence[epoch] = sequence
-        if len(self.last_sequence) > MAX_COMMANDERS:
-            del self.last_sequence[next(iter(self.last_sequence))]
+        remember(self.last_sequence, epoch, sequence)
         self._accepted_ns = t_ns
         self.period.add(cycle_ns)
 

@@ -72,8 +72,6 @@ class Judgement(NamedTuple):
 class _Run:
     """Unbroken run of messages of one source."""
 
-    __slots__ = ("first_ns", "last_ns", "messages")
-
     def __init__(self) -> None:
         self.first_ns = self.last_ns = self.messages = 0
 
@@ -102,27 +100,6 @@ class _Run:
         return self.messages >= RUN_MESSAGES and self.last_ns - self.first_ns >= duration_ns
 
 
-class _Candidate:
-    """Runs of a source that is not active."""
-
-    __slots__ = ("agreeing", "consistent")
-
-    def __init__(self) -> None:
-        self.consistent, self.agreeing = _Run(), _Run()
-
-    def add(self, t_ns: int, judgement: Judgement) -> None:
-        """Add a message to both runs.
-
-        Parameters
-        ----------
-        t_ns : time of arrival (ns).
-        judgement : of the message.
-        """
-        believed, consistent, agrees = judgement
-        self.consistent.add(t_ns, fits=believed and consistent)
-        self.agreeing.add(t_ns, fits=believed and consistent and agrees)
-
-
 class SourceSelector:
     """Choice of the active source of one input."""
 
@@ -146,7 +123,7 @@ class SourceSelector:
         self._believed_ns = 0  # last believed message of the active source
         self._unanswered = False  # a message was rejected since
         self._contested_ns: int | None = None  # last time at which both published
-        self._candidates: dict[Source, _Candidate] = {}
+        self._candidates: dict[Source, tuple[_Run, _Run]] = {}  # consistent messages, and those that agree besides
         self._heard_ns: dict[str, int] = {}  # last believed message by name
 
     def believe(self, source: Source, t_ns: int) -> None:
@@ -164,7 +141,7 @@ class SourceSelector:
         self._unanswered = False
         self._period.add(t_ns)
         self._believed_ns = t_ns
-        _remember(self._heard_ns, source.name, t_ns)
+        remember(self._heard_ns, source.name, t_ns)
 
     def offer(self, source: Source, t_ns: int, judgement: Judgement) -> bool:
         """Return True if another source takes over with this message; then it is the active one.
@@ -176,14 +153,15 @@ class SourceSelector:
         """
         assert self.active is not None
         self._believed_ns = min(self._believed_ns, t_ns)  # later than now only if the time was set back
-        candidate = self._candidates.pop(source, None) or _Candidate()
-        candidate.add(t_ns, judgement)
+        consistent, agreeing = candidate = self._candidates.pop(source, None) or (_Run(), _Run())
+        consistent.add(t_ns, fits=judgement.believed and judgement.consistent)
+        agreeing.add(t_ns, fits=all(judgement))
         if judgement.believed:
-            _remember(self._heard_ns, source.name, t_ns)
+            remember(self._heard_ns, source.name, t_ns)
             if self._takes_over(source, candidate, self.active, t_ns - self._believed_ns):
                 self.believe(source, t_ns)
                 return True
-        _remember(self._candidates, source, candidate)
+        remember(self._candidates, source, candidate)
         if source.name == self.active.name:
             self.rejected += 1
             self.second, self._unanswered = source, True
@@ -221,13 +199,14 @@ class SourceSelector:
         """
         return self._contested_ns is not None and t_ns - self._contested_ns <= CONTESTED_NS
 
-    def _takes_over(self, source: Source, candidate: _Candidate, active: Source, silent_ns: int) -> bool:
+    def _takes_over(self, source: Source, candidate: tuple[_Run, _Run], active: Source, silent_ns: int) -> bool:
         """Return True by one of the four conditions in the module docstring."""
+        consistent, agreeing = candidate
         if source.name == self.forced != active.name or silent_ns > PREDICTION_NS:
-            return candidate.consistent.lasts(RUN_NS)
-        if self._place(source) < self._place(active) and candidate.agreeing.lasts(RETURN_NS):
+            return consistent.lasts(RUN_NS)
+        if self._place(source) < self._place(active) and agreeing.lasts(RETURN_NS):
             return True
-        return silent_ns >= self._silence_ns and candidate.agreeing.lasts(RUN_NS)
+        return silent_ns >= self._silence_ns and agreeing.lasts(RUN_NS)
 
     def _place(self, source: Source) -> int:
         """Return the place of a source in the order."""
@@ -238,8 +217,14 @@ class SourceSelector:
         return min(max(DEGRADED_PERIODS * self._period.median_ns, MIN_SILENCE_NS), MAX_SILENCE_NS)
 
 
-def _remember(memory: dict[K, V], key: K, value: V) -> None:
-    """Store a value as the last one to be forgotten, and forget the first one beyond MAX_CANDIDATES."""
+def remember(memory: dict[K, V], key: K, value: V) -> None:
+    """Store a value as the last one to be forgotten, and forget the first one beyond MAX_CANDIDATES.
+
+    Parameters
+    ----------
+    memory : by key, the value that was stored longest ago first; changed.
+    key, value : entry to store.
+    """
     memory.pop(key, None)
     memory[key] = value
     if len(memory) > MAX_CANDIDATES:

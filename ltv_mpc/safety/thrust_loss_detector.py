@@ -339,18 +339,12 @@ def quadratic_form(window: Array, past: Array) -> Array:
 @jit_outlined
 def _add_mixed(F: Array, products: Array, weight: float, size: int) -> None:
     """Add weight M products M' to the first rows and columns of F, with M the first rows of ``_MIX``."""
-    mixed = np.zeros((8, SIZE))  # M products
     for i in range(size):
         for a in range(SIZE):
             if _MIX[i, a] != 0.0:
-                for b in range(SIZE):
-                    mixed[i, b] += _MIX[i, a] * products[a, b]
-    for i in range(size):
-        for j in range(size):
-            total = 0.0
-            for b in range(SIZE):
-                total += mixed[i, b] * _MIX[j, b]
-            F[i, j] += weight * total
+                for j in range(size):
+                    for b in range(SIZE):
+                        F[i, j] += weight * _MIX[i, a] * products[a, b] * _MIX[j, b]
 
 
 @jit_outlined

@@ -5,6 +5,9 @@ with both (``control/disturbance.py``). Learned values that are far from the fil
 the file: the held point is then not the one that its owner declared, or speeds and stopping distances are others than
 the file says. A wrong model can look like an arm, too: by up to 0.25 m with the hull of tests/foreign_plant, which is
 known by its data sheet (docs/notes/lever-arm.md).
+
+Estimates that are older than their stamps (``stamp_check.py``) look like another mass, drag or arm, so while they are,
+nothing else is named.
 """
 
 from __future__ import annotations
@@ -39,6 +42,9 @@ UNDECLARED = "the estimates turn as if measured away from the declared [referenc
 
 BOUNDED = "the learned current is at its bound"
 
+LATE = "the estimates are older than their stamps"
+STAMP_WHEN_MEASURED = "stamp each with the time at which its state was measured, not with that of its arrival"
+
 FACTORS = ("mass ahead", None, "moment of inertia", "drag ahead", None, "drag in yaw")
 """Names of the model's factors in the order of the states. Those abeam are left out: a hull seldom moves abeam, so
 noise of the estimated velocity looks like them.
@@ -55,7 +61,12 @@ class VehicleFileCheck:
         """Reason of the alarm with the learned values; empty without an alarm."""
         self._since_ns: dict[str, int] = {}  # start of each error, by its name
 
-    def update(self, t_ns: int, arm: Belief, model: Belief, *, bounded: bool = False) -> None:
+    @property
+    def stamps_are_late(self) -> bool:
+        """True while the alarm is that of late stamps: the motion then says nothing of the thrust, either."""
+        return LATE in self.why
+
+    def update(self, t_ns: int, arm: Belief, model: Belief, *, bounded: bool = False, late_s: float = 0.0) -> None:
         """Update the alarm with the newest belief.
 
         Parameters
@@ -64,15 +75,19 @@ class VehicleFileCheck:
         arm : lever arm (2,), forward and starboard (m), and its covariance.
         model : learned model (8,), as ``DisturbanceObserver.model`` gives it, and its covariance.
         bounded : the learned current is at its bound.
+        late_s : delay between the state of an estimate and its stamp (s); 0: none is known.
         """
         errors = dict([*_errors_of_arm(arm), *_errors_of_model(model)])
         if bounded:
             errors[BOUNDED] = f"{BOUNDED}: check estimates, thrusters and vehicle file"
+        if late_s > 0.0:
+            errors = {LATE: f"{LATE} by about {late_s:.1f} s: {STAMP_WHEN_MEASURED}"}
         before = self._since_ns
         self._since_ns = {name: min(before.get(name, t_ns), t_ns) for name in errors}
         lasting = [name for name, since_ns in self._since_ns.items() if t_ns - since_ns >= CONFIRMED_S * 1e9]
-        self.health = HealthState(Health.DEGRADED, "; ".join(lasting)) if lasting else NOMINAL
         self.why = "; ".join(errors[name] for name in lasting)
+        why = self.why if LATE in lasting else "; ".join(lasting)  # the delay keeps its value for long
+        self.health = HealthState(Health.DEGRADED, why) if lasting else NOMINAL
 
 
 def _errors_of_arm(arm: Belief) -> Iterator[tuple[str, str]]:

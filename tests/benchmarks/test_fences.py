@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.fences import full_loop
 from benchmarks.fences.__main__ import table
-from benchmarks.fences.flight import Job, fly, judged, keeps, sides, summed_cost
+from benchmarks.fences.flight import Job, drawn, fly, judged, keeps, sides, summed_cost
 from benchmarks.fences.rivals import HardRows, waypoints
 from benchmarks.fences.scenes import GAP_FACTOR, Scene, scene_of, vehicle_of
 from ltv_mpc.control.config import ControllerConfig
@@ -90,6 +90,15 @@ def test_the_controller_arrives_without_a_violation_and_the_table_counts_it() ->
     assert flown.clearance_m > 0.0
     row = table({"zones fence 2": {**flown._asdict(), "clearance_m": -0.25}}).splitlines()[-1]
     assert row.startswith("| zones | fence | 1 | 1 | -0.250 |")
+
+
+def test_a_vehicle_with_a_wrong_file_keeps_its_margin() -> None:
+    """Heavier, with less drag and thrust than its file; without the growth it enters its margin by 0.23 m."""
+    wrong, right = (fly(Job(39, "fence", False, model=model)) for model in ("heavy", "right"))
+    assert wrong.arrived
+    assert wrong.entered_m < 0.1
+    assert wrong.track_m != right.track_m
+    assert {drawn(seed).mass for seed in range(9)} == {0.7, 1.3}
 
 
 @pytest.mark.parametrize("seed", range(4))

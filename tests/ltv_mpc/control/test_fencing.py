@@ -16,6 +16,7 @@ from ltv_mpc.control.ocp.cycle import Cycle
 from ltv_mpc.control.ocp.limits import ROWS
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.prediction import Prediction
+from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.errors import ConfigError
@@ -575,6 +576,18 @@ def test_margins_grow_with_the_uncertainty_of_a_late_estimate() -> None:
         fencing.update(start, estimate, growth_m)
         needed_m.append(float(fencing.scene.need[0]) - HULL_M)
     assert needed_m == pytest.approx([0.5, 0.5, 3.0])  # the margin, or three standard deviations
+
+
+def test_margins_grow_by_what_the_model_s_error_carries_the_vehicle_until_it_stops() -> None:
+    fencing, scales = Fencing(CRAFT, np.arange(3) * 300_000_000), characteristic_scales(CRAFT)
+    fencing.set_fence(disc(100.0, 0.0, 3.0))
+    needed_m = []
+    for share in (0.0, 0.5, 1.0):
+        start = Prediction(CRAFT).state_at(drifting(), 0, SentCommands(CRAFT, 300_000_000))
+        start.lateral[2] = share * scales.speed_mps
+        fencing.update(start, drifting(), 0.0, 0.02)
+        needed_m.append(float(fencing.scene.need[0]) - HULL_M - 0.5)
+    assert needed_m == pytest.approx([0.0, 0.25 * 0.01 * scales.time_s**2, 0.01 * scales.time_s**2])
 
 
 def test_the_vehicle_stops_between_zones_whose_margins_meet_while_estimates_are_late() -> None:

@@ -18,6 +18,8 @@ def test_the_required_clearance_has_the_margin_or_three_standard_deviations() ->
     np.testing.assert_allclose(need, [1.5, 4.5])
     update_required(zones, 50.0, 50.0, 0.5, 0.7, need, np.zeros((2, 4)))
     np.testing.assert_allclose(need, [2.6, 4.5])
+    update_required(zones, 50.0, 50.0, 0.5, 0.7, need, np.zeros((2, 4)), 0.25)  # the model's error comes on top
+    np.testing.assert_allclose(need, [2.85, 4.75])
 
 
 def test_an_exit_is_that_of_the_entry_until_the_vehicle_is_out() -> None:

@@ -93,6 +93,20 @@ def test_a_learned_current_that_stays_at_its_bound_is_named():
     assert "current is at its bound" in check.why
 
 
+def test_late_stamps_are_named_with_the_delay_and_nothing_that_they_explain():
+    check = VehicleFileCheck()
+    for t in range(16):
+        assert check.health.health == "nominal"
+        assert not check.stamps_are_late
+        check.update(t * S, (np.array((0.5, 0.0)), 1e-4 * np.eye(2)), (factor(0, 2.0), 1e-4 * np.eye(8)), late_s=0.5)
+    assert check.health.health == "degraded"
+    assert check.stamps_are_late
+    for text in (check.why, check.health.why):
+        assert "older than their stamps by about 0.5 s: stamp each with the time" in text
+        assert "mass" not in text
+        assert "reference_point" not in text
+
+
 def test_the_alarm_ends_with_its_cause():
     check = checked((0.5, 0.0), factor(0, 2.0))
     assert check.health.why.count(";") == 1

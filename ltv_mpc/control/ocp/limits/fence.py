@@ -18,15 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.control.fence_clearance import (
-    CORRIDOR_PENALTY,
-    PENALTY,
-    Scene,
-    cross_track,
-    disc_at,
-    sag_m,
-    stage_lack,
-)
+from ltv_mpc.control.fence_clearance import CORRIDOR_PENALTY, PENALTY, Scene, cross_track, disc_at, sag_m, stage_lack
 from ltv_mpc.control.linearisation import unpack_linearisation
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import Objective, stage_length, unpack_constants

@@ -1,0 +1,57 @@
+"""Estimates that are stamped when they arrive: the stamps are named, and no thruster is blamed any more."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.strangers.flight import Conditions, Ours, Start, fly, load
+from benchmarks.strangers.tasks import SQUARE, reference
+from ltv_mpc import ControllerConfig, Estimate
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.messages import Applied, Authority, ModelCheck, Plan
+from ltv_mpc.node import ReceivedMessage
+
+LATE = "the estimates are older than their stamps by about 0."
+
+
+class ThroughNode(Ours):
+    """Pilot that is the node of the controller, with its check of the model."""
+
+    def __init__(self, vehicle, path) -> None:
+        self.node = ControllerNode(vehicle, path, ControllerConfig())
+        self.node.arbiter.authority = Authority.CONTROLLER
+        self.controller, self.nominal, self.said = self.node.controller, False, []
+
+    def plan(self, estimate: Estimate, t_ns: int, applied: Applied | None):
+        """Return the plan of one cycle."""
+        inbox = [ReceivedMessage(m, 1, len(self.said), t_ns) for m in (estimate, applied) if m is not None]
+        [messages] = self.node.steps([(t_ns, inbox)])
+        plan = next(message for message in messages if isinstance(message, Plan))
+        checks = [message.why for message in messages if isinstance(message, ModelCheck)]
+        self.said.append((t_ns * 1e-9, "; ".join([plan.health_why, *checks])))
+        return plan.t_ns, plan.thrust_N[:, :2]
+
+
+def said_of(name: str, speed_mps: float, conditions: Conditions, duration_s: float) -> list[tuple[float, str]]:
+    """Return what the controller says of its health and of its vehicle along a square, by time (s)."""
+    pilot = ThroughNode(load(name)[1], reference(SQUARE, speed_mps))
+    fly(name, pilot, conditions, Start(current_rad=0.6), duration_s=duration_s)
+    return pilot.said
+
+
+@pytest.mark.parametrize(("name", "speed_mps"), [("light_boat", 0.8), ("bluerobotics-boat", 0.9)])
+def test_late_stamps_are_named_within_75_s_and_then_no_thruster_is_blamed(name, speed_mps):
+    conditions = Conditions(latency_s=0.5, jitter_s=0.3, stamped_at_arrival=True, current_mps=0.2)
+    said = said_of(name, speed_mps, conditions, 100.0)
+    first_s = next(t for t, text in said if LATE in text)
+    assert first_s < 75.0
+    assert any("lost share" in text or "weak" in text for t, text in said if t < first_s)  # as before the stamps show
+    after = [text for t, text in said if t > first_s + 1.0]
+    assert all(LATE in text for text in after)
+    assert not any("lost share" in text or "weak" in text or "looks" in text for text in after)
+
+
+@pytest.mark.parametrize("name", ["light_boat", "catamaran", "paper"])
+def test_estimates_that_arrive_late_with_the_right_stamps_are_not_named(name):
+    conditions = Conditions(latency_s=0.5, jitter_s=0.3, current_mps=0.1)
+    assert not any("stamps" in text for _, text in said_of(name, 0.4, conditions, 90.0))
