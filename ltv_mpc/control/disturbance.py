@@ -160,7 +160,7 @@ class DisturbanceObserver:
         self._prior_and_walks = sd**2, walks
         self._belief: Belief = np.zeros(STATES), np.diag(sd**2)
         # Noise, as ``update_belief`` takes it; and the model's error (m/s^2): mean ahead, to starboard, largest.
-        self._track = np.zeros((4, 3))
+        self._track = np.zeros((5, 3))
         self._last: tuple[Estimate, Estimate] | None = None  # as it was given, and with filtered velocities
         self._shift = np.zeros(2)  # from the origin to the point that is held in its place, north and east (m)
         # After each update, the oldest first: time of the estimate, belief.
@@ -191,7 +191,7 @@ class DisturbanceObserver:
     @property
     def model_error_mps2(self) -> float:
         """Acceleration that the model has not explained lately, beyond the noise: from the mean innovation (m/s^2)."""
-        return float(self._track[3, 2])
+        return float(self._track[4, 2])
 
     @property
     def covariance(self) -> Array:
@@ -263,7 +263,7 @@ class DisturbanceObserver:
                 self._before.append((estimate.t_ns, self._belief))
             else:
                 self._belief = self._belief[0], self._propagated(last, estimate)
-                self._track[1:3] = 0.0
+                self._track[1:4] = 0.0
         self._last = given, estimate
         at_origin = self.arm_in_use.to_origin(estimate)
         bias_mps = self._share_in_use(estimate) * self.bias_mps
@@ -391,10 +391,10 @@ class DisturbanceObserver:
         self._belief = mean, P
         mean[CURRENT:ARM] *= 1.0 - (1.0 - self._share_in_use(estimate)) * min(seconds / FADING_S, 1.0)
         share = min(seconds / ERROR_TIME_S, 1.0)
-        self._track[3, :2] += share * (self._track[2, :2] / seconds - self._track[3, :2])
+        self._track[4, :2] += share * (self._track[2, :2] / seconds - self._track[4, :2])
         noise = 2.0 * math.sqrt(0.5 * share * (self._noise[0] + s2)) / seconds
         kept = self.model_error_mps2 * max(1.0 - seconds / ERROR_MEMORY_S, 0.0)
-        self._track[3, 2] = max(float(np.hypot(*self._track[3, :2])) - noise, kept)
+        self._track[4, 2] = max(float(np.hypot(*self._track[4, :2])) - noise, kept)
         return _with_motion(estimate, north, east, yaw_rate)
 
 

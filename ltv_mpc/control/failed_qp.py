@@ -61,7 +61,7 @@ def row_names(layout: SparseLayout, scale: Array) -> tuple[ConstraintRow, ...]:
         if row < len(of_limits):
             name, of, unit = of_limits[row]
         else:
-            name, of, unit = f"row {row - len(of_limits) + 1} of fence and further limits", float(scale[0]), "m"
+            name, of, unit = f"row {row - len(of_limits) + 1} of your limits and of the fence", float(scale[0]), "m"
         place = f"in stage {knot + 1}" if name.startswith("slew") else f"at the end of stage {knot}"
         named.append(ConstraintRow(f"{OF_KIND.get(kind, '')}{name} {place}", of, unit))
     return tuple(named)

@@ -75,7 +75,7 @@ def test_the_cost_of_a_track_is_that_of_all_its_points(seed: int) -> None:
         t_s = 0.3 * (KNOTS[k - 1] + part * g)
         lack = np.maximum(every_need(of, t_s) - every_clearance(of, points, t_s), 0.0)
         lack[:-1] += np.where(lack[:-1] > 0.0, 0.5 * 0.4 * (0.3 * g) ** 2 / 8.0, 0.0)
-        total += 2.0 * PENALTY * g * lack.max(axis=0).sum()
+        total += PENALTY * g * lack.max(axis=0).sum()
     assert fence_cost(X, of, o) == pytest.approx(total)
 
 

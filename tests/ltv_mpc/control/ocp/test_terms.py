@@ -91,7 +91,7 @@ def test_every_solver_feels_it(term: ModuleType, name: str) -> None:
     """The optimum moves when the term counts three times, and the solver finds it."""
     lin, target = trajectory(2)
     form = Form(KNOTS, LIMITS, WEIGHTS)
-    config = ResolvedConfig(horizon_s=2.4, max_stages=N, weights=WEIGHTS, tolerance=1e-9, max_iterations=5000)
+    config = ResolvedConfig(horizon_s=2.4, max_stages=N, weights=WEIGHTS, tolerance=1e-7, max_iterations=5000)
     once, more = form.problem(lin, target), form.problem(lin, target)
     for _ in range(2):
         for k in range(1, N + 1):
