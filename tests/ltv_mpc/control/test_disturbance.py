@@ -356,8 +356,8 @@ def pushing(t_ns: int, thrust_N: tuple[float, float]) -> Plan:
 
 @pytest.mark.parametrize("share", [1.0, 0.6])
 def test_an_acceleration_that_is_not_explained_is_the_model_s_error(share: float):
-    """Both thrusters of a vehicle at rest push, and deliver a share of what they report; the model is not learned."""
-    observer = DisturbanceObserver(Disturbance(model_sd=0.0, lever_arm_sd_m=0.0), PAPER)
+    """Both thrusters of a vehicle at rest push, and deliver a share of what they report; nothing is learned."""
+    observer = DisturbanceObserver(Disturbance(sd_mps=0.0, model_sd=0.0, lever_arm_sd_m=0.0), PAPER)
     commands, vehicle, model = SentCommands(PAPER), Prediction(PAPER), Prediction(PAPER)
     vehicle.set_shares((share, share))
     estimate, wrong = msgspec.structs.replace(Estimate.at_rest(), current=flat(np.zeros(2))), []
