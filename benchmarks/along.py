@@ -44,7 +44,7 @@ class _Planner(LateralPlanner):
     """The controller's planner."""
 
     def _run_solver(self, problem: Problem, shift: float) -> Result:
-        is_at(self._lin, self.target)
+        is_at(self._cycle.lin, self._cycle.target)
         return super()._run_solver(problem, shift)
 
 

@@ -33,8 +33,16 @@ class Peer:
         self.weights = config.weights
         self.limits = limits
         self.vehicle = vehicle
-        self.lin: Linearisation
-        self.reference: Array
+
+    @property
+    def lin(self) -> Linearisation:
+        """The motion that the problem was made along."""
+        return along.now().lin
+
+    @property
+    def reference(self) -> Array:
+        """Positions (N, 2) wanted; what is held is a point, so no velocity is wanted at the end."""
+        return along.now().target[:-1]
 
     def shift_warm_start(self, stages: float) -> None:
         """Shift the warm start by this number of stages."""
@@ -43,9 +51,8 @@ class Peer:
         """Reset the warm start."""
 
     def build(self, problem: Problem) -> None:
-        """Take what the problem was made from; what is held is a point, so no velocity is wanted at the end."""
+        """Keep the problem."""
         self.problem = problem
-        self.lin, self.reference = along.now().lin, along.now().target[:-1]
 
     def update(self) -> None:
         """Nothing: peers set up and solve in one."""
