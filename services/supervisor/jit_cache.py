@@ -38,10 +38,10 @@ POLL_S = 0.2
 
 def is_warm() -> bool:
     """Return True if everything is compiled."""
-    return _mark().exists()
+    return mark().exists()
 
 
-def _mark() -> Path:
+def mark() -> Path:
     """Return the file that says that these sources are compiled."""
     digest = hashlib.sha256()
     for package in (ltv_mpc, sim):
@@ -170,7 +170,7 @@ def main(arguments: Sequence[str]) -> int:
             child.wait()
     failed = [child.returncode for child in children if child.returncode]
     if not failed:
-        _mark().touch()
+        mark().touch()
     return failed[0] if failed else 0
 
 

@@ -18,7 +18,7 @@ from services.run import version as versions
 from tests.docs.pages import ROOT
 
 PACKAGES = ("ltv_mpc", "sim", "services")
-EXTRAS = {"viz", "secure", "ros2", "mavlink", "parquet", "campaign", "bench", "docs", "mutation", "dev"}
+EXTRAS = {"viz", "secure", "ros2", "mavlink", "gpx", "parquet", "campaign", "bench", "docs", "mutation", "dev"}
 CORE_LACKS = (
     "plotly",
     "matplotlib",

@@ -86,16 +86,13 @@ def clear(p: Problem) -> None:
     ----------
     p : is overwritten.
     """
-    for k in range(p.H.shape[0]):
-        if k < p.F.shape[0]:
-            p.F[k, :, :] = 0.0
-            p.f[k, :] = 0.0
-        p.H[k, :, :] = 0.0
-        p.h[k, :] = 0.0
-        p.G[k, :, :] = 0.0
-        p.low[k, :] = -np.inf
-        p.high[k, :] = np.inf
-        p.penalty[k, :] = np.inf
+    for part in (p.F, p.H, p.G):
+        part[:, :, :] = 0.0
+    for part in (p.f, p.h):
+        part[:, :] = 0.0
+    for i in range(p.low.size):
+        p.low.flat[i] = -np.inf
+        p.high.flat[i] = p.penalty.flat[i] = np.inf
 
 
 @jit

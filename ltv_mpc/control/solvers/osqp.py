@@ -145,9 +145,11 @@ class OsqpSolver:
         self._knots, self._max_iterations, self._tolerance = config.knots, config.max_iterations, config.tolerance
         self._eps = config.tolerance
         self._shift = math.nan
-        self._layout: SparseLayout | None = None
+        self.problem: Problem | None = None
+        """Problem that was built last."""
+        self.layout: SparseLayout | None = None
+        """Layout of its QP; ``arrays`` has the QP's numbers and its point, ``duals`` those of the limits (N+1, M)."""
         self._solver: osqp.OSQP | None = None
-        self._problem: Problem | None = None
         self._finite = False
 
     def shift_warm_start(self, stages: float) -> None:
@@ -170,32 +172,32 @@ class OsqpSolver:
         ----------
         problem : is read now alone.
         """
-        self._problem, self._finite = problem, is_finite(problem)
+        self.problem, self._finite = problem, is_finite(problem)
         if not self._finite:
             return
-        before = self._layout
+        before = self.layout
         if before is None or before.masks.H.shape != problem.H.shape or before.masks.low.shape != problem.low.shape:
             before = None
-            self._work, self._duals, self._shift = Sweep.empty(problem), np.zeros(problem.low.shape), math.nan
+            self.work, self.duals, self._shift = Sweep.empty(problem), np.zeros(problem.low.shape), math.nan
         if before is None or not fits(problem, before.masks):
-            self._layout = layout = SparseLayout(problem, before)
+            self.layout = layout = SparseLayout(problem, before)
             rows, columns = layout.rows, layout.variables
-            self._at = Arrays(
+            self.arrays = Arrays(
                 layout.allocate(), np.zeros(columns), np.zeros(rows), np.zeros(rows),
                 np.zeros(layout.A.nnz), np.zeros(rows), np.zeros(rows), np.zeros(rows),
             )  # fmt: skip
             self._solver = None
-        assert self._layout is not None
-        places = self._layout.places
-        size, costate = prepare(problem, places, self._knots, self._shift, self._work, self._duals, self._at)
+        assert self.layout is not None
+        places = self.layout.places
+        size, costate = prepare(problem, places, self._knots, self._shift, self.work, self.duals, self.arrays)
         self._finite = size >= 0.0
         self._eps = max(self._tolerance * size, ROUNDING * costate if places.excess.max() >= 0 else 0.0)
 
     def update(self) -> None:
         """Pass the problem to OSQP; the first one sets it up (see ``Solver``)."""
-        if not self._finite or self._layout is None:  # a NaN would stay in the workspace for every later solve
+        if not self._finite or self.layout is None:  # a NaN would stay in the workspace for every later solve
             return
-        at, layout = self._at, self._layout
+        at, layout = self.arrays, self.layout
         if self._solver is None:
             self._solver = osqp.OSQP(algebra="builtin")
             P, A = (_csc(of, data) for of, data in ((layout.P, at.numbers.P), (layout.A, at.A)))
@@ -204,7 +206,7 @@ class OsqpSolver:
 
     def _load(self, *, with_cost: bool) -> None:
         """Pass numbers and point to OSQP, which factorises."""
-        at, solver = self._at, self._solver
+        at, solver = self.arrays, self._solver
         assert solver is not None
         solver.update(Ax=at.A.copy(), **({"Px": at.numbers.P.copy()} if with_cost else {}))  # OSQP keeps the arrays
         solver.update(q=at.numbers.q, l=at.l, u=at.u)
@@ -212,11 +214,11 @@ class OsqpSolver:
 
     def solve(self) -> Result:
         """Solve the problem (see ``Solver``). It ends after ``max_iterations`` or a few more, never by time."""
-        p, layout, solver = self._problem, self._layout, self._solver
+        p, layout, solver = self.problem, self.layout, self._solver
         assert p is not None, "build() must be called before solve()"
         if not self._finite or solver is None or layout is None:
             return self._no_solution(p, "the problem is not finite")
-        at, z = self._at, np.zeros_like(p.h)
+        at, z = self.arrays, np.zeros_like(p.h)
         iterations, batch = 0, 0
         while True:
             length = BATCH * 2 ** max(0, batch - CONSTANT_BATCHES) if batch else FIRST_BATCH
@@ -227,7 +229,7 @@ class OsqpSolver:
                 signal.raise_signal(signal.SIGINT)  # OSQP catches Ctrl-C during a solve
             batch += 1
             iterations += int(result.info.iter)
-            if not store_solution(np.asarray(result.x), np.asarray(result.y), layout.places, at, z, self._duals):
+            if not store_solution(np.asarray(result.x), np.asarray(result.y), layout.places, at, z, self.duals):
                 self._solver = None
                 return self._no_solution(p, "OSQP returned a value that is not finite; rebuilt")
             if status == SOLVED or iterations >= self._max_iterations:

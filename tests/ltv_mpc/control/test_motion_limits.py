@@ -104,9 +104,9 @@ def test_the_first_guess_of_osqp_is_the_solution(limits: MotionLimits) -> None:
         solver = OsqpSolver(settled(settings(limits), PAPER))
         solver.build(problem)
         layout, qp = laid_out(problem)
-        left = residuals(qp, solver._at.x, solver._at.y)
+        left = residuals(qp, solver.arrays.x, solver.arrays.y)
         assert max(left.stationarity, left.primal, left.complementarity) < 1e-3
-        beyond += bool((solver._at.x[layout.places.excess[layout.places.excess >= 0]] > 1e-3).any())
+        beyond += bool((solver.arrays.x[layout.places.excess[layout.places.excess >= 0]] > 1e-3).any())
     assert beyond >= 1
 
 
@@ -142,10 +142,10 @@ def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
         solver.build(problem)
         solver.update()
         assert solver.solve().solve.status is SolveStatus.SOLVED
-        solution = solver._at.x.copy(), solver._at.y.copy()
+        solution = solver.arrays.x.copy(), solver.arrays.y.copy()
         solver.shift_warm_start(0.0)
         solver.build(problem)
-        for again, before in zip((solver._at.x, solver._at.y), solution, strict=True):
+        for again, before in zip((solver.arrays.x, solver.arrays.y), solution, strict=True):
             np.testing.assert_allclose(again, before, atol=1e-4)
 
 

@@ -22,13 +22,25 @@ def write(path: Path, size: int) -> None:
         file.truncate(size)
 
 
-def test_the_share_is_of_this_checkout_and_never_more_than_all(cache: Path) -> None:
-    assert jit_cache.share() == 0.0
-    write(cache / "control_1" / "first.nbc", jit_cache.MACHINE_CODE_BYTES // 4)
-    write(cache / "ltv-mpc" / "2" / "control_3" / "first.nbc", jit_cache.MACHINE_CODE_BYTES)  # of another checkout
-    assert jit_cache.share() == 0.25
-    write(cache / "sim_1" / "second.nbc", jit_cache.MACHINE_CODE_BYTES)
-    assert jit_cache.share() == 1.0
+def test_the_share_is_of_what_was_stored_since_and_never_more_than_all(cache: Path) -> None:
+    write(cache / "ltv_mpc.control.cost" / "earlier.nbc", jit_cache.MACHINE_CODE_BYTES)  # of an earlier version
+    before = jit_cache.stored_bytes()
+    assert jit_cache.share(before) == 0.0
+    write(cache / "ltv_mpc.control.cost" / "first.nbc", jit_cache.MACHINE_CODE_BYTES // 4)
+    assert jit_cache.share(before) == 0.25
+    write(cache / "sim.plant" / "second.nbc", jit_cache.MACHINE_CODE_BYTES)
+    assert jit_cache.share(before) == 1.0
+
+
+def test_an_edit_of_a_source_is_not_compiled_yet(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (cache / "ltv_mpc").mkdir()
+    source = cache / "ltv_mpc" / "one.py"
+    source.write_text("x = 1")
+    monkeypatch.setattr(jit_cache.ltv_mpc, "__path__", [str(cache / "ltv_mpc")])
+    jit_cache.mark().touch()
+    assert jit_cache.is_warm()
+    source.write_text("x = 2")
+    assert not jit_cache.is_warm()
 
 
 @pytest.mark.usefixtures("cache")

@@ -25,8 +25,8 @@ FORM = Form(CONFIG.knots)
 def guess(solver):
     """Return the QP and the point of the first guess."""
     solver.update()
-    at, layout = solver._at, solver._layout
-    return layout.assemble(layout.filled(solver._problem)), at.x.copy(), at.y.copy()
+    at, layout = solver.arrays, solver.layout
+    return layout.assemble(layout.filled(solver.problem)), at.x.copy(), at.y.copy()
 
 
 @pytest.mark.parametrize("limits", [LIMITS, LOWERED], ids=["box", "lowered box"])
@@ -99,13 +99,13 @@ def test_without_sweeps_osqp_starts_from_the_trajectory_and_the_last_duals():
     lin, target = motion(3, 5)
     lin.B1[-1] = 0.0
     moved = answer(solver, form, lin, target).commands - lin.U
-    duals = solver._duals.copy()
+    duals = solver.duals.copy()
     solver.shift_warm_start(0.0)
     solver.build(form.problem(lin, target))
     assert np.abs(moved).max() > 0.1
-    np.testing.assert_array_equal(solver._work.z[:-1, 10:], 0.0)
+    np.testing.assert_array_equal(solver.work.z[:-1, 10:], 0.0)
     assert np.abs(duals).max() > 0.0
-    np.testing.assert_allclose(solver._duals, duals, atol=osqp.NOT_ACTIVE)
+    np.testing.assert_allclose(solver.duals, duals, atol=osqp.NOT_ACTIVE)
 
 
 def test_the_tolerance_is_on_the_residuals(cycles):
@@ -113,9 +113,9 @@ def test_the_tolerance_is_on_the_residuals(cycles):
     solver = OsqpSolver(precise)
     for cycle in cycles[::20]:
         answer(solver, FORM, cycle.lin, cycle.target)
-        layout = solver._layout
-        qp = layout.assemble(layout.filled(solver._problem))
-        kkt = residuals(qp, solver._at.x, solver._at.y)
+        layout = solver.layout
+        qp = layout.assemble(layout.filled(solver.problem))
+        kkt = residuals(qp, solver.arrays.x, solver.arrays.y)
         # the tolerance grows with the gradient; the rows of free limits are scaled down, and so is their violation
         size = osqp.dual_scale(qp.q, layout.places)
         assert kkt.stationarity <= 1e-6 * size
