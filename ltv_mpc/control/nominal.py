@@ -18,7 +18,6 @@ Arguments of the kernels in this file:
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from ltv_mpc.control.horizon_limits import clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
 from ltv_mpc.control.linearisation import Linearisation, linearise_rollout, propagate, unpack_linearisation
 from ltv_mpc.control.ocp.assembly import cost
-from ltv_mpc.control.ocp.cycle import Cycle
+from ltv_mpc.control.ocp.cycle import UNKNOWN, Cycle, Score
 from ltv_mpc.control.problem_data import Constants, Objective, unpack_constants
 from ltv_mpc.control.shooting_grid import locate
 from ltv_mpc.control.terminal_check import check_terminal
@@ -91,15 +90,6 @@ def _shift_into_limits(old: Array, stages: float, objective: Objective, U: Array
     clip_to_limits(U, objective.t, objective.low, objective.high, objective.max_change)
 
 
-class Score(NamedTuple):
-    """Costs of a trajectory, and how it ends."""
-
-    cost: float  # without fence and corridor
-    fence: float  # cost of too small clearances
-    stuck: bool  # as in ``TerminalCheck``
-    tail: float  # cost beyond the horizon
-
-
 def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was_clear: bool) -> int:
     """Choose the nominal trajectory, and linearise along it.
 
@@ -121,7 +111,7 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
     PREVIOUS_PLAN, STEERED_AHEAD or STEERED_ASTERN.
     """
     packed, target, lin, guess, scene = cycle.packed, cycle.target, cycle.lin, cycle.guess, cycle.scene
-    kind, best = STEERED_AHEAD, Score(math.inf, math.inf, False, 0.0)
+    kind, best = STEERED_AHEAD, UNKNOWN
     if not math.isnan(stages):
         best = Score(*_continue(packed, start, old, stages, target, lin.flat, scene))
         kind, best = PREVIOUS_PLAN, best._replace(cost=best.cost + cycle.further.cost(lin.X, lin.U))
@@ -142,6 +132,7 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
             kind, best = other_kind, other
     if kind != PREVIOUS_PLAN:
         relinearise(packed, lin.flat, lin.X, lin.U)
+    cycle.score = best
     return kind
 
 
@@ -234,7 +225,7 @@ def line_search(cycle: Cycle, commands: Array, X: Array, U: Array) -> tuple[floa
 
     Parameters
     ----------
-    cycle : has the nominal trajectory, target and zones.
+    cycle : has the nominal trajectory, its score, target and zones; the score becomes that of the trajectory found.
     commands : (N+1, 2) port and starboard thrust that the QP asks for (N).
     X, U : are overwritten with states and commands of the trajectory found.
 
@@ -244,15 +235,16 @@ def line_search(cycle: Cycle, commands: Array, X: Array, U: Array) -> tuple[floa
     does not. The fraction is 0 if no step qualifies, and X and U are then the nominal trajectory.
     """
     packed, target, lin, scene = cycle.packed, cycle.target, cycle.lin, cycle.scene
-    before = Score(*_step(packed, lin.flat, target, lin.U, 0.0, X, U, scene))
-    limit, enters = before.cost + cycle.further.cost(X, U) + before.fence, False
+    before, enters = cycle.score, False
     for part in STEPS:
         after = Score(*_step(packed, lin.flat, target, commands, part, X, U, scene))
+        after = after._replace(cost=after.cost + cycle.further.cost(X, U))
         if part == STEPS[0]:
             enters = after.fence > before.fence == 0.0
-        if after.cost + cycle.further.cost(X, U) + after.fence <= limit:
+        if after.cost + after.fence <= before.cost + before.fence:
             if after.stuck and not before.stuck and after.fence >= before.fence:
                 break  # within the horizon it costs less not to turn; but a way out of a zone is taken
+            cycle.score = after
             return part, enters
     X[...], U[...] = lin.X, lin.U
     return 0.0, enters
@@ -265,16 +257,12 @@ def _step(
     """Take a part of the step towards commands; return the ``Score`` of where it leads, X and U."""
     c, lin = unpack_constants(packed), unpack_linearisation(flat, len(target) - 1)
     o = c.objective
-    if part == 0.0:
-        copy_to(X, lin.X)
-        copy_to(U, lin.U)
-    else:
-        copy_to(X[0], lin.X[0])
-        for k in range(U.shape[0]):
-            for i in range(2):
-                U[k, i] = lin.U[k, i] + part * (commands[k, i] - lin.U[k, i])
-        clip_to_limits(U, o.t, o.low, o.high, o.max_change)
-        propagate(X, U, lin.C, o.t, c.stage_s, c.p)
+    copy_to(X[0], lin.X[0])
+    for k in range(U.shape[0]):
+        for i in range(2):
+            U[k, i] = lin.U[k, i] + part * (commands[k, i] - lin.U[k, i])
+    clip_to_limits(U, o.t, o.low, o.high, o.max_change)
+    propagate(X, U, lin.C, o.t, c.stage_s, c.p)
     return _score(X, U, lin.C, target, scene, c)
 
 

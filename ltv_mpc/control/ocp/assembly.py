@@ -56,42 +56,28 @@ def fill(packed: Array, flat: Array, target: Array, p: Problem) -> None:
     """
     o, lin = unpack_objective(packed), unpack_linearisation(flat, len(target) - 1)
     clear(p)
+    S = np.empty(SIZE)
+    for i in range(SIZE):
+        S[i] = o.state_scale[i] if i < 6 else o.thrust_scale[i % 2]
     for k in range(len(lin.Phi)):
-        _add_motion(p, k, lin, o)
+        _add_motion(p, k, lin, S)
         terms.add(p, k + 1, lin, target, o)
     limits.add(p, lin, target, o)
 
 
 @jit
-def _add_motion(p: Problem, k: int, lin: Linearisation, o: Objective) -> None:
-    """Add the dynamics of a stage."""
-    F = p.F[k]
+def _add_motion(p: Problem, k: int, lin: Linearisation, S: Array) -> None:
+    """Add the dynamics of a stage; S (12,) is 1 in the numbers of a stage."""
     for i in range(STATES):
-        over = 1.0 / scale(i, o)
+        over = 1.0 / S[i]
         p.f[k, i] = (lin.Phi[k, i] - lin.X[k + 1, i]) * over
         for j in range(STATES):
-            F[i, j] = lin.A[k, i, j] * scale(j, o) * over
+            p.F[k, i, j] = lin.A[k, i, j] * S[j] * over
         for j in range(2):
-            F[i, COMMANDS + j] = (lin.B0[k, i, j] + lin.B1[k, i, j]) * o.thrust_scale[j] * over
-            F[i, CHANGES + j] = lin.B1[k, i, j] * o.thrust_scale[j] * over
+            p.F[k, i, COMMANDS + j] = (lin.B0[k, i, j] + lin.B1[k, i, j]) * S[COMMANDS + j] * over
+            p.F[k, i, CHANGES + j] = lin.B1[k, i, j] * S[CHANGES + j] * over
     for j in range(2):
-        F[COMMANDS + j, COMMANDS + j] = F[COMMANDS + j, CHANGES + j] = 1.0
-
-
-@jit
-def scale(i: int, o: Objective) -> float:
-    """Return what is 1 in number i of a stage; a delivered thrust has the scale of its command.
-
-    Parameters
-    ----------
-    i : number 0 .. 11, as at the head of this file.
-    o : has the scales.
-
-    Returns
-    -------
-    The scale in the unit of the state or the input.
-    """
-    return float(o.state_scale[i] if i < 6 else o.thrust_scale[i % 2])
+        p.F[k, COMMANDS + j, COMMANDS + j] = p.F[k, COMMANDS + j, CHANGES + j] = 1.0
 
 
 @jit

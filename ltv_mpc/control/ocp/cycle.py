@@ -6,7 +6,9 @@ fence and corridor and without, because a problem without them is solved faster.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +21,19 @@ from ltv_mpc.control.ocp.limits import fence
 from ltv_mpc.control.ocp.problem import Problem, least_surplus
 from ltv_mpc.control.problem_data import COMMANDS
 from ltv_mpc.messages import Array
+
+
+class Score(NamedTuple):
+    """Costs of a trajectory, and how it ends."""
+
+    cost: float  # without fence and corridor
+    fence: float  # cost of too small clearances
+    stuck: bool  # as in ``TerminalCheck``
+    tail: float  # cost beyond the horizon
+
+
+UNKNOWN = Score(math.inf, math.inf, False, 0.0)
+"""Score of no trajectory."""
 
 
 class Cycle:
@@ -43,6 +58,8 @@ class Cycle:
         """Target at the knots (``ocp/terms``)."""
         self.lin, self.guess = Linearisation.empty(stages), Linearisation.empty(stages)
         """The motion along the nominal trajectory; room for another trajectory."""
+        self.score = UNKNOWN
+        """Score of the nominal trajectory."""
         self.further = Extensions(terms, np.diff(knots), assembly.scales(scales)[: COMMANDS + 2], self.target)
         """Terms and limits of a user."""
         self.plain = assembly.empty(stages, self.further.rows)

@@ -36,6 +36,7 @@ class Sweep(NamedTuple):
     P: Array  # (n, n)
     v: Array  # (n,)
     PF: Array  # (n, n+m)
+    FPF: Array  # (n+m, n+m)
     M: Array  # (n+m, n+m)
     w: Array  # (n+m,)
 
@@ -51,7 +52,7 @@ class Sweep(NamedTuple):
         rows, z = np.zeros((N + 1, M)), n + m
         return cls(
             rows, rows.copy(), rows.copy(), np.zeros((N + 1, z)), np.zeros((N, m, n + 1)),
-            np.zeros((n, n)), np.zeros(n), np.zeros((n, z)), np.zeros((z, z)), np.zeros(z),
+            np.zeros((n, n)), np.zeros(n), np.zeros((n, z)), np.zeros((z, z)), np.zeros((z, z)), np.zeros(z),
         )  # fmt: skip
 
 
@@ -118,25 +119,20 @@ def _add_rows(p: Problem, work: Sweep, k: int) -> None:
 @jit
 def _add_next(p: Problem, work: Sweep, k: int) -> None:
     """Add the cost to go from the next state to M and w."""
-    P, PF, M, w, F = work.P, work.PF, work.M, work.w, p.F[k]
-    n = len(P)
-    for i in range(n):
-        s = work.v[i]
-        for j in range(n):
-            s += P[i, j] * p.f[k, j]
+    P, v, M, w, F = work.P, work.v, work.M, work.w, p.F[k]
+    for j in range(len(v)):
+        gap = p.f[k, j]
+        if gap != 0.0:  # a solution of the equations of motion has none
+            for i in range(len(v)):
+                v[i] += P[i, j] * gap
+    for i in range(len(v)):
         for j in range(len(w)):
-            PF[i, j] = 0.0
-            w[j] += F[i, j] * s
-        for a in range(n):
-            factor = P[i, a]
-            for j in range(len(w)):
-                PF[i, j] += factor * F[a, j]
-    for a in range(n):
-        for i in range(len(w)):
-            factor = F[a, i]
-            if factor != 0.0:
-                for j in range(len(w)):
-                    M[i, j] += factor * PF[a, j]
+            w[j] += F[i, j] * v[i]
+    np.dot(P, F, work.PF)  # BLAS: a third of the time of loops
+    np.dot(F.T, work.PF, work.FPF)
+    for i in range(len(w)):
+        for j in range(len(w)):
+            M[i, j] += work.FPF[i, j]
 
 
 @jit
