@@ -54,9 +54,10 @@ MAX_WHY_CHARS = 200
 """Longest text of an exception in a plan."""
 
 
-REST_M = 0.05
-"""Distance from a point within which a surface craft rests in still water. Closer, an error of the estimated point
-would make it turn for ever: it turns its bow to a target that turns with it.
+REST_M, RESTING_MPS = 0.05, 0.01
+"""Distance from a point within which a vehicle rests in still water, at a sinking speed below the second. Closer, an
+error of the estimated point would make it turn for ever, or drive to and fro: it turns its bow to a target that turns
+with it. In a current, which gives the heading, the distance is less.
 """
 
 
@@ -135,11 +136,11 @@ class LateralPlanner:
         ----------
         start : the vehicle at the plan's start, from where the previous plan is continued.
         knots : (N+1,) times of the knots (ns).
-        radius_m : radius of the disc (m). In still water, where the heading is free, a surface craft has ``REST_M`` at
-            least.
+        radius_m : radius of the disc (m). Where the heading is free and the depth is kept, it is ``REST_M`` at least in
+            still water, and less in a current.
         """
         plan = self.previous.plan
-        if not self._vehicle.can_dive and self._config.weights.heading_per_rad2 == 0.0:
+        if abs(start.sinking_mps) < RESTING_MPS and self._config.weights.heading_per_rad2 == 0.0:
             current_mps = math.hypot(start.current_north_mps, start.current_east_mps)
             radius_m = max(radius_m, REST_M / (1.0 + (current_mps / heading_free_mps(self._vehicle)) ** 2))
         if radius_m == 0.0 or plan is None:
