@@ -71,9 +71,8 @@ def cache_folder() -> tuple[Path, bool]:
 CACHE, CACHE_IS_PERSISTENT = cache_folder()
 os.environ["NUMBA_CACHE_DIR"] = str(CACHE)
 
-import numba.extending  # noqa: E402  (the variable above must be set first)
-from llvmlite import ir  # noqa: E402
-from numba.core import caching, cgutils, dispatcher, types  # noqa: E402
+import numba  # noqa: E402  (the variable above must be set first)
+from numba.core import caching, dispatcher  # noqa: E402
 
 
 class _Locator(caching._CacheLocator):
@@ -197,27 +196,6 @@ def share_compilation() -> None:
             return unlocked(of, signature)
 
     dispatcher.Dispatcher.compile = _locked  # type: ignore[method-assign, assignment]
-
-
-def _call_c(_typing: Any, _address: Any, arguments: Any) -> Any:
-    """Return the signature and the code generator of ``call_c``."""
-
-    def _generate(_context: Any, builder: Any, _signature: Any, values: Any) -> Any:
-        """Generate the call."""
-        passed = cgutils.unpack_tuple(builder, values[1])  # type: ignore[no-untyped-call]
-        function = ir.FunctionType(ir.IntType(32), [ir.IntType(64)] * len(passed))
-        return builder.call(builder.inttoptr(values[0], function.as_pointer()), passed)
-
-    passed = types.UniTuple(types.int64, len(arguments))  # type: ignore[no-untyped-call]
-    return types.int32(types.int64, passed), _generate
-
-
-call_c = cast("Callable[[int, tuple[int, ...]], int]", numba.extending.intrinsic(_call_c))
-"""In compiled code: call a C function that returns an int, by its address, with integers and addresses as int64.
-
-An argument that C declares as int is read from the lower half. The address is an argument of the kernel that calls,
-because a kernel with a constant address cannot be cached.
-"""
 
 
 @jit

@@ -29,11 +29,6 @@ LIMITED_STATES = (2, 5)
 MIN_PENALTY = 100.0
 """Least cost of an excess that is 1 in the QP, over one stage of 0.3 s."""
 
-NO_BOUND = 1e3
-"""Bound that is never reached, in units of the QP: hundreds of m/s for a speed. It is finite because some solvers do
-not accept an infinite bound.
-"""
-
 
 def unlimited() -> Array:
     """Return infinite lower and upper limits (2, 2) of ``LIMITED_STATES``."""
@@ -77,12 +72,6 @@ class HorizonLimits:
             state_scale(vehicle),
             unlimited() if state_bounds is None else state_bounds,
         )
-
-    @property
-    def limited_states(self) -> tuple[int, ...]:
-        """Indices of the states that have a lower or an upper limit."""
-        limited = np.isfinite(self.state_bounds).any(axis=0)
-        return tuple(np.array(LIMITED_STATES)[limited].tolist())
 
     @property
     def thrust_scale(self) -> Array:

@@ -191,7 +191,7 @@ class OsqpSolver:
         places = self.layout.places
         size, costate = prepare(problem, places, self._knots, self._shift, self.work, self.duals, self.arrays)
         self._finite = size >= 0.0
-        self._eps = max(self._tolerance * size, ROUNDING * costate if places.excess.max() >= 0 else 0.0)
+        self._eps = max(self._tolerance * size, ROUNDING * costate if self.layout.soft_rows else 0.0)
 
     def update(self) -> None:
         """Pass the problem to OSQP; the first one sets it up (see ``Solver``)."""
@@ -199,6 +199,7 @@ class OsqpSolver:
             return
         at, layout = self.arrays, self.layout
         if self._solver is None:
+            rescale(layout.places, at)  # changes nothing, but is compiled now and not with the first hard problem
             self._solver = osqp.OSQP(algebra="builtin")
             P, A = (_csc(of, data) for of, data in ((layout.P, at.numbers.P), (layout.A, at.A)))
             self._solver.setup(P, at.numbers.q.copy(), A, at.l.copy(), at.u.copy(), **SETTINGS)
@@ -283,12 +284,12 @@ def prepare(
         if abs(duals.flat[i]) <= NOT_ACTIVE:
             duals.flat[i] = 0.0
     kept = duals.copy()
-    if riccati.solve(p, work, riccati.MAX_SWEEPS, duals)[0] == FAILED:
+    if riccati.solve(p, work, riccati.MAX_SWEEPS, duals)[0] == FAILED:  # otherwise z and g are those of the last sweep
         for i in range(duals.size):
             duals.flat[i] = kept.flat[i]
+        roll_out(p, work.z)
+        row_values(p, work.z, work.g)
     costate = np.zeros((p.h.shape[0], p.f.shape[1]))
-    roll_out(p, work.z)
-    row_values(p, work.z, work.g)
     costates(p, work.z, duals, costate)
     _guess(p, places, work, duals, costate, at)
     if rescale(places, at) < 0:

@@ -106,7 +106,9 @@ class SparseLayout:
             sides = ((UPPER, self.masks.high), (LOWER, self.masks.low), (EXCESS, soft))
             rows += [(side, i) for side, mask in sides if mask.flat[i]] if soft.flat[i] else [(HARD, i)]
         kind, source = np.array(rows, dtype=np.int64).reshape(-1, 2).T
-        self.variables = N * z + int(soft.sum())
+        self.soft_rows = int(soft.sum())
+        """Number of soft rows of limits."""
+        self.variables = N * z + self.soft_rows
         """Number of columns n."""
         self.rows = len(kind)
         """Number of rows m."""
