@@ -199,16 +199,6 @@ class DisturbanceObserver:
         return self._belief[1][CURRENT:ARM, CURRENT:ARM].copy()
 
     @property
-    def lever_arm(self) -> Belief:
-        """Estimated lever arm (2,), forward and starboard (m), and its covariance (2, 2) (m^2)."""
-        return self._belief[0][ARM:MODEL].copy(), self._belief[1][ARM:MODEL, ARM:MODEL].copy()
-
-    @property
-    def model(self) -> Belief:
-        """Learned model q (8,) and its covariance (8, 8), as at the head of ``disturbance_filter.py``."""
-        return self._belief[0][MODEL:].copy(), self._belief[1][MODEL:, MODEL:].copy()
-
-    @property
     def coefficients(self) -> Array:
         """Coefficients (21,) of the vehicle with the learned model."""
         adapted_to: Array = adapted(self._file, self._belief[0][MODEL:])
