@@ -31,7 +31,7 @@ from ltv_mpc.control.prediction import current_at_depth, profile_of
 from ltv_mpc.jit import jit_outlined
 from ltv_mpc.messages import Array, Estimate, Triple
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.safety.thrust_impulse import ThrustImpulse
+from ltv_mpc.safety.thrust_impulse import ThrustImpulse, impulses
 from ltv_mpc.vehicle.dynamics import coefficients, rates
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -53,7 +53,7 @@ NOISE = 2e-3
 MAX_DELAY_S, DELAY_STEP_S, STEP = 1.5, 0.05, 1e-4
 """Largest delay; and steps of the finite differences: of the delay (s), and of the others over their scales."""
 
-SIGMAS = np.where(np.arange(SIZE) == DELAY, 3.5, 6.0)
+SIGMAS = np.where(np.arange(SIZE) == DELAY, 3.5, 5.0)
 """Unknowns over their standard deviations from which they are certain (docs/notes/wrong-file.md). A delay needs less:
 nothing but late stamps makes thrust act late.
 """
@@ -94,7 +94,7 @@ class MotionFit:
         self.certain = np.zeros(SIZE)
         """The same, 0 where they may be none."""
         _fill_misfit(
-            self.x, self._file, np.zeros((1, 8)), np.eye(2, 5), np.empty((3, 1))
+            self.x, self._file, np.zeros((1, 8)), np.zeros((1, 5)), np.empty((3, 1))
         )  # compiled before it is needed
 
     @property
@@ -128,7 +128,7 @@ class MotionFit:
         segment, passed_s = (motion[-1, 7], t - motion[-1, 0]) if len(motion) else (0.0, np.inf)
         if passed_s < 0.0:  # the clock was set back
             self._motion, self._impulse = motion[:0], ThrustImpulse(MEMORY_S + MAX_DELAY_S)
-        if passed_s <= 0.0 or len(thrust) < 2 or t < thrust[0, 0] + MAX_DELAY_S:
+        if passed_s <= 0.0 or not len(thrust) or t < thrust[0, 0] + MAX_DELAY_S:
             return
         if passed_s > MAX_INTERVAL_S or t >= self._begin_s + SEGMENT_S:
             self._begin_s, segment = t, segment + 1.0
@@ -183,11 +183,10 @@ class MotionFit:
 
 @jit_outlined
 def _fill_misfit(x: Array, file: Array, motion: Array, thrust: Array, out: Array) -> None:
-    """Write the errors (3, K) of u, v and r, by the rows of the motion (K, 8) and of ``ThrustImpulse`` (R >= 2, 5)."""
+    """Write the errors (3, K) of u, v and r, by the rows of the motion (K, 8) and of ``ThrustImpulse`` (R, 5)."""
     p = coefficients(adapted(file, x[MODEL:DELAY]))
     over_dry = -0.5 * (file[0] + file[1]) / p.dry_mass  # a force of the earth acts like water that accelerates
     port_share, starboard_share = np.exp(min(x[LOSS], 0.0)), np.exp(min(-x[LOSS], 0.0))
-    report = 0
     u0 = v0 = r0 = du0 = dv0 = dr0 = port0 = starboard0 = 0.0
     for k in range(len(motion)):
         t, psi, r = motion[k, 0], motion[k, 3], motion[k, 4]
@@ -195,20 +194,12 @@ def _fill_misfit(x: Array, file: Array, motion: Array, thrust: Array, out: Array
         north, east = motion[k, 1] - motion[k, 5] - x[0], motion[k, 2] - motion[k, 6] - x[1]
         u, v = cos * north + sin * east + r * x[ARM + 1], cos * east - sin * north - r * x[ARM]
         _, _, du, dv, _, dr = rates(u, v, psi, r, 0.0, 0.0, 0.0, 0.0, x[2] * over_dry, x[3] * over_dry, p)
-        while report + 2 < len(thrust) and thrust[report + 1, 0] <= t - x[DELAY]:
-            report += 1
-        before, after = thrust[report], thrust[report + 1]
-        s = t - x[DELAY] - before[0]
-        linear = min(s, after[0] - before[0])
-        half, rest = 0.5 * linear * linear / (after[0] - before[0]), s - linear
-        port = port_share * (before[3] + linear * before[1] + half * (after[1] - before[1]) + rest * after[1])
-        starboard = before[4] + linear * before[2] + half * (after[2] - before[2]) + rest * after[2]
-        starboard *= starboard_share
+        port, starboard = impulses(thrust, t - x[DELAY])
         if k == 0 or motion[k, 7] != motion[k - 1, 7]:
             out[0, k] = out[1, k] = out[2, k] = 0.0
         else:
             h, dn, de = 0.5 * (t - motion[k - 1, 0]), motion[k, 5] - motion[k - 1, 5], motion[k, 6] - motion[k - 1, 6]
-            f1, f2 = port - port0, starboard - starboard0
+            f1, f2 = port_share * (port - port0), starboard_share * (starboard - starboard0)
             # The change of the profile with time and depth carries the vehicle: M [u', v'] = ... - m R(psi)' c'
             surge, sway = f1 + f2 - p.dry_mass * (cos * dn + sin * de), -p.dry_mass * (cos * de - sin * dn)
             out[0, k] = out[0, k - 1] + u - u0 - h * (du + du0) - surge / p.mass_surge

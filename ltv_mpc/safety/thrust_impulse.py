@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ltv_mpc.jit import count_up_to, jit
 from ltv_mpc.messages import Array, Pair, Triple
 
 KEPT_S = 5.0
@@ -53,12 +54,21 @@ class ThrustImpulse:
         ----------
         t_ns : time (ns).
         """
-        t, rows = self.seconds(t_ns), self.rows
-        k = int(np.searchsorted(rows[:, 0], t, side="right")) - 1
-        if k < 0:
-            return None
-        at, later = rows[k], rows[min(k + 1, len(rows) - 1)]
-        s = t - at[0]
-        slope = (later[1:3] - at[1:3]) / max(later[0] - at[0], 1e-9)
-        port, starboard = (at[3:] + s * at[1:3] + 0.5 * s * s * slope).tolist()
-        return port, starboard
+        t = self.seconds(t_ns)
+        return impulses(self.rows, t) if len(self.rows) and t >= self.rows[0, 0] else None
+
+
+@jit
+def impulses(rows: Array, t: float) -> Pair:
+    """Return the impulses (N s) of port and starboard up to a time.
+
+    Parameters
+    ----------
+    rows : as in ``ThrustImpulse``, at least one.
+    t : time (s), not before the first row.
+    """
+    k = count_up_to(rows[:, 0], t) - 1
+    at, later = rows[k], rows[min(k + 1, len(rows) - 1)]
+    s = t - at[0]
+    half = 0.5 * s * s / (later[0] - at[0]) if later[0] > at[0] else 0.0
+    return at[3] + s * at[1] + half * (later[1] - at[1]), at[4] + s * at[2] + half * (later[2] - at[2])

@@ -1,10 +1,10 @@
 """Vehicle file check: name what the motion contradicts in the vehicle file.
 
-Values of the motion fit (``motion_fit.py``) that are far from the file's, certain, and last, are errors of the file: the
-held point is then not the one that its owner declared, or speeds and stopping distances are others than the file says.
-They are not those of the disturbance observer, which takes wind for a current, and its model for what is left. A wrong
-model can look like a lever arm, too: by up to 0.25 m with the hull of tests/foreign_plant, which is known by its data
-sheet (docs/notes/lever-arm.md).
+Values of the motion fit (``motion_fit.py``) that are far from the file's, certain, and last, are errors of the file:
+the held point is not the one that its owner declared, or speeds and stopping distances are others than the file says.
+They are not those of the disturbance observer, which takes wind for a current, and its model for what is left.
+A wrong model can look like a lever arm, too: by up to 0.25 m with the hull of tests/foreign_plant, which is known by
+its data sheet (docs/notes/lever-arm.md).
 
 Estimates that are older than their stamps move the origin to another time, so while they are, nothing else is named.
 """
@@ -69,7 +69,7 @@ class VehicleFileCheck:
         fit : what the motion says of reference point, model and stamps.
         bounded : the learned current is at its bound.
         """
-        errors = dict([*_errors_of_arm(fit.certain[ARM:MODEL]), *_errors_of_model(fit.certain[MODEL:DELAY])])
+        errors = dict(_errors(fit.certain))
         if bounded:
             errors[BOUNDED] = f"{BOUNDED}: check estimates, thrusters and vehicle file"
         delay_s = float(fit.certain[DELAY])
@@ -85,18 +85,14 @@ class VehicleFileCheck:
         self.health = HealthState(Health.DEGRADED, why) if lasting else NOMINAL
 
 
-def _errors_of_arm(arm: Array) -> Iterator[tuple[str, str]]:
-    """Yield name and text of a lever arm (2,) that is long, forward and starboard (m)."""
-    forward_m, starboard_m = arm.tolist()
+def _errors(certain: Array) -> Iterator[tuple[str, str]]:
+    """Yield name and text of each error of the file, by the unknowns of ``motion_fit.py`` that are certain."""
+    forward_m, starboard_m = certain[ARM:MODEL].tolist()
     if math.hypot(forward_m, starboard_m) > ALARM_M:
         along = f"{abs(forward_m):.1f} m {'ahead' if forward_m >= 0.0 else 'astern'}"
         across = f"{abs(starboard_m):.1f} m to {'starboard' if starboard_m >= 0.0 else 'port'}"
         yield UNDECLARED, f"{UNDECLARED}: {along} and {across} of it"
-
-
-def _errors_of_model(logs: Array) -> Iterator[tuple[str, str]]:
-    """Yield name and text of each factor that is far from 1, by the logarithms of those that are certain."""
-    for name, log in zip(FACTORS, logs.tolist(), strict=False):
+    for name, log in zip(FACTORS, certain[MODEL:DELAY].tolist(), strict=False):
         if name is not None and abs(log) > math.log(ALARM_FACTOR):
             times = f"looks {math.exp(log):.2g} of the file's: run `ltv-mpc vehicle identify`"
             yield f"{name} differs from the vehicle file's", f"{name} {times}"

@@ -14,7 +14,7 @@ from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 S = 1_000_000_000
 
 
-def fit(arm_m: tuple[float, float] = (0.0, 0.0), factors: dict[int, float] | None = None, late_s: float = 0.0, *, reports: bool = True):  # fmt: skip
+def fit(arm_m=(0.0, 0.0), factors: dict[int, float] | None = None, late_s: float = 0.0, *, reports: bool = True):
     """Return a motion fit that is certain of a lever arm, of some factors by their index, and of a delay."""
     certain = np.zeros(SIZE)
     certain[ARM:MODEL], certain[DELAY] = arm_m, late_s
