@@ -58,6 +58,9 @@ SIGMAS = np.where(np.arange(SIZE) == DELAY, 3.5, 5.0)
 nothing but late stamps makes thrust act late.
 """
 
+BOUND_SIGMAS = 2.0
+"""Standard deviations by which an unknown may be less than it seems: noise that the controller answers shifts it."""
+
 PREDICTED_AFTER_NS = 1_000_000_000
 """Age of the last report from which the thrust is that of the sent commands through the lag."""
 
@@ -92,7 +95,7 @@ class MotionFit:
         self.x = np.zeros(SIZE)
         """Most likely unknowns."""
         self.certain = np.zeros(SIZE)
-        """The same, 0 where they may be none."""
+        """What they are at least, with their signs; 0 where they may be none."""
         _fill_misfit(
             self.x, self._file, np.zeros((1, 8)), np.zeros((1, 5)), np.empty((3, 1))
         )  # compiled before it is needed
@@ -178,7 +181,8 @@ class MotionFit:
         sd = np.sqrt(np.diag(np.linalg.inv(H)))
         if (np.abs(self.x - x) > sd).any():  # far from the least J: the next step is sooner
             self._new = EVALUATED // 2
-        self.certain = np.where(np.abs(self.x) > SIGMAS * sd, self.x, 0.0)
+        size = np.abs(self.x)
+        self.certain = np.where(size > SIGMAS * sd, np.copysign(size - BOUND_SIGMAS * sd, self.x), 0.0)
 
 
 @jit_outlined

@@ -14,15 +14,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from ltv_mpc.messages import Array, Health
+from ltv_mpc.messages import Health
 from ltv_mpc.safety.health import NOMINAL, HealthState
 from ltv_mpc.safety.motion_fit import ARM, DELAY, MODEL, MotionFit
 
 ALARM_M = 0.25
-"""Lever arm that raises the alarm: what a wrong model can look like, and less than what 0.5 m look like."""
+"""Least certain lever arm that raises the alarm: what a wrong model can look like, and less than 0.5 m."""
 
 ALARM_FACTOR = 1.25
-"""Factor between learned model and file, either way, that raises the alarm: an identified vehicle is within 10 %."""
+"""Least certain factor between fit and file, either way, that raises the alarm: identified ones are within 10 %."""
 
 MIN_DELAY_S = 0.15
 """Least delay of the estimates that is named."""
@@ -69,11 +69,11 @@ class VehicleFileCheck:
         fit : what the motion says of reference point, model and stamps.
         bounded : the learned current is at its bound.
         """
-        errors = dict(_errors(fit.certain))
+        errors = dict(_errors(fit))
         if bounded:
             errors[BOUNDED] = f"{BOUNDED}: check estimates, thrusters and vehicle file"
-        delay_s = float(fit.certain[DELAY])
-        if delay_s > MIN_DELAY_S:
+        delay_s = float(fit.x[DELAY])
+        if fit.certain[DELAY] > 0.0 and delay_s > MIN_DELAY_S:
             self._late_s = round(delay_s, 1) if abs(delay_s - self._late_s) > 0.1 else self._late_s
             what = STAMP_WHEN_MEASURED if fit.has_reports else OR_THRUSTERS
             errors = {LATE: f"{LATE} by about {self._late_s:.1f} s: {what}"}
@@ -85,14 +85,14 @@ class VehicleFileCheck:
         self.health = HealthState(Health.DEGRADED, why) if lasting else NOMINAL
 
 
-def _errors(certain: Array) -> Iterator[tuple[str, str]]:
-    """Yield name and text of each error of the file, by the unknowns of ``motion_fit.py`` that are certain."""
-    forward_m, starboard_m = certain[ARM:MODEL].tolist()
-    if math.hypot(forward_m, starboard_m) > ALARM_M:
+def _errors(fit: MotionFit) -> Iterator[tuple[str, str]]:
+    """Yield name and text of each error of the file that is large for certain."""
+    forward_m, starboard_m = fit.x[ARM:MODEL].tolist()
+    if math.hypot(*fit.certain[ARM:MODEL]) > ALARM_M:
         along = f"{abs(forward_m):.1f} m {'ahead' if forward_m >= 0.0 else 'astern'}"
         across = f"{abs(starboard_m):.1f} m to {'starboard' if starboard_m >= 0.0 else 'port'}"
         yield UNDECLARED, f"{UNDECLARED}: {along} and {across} of it"
-    for name, log in zip(FACTORS, certain[MODEL:DELAY].tolist(), strict=False):
-        if name is not None and abs(log) > math.log(ALARM_FACTOR):
-            times = f"looks {math.exp(log):.2g} of the file's: run `ltv-mpc vehicle identify`"
+    for i, name in enumerate(FACTORS, MODEL):
+        if name is not None and abs(fit.certain[i]) > math.log(ALARM_FACTOR):
+            times = f"looks {math.exp(fit.x[i]):.2g} of the file's: run `ltv-mpc vehicle identify`"
             yield f"{name} differs from the vehicle file's", f"{name} {times}"

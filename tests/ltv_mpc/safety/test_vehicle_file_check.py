@@ -20,7 +20,7 @@ def fit(arm_m=(0.0, 0.0), factors: dict[int, float] | None = None, late_s: float
     certain[ARM:MODEL], certain[DELAY] = arm_m, late_s
     for index, factor in (factors or {}).items():
         certain[MODEL + index] = math.log(factor)
-    return SimpleNamespace(certain=certain, has_reports=reports)
+    return SimpleNamespace(x=certain, certain=0.9 * certain, has_reports=reports)
 
 
 def checked(*of, seconds: int = 20) -> VehicleFileCheck:
