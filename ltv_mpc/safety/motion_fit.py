@@ -13,7 +13,8 @@ through the water, a mass shows in accelerations alone, and a delay shifts all o
 From one estimate to the next the equations of motion (``vehicle/dynamics.py``) with x and the impulses of the delivered
 thrust d seconds before give the change of u, v and r. What they lack is added up over segments of ``SEGMENT_S`` and
 taken from its mean there, so that e (3, K) is the error of each estimated velocity up to a constant. Noise of an
-estimate then is in one error, and not in the thrust with which the controller answered it. x is that of the least
+estimate then is in one error, and not in the thrust with which the controller answered it. From the error of r its
+slope is taken, too: a velocity that is wrong for some seconds gives a Munk moment. x is that of the least
 
     J = sum over i of log(|e_i|^2 / K + ``NOISE``^2) K / (2 k_i) + sum over j of x_j^2 / (2 sd_j^2)
 
@@ -90,20 +91,14 @@ class MotionFit:
         most[:2], most[MODEL : MODEL + 6], most[DELAY] = top_mps, MAX_LOG, MAX_DELAY_S
         self._bounds = np.where(np.arange(SIZE) == DELAY, 0.0, -most), most
         self._motion = np.empty((0, 8))  # t (s), n', e', psi, r, current of the profile, north and east, segment
-        self._impulse, self._reported_ns = ThrustImpulse(MEMORY_S + MAX_DELAY_S), 0
+        self._impulse, self.reported_ns = ThrustImpulse(MEMORY_S + MAX_DELAY_S), 0
         self._begin_s, self._new = 0.0, 0  # of the newest segment; estimates since the last step
         self.x = np.zeros(SIZE)
         """Most likely unknowns."""
         self.certain = np.zeros(SIZE)
         """What they are at least, with their signs; 0 where they may be none."""
-        _fill_misfit(
-            self.x, self._file, np.zeros((1, 8)), np.zeros((1, 5)), np.empty((3, 1))
-        )  # compiled before it is needed
-
-    @property
-    def has_reports(self) -> bool:
-        """True if the thrust is the reported one: thrusters that answer late are then no delay."""
-        return self._reported_ns > 0
+        # compiled before it is needed
+        _fill_misfit(self.x, self._file, np.zeros((1, 8)), np.zeros((1, 5)), np.empty((3, 1)))
 
     def add_thrust(self, t_ns: int, thrust_N: Triple | Array, *, reported: bool = True) -> None:
         """Add the delivered thrusts at a time.
@@ -115,8 +110,8 @@ class MotionFit:
         reported : by the actuators; False: predicted, which is used if there are no newer reports.
         """
         if reported:
-            self._reported_ns = t_ns
-        elif t_ns - self._reported_ns < PREDICTED_AFTER_NS:
+            self.reported_ns = t_ns
+        elif t_ns - self.reported_ns < PREDICTED_AFTER_NS:
             return
         self._impulse.add(t_ns, thrust_N)
 
@@ -145,13 +140,21 @@ class MotionFit:
             self._new, self._motion = 0, self._motion[self._motion[:, 0] > t - MEMORY_S]
             _, self._begins, self._sizes = np.unique(self._motion[:, 7], return_index=True, return_counts=True)
             if len(self._sizes) > MIN_SEGMENTS:
+                since = self._motion[:, 0] - self._mean(self._motion[:, 0])
+                self._ramp = since / np.sqrt(np.maximum(self._mean(since**2), 1e-9))
                 self._step()
+
+    def _mean(self, of: Array) -> Array:
+        """Return the mean of each segment, at each estimate in it."""
+        return (np.add.reduceat(of, self._begins, axis=-1) / self._sizes).repeat(self._sizes, axis=-1)
 
     def _misfit(self, x: Array) -> Array:
         """Return the errors e (3, K) of the velocities."""
         e = np.empty((3, len(self._motion)))
         _fill_misfit(x, self._file, self._motion, self._impulse.rows, e)
-        return e - (np.add.reduceat(e, self._begins, axis=1) / self._sizes).repeat(self._sizes, axis=1)
+        e -= self._mean(e)
+        e[2] -= self._mean(e[2] * self._ramp) * self._ramp
+        return e
 
     def _step(self) -> None:
         """Take one step of Gauss and Newton, as far as J falls."""
@@ -208,7 +211,6 @@ def _fill_misfit(x: Array, file: Array, motion: Array, thrust: Array, out: Array
             surge, sway = f1 + f2 - p.dry_mass * (cos * dn + sin * de), -p.dry_mass * (cos * de - sin * dn)
             out[0, k] = out[0, k - 1] + u - u0 - h * (du + du0) - surge / p.mass_surge
             out[1, k] = out[1, k - 1] + v - v0 - h * (dv + dv0) - sway / p.mass_sway
-            out[2, k] = (
-                out[2, k - 1] + r - r0 - h * (dr + dr0) - (f1 * p.arm_port - f2 * p.arm_starboard) / p.inertia_yaw
-            )
+            yaw = f1 * p.arm_port - f2 * p.arm_starboard
+            out[2, k] = out[2, k - 1] + r - r0 - h * (dr + dr0) - yaw / p.inertia_yaw
         u0, v0, r0, du0, dv0, dr0, port0, starboard0 = u, v, r, du, dv, dr, port, starboard

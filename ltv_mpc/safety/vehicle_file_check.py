@@ -21,9 +21,6 @@ from ltv_mpc.safety.motion_fit import ARM, DELAY, MODEL, MotionFit
 ALARM_M = 0.25
 """Least certain lever arm that raises the alarm: what a wrong model can look like, and less than 0.5 m."""
 
-ALARM_FACTOR = 1.25
-"""Least certain factor between fit and file, either way, that raises the alarm: identified ones are within 10 %."""
-
 MIN_DELAY_S = 0.15
 """Least delay of the estimates that is named."""
 
@@ -38,9 +35,10 @@ LATE = "the estimates are older than their stamps"
 STAMP_WHEN_MEASURED = "stamp each with the time at which its state was measured, not with that of its arrival"
 OR_THRUSTERS = f"{STAMP_WHEN_MEASURED}; or the thrusters answer so much later than lag_s says, and report nothing"
 
-FACTORS = ("mass ahead", None, "moment of inertia", "drag ahead", None, "drag in yaw")
-"""Names of the model's factors in the order of the states. Those abeam are left out: a hull seldom moves abeam, so
-noise of the estimated velocity looks like them.
+FACTORS = ("mass ahead", 1.25), None, ("moment of inertia", 1.5), ("drag ahead", 1.25), None, ("drag in yaw", 1.25)
+"""Names of the model's factors in the order of the states, and the least certain factor between fit and file, either
+way, that raises the alarm: identified vehicles are within 10 %. Velocities that are wrong by 1 cm/s for some seconds
+can look like 1.4 of the inertia, by the Munk moment. What is abeam is left out: a hull seldom moves abeam.
 """
 
 
@@ -75,7 +73,7 @@ class VehicleFileCheck:
         delay_s = float(fit.x[DELAY])
         if fit.certain[DELAY] > 0.0 and delay_s > MIN_DELAY_S:
             self._late_s = round(delay_s, 1) if abs(delay_s - self._late_s) > 0.1 else self._late_s
-            what = STAMP_WHEN_MEASURED if fit.has_reports else OR_THRUSTERS
+            what = STAMP_WHEN_MEASURED if fit.reported_ns else OR_THRUSTERS
             errors = {LATE: f"{LATE} by about {self._late_s:.1f} s: {what}"}
         before = self._since_ns
         self._since_ns = {name: min(before.get(name, t_ns), t_ns) for name in errors}
@@ -92,7 +90,7 @@ def _errors(fit: MotionFit) -> Iterator[tuple[str, str]]:
         along = f"{abs(forward_m):.1f} m {'ahead' if forward_m >= 0.0 else 'astern'}"
         across = f"{abs(starboard_m):.1f} m to {'starboard' if starboard_m >= 0.0 else 'port'}"
         yield UNDECLARED, f"{UNDECLARED}: {along} and {across} of it"
-    for i, name in enumerate(FACTORS, MODEL):
-        if name is not None and abs(fit.certain[i]) > math.log(ALARM_FACTOR):
-            times = f"looks {math.exp(fit.x[i]):.2g} of the file's: run `ltv-mpc vehicle identify`"
+    for i, factor in enumerate(FACTORS, MODEL):
+        if factor is not None and abs(fit.certain[i]) > math.log(factor[1]):
+            name, times = factor[0], f"looks {math.exp(fit.x[i]):.2g} of the file's: run `ltv-mpc vehicle identify`"
             yield f"{name} differs from the vehicle file's", f"{name} {times}"

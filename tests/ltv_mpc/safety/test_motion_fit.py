@@ -118,14 +118,14 @@ def test_another_reference_point_is_measured():
 def test_without_reports_the_thrust_is_the_predicted_one_and_reports_replace_it():
     predicted = fitted(0.5, reports=False)
     assert predicted.x[DELAY] == pytest.approx(0.5, abs=0.1)
-    assert not predicted.has_reports
+    assert not predicted.reported_ns
     fit = MotionFit(VEHICLE)
     t, states, thrust = steered(30.0)
     for k in range(0, len(t), 30):  # a prediction that knows nothing of a dead time of 0.5 s
         fit.add_thrust(ns(t[k]), (*thrust[k].tolist(), 0.0))
         fit.add_thrust(ns(t[k]) + 1, (*thrust[min(k + 50, len(t) - 1)].tolist(), 0.0), reported=False)
         fit.update(estimate(t[k], states[k]))
-    assert fit.has_reports
+    assert fit.reported_ns
     assert fit.certain[DELAY] == 0.0
 
 

@@ -20,7 +20,7 @@ def fit(arm_m=(0.0, 0.0), factors: dict[int, float] | None = None, late_s: float
     certain[ARM:MODEL], certain[DELAY] = arm_m, late_s
     for index, factor in (factors or {}).items():
         certain[MODEL + index] = math.log(factor)
-    return SimpleNamespace(x=certain, certain=0.9 * certain, has_reports=reports)
+    return SimpleNamespace(x=certain, certain=0.9 * certain, reported_ns=int(reports))
 
 
 def checked(*of, seconds: int = 20) -> VehicleFileCheck:
@@ -51,7 +51,7 @@ def test_a_long_arm_is_named(arm_m, named):
     ("factors", "named"),
     [
         ({0: 2.0}, "mass ahead looks 2 of"),
-        ({2: 0.6}, "moment of inertia looks 0.6 of"),
+        ({2: 0.5}, "moment of inertia looks 0.5 of"),
         ({3: 0.5}, "drag ahead looks 0.5 of"),
         ({5: 1.5}, "drag in yaw looks 1.5 of"),
     ],
@@ -69,6 +69,7 @@ def test_a_wrong_factor_is_named_and_only_it(factors, named):
         checked((0.2, 0.1)),
         checked((0.5, 0.0), seconds=9),
         checked((0.0, 0.0), {3: 1.2}),
+        checked((0.0, 0.0), {2: 1.4}),
         checked((0.0, 0.0), {1: 2.0, 4: 0.4}),  # abeam, where a hull seldom moves
         checked((0.0, 0.0), {3: 0.5}, seconds=9),
         checked((0.0, 0.0), {}, 0.1),
