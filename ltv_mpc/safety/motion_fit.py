@@ -173,12 +173,7 @@ class MotionFit:
             errors = self._misfit(x)
             return float(worth @ np.log((errors**2).mean(axis=1) + self._floor) + prior @ x**2)
 
-        least = cost(x)
-        for share in (1.0, 0.4, 0.16):
-            trial = np.clip(x + share * step, *self._bounds)
-            if cost(trial) <= least:
-                self.x = trial
-                break
+        self.x = min((np.clip(x + share * step, *self._bounds) for share in (1.0, 0.4, 0.16, 0.0)), key=cost)
         if self.x[DELAY] == 0.0:  # at its bound it is no unknown
             H[DELAY, DELAY] = 1e12
         sd = np.sqrt(np.diag(np.linalg.inv(H)))
