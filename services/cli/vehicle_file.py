@@ -98,11 +98,13 @@ def check(
 
         notes: list[str] = []
         followed = references.load(reference)
+        zones, place = fence_for(loaded, followed, fence or "", notes), None if start is None else _place(start)
+        picture = mission_check.picture(loaded, followed, zones, place)
         mission = mission_check.check_mission(
             loaded,
             followed,
-            fence_for(loaded, followed, fence or "", notes),
-            start=None if start is None else _place(start),
+            zones,
+            start=place,
             current_mps=current,
             bottom=None if bottom is None else _bottom(bottom, followed.origin),
             limits=None if settings is None else ControllerConfig.load(str(settings)).limits,
@@ -110,7 +112,7 @@ def check(
         result = replace(result, mission=replace(mission, notes=[*notes, *mission.notes]))
     typer.echo(_json(result) if as_json else vehicle_check.table(result))
     if result.mission is not None and not as_json:
-        typer.echo(mission_check.table(result.mission))
+        typer.echo(f"{mission_check.table(result.mission)}\n{picture}")
     if result.mission is not None and result.mission.problems:
         raise typer.Exit(1)
 
