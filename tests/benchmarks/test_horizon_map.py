@@ -11,8 +11,6 @@ import pytest
 
 from benchmarks.horizon_map import rules
 from benchmarks.horizon_map.places import Place, places
-from benchmarks.horizon_map.summary import RULES, summary, tables
-from benchmarks.page_tables import table_text
 from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -47,13 +45,6 @@ def test_the_true_rule_is_found_and_beats_constants_outside_the_fitted_range() -
     assert judged["best H / T"]["p90"] < judged["5 s"]["p90"]
 
 
-def test_what_is_enough_is_the_shortest_within_a_tenth_of_the_best() -> None:
-    place = Place(7.0, np.ones(4), np.array([1.0, 2.0, 4.0]), np.array([1.11, 1.09, 1.0]))
-    assert place.enough == 1
-    assert place.excess(2.2) == pytest.approx(0.09)
-    assert place.excess(100.0) == 0.0
-
-
 def test_a_campaign_s_places_are_those_that_were_flown_whole(tmp_path: Path) -> None:
     file = tmp_path / "map.toml"
     file.write_text(
@@ -72,22 +63,6 @@ def test_a_campaign_s_places_are_those_that_were_flown_whole(tmp_path: Path) -> 
     rows = (out / "results.jsonl").read_text().splitlines(keepends=True)
     (out / "results.jsonl").write_text("".join(rows[:-1]))
     assert len(places(out)) == 1
-
-
-def test_the_tables_hold_what_is_kept_and_stand_in_the_page() -> None:
-    of = made_up(32)
-    kept = {"state known": summary(of), "realistic": summary(of[:20])}
-    assert json.dumps(kept)
-    made = {table.name: table for table in tables(kept)}
-    assert made["flown"].rows == (("places", "32", "20"),)
-    assert sum(int(str(cell)) for cell in made["enough"].rows[0][1:]) == 32
-    assert made["errors"].head[1:] == tuple(f"{h:g} s" for h in HORIZONS)
-    worst = max(place.excess(5.0) for place in of)
-    assert str(made["rules"].rows[-1][1]).endswith(f", {worst:.0%}")
-    assert set(RULES) == set(rules.RULES)
-    page = PAGE.read_text(encoding="utf-8")
-    stored = tables(json.loads(PAGE.with_suffix(".json").read_text(encoding="utf-8")))
-    assert [table_text(page, table.name) for table in stored] == [table.markdown() for table in stored], "make map"
 
 
 def test_the_rule_that_vehicle_check_proposes_loses_little_at_nine_of_ten_places() -> None:

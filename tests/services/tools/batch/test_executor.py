@@ -28,15 +28,6 @@ def mortal(marks: Path, deadly: dict[int, int], job: int) -> int:
     return -job
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_each_job_comes_back_with_its_place(workers: int) -> None:
-    assert sorted(run_each(math.sqrt, [4.0, 9.0, 16.0], workers=workers)) == [(0, 2.0), (1, 3.0), (2, 4.0)]
-
-
-def test_no_jobs_are_no_processes() -> None:
-    assert list(run_each(math.sqrt, [])) == []
-
-
 @pytest.mark.parametrize("how", [{"workers": 1}, {"workers": 2}, {"workers": 2, "threads": True}])
 def test_what_a_job_raises_reaches_the_reader(how: dict) -> None:
     with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
