@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks.horizon_map import rules
-from benchmarks.horizon_map.places import Place, places
+from benchmarks.horizon_map.places import Place
 from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES
-from ltv_mpc.control.scaling import characteristic_scales
-from ltv_mpc.vehicle.parameters import Vehicle
-from services.cli.app import run
 
 PAGE = Path(__file__).parents[2] / "docs" / "horizon.md"
 HORIZONS = np.geomspace(1.0, 32.0, 21)
@@ -43,26 +40,6 @@ def test_the_true_rule_is_found_and_beats_constants_outside_the_fitted_range() -
     judged = rules.judged(of)
     assert judged["four groups"]["p90"] < 0.5 * judged["best H / T"]["p90"]
     assert judged["best H / T"]["p90"] < judged["5 s"]["p90"]
-
-
-def test_a_campaign_s_places_are_those_that_were_flown_whole(tmp_path: Path) -> None:
-    file = tmp_path / "map.toml"
-    file.write_text(
-        'title = "t"\n[seeds]\ncount = 1\n[design]\nkind = "sobol"\npoints = 2\n[set]\nrun.perfect_state = true\n'
-        "run.duration_s = 0.9\n[vary]\nsize = { low = 0.5, high = 2.0 }\n"
-        "run.compute_delay_s = { low = 0.1, high = 0.2 }\n"
-        "[cross]\ncontroller.horizon_s = [0.9, 1.8]\n[scale.size]\nvehicle.surge.mass_kg = 1\n"
-    )
-    out = tmp_path / "out"
-    assert run(["campaign", str(file), "--out", str(out), "--workers", "1", "--json"]) == 0
-    first, second = places(out)
-    assert first.horizons_s.tolist() == [0.9, 1.8]
-    assert first.time_s != second.time_s != characteristic_scales(Vehicle.load("paper")).time_s
-    assert first.groups[1] == pytest.approx(8.0 / (0.2 * first.time_s))
-    assert 0.1 <= first.groups[3] * first.time_s <= 0.2
-    rows = (out / "results.jsonl").read_text().splitlines(keepends=True)
-    (out / "results.jsonl").write_text("".join(rows[:-1]))
-    assert len(places(out)) == 1
 
 
 def test_the_rule_that_vehicle_check_proposes_loses_little_at_nine_of_ten_places() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import re
 from pathlib import Path
 
 import matplotlib as mpl
@@ -14,9 +13,8 @@ import pytest
 from benchmarks import page_tables
 from benchmarks.paper import __main__ as command
 from benchmarks.paper import tables, water
-from benchmarks.paper.settings import AVERAGED, RECORDED
 from benchmarks.paper.water import Profile
-from services.reporting.figures import paper, sheet
+from services.reporting.figures import sheet
 
 mpl.use("Agg")
 
@@ -59,33 +57,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 # --- made whole ------------------------------------------------------------------------------------------------------
-
-
-def test_the_page_s_tables_are_those_of_figures_json_and_the_rest_stays(made: Path) -> None:
-    page = (made / "paper.md").read_text()
-    figures = tables.Figures.load(made / "figures" / command.FIGURES)
-    assert [table.name for table in figures.tables] == list(command.TABLES)
-    for table in figures.tables:
-        assert page_tables.table_text(page, table.name) == table.markdown()
-    assert "old" not in page
-    assert page.startswith("# A page\n")
-
-
-def test_each_run_is_made_as_its_row_says(made: Path) -> None:
-    figures = tables.Figures.load(made / "figures" / command.FIGURES)
-    by_name = {table.name: table for table in figures.tables}
-    for table, variants in ((by_name["descents"], RECORDED), (by_name["seeds"], AVERAGED)):
-        assert [row[0] for row in table.rows] == [variant.name for variant in variants]
-    none, paper_short, paper_long, ours_short, ours_long, default = by_name["descents"].rows
-    assert none[1:3] == (None, None)
-    assert none[-2:] == (0.0, 0.0)
-    assert [row[1:3] for row in (paper_short, paper_long)] == [(2.4, 0.4), (5.1, 0.71)]
-    assert [row[1:3] for row in (ours_short, ours_long, default)] == [(2.4, 0.0), (5.1, 0.0), (13.8, 0.0)]
-    cost = (made / "runs" / paper.PAPER_LONG / "config" / "controller.toml").read_text()
-    assert re.search(r"^terminal_position_per_m2 = 0.0$", cost, flags=re.M)
-    assert re.search(r"^terminal_velocity_s2_per_m2 = 0.0$", cost, flags=re.M)
-    for row in by_name["timing"].rows:
-        assert 0.0 < row[2] <= row[3] <= row[4]  # type: ignore[operator]
 
 
 # --- structure functions ---------------------------------------------------------------------------------------------
