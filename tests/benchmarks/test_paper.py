@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 
@@ -14,49 +11,10 @@ from benchmarks import page_tables
 from benchmarks.paper import __main__ as command
 from benchmarks.paper import tables, water
 from benchmarks.paper.water import Profile
-from services.reporting.figures import sheet
-
-mpl.use("Agg")
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "paper.md"
 FIGURES = ROOT / "docs" / "figures"
-
-EMPTY_PAGE = "# A page\n" + "".join(
-    f"{page_tables.BEGIN.format(name=name)}\nold\n{page_tables.END}\n" for name in command.TABLES
-)
-
-
-DPI = 50
-"""Of the pictures made here: what costs time is their pixels."""
-
-
-def options(folder: Path, *more: str) -> list[str]:
-    """Return options for a short run into ``folder``, which reads nothing outside the checkout."""
-    (folder / "paper.md").write_text(EMPTY_PAGE)
-    return [
-        *("--out", str(folder / "figures"), "--runs", str(folder / "runs"), "--page", str(folder / "paper.md")),
-        *("--readme", str(folder / "descent.png"), "--measured", str(folder / "currents"), "--workers", "1"),
-        *("--seeds", "1", "--cycles", "10", "--duration-s", "3", "--surface-s", "1", *more),
-    ]
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder: Path = tmp_path_factory.mktemp("paper")
-    (folder / "currents").mkdir()
-    rows = [f"{z},{0.05 * np.sin(z / 9)},{0.03 * np.cos(z / 7)}" for z in range(2, 60, 2)]
-    present = next(iter(water.FILES))
-    (folder / "currents" / present).write_text("\n".join(["depth_m,v_north_mps,u_east_mps", *rows]) + "\n")
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(sheet, "DPI", DPI)
-        with contextlib.redirect_stderr(io.StringIO()) as said:
-            assert command.main(options(folder)) == 0
-    (folder / "said.txt").write_text(said.getvalue())
-    return folder
-
-
-# --- made whole ------------------------------------------------------------------------------------------------------
 
 
 # --- structure functions ---------------------------------------------------------------------------------------------
