@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
@@ -66,12 +65,6 @@ def test_no_file_is_anybody_elses_to_read_and_the_authoritys_key_is_not_kept(fol
         "ca.pem",
         *(f"{role}.{kind}" for role in ROLES for kind in ("pem", "key")),
     }
-
-
-def test_certificates_made_twice_do_not_know_each_other(folder: Path, tmp_path: Path) -> None:
-    certificates.make(tmp_path, ("plant",), days=30)
-    with pytest.raises(InvalidSignature):
-        certificate(tmp_path / "plant.pem").verify_directly_issued_by(certificate(folder / "ca.pem"))
 
 
 def test_a_missing_open_or_foreign_key_is_refused_by_name(folder: Path, tmp_path: Path) -> None:
@@ -184,14 +177,6 @@ def test_a_router_learns_the_named_sources_from_the_certificates_in_its_folder(t
     assert rules["estimator-gnss puts"] == ["**/estimate/gnss"]
     assert rules["estimator-dvl-2 puts"] == ["**/estimate/dvl-2"]
     assert rules["estimator puts"].count("**/estimate") == 1
-
-
-@pytest.mark.parametrize("name", ["default", "GNSS", "a/b", ""])
-def test_a_source_has_a_name_that_is_one_part_of_a_key(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["certs", "new", str(tmp_path / "certs"), "--source", name]) == 2
-    assert "option --source" in capsys.readouterr().err
 
 
 def test_a_router_denies_by_default_and_grants_within_its_namespace() -> None:

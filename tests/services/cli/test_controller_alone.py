@@ -71,13 +71,6 @@ def test_a_checkpoint_arms_only_with_an_option_and_for_a_minute(started: list[co
     assert kept == [(None, None), (folder, None), (folder, 60.0), (folder, 5.0)]
 
 
-def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(tmp_path, capsys, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("file").write_text("in the way")
-    assert run(["controller", "--state", "file"]) == 2
-    assert 'option --state: "file": cannot be written: File exists' in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -39,27 +39,6 @@ def test_an_existing_file_is_not_replaced_without_force(here: Path, capsys: pyte
     assert (here / "mine.toml").read_text() != "precious"
 
 
-def test_a_place_that_cannot_be_written_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["vehicle", "new", "none/mine.toml"]) == 2
-    assert "cannot be written" in capsys.readouterr().err
-
-
-def test_check_prints_the_performance(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["vehicle", "check", "paper", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["performance"]["top_speed_ahead_mps"] == pytest.approx(0.5)
-    assert said["weights"]["terminal_velocity_s2_per_m2"] == 600.0
-    assert said["horizon_s"] == pytest.approx(1.9 * said["time_scale_s"], abs=0.31)
-    assert said["warnings"] == []
-
-
-def test_check_says_of_which_point_the_estimates_must_be(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (here / "mine.toml").write_text(PAPER + "[reference_point]\nforward_m = 0.5\n")
-    assert run(["vehicle", "check", "mine.toml"]) == 0
-    out = " ".join(capsys.readouterr().out.split())
-    assert "estimates are of the point 0.5 m forward, 0 m starboard, 0 m down of the origin" in out
-
-
 def test_check_warns_of_a_vehicle_whose_drag_is_faster_than_a_stage(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -140,11 +119,6 @@ def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.Captu
     assert run(["vehicle", "identify", "run", "--out", "found.toml"]) == 2
     assert run(["vehicle", "identify", str(here / "run" / "run.mcap")]) == 0
     assert "mass_surge" in capsys.readouterr().out
-
-
-def test_an_argument_that_is_no_run_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["vehicle", "identify", "nowhere"]) == 2
-    assert "no such folder or file: a run's folder, its run.mcap, or latest" in capsys.readouterr().err
 
 
 def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(

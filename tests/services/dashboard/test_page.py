@@ -15,7 +15,6 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Heartbeat, Kill
-from services.cli import app
 from services.dashboard.access_guard import Token, hosts
 from services.dashboard.config import View
 from services.reporting import static_files
@@ -118,14 +117,6 @@ def test_the_report_is_with_all_when_the_last_one_has_it_or_leaves(page: Served)
         second.close()
         until(lambda: page.views == [View.HAS_REPORT])
     until(lambda: page.views[-1] is View.CLOSED)
-
-
-def test_a_page_that_nobody_shows_any_more_is_closed(page: Served) -> None:
-    with stream(page) as first, stream(page) as second:
-        next_text(first, "hello")
-        next_text(second, "hello")
-        del page.views[:]
-    until(lambda: page.views == [View.CLOSED])
 
 
 @pytest.mark.parametrize("path", ["/page/../serve.py", "/page/%2e%2e%2fserve.py", "/page/nothing.js", "/etc/passwd"])
@@ -318,19 +309,3 @@ def test_another_run_on_the_same_keys_begins_with_an_empty_page(page: Served) ->
 
 
 # --- the command -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["--host", "0.0.0.0"], "one address"),
-        (["--host", "a name"], "must be an IP address"),
-        (["--host", "203.0.113.1"], "cannot listen there"),
-        (["--port", "99999"], "--port"),
-        (["--vehicle", "nothing"], "nothing"),
-        (["--connect", "nowhere"], "PROTOCOL/ADDRESS"),
-    ],
-)
-def test_bad_input_is_refused_by_name(arguments: list[str], word: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.run(["dashboard", *arguments]) == 2
-    assert word in capsys.readouterr().err

@@ -99,17 +99,6 @@ def test_a_table_without_an_inverse_is_rejected(table: dict[str, Any], problem: 
         type(Vehicle.load(BOAT).thruster.port)(**(fields | {"pwm_us": (), "pwm_N": ()} | table))
 
 
-def test_coriolis_and_munk_moment_of_the_simulated_boat_do_no_work() -> None:
-    """So it has the equations of a vehicle file: without drag the kinetic energy is kept."""
-    boat = EXAMPLE.Boat()
-    boat.surge, boat.sway, boat.rate = u, v, r = 1.2, -0.4, 0.5
-    boat.step((0.0, 0.0))
-    changes = np.array((boat.surge - u, boat.sway - v, boat.rate - r)) / EXAMPLE.STEP_S
-    power_W = changes @ np.array((16.0 * u, 24.0 * v, 3.0 * r))
-    drag_W = (4.0 + 9.0 * u) * u**2 + (20.0 - 60.0 * v) * v**2 + (4.0 + 6.0 * r) * r**2
-    assert power_W + drag_W == pytest.approx(0.0, abs=1e-9)
-
-
 # --- may the edge drive? ---------------------------------------------------------------------------------------------
 
 
@@ -206,11 +195,10 @@ def test_a_lost_autopilot_gets_nothing_more_and_a_process_that_stops_lets_go() -
     assert flight.autopilot.overrides == {}
 
 
-@pytest.mark.parametrize("current_mps", [0.0, 0.3])
-def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lunge(current_mps: float) -> None:
-    """The target is 5 m ahead. Without reports of what acts it learns (0.29, -0.40) m/s of current in still water."""
+def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lunge() -> None:
+    """The target is 5 m ahead. Without reports of what acts it would learn half a metre a second of other current."""
     flight = MavlinkFlight()
-    flight.hull.current = (0.0, current_mps)
+    flight.hull.current = (0.0, 0.3)
     flight.fly(3.0)
     flight.arm()
     flight.command(action="arm")

@@ -26,7 +26,7 @@ from services.run.folder import RunFolder
 from services.tools.batch import executor
 from services.tools.batch.job import Job
 from services.tools.dive_plan import plan, report
-from services.tools.dive_plan.plan import Dive, DivePlan, RecordedDrift
+from services.tools.dive_plan.plan import Dive, DivePlan
 from sim.evaluation.cramer_rao_bound.model import ACCELEROMETER_BIAS, BEAM_BIAS, GYRO_BIAS, MOUNTING, ErrorModel
 from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR
 
@@ -148,16 +148,6 @@ def test_without_a_truth_the_filter_s_own_sigma_is_laid_over_the_plan(recorded: 
     assert all(drift >= 0.0 for drift in found.drift_m)
     with pytest.raises(ConfigError, match="--against"):
         report.recorded_drift([])
-
-
-def test_text_and_picture_show_the_plan(planned: DivePlan, tmp_path: Path) -> None:
-    shown = replace(planned, against=RecordedDrift(t_s=[5.0, 10.0], drift_m=[0.02, 0.04], kind="true"))
-    text = report.text(shown)
-    assert f"{planned.drift_m[0][-1]:.2f}" in text
-    assert "4 fixes" in text
-    assert "error of the run at 10 s: 0.04 m an axis" in text
-    report.draw(shown, tmp_path / "plan.png")
-    assert (tmp_path / "plan.png").stat().st_size > 20_000
 
 
 def test_the_command_prints_json_and_writes_its_folder(output: Output) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import services.tools.localise
 from ltv_mpc.currents import read_prior
 from ltv_mpc.errors import ConfigError
 from services.cli.localise import localise as command
@@ -85,17 +83,6 @@ def test_json_has_the_result_alone_and_its_figures_agree_with_one_another(
     assert result["parameters"]["gate_probability"] == 0.999
 
 
-def test_the_text_says_what_matters_in_lines_that_can_be_read(whole: Outcome) -> None:
-    lines = dive_text(whole.result).splitlines()
-    assert [line.split()[0] for line in lines] == ["file", "instrument", "track", "cells", "water", "error", "study"]
-    assert "no byte lost" in lines[0]
-    assert "600 kHz, 30 deg beams looking down, earth coordinates, 20 x 2 m, 10 pings" in lines[1]
-    assert "sigma" in lines[2]
-    assert "horizontally uniform as assumed" in lines[4]
-    assert "constant velocity" in lines[5]
-    assert "inside 3 sigma" in lines[6]
-
-
 def test_the_folder_holds_result_track_current_and_picture(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -119,19 +106,6 @@ def test_the_folder_holds_result_track_current_and_picture(
     with pytest.raises(ConfigError, match="--force"):
         command(little, out=out)
     assert command(little, out=out, force=True) == 0
-
-
-def test_without_matplotlib_one_line_says_so_and_the_rest_is_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in ("matplotlib", "matplotlib.axes"):
-        monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.delitem(sys.modules, "services.tools.localise.plot", raising=False)
-    monkeypatch.delattr(services.tools.localise, "plot", raising=False)
-    out = tmp_path / "out"
-    assert command(written_to(tmp_path, small()), out=out) == 0
-    assert capsys.readouterr().err == "no plot: matplotlib is not installed: pip install matplotlib (extra viz)\n"
-    assert sorted(path.name for path in out.iterdir()) == ["currents.csv", "localise.json", "track.csv"]
 
 
 def test_the_start_is_the_first_ensemble_at_the_depth(made: Path, whole: Outcome) -> None:
