@@ -119,7 +119,7 @@ def check(
 
 @vehicle.command()
 def identify(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="latest, a run's folder, or its run.mcap.")],
+    run: Annotated[str, typer.Argument(metavar="RUN", help="latest, a run's folder, its run.mcap, or .bin, .tlog.")],
     name: Annotated[
         str | None,
         typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle to start from. Default: that of the run."),
@@ -134,20 +134,20 @@ def identify(
     force: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Identify masses, damping, thrust, arms and lags from a recorded run, with 95 % intervals."""
+    """Identify masses, damping, thrust, arms and lags from a run or a log of ArduPilot, with 95 % intervals."""
     from services.tools import vehicle_identify
 
-    folder = vehicle_identify.open_run(run)
-    loaded = vehicle_identify.load_vehicle(folder, name)
+    source = vehicle_identify.open_run(run)
+    loaded = vehicle_identify.load_vehicle(source, name)
     if out is not None:
         _free(out, force=force)
     from services.reporting.terminal import reading_progress
 
-    with reading_progress(folder.recording):
-        report, identification = vehicle_identify.identify_run(folder, loaded, known.value, known_yaw.value)
+    with reading_progress(source if isinstance(source, Path) else source.recording):
+        report, identification = vehicle_identify.identify_run(source, loaded, known.value, known_yaw.value)
     typer.echo(_json(report) if as_json else vehicle_identify.format_text(report))
     if out is not None:
-        identified = vehicle_identify.identified_vehicle(folder, loaded, identification)
+        identified = vehicle_identify.identified_vehicle(source, loaded, identification)
         _write(out, vehicle_identify.format_toml(report, identified), force=force, quiet=as_json)
 
 
