@@ -45,7 +45,7 @@ class AutopilotLog(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """What both kinds of log hold, in their order."""
+    """Estimates, outputs and parameters of a log, in their order."""
 
     estimates: list[Estimate]
     outputs: list[tuple[int, dict[int, float], bool]]  # time (ns), PWM (us) by output, armed
