@@ -172,14 +172,14 @@ class OsqpSolver:
         ----------
         problem : is read now alone.
         """
-        self.problem, self._finite = problem, is_finite(problem)
-        if not self._finite:
-            return
-        before = self.layout
+        self.problem, self._finite, before = problem, True, self.layout
         if before is None or before.masks.H.shape != problem.H.shape or before.masks.low.shape != problem.low.shape:
             before = None
             self.work, self.duals, self._shift = Sweep.empty(problem), np.zeros(problem.low.shape), math.nan
         if before is None or not fits(problem, before.masks):
+            self._finite = is_finite(problem)
+            if not self._finite:  # its pattern would be wrong
+                return
             self.layout = layout = SparseLayout(problem, before)
             rows, columns = layout.rows, layout.variables
             self.arrays = Arrays(
@@ -278,6 +278,8 @@ def prepare(
     -------
     ``dual_scale`` of the problem, or -1 if a number is not finite; magnitude of the largest dual of the dynamics.
     """
+    if not is_finite(p):
+        return -1.0, 0.0
     fill(p, places, at.numbers)
     riccati.shift_duals(duals, t, shift)
     for i in range(duals.size):

@@ -256,15 +256,14 @@ def fits(p: Problem, masks: Masks) -> bool:
     p : problem.
     masks : entries and bounds of the layout.
     """
+    missing = 0
     for part, mask in ((p.H, masks.H), (p.F, masks.F), (p.G, masks.G)):
         for i in range(part.size):
-            if part.flat[i] != 0.0 and not mask.flat[i]:
-                return False
+            missing += (part.flat[i] != 0.0) & ~mask.flat[i]
     for part, mask in ((p.low, masks.low), (p.high, masks.high), (p.penalty, masks.soft)):
         for i in range(part.size):
-            if np.isfinite(part.flat[i]) and not mask.flat[i]:
-                return False
-    return True
+            missing += (abs(part.flat[i]) < np.inf) & ~mask.flat[i]
+    return missing == 0
 
 
 @jit
