@@ -78,15 +78,8 @@ def active_set(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: Array
     """
     z, g = np.empty(work.z.shape), np.empty(work.g.shape)
     for sweeps in range(1, max_sweeps + 1):
-        for i in range(active.size):
-            sign = active.flat[i]
-            work.weight.flat[i] = work.linear.flat[i] = 0.0
-            if abs(sign) == 1.0:
-                work.weight.flat[i] = RHO
-                work.linear.flat[i] = y.flat[i] - RHO * (p.high.flat[i] if sign > 0.0 else p.low.flat[i])
-            elif sign != 0.0:
-                work.linear.flat[i] = np.sign(sign) * p.penalty.flat[i]
-        if not sweep(p, work):
+        last = _hold(p, work, active, y)
+        if not sweep(p, work, len(p.f) if sweeps == 1 else last):
             return FAILED, sweeps
         wrong = _update_active(p, work.g, y, active)
         if wrong == 0:
@@ -105,11 +98,28 @@ def active_set(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: Array
 
 
 @jit
+def _hold(p: Problem, work: Sweep, active: Array, y: Array) -> int:
+    """Set weight and linear of all rows, and return the last stage in which one changes."""
+    last = 0
+    for k in range(active.shape[0]):
+        for i in range(active.shape[1]):
+            sign, weight, linear = active[k, i], 0.0, 0.0
+            if abs(sign) == 1.0:
+                weight = RHO
+                linear = y[k, i] - RHO * (p.high[k, i] if sign > 0.0 else p.low[k, i])
+            elif sign != 0.0:
+                linear = np.sign(sign) * p.penalty[k, i]
+            if weight != work.weight[k, i] or linear != work.linear[k, i]:
+                work.weight[k, i], work.linear[k, i], last = weight, linear, k
+    return last
+
+
+@jit
 def _update_active(p: Problem, g: Array, y: Array, active: Array) -> int:
     """Update the active rows by their values g, and return how many change."""
     changed = 0
     for i in range(active.size):
-        held, cap = active.flat[i], p.penalty.flat[i]
+        held, cap = float(active.flat[i]), p.penalty.flat[i]
         above = y.flat[i] + RHO * (g.flat[i] - p.high.flat[i])
         below = y.flat[i] + RHO * (g.flat[i] - p.low.flat[i])
         now = held
@@ -125,7 +135,7 @@ def _update_active(p: Problem, g: Array, y: Array, active: Array) -> int:
             elif abs(held) == 1.0 and dual > cap + DUAL_SIGN_TOLERANCE:
                 now = BEYOND * held
             elif abs(held) == BEYOND and dual < cap - DUAL_SIGN_TOLERANCE:
-                now = np.sign(held)
+                now = float(np.sign(held))
         if now != held:
             active.flat[i] = now
             changed += 1

@@ -83,7 +83,7 @@ def interior_point(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: A
         aim = max(max(MIN_SIGMA, (1.0 - step) ** 2) * mu, 0.1 * MU_CONVERGED)
         _set_barrier_terms(p, barrier, aim, regularisation, work)
         sweeps += 1
-        if not sweep(p, work):
+        if not sweep(p, work, len(p.f)):
             return FAILED, sweeps
         primal, dual = _find_step(p, barrier, aim, regularisation, work)
         _take_step(barrier, primal, dual)

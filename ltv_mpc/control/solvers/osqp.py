@@ -13,6 +13,9 @@ solution. A forward sweep gives the states that they lead to; a backward sweep g
 does not determine the inputs), the guess is no deviation, with the duals of the previous solve.
 
 Over-relaxation is off: with step sizes this unequal the plain iteration is faster.
+
+The solver is OSQP's binding, the class that its Python wrapper calls, too. The wrapper prepares derivatives of the
+solution and copies all settings and results, which takes as long as two Riccati sweeps (docs/notes/problem-form.md).
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ import signal
 from typing import NamedTuple
 
 import numpy as np
-import osqp
+from osqp import SolverStatus, ext_builtin
 from scipy.sparse import csc_array, csc_matrix
 
 from ltv_mpc.control.config import ResolvedConfig
@@ -67,18 +70,21 @@ SETTINGS = {
 }
 """Plain ADMM on rows that are scaled already: step size 1, absolute residuals, limited by iterations, never by time."""
 
-SOLVED, INTERRUPTED = int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SIGINT)
+SOLVED, INTERRUPTED = int(SolverStatus.OSQP_SOLVED), int(SolverStatus.OSQP_SIGINT)
 
 STATUS = {
     SOLVED: SolveStatus.SOLVED,
-    int(osqp.SolverStatus.OSQP_SOLVED_INACCURATE): SolveStatus.ITERATION_LIMIT,
-    int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED): SolveStatus.ITERATION_LIMIT,
-    int(osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE): SolveStatus.INFEASIBLE,
-    int(osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE_INACCURATE): SolveStatus.INFEASIBLE,
-    int(osqp.SolverStatus.OSQP_DUAL_INFEASIBLE): SolveStatus.INFEASIBLE,
-    int(osqp.SolverStatus.OSQP_DUAL_INFEASIBLE_INACCURATE): SolveStatus.INFEASIBLE,
+    int(SolverStatus.OSQP_SOLVED_INACCURATE): SolveStatus.ITERATION_LIMIT,
+    int(SolverStatus.OSQP_MAX_ITER_REACHED): SolveStatus.ITERATION_LIMIT,
+    int(SolverStatus.OSQP_PRIMAL_INFEASIBLE): SolveStatus.INFEASIBLE,
+    int(SolverStatus.OSQP_PRIMAL_INFEASIBLE_INACCURATE): SolveStatus.INFEASIBLE,
+    int(SolverStatus.OSQP_DUAL_INFEASIBLE): SolveStatus.INFEASIBLE,
+    int(SolverStatus.OSQP_DUAL_INFEASIBLE_INACCURATE): SolveStatus.INFEASIBLE,
 }
 """Status by OSQP's own; one that is missing here is ``FAILED``."""
+
+INFINITE = 1e30
+"""Bound that OSQP takes as none."""
 
 EQUALITY_ROW = 300.0
 """Scale s of the dynamics; their step size is its square."""
@@ -149,7 +155,11 @@ class OsqpSolver:
         """Problem that was built last."""
         self.layout: SparseLayout | None = None
         """Layout of its QP; ``arrays`` has the QP's numbers and its point, ``duals`` those of the limits (N+1, M)."""
-        self._solver: osqp.OSQP | None = None
+        self._solver: ext_builtin.OSQPSolver | None = None
+        self._settings = ext_builtin.OSQPSettings()
+        ext_builtin.osqp_set_default_settings(self._settings)
+        for name, value in SETTINGS.items():
+            setattr(self._settings, name, value)
         self._finite = False
 
     def shift_warm_start(self, stages: float) -> None:
@@ -200,18 +210,19 @@ class OsqpSolver:
         at, layout = self.arrays, self.layout
         if self._solver is None:
             rescale(layout.places, at)  # changes nothing, but is compiled now and not with the first hard problem
-            self._solver = osqp.OSQP(algebra="builtin")
             P, A = (_csc(of, data) for of, data in ((layout.P, at.numbers.P), (layout.A, at.A)))
-            self._solver.setup(P, at.numbers.q.copy(), A, at.l.copy(), at.u.copy(), **SETTINGS)
-        self._load(with_cost=True)
+            sizes = layout.rows, layout.variables
+            self._solver = ext_builtin.OSQPSolver(P, at.numbers.q, A, at.l, at.u, *sizes, self._settings)
+        self._load(at.numbers.P)
 
-    def _load(self, *, with_cost: bool) -> None:
-        """Pass numbers and point to OSQP, which factorises."""
+    def _load(self, P: Array | None) -> None:
+        """Pass numbers and point to OSQP, which copies them and factorises; None: the cost is the same as before."""
         at, solver = self.arrays, self._solver
         assert solver is not None
-        solver.update(Ax=at.A.copy(), **({"Px": at.numbers.P.copy()} if with_cost else {}))  # OSQP keeps the arrays
-        solver.update(q=at.numbers.q, l=at.l, u=at.u)
-        solver.warm_start(x=at.x, y=at.scaled_y)
+        errors = solver.update_data_mat(P, None, at.A, None), solver.update_data_vec(at.numbers.q, at.l, at.u)
+        if any(errors):
+            raise ArithmeticError(f"OSQP rejects the problem, errors {errors} of matrices and vectors")
+        solver.warm_start(at.x, at.scaled_y)
 
     def solve(self) -> Result:
         """Solve the problem (see ``Solver``). It ends after ``max_iterations`` or a few more, never by time."""
@@ -223,23 +234,25 @@ class OsqpSolver:
         iterations, batch = 0, 0
         while True:
             length = BATCH * 2 ** max(0, batch - CONSTANT_BATCHES) if batch else FIRST_BATCH
-            solver.update_settings(max_iter=min(length, self._max_iterations), eps_abs=self._eps)
-            result = solver.solve(raise_error=False)
-            status = int(result.info.status_val)
+            self._settings.max_iter, self._settings.eps_abs = min(length, self._max_iterations), self._eps
+            solver.update_settings(self._settings)
+            solver.solve()
+            info, solution = solver.info, solver.solution
+            status = int(info.status_val)
             if status == INTERRUPTED:
                 signal.raise_signal(signal.SIGINT)  # OSQP catches Ctrl-C during a solve
             batch += 1
-            iterations += int(result.info.iter)
-            if not store_solution(np.asarray(result.x), np.asarray(result.y), layout.places, at, z, self.duals):
+            iterations += int(info.iter)
+            if not store_solution(solution.x, solution.y, layout.places, at, z, self.duals):
                 self._solver = None
                 return self._no_solution(p, "OSQP returned a value that is not finite; rebuilt")
             if status == SOLVED or iterations >= self._max_iterations:
                 break
             if rescale(layout.places, at) > 0:
-                self._load(with_cost=False)
+                self._load(None)
         self._shift = 0.0
         report = STATUS.get(status, SolveStatus.FAILED)
-        primal, dual, why = float(result.info.prim_res), float(result.info.dual_res), ""
+        primal, dual, why = float(info.prim_res), float(info.dual_res), ""
         if report is not SolveStatus.SOLVED:
             named = report.value.replace("_", " ")
             why = f"OSQP: {named} after {iterations} iterations, primal residual {primal:.1e}, dual {dual:.1e}"
@@ -252,10 +265,10 @@ class OsqpSolver:
         return Result(np.zeros_like(p.h), Solve(status=SolveStatus.NON_FINITE, why=why))
 
 
-def _csc(pattern: csc_array, data: Array) -> csc_matrix:
-    """Return a matrix in OSQP's types, with numbers of its own: OSQP keeps the arrays that it is set up with."""
-    parts = data.copy(), pattern.indices.astype(np.int32), pattern.indptr.astype(np.int32)
-    return csc_matrix(parts, shape=pattern.shape)
+def _csc(pattern: csc_array, data: Array) -> ext_builtin.CSC:
+    """Return a matrix in OSQP's types."""
+    parts = data, pattern.indices.astype(np.int32), pattern.indptr.astype(np.int32)
+    return ext_builtin.CSC(csc_matrix(parts, shape=pattern.shape))
 
 
 @jit
@@ -378,7 +391,7 @@ def rescale(places: Places, at: Arrays) -> int:
             s = (EXCESS_ROW if kind == EXCESS else SOFT_ACTIVE) * size
         if s != at.scale[i]:
             changed, at.scale[i] = 1, s
-        at.l[i], at.u[i], at.scaled_y[i] = numbers.l[i] * s, numbers.u[i] * s, y[i] / s
+        at.l[i], at.u[i], at.scaled_y[i] = max(numbers.l[i] * s, -INFINITE), min(numbers.u[i] * s, INFINITE), y[i] / s
         total += y[i]
         if np.isnan(numbers.l[i]) or np.isnan(numbers.u[i]) or (kind == DYNAMICS and np.isinf(numbers.l[i])):
             return -1

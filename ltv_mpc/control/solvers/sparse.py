@@ -259,10 +259,10 @@ def fits(p: Problem, masks: Masks) -> bool:
     missing = 0
     for part, mask in ((p.H, masks.H), (p.F, masks.F), (p.G, masks.G)):
         for i in range(part.size):
-            missing += (part.flat[i] != 0.0) & ~mask.flat[i]
+            missing += bool(part.flat[i] != 0.0) and not mask.flat[i]
     for part, mask in ((p.low, masks.low), (p.high, masks.high), (p.penalty, masks.soft)):
         for i in range(part.size):
-            missing += (abs(part.flat[i]) < np.inf) & ~mask.flat[i]
+            missing += bool(abs(part.flat[i]) < np.inf) and not mask.flat[i]
     return missing == 0
 
 

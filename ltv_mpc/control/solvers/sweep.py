@@ -33,8 +33,9 @@ class Sweep(NamedTuple):
     g: Array  # (N+1, M) result of the last sweep: values of the rows
     z: Array  # (N+1, n+m) its states and inputs
     law: Array  # (N, m, n+1) of the inputs: -u = law [x, 1]
-    P: Array  # (n, n)
-    v: Array  # (n,)
+    P: Array  # (N+1, n, n) cost to go of each stage
+    v: Array  # (N+1, n)
+    slope: Array  # (n,) v + P f
     PF: Array  # (n, n+m)
     M: Array  # (n+m, n+m)
     w: Array  # (n+m,)
@@ -51,24 +52,25 @@ class Sweep(NamedTuple):
         rows, z = np.zeros((N + 1, M)), n + m
         return cls(
             rows, rows.copy(), rows.copy(), np.zeros((N + 1, z)), np.zeros((N, m, n + 1)),
-            np.zeros((n, n)), np.zeros(n), np.zeros((n, z)), np.zeros((z, z)), np.zeros(z),
+            np.zeros((N + 1, n, n)), np.zeros((N + 1, n)), np.zeros(n), np.zeros((n, z)), np.zeros((z, z)), np.zeros(z),
         )  # fmt: skip
 
 
 @jit_outlined
-def sweep(p: Problem, work: Sweep) -> bool:
+def sweep(p: Problem, work: Sweep, last: int) -> bool:
     """Find the states and inputs of least cost, by one backward and one forward sweep.
 
     Parameters
     ----------
     p : problem.
     work : its weight and linear are given; the rest is overwritten.
+    last : last stage whose weight or linear are not those of the sweep before; N if that was of another problem.
 
     Returns
     -------
     False if the cost has no minimum, or the result is not finite.
     """
-    if not _backward(p, work):
+    if not _backward(p, work, last):
         return False
     z, law, F, f, n = work.z, work.law, p.F, p.f, p.f.shape[1]
     for i in range(n):
@@ -89,28 +91,31 @@ def sweep(p: Problem, work: Sweep) -> bool:
 
 
 @jit
-def _backward(p: Problem, work: Sweep) -> bool:
-    """Compute the law of every stage, from the last to the first; False if the cost has no minimum.
+def _backward(p: Problem, work: Sweep, last: int) -> bool:
+    """Compute the law of the stages up to one, from the last to the first; False if the cost has no minimum.
 
     It is one function, and its arrays have names of their own, because a name for an array costs reference counting
     (``ltv_mpc/jit.py``). The inner loops run along rows, so that the compiler vectorises them.
     """
     F, f, H, h, G, weight, linear = p.F, p.f, p.H, p.h, p.G, work.weight, work.linear
-    P, v, PF, M, w, laws = work.P, work.v, work.PF, work.M, work.w, work.law
+    Ps, vs, slope, PF, M, w, laws = work.P, work.v, work.slope, work.PF, work.M, work.w, work.law
     (N, n), size, m = f.shape, len(w), 0
-    for k in range(N, -1, -1):
+    for k in range(last, -1, -1):
+        P, v = Ps[k], vs[k]
         for j in range(size):
             w[j] = h[k, j]
         if k < N:
             m = size - n
             for i in range(n):
-                for j in range(n if f[k, i] != 0.0 else 0):  # a solution of the equations of motion has no gap
-                    v[j] += f[k, i] * P[i, j]
+                slope[i] = vs[k + 1, i]
             for i in range(n):
-                s = v[i]
+                for j in range(n if f[k, i] != 0.0 else 0):  # a solution of the equations of motion has no gap
+                    slope[j] += f[k, i] * Ps[k + 1, i, j]
+            for i in range(n):
+                s = slope[i]
                 for j in range(size):
                     w[j] += s * F[k, i, j]
-            np.dot(P, F[k], PF)  # BLAS: a third of the time of loops
+            np.dot(Ps[k + 1], F[k], PF)  # BLAS: a third of the time of loops
             np.dot(F[k].T, PF, M)
         for i in range(M.size):
             M.flat[i] = H.flat[k * M.size + i] + (M.flat[i] if k < N else 0.0)
