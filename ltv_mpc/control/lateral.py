@@ -26,7 +26,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 import numpy as np
 
-from ltv_mpc.control import nominal, shooting_grid
+from ltv_mpc.control import nominal
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.disturbance import heading_free_mps
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
@@ -39,6 +39,7 @@ from ltv_mpc.control.ocp.problem import Problem, is_finite
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
 from ltv_mpc.control.problem_data import coefficients_of, pack_constants
 from ltv_mpc.control.solvers import Result, Solver, SolverFactory
+from ltv_mpc.control.target_placement import bring_within
 from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus, Times
 from ltv_mpc.node import Stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -144,11 +145,8 @@ class LateralPlanner:
             radius_m = max(radius_m, REST_M / (1.0 + (current_mps / heading_free_mps(self._vehicle)) ** 2))
         if radius_m == 0.0 or plan is None:
             return
-        planned = plan.states[:, :2].copy()
-        shooting_grid.shift(planned, self._cycle.knots, (start.t_ns - int(plan.t_ns[0])) / STAGE_NS)
-        off = planned[1:] - planned[0] + start.lateral[:2] - self.target[:-1, :2]
-        way_m = np.sqrt(np.einsum("ki,ki->k", off, off))
-        self.target[:-1, :2] += off * np.minimum(radius_m / np.maximum(way_m, 1e-9), 1.0)[:, None]
+        stages = (start.t_ns - int(plan.t_ns[0])) / STAGE_NS
+        bring_within(plan.states, stages, self._cycle.knots, start.lateral, radius_m, self.target)
 
     def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
         """Ramp the lateral thrusters to a goal at their slew limits.

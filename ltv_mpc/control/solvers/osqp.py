@@ -39,6 +39,8 @@ from ltv_mpc.control.solvers.sparse import (
     HARD,
     LOWER,
     UPPER,
+    Indices,
+    Masks,
     Numbers,
     Places,
     SparseLayout,
@@ -115,6 +117,9 @@ NOT_EXCEEDED = 1e-3
 NOT_ACTIVE = 1e-9
 """Magnitude below which a dual is zero up to rounding."""
 
+NOT_FINITE, MISFIT = -1.0, -2.0
+"""Size of a problem that has a number that is not finite, or one that the layout has no place for."""
+
 FIRST_BATCH = 1
 """Iterations of the first batch: the first guess usually is the solution."""
 
@@ -182,14 +187,12 @@ class OsqpSolver:
         ----------
         problem : is read now alone.
         """
-        self.problem, self._finite, before = problem, True, self.layout
+        self.problem, before = problem, self.layout
         if before is None or before.masks.H.shape != problem.H.shape or before.masks.low.shape != problem.low.shape:
-            before = None
+            before, self.layout = None, None
             self.work, self.duals, self._shift = Sweep.empty(problem), np.zeros(problem.low.shape), math.nan
-        if before is None or not fits(problem, before.masks):
-            self._finite = is_finite(problem)
-            if not self._finite:  # its pattern would be wrong
-                return
+        size = self._prepare(problem)
+        if size == MISFIT:
             self.layout = layout = SparseLayout(problem, before)
             rows, columns = layout.rows, layout.variables
             self.arrays = Arrays(
@@ -197,11 +200,18 @@ class OsqpSolver:
                 np.zeros(layout.A.nnz), np.zeros(rows), np.zeros(rows), np.zeros(rows),
             )  # fmt: skip
             self._solver = None
-        assert self.layout is not None
-        places = self.layout.places
-        size, costate = prepare(problem, places, self._knots, self._shift, self.work, self.duals, self.arrays)
+            size = self._prepare(problem)
         self._finite = size >= 0.0
+
+    def _prepare(self, problem: Problem) -> float:
+        """Prepare the solve in the present layout; return ``prepare``'s size."""
+        if self.layout is None:
+            return MISFIT if is_finite(problem) else NOT_FINITE
+        size, costate = prepare(
+            problem, self.layout.masks, self.layout.places, self._knots, self._shift, self.work, self.duals, self.arrays
+        )
         self._eps = max(self._tolerance * size, ROUNDING * costate if self.layout.soft_rows else 0.0)
+        return float(size)
 
     def update(self) -> None:
         """Pass the problem to OSQP; the first one sets it up (see ``Solver``)."""
@@ -243,7 +253,9 @@ class OsqpSolver:
                 signal.raise_signal(signal.SIGINT)  # OSQP catches Ctrl-C during a solve
             batch += 1
             iterations += int(info.iter)
-            if not store_solution(solution.x, solution.y, layout.places, at, z, self.duals):
+            at.x[:], at.y[:] = solution.x, solution.y * at.scale
+            places = layout.places
+            if not store_solution(at.x, at.y, places.column, places.kind, places.source, z, self.duals):
                 self._solver = None
                 return self._no_solution(p, "OSQP returned a value that is not finite; rebuilt")
             if status == SOLVED or iterations >= self._max_iterations:
@@ -273,14 +285,14 @@ def _csc(pattern: csc_array, data: Array) -> ext_builtin.CSC:
 
 @jit
 def prepare(
-    p: Problem, places: Places, t: Array, shift: float, work: Sweep, duals: Array, at: Arrays
+    p: Problem, masks: Masks, places: Places, t: Array, shift: float, work: Sweep, duals: Array, at: Arrays
 ) -> tuple[float, float]:
     """Compute the QP of a problem and its first guess, unscaled and with scaled rows.
 
     Parameters
     ----------
     p : problem.
-    places : places of its numbers.
+    masks, places : of the layout.
     t : (N+1,) knots in first stages.
     shift : by how many first stages the last solve's knots were earlier; NaN if there is none to begin with.
     work : workspace of the sweeps; overwritten.
@@ -289,10 +301,12 @@ def prepare(
 
     Returns
     -------
-    ``dual_scale`` of the problem, or -1 if a number is not finite; magnitude of the largest dual of the dynamics.
+    ``dual_scale`` of the problem, ``NOT_FINITE`` or ``MISFIT``; magnitude of the largest dual of the dynamics.
     """
     if not is_finite(p):
-        return -1.0, 0.0
+        return NOT_FINITE, 0.0
+    if not fits(p, masks):
+        return MISFIT, 0.0
     fill(p, places, at.numbers)
     riccati.shift_duals(duals, t, shift)
     for i in range(duals.size):
@@ -308,7 +322,7 @@ def prepare(
     costates(p, work.z, duals, costate)
     _guess(p, places, work, duals, costate, at)
     if rescale(places, at) < 0:
-        return -1.0, 0.0
+        return NOT_FINITE, 0.0
     largest = 0.0
     for i in range(p.f.size):
         largest = max(largest, abs(at.y[i]))
@@ -404,15 +418,13 @@ def rescale(places: Places, at: Arrays) -> int:
 
 
 @jit
-def store_solution(solution: Array, scaled_y: Array, places: Places, at: Arrays, z: Array, duals: Array) -> bool:
-    """Store a solution, with the duals of the unscaled rows.
+def store_solution(x: Array, y: Array, column: Indices, kind: Indices, source: Indices, z: Array, duals: Array) -> bool:
+    """Store a solution.
 
     Parameters
     ----------
-    solution : (n,) primal solution.
-    scaled_y : (m,) its dual, of the scaled rows.
-    places : places of its numbers.
-    at : its x and y are overwritten.
+    x, y : (n,) and (m,) the solution and its dual.
+    column, kind, source : of its ``Places``.
     z : (N+1, n+m) is overwritten with states and inputs.
     duals : (N+1, M) is overwritten with the duals of the limits.
 
@@ -420,18 +432,12 @@ def store_solution(solution: Array, scaled_y: Array, places: Places, at: Arrays,
     -------
     True if the solution is finite.
     """
-    total = 0.0
-    for i in range(len(solution)):
-        at.x[i] = solution[i]
-        total += solution[i]
-    for k in range(z.shape[0]):
-        for j in range(z.shape[1]):
-            if places.column[k, j] >= 0:
-                z[k, j] = solution[places.column[k, j]]
+    total = np.sum(x) + np.sum(y)
+    for i in range(z.size):
+        if column.flat[i] >= 0:
+            z.flat[i] = x[column.flat[i]]
     duals[:, :] = 0.0
-    for row in range(len(scaled_y)):
-        at.y[row] = scaled_y[row] * at.scale[row]
-        total += at.y[row]
-        if places.kind[row] != DYNAMICS and places.kind[row] != EXCESS:
-            duals.flat[places.source[row]] += at.y[row]
+    for row in range(len(y)):
+        if kind[row] != DYNAMICS and kind[row] != EXCESS:
+            duals.flat[source[row]] += y[row]
     return bool(np.isfinite(total))
