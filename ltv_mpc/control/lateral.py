@@ -2,7 +2,7 @@
 
     previous plan --choose_nominal--> LTV model along it --fill--> problem --solve--> commands --line_search--> plan
                          ^                                                                                       |
-                         +---------------------- linearise_along, ``sqp_iterations`` times ----------------------+
+                         +------------------------- linearise, ``sqp_iterations`` times -------------------------+
 
 The QP has the rows of fence and corridor only where they bind: without them it is solved faster. Where the nominal
 trajectory is near to a zone, the QP without them comes first, unless rows bound in the last one. If its solution meets
@@ -269,7 +269,7 @@ class LateralPlanner:
             else:
                 left -= 1
             if left > 0:
-                nominal.linearise_along(cycle, U)
+                nominal.linearise(cycle, U)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _solve_qp(self, shift: float, *, near: bool) -> tuple[Array, Solve]:

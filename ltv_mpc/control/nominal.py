@@ -9,7 +9,6 @@ Arguments of the functions in this file:
     start    (10,) state n, e, u, v, psi, r, F1, F2 at the first knot, then the commands of port and starboard there
     goal     (N+1, 2) commands to follow as far as box and slew allow (N); the first row does not count
     target   (N+1, 3) as in ``ocp/terms``
-    flat     ``Linearisation.flat``
     C        (N+1, 2) current at the knots, north and east (m/s)
     X, U     (N+1, 8) states and (N+1, 2) commands (N) at the knots
 
@@ -26,7 +25,7 @@ from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.fence_clearance import Scene, bounds_track, entry_s, fence_cost, is_near
 from ltv_mpc.control.horizon_limits import clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
-from ltv_mpc.control.linearisation import Linearisation, linearise_rollout, propagate, unpack_linearisation
+from ltv_mpc.control.linearisation import Linearisation, linearise_along, propagate
 from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.ocp.cycle import UNKNOWN, Cycle, Score
 from ltv_mpc.control.problem_data import unpack_constants
@@ -63,18 +62,17 @@ def ramp_to(packed: Array, start: Array, goal: Array, C: Array, X: Array, U: Arr
 
 
 @jit
-def _linearise(packed: Array, start: Array, goal: Array, flat: Array) -> None:
+def _linearise(packed: Array, start: Array, goal: Array, lin: Linearisation) -> None:
     """Linearise along the motion that ``ramp_to`` gives, in the current of the linearisation."""
-    c, lin = unpack_constants(packed), unpack_linearisation(flat, len(goal) - 1)
-    o = c.objective
+    c, o = unpack_constants(packed), unpack_constants(packed).objective
     copy_to(lin.U, goal)
     copy_to(lin.X[0], start[:STATES])
     copy_to(lin.U[0], start[STATES:])
     clip_to_limits(lin.U, o.t, o.low, o.high, o.max_change)
-    linearise_rollout(lin, o.t, c.stage_s, c.p)
+    linearise_along(lin, o.t, c.stage_s, c.p, True)
 
 
-def linearise_along(cycle: Cycle, goal: Array) -> None:
+def linearise(cycle: Cycle, goal: Array) -> None:
     """Linearise along the motion that commands lead to.
 
     Parameters
@@ -82,7 +80,7 @@ def linearise_along(cycle: Cycle, goal: Array) -> None:
     cycle : has start and current.
     goal : as at the head of this file.
     """
-    _linearise(cycle.packed, cycle.start, goal, cycle.lin.flat)
+    _linearise(cycle.packed, cycle.start, goal, cycle.lin)
 
 
 @jit
@@ -127,7 +125,7 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
     guess = goal = old.copy()
     if not math.isnan(stages):
         shooting_grid.shift(goal, cycle.knots, stages)
-        linearise_along(cycle, goal)
+        linearise(cycle, goal)
         kind, best = PREVIOUS_PLAN, _score(cycle, lin.X, lin.U)
     for other_kind in (STEERED_AHEAD,) if cycle.bow_first else (STEERED_AHEAD, STEERED_ASTERN):
         X, U = np.empty_like(lin.X), np.empty_like(lin.U)
@@ -143,7 +141,7 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
         if other.cost + other.fence + tail * other.tail < before or math.isinf(best.cost):
             kind, best, guess = other_kind, other, U
     if kind != PREVIOUS_PLAN:
-        linearise_along(cycle, guess)
+        linearise(cycle, guess)
     cycle.score = best
     return kind
 
@@ -157,7 +155,7 @@ def any_motion(cycle: Cycle) -> Linearisation:
     """
     lin, rng = Linearisation.empty(len(cycle.target) - 1), np.random.default_rng(0)
     lin.C[:] = rng.normal(size=lin.C.shape)
-    _linearise(cycle.packed, rng.normal(size=len(cycle.start)), rng.normal(size=lin.U.shape), lin.flat)
+    _linearise(cycle.packed, rng.normal(size=len(cycle.start)), rng.normal(size=lin.U.shape), lin)
     return lin
 
 

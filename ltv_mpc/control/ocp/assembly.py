@@ -19,7 +19,7 @@ import numpy as np
 
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation, unpack_linearisation
+from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.ocp import limits, terms
 from ltv_mpc.control.ocp.limits import motion
 from ltv_mpc.control.ocp.problem import Problem, clear
@@ -44,17 +44,17 @@ def empty(stages: int, rows: int = 0) -> Problem:
 
 
 @jit
-def fill(packed: Array, flat: Array, target: Array, p: Problem) -> None:
+def fill(packed: Array, lin: Linearisation, target: Array, p: Problem) -> None:
     """Fill in the motion, all terms of the cost and the limits that have rows at every knot.
 
     Parameters
     ----------
     packed : a packed objective (problem_data.py).
-    flat : ``Linearisation.flat``.
+    lin : the motion along the nominal trajectory.
     target : (N+1, 3) as in ``ocp/terms``.
     p : is overwritten; further rows are empty.
     """
-    o, lin = unpack_objective(packed), unpack_linearisation(flat, len(target) - 1)
+    o = unpack_objective(packed)
     clear(p)
     _add_motion(p, lin, o)
     terms.add(p, lin, target, o)
@@ -115,5 +115,5 @@ def problem_along(lin: Linearisation, target: Array, knots: Array, limits: Horiz
     """
     problem, wanted = empty(len(lin.Phi)), np.zeros((len(target), 3))
     wanted[:, : target.shape[1]] = target
-    fill(pack_objective(knots, limits, weights), lin.flat, wanted, problem)
+    fill(pack_objective(knots, limits, weights), lin, wanted, problem)
     return problem

@@ -94,10 +94,10 @@ class Cycle:
         ----------
         problem : is overwritten.
         """
-        assembly.fill(self.packed, self.lin.flat, self.target, problem)
+        assembly.fill(self.packed, self.lin, self.target, problem)
         self.further.add(problem, limits.ROWS, self.lin.X, self.lin.U)
         if problem is self.fenced:
-            fence.fill(self.packed, self.lin.flat, self.scene, self.fence_rows, problem)
+            fence.fill(self.packed, self.lin.X, self.scene, self.fence_rows, problem)
         return problem
 
     def surplus(self, z: Array) -> float:
@@ -142,7 +142,7 @@ class Cycle:
         """
         N, n, m, M = problem.sizes
         full, first = Problem.empty(N, n, m, M), self.plain.sizes[3]
-        assembly.fill(self.packed, lin.flat, np.ones_like(self.target), full)
+        assembly.fill(self.packed, lin, np.ones_like(self.target), full)
         self.further.add(full, limits.ROWS, lin.X, lin.U)
         full.G[1:, first:, :2], full.low[1:, first:], full.penalty[1:, first:] = 1.0, -1.0, 1.0
         return full

@@ -192,6 +192,8 @@ class OsqpSolver:
             before, self.layout = None, None
             self.work, self.duals, self._shift = Sweep.empty(problem), np.zeros(problem.low.shape), math.nan
         size = self._prepare(problem)
+        if size == MISFIT and not is_finite(problem):  # its pattern would be wrong
+            size = NOT_FINITE
         if size == MISFIT:
             self.layout = layout = SparseLayout(problem, before)
             rows, columns = layout.rows, layout.variables
@@ -206,7 +208,7 @@ class OsqpSolver:
     def _prepare(self, problem: Problem) -> float:
         """Prepare the solve in the present layout; return ``prepare``'s size."""
         if self.layout is None:
-            return MISFIT if is_finite(problem) else NOT_FINITE
+            return MISFIT
         size, costate = prepare(
             problem, self.layout.masks, self.layout.places, self._knots, self._shift, self.work, self.duals, self.arrays
         )
@@ -303,8 +305,6 @@ def prepare(
     -------
     ``dual_scale`` of the problem, ``NOT_FINITE`` or ``MISFIT``; magnitude of the largest dual of the dynamics.
     """
-    if not is_finite(p):
-        return NOT_FINITE, 0.0
     if not fits(p, masks):
         return MISFIT, 0.0
     fill(p, places, at.numbers)
@@ -392,7 +392,7 @@ def rescale(places: Places, at: Arrays) -> int:
     """
     numbers, y, size = at.numbers, at.y, dual_scale(at.numbers.q, places)
     free = min(LIMIT_ROW * size, MAX_LIMIT_ROW)
-    changed, total = 0, size
+    changed, total = 0, np.sum(numbers.q) + np.sum(numbers.P)
     for i in range(len(y)):
         kind, active = places.kind[i], abs(y[i]) > NOT_ACTIVE
         if kind == DYNAMICS:
@@ -412,8 +412,6 @@ def rescale(places: Places, at: Arrays) -> int:
     for i in range(len(at.A)):
         at.A[i] = numbers.A[i] * at.scale[places.row[i]]
         total += at.A[i]
-    for i in range(len(numbers.P)):
-        total += numbers.P[i]
     return changed if np.isfinite(total) else -1
 
 

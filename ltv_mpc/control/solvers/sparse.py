@@ -292,7 +292,7 @@ def fill(p: Problem, at: Places, to: Numbers) -> None:
             to.l[row] = to.u[row] = -p.f.flat[i]
         elif kind == EXCESS:
             to.l[row], to.u[row] = 0.0, np.inf
-            to.q[at.excess.flat[i]] = min(p.penalty.flat[i], NO_PENALTY)
+            to.q[at.excess.flat[i]] = NO_PENALTY if p.penalty.flat[i] > NO_PENALTY else p.penalty.flat[i]
         else:
             to.l[row] = p.low.flat[i] if kind != UPPER else -np.inf
             to.u[row] = p.high.flat[i] if kind != LOWER else np.inf

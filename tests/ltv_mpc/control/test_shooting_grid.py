@@ -92,7 +92,7 @@ def test_a_long_stage_is_linearised_over_its_own_length():
     lin.U[:] = np.cumsum(rng.normal(size=(N + 1, 2)), axis=0)
     lin.C[:] = 0.1 * rng.normal(size=(N + 1, 2))
     lin.X[:] = roll_out(np.array([0, 0, 0.2, 0.05, 1.0, 0.1, 5.0, 8.0]), lin.U, lin.C, 0.3 * LENGTHS, P)
-    linearise_along(lin, GROWING, 0.3, P)
+    linearise_along(lin, GROWING, 0.3, P, False)
     np.testing.assert_allclose(lin.Phi, lin.X[1:], atol=1e-12)
     d = 1e-5 * rng.normal(size=8)
     for k in (3, 12, 16):

@@ -19,7 +19,6 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.control.fence_clearance import CORRIDOR_PENALTY, PENALTY, Scene, cross_track, disc_at, sag_m, stage_lack
-from ltv_mpc.control.linearisation import unpack_linearisation
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import stage_length, unpack_constants
 from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, allocate, half_planes, insert_row
@@ -34,19 +33,19 @@ REACH = 4.0
 
 
 @jit
-def fill(packed: Array, flat: Array, scene: Scene, rows: int, p: Problem) -> None:
+def fill(packed: Array, X: Array, scene: Scene, rows: int, p: Problem) -> None:
     """Fill in the rows of a cycle, which are the last ones of a problem.
 
     Parameters
     ----------
     packed : packed constants (problem_data.py).
-    flat : ``Linearisation.flat``.
+    X : (N+1, 8) nominal states.
     scene : zones and obstacles.
     rows : how many rows a knot has for fence and corridor.
     p : problem; these rows are overwritten.
     """
     stages = len(p.f)
-    o, X, Z = unpack_constants(packed).objective, unpack_linearisation(flat, stages).X, len(scene.need)
+    o, Z = unpack_constants(packed).objective, len(scene.need)
     scale, first = o.state_scale[0], p.G.shape[1] - rows
     points, required = np.empty((stages, 2)), np.empty((stages, Z))
     times, reach = np.empty(stages), np.full(stages, REACH * scale)

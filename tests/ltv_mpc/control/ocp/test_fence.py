@@ -114,7 +114,7 @@ class Filled(NamedTuple):
 def rows_of(packed: Array, lin: Linearisation, of: Scene, rows: int) -> Array:
     """Return the rows (N, R, 4) of a scene along a motion."""
     p = assembly.empty(len(lin.Phi), rows)
-    fence.fill(packed, lin.flat, of, rows, p)
+    fence.fill(packed, lin.X, of, rows, p)
     scale = unpack_constants(packed).objective.state_scale[:2]
     first = p.sizes[3] - rows
     parts = p.G[1:, first:, :2] / scale, p.low[1:, first:, None], p.penalty[1:, first:, None]
