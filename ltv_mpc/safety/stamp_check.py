@@ -23,11 +23,12 @@ Source  Ljung 1999, System identification, section 7.4 (concentrated likelihood)
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 
 from ltv_mpc.control.prediction import currents_at_depths
-from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate
+from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.safety.thrust_impulse import ThrustImpulse
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -57,6 +58,10 @@ UNKNOWNS, SIZE = 11, 13
 """Number of unknowns in theta, and of these with du and dr."""
 
 
+Sample: TypeAlias = tuple[int, tuple[float, ...], list[Pair]]
+"""Time of an estimate (ns), its motion, and the impulses (N s) up to that time less each delay."""
+
+
 class StampCheck:
     """Estimator of the delay between the stamp of the estimates and the time at which they were true."""
 
@@ -72,8 +77,8 @@ class StampCheck:
         turning_radps2 = sum(t.max_N * t.arm_m for t in thrusters) / vehicle.yaw.inertia_kgm2
         self._scales = path_limits(vehicle).top_mps, 0.5 * turning_radps2  # of velocity and yaw rate
         self._impulse, self._reported_ns = ThrustImpulse(), 0
-        self._last: tuple[int, Array, Array] | None = None  # time (ns), motion, impulses
-        self._rows: list[Array] = []  # (D, 13) of the newest intervals
+        self._last: Sample | None = None
+        self._new: list[tuple[Sample, Sample]] = []  # begin and end of the newest intervals
         self._products = np.zeros((len(DELAYS_NS), SIZE, SIZE))  # of those before
         self._intervals = 0.0
         self.delay_s = 0.0
@@ -98,36 +103,45 @@ class StampCheck:
         current : at that time, as far as it is known.
         """
         t_ns, last = estimate.t_ns, self._last
-        impulses = [self._impulse.until(t_ns - delay_ns) for delay_ns in DELAYS_NS]
-        if impulses[-1] is None or t_ns - self._reported_ns > MAX_INTERVAL_NS:
-            self._last = None
+        impulses = None
+        if t_ns - self._reported_ns <= MAX_INTERVAL_NS:
+            impulses = self._impulse.until_each(t_ns - delay_ns for delay_ns in DELAYS_NS)
+        self._last = None if impulses is None else (t_ns, self._motion(estimate, current), impulses)
+        if self._last is None or last is None or not 0 < t_ns - last[0] <= MAX_INTERVAL_NS:
             return
-        self._last = _, motion, impulse = t_ns, self._motion(estimate, current), np.array(impulses) / self._thrust_N
-        if last is None or not 0 < t_ns - last[0] <= MAX_INTERVAL_NS:
-            return
-        seconds, row = (t_ns - last[0]) * 1e-9, np.empty((len(DELAYS_NS), SIZE))
-        u, v, r = (0.5 * (last[1] + motion)[:3]).tolist()
-        row[:, :2], row[:, 9:] = impulse - last[2], (motion - last[1])[[3, 4, 0, 2]]
-        row[:, 2:9] = seconds * np.array((u, abs(u) * u, r, abs(r) * r, u * v, v * r, 1.0))
-        self._rows.append(row)
+        self._new.append((last, self._last))
+        seconds = (t_ns - last[0]) * 1e-9
         self._intervals = math.exp(-seconds / MEMORY_S) * self._intervals + 1.0
-        if len(self._rows) == EVALUATED:
-            rows = np.array(self._rows).transpose(1, 0, 2)
+        if len(self._new) == EVALUATED:
+            rows = self._rows()
             self._products = math.exp(-EVALUATED * seconds / MEMORY_S) * self._products + rows.mT @ rows
-            self._rows.clear()
+            self._new.clear()
             delay_s, evidence = self._most_likely()
             if self._intervals < MIN_INTERVALS or evidence < EVIDENCE_NATS or delay_s < MIN_DELAY_S:
                 self.delay_s = 0.0
             elif abs(delay_s - self.delay_s) > STEP_S:
                 self.delay_s = round(delay_s, 1)
 
-    def _motion(self, estimate: Estimate, current: CurrentProfile | None) -> Array:
+    def _rows(self) -> Array:
+        """Return phi, du and dr of the newest intervals, (D, K, 13)."""
+        (begins, before, impulse), (ends, after, later) = (
+            (np.array(part) for part in zip(*of, strict=True)) for of in zip(*self._new, strict=True)
+        )
+        rows = np.empty((len(DELAYS_NS), len(begins), SIZE))
+        u, v, r = (0.5 * (before + after)[:, :3]).T
+        rows[..., :2] = ((later - impulse) / self._thrust_N).swapaxes(0, 1)
+        rows[..., 2:9] = np.stack((u, abs(u) * u, r, abs(r) * r, u * v, v * r, np.ones(len(u))), axis=1)
+        rows[..., 2:9] *= ((ends - begins) * 1e-9)[:, None]
+        rows[..., 9:] = (after - before)[:, [3, 4, 0, 2]]
+        return rows
+
+    def _motion(self, estimate: Estimate, current: CurrentProfile | None) -> tuple[float, ...]:
         """Return u, v and r over their scales, and cosine and sine of the heading."""
         (north, east), (speed, rate) = currents_at_depths(current, np.array([estimate.depth_m or 0.0]))[0], self._scales
-        north, east = estimate.velocity_north_mps - north, estimate.velocity_east_mps - east
+        north, east = estimate.velocity_north_mps - float(north), estimate.velocity_east_mps - float(east)
         cos, sin = math.cos(estimate.heading_rad), math.sin(estimate.heading_rad)
         u, v = cos * north + sin * east, cos * east - sin * north
-        return np.array((u / speed, v / speed, estimate.yaw_rate_radps / rate, cos, sin))
+        return u / speed, v / speed, estimate.yaw_rate_radps / rate, cos, sin
 
     def _most_likely(self) -> tuple[float, float]:
         """Return the most likely delay (s), and its evidence against a delay of at most one step (nats)."""

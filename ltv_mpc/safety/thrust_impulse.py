@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 
 from ltv_mpc.messages import Applied, Pair
 
@@ -38,22 +39,35 @@ class ThrustImpulse:
     def until(self, t_ns: int) -> Pair | None:
         """Return the impulses (N s) up to ``t_ns``; None before the oldest report that is kept.
 
-        The thrust is linear between reports and constant after the last one.
-
         Parameters
         ----------
         t_ns : time (ns).
         """
-        reports = self._reports
-        if not reports or t_ns < reports[0][0]:
-            return None
+        found = self.until_each([t_ns])
+        return None if found is None else found[0]
+
+    def until_each(self, times_ns: Iterable[int]) -> list[Pair] | None:
+        """Return the impulses (N s) up to each of some times; None if one is before the oldest report that is kept.
+
+        The thrust is linear between reports and constant after the last one.
+
+        Parameters
+        ----------
+        times_ns : times (ns), the latest first.
+        """
+        reports, found = self._reports, []
         k = len(reports) - 1
-        while reports[k][0] > t_ns:
-            k -= 1
-        at, (f1, f2), (i1, i2) = reports[k]
-        s = (t_ns - at) * 1e-9
-        if k + 1 < len(reports):
-            then, (g1, g2), _ = reports[k + 1]
-            half = 0.5 * s * s / ((then - at) * 1e-9)
-            return i1 + s * f1 + half * (g1 - f1), i2 + s * f2 + half * (g2 - f2)
-        return i1 + s * f1, i2 + s * f2
+        for t_ns in times_ns:
+            while k >= 0 and reports[k][0] > t_ns:
+                k -= 1
+            if k < 0:
+                return None
+            at, (f1, f2), (i1, i2) = reports[k]
+            s = (t_ns - at) * 1e-9
+            if k + 1 < len(reports):
+                then, (g1, g2), _ = reports[k + 1]
+                half = 0.5 * s * s / ((then - at) * 1e-9)
+                found.append((i1 + s * f1 + half * (g1 - f1), i2 + s * f2 + half * (g2 - f2)))
+            else:
+                found.append((i1 + s * f1, i2 + s * f2))
+        return found
