@@ -91,12 +91,7 @@ def test_a_sensor_that_is_silent_does_not_hold_the_estimate_for_more_than_one_sa
 def test_an_estimate_waits_for_a_bottom_track_without_latency(dive, run):
     """Ten bottom tracks a second, each the last message of its instant."""
     tracking = BottomTracking(
-        period_ns=PERIOD_NS,
-        range_m=50.0,
-        beam_noise_sd_mps=0.01,
-        missing_share=0.0,
-        outlier_share=0.0,
-        outlier_mps=0.0,
+        period_ns=PERIOD_NS, range_m=50.0, beam_noise_sd_mps=0.01, missing_share=0.0, outlier_share=0.0, outlier_mps=0.0
     )
     nothing = np.full(4, np.nan)
     pings = [BottomTrack(t_ns=k * PERIOD_NS, range_m=nothing, beam_velocity_mps=nothing) for k in range(-5, 41)]

@@ -63,12 +63,7 @@ def test_beams_come_back_from_every_coordinate_system(head: Head, tilts_used: bo
     np.testing.assert_allclose(back.velocity_mps, -ensemble.beams_mps[:, order].T, atol=0.002)
 
 
-@given(
-    st.floats(0, 359.99),
-    st.floats(-60, 60),
-    st.floats(-60, 60),
-    st.sampled_from([15, 20, 25, 30]),
-)
+@given(st.floats(0, 359.99), st.floats(-60, 60), st.floats(-60, 60), st.sampled_from([15, 20, 25, 30]))
 def test_beams_that_look_down_point_where_the_projects_own_do(
     heading: float, pitch: float, roll: float, angle: int
 ) -> None:

@@ -16,14 +16,7 @@ from ltv_mpc.localisation.publishing import CHECKPOINT_NS, SUBMERGED_M
 from ltv_mpc.localisation.reinitialisation import RESTARTED_NS
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.warm_restart import WarmRestart
-from ltv_mpc.messages import (
-    Estimate,
-    EstimatorState,
-    FilterStatus,
-    ImuSample,
-    LocalisationReport,
-    PressureDepth,
-)
+from ltv_mpc.messages import Estimate, EstimatorState, FilterStatus, ImuSample, LocalisationReport, PressureDepth
 from ltv_mpc.node import ReceivedMessage
 from services.bus.wire import Header, decode, encode
 from tests.stepping import step

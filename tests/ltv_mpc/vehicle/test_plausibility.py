@@ -48,11 +48,7 @@ def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
     [
         ("dry_mass_kg = 200.0", "dry_mass_kg = 200000.0", "dry_mass_kg = 200000: 5 to 50000 kg are usual; is it in g"),
         ("dry_mass_kg = 200.0", "dry_mass_kg = 0.2", "dry_mass_kg = 0.2: 5 to 50000 kg are usual"),
-        (
-            SURGE,
-            "[surge]\nmass_kg = 150.0\n",
-            r"[surge] mass_kg = 150: 0.75 x dry_mass_kg",
-        ),
+        (SURGE, "[surge]\nmass_kg = 150.0\n", r"[surge] mass_kg = 150: 0.75 x dry_mass_kg"),
         (
             "inertia_kgm2 = 179.049",
             "inertia_kgm2 = 0.179",
@@ -79,11 +75,7 @@ def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
             "[thruster.port] min_N = 0: no thrust astern",
         ),
         ("lag_s = 0.3 ", "lag_s = 30.0 ", "[thruster.port] lag_s = 30"),
-        (
-            SWAY,
-            "quadratic_damping_kgpm = 0.0\n",
-            "[sway] both dampings are 0: a sideways drift never ends",
-        ),
+        (SWAY, "quadratic_damping_kgpm = 0.0\n", "[sway] both dampings are 0: a sideways drift never ends"),
         (
             "max_rps = 7.2",
             "max_rps = 5.0",

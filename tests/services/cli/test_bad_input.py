@@ -98,10 +98,7 @@ CASES = [
     ("sim --json=1", 'ltv-mpc: option --json: "1": takes no value; '),
     ("sim descent hover", 'ltv-mpc: argument: "hover": is not expected; `ltv-mpc sim` takes: SCENARIO'),
     ("campaign", "ltv-mpc: argument FILE.toml: is missing; `ltv-mpc campaign --help` describes the command"),
-    (
-        "log export --format parqet x",
-        'option --format: "parqet": must be one of csv, parquet; did you mean "parq',
-    ),
+    ("log export --format parqet x", 'option --format: "parqet": must be one of csv, parquet; did you mean "parq'),
     ("certs new --ros-domain x", 'ltv-mpc: option --ros-domain: "x": must be an integer >= 0 and <= 232'),
     ("topics plann", 'topic "plann": is not a topic; did you mean "plan"?'),
     ("profile --horizons 5,x", 'option --horizons: "x": must be numbers of stages of 0.3 s'),

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -31,8 +31,8 @@ from services.bus.wire import Header, decode, encode
 from services.cli.app import run
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
+from tests.waiting import PATIENCE_S, until
 
-PATIENCE_S = 240.0  # a controller that has to compile first, on a machine that is busy
 FILES = Path(references.__file__).parent / "files"
 
 
@@ -48,13 +48,6 @@ class Alone(NamedTuple):
     def plan(self) -> Plan | None:
         found = self.newest.get(BY_TYPE[Plan].key)
         return None if found is None else decode(Plan, found[1])[0]
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it never came to that"
-        time.sleep(0.02)
 
 
 @contextmanager

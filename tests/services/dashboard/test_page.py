@@ -18,8 +18,9 @@ from ltv_mpc.messages import ClockCommand, Command, Disturbance, Heartbeat, Kill
 from services.dashboard.access_guard import Token, hosts
 from services.dashboard.config import View
 from services.reporting import static_files
-from tests.services.dashboard.synthetic_vehicle import NODES, SPEED, Served, served, until
+from tests.services.dashboard.synthetic_vehicle import NODES, SPEED, Served, served
 from tests.services.reporting.synthetic_run import OFFSET
+from tests.waiting import until
 
 
 @pytest.fixture(scope="module")

@@ -20,8 +20,8 @@ from services.dashboard.config import About
 from services.dashboard.serve import NICE
 from services.dashboard.sidecar import NEEDS, Sidecar
 from services.recording.node_settings import VEHICLE as VEHICLE_FILE
-from tests.services.dashboard.synthetic_vehicle import until
 from tests.services.reporting import synthetic_run
+from tests.waiting import until
 
 
 def page_of(

@@ -54,9 +54,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunFo
     return here, place, lockstep_run.run(here, place)
 
 
-def test_two_processes_with_other_hash_seeds_and_folders_write_the_same_bytes(
-    tmp_path: Path,
-) -> None:
+def test_two_processes_with_other_hash_seeds_and_folders_write_the_same_bytes(tmp_path: Path) -> None:
     digests = []
     for seed, out in (("1", "short"), ("4242", "another/much/longer/name")):
         cwd = tmp_path / seed
@@ -91,9 +89,7 @@ def test_messages_are_in_order_of_time_without_a_gap_and_all_are_counted(
     assert summary.messages.published == losses.published == len(times)
 
 
-def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
-    recorded: tuple[RunConfig, RunFolder, Summary],
-) -> None:
+def test_a_recording_replays_through_fresh_nodes_byte_for_byte(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
     """Each record finds the frames of its inbox by key, epoch, sequence and crc, and they make the same outputs."""
     here, place, _ = recorded
     nodes = {node.name: node for node in make_nodes(here)}
@@ -184,9 +180,7 @@ def test_with_known_state_there_is_no_estimator_and_no_localisation_error() -> N
     assert summary.tracking_error_m == summary.true_error_m
 
 
-def test_the_summary_of_a_recording_is_that_of_the_run_itself(
-    recorded: tuple[RunConfig, RunFolder, Summary],
-) -> None:
+def test_the_summary_of_a_recording_is_that_of_the_run_itself(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
     """But for what only processes have: a speed, and wall times."""
     here, place, summary = recorded
     again, _ = summarise_recording(here, place.recording)

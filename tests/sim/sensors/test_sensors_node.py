@@ -11,16 +11,7 @@ import pytest
 
 from ltv_mpc.array_encoding import to_wire
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.messages import (
-    AdcpPing,
-    CompassHeading,
-    Estimate,
-    GnssFix,
-    ImuSample,
-    PressureDepth,
-    TdcpFix,
-    Truth,
-)
+from ltv_mpc.messages import AdcpPing, CompassHeading, Estimate, GnssFix, ImuSample, PressureDepth, TdcpFix, Truth
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
