@@ -59,7 +59,7 @@ def controller(endpoint: str, log: Path) -> Iterator[None]:
         until(lambda: b"waiting for" in log.read_bytes())
         yield
         process.send_signal(signal.SIGTERM)
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
     finally:
         if process.poll() is None:
             process.kill()

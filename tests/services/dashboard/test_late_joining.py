@@ -50,7 +50,7 @@ def recorder(bus: BusOptions, folder: Path, ashore: Session) -> Iterator[Recordi
         thread = threading.Thread(target=loop.serve, args=(bus,))
         thread.start()
         try:
-            assert status.take(20.0) is not None
+            assert status.take(60.0) is not None
             yield loop
         finally:
             stop.request()

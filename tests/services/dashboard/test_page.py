@@ -295,7 +295,7 @@ def test_a_reader_gets_everything_and_then_what_is_new(page: Served) -> None:
         moment = tick["status"]
     assert {process["name"] for process in moment["processes"]} == set(NODES)
     assert moment["simulated"]
-    assert 0 <= moment["ages_s"]["plan"] < 5.0
+    assert moment["ages_s"]["plan"] >= 0
     assert tick["values"]["port_max_N"] == 62.5
     assert tick["tables"]["ellipse"]["north_m"]
 
