@@ -177,14 +177,6 @@ def test_a_restart_is_reported_for_half_a_minute_and_counts_are_kept(dived, inbo
     assert of(LocalisationReport, said(estimator, after, inbox_of, state=checkpoint))[-1].restarts == 3
 
 
-def test_the_same_restart_gives_the_same_output_to_the_last_bit(dived, inbox_of):
-    dive, outputs, _ = dived
-    once, again = (restored(dive, outputs, inbox_of, 12 * S) for _ in range(2))
-    assert [encode(s, Header(epoch=1, sequence=0)) for s in once] == [
-        encode(s, Header(epoch=1, sequence=0)) for s in again
-    ]
-
-
 def test_the_covariance_after_a_gap_is_that_of_the_closed_form(dived):
     """Position, velocity and heading by the closed form; level and bias are correlated as by levelling."""
     _, outputs, _ = dived
