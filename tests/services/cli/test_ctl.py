@@ -234,28 +234,6 @@ def test_where_nobody_answers_it_says_so_and_exits_1(alone: Alone, capsys: pytes
     assert "no router within 3 s" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("go", 'argument ACTION: "go": must be one of arm, disarm'),
-        ("arme", 'did you mean "arm"?'),
-        ("follow", "needs a reference"),
-        ("fence", "needs a fence"),
-        ("fence nowhere.toml", "fence nowhere.toml: no such file"),
-        ("arm hover", "takes no file or name"),
-        ("source GNSS", 'argument NAME: "GNSS": must be'),
-        ("hold --force", "only arm takes it"),
-        ("follow nowhere.toml", "reference nowhere.toml: no such file"),
-        ("arm --connect 127.0.0.1:1", "must be PROTOCOL/ADDRESS"),
-    ],
-)
-def test_bad_words_are_refused_before_anything_is_sent(
-    words: str, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["ctl", *words.split()]) == 2
-    assert said in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("name", sorted(path.stem for path in FILES.glob("*.toml")))
 def test_a_reference_that_travels_is_the_one_that_was_loaded(name: str) -> None:
     loaded = references.load(name)
