@@ -84,17 +84,9 @@ def test_inclusion_zones_of_one_group_are_their_union(tmp_path: Path) -> None:
     [
         ("f.plan", "{}", "is no fence: 'mission'"),
         ("f.plan", plan([], []), "no zone: give at least one"),
-        (
-            "f.waypoints",
-            items((5001, 3.0, 0, 50.0, -5.0), (5002, 3.0, 0, 50.0, -5.0)),
-            "item 1: the polygon before it has 1 of 3",
-        ),
+        ("f.waypoints", items((5001, 3.0, 0, 50.0, -5.0), (5002, 3.0, 0, 50.0, -5.0)), "item 1: the polygon before"),
         ("f.waypoints", items((5001, 3.0, 0, 50.0, -5.0)), "the last polygon has 1 of 3 vertices"),
-        (
-            "f.waypoints",
-            items((16, 0.0, 0, 50.0, -5.0), (16, 0.0, 0, 50.0, -5.0)),
-            "item 1 = 16: is no part of a fence",
-        ),
+        ("f.waypoints", items((16, 0.0, 0, 50.0, -5.0), (16, 0.0, 0, 50.0, -5.0)), "item 1 = 16: is no part of a"),
         ("f.waypoints", items((5003, 0.0, 0, 50.0, -5.0)), "keep_in"),
     ],
 )
