@@ -32,9 +32,9 @@ def warnings_of(vehicle: Vehicle) -> list[str]:
     return warnings(vehicle, performance(vehicle))
 
 
-@pytest.mark.parametrize("name", ["paper", "surface", "low-yaw", "weak-reverse", str(FOLDER / "template.toml")])
-def test_shipped_vehicles_and_the_template_give_no_warning(name: str) -> None:
-    assert warnings_of(Vehicle.load(name)) == []
+@pytest.mark.parametrize("name", [*sorted((FOLDER / "files").glob("*.toml")), FOLDER / "template.toml"])
+def test_shipped_vehicles_and_the_template_give_no_warning(name: Path) -> None:
+    assert warnings_of(Vehicle.load(str(name))) == []
 
 
 def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
@@ -61,6 +61,11 @@ def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
         ("lag_s = 0.3 ", "lag_s = 30.0 ", "[thruster.port] lag_s = 30"),
         (SWAY, "quadratic_damping_kgpm = 0.0\n", "[sway] both dampings are 0: a sideways drift never ends"),
         ("max_rps = 7.2", "max_rps = 5.0", "[thruster.port] max_rps = 5: at the top speed of 0.5 m/s a propeller of"),
+        ("max_rps = 7.2 ", "max_rps = 432.0 ", "move at 339 m/s; is it in rev/min?"),
+        ("propeller_diameter_m = 0.25 ", "propeller_diameter_m = 9.8 ", "at most 0.7 m fits 200 kg; is it in m?"),
+        ("max_N = 62.5 ", "max_N = 6.37 ", "is the thrust in N (not in kgf or lbf)?"),
+        ("mass_kg = 500.0", "mass_kg = 1102.3", "are the masses in kg (not in pounds)"),
+        ("mass_kg = 500.0", "mass_kg = 1102.3", "[surge] mass_kg = 1102.3: 5.51 x dry_mass_kg"),
         ("net_buoyancy_N = 30.5", "net_buoyancy_N = 100.0", "cannot dive"),
         ("net_buoyancy_N = 30.5", "net_buoyancy_N = -100.0", "cannot rise"),
         ("net_buoyancy_N = 30.5", "net_buoyancy_N = -5.0", "without a plan the vehicle sinks"),

@@ -24,7 +24,7 @@ from services.edges.mavlink.actuation import Overrides, State, channels, pwm_us
 from services.edges.mavlink.autopilot import Kind
 from services.edges.mavlink.codec import Codec, frames_of
 from services.edges.mavlink.edge import MavlinkEdge, Settings
-from services.edges.mavlink.fence_items import fence_of
+from services.edges.mavlink.lists import fence_of
 from services.edges.mavlink.navigation import Accuracy, Navigation
 from tests.foreign_plant.flight import distance_m
 from tests.foreign_plant.mavlink_flight import EXAMPLE, MavlinkFlight, vehicle
@@ -440,7 +440,7 @@ def test_the_items_of_a_fence_are_its_zones() -> None:
         item(0, 5000),  # the point to return to is no zone
         *polygon(5001, 1),
         *polygon(5002, 5, side_deg=1e-4),
-        item(9, 5003, param1=200.0),
+        item(9, 5003, param1=200.0, param2=1.0),  # of another group
         item(10, 5004, 50.2003, param1=3.0),
     ]
     fence = config.parse(config.loads(fence_of(items, ORIGIN)), Fence, source="fence")
@@ -457,11 +457,11 @@ def test_the_items_of_a_fence_are_its_zones() -> None:
     [
         (polygon(5001)[:3], "3 of 4 vertices"),
         ([*polygon(5001)[:3], *polygon(5002, 3)], "3 of 4 vertices"),
-        ([item(0, 5004, param1=math.nan)], "radius of item 0"),
-        ([item(0, 5004, param1=-1.0)], "radius of item 0"),
-        ([item(0, 5003, param1=math.inf)], "radius of item 0"),
+        ([item(0, 5004, param1=math.nan)], "item 0 radius"),
+        ([item(0, 5004, param1=-1.0)], "item 0 radius"),
+        ([item(0, 5003, param1=math.inf)], "item 0 radius"),
         ([polygon(5001)[at] for at in (0, 2, 1, 3)], "meet"),
-        ([item(at, 5003, param1=50.0) for at in range(90)], "fence_toml"),
+        ([item(at, 5003, param1=50.0, param2=float(at)) for at in range(90)], "fence_toml"),
     ],
 )
 def test_a_fence_that_is_no_area_is_refused(items: list[Any], says: str) -> None:
