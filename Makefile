@@ -45,15 +45,17 @@ check: .venv/installed  ## the inner loop, a minute: lint, types, import contrac
 	$(BIN)/mypy & types=$$!; $(BIN)/python -P -m tests.nearest; wait $$types
 
 # Where Python is told to keep no bytecode, each worker and each process of a test would compile its modules again.
+# Types are checked beside the tests, some of which wait.
 test: setup  ## lint, spelling, types, import contracts, all tests
-	@export PYTHONDONTWRITEBYTECODE=; $(BIN)/python -P -m tests.warm & warm=$$!; trap 'kill $$warm 2>/dev/null' EXIT; set -ex; \
+	@export PYTHONDONTWRITEBYTECODE=; $(BIN)/python -P -m tests.warm & warm=$$!; $(BIN)/mypy & types=$$!; \
+	trap 'kill $$warm $$types 2>/dev/null' EXIT; set -ex; \
 	$(BIN)/ruff check .; \
 	$(BIN)/ruff format --check .; \
 	$(BIN)/codespell; \
-	$(BIN)/mypy; \
 	$(BIN)/lint-imports; \
-	wait $$warm; trap - EXIT; \
-	$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder --durations=15
+	wait $$warm; \
+	$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder --durations=15; \
+	wait $$types; trap - EXIT
 
 figures: setup  ## the paper's figures and tables: docs/figures/, docs/paper.md; README's picture
 	$(BIN)/python -m benchmarks.paper

@@ -7,26 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.localisation_check.judgement import (
-    MIN_DRAWS,
-    holm,
-    judge,
-    mean_square,
-    p_of_mean,
-)
+from benchmarks.localisation_check.judgement import MIN_DRAWS, holm, judge, mean_square, p_of_mean
 from benchmarks.localisation_check.probe import Squares
 
 INSTANTS = 200
 
 
 def runs_of(
-    rng: np.random.Generator,
-    runs: int,
-    *,
-    constant: bool,
-    factor: float = 1.0,
-    dof: int = 3,
-    instants: int = INSTANTS,
+    rng: np.random.Generator, runs: int, *, constant: bool, factor: float = 1.0, dof: int = 3, instants: int = INSTANTS
 ) -> list[Squares]:
     """Return runs whose squares are one draw repeated, or one draw per instant."""
     t, n = np.arange(instants) * 1_000_000_000, np.full(instants, dof)

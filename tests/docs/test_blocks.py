@@ -44,10 +44,7 @@ UNTIL_STOPPED = "a process that runs until it is stopped; tests/system, tests/se
 MINUTES = "takes minutes; a short one is run by"
 ELSEWHERE = "needs another host, or somebody else's program"
 NOT_RUN = (
-    (
-        r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|ros2|mavlink|dashboard|watch)\b",
-        UNTIL_STOPPED,
-    ),
+    (r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|ros2|mavlink|dashboard|watch)\b", UNTIL_STOPPED),
     (r"ltv-mpc ctl\b", "needs a running controller; tests/services/cli/test_ctl.py has one"),
     (r"ltv-mpc dive plan\b", f"{MINUTES} tests/services/tools/dive_plan"),
     (r"ltv-mpc campaign\b", f"{MINUTES} tests/services/campaign"),

@@ -9,7 +9,7 @@ from benchmarks.faults.inject import Interference, unlike_at_a
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Injection, MessageFault, PressureDepth
 from services.bus.topics import BY_TYPE
-from services.bus.wire import Header, WireError, decode, encode
+from services.bus.wire import Header, encode
 
 MS, S = 1_000_000, 1_000_000_000
 TOPIC = BY_TYPE[PressureDepth]
@@ -38,28 +38,6 @@ def test_a_lost_frame_is_gone_and_counted():
     way = Interference([fault(MessageFault.LOSS)])
     assert [payload for _, payload in through(way)] == [frame(i) for i in (*range(10), *range(20, 30))]
     assert way.harmed == [10]
-
-
-def test_a_late_a_doubled_and_a_reordered_frame_are_the_same_bytes():
-    assert through(Interference([fault(MessageFault.DELAY, 0.25)]))[10] == (S + 250 * MS, frame(10))
-    doubled = [payload for _, payload in through(Interference([fault(MessageFault.DUPLICATE)]))]
-    assert doubled[10:14] == [frame(10), frame(10), frame(11), frame(11)]
-    reordered = [payload for _, payload in through(Interference([fault(MessageFault.REORDER)]))]
-    assert reordered[10:14] == [frame(11), frame(10), frame(13), frame(12)]
-
-
-def test_a_frame_with_no_number_keeps_its_header_and_is_refused_by_the_wire():
-    for _, payload in through(Interference([fault(MessageFault.NOT_A_NUMBER)]))[10:20]:
-        with pytest.raises(WireError, match="depth_m"):
-            decode(PressureDepth, payload)
-        assert payload != frame(10)
-
-
-def test_a_jumped_clock_stamps_what_is_otherwise_the_same():
-    came = through(Interference([fault(MessageFault.CLOCK_JUMP, 7.0)]))
-    signal, header = decode(PressureDepth, came[10][1])
-    assert (signal.t_ns, signal.depth_m) == (8 * S, 10.0)
-    assert header == decode(PressureDepth, frame(10))[1]
 
 
 def test_a_fault_of_the_command_line_is_read_field_by_field():

@@ -119,9 +119,7 @@ def test_the_recursion_is_the_batch_solution_of_the_same_linear_problem() -> Non
             covariance = np.block([[covariance, last.T @ F.T], [F @ last, F @ last[:, -n:] @ F.T + Q]])
             mean.append(F @ mean[-1])
         batch = Batch(
-            rng.standard_normal((6, n)) * (rng.random((6, n)) < 0.3),
-            rng.standard_normal(6),
-            rng.uniform(0.01, 0.1, 6),
+            rng.standard_normal((6, n)) * (rng.random((6, n)) < 0.3), rng.standard_normal(6), rng.uniform(0.01, 0.1, 6)
         )
         correct(x, P, batch, gate=1e9)
         H_all.append(batch.H)

@@ -36,11 +36,6 @@ def speeds(table):
     return np.diff(table[WAY]) / np.diff(table[TIME])
 
 
-def test_at_top_speed_drag_balances_thrust():
-    assert LIMITS.top_mps == pytest.approx(0.5)  # 2 x 62.5 = 500 x 0.5^2
-    assert LIMITS.cruise_mps == pytest.approx(0.5 * math.sqrt(SUSTAINED_SHARE))
-
-
 @pytest.mark.parametrize("radius_m", [2.0, 5.0, 20.0])
 def test_the_speed_of_a_bend_is_the_fastest_steady_turn_of_the_vehicle(radius_m):
     """The integrated equations of motion with the outer thruster at its limit settle on this circle."""

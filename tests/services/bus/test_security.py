@@ -25,6 +25,7 @@ from services.bus.security import credentials
 from services.bus.session import configuration, open_session
 from services.bus.topics import TOPICS
 from services.cli.app import run
+from tests.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -268,10 +269,7 @@ def test_a_router_that_is_told_nothing_has_no_socket_but_one_on_loopback(tmp_pat
             stderr=output,
         )
     try:
-        until = time.monotonic() + 60.0
-        while "ready at" not in log.read_text():
-            assert time.monotonic() < until, "it never came to that"
-            time.sleep(0.02)
+        until(lambda: "ready at" in log.read_text())
         assert sockets(router.pid) == {("tcp", "0100007F")}  # 127.0.0.1, as the kernel writes it
     finally:
         router.terminate()

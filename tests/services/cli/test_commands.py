@@ -8,11 +8,9 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -179,21 +177,3 @@ def test_the_recorder_continues_its_own_folder_and_rejects_one_that_is_not_empty
     assert Path("r/run.mcap").read_bytes() == before
     assert cli("recorder descent --out new") == 0
     assert taken == [Path("r"), Path("new")]
-
-
-@pytest.mark.parametrize("line", ["controller", "estimator"])
-def test_what_runs_aboard_never_imports_the_simulation(line: str, tmp_path: Path) -> None:
-    """Not even through another module: the process itself lists its imports."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    errors = tmp_path / "stderr"
-    with errors.open("w") as sink, subprocess.Popen([*CLI, *line.split(), "-l", endpoint], stderr=sink) as process:
-        deadline = time.monotonic() + 60
-        while "waiting for" not in errors.read_text() and time.monotonic() < deadline:
-            time.sleep(0.05)
-        os.kill(process.pid, signal.SIGTERM)
-        assert process.wait(20) == 0
-    names = imported(errors.read_text())
-    assert {"ltv_mpc", "services", "zenoh"} <= names
-    assert "sim" not in names

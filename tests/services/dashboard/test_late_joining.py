@@ -28,10 +28,10 @@ from services.recording.segments import SegmentWriter
 from services.runtime.recording_loop import RecordingLoop
 from services.runtime.stopping import StopRequest
 from sim.evaluation.metrics import RunMetrics
-from tests.services.dashboard.synthetic_vehicle import until
 from tests.services.reporting import synthetic_run
 from tests.services.reporting.synthetic_run import CYCLE_NS, EPOCH, SPEED_NORTH_MPS, S
 from tests.services.words import status
+from tests.waiting import until
 
 JOIN_S, END_S = 60, 62
 
@@ -50,7 +50,7 @@ def recorder(bus: BusOptions, folder: Path, ashore: Session) -> Iterator[Recordi
         thread = threading.Thread(target=loop.serve, args=(bus,))
         thread.start()
         try:
-            assert status.take(20.0) is not None
+            assert status.take(60.0) is not None
             yield loop
         finally:
             stop.request()
@@ -103,11 +103,7 @@ def recorded_dive(
     """
     endpoint = f"tcp/127.0.0.1:{port}"
     reached = BusOptions(connect=(endpoint,))
-    with (
-        opened(BusOptions(listen=(endpoint,))),
-        opened(reached) as aboard,
-        opened(reached) as ashore,
-    ):
+    with opened(BusOptions(listen=(endpoint,))), opened(reached) as aboard, opened(reached) as ashore:
         publisher = Publisher(aboard)
         before(publisher, ashore)
         with recorder(reached, folder, ashore) as loop:

@@ -20,8 +20,8 @@ from services.dashboard.config import About
 from services.dashboard.serve import NICE
 from services.dashboard.sidecar import NEEDS, Sidecar
 from services.recording.node_settings import VEHICLE as VEHICLE_FILE
-from tests.services.dashboard.synthetic_vehicle import until
 from tests.services.reporting import synthetic_run
+from tests.waiting import until
 
 
 def page_of(
@@ -96,7 +96,7 @@ def test_the_run_waits_for_a_page_from_opened_to_drawn_and_then_until_it_has_the
                 stream.send(json.dumps({"number": 0, "token": "", "button": "drawn"}))
                 until(lambda: not page.awaited)
                 given.start()
-                given.join(0.5)
+                given.join(0.5 if waits else 60.0)
                 assert given.is_alive() is waits
                 report.write_text("report")
                 assert urllib.request.urlopen(f"http://{host}/report").read() == b"report"

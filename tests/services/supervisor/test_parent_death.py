@@ -14,6 +14,7 @@ import pytest
 
 from services.supervisor import orphan_cleanup
 from services.supervisor.parent_death import OrphanCleanup
+from tests.waiting import until
 
 
 @pytest.fixture
@@ -24,9 +25,7 @@ def sleeper() -> Iterator[subprocess.Popen[bytes]]:
     process.wait()
 
 
-def test_children_left_after_two_seconds_are_killed_even_if_stopped(
-    sleeper: subprocess.Popen[bytes],
-) -> None:
+def test_children_left_after_two_seconds_are_killed_even_if_stopped(sleeper: subprocess.Popen[bytes]) -> None:
     cleanup = OrphanCleanup()
     cleanup.add(sleeper.pid)
     sleeper.send_signal(19)  # SIGSTOP
@@ -94,10 +93,7 @@ def test_a_killed_supervisor_leaves_no_child_even_if_stopped_or_holding_the_gil(
     try:
         supervisor.kill()
         supervisor.wait()
-        deadline = time.monotonic() + 20
-        while any(orphan_cleanup.start_ticks(pid) is not None for pid in pids):
-            assert time.monotonic() < deadline, [orphan_cleanup.start_ticks(pid) for pid in pids]
-            time.sleep(0.02)
+        until(lambda: all(orphan_cleanup.start_ticks(pid) is None for pid in pids))
     finally:
         supervisor.stdout.close()
         for pid in pids:

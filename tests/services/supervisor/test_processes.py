@@ -35,9 +35,9 @@ from services.run.run_config import Override, RunConfig, resolve
 from services.runtime.stopping import StopRequest
 from services.supervisor import jit_cache, loopback, supervisor
 from services.supervisor.screen import LiveView
+from tests.waiting import PATIENCE_S, until
 
 CLI = [sys.executable, "-P", "-m", "services.cli"]
-PATIENCE_S = 90.0
 
 
 class Screen:
@@ -126,13 +126,6 @@ def alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-def until(condition: Callable[[], bool], within_s: float = PATIENCE_S) -> None:
-    deadline = time.monotonic() + within_s
-    while not condition():
-        assert time.monotonic() < deadline, "it never came to that"
-        time.sleep(0.01)
 
 
 def recorded(path: Path) -> tuple[Recording, dict[str, int], dict[str, int]]:
@@ -521,9 +514,7 @@ def test_ctrl_c_ends_everything_in_order_and_leaves_a_valid_recording(
     assert count["world/truth"] > 0
 
 
-def test_a_deleted_folder_ends_the_run_with_exit_1_and_its_name(
-    launcher: tuple[subprocess.Popen[bytes], Path],
-) -> None:
+def test_a_deleted_folder_ends_the_run_with_exit_1_and_its_name(launcher: tuple[subprocess.Popen[bytes], Path]) -> None:
     process, out = launcher
     pids = children_of(process.pid)
     shutil.rmtree(out)
@@ -613,12 +604,3 @@ def test_nodes_started_in_the_wrong_order_name_what_they_wait_for_and_continue(t
     assert all(key.startswith(("status/", "settings/")) or key == "controller/status" for key in missing if "/" in key)
     assert count["world/truth"] == 301
     assert count["plan"] > 0
-
-
-def test_controller_and_estimator_processes_never_import_the_simulation() -> None:
-    program = (
-        "import sys, services.supervisor.entry_point\n"
-        "from services.processes import controller, estimator\n"
-        "sys.exit(any(name.split('.')[0] == 'sim' for name in sys.modules))"
-    )
-    assert subprocess.run([sys.executable, "-P", "-c", program], check=False).returncode == 0

@@ -358,22 +358,7 @@ def test_odometry_has_its_own_attitude_and_excludes_positions() -> None:
         twist: list[float] = unknown,
     ) -> Any:
         return c.make.odometry_encode(
-            5_000_000,
-            frame,
-            child,
-            1.0,
-            2.0,
-            0.0,
-            q,
-            1.0,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            0.2,
-            pose,
-            twist,
-            reset,
+            5_000_000, frame, child, 1.0, 2.0, 0.0, q, 1.0, 0.0, 0.0, 0.0, 0.0, 0.2, pose, twist, reset
         )
 
     (estimate,) = navigation.odometry(message())

@@ -16,6 +16,7 @@ import pytest
 
 from ltv_mpc.errors import ConfigError
 from services.tools.batch.executor import MAX_LOSSES, WorkerLost, run_each
+from tests.waiting import until
 
 
 def mortal(marks: Path, deadly: dict[int, int], job: int) -> int:
@@ -106,18 +107,11 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     parent = multiprocessing.get_context("spawn").Process(target=run_sleepers, args=(tmp_path,))
     parent.start()
     try:
-        until = time.monotonic() + 90.0
-        while len(pids := [int(path.read_text()) for path in tmp_path.glob("*.pid")]) < 2:
-            assert parent.is_alive()
-            assert time.monotonic() < until
-            time.sleep(0.05)
+        until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
     finally:
         parent.kill()
         parent.join()
-    until = time.monotonic() + 60.0
-    while any(is_alive(pid) for pid in pids):
-        assert time.monotonic() < until, "a worker outlives its parent"
-        time.sleep(0.02)
+    until(lambda: not any(is_alive(int(path.read_text())) for path in tmp_path.glob("*.pid")))
 
 
 def interrupted(job: int) -> int:

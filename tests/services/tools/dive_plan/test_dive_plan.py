@@ -155,24 +155,3 @@ def test_the_command_prints_json_and_writes_its_folder(output: Output) -> None:
     assert (printed["sensors"], printed["fixes"], printed["runs"], printed["limit_m"]) == ("realistic", [1, 4], 1, 0.05)
     assert json.loads((output.folder / "dive-plan.json").read_text()) == printed
     assert (output.folder / "dive-plan.png").stat().st_size > 20_000
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ("--reference square --depth-m 5", "--depth-m"),
-        ("--fixes 1,x", "--fixes"),
-        ("--fixes 0", "from 1 to 3600"),
-        ("--sensors perfect", "perfect"),
-        ("--reference nowhere", "nowhere"),
-        ("--against no-such-run", "no-such-run"),
-        ("--duration-s 5", "--duration-s"),
-        ("--depth-m 480", "largest depth"),
-    ],
-)
-def test_bad_input_is_refused_before_a_dive_is_simulated(
-    options: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["dive", "plan", *options.split(), "--out", str(tmp_path / "out")]) == 2
-    assert words in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

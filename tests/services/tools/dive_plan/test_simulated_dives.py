@@ -21,7 +21,7 @@ from sim.evaluation.consistency import band
 from sim.scheduler import LockStep, Observation
 from sim.sensors.node import Sensors
 
-DURATION_S, DEPTH_M, DIVES = 8.0, 1.6, 24
+DURATION_S, DEPTH_M, DIVES = 8.0, 1.6, 16
 SENSORS = ("paper", "examples/sensors/600_khz.toml")
 
 

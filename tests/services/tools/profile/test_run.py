@@ -115,24 +115,6 @@ def test_the_yardstick_with_a_tolerance_of_its_own_is_another_solver(profiled: t
     assert relaxed["thrust_error_N"]["median"] > exact["thrust_error_N"]["median"]
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--horizons", "5,x"], 'option --horizons: "x": must be numbers of stages of 0.3 s, 1 to 400, or default'),
-        (["--horizons", "17,,"], "option --horizons"),
-        (["--horizons", "401"], 'option --horizons: "401"'),
-        (["--horizons", "0"], 'option --horizons: "0"'),
-        (["--solvers", "osqp,ospq"], 'option --solvers: "ospq"'),
-        (["--solvers", ""], 'option --solvers: ""'),
-        (["--cycles", "0"], "--cycles"),
-        (["--run", "nowhere"], "RUN nowhere: no such folder or file"),
-    ],
-)
-def test_a_bad_option_is_refused_by_name(options: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["profile", *options]) == 2
-    assert says in capsys.readouterr().err
-
-
 # --- the measurement -------------------------------------------------------------------------------------------------
 
 
