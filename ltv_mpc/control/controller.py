@@ -509,7 +509,7 @@ class Controller:
         if decision.mode is Mode.FOLLOW:
             self._lateral.set_reference(path=self.follower.is_path, heading=self.follower.heading_rad is not None)
             if not self.follower.is_path:
-                self._lateral.relax_target(start, knots, self.config.position_tolerance_m)
+                self._lateral.relax_target(start, self.config.position_tolerance_m)
             self._lateral.bend_target(start)
             return self._lateral.plan(start)
         if decision.stops:

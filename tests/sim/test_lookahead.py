@@ -282,8 +282,7 @@ def refused() -> list[Many]:
 @pytest.mark.parametrize("delay_ms", [0, 30, 90])
 @pytest.mark.parametrize("pieces_ms", [(1000,), (0, 1, 69, 70, 333, 1000)])
 @pytest.mark.parametrize(
-    ("make", "at_once"),
-    [(table, True), (cycling_first, True), (answering, True), (echoing, False), (refused, False)],
+    ("make", "at_once"), [(table, True), (cycling_first, True), (answering, True), (echoing, False), (refused, False)]
 )
 def test_each_step_is_given_what_it_is_given_one_step_at_a_time(
     make: Callable[[], list[Many]], at_once: bool, delay_ms: int, pieces_ms: tuple[int, ...]
