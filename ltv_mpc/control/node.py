@@ -6,8 +6,6 @@ From that state and the plan in force another controller node can continue.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import msgspec
 
 from ltv_mpc.bathymetry import Bathymetry
@@ -42,7 +40,7 @@ from ltv_mpc.messages import (
     Plan,
     RejectedFrame,
 )
-from ltv_mpc.node import Cycle, Due, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
+from ltv_mpc.node import Cycle, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.safety.command_arbiter import MANUAL_TIMEOUT_NS, CommandArbiter
 from ltv_mpc.safety.health import NOMINAL, HealthState, report_health, worst
@@ -131,20 +129,14 @@ class ControllerNode:
         """Policy that ends the mission."""
         return self._commands.mission
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Run one cycle at each time; there is no plan before the first estimate.
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+        """Run one cycle; there is no plan before the first estimate.
 
         Parameters
         ----------
-        due : vehicle time (ns) and inbox of each cycle.
-
-        Returns
-        -------
-        The messages of each cycle.
+        t_ns : vehicle time of the cycle (ns).
+        inbox : messages since the last cycle.
         """
-        return [self._step(t_ns, inbox) for t_ns, inbox in due]
-
-    def _step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         self._cycle_ns = t_ns
         acknowledged: list[Message] = []
         for received in sorted(inbox, key=_is_by_operator):

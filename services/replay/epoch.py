@@ -148,7 +148,7 @@ class Epoch:
                 return
         self._next += 1
         try:
-            (messages,) = self._node.steps([(step.t_ns, arrivals)])
+            messages = self._node.step(step.t_ns, arrivals)
         except Exception as error:
             self.outcome.step_failed(step, error)
             self._stop(f"the replayed step {step.number} raised {type(error).__name__}", step.t_ns)

@@ -16,7 +16,6 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import PERIOD_NS, Plant
 from sim.scenario import Scenario
 from sim.water import make
-from tests.stepping import step
 
 MS, S = 1_000_000, 1_000_000_000
 VEHICLE = Vehicle.load("paper")
@@ -53,7 +52,7 @@ def run(
     """Return all published messages; ``arrivals`` are the inboxes by step."""
     said = []
     for t in range(start_ns, until_ns + 1, PERIOD_NS):
-        said += step(plant, t, arrivals.get(t, []))
+        said += plant.step(t, arrivals.get(t, []))
     return said
 
 

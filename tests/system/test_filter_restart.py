@@ -11,13 +11,12 @@ from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep, Observation
-from tests.stepping import OneByOne, step
 
 FROM_S = 15
 SECOND = 1_000_000_000
 
 
-class Led(OneByOne):
+class Led:
     """Sensors node whose measurements are altered for some time."""
 
     def __init__(self, node, alter, to_s):
@@ -25,7 +24,7 @@ class Led(OneByOne):
         self.name, self.schedule, self.reads, self.writes = node.name, node.schedule, node.reads, node.writes
 
     def step(self, t_ns, inbox):
-        said = step(self.node, t_ns, inbox)
+        said = self.node.step(t_ns, inbox)
         return [self.alter(s) if FROM_S * SECOND < s.t_ns < self.to_ns else s for s in said]
 
 

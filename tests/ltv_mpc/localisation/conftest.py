@@ -27,6 +27,7 @@ from ltv_mpc.messages import (
     TdcpFix,
 )
 from ltv_mpc.node import ReceivedMessage
+from tests.stepping import as_sent
 
 DT_NS = 10_000_000
 
@@ -309,7 +310,7 @@ def yoyo(
 
 def inbox(signal: Message) -> list[ReceivedMessage]:
     """Return the inbox of one message without latency."""
-    return [ReceivedMessage(message=signal, epoch=1, sequence=0, received_t_ns=signal.t_ns)]
+    return [ReceivedMessage(message=as_sent(signal), epoch=1, sequence=0, received_t_ns=signal.t_ns)]
 
 
 @pytest.fixture(scope="session")

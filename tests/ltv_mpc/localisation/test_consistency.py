@@ -11,7 +11,6 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Estimate
-from tests.stepping import step
 
 EVERY_NS = 10_000_000_000
 
@@ -172,7 +171,7 @@ def test_water_unlike_the_prior_still_passes_the_gate(make_dive, inbox_of):
             ahead, starboard = s * 0.25 * R[0, 0], s * 0.25 * R[0, 1]
             tide = np.array([ahead, -ahead, starboard, -starboard])
             message = msgspec.structs.replace(message, beam_velocity_mps=message.beam_velocity_mps + tide[:, None])
-        step(estimator, message.t_ns, inbox_of(message))
+        estimator.step(message.t_ns, inbox_of(message))
     account = estimator.account
     assert account["adcp.gate"] < 0.01 * account["adcp.used"]
     belief = estimator.filter.belief

@@ -41,7 +41,7 @@ before = compiled()
 estimator = Estimator(full if sys.argv[1] == "full" else base, config)
 said = []
 def feed(message):
-    said.extend(estimator.steps([(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])])[0])
+    said.extend(estimator.step(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])[0])
 still = {"north_m": 0.0, "east_m": 0.0}
 feed(GnssFix(t_ns=0, **still, velocity_north_mps=0.0, velocity_east_mps=0.0))
 feed(CompassHeading(t_ns=0, heading_rad=1.0))

@@ -11,7 +11,6 @@ from services.recording.reader import StoredMessage
 from services.replay.comparison import Comparison
 from services.replay.epoch import REACH, Epoch, Record
 from services.replay.frames import Frames, Header
-from tests.stepping import OneByOne
 
 
 def depth(sequence: int) -> tuple[StoredMessage, Header]:
@@ -43,7 +42,7 @@ def test_used_and_old_frames_are_discarded() -> None:
     assert frames.find(entry(*depth(9))) is not None
 
 
-class Fragile(OneByOne):
+class Fragile:
     """Node that raises at a depth."""
 
     name = "sensors"

@@ -47,14 +47,13 @@ from services.runtime.clock_master import ClockMasterSettings
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.stopping import StopRequest
-from tests.stepping import OneByOne
 
 TICK_NS = 10_000_000
 ZERO = (0.0, 0.0, 0.0)
 PATIENCE_S = 20.0
 
 
-class Plant(OneByOne):
+class Plant:
     name = "plant"
     schedule = Grid(TICK_NS)
     reads: tuple[type[Message], ...] = (Plan,)
@@ -75,7 +74,7 @@ class Plant(OneByOne):
         return [truth]
 
 
-class Sensors(OneByOne):
+class Sensors:
     name = "sensors"
     schedule = OnMessage((Truth,))
     reads: tuple[type[Message], ...] = (Truth,)
@@ -91,7 +90,7 @@ class Sensors(OneByOne):
         return [Estimate.at_rest(north_m=t_ns * 1e-9)] if t_ns % (10 * TICK_NS) == 0 else []
 
 
-class Controller(OneByOne):
+class Controller:
     name = "controller"
     schedule = Cycle(300_000_000)
     reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming)
@@ -118,7 +117,7 @@ class Commanded(Controller):
     reads: tuple[type[Message], ...] = (*Controller.reads, Command)
 
 
-class Listener(OneByOne):
+class Listener:
     """Node that keeps what a test publishes."""
 
     name = "estimator"
@@ -465,7 +464,7 @@ def test_messages_on_their_way_at_a_stop_request_are_taken(bus: BusOptions) -> N
             until(lambda: len(node.heard) == 2)
 
 
-class Slow(OneByOne):
+class Slow:
     """A cycle that lasts longer than its period; ``during`` is what happens in the first one."""
 
     name = "estimator"
@@ -501,7 +500,7 @@ def test_a_step_that_is_late_takes_all_that_has_arrived_before_it_starts(bus: Bu
     assert node.inboxes[:3] == [[], list(range(50)), []]
 
 
-class Flooded(OneByOne):
+class Flooded:
     """Node that keeps the times of its cycles."""
 
     name = "estimator"

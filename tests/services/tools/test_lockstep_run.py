@@ -30,7 +30,6 @@ from services.run.summary import summarise_recording
 from services.supervisor.jit_cache import MARK
 from services.tools import lockstep_run
 from sim.evaluation.summary import Summary
-from tests.stepping import step
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -124,7 +123,7 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
         assert isinstance(record, StepRecord)
         (recorded_step,) = record.steps
         steps[record.node] += 1
-        outputs = step(nodes[record.node], recorded_step.t_ns, list(inbox(recorded_step, frames)))
+        outputs = nodes[record.node].step(recorded_step.t_ns, list(inbox(recorded_step, frames)))
         for output in outputs:
             key = topics.key_of(type(output), record.node)
             sequence = made.get(key, 0)

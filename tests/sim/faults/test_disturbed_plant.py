@@ -14,7 +14,6 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import PERIOD_NS, Plant
 from sim.scenario import Mismatch, Scenario
 from sim.water import make
-from tests.stepping import step
 
 S = 1_000_000_000
 VEHICLE = Vehicle.load("paper")
@@ -53,7 +52,7 @@ def run(plant: Plant, until_ns: int, *, disturbance: Disturbance | None = None, 
         inbox = [] if plan is None or t else [plan]
         if disturbance is not None and t == at_ns:
             inbox.append(ReceivedMessage(disturbance, 9, 0, t))
-        truth |= {x.t_ns: x for x in step(plant, t, inbox) if isinstance(x, Truth)}
+        truth |= {x.t_ns: x for x in plant.step(t, inbox) if isinstance(x, Truth)}
     return truth
 
 
@@ -104,6 +103,6 @@ def test_a_new_one_takes_the_old_ones_place():
     plant = plant_of()
     run(plant, S // 10, disturbance=Disturbance(end_t_ns=60 * S, force_N=(50.0, 0.0, 0.0)))
     nothing = Disturbance(end_t_ns=60 * S)
-    (before, *_) = step(plant, S // 10 + PERIOD_NS, [ReceivedMessage(nothing, 9, 1, S // 10 + PERIOD_NS)])
-    (after, *_) = step(plant, S // 10 + 2 * PERIOD_NS, [])
+    (before, *_) = plant.step(S // 10 + PERIOD_NS, [ReceivedMessage(nothing, 9, 1, S // 10 + PERIOD_NS)])
+    (after, *_) = plant.step(S // 10 + 2 * PERIOD_NS, [])
     assert after.water_velocity_mps[0] <= before.water_velocity_mps[0]

@@ -13,7 +13,6 @@ from ltv_mpc.validation import rejection_reason
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval, MessageFaults
 from sim.scheduler import Delivery, LockStep
-from tests.stepping import OneByOne
 
 MS, S = 1_000_000, 1_000_000_000
 INTERVAL = Interval(S, 2 * S)
@@ -121,7 +120,7 @@ def test_a_jumped_clock_moves_the_stamps_and_nothing_else():
     assert [d.message.message.depth_m for d in came] == pytest.approx(np.arange(30) * 0.1)
 
 
-class Speaker(OneByOne):
+class Speaker:
     name = "sensors"
     schedule = Grid(PERIOD_NS)
     reads: tuple[type[Message], ...] = ()
@@ -131,7 +130,7 @@ class Speaker(OneByOne):
         return [depth(t_ns)]
 
 
-class Listener(OneByOne):
+class Listener:
     name = "estimator"
     schedule = OnMessage((PressureDepth,))
     reads: tuple[type[Message], ...] = (PressureDepth, RejectedFrame)

@@ -32,7 +32,6 @@ from sim.scenario import Scenario, with_overrides
 from sim.sensors.lbl import AcousticTransceiver
 from sim.sensors.node import Sensors
 from sim.water import make
-from tests.stepping import step
 
 MS, S = 1_000_000, 1_000_000_000
 encode = msgspec.json.Encoder(enc_hook=to_wire).encode
@@ -94,7 +93,7 @@ def said(suite: SensorConfig, world: list[Truth], settings: Scenario | None = No
     node = Sensors(settings, suite, make(settings.water, settings.run.seed))
     out = []
     for k, truth in enumerate(world):
-        for message in step(node, truth.t_ns, [ReceivedMessage(truth, 1, k, truth.t_ns)]):
+        for message in node.step(truth.t_ns, [ReceivedMessage(truth, 1, k, truth.t_ns)]):
             assert type(message) in node.writes
             assert rejection_reason(message) is None
             out.append((truth.t_ns, message))

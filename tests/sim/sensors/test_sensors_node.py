@@ -29,7 +29,6 @@ from sim.scenario import Scenario
 from sim.sensors.node import Sensors
 from sim.sensors.vehicle_state import motions_between
 from sim.water import make
-from tests.stepping import step
 
 MS, S = 1_000_000, 1_000_000_000
 encode = msgspec.json.Encoder(enc_hook=to_wire).encode
@@ -45,7 +44,7 @@ def truths(settings: Scenario, until_ns: int, step_ns: int = 10 * MS) -> list[Tr
     plant = Plant(settings, Vehicle.load("paper"), make(settings.water, settings.run.seed))
     said = []
     for t in range(settings.start_ns, until_ns + 1, step_ns):
-        said += [x for x in step(plant, t, []) if isinstance(x, Truth)]
+        said += [x for x in plant.step(t, []) if isinstance(x, Truth)]
     return said
 
 
@@ -53,7 +52,7 @@ def measured(settings: Scenario, suite: SensorConfig, world: list[Truth]):
     node = Sensors(settings, suite, make(settings.water, settings.run.seed))
     said = []
     for k, truth in enumerate(world):
-        said += step(node, truth.t_ns, [ReceivedMessage(truth, 1, k, truth.t_ns)])
+        said += node.step(truth.t_ns, [ReceivedMessage(truth, 1, k, truth.t_ns)])
     assert {type(x) for x in said} <= set(node.writes)
     return said
 
