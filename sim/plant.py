@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import numpy as np
 
@@ -88,7 +88,8 @@ class Plant:
         waiting = list(inbox)
         outputs: list[Message] = []
         while times_ns:
-            here = waiting if len(times_ns) == 1 else [x for x in waiting if x.received_t_ns <= times_ns[0]]
+            arrived = takewhile(lambda received: received.received_t_ns <= times_ns[0], waiting)
+            here = waiting if len(times_ns) == 1 else list(arrived)
             waiting = waiting[len(here) :]
             count = 1 if here or self._is_pushed or self._t_ns is None else _steps_at_once(times_ns, waiting)
             outputs += self._advance(times_ns[:count], here)

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import AdcpPing, Applied, Estimate, FilterStatus, ImuSample, LocalisationReport, Truth
+from ltv_mpc.messages import AdcpPing, Applied, Estimate, FilterStatus, ImuSamples, LocalisationReport, Truth
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
@@ -36,10 +36,13 @@ def scaled_doppler(signal):
 
 def wild_accelerometer(signal):
     """Return the sensors with an accelerometer bias that is a hundred times larger."""
-    if isinstance(signal, ImuSample):
-        force = np.array(signal.specific_force_mps2) + 0.98 * np.array([1.0, -1.0, 0.0])
-        return msgspec.structs.replace(signal, specific_force_mps2=tuple(force.tolist()))
-    return signal
+    if not isinstance(signal, ImuSamples):
+        return signal
+    forces = (np.array(sample.specific_force_mps2) + 0.98 * np.array([1.0, -1.0, 0.0]) for sample in signal.samples)
+    biased = zip(signal.samples, forces, strict=True)
+    return ImuSamples(
+        samples=tuple(msgspec.structs.replace(x, specific_force_mps2=tuple(force.tolist())) for x, force in biased)
+    )
 
 
 class Ears:

@@ -1,7 +1,5 @@
 """Consistency of the filter over whole descents, against its covariance and theory; wide limits, few fixed seeds."""
 
-import itertools
-
 import msgspec
 import numpy as np
 import pytest
@@ -15,17 +13,6 @@ from ltv_mpc.messages import Estimate
 EVERY_NS = 10_000_000_000
 
 
-def batches(messages, inbox_of):
-    """Generate the steps in batches, and alone where the filter is graded."""
-    due = []
-    for message in messages:
-        due.append((message.t_ns, inbox_of(message)))
-        if len(due) == 50 or message.t_ns % EVERY_NS < 200_000_000:
-            yield due
-            due = []
-    yield due
-
-
 class Sailed:
     """One descent through the filter: normalised squared errors by quantity and instant, and its estimates."""
 
@@ -36,8 +23,8 @@ class Sailed:
         self.nees = {}  # per degree of freedom
         self.least_eigenvalue = np.inf
         seen = np.zeros(71, dtype=bool)
-        for due in batches(dive.messages, inbox_of):
-            for said in itertools.chain(*self.estimator.steps(due)):
+        for message in dive.messages:
+            for said in self.estimator.step(message.t_ns, inbox_of(message)):
                 if not isinstance(said, Estimate):
                     continue
                 self.estimates[said.t_ns] = said
