@@ -234,8 +234,9 @@ class ControllerNode:
 
     def _states(self, t_ns: int) -> dict[str, HealthState]:
         """Return the health by each input other than estimate's age and mission policy, by name."""
+        reports, ages = self.reports.age, self.controller.config.ages
         return {
-            "actuators": self._health_of_reports(t_ns),
+            "actuators": report_health(silent_ns=reports.silent_ns(t_ns), period_ns=reports.median_ns, ages=ages),
             "plans": self._plan_rejections.health(t_ns),
             "commands": self.controller.actuator_check.health,
             "clock": self._health_of_clock(t_ns),
@@ -245,18 +246,10 @@ class ControllerNode:
             "thrusters": self._health_of_thrusters(),
         }
 
-    def _health_of_reports(self, t_ns: int) -> HealthState:
-        """Return the health by the time since the actuators' last report."""
-        reports, ages = self.reports, self.controller.config.ages
-        silent_ns = reports.silent_ns(t_ns)
-        if silent_ns is None or silent_ns <= ages.degraded_s * 1e9:
-            return NOMINAL  # for any period of the reports
-        return report_health(silent_ns=silent_ns, period_ns=reports.period.median_ns, ages=ages)
-
     def _health_of_report_source(self, t_ns: int) -> HealthState:
         """Return the health by a second source of the actuators' reports, whose frames validation rejects."""
-        why = self.reports.second_source(t_ns)
-        if not why:
+        why = self.reports.contest.second(t_ns)
+        if why is None:
             return NOMINAL
         return HealthState(Health.DEGRADED, f"{SECOND_SOURCE} on {ACTUATORS}{why.removeprefix(SECOND_SOURCE)}")
 

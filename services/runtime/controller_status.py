@@ -99,6 +99,7 @@ class ControllerStatusReporter:
         took_us = sorted(took for _, took in self._cycles)
         node = self._node
         estimate, sources = node.sources.newest, node.sources.selector
+        second = sources.contest.second(t_ns)
         rejected = Counter(validator.rejected_by_reason)
         if node.arbiter.manual_rejected:
             rejected["manual: thrust outside the limits"] = node.arbiter.manual_rejected
@@ -129,7 +130,7 @@ class ControllerStatusReporter:
             inputs=node.inputs(),
             source="" if sources.active is None else sources.active.name,
             source_epoch=0 if sources.active is None else sources.active.epoch,
-            rejected_epoch=sources.second.epoch if sources.second is not None and sources.contested(t_ns) else 0,
+            rejected_epoch=0 if second is None else second.epoch,
             rejected_estimates=sources.rejected,
         )
         if self._changes is not None:
