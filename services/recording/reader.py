@@ -6,9 +6,9 @@ of the file is not needed.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Container, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 from mcap.records import Channel, Metadata
@@ -46,6 +46,27 @@ class StoredMessage(NamedTuple):
     t_ns: int
     crc: int
     data: bytes
+
+    def header(self) -> wire.Header:
+        """Return the header. Raises ``WireError``."""
+        return _decoded(_header, self.data)
+
+    def message(self) -> Message:
+        """Return the message, as it was accepted when it was recorded. Raises ``WireError``."""
+        if self.kind is None:
+            raise wire.WireError(f"{self.key}: no topic has this key")
+        return wire.from_validated_map(self.kind, _decoded(msgspec.json.decode, self.data))
+
+
+_header = msgspec.json.Decoder(wire.Header).decode
+_T = TypeVar("_T")
+
+
+def _decoded(decode: Callable[[bytes], _T], data: bytes) -> _T:
+    try:
+        return decode(data)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:  # not written by a recorder
+        raise wire.WireError(str(error)) from None
 
 
 class Recording:
