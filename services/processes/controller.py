@@ -48,7 +48,6 @@ from services.processes.failed_qps import FailedQps
 from services.run.settings_files import TOO_LARGE, controller_files, node_settings
 from services.runtime import metrics as prometheus
 from services.runtime.console import Console
-from services.runtime.controller_changes import ControllerChanges
 from services.runtime.controller_status import ControllerStatusReporter, StatusSink, status_line
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
@@ -131,7 +130,7 @@ def main(config: Config) -> int:
                 clock=ClockOptions(sync_to_inputs=True, input_delay_ns=round(config.input_delay_s * 1e9)),
                 compute_delay_ns=round(config.compute_delay_s * 1e9),
                 stages=node_stages,
-                report=ControllerStatusReporter(node, shown, ControllerChanges(console.tell), checkpoint),
+                report=ControllerStatusReporter(node, shown, console.tell, checkpoint),
             )
             runner.settings = published
             return runner

@@ -34,7 +34,6 @@ from ltv_mpc.vehicle.reference_point import ReferencePoint
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_sync import ClockOffset
 from services.runtime.console import Level
-from services.runtime.controller_changes import ControllerChanges
 from services.runtime.controller_status import ControllerStatusReporter, status_line
 from services.runtime.metrics import Metrics, serving
 from services.supervisor import loopback
@@ -157,7 +156,7 @@ def test_plans_inputs_and_statuses_reach_the_changes(node: ControllerNode) -> No
     def tell(_level: Level, _kind: str, text: str, **_: object) -> None:
         told.append(text)
 
-    report = ControllerStatusReporter(node, changes=ControllerChanges(tell))
+    report = ControllerStatusReporter(node, tell=tell)
     report.status(0, 0, MessageValidator(), SHARED)
     assert told == ["health: degraded (no estimate yet)", "authority: disarmed"]
     told.clear()
@@ -190,7 +189,7 @@ def test_a_fence_in_force_is_an_event_and_a_change_also_before_the_first_estimat
         told.append(text)
 
     node = ControllerNode(Vehicle.load("paper"), references.load("hover"), ControllerConfig(), fence=fence)
-    report, events = ControllerStatusReporter(node, changes=ControllerChanges(tell)), []
+    report, events = ControllerStatusReporter(node, tell=tell), []
     inboxes: list[list[Message]] = [[], [], [Command(command_id=1, action=Action.FENCE)], []]
     for cycle, inbox in enumerate(inboxes):
         t_ns = cycle * 300_000_000
