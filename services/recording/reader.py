@@ -73,8 +73,8 @@ class Recording:
     """Recording file; iteration reads it from the start.
 
     ``metadata`` is complete once iteration has started, ``others``, the other metadata records by name, and ``cut``
-    after it. Reading ends at the first loss, because the messages behind it would seem to follow those before it; with
-    ``past_losses`` it goes on. ``records`` tells what was lost.
+    after it. Reading ends at the first loss, because the messages behind it would seem to follow those before it;
+    ``past_losses``: it continues there. ``records`` has the losses.
     """
 
     def __init__(self, path: Path, *, past_losses: bool = False) -> None:
