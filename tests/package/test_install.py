@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -50,30 +49,3 @@ def test_the_environment_overrides_the_file_and_install_overrides_global(install
     assert (
         install.sources(":env:.index-url='https://env/simple'\n" + of_file)["UV_DEFAULT_INDEX"] == "https://env/simple"
     )
-
-
-@pytest.mark.parametrize(("keeps_bytecode", "uv", "pip"), [(False, True, "--compile"), (True, False, "--no-compile")])
-def test_bytecode_is_made_where_python_will_not_keep_it(
-    install: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str], keeps_bytecode: bool, uv: bool, pip: str
-) -> None:
-    commands: list[list[str]] = []
-
-    def run(command: list[str], **_: object) -> int:
-        commands.append(command)
-        return int("-e" in command)  # nothing gets installed
-
-    install.LOG = tmp_path / "install.log"
-    install.LOG.write_text("no space left\n")
-    assert install.main(["dev"], keeps_bytecode=keeps_bytecode, run=run) == 1
-    by_uv, by_pip = (command for command in commands if "-e" in command)
-    assert ("--compile-bytecode" in by_uv) is uv
-    assert pip in by_pip
-    assert "no space left" in capsys.readouterr().err
-
-
-def test_the_output_is_in_the_log(install: ModuleType, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    install.LOG = tmp_path / "install.log"
-    command = [sys.executable, "-c", "import sys; print('details'); print('more', file=sys.stderr); sys.exit(3)"]
-    assert install.logged(command) == 3
-    assert sorted(install.LOG.read_text().split()) == ["details", "more"]
-    assert capfd.readouterr() == ("", "")

@@ -217,13 +217,6 @@ def test_a_stronger_plant_delivers_no_more_than_its_limits():
     assert ratio < 1.04
 
 
-def test_two_plants_with_one_seed_are_equal_bit_for_bit():
-    inboxes = {k * 300 * MS: [arrival(k * 300 * MS, RAMP, sequence=k)] for k in range(5)}
-    one, two = (run(plant_of(scenario()), 2 * S, inboxes) for _ in range(2))
-    encode = msgspec.json.Encoder(enc_hook=to_wire).encode
-    assert [encode(x) for x in one] == [encode(x) for x in two]
-
-
 def test_the_descent_takes_two_hundred_seconds_for_forty_metres():
     plans = {0: [arrival(0, [[0, 0, 0], [0, 0, 30], [0, 0, 60], *[[0, 0, 62.5]] * 17])]}
     plans |= {t_ns: [arrival(t_ns, [[0, 0, 62.5]] * 20, sequence=t_ns // S)] for t_ns in range(4 * S, 200 * S, 4 * S)}

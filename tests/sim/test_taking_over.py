@@ -76,12 +76,7 @@ def fly(
         operator,
         ControllerNode(VEHICLE, references.load("descent"), scenario.controller),
     ]
-    lockstep = LockStep(
-        nodes,
-        start_ns=scenario.start_ns,
-        compute_delay_ns=DELAY_NS,
-        observation=Observation(seen),
-    )
+    lockstep = LockStep(nodes, start_ns=scenario.start_ns, compute_delay_ns=DELAY_NS, observation=Observation(seen))
     lockstep.advance(round(until_s * S))
     return seen, operator.answers
 

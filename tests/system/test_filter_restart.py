@@ -82,10 +82,7 @@ def led(request):
     nodes = [Led(n, alter, to_s) if n.name == "sensors" else n for n in make_nodes(run_config)]
     ears = Ears()
     LockStep(
-        nodes,
-        start_ns=run_config.scenario.start_ns,
-        latest=lockstep_run.LATEST,
-        observation=Observation(ears),
+        nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observation=Observation(ears)
     ).advance(end_s * SECOND)
     return run_config, ears
 

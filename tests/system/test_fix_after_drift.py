@@ -46,10 +46,7 @@ def run():
     nodes = [WithoutFixes(n) if n.name == "sensors" else n for n in make_nodes(run_config)]
     ears = Ears()
     LockStep(
-        nodes,
-        start_ns=run_config.scenario.start_ns,
-        latest=lockstep_run.LATEST,
-        observation=Observation(ears),
+        nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observation=Observation(ears)
     ).advance(END_S * SECOND)
     return run_config, ears.heard
 

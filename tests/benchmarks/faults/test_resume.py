@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.faults import campaign
-from benchmarks.faults.draw import Run
 from benchmarks.faults.judge import Errors, FaultOutcome
 from benchmarks.faults.kinds import Fault, Place
-from benchmarks.faults.process_runs import Ended
-from benchmarks.faults.recorded import Injected
 from services.tools.batch.results_store import NAME, open_store
 
 NOTHING = Errors(np.arange(3.0), np.ones(3), np.zeros((3, 2)), np.zeros(3, dtype=bool))
@@ -76,29 +72,3 @@ def test_runs_of_processes_are_made_once_and_kept_only_after_a_violation(tmp_pat
     assert results(plan, tmp_path, again) == found
     assert again.made == ["node-001"]
     assert len(found) == 14
-
-
-def test_processes_without_a_recording_are_no_baseline_and_the_last_fault_is_blamed(tmp_path):
-    (task, *_) = campaign.plan("message_loss", "processes", 2, seed=3).tasks
-    ended = Ended([Injected(fault, fault.start_ns) for fault in task.run.faults], "exit code 1")
-    found = campaign.verdict(campaign.Job(task, tmp_path), ended)
-    assert [one.uncontrolled for one in found] == ["", "exit code 1"]
-    alone = task._replace(run=Run(seed=1, faults=(), duration_s=9.0))
-    with pytest.raises(campaign.Unmeasured, match="exit code 1"):
-        campaign.verdict(campaign.Job(alone, tmp_path), ended)
-
-
-def test_errors_without_faults_are_restored_from_the_store(tmp_path):
-    """Errors of a run without any estimate too."""
-    empty = Errors(np.empty(0), np.empty(0), np.empty((0, 2)), np.empty(0, dtype=bool))
-    fault = Fault(kind="external_force", target="vehicle", start_s=1.0, end_s=2.0, size=3.0, seed=4)
-    with open_store(tmp_path, {}) as store:
-        store.append("without-lockstep-3001", empty)
-        store.append("lockstep-000", [seen(fault, ratio=math.inf)])
-        store.append("without-lockstep-3000", NOTHING)
-        found = campaign.without_faults(store)
-    assert list(found) == ["without-lockstep-3000", "without-lockstep-3001"]
-    for here, there in zip(found.values(), (NOTHING, empty), strict=True):
-        for a, b in zip(here, there, strict=True):
-            np.testing.assert_array_equal(a, b)
-            assert (a.shape, a.dtype) == (b.shape, b.dtype)

@@ -16,16 +16,7 @@ from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import write_prior
-from ltv_mpc.messages import (
-    AdcpPing,
-    Array,
-    CompassHeading,
-    GnssFix,
-    ImuSample,
-    Message,
-    PressureDepth,
-    TdcpFix,
-)
+from ltv_mpc.messages import AdcpPing, Array, CompassHeading, GnssFix, ImuSample, Message, PressureDepth, TdcpFix
 from ltv_mpc.node import ReceivedMessage
 from tests.stepping import as_sent
 

@@ -130,9 +130,7 @@ def test_without_an_estimate_or_its_standard_deviations_nothing_was_learned() ->
     assert heard() is None
 
 
-def test_a_run_saves_its_last_profile_and_its_recording_yields_the_same(
-    recorded: tuple[RunConfig, RunFolder],
-) -> None:
+def test_a_run_saves_its_last_profile_and_its_recording_yields_the_same(recorded: tuple[RunConfig, RunFolder]) -> None:
     here, place = recorded
     saved = read_prior(place.currents)
     end = [message for message in Recording(place.recording) if message.kind is Estimate][-1].typed()[0]

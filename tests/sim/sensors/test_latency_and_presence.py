@@ -58,12 +58,7 @@ USBL = Usbl(
     outlier_m=0.0,
 )
 BED = BottomTracking(
-    period_ns=333_333_333,
-    range_m=20.0,
-    beam_noise_sd_mps=0.0015,
-    missing_share=0.0,
-    outlier_share=0.0,
-    outlier_mps=0.0,
+    period_ns=333_333_333, range_m=20.0, beam_noise_sd_mps=0.0015, missing_share=0.0, outlier_share=0.0, outlier_mps=0.0
 )
 
 
@@ -175,8 +170,7 @@ def test_a_range_is_published_when_the_reply_arrives():
 
 
 @pytest.mark.parametrize(
-    ("name", "table", "kind"),
-    [("bottom_track", BED, BottomTrack), ("lbl", LBL, LblRange), ("usbl", USBL, UsblFix)],
+    ("name", "table", "kind"), [("bottom_track", BED, BottomTrack), ("lbl", LBL, LblRange), ("usbl", USBL, UsblFix)]
 )
 def test_an_additional_sensor_publishes_and_does_not_change_the_others(name, table, kind):
     with_it = msgspec.structs.replace(PLAIN, **{name: table})

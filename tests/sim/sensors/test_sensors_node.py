@@ -88,15 +88,6 @@ def test_sample_times_are_whole_multiples_of_each_period():
     assert [rejection_reason(x) for x in said] == [None] * len(said)
 
 
-@pytest.mark.parametrize("name", ["paper", "realistic"])
-def test_two_nodes_with_one_seed_publish_the_same_bits(name):
-    settings, suite = scenario(seed=5), SensorConfig.load(name)
-    world = truths(settings, 2 * S)
-    one, two = (encode(measured(settings, suite, world)) for _ in range(2))
-    assert one == two
-    assert encode(measured(scenario(seed=6), suite, world)) != one
-
-
 @pytest.mark.parametrize("changed", ["imu", "gnss", "tdcp", "adcp", "pressure", "compass"])
 def test_a_change_of_one_sensor_does_not_change_the_others(changed):
     settings, world = scenario(), truths(scenario(), 2 * S)

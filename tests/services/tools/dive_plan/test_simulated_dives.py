@@ -19,8 +19,8 @@ from sim.evaluation.consistency import band
 from sim.scheduler import LockStep, Observation
 from sim.sensors.node import Sensors
 
-DURATION_S, DEPTH_M, DIVES = 8.0, 1.6, 24
-SENSORS = ("paper", "examples/sensors/own_adcp.toml", "examples/sensors/600_khz.toml")
+DURATION_S, DEPTH_M, DIVES = 8.0, 1.6, 16
+SENSORS = ("paper", "examples/sensors/600_khz.toml")
 
 
 class Track:
