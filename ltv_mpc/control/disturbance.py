@@ -12,7 +12,7 @@ the controller predicts and plans with the model that it has learned.
 
 When the vehicle drifts with the water, drag is zero to first order, so b is unobservable; its variance is then bounded
 by the prior. A steady course shows nothing of l and q. An arm is used as far as it is significant, so that a vehicle
-with the declared point keeps it (``_significant``). What was tried: docs/notes/lever-arm.md, docs/notes/wrong-file.md.
+with the declared point keeps it (``_significance``). What was tried: docs/notes/lever-arm.md, docs/notes/wrong-file.md.
 
 A thruster that delivers less than it reports looks like a current, and so do actuators that follow no plan. While a
 loss of thrust is in doubt (``thrust_loss_detector.py``), the belief is that of ``DOUBTED_ESTIMATES`` before, and it is
@@ -199,16 +199,6 @@ class DisturbanceObserver:
         return self._belief[1][CURRENT:ARM, CURRENT:ARM].copy()
 
     @property
-    def lever_arm(self) -> Belief:
-        """Estimated lever arm (2,), forward and starboard (m), and its covariance (2, 2) (m^2)."""
-        return self._belief[0][ARM:MODEL].copy(), self._belief[1][ARM:MODEL, ARM:MODEL].copy()
-
-    @property
-    def model(self) -> Belief:
-        """Learned model q (8,) and its covariance (8, 8), as at the head of ``disturbance_filter.py``."""
-        return self._belief[0][MODEL:].copy(), self._belief[1][MODEL:, MODEL:].copy()
-
-    @property
     def coefficients(self) -> Array:
         """Coefficients (21,) of the vehicle with the learned model."""
         adapted_to: Array = adapted(self._file, self._belief[0][MODEL:])
@@ -290,7 +280,9 @@ class DisturbanceObserver:
     def arm_in_use(self) -> ReferencePoint:
         """Lever arm that corrects the estimates: the significant part of the estimated one."""
         mean, P = self._belief
-        forward_m, starboard_m = (_significant(float(mean[i]), float(P[i, i])) for i in (ARM, ARM + 1))
+        forward_m, starboard_m = (
+            float(mean[i]) * _significance(float(mean[i] ** 2 / max(P[i, i], 1e-30))) for i in (ARM, ARM + 1)
+        )
         return ReferencePoint(forward_m=forward_m, starboard_m=starboard_m)
 
     def take_back(self, t_ns: int) -> None:
@@ -406,13 +398,6 @@ def _with_motion(estimate: Estimate, north: float, east: float, yaw_rate: float)
 def _motion(estimate: Estimate) -> tuple[float, float, float]:
     """Return velocity north and east (m/s), and yaw rate (rad/s)."""
     return estimate.velocity_north_mps, estimate.velocity_east_mps, estimate.yaw_rate_radps
-
-
-def _significant(arm_m: float, variance: float) -> float:
-    """Return the part of a component of the lever arm (m) that is used, by its variance (m^2)."""
-    if arm_m == 0.0 or variance <= 0.0:
-        return 0.0
-    return arm_m * _significance(arm_m * arm_m / variance)
 
 
 def _significance(square: float) -> float:

@@ -32,7 +32,7 @@ from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.health import NOMINAL, PREDICTED_TOO_FAR, HealthState, health, worst
-from ltv_mpc.safety.stamp_check import StampCheck
+from ltv_mpc.safety.motion_fit import MotionFit
 from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -95,8 +95,8 @@ class EstimateSelector:
         """Plausibility check, with the count of rejected estimates."""
         self.vehicle_file_check = VehicleFileCheck()
         """Check of the vehicle file against what the motion shows."""
-        self.stamp_check = StampCheck(vehicle)
-        """Check of the stamps of the estimates against the motion."""
+        self.motion_fit = MotionFit(vehicle)
+        """Vehicle, sea and stamps that explain the motion."""
         self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
         """Check of the actuators' reports: whether the motion of the estimates comes from the plans."""
         self._vehicle, self._positions = vehicle, PositionFilter()
@@ -125,7 +125,7 @@ class EstimateSelector:
         """Begin with another source of estimates."""
         self.gate.restart()
         self._positions = PositionFilter()
-        self.vehicle_file_check, self.stamp_check = VehicleFileCheck(), StampCheck(self._vehicle)
+        self.vehicle_file_check, self.motion_fit = VehicleFileCheck(), MotionFit(self._vehicle)
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest plausible estimate, and by ``limit_growth``.

@@ -25,7 +25,7 @@ from ltv_mpc.control.solvers.sweep import Sweep
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Solve, SolveStatus
 
-FIRST_SWEEPS = 3
+FIRST_SWEEPS = 14
 """Limit of the active-set sweeps with the last solve's rows."""
 
 MAX_SWEEPS = 60

@@ -142,6 +142,21 @@ def drawn(view: LiveView, limits: Sequence[tuple[float, float]] = LIMITS) -> lis
     return capture.get().splitlines()
 
 
+def test_beside_a_boat_the_screen_has_what_a_boat_has() -> None:
+    boat = dataclasses.replace(
+        FULL,
+        end_ns=None,
+        truth=None,
+        localisation=None,
+        estimate=msgspec.structs.replace(FULL.estimate, depth_m=None, current=None),
+    )
+    text = "\n".join(drawn(boat, []))
+    assert "port" in text
+    assert "starboard" in text
+    for of_a_dive in ("vertical", "depth", "filter", "current"):
+        assert of_a_dive not in text
+
+
 @pytest.mark.parametrize("view", [FULL, EMPTY], ids=["full", "empty"])
 def test_the_screen_fits_80_by_24(view: LiveView) -> None:
     lines = drawn(view)
