@@ -17,7 +17,6 @@ from ltv_mpc.messages import Action, Plan, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.reference_point import ReferencePoint
 from tests.ltv_mpc.reports import report
-from tests.stepping import step
 
 PAPER = Vehicle.load("paper")
 ON = Disturbance(sd_mps=0.1)
@@ -269,7 +268,7 @@ def largest_bias(share: float) -> float:
         applied = report(t_ns, reported, commands.at(np.array([t_ns]))[0])
         vehicle.add_report(applied)
         inbox = [ReceivedMessage(applied, 1, k, t_ns), ReceivedMessage(truth, 1, k, t_ns)]
-        (plan,) = (message for message in step(node, t_ns, inbox) if isinstance(message, Plan))
+        (plan,) = (message for message in node.step(t_ns, inbox) if isinstance(message, Plan))
         commands.add(plan)
         end = vehicle.state_at(truth, t_ns + 300_000_000, commands)
         truth, reported = as_estimate(end, truth), np.array([*end.X[6:] / shares, end.vertical_N])

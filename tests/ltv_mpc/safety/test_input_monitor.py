@@ -5,7 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.safety.input_monitor import CLOCK_SET_BACK_NS, CONTESTED_NS, InputMonitor, Period
+from ltv_mpc.safety.input_age import CONTESTED_NS, InputAge
+from ltv_mpc.safety.input_monitor import CLOCK_SET_BACK_NS, InputMonitor
 
 MS = 1_000_000
 
@@ -18,14 +19,14 @@ def received(*stamps_ms: float, epoch: int = 7, delay_ms: float = 0.0) -> InputM
 
 
 def test_the_period_is_the_median_spacing_despite_losses_and_bursts():
-    period = Period()
-    assert period.median_ns == 0
+    age = InputAge()
+    assert age.median_ns == 0
     for t_ms in (0, 200, 400, 600, 1400, 1401, 1402, 1600, 1800, 2000):
-        period.add(t_ms * MS)
-    assert period.median_ns == 200 * MS
+        age.add(t_ms * MS)
+    assert age.median_ns == 200 * MS
     for t_ms in range(2020, 2200, 20):
-        period.add(t_ms * MS)
-    assert period.median_ns == 20 * MS
+        age.add(t_ms * MS)
+    assert age.median_ns == 20 * MS
 
 
 def test_before_the_first_message_every_flag_is_false():
@@ -36,7 +37,7 @@ def test_alive_is_by_arrival_and_valid_by_stamp():
     late = received(*range(0, 1000, 100), delay_ms=700)  # each 0.7 s old when it comes
     assert late.state_at(1650 * MS)[:3] == (True, False, True)
     assert late.state_at(2200 * MS)[:3] == (False, False, True)
-    assert late.silent_ns(1650 * MS) == 50 * MS
+    assert late.age.silent_ns(1650 * MS) == 50 * MS
     prompt = received(*range(0, 1000, 100))
     assert prompt.state_at(1400 * MS)[:3] == (True, True, True)
     assert prompt.state_at(1400 * MS + 1)[:3] == (False, False, True)
@@ -84,10 +85,10 @@ def test_a_second_source_is_named_while_both_publish():
     of = received(0, 100, 200)
     of.reject(why)
     of.reject("out of order: sequence 1 after 2")
-    assert of.second_source(250 * MS) == ""  # the first one may have ended
+    assert of.contest.second(250 * MS) is None  # the first one may have ended
     assert of.receive(epoch=7, sequence=3, stamp_ns=300 * MS, received_ns=300 * MS)
-    assert of.second_source(300 * MS + CONTESTED_NS) == why
-    assert of.second_source(301 * MS + CONTESTED_NS) == ""
+    assert of.contest.second(300 * MS + CONTESTED_NS) == why
+    assert of.contest.second(301 * MS + CONTESTED_NS) is None
 
 
 def test_a_clock_that_jumps_ahead_and_returns_has_no_lasting_effect():
@@ -98,7 +99,7 @@ def test_a_clock_that_jumps_ahead_and_returns_has_no_lasting_effect():
         assert of.rejected == 1
         assert of.receive(epoch=7, sequence=4, stamp_ns=400 * MS, received_ns=400 * MS)
         assert of.state_at(400 * MS).valid
-        assert of.silent_ns(450 * MS) == 50 * MS
+        assert of.age.silent_ns(450 * MS) == 50 * MS
 
 
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 9), st.integers(0, 2000)), max_size=30))

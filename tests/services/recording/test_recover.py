@@ -13,13 +13,14 @@ from mcap.reader import make_reader
 
 from ltv_mpc.errors import ConfigError
 from services.recording import recover
+from services.recording.reader import Recording
 from services.recording.records import MAGIC, MAX_CHUNK_BYTES, Records
-from services.recording.recover import Recovery, SegmentReader, recovered_path, segments
+from services.recording.recover import Recovery, recovered_path, segments
 from tests.services.recording.recordings import START_NS, depth, write, write_depths
 
 
 def messages(path: Path) -> list[tuple[str, int, bytes]]:
-    return [(line.key, line.t_ns, line.data) for line in SegmentReader(path)]
+    return [(line.key, line.t_ns, line.data) for line in Recording(path, past_losses=True).stored()]
 
 
 def chunks(path: Path) -> list[tuple[int, int]]:
@@ -122,7 +123,7 @@ def test_recovery_keeps_the_run_s_metadata_and_each_frame_s_checksum(tmp_path: P
     path = write_depths(tmp_path / "run.mcap", range(500))
     path.write_bytes(path.read_bytes()[:-200])
     made = recovered(path)
-    lines = SegmentReader(Path(made.file))
+    lines = Recording(Path(made.file), past_losses=True)
     assert len(list(lines)) == 500
     assert lines.metadata["seed"] == "7"
     assert lines.others == {"recovery": {"run.mcap": f"500 messages, {made.lost_bytes} bytes lost"}}
