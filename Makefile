@@ -41,8 +41,10 @@ sim-secure: .venv/installed  ## the same under mTLS and access control, with cer
 
 # Types beside the tests: each leaves a core idle for a while.
 check: .venv/installed  ## the inner loop, a minute: lint, types, import contracts, the tests nearest to what changed
-	@set -e; $(BIN)/ruff check .; $(BIN)/ruff format --check .; $(BIN)/codespell; $(BIN)/lint-imports >/dev/null || $(BIN)/lint-imports; \
-	$(BIN)/mypy & types=$$!; $(BIN)/python -P -m tests.nearest; wait $$types
+	@set -e; $(BIN)/ruff check .; $(BIN)/ruff format --check .; $(BIN)/codespell; \
+	$(BIN)/lint-imports >/dev/null || $(BIN)/lint-imports; \
+	$(BIN)/mypy & types=$$!; trap 'kill $$types 2>/dev/null' EXIT; \
+	$(BIN)/python -P -m tests.nearest; wait $$types; trap - EXIT
 
 # Where Python is told to keep no bytecode, each worker and each process of a test would compile its modules again.
 # Types are checked beside the tests, some of which wait.

@@ -32,9 +32,10 @@ import numpy as np
 
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, NIS, STATES, adapted, propagate, update_belief
-from ltv_mpc.control.prediction import Prediction, current_at_depth, profile_of
+from ltv_mpc.control.prediction import Prediction, currents_at_depths
+from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.messages import Array, CurrentProfile, DisturbanceState, Estimate
+from ltv_mpc.messages import Array, CurrentProfile, DisturbanceState, Estimate, Pair
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.reference_point import ReferencePoint
@@ -71,9 +72,13 @@ same way the bias of a profile is used.
 """
 
 HEADING_FREE_SHARE, SHIFT_TIME_S, SHIFT_WAY_M = 0.03, 15.0, 2.0
-"""Speed through the water over the top speed, below which the heading is free; and time or way in which the estimated
-point is brought to where the origin is. In a current, or on a path, the heading is given, so the estimated point is the
-one that is held. At rest in still water a target that turns with the vehicle would make it turn for ever.
+"""Speed through the water in units of V (scaling.py), below which the heading is free, and turning rate in 1 / T, above
+which it changes; and time or way in which the estimated point is brought to where the origin is.
+"""
+
+REST_M = 0.1
+"""Distance from a point within which a vehicle rests in still water. Closer, an error of the estimated point would make
+it turn for ever, or drive to and fro: it turns its bow to a target that turns with it.
 """
 
 VELOCITY_ERROR_TIME_S = 3.0
@@ -98,14 +103,14 @@ Belief: TypeAlias = tuple[Array, Array]
 
 
 @cache
-def heading_free_mps(vehicle: Vehicle) -> float:
-    """Return the speed through the water below which the heading of a vehicle at a point is free (m/s).
+def heading_free(vehicle: Vehicle) -> Pair:
+    """Return the speed (m/s) below which the heading of a vehicle at a point is free, and the turning rate (rad/s).
 
     Parameters
     ----------
-    vehicle : gives the top speed.
+    vehicle : gives the scales.
     """
-    return HEADING_FREE_SHARE * path_limits(vehicle).top_mps
+    return HEADING_FREE_SHARE * path_limits(vehicle).top_mps, HEADING_FREE_SHARE / characteristic_scales(vehicle).time_s
 
 
 def velocity_variance(estimate: Estimate) -> float:
@@ -144,7 +149,7 @@ class DisturbanceObserver:
         top_mps = path_limits(vehicle).top_mps
         noise_mps = settings.noise_mps or NOISE_SHARE * top_mps
         self._noise = noise_mps**2, NOISE_RADPS**2, settings.max_mps or top_mps
-        self._heading_free_mps = heading_free_mps(vehicle)
+        self._heading_free = heading_free(vehicle)
         self._file = np.array(vehicle.coefficients())
         port, starboard = (thruster.max_N * thruster.arm_m for thruster in vehicle.thrusters[:2])
         learns_model = settings.model_sd > 0.0
@@ -162,7 +167,7 @@ class DisturbanceObserver:
         # Noise, as ``update_belief`` takes it; and the model's error (m/s^2): mean ahead, to starboard, largest.
         self._track = np.zeros((5, 3))
         self._last: tuple[Estimate, Estimate] | None = None  # as it was given, and with filtered velocities
-        self._shift = np.zeros(2)  # from the origin to the point that is held in its place, north and east (m)
+        self._shift = 0j  # from the origin to the point that is held in its place, north + j east (m)
         # After each update, the oldest first: time of the estimate, belief.
         self._before: deque[tuple[int, Belief]] = deque(maxlen=DOUBTED_ESTIMATES)
         self.thrust_in_doubt = False
@@ -215,8 +220,7 @@ class DisturbanceObserver:
         """
         if self._last is None or self._settings.sd_mps == 0 or self._trusts(self._last[0]):
             return np.zeros((2, 2))
-        last = self._last[0]
-        sinking_m = abs(last.velocity_down_mps or 0.0) * seconds
+        sinking_m = abs(self._last[0].velocity_down_mps or 0.0) * seconds
         return self.covariance + self._walk(seconds, sinking_m) / 3.0 * np.eye(2)
 
     def correct(
@@ -262,26 +266,35 @@ class DisturbanceObserver:
         return self._at_held_point(at_origin, estimate, interval_ns * 1e-9)
 
     def _at_held_point(self, at_origin: Estimate, estimate: Estimate, seconds: float) -> Estimate:
-        """Return the estimate of the origin, moved towards the estimated point as far as the heading is given."""
-        arm = np.array((estimate.north_m - at_origin.north_m, estimate.east_m - at_origin.east_m))
-        if not arm.any() and not self._shift.any():
+        """Return the estimate of the origin, moved by the shift to the point that is held in its place.
+
+        In a current, and on a path, the vehicle lies along the velocity w through the water, so the shift becomes the
+        arm in that direction. If it followed the heading, it would swing with it, and the vehicle with the shift. In
+        still water the heading is the only direction. There the shift becomes what of the arm is longer than
+        ``REST_M``, and waits while the vehicle turns: a target that turns with it would make it turn for ever.
+        """
+        arm = complex(self.arm_in_use.forward_m, self.arm_in_use.starboard_m)
+        if not arm and not self._shift:
             return at_origin
-        over_ground = np.array((at_origin.velocity_north_mps, at_origin.velocity_east_mps))
-        current = profile_of(at_origin)
-        c = current_at_depth(current.depth_m, current.north_mps, current.east_mps, estimate.depth_m or 0.0)
-        square = float(((over_ground - c) ** 2).sum())
-        rate = 1.0 / SHIFT_TIME_S + float(np.hypot(*over_ground)) / SHIFT_WAY_M
-        given = square / (square + self._heading_free_mps**2)
-        self._shift += min(seconds * rate, 1.0) * (given * arm - self._shift)
-        north_m, east_m = (self._shift + np.array((at_origin.north_m, at_origin.east_m))).tolist()
-        return msgspec.structs.replace(at_origin, north_m=north_m, east_m=east_m)
+        over_ground = complex(at_origin.velocity_north_mps, at_origin.velocity_east_mps)
+        c = currents_at_depths(at_origin.current, np.array([estimate.depth_m or 0.0]))[0]
+        w, bow = over_ground - complex(*c), complex(math.cos(estimate.heading_rad), math.sin(estimate.heading_rad))
+        free_mps, free_radps = self._heading_free
+        given = abs(w) ** 2 / (abs(w) ** 2 + free_mps**2)
+        along = (w * bow.conjugate()).real * w * arm / (abs(w) ** 2 + free_mps**2)  # also with the stern first
+        beyond = bow * arm * (1.0 - REST_M / max(abs(arm), REST_M))
+        rests = (1.0 - given) / (1.0 + (estimate.yaw_rate_radps / free_radps) ** 2)
+        share = min(seconds * (1.0 / SHIFT_TIME_S + abs(over_ground) / SHIFT_WAY_M), 1.0)
+        self._shift += share * (along - given * self._shift + rests * (beyond - self._shift))
+        held = complex(at_origin.north_m, at_origin.east_m) + self._shift
+        return msgspec.structs.replace(at_origin, north_m=held.real, east_m=held.imag)
 
     @property
     def arm_in_use(self) -> ReferencePoint:
         """Lever arm that corrects the estimates: the significant part of the estimated one."""
         mean, P = self._belief
         forward_m, starboard_m = (
-            float(mean[i]) * _significance(float(mean[i] ** 2 / max(P[i, i], 1e-30))) for i in (ARM, ARM + 1)
+            float(mean[i]) * _significance(float(mean[i] ** 2 / max(P[i, i], 1e-12))) for i in (ARM, ARM + 1)
         )
         return ReferencePoint(forward_m=forward_m, starboard_m=starboard_m)
 
@@ -338,8 +351,7 @@ class DisturbanceObserver:
 
     def save(self) -> DisturbanceState:
         """Return the belief, from which another observer continues."""
-        mean, P = self._belief
-        return DisturbanceState(mean=mean.copy(), covariance=P.copy())
+        return DisturbanceState(mean=self._belief[0].copy(), covariance=self._belief[1].copy())
 
     def restore(self, state: DisturbanceState | None, age_ns: int) -> None:
         """Continue from the belief of another observer.

@@ -63,7 +63,12 @@ NO_PATH = np.empty((0, 2))
 
 
 def bounds_track(scene: Scene) -> bool:
-    """Return True if a scene has a zone, an obstacle or a corridor."""
+    """Return True if a scene has a zone, an obstacle or a corridor.
+
+    Parameters
+    ----------
+    scene : of a cycle.
+    """
     return len(scene.need) > 0 or len(scene.discs) > 0 or len(scene.path) > 1
 
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from ltv_mpc.control import nominal
 from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
-from ltv_mpc.control.disturbance import heading_free_mps
+from ltv_mpc.control.disturbance import REST_M, heading_free
 from ltv_mpc.control.fallback import Fallback, LateralPlan, PreviousPlan
 from ltv_mpc.control.fencing import Fencing
 from ltv_mpc.control.horizon_limits import HorizonLimits
@@ -54,11 +54,9 @@ BINDING = 1e-3
 MAX_WHY_CHARS = 200
 """Longest text of an exception in a plan."""
 
-
-REST_M, RESTING_MPS = 0.05, 0.01
-"""Distance from a point within which a vehicle rests in still water, at a sinking speed below the second. Closer, an
-error of the estimated point would make it turn for ever, or drive to and fro: it turns its bow to a target that turns
-with it. In a current, which gives the heading, the distance is less.
+RESTING_MPS, RESTLESS = 0.01, 2.5
+"""Sinking speed up to which a vehicle rests, and how soon a current that gives the heading ends that: the square of its
+speed, in units of ``heading_free``, times this.
 """
 
 
@@ -142,7 +140,7 @@ class LateralPlanner:
         plan = self.previous.plan
         if abs(start.sinking_mps) < RESTING_MPS and self._config.weights.heading_per_rad2 == 0.0:
             current_mps = math.hypot(start.current_north_mps, start.current_east_mps)
-            radius_m = max(radius_m, REST_M / (1.0 + (current_mps / heading_free_mps(self._vehicle)) ** 2))
+            radius_m = max(radius_m, REST_M / (1.0 + RESTLESS * (current_mps / heading_free(self._vehicle)[0]) ** 2))
         if radius_m == 0.0 or plan is None:
             return
         stages = (start.t_ns - int(plan.t_ns[0])) / STAGE_NS

@@ -31,7 +31,7 @@ from ltv_mpc.references.follower import Follower
 from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
-from ltv_mpc.safety.health import NOMINAL, PREDICTED_TOO_FAR, HealthState, health, worst
+from ltv_mpc.safety.health import PREDICTED_TOO_FAR, HealthState, health, worst
 from ltv_mpc.safety.motion_fit import MotionFit
 from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -101,7 +101,6 @@ class EstimateSelector:
         """Check of the actuators' reports: whether the motion of the estimates comes from the plans."""
         self._vehicle, self._positions = vehicle, PositionFilter()
         self._ages = config.ages
-        self._fresh_ns = round(config.ages.degraded_s * 1e9)
         self._without = health(age_ns=None, period_ns=0)  # health before the first plausible estimate
         self._uncertain: Estimate | None = None  # the last one from which the prediction grew too uncertain
         self.growth_m = 0.0
@@ -138,9 +137,7 @@ class EstimateSelector:
         if estimate is None:
             return self._without
         age_ns = t_ns - estimate.t_ns
-        if -self._fresh_ns <= age_ns <= self._fresh_ns:
-            return NOMINAL  # for any period of the estimates
-        state = health(age_ns=age_ns, period_ns=self.gate.period.median_ns, ages=self._ages)
+        state = health(age_ns=age_ns, period_ns=self.gate.age.median_ns, ages=self._ages)
         if estimate is self._uncertain and state.health is Health.DEGRADED:
             return HealthState(Health.HOLD, PREDICTED_TOO_FAR)
         return state

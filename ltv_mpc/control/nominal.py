@@ -91,9 +91,11 @@ def _measure(packed: Array, X: Array, U: Array, C: Array, target: Array) -> tupl
     return cost(X, U, C, target, c.objective), end.stuck, end.tail_cost
 
 
-def _score(cycle: Cycle, X: Array, U: Array) -> Score:
-    """Return the score of a trajectory."""
+def _score(cycle: Cycle, X: Array, U: Array, most: float = math.inf) -> Score:
+    """Return the score of a trajectory; ``UNKNOWN`` if its terms cost more than ``most``."""
     of_terms, stuck, tail = _measure(cycle.packed, X, U, cycle.lin.C, cycle.target)
+    if of_terms > most:
+        return UNKNOWN
     scene = cycle.scene  # without zones a call with its arrays takes longer than the rest of the score
     zones = fence_cost(X, scene, cycle.knots, cycle.position_scale_m) if bounds_track(scene) else 0.0
     return Score(of_terms + cycle.further.cost(X, U), zones, stuck, tail)
@@ -130,8 +132,8 @@ def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was
     for other_kind in (STEERED_AHEAD,) if cycle.bow_first else (STEERED_AHEAD, STEERED_ASTERN):
         X, U = np.empty_like(lin.X), np.empty_like(lin.U)
         steering_guess(cycle.packed, start, cycle.target, other_kind == STEERED_ASTERN, lin.C, X, U)
-        other = _score(cycle, X, U)
-        if not best.stuck and other.cost > best.cost + best.fence:
+        other = _score(cycle, X, U, math.inf if best.stuck else best.cost + best.fence)
+        if other is UNKNOWN:
             continue
         if was_clear and kind == PREVIOUS_PLAN and other.fence > FAR_LESS * best.fence:
             continue

@@ -109,7 +109,12 @@ def coefficients_of(packed: Array) -> Array:
 
 
 def bow_first(packed: Array) -> bool:
-    """Return True if packed constants have a lower limit of surge that lets the vehicle not go astern."""
+    """Return True if packed constants have a lower limit of surge that lets the vehicle not go astern.
+
+    Parameters
+    ----------
+    packed : packed constants.
+    """
     return bool(packed[20] >= 0.0)
 
 

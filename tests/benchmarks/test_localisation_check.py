@@ -57,43 +57,6 @@ def test_drift_is_held_against_the_bound_and_against_the_velocity_error() -> Non
     assert check.failed(result) == []
 
 
-def test_what_is_not_held_is_named() -> None:
-    work = check.jobs("descent", (), first_seed=0, runs=40)
-    rng = np.random.default_rng(3)
-    seconds = [*range(200)]
-    bad = [
-        record((2.0, 2.0), (5e-3, 5e-3))._replace(
-            nees={
-                "heading": squares([0, 1], [4.0 * rng.chisquare(1)] * 2, [1, 1]),
-                "cells": squares(seconds, (1.2 * rng.chisquare(20, 200)).tolist(), [20] * 200),
-            },
-            nis={"gnss": squares(seconds, rng.chisquare(3, 200).tolist(), [3] * 200)},
-            min_eigenvalue=-1e-9,
-        )
-        for _ in range(40)
-    ]
-    problems = check.failed(check.result(bad, work, wall_s=1.0))
-    assert [problem.split(" ")[:3] for problem in problems] == [
-        ["drift", "over", "bound"],
-        ["NEES", "of", "heading"],
-        ["NEES", "of", "cells"],
-        ["share", "of", "instants"],
-        ["a", "covariance", "is"],
-    ]
-
-
-def test_a_run_that_lacks_an_instant_adds_nothing_to_it() -> None:
-    runs = [
-        {"lbl": squares([1, 2, 2], [1.0, 2.0, 3.0], [1, 1, 1])},  # two ranges of one instant
-        {"lbl": squares([2, 3, 4], [5.0, 0.0, 7.0], [2, 0, 1])},
-        {},
-    ]
-    graded = check.over_runs(runs)["lbl"]
-    assert graded.t_s.tolist() == [1.0, 2.0, 4.0]
-    assert graded.consistency.total.tolist() == [1.0, 10.0, 7.0]
-    assert graded.consistency.dof.tolist() == [1, 4, 1]
-
-
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("short") / "short.toml"

@@ -25,7 +25,7 @@ class ThroughNode(Ours):
     def plan(self, estimate: Estimate, t_ns: int, applied: Applied | None):
         """Return the plan of one cycle."""
         inbox = [ReceivedMessage(m, 1, len(self.said), t_ns) for m in (estimate, applied) if m is not None]
-        [messages] = self.node.steps([(t_ns, inbox)])
+        messages = self.node.step(t_ns, inbox)
         plan = next(message for message in messages if isinstance(message, Plan))
         checks = [message.why for message in messages if isinstance(message, ModelCheck)]
         self.said.append((t_ns * 1e-9, "; ".join([plan.health_why, *checks])))

@@ -33,8 +33,8 @@ ENOUGH = 50  # messages that steps were given, to say something of them
 REFUSED = 500
 """Frames that the controller refuses at least. On a loaded host the bus drops some of the flood before it."""
 
-OWN_ESTIMATES = 60
-"""Estimates of the run in the three seconds of a replay."""
+OWN_ESTIMATES = 200
+"""Estimates of the run in the three seconds of a replay, or in the ten that they last on a busy host."""
 
 
 def ended_in_order(process: subprocess.Popen[bytes]) -> None:
@@ -109,11 +109,12 @@ def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(t
             sent = json.loads(attack.stdout)
 
             def turned_away() -> bool:
-                ears.hear(0.1)
+                while ears.hear(0.0):
+                    pass
                 return ears.rejected("controller") >= REFUSED and ears.rejected("router") >= sent["denied"]
 
             until(turned_away)
-            until(lambda: len(ears.taken) >= ENOUGH or not ears.hear(0.5))
+            until(lambda: ears.hear(0.5) and len(ears.taken) >= ENOUGH)
         launcher.send_signal(signal.SIGINT)
         assert launcher.wait(PATIENCE_S) == 130
     finally:

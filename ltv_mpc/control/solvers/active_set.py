@@ -58,12 +58,11 @@ def active_rows(p: Problem, y: Array) -> Array:
     p, y : as at the head of this file.
     """
     active = np.sign(y)
-    for k in range(y.shape[0]):
-        for i in range(y.shape[1]):
-            if np.isinf(p.high[k, i] if y[k, i] > 0.0 else p.low[k, i]):
-                active[k, i] = 0.0
-            elif abs(y[k, i]) >= p.penalty[k, i] - DUAL_SIGN_TOLERANCE:
-                active[k, i] *= BEYOND
+    for i in range(y.size):
+        if np.isinf(p.high.flat[i] if y.flat[i] > 0.0 else p.low.flat[i]):
+            active.flat[i] = 0.0
+        elif abs(y.flat[i]) >= p.penalty.flat[i] - DUAL_SIGN_TOLERANCE:
+            active.flat[i] *= BEYOND
     return active
 
 

@@ -152,13 +152,8 @@ def _find_step(barrier: _Barrier, aim: float, regularisation: float, work: Sweep
     """Compute the steps; return the fractions of slacks' and duals' steps that keep all numbers positive."""
     rows, primal, dual = work.g.size, 1.0, 1.0
     for i in range(barrier.bound.size):
-        bound, t, e, nu, room = (
-            barrier.bound.flat[i],
-            barrier.t.flat[i],
-            barrier.e.flat[i],
-            barrier.nu.flat[i],
-            barrier.room.flat[i],
-        )
+        bound, room = barrier.bound.flat[i], barrier.room.flat[i]
+        t, e, nu = barrier.t.flat[i], barrier.e.flat[i], barrier.nu.flat[i]
         if np.isinf(bound):
             continue
         beyond = (1.0 if i < rows else -1.0) * work.g.flat[i % rows] - bound

@@ -242,7 +242,7 @@ class OsqpSolver:
         assert p is not None, "build() must be called before solve()"
         if not self._finite or solver is None or layout is None:
             return self._no_solution(p, "the problem is not finite")
-        at, z = self.arrays, np.zeros_like(p.h)
+        at, z = self.arrays, np.zeros(p.h.shape)
         iterations, batch = 0, 0
         while True:
             length = BATCH * 2 ** max(0, batch - CONSTANT_BATCHES) if batch else FIRST_BATCH
@@ -255,9 +255,8 @@ class OsqpSolver:
                 signal.raise_signal(signal.SIGINT)  # OSQP catches Ctrl-C during a solve
             batch += 1
             iterations += int(info.iter)
-            at.x[:], at.y[:] = solution.x, solution.y * at.scale
-            places = layout.places
-            if not store_solution(at.x, at.y, places.column, places.kind, places.source, z, self.duals):
+            at.x[:] = solution.x
+            if not store_solution(at.x, solution.y, at.scale, at.y, layout.places.column, layout.limit, z, self.duals):
                 self._solver = None
                 return self._no_solution(p, "OSQP returned a value that is not finite; rebuilt")
             if status == SOLVED or iterations >= self._max_iterations:
@@ -416,13 +415,16 @@ def rescale(places: Places, at: Arrays) -> int:
 
 
 @jit
-def store_solution(x: Array, y: Array, column: Indices, kind: Indices, source: Indices, z: Array, duals: Array) -> bool:
-    """Store a solution.
+def store_solution(
+    x: Array, scaled_y: Array, scale: Array, y: Array, column: Indices, limit: Indices, z: Array, duals: Array
+) -> bool:
+    """Store a solution, with the duals of the unscaled rows.
 
     Parameters
     ----------
-    x, y : (n,) and (m,) the solution and its dual.
-    column, kind, source : of its ``Places``.
+    x, scaled_y : (n,) and (m,) the solution and its dual, of the scaled rows.
+    scale, y : (m,) of its ``Arrays``; y is overwritten.
+    column, limit : of its layout.
     z : (N+1, n+m) is overwritten with states and inputs.
     duals : (N+1, M) is overwritten with the duals of the limits.
 
@@ -430,12 +432,12 @@ def store_solution(x: Array, y: Array, column: Indices, kind: Indices, source: I
     -------
     True if the solution is finite.
     """
-    total = np.sum(x) + np.sum(y)
     for i in range(z.size):
         if column.flat[i] >= 0:
             z.flat[i] = x[column.flat[i]]
     duals[:, :] = 0.0
     for row in range(len(y)):
-        if kind[row] != DYNAMICS and kind[row] != EXCESS:
-            duals.flat[source[row]] += y[row]
-    return bool(np.isfinite(total))
+        y[row] = scaled_y[row] * scale[row]
+        if limit[row] >= 0:
+            duals.flat[limit[row]] += y[row]
+    return bool(np.isfinite(np.sum(x) + np.sum(y)))

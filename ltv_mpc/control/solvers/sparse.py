@@ -106,6 +106,8 @@ class SparseLayout:
             sides = ((UPPER, self.masks.high), (LOWER, self.masks.low), (EXCESS, soft))
             rows += [(side, i) for side, mask in sides if mask.flat[i]] if soft.flat[i] else [(HARD, i)]
         kind, source = np.array(rows, dtype=np.int64).reshape(-1, 2).T
+        self.limit: Indices = np.where((kind == DYNAMICS) | (kind == EXCESS), -1, source)
+        """Index of each row's limit in low; -1 for a row that is none."""
         self.soft_rows = int(soft.sum())
         """Number of soft rows of limits."""
         self.variables = N * z + self.soft_rows

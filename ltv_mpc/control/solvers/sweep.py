@@ -11,6 +11,10 @@ sweep gives, from the last stage to the first,
     P <- M_xx - Y' Y,    v <- w_x - Y' y
 
 and a forward sweep the inputs u = -L'^-1 (Y x + y) and the states (Rao, Wright & Rawlings 1998).
+
+Each direction is one function, and its arrays have names of their own: an argument or a field of a tuple costs
+reference counting (``ltv_mpc/jit.py``), which doubles the time here. The inner loops run along rows, so that the
+compiler vectorises them.
 """
 
 from __future__ import annotations
@@ -32,10 +36,9 @@ class Sweep(NamedTuple):
     linear: Array  # (N+1, M) input of a sweep
     g: Array  # (N+1, M) result of the last sweep: values of the rows
     z: Array  # (N+1, n+m) its states and inputs
-    law: Array  # (N, m, n+1) of the inputs: -u = law [x, 1]
+    law: Array  # (N, m, n+1+m) Y, y and L of each stage
     P: Array  # (N+1, n, n) cost to go of each stage
     v: Array  # (N+1, n)
-    slope: Array  # (n,) v + P f
     PF: Array  # (n, n+m)
     M: Array  # (n+m, n+m)
     w: Array  # (n+m,)
@@ -51,8 +54,8 @@ class Sweep(NamedTuple):
         N, n, m, M = p.sizes
         rows, z = np.zeros((N + 1, M)), n + m
         return cls(
-            rows, rows.copy(), rows.copy(), np.zeros((N + 1, z)), np.zeros((N, m, n + 1)),
-            np.zeros((N + 1, n, n)), np.zeros((N + 1, n)), np.zeros(n), np.zeros((n, z)), np.zeros((z, z)), np.zeros(z),
+            rows, rows.copy(), rows.copy(), np.zeros((N + 1, z)), np.zeros((N, m, n + 1 + m)),
+            np.zeros((N + 1, n, n)), np.zeros((N + 1, n)), np.zeros((n, z)), np.zeros((z, z)), np.zeros(z),
         )  # fmt: skip
 
 
@@ -73,17 +76,20 @@ def sweep(p: Problem, work: Sweep, last: int) -> bool:
     if not _backward(p, work, last):
         return False
     z, law, F, f, n = work.z, work.law, p.F, p.f, p.f.shape[1]
+    m = z.shape[1] - n
     for i in range(n):
         z[0, i] = 0.0
     for k in range(len(F)):
-        for a in range(z.shape[1] - n):
+        for a in range(m - 1, -1, -1):
             u = law[k, a, n]
             for j in range(n):
                 u += law[k, a, j] * z[k, j]
-            z[k, n + a] = -u
+            for b in range(a + 1, m):
+                u += law[k, b, n + 1 + a] * z[k, n + b]
+            z[k, n + a] = -u / law[k, a, n + 1 + a]
         for i in range(n):
             x = f[k, i]
-            for j in range(z.shape[1]):
+            for j in range(n + m):
                 x += F[k, i, j] * z[k, j]
             z[k + 1, i] = x
     row_values(p, z, work.g)
@@ -92,27 +98,18 @@ def sweep(p: Problem, work: Sweep, last: int) -> bool:
 
 @jit
 def _backward(p: Problem, work: Sweep, last: int) -> bool:
-    """Compute the law of the stages up to one, from the last to the first; False if the cost has no minimum.
-
-    It is one function, and its arrays have names of their own, because a name for an array costs reference counting
-    (``ltv_mpc/jit.py``). The inner loops run along rows, so that the compiler vectorises them.
-    """
+    """Compute the law of the stages up to one, from the last to the first; False if the cost has no minimum."""
     F, f, H, h, G, weight, linear = p.F, p.f, p.H, p.h, p.G, work.weight, work.linear
-    Ps, vs, slope, PF, M, w, laws = work.P, work.v, work.slope, work.PF, work.M, work.w, work.law
+    Ps, vs, PF, M, w, laws = work.P, work.v, work.PF, work.M, work.w, work.law
     (N, n), size, m = f.shape, len(w), 0
     for k in range(last, -1, -1):
-        P, v = Ps[k], vs[k]
+        P, v, law = Ps[k], vs[k], laws[min(k, N - 1)]
         for j in range(size):
             w[j] = h[k, j]
         if k < N:
-            m = size - n
+            m, gap = size - n, f[k].any()  # a solution of the equations of motion has no gap
             for i in range(n):
-                slope[i] = vs[k + 1, i]
-            for i in range(n):
-                for j in range(n if f[k, i] != 0.0 else 0):  # a solution of the equations of motion has no gap
-                    slope[j] += f[k, i] * Ps[k + 1, i, j]
-            for i in range(n):
-                s = slope[i]
+                s = vs[k + 1, i] + (np.dot(Ps[k + 1, i], f[k]) if gap else 0.0)
                 for j in range(size):
                     w[j] += s * F[k, i, j]
             np.dot(Ps[k + 1], F[k], PF)  # BLAS: a third of the time of loops
@@ -128,25 +125,25 @@ def _backward(p: Problem, work: Sweep, last: int) -> bool:
                         a *= weight[k, row]
                         for j in range(size):
                             M[i, j] += a * G[k, row, j]
-        law = laws[min(k, N - 1)]
-        for i in range(m):  # row i of L, in the place of M_uu, and of [Y, y]
+        for i in range(m):  # row i of L and of [Y, y]
             for j in range(n):
                 law[i, j] = M[n + i, j]
             law[i, n] = w[n + i]
             for j in range(i):
+                s = M[n + i, n + j]
                 for a in range(j):
-                    M[n + i, n + j] -= M[n + i, n + a] * M[n + j, n + a]
-                s = M[n + i, n + j] / M[n + j, n + j]
-                M[n + i, n + j] = s
+                    s -= law[i, n + 1 + a] * law[j, n + 1 + a]
+                s /= law[j, n + 1 + j]
+                law[i, n + 1 + j] = s
                 M[n + i, n + i] -= s * s
                 for a in range(n + 1):
                     law[i, a] -= s * law[j, a]
             if not M[n + i, n + i] > 0.0:
                 return False
-            M[n + i, n + i] = math.sqrt(M[n + i, n + i])
-            over = 1.0 / M[n + i, n + i]
+            law[i, n + 1 + i] = math.sqrt(M[n + i, n + i])
+            s = 1.0 / law[i, n + 1 + i]
             for j in range(n + 1):
-                law[i, j] *= over
+                law[i, j] *= s
         for i in range(n):
             v[i] = w[i]
             for j in range(n):
@@ -158,12 +155,4 @@ def _backward(p: Problem, work: Sweep, last: int) -> bool:
                     P[i, j] -= s * law[a, j]
             for j in range(i):  # rounding makes it unsymmetric, and the recursion would let that grow
                 P[i, j] = P[j, i]
-        for i in range(m - 1, -1, -1):  # K and kappa
-            for a in range(i + 1, m):
-                s = M[n + a, n + i]
-                for j in range(n + 1):
-                    law[i, j] -= s * law[a, j]
-            over = 1.0 / M[n + i, n + i]
-            for j in range(n + 1):
-                law[i, j] *= over
     return True

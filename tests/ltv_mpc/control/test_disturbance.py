@@ -17,7 +17,6 @@ from ltv_mpc.messages import Action, Plan, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.reference_point import ReferencePoint
 from tests.ltv_mpc.reports import report
-from tests.stepping import step
 
 PAPER = Vehicle.load("paper")
 ON = Disturbance(sd_mps=0.1)
@@ -269,7 +268,7 @@ def largest_bias(share: float) -> float:
         applied = report(t_ns, reported, commands.at(np.array([t_ns]))[0])
         vehicle.add_report(applied)
         inbox = [ReceivedMessage(applied, 1, k, t_ns), ReceivedMessage(truth, 1, k, t_ns)]
-        (plan,) = (message for message in step(node, t_ns, inbox) if isinstance(message, Plan))
+        (plan,) = (message for message in node.step(t_ns, inbox) if isinstance(message, Plan))
         commands.add(plan)
         end = vehicle.state_at(truth, t_ns + 300_000_000, commands)
         truth, reported = as_estimate(end, truth), np.array([*end.X[6:] / shares, end.vertical_N])
@@ -321,6 +320,40 @@ def test_the_lever_arm_to_the_estimated_point_is_learned_while_the_vehicle_turns
         np.testing.assert_allclose(observer.bias_mps, WATER, atol=0.01)
     if arm_m == (0.0, 0.0) and known:
         assert (corrected.north_m, corrected.east_m) == (given.north_m, given.east_m)  # not without evidence
+
+
+@pytest.mark.parametrize(
+    ("water", "heading", "yaw_radps", "held"),
+    [
+        ((0.0, 0.0), 0.5, 0.0, 0.6 * np.exp(0.5j)),  # beyond 0.1 of 0.25 m
+        ((0.0, 0.0), 0.5, 0.5, 0.0),  # not while it turns
+        ((-0.3, 0.0), 0.0, 0.0, 1.0),  # in a current the whole arm: the bow points against it,
+        ((0.0, 0.3), 0.5 * np.pi, 0.0, 1j),  # or the stern,
+        ((-0.3, 0.0), 0.5, 0.5, np.cos(0.5)),  # or nearly, and then the vehicle swings, but not the arm
+        ((-0.015, 0.0), 0.0, 0.0, 0.8),  # half of both at 0.03 of the top speed
+    ],
+)
+def test_the_estimated_point_is_held_in_the_direction_of_the_water_and_in_still_water_of_the_bow(
+    water, heading, yaw_radps, held
+):
+    """In still water 0.1 m of the arm is kept, and a target that turns with the vehicle would make it turn for ever."""
+    arm = np.array([0.2, -0.15])
+    observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    belief = observer.save()
+    belief.mean[2:4], belief.covariance[2:4, 2:4] = arm, 1e-6 * np.eye(2)
+    observer.restore(belief, 0)
+    turning = 1j * yaw_radps * complex(*arm) * np.exp(1j * heading)  # the origin is at rest
+    given = msgspec.structs.replace(
+        Estimate.at_rest(heading_rad=heading),
+        yaw_rate_radps=yaw_radps,
+        velocity_north_mps=turning.real,
+        velocity_east_mps=turning.imag,
+    )
+    for k in range(400):
+        given = msgspec.structs.replace(given, t_ns=k * 300_000_000, current=flat(np.array(water)))
+        corrected = observer.correct(given, vehicle, commands, learns=False)
+    origin = complex(*arm) * (held - np.exp(1j * heading))
+    np.testing.assert_allclose((corrected.north_m, corrected.east_m), (origin.real, origin.imag), atol=0.004)
 
 
 def test_a_steady_course_shows_no_lever_arm():

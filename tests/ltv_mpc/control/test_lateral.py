@@ -13,7 +13,6 @@ from ltv_mpc.messages import Authority, ControllerState, CurrentProfile, Health
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from tests.ltv_mpc.control.problems import SOLVER_NAMES
-from tests.stepping import step
 
 PAPER = Vehicle.load("paper")
 START = Estimate.at_rest(north_m=-1.0, heading_rad=0.3, depth_m=2.0)
@@ -81,7 +80,7 @@ def node_after(state: ControllerState, **settings: object) -> tuple[ControllerNo
     """Return a node that was restored from a state, and its first plan."""
     node = ControllerNode(PAPER, ORIGIN, ControllerConfig(**settings))
     inbox = [ReceivedMessage(message, 1, k, 0) for k, message in enumerate((state, OFF))]
-    (plan,) = [message for message in step(node, 0, inbox) if isinstance(message, Plan)]
+    (plan,) = [message for message in node.step(0, inbox) if isinstance(message, Plan)]
     return node, plan
 
 
@@ -105,3 +104,34 @@ def test_a_node_plans_with_the_share_that_it_was_given(reduces, shares):
     alone.set_thrust_shares(shares)
     np.testing.assert_array_equal(plan.thrust_N, alone.plan(OFF, t_ns=0).thrust_N)
     assert np.abs(plan.thrust_N[:, :2]).max() > 10.0
+
+
+@pytest.mark.parametrize(
+    ("radius_m", "tolerance_m", "current_mps", "sinking_mps", "heading_deg"),
+    [
+        (0.1, 0.0, 0.0, 0.0, None),  # in still water,
+        (0.1, 0.0, 0.0, 0.009, None),
+        (0.1 / 3.5, 0.0, 0.015, 0.0, None),  # less where a current gives the heading: 0.03 of 0.5 m/s,
+        (0.1 / (1.0 + 2.5 * 2.0**2), 0.0, 0.03, 0.0, None),
+        (0.0, 0.0, 0.0, 0.02, None),  # and none where a vehicle sinks, rises, or has a heading
+        (0.0, 0.0, 0.0, -0.02, None),
+        (0.0, 0.0, 0.0, 0.0, 0.0),
+        (0.3, 0.3, 0.0, 0.0, None),  # the tolerance, if it is larger, and always
+        (0.3, 0.3, 0.03, 0.02, 0.0),
+    ],
+)
+def test_a_vehicle_rests_within_a_distance_of_its_point(radius_m, tolerance_m, current_mps, sinking_mps, heading_deg):
+    """The plan is then that of a vehicle at the point; the bow is north, into the current."""
+
+    def change_N(off_m: float) -> float:
+        """Largest change of a plan when a vehicle that kept its point is suddenly off."""
+        point = references.Point(north_m=0.0, east_m=0.0, heading_deg=heading_deg)
+        controller = Controller(PAPER, point, ControllerConfig(position_tolerance_m=tolerance_m))
+        water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.array([-current_mps]), east_mps=np.zeros(1))
+        at = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), velocity_down_mps=sinking_mps, current=water)
+        before = [controller.plan(msgspec.structs.replace(at, t_ns=k * 300_000_000)) for k in range(20)][-1]
+        after = controller.plan(msgspec.structs.replace(at, t_ns=6_000_000_000, north_m=off_m))
+        return float(np.abs(after.thrust_N[:, :2] - before.thrust_N[:, :2]).max())
+
+    assert change_N(0.95 * radius_m) < 0.1
+    assert change_N(radius_m + 0.01) > 0.5

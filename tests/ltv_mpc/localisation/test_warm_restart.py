@@ -19,7 +19,6 @@ from ltv_mpc.localisation.warm_restart import WarmRestart
 from ltv_mpc.messages import Estimate, EstimatorState, FilterStatus, ImuSample, LocalisationReport, PressureDepth
 from ltv_mpc.node import ReceivedMessage
 from services.bus.wire import Header, decode, encode
-from tests.stepping import step
 
 SUITE = SensorConfig.load("realistic")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0)
@@ -31,7 +30,7 @@ def said(estimator, messages, inbox_of, *, state=None):
     first = [] if state is None else [ReceivedMessage(state, 1, 0, state.t_ns)]
     out = []
     for message in messages:
-        out += step(estimator, message.t_ns, [*first, *inbox_of(message)])
+        out += estimator.step(message.t_ns, [*first, *inbox_of(message)])
         first = []
     return out
 

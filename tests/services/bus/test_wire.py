@@ -10,14 +10,11 @@ import msgpack
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from ltv_mpc.messages import AdcpPing, CurrentProfile, Estimate, Message, Plan, PressureDepth, StepRecord
 from ltv_mpc.validation import rejection_reason
 from services.bus.topics import TOPICS
 from services.bus.wire import (
-    MAX_FRAME_MESSAGES,
     MAX_PAYLOAD_BYTES,
     Header,
     WireError,
@@ -25,7 +22,6 @@ from services.bus.wire import (
     decode,
     encode,
     header_of,
-    split,
     to_map,
     unpack,
 )
@@ -117,21 +113,6 @@ def test_the_crc_is_that_of_every_other_implementation() -> None:
 def test_rubbish_is_refused_by_reason(payload: bytes, reason: str) -> None:
     with pytest.raises(WireError, match=reason):
         decode(PressureDepth, payload)
-
-
-@given(st.binary(max_size=200), st.integers(0, 3))
-def test_any_bytes_are_split_without_loss_and_what_is_no_row_of_messages_stays_whole(rubbish: bytes, many: int) -> None:
-    messages = [encode(PressureDepth(t_ns=t_ns, depth_m=1.0), HEADER) for t_ns in range(many)]
-    parts = split(b"".join(messages) + rubbish)
-    assert b"".join(parts) == b"".join(messages) + rubbish
-    assert parts == [b"".join(parts)] or parts[:many] == messages
-
-
-def test_a_frame_with_more_messages_than_the_limit_is_rejected_as_a_whole() -> None:
-    row = msgpack.packb({}) * MAX_FRAME_MESSAGES
-    assert len(split(row)) == MAX_FRAME_MESSAGES
-    assert split(row + row[:1]) == [row + row[:1]]
-    assert split(b"\x00" * (MAX_PAYLOAD_BYTES + 1)) == [b"\x00" * (MAX_PAYLOAD_BYTES + 1)]
 
 
 def changed(signal: Message, **fields: Any) -> bytes:

@@ -68,23 +68,6 @@ def test_depth_grows_downwards_and_a_logarithmic_axis_is_one(dive: Run) -> None:
     assert drawn(catalogue.LATENCY, dive).get_yscale() == "log"
 
 
-def test_an_axis_shows_at_least_the_span_of_its_description(dive: Run) -> None:
-    flat = Run("still", {"truth": {"t_s": [0.0, 10.0], "depth_m": [2.0, 2.0]}})
-    low, high = sorted(drawn(catalogue.DEPTH, flat).get_ylim())
-    assert high - low >= 1.0
-    assert low < 2.0 < high
-    assert drawn(catalogue.DEPTH, dive).get_xlim()[1] == pytest.approx(20.0, abs=1.0)
-
-
-def test_thrust_limits_are_inside_the_picture_and_named_once(dive: Run) -> None:
-    axes = drawn(catalogue.THRUST, dive)
-    low, high = axes.get_ylim()
-    assert low < -62.5 < 62.5 < high
-    assert said(axes).count("limits") == 1
-    levels = {float(np.asarray(line.get_ydata())[0]) for line in axes.lines if line.get_color() == palette.LIMIT}
-    assert levels == {-62.5, 62.5}
-
-
 def test_gaps_stay_gaps_and_what_is_not_there_is_said() -> None:
     gap = Run("gap", {"truth": {"t_s": [0.0, 1.0, 2.0], "depth_m": [0.0, None, 2.0]}})
     (line,) = drawn(catalogue.DEPTH, gap).lines

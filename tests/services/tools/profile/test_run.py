@@ -27,7 +27,6 @@ from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from services.tools.profile import problems
 from services.tools.profile.measure import STAGES, Candidate, Piqp, Samples, SolverByName, measure
-from tests.stepping import OneByOne, step
 
 OSQP, PIQP = SolverByName("osqp"), Piqp()
 
@@ -38,7 +37,7 @@ def measured(episodes: list[problems.Episode], *candidates: Candidate) -> list[S
     return measure(episodes, candidates, warm_up=warm_up, order=random.Random(1), progress=lambda _: None)
 
 
-class Probe(OneByOne):
+class Probe:
     """Stands in the controller's place and keeps what it hears."""
 
     name = "controller"
@@ -241,7 +240,7 @@ def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
         reads = ControllerNode.reads  # the command to arm too
 
         def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-            plans.extend(plan for plan in step(node, t_ns, inbox) if isinstance(plan, Plan))
+            plans.extend(plan for plan in node.step(t_ns, inbox) if isinstance(plan, Plan))
             return []
 
     episode.feed(Kept(), lambda: False)
