@@ -220,13 +220,9 @@ class ControllerNode:
 
     def inputs(self) -> tuple[InputReport, ...]:
         """Return the state of each input whose age decides the health, at the last cycle."""
-        implausible, ages = self.controller.estimate_gate.rejected.total(), self.controller.config.ages
-        return tuple(
-            InputReport(
-                input=name, rejected=monitor.rejected + more, **monitor.state_at(self._cycle_ns, ages)._asdict()
-            )
-            for name, monitor, more in (("estimate", self.sources.monitor, implausible), (ACTUATORS, self.reports, 0))
-        )
+        t_ns, ages, implausible = self._cycle_ns, self.controller.config.ages, self.controller.estimate_gate.rejected
+        estimates = self.sources.monitor.report("estimate", t_ns, ages, implausible=implausible.total())
+        return estimates, self.reports.report(ACTUATORS, t_ns, ages)
 
     def _health_of_inputs(self, t_ns: int) -> HealthState:
         """Return the worst health of the inputs other than the estimate's age."""

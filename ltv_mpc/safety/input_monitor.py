@@ -7,8 +7,7 @@ rate     at most half of the recent messages are missing, by the median spacing 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
+from ltv_mpc.messages import InputReport
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.health import DEFAULT_AGES, DEGRADED_PERIODS, MAX_STAMP_AHEAD_NS, Ages, timeout_ns
 from ltv_mpc.safety.input_age import Contest, InputAge
@@ -21,16 +20,6 @@ CLOCK_SET_BACK_NS = 10_000_000_000
 
 SECOND_SOURCE = "second source"
 """Begin of the reason for which message validation rejects a frame of a second source."""
-
-
-class InputState(NamedTuple):
-    """State of one input at one time."""
-
-    alive: bool
-    valid: bool
-    rate: bool
-    age_ns: int | None  # age of the newest message by its stamp; None before the first
-    period_ns: int  # median spacing of the stamps; 0 before the second
 
 
 class InputMonitor:
@@ -102,23 +91,25 @@ class InputMonitor:
         """Begin with another source: its order and its period are its own. The count of rejected messages stays."""
         self.age, self._epoch, self._sequence = InputAge(), None, -1
 
-    def state_at(self, t_ns: int, ages: Ages = DEFAULT_AGES) -> InputState:
+    def report(self, name: str, t_ns: int, ages: Ages = DEFAULT_AGES, *, implausible: int = 0) -> InputReport:
         """Return the state of the input.
 
         Parameters
         ----------
+        name : key of the input.
         t_ns : current time (ns).
         ages : thresholds; ``degraded_s`` is the shortest timeout.
+        implausible : messages that were rejected later.
         """
         age, period_ns, silent_ns = self.age, self.age.median_ns, self.age.silent_ns(t_ns)
-        if age.stamp_ns is None or silent_ns is None:
-            return InputState(False, False, False, None, period_ns)
         timeout = timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s)
-        age_ns = t_ns - age.stamp_ns
-        return InputState(
-            alive=silent_ns <= timeout,
-            valid=abs(age_ns) <= timeout,
-            rate=age.mean_ns <= MAX_MEAN_OVER_MEDIAN * period_ns,
+        age_ns = None if age.stamp_ns is None else t_ns - age.stamp_ns
+        return InputReport(
+            input=name,
+            alive=silent_ns is not None and silent_ns <= timeout,
+            valid=age_ns is not None and abs(age_ns) <= timeout,
+            rate=age_ns is not None and age.mean_ns <= MAX_MEAN_OVER_MEDIAN * period_ns,
             age_ns=age_ns,
             period_ns=period_ns,
+            rejected=self.rejected + implausible,
         )

@@ -35,10 +35,11 @@ LATE = "the estimates are older than their stamps"
 STAMP_WHEN_MEASURED = "stamp each with the time at which its state was measured, not with that of its arrival"
 OR_THRUSTERS = f"{STAMP_WHEN_MEASURED}; or the thrusters answer so much later than lag_s says, and report nothing"
 
-FACTORS = ("mass ahead", 1.25), None, ("moment of inertia", 1.5), ("drag ahead", 1.25), None, ("drag in yaw", 1.25)
+FACTORS = ("mass ahead", 1.25), None, ("moment of inertia", 1.5), ("drag ahead", 1.4), None, ("drag in yaw", 1.25)
 """Names of the model's factors in the order of the states, and the least certain factor between fit and file, either
-way, that raises the alarm: identified vehicles are within 10 %. Velocities that are wrong by 1 cm/s for some seconds
-can look like 1.4 of the inertia, by the Munk moment. What is abeam is left out: a hull seldom moves abeam.
+way, that raises the alarm. Identified vehicles are within 10 %, so that drag over thrust is within 1.22, and a descent
+that nearly drifts shows it badly. Velocities that are wrong by 1 cm/s for some seconds can look like 1.4 of the
+inertia, by the Munk moment. What is abeam is left out: a hull seldom moves abeam.
 """
 
 

@@ -146,8 +146,8 @@ def _rows(
         if not isinstance(plain, dict):
             yield raw, None
             continue
-        samples = plain.pop("samples", None) if raw.kind is ImuSamples else [{}]
-        for sample in samples if isinstance(samples, list) else ():
+        samples = plain.pop("samples", [{}]) if raw.kind is ImuSamples else [{}]
+        for sample in samples if isinstance(samples, list) else [None]:
             yield raw, dict(_leaves(plain | sample, "")) if isinstance(sample, dict) else None
 
 

@@ -68,7 +68,7 @@ def test_a_wrong_factor_is_named_and_only_it(factors, named):
     [
         checked((0.2, 0.1)),
         checked((0.5, 0.0), seconds=9),
-        checked((0.0, 0.0), {3: 1.2}),
+        checked((0.0, 0.0), {3: 1.35}),
         checked((0.0, 0.0), {2: 1.4}),
         checked((0.0, 0.0), {1: 2.0, 4: 0.4}),  # abeam, where a hull seldom moves
         checked((0.0, 0.0), {3: 0.5}, seconds=9),
