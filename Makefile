@@ -2,7 +2,7 @@
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup sim sim-secure test figures docs package release bench map fuzz protocol link mutants clean
+.PHONY: help setup sim sim-secure check test figures docs package release bench map fuzz protocol link mutants clean
 
 # Passed through to `ltv-mpc sim`; empty: the scenario's own value.
 SCENARIO =
@@ -39,16 +39,25 @@ sim-secure: .venv/installed  ## the same under mTLS and access control, with cer
 	@certs=$$(mktemp -d) && trap 'rm -rf "$$certs"' EXIT INT TERM && $(BIN)/ltv-mpc certs new "$$certs" >/dev/null \
 		&& $(BIN)/ltv-mpc sim $(SIM_OPTIONS) --certs "$$certs"
 
+# Types beside the tests: each leaves a core idle for a while.
+check: .venv/installed  ## the inner loop, a minute: lint, types, import contracts, the tests nearest to what changed
+	@set -e; $(BIN)/ruff check .; $(BIN)/ruff format --check .; $(BIN)/codespell; \
+	$(BIN)/lint-imports >/dev/null || $(BIN)/lint-imports; \
+	$(BIN)/mypy & types=$$!; trap 'kill $$types 2>/dev/null' EXIT; \
+	$(BIN)/python -P -m tests.nearest; wait $$types; trap - EXIT
+
 # Where Python is told to keep no bytecode, each worker and each process of a test would compile its modules again.
+# Types are checked beside the tests, some of which wait.
 test: setup  ## lint, spelling, types, import contracts, all tests
-	@export PYTHONDONTWRITEBYTECODE=; $(BIN)/python -P -m tests.warm & warm=$$!; trap 'kill $$warm 2>/dev/null' EXIT; set -ex; \
+	@export PYTHONDONTWRITEBYTECODE=; $(BIN)/python -P -m tests.warm & warm=$$!; $(BIN)/mypy & types=$$!; \
+	trap 'kill $$warm $$types 2>/dev/null' EXIT; set -ex; \
 	$(BIN)/ruff check .; \
 	$(BIN)/ruff format --check .; \
 	$(BIN)/codespell; \
-	$(BIN)/mypy; \
 	$(BIN)/lint-imports; \
-	wait $$warm; trap - EXIT; \
-	$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder --durations=15
+	wait $$warm; \
+	$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder --durations=15; \
+	wait $$types; trap - EXIT
 
 figures: setup  ## the paper's figures and tables: docs/figures/, docs/paper.md; README's picture
 	$(BIN)/python -m benchmarks.paper

@@ -39,7 +39,7 @@ from ltv_mpc.messages import (
     Message,
     Plan,
 )
-from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
+from ltv_mpc.node import Inbox, Node, ReceivedMessage
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
@@ -135,15 +135,12 @@ class Restarted:
         self.name, self.schedule = self._node.name, self._node.schedule
         self.reads, self.writes = self._node.reads, self._node.writes
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
         """Step the node; at the time of the restart, step a new one that begins from the newest saved state."""
-        return [self._step(t_ns, inbox) for t_ns, inbox in due]
-
-    def _step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         if not self._restarted and t_ns >= RESTART_NS:
             self._restarted, self._node = True, self._make()
             inbox = [ReceivedMessage(self._state(), 1, 0, t_ns), *inbox]
-        (out,) = self._node.steps([(t_ns, inbox)])
+        out = self._node.step(t_ns, inbox)
         self._memory.update({type(signal): signal for signal in out})
         return out
 

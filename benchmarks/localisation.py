@@ -32,8 +32,8 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE
-from ltv_mpc.messages import ImuSample
-from ltv_mpc.node import Due
+from ltv_mpc.messages import ImuSample, ImuSamples
+from ltv_mpc.node import Inbox
 from services.reporting.figures import sheet
 from services.reporting.plots import palette
 from services.run.nodes import make_nodes
@@ -82,13 +82,13 @@ class Descent(NamedTuple):
     """Sensors of a descent, and the messages that its estimator received."""
 
     suite: SensorConfig
-    steps: list[Due]
+    steps: list[tuple[int, Inbox]]
 
     @classmethod
     def simulated(cls, sensors: str) -> Descent:
         """Run the descent once in lock step. Raises ``ConfigError``."""
         run_config = Job("descent", (f'sensors="{sensors}"', f"run.duration_s={DESCENT_S}")).run_config()
-        scenario, steps = run_config.scenario, list[Due]()
+        scenario, steps = run_config.scenario, list[tuple[int, Inbox]]()
 
         def stepped(step: Step) -> None:
             if step.node == Estimator.name:
@@ -100,13 +100,13 @@ class Descent(NamedTuple):
         ).advance(scenario.end_ns)
         return cls(run_config.sensor_config, steps)
 
-    def aligned(self, config: EstimatorConfig) -> tuple[Estimator, list[Due]]:
+    def aligned(self, config: EstimatorConfig) -> tuple[Estimator, list[tuple[int, Inbox]]]:
         """Return an estimator whose filter has been initialised, and the messages that remain."""
         estimator = Estimator(self.suite, config)
         for i, (t_ns, inbox) in enumerate(self.steps):
             if estimator.filter is not None:
                 return estimator, self.steps[i:]
-            estimator.steps([(t_ns, inbox)])
+            estimator.step(t_ns, inbox)
         raise RuntimeError("the descent has not been long enough to align")
 
 
@@ -115,7 +115,7 @@ def of_node(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
     estimator, rest = descent.aligned(config)
     began, from_ns = time.process_time(), rest[0][0]
     for t_ns, inbox in rest:
-        estimator.steps([(t_ns, inbox)])
+        estimator.step(t_ns, inbox)
     spent = time.process_time() - began
     if estimator.filter is None:
         raise RuntimeError("the filter has been lost on the way")
@@ -136,8 +136,8 @@ def of_filter(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
     for _, inbox in rest:
         for arrival in inbox:
             signal = arrival.message
-            if isinstance(signal, ImuSample):
-                samples.append(signal)
+            if isinstance(signal, ImuSamples):
+                samples += signal.samples
             elif type(signal) in BY_MESSAGE:
                 aiding.append(signal)
     aiding = sorted((one for one in aiding if one.t_ns > from_ns), key=lambda one: one.t_ns, reverse=True)

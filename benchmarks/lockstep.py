@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ltv_mpc.messages import Message
-from ltv_mpc.node import Due, Node
+from ltv_mpc.node import Inbox, Node
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
@@ -59,11 +59,11 @@ def shares(of: RunConfig) -> dict[str, float]:
 
         def __init__(self, node: Node) -> None:
             self.name, self.schedule, self.reads, self.writes = node.name, node.schedule, node.reads, node.writes
-            self._steps = node.steps
+            self._step = node.step
 
-        def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+        def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
             started = time.perf_counter()
-            said = self._steps(due)
+            said = self._step(t_ns, inbox)
             spent[self.name] += time.perf_counter() - started
             return said
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ from matplotlib.figure import Figure
 
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Applied, Disturbance, Estimate, Message, ModelCheck, Triple, Truth
-from ltv_mpc.node import Due, Grid, Node, ReceivedMessage
+from ltv_mpc.node import Grid, Inbox, Node, ReceivedMessage
 from services.reporting.figures import sheet
 from services.reporting.plots import palette
 from services.run.nodes import make_nodes
@@ -79,11 +79,8 @@ class Breaker:
         self.losses: list[tuple[int, str]] = []
         self._first = first
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
         """Apply the thrust loss at its time."""
-        return [self._begun(t_ns) for t_ns, _ in due]
-
-    def _begun(self, t_ns: int) -> list[Message]:
         since_ns = t_ns - FIRST_NS
         if since_ns < 0 or since_ns % EVERY_NS:
             return []

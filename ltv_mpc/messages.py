@@ -199,6 +199,19 @@ class ImuSample(Message, frozen=True, kw_only=True, eq=False):
     specific_force_mps2: Annotated[SpecificForces, Meta(description="mean over the interval: forward, starboard, down")]
 
 
+class ImuSamples(Message, frozen=True, kw_only=True, eq=False):
+    """Samples of a strapdown IMU since the last message; a driver that has one at a time publishes one."""
+
+    samples: Annotated[
+        tuple[ImuSample, ...], Meta(min_length=1, max_length=1000, description="in order of time, each with its own")
+    ]
+
+    @property
+    def t_ns(self) -> int:
+        """Time of the newest sample (ns)."""
+        return self.samples[-1].t_ns
+
+
 class GnssFix(Message, frozen=True, kw_only=True, eq=False):
     """Position and velocity over ground from satellite navigation, at the surface."""
 

@@ -1,9 +1,8 @@
 """Node interface: pure steps, without clock, unseeded random numbers or threads.
 
-The caller passes the steps that are due. ``sim/scheduler.py`` (one process, simulated clock) passes as many at once as
-are known, ``services/runtime/step_loop.py`` (Zenoh, wall clock) those of one batch of at most 50 ms
-(``schedule.BATCH_NS``), and a replay one at a time. For the same state and (t_ns, inbox) a step returns the same
-messages, bit for bit, alone or with others. So a recording replays through the nodes without tolerances.
+The callers are ``sim/scheduler.py`` (one process, simulated clock), ``services/runtime/step_loop.py`` (Zenoh, wall
+clock) and a replay. For the same state and (t_ns, inbox) a step returns the same messages, bit for bit, so a recording
+replays through the nodes without tolerances.
 """
 
 from __future__ import annotations
@@ -61,9 +60,6 @@ class ReceivedMessage(msgspec.Struct, frozen=True, eq=False, gc=False):
 
 Inbox: TypeAlias = Sequence[ReceivedMessage]
 
-Due: TypeAlias = tuple[int, Inbox]
-"""Input of a step: its time (ns) and its inbox."""
-
 
 class Node(Protocol):
     """Component with pure steps. ``reads`` are the types in its inbox, ``writes`` the types that its steps return."""
@@ -88,15 +84,13 @@ class Node(Protocol):
         """Types of the messages that its steps return."""
         ...
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Carry out steps in order, and return the messages to publish for each of them, in order.
-
-        A step consumes its inbox in order. Steps passed together return the same messages as one at a time, bit for
-        bit, and leave the node in the same state.
+    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
+        """Take one step, and return the messages to publish, in order.
 
         Parameters
         ----------
-        due : time (ns) and inbox of each step.
+        t_ns : time of the step (ns).
+        inbox : messages since the last step, in order.
         """
         ...
 

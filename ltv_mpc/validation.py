@@ -8,6 +8,7 @@ decodes, but not those that are constructed.) ``low <= x <= high`` is false for 
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import Any, NamedTuple, TypeAlias
@@ -26,6 +27,7 @@ from ltv_mpc.messages import (
     DroppedGridPoint,
     Estimate,
     EstimatorState,
+    ImuSamples,
     Obstacle,
     Plan,
     TdcpFix,
@@ -202,6 +204,13 @@ def _tdcp(s: TdcpFix) -> Reason:
     return None if s.from_t_ns < s.t_ns else f"from_t_ns = {s.from_t_ns}: must be before t_ns = {s.t_ns}"
 
 
+def _imu(s: ImuSamples) -> Reason:
+    times = [sample.t_ns for sample in s.samples]
+    if not times:
+        return "samples: must have at least one entry"
+    return None if all(map(operator.lt, times, times[1:])) else "samples: t_ns must increase"
+
+
 def _adcp(s: AdcpPing) -> Reason:
     if s.range_m.ndim != 1 or not len(s.range_m) or s.beam_velocity_mps.shape != (4, len(s.range_m)):
         return f"range_m {s.range_m.shape}, beam_velocity_mps {s.beam_velocity_mps.shape}: must be (K,), (4, K)"
@@ -317,6 +326,7 @@ def _zone(s: ZoneInForce) -> Reason:
 
 RELATIONS: Mapping[type, Validator] = {
     TdcpFix: _tdcp,
+    ImuSamples: _imu,
     AdcpPing: _adcp,
     BottomTrack: _bottom_track,
     CurrentProfile: _profile,

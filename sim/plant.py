@@ -2,8 +2,9 @@
 
 Before t = 0 the vehicle is afloat: thrust is zero, depth is held, and it drifts with the water at the surface. From
 t = 0 it follows the plans that the gate accepts. With its first step the plant arms the controller, as an operator
-would. A step lasts 10 ms and the command is linear over it. The plant has no sea bed: a vehicle that goes below the
-water's ``bottom_m`` continues to sink, and the sensors find no bed there.
+would. The simulation's step lasts 10 ms, and the command is linear over it; a step of the node has five of them. The
+plant has no sea bed: a vehicle that goes below the water's ``bottom_m`` continues to sink, and the sensors find no bed
+there.
 
 A ``Disturbance`` and the wind act through their impulse, half of it before and half after each step (Strang splitting,
 an error of order h^2 of what it adds). Without them every step is bit for bit the undisturbed one.
@@ -16,14 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import pairwise, takewhile
 
 import numpy as np
 
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Action, Applied, Array, Command, Disturbance, Message, Plan, Times, Triple, Truth
-from ltv_mpc.node import Due, Grid, Inbox, ReceivedMessage
+from ltv_mpc.node import Grid, Inbox, ReceivedMessage
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim import motion
@@ -35,7 +36,10 @@ from sim.water import WaterColumn
 from sim.water.column import SAMPLE_PERIOD_NS, WaterSample, WaterWindow, velocity_at
 from sim.wind import Wind
 
-PERIOD_NS = 10_000_000
+PERIOD_NS = 50_000_000
+"""Time between two steps of the node, because a wake-up costs more than a step of the simulation."""
+STEP_NS = 10_000_000
+"""Step of the simulation, and time between two truths."""
 REPORT_NS = 100_000_000
 """Time between two periodic reports of the actuators; each received message is also reported at once."""
 
@@ -48,8 +52,8 @@ ARMING = 1
 class Plant:
     """Node that simulates the vehicle and its actuators.
 
-    It reads ``Plan`` and ``Disturbance``. It writes ``Truth`` each step, ``Applied`` each 100 ms and with each received
-    message, and the arming ``Command`` once, unless the scenario leaves arming to an operator.
+    It reads ``Plan`` and ``Disturbance``. It writes ``Truth`` each 10 ms, ``Applied`` each 100 ms and with each
+    received message, and the arming ``Command`` once, unless the scenario leaves arming to an operator.
     """
 
     name = "plant"
@@ -75,24 +79,29 @@ class Plant:
         self._gate = PlanGate(vehicle)
         self._receipt: tuple[Plan, ReceivedMessage, PlanVerdict] | None = None  # of the plan accepted last
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Simulate to each due time. Steps between two reports, without a message, are computed in one call."""
-        outputs: list[list[Message]] = []
-        while len(outputs) < len(due):
-            first = len(outputs)
-            end = first + 1
-            if self._t_ns is not None and not self._is_pushed and not due[first][1]:
-                while end < len(due) and not due[end][1] and _can_batch(due[end - 1][0], due[end][0]):
-                    end += 1
-            outputs += self._step([t_ns for t_ns, _ in due[first:end]], due[first][1])
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+        """Simulate to ``t_ns`` in steps of ``STEP_NS``, each with the messages that have arrived by its end.
+
+        Steps without a message, up to a whole second of the water's samples, are computed in one call.
+        """
+        times_ns = [t_ns] if self._t_ns is None else [*range(self._t_ns + STEP_NS, t_ns, STEP_NS), t_ns]
+        waiting = list(inbox)
+        outputs: list[Message] = []
+        while times_ns:
+            arrived = takewhile(lambda received: received.received_t_ns <= times_ns[0], waiting)
+            here = waiting if len(times_ns) == 1 else list(arrived)
+            waiting = waiting[len(here) :]
+            count = 1 if here or self._is_pushed or self._t_ns is None else _steps_at_once(times_ns, waiting)
+            outputs += self._advance(times_ns[:count], here)
+            del times_ns[:count]
         return outputs
 
     @property
     def _is_pushed(self) -> bool:
         return self._disturbance is not None or self._wind.blows
 
-    def _step(self, times_ns: list[int], inbox: Inbox) -> list[list[Message]]:
-        """Take one step with its inbox, or several without an inbox (``_can_batch``)."""
+    def _advance(self, times_ns: list[int], inbox: Inbox) -> list[Message]:
+        """Take one step with its inbox, or several without an inbox (``_steps_at_once``)."""
         t_ns = times_ns[0]
         from_ns = t_ns if self._t_ns is None else self._t_ns
         at_ns = from_ns
@@ -109,14 +118,12 @@ class Plant:
             if isinstance(received.message, Disturbance):  # it acts from the next step on
                 self._disturbance = received.message
         self._t_ns = times_ns[-1]
-        outputs: list[list[Message]] = [
-            [self._truth(t, row)] for t, row in zip(times_ns, observed.tolist(), strict=True)
-        ]
+        outputs: list[Message] = [self._truth(t, row) for t, row in zip(times_ns, observed.tolist(), strict=True)]
         if self._arms:
             self._arms = False
-            outputs[-1].append(Command(command_id=ARMING, action=Action.ARM, force=True))
+            outputs.append(Command(command_id=ARMING, action=Action.ARM, force=True))
         if inbox or self._t_ns % REPORT_NS == 0:
-            outputs[-1].append(self._report(self._t_ns))
+            outputs.append(self._report(self._t_ns))
         return outputs
 
     def _move(self, times_ns: list[int]) -> Array:
@@ -205,9 +212,14 @@ class Plant:
         )
 
 
-def _can_batch(from_ns: int, t_ns: int) -> bool:
-    """Return True if the step to ``t_ns`` follows no report and stays within one second of the water's samples."""
-    return from_ns % REPORT_NS != 0 and t_ns % SAMPLE_PERIOD_NS != 0
+def _steps_at_once(times_ns: Sequence[int], waiting: Inbox) -> int:
+    """Return the number of steps to the next report, message, or whole second of the water's samples."""
+    last = len(times_ns) - 1
+    for k in range(1, last + 1):
+        arrives = bool(waiting) and (k == last or waiting[0].received_t_ns <= times_ns[k])
+        if arrives or times_ns[k - 1] % REPORT_NS == 0 or times_ns[k] % SAMPLE_PERIOD_NS == 0:
+            return k
+    return last + 1
 
 
 @jit

@@ -15,7 +15,7 @@ import services  # noqa: F401  (sets the number of BLAS threads before numpy is 
 import ltv_mpc.jit  # noqa: F401  (a command would load compiled functions as plain Python)
 
 # A first example pays for compilation, and these machines are shared.
-settings.register_profile("ltv-mpc", deadline=None, derandomize=True)
+settings.register_profile("ltv-mpc", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("ltv-mpc")
 
 # Under ``nohup`` the processes that tests start would ignore a hang-up, as they should for a user.
@@ -25,13 +25,18 @@ gc.set_threshold(50_000, 20, 100)  # thousands of tests and trees of syntax are 
 
 HERE = Path(__file__).parent
 LONGEST = (
-    "system",
-    "services/supervisor",
-    "ltv_mpc/localisation",
-    "services/tools",
-    "services/replay",
-    "services/dashboard",
-    "examples",
+    *(
+        "services/supervisor",
+        "foreign_plant",
+        "docs",
+        "services/tools",
+        "strangers",
+        "system",
+        "benchmarks",
+        "examples",
+    ),
+    *("examples", "browser", "services/edges", "services/replay", "services/dashboard", "services/runtime"),
+    *("ltv_mpc/control", "ltv_mpc/safety", "ltv_mpc/localisation", "ltv_mpc/vehicle", "ltv_mpc/references"),
 )
 """Folders whose files take longest. They start first: a long file that starts last keeps all other workers waiting."""
 

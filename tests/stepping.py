@@ -1,40 +1,29 @@
-"""Nodes one step at a time, for tests that give a node its inbox by hand."""
+"""Nodes that a test gives their inboxes by hand, and the inertial samples in the messages of several."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-from ltv_mpc.messages import Message
-from ltv_mpc.node import Due, Inbox, Node
-
-
-def step(node: Node, t_ns: int, inbox: Inbox) -> list[Message]:
-    """Do one step of the node."""
-    (outputs,) = node.steps([(t_ns, inbox)])
-    return outputs
+from ltv_mpc.messages import ImuSample, ImuSamples, Message
+from ltv_mpc.node import Inbox, Node
 
 
-def feed_each(node: Node, due: Sequence[Due], at_once: int = 50) -> list[list[Message]]:
-    """Do many steps in batches, and return the output of each.
-
-    They give the same bits as single steps (test_lookahead), in less time.
-    """
-    batches = (due[first : first + at_once] for first in range(0, len(due), at_once))
-    return [outputs for batch in batches for outputs in node.steps(batch)]
+def feed_each(node: Node, due: Iterable[tuple[int, Inbox]]) -> list[Sequence[Message]]:
+    """Do many steps, and return the output of each."""
+    return [node.step(t_ns, inbox) for t_ns, inbox in due]
 
 
-def feed(node: Node, due: Sequence[Due]) -> list[Message]:
-    """Do many steps in batches, and return the output of all."""
+def feed(node: Node, due: Iterable[tuple[int, Inbox]]) -> list[Message]:
+    """Do many steps, and return the output of all."""
     return [message for outputs in feed_each(node, due) for message in outputs]
 
 
-class OneByOne:
-    """A node whose class says what one step does."""
+def as_sent(message: Message) -> Message:
+    """Return the message as it travels: an inertial sample alone in its message, every other one as it is."""
+    return ImuSamples(samples=(message,)) if isinstance(message, ImuSample) else message
 
-    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
-        """Return what one step publishes."""
-        raise NotImplementedError
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Do these steps in turn."""
-        return [list(self.step(t_ns, inbox)) for t_ns, inbox in due]
+def unpacked(messages: Iterable[Message]) -> list[Message]:
+    """Return the messages with each inertial sample by itself."""
+    parts = (message.samples if isinstance(message, ImuSamples) else (message,) for message in messages)
+    return [part for several in parts for part in several]

@@ -22,7 +22,7 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Clock, Injection, InjectorFrame, Message, MessageFault, RunEvent
+from ltv_mpc.messages import Clock, ImuSample, ImuSamples, Injection, InjectorFrame, Message, MessageFault, RunEvent
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import bounds
 from services.bus.mailbox import Frame, Mailbox
@@ -102,7 +102,8 @@ def problem(injection: Injection) -> tuple[str, str] | None:
     if injection.fault is MessageFault.DELAY and not 0 < injection.size <= MAX_DELAY_S:
         return "size", f"must be > 0 and <= {MAX_DELAY_S:g} (s) for {injection.fault}"
     # NaN in an array with gaps is a missing value.
-    harmable = (isinstance(of.low, float) and not of.has_gaps for of in bounds(topic.message_type).values())
+    kind = ImuSample if topic.message_type is ImuSamples else topic.message_type
+    harmable = (isinstance(of.low, float) and not of.has_gaps for of in bounds(kind).values())
     if injection.fault is MessageFault.NOT_A_NUMBER and not any(harmable):
         return "key", "has no field that can be NaN"
     return None

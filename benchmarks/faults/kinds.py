@@ -17,7 +17,7 @@ from ltv_mpc.messages import (
     CompassHeading,
     Estimate,
     GnssFix,
-    ImuSample,
+    ImuSamples,
     Message,
     Plan,
     PressureDepth,
@@ -57,7 +57,7 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
 LOCKSTEP, PROCESSES = Place.LOCKSTEP, Place.PROCESSES
 
 INSTRUMENTS: Mapping[str, type[Message]] = {
-    "imu": ImuSample,
+    "imu": ImuSamples,
     "adcp": AdcpPing,
     "compass": CompassHeading,
     "pressure": PressureDepth,
@@ -71,9 +71,9 @@ MESSAGES: Mapping[str, tuple[type[Message], ...]] = {
     "estimate": (Estimate,),
     "plan": (Plan,),
     "applied": (Applied,),
-    "imu": (ImuSample,),
+    "imu": (ImuSamples,),
     "adcp": (AdcpPing,),
-    "sensors": (ImuSample, AdcpPing, CompassHeading, PressureDepth, GnssFix, TdcpFix),
+    "sensors": (ImuSamples, AdcpPing, CompassHeading, PressureDepth, GnssFix, TdcpFix),
 }
 
 ALL = tuple(INSTRUMENTS)

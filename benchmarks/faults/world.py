@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import Disturbance, Message, Plan, PlanOrigin, Solve, SolveStatus, Triple
-from ltv_mpc.node import Due, Grid
+from ltv_mpc.node import Grid, Inbox
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.faults.interval import Interval
 
@@ -30,11 +30,8 @@ class DisturbanceSource:
         """Schedule pairs of vehicle time (ns) and disturbance."""
         self._waiting = sorted(disturbances, key=lambda pair: pair[0])
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
         """Return the disturbances that are due."""
-        return [self._due(t_ns) for t_ns, _ in due]
-
-    def _due(self, t_ns: int) -> list[Message]:
         due = [disturbance for at_ns, disturbance in self._waiting if at_ns <= t_ns]
         self._waiting = self._waiting[len(due) :]
         return list(due)
@@ -58,12 +55,9 @@ class Intruder:
     def __init__(self, intrusions: Sequence[Intrusion]) -> None:
         self._intrusions = intrusions
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
         """Return one plan each period of an active intrusion."""
-        return [
-            [steady_plan(t_ns, one.thrust_N) for one in self._intrusions if one.interval.contains(t_ns)]
-            for t_ns, _ in due
-        ]
+        return [steady_plan(t_ns, one.thrust_N) for one in self._intrusions if one.interval.contains(t_ns)]
 
 
 def steady_plan(t_ns: int, thrust_N: Triple) -> Plan:

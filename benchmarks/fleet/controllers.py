@@ -88,7 +88,7 @@ class _VehicleController:
                 continue
             received_ns = frame.received_monotonic_us * 1000 - start_ns
             arrivals.append(ReceivedMessage(message, header.epoch, header.sequence, received_ns))
-        (outputs,) = self._node.steps([(now_ns(start_ns), arrivals)])
+        outputs = self._node.step(now_ns(start_ns), arrivals)
         for message in outputs:
             if isinstance(message, Plan):
                 self._out.publish(message)

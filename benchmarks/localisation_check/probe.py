@@ -20,7 +20,7 @@ from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, Inn
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, grid
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
-from ltv_mpc.node import Due, Node, ReceivedMessage
+from ltv_mpc.node import Inbox, Node, ReceivedMessage
 from services.run.nodes import make_nodes
 from services.run.run_config import RunConfig
 from services.tools import lockstep_run
@@ -80,28 +80,22 @@ def descend(job: Job) -> Record:
 
 
 class _StepObserver:
-    """Node wrapper that reports steps to an observer.
+    """Node wrapper that reports each step at a multiple of ``LOOK_NS``, and each for which ``also`` is true.
 
-    ``observe`` receives time and output of each step at a multiple of ``LOOK_NS``, of the last step of a batch, and of
-    all steps while ``every_step`` returns True.
+    ``observe`` receives the time and the output of the step.
     """
 
     def __init__(
-        self,
-        node: Node,
-        observe: Callable[[int, Sequence[Message]], None],
-        every_step: Callable[[], bool] = lambda: False,
+        self, node: Node, observe: Callable[[int, Sequence[Message]], None], also: Callable[[], bool] = lambda: False
     ) -> None:
         self.name, self.reads, self.writes, self.schedule = node.name, node.reads, node.writes, node.schedule
-        self._steps, self._observe, self._every_step = node.steps, observe, every_step
+        self._step, self._observe, self._also = node.step, observe, also
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Step the node, in batches that end at the steps to observe."""
-        output: list[list[Message]] = []
-        for number, (t_ns, _) in enumerate(due, 1):
-            if t_ns % LOOK_NS == 0 or number == len(due) or self._every_step():
-                output += self._steps(due[len(output) : number])
-                self._observe(t_ns, output[-1])
+    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
+        """Step the node and report the step."""
+        output = self._step(t_ns, inbox)
+        if t_ns % LOOK_NS == 0 or self._also():
+            self._observe(t_ns, output)
         return output
 
 
@@ -252,7 +246,7 @@ class Probe:
         observed = {
             sensors.name: _StepObserver(sensors, self.true_states.copy_biases),
             self.estimator.name: _StepObserver(
-                self.estimator, self._copy_belief, every_step=lambda: self.estimator.filter is None
+                self.estimator, self._copy_belief, also=lambda: self.estimator.filter is None
             ),
         }
         self._nodes: list[Node] = [observed.get(node.name, node) for node in nodes]

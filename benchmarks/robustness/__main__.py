@@ -4,17 +4,19 @@ python -m benchmarks.robustness [--quick] [--cases TEXT ...] [--vehicles NAME ..
 python -m benchmarks.robustness --tune     tune the rivals of the vehicles again: gains.toml
 
 A case is KEY=VALUE pairs, "mass=1.3 drag=0.7"; cases.py has the keys. Rivals of a vehicle without gains are tuned
-first. All vehicles and cases take hours.
+first. All vehicles and cases take hours; runs with ``--json`` are pieces that ``--pieces FILE ... --write`` joins.
 """
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from benchmarks.robustness import flights, page, tuning
 from benchmarks.robustness.cases import CASES, QUICK, parsed
 from benchmarks.robustness.laws import LAWS
 from benchmarks.strangers.flight import FOREIGN, SHIPPED
+from services.run.provenance import provenance_table
 
 VEHICLES = ("ellipsoid", "light_boat", *SHIPPED)
 QUICK_VEHICLES = ("light_boat", "bluerobotics-boat", "paper")
@@ -34,6 +36,10 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print all figures as JSON")
     parser.add_argument("--write", action="store_true", help=f"write {page.PAGE}")
     parser.add_argument("--tune", action="store_true", help="tune the rivals instead")
+    parser.add_argument(
+        "--pieces", nargs="+", type=Path, help="JSON of earlier runs, to print or write instead of flying"
+    )
+    parser.add_argument("--commit", default=provenance_table()["commit"], help="version that was flown")
     options = parser.parse_args()
     vehicles = options.vehicles or (QUICK_VEHICLES if options.quick else VEHICLES)
     if options.tune:
@@ -45,13 +51,16 @@ def main() -> None:
             parsed(case)
     except ValueError as error:
         parser.error(str(error))
-    if untuned := [vehicle for vehicle in vehicles if "lqr" not in tuning.gains().get(vehicle, {})]:
-        tuning.tune(untuned, options.jobs)
-    rows = [flights.Row(vehicle, task, case) for vehicle in vehicles for task in options.tasks for case in cases]
-    found = flights.run(rows, LAWS, tuning.gains(), options.starts, options.jobs)
+    if options.pieces:
+        found = page.from_json([piece.read_text() for piece in options.pieces])
+    else:
+        if untuned := [vehicle for vehicle in vehicles if "lqr" not in tuning.gains().get(vehicle, {})]:
+            tuning.tune(untuned, options.jobs)
+        rows = [flights.Row(vehicle, task, case) for vehicle in vehicles for task in options.tasks for case in cases]
+        found = flights.run(rows, LAWS, tuning.gains(), options.starts, options.jobs)
     print(page.as_json(found) if options.json else f"{page.table(found)}\n\n{page.summary(found)}")
     if options.write:
-        page.PAGE.write_text(page.text(found, options.starts))
+        page.PAGE.write_text(page.text(found, options.starts, options.commit))
 
 
 if __name__ == "__main__":

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import datetime
 import json
+import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,6 @@ import numpy as np
 from benchmarks.robustness.flights import Row
 from benchmarks.robustness.laws import DEFAULT, LAWS, RIVALS
 from benchmarks.strangers.tasks import Figures
-from services.run.provenance import provenance_table
 
 MOST_ROWS = 60
 PAGE = Path("docs/notes/robustness-table.md")
@@ -73,7 +74,27 @@ def as_json(found: Found) -> str:
     return json.dumps(rows, indent=1).replace("Infinity", "null")
 
 
-def text(found: Found, starts: int) -> str:
+def _cases_flown(found: Found) -> str:
+    """Return the number of cases, and which vehicles flew fewer of them."""
+    of = {vehicle: len({row.case for row in found if row.vehicle == vehicle}) for vehicle, _, _ in found}
+    most = max(of.values())
+    fewer = [f"`{vehicle}` {count}" for vehicle, count in of.items() if count < most]
+    return f"{most} cases" + (f", of {', '.join(fewer)}" if fewer else "")
+
+
+def from_json(pieces: Sequence[str]) -> Found:
+    """Return the figures of several runs that printed them as JSON; a later piece replaces rows of an earlier one."""
+    return {
+        Row(row["vehicle"], row["task"], row["case"]): {
+            law: Figures(**{name: math.inf if value is None else value for name, value in of.items()})
+            for law, of in row["laws"].items()
+        }
+        for piece in pieces
+        for row in json.loads(piece)
+    }
+
+
+def text(found: Found, starts: int, commit: str) -> str:
     """Return the page."""
     vehicles = ", ".join(f"`{name}`" for name in dict.fromkeys(row.vehicle for row in found))
     return f"""# Robustness table
@@ -86,9 +107,9 @@ are those of the [strangers](strangers.md). The tasks are a point 5 m away and a
 a fifth of the top speed that no estimate contains. A case multiplies values of the true vehicle: `drag=0.5` has half of
 the drag that the file says. `benchmarks/robustness/cases.py` explains the keys. PID with line of sight and LQR are
 tuned once a vehicle, on the right file and with the same search. LQR alone is given the steady current. Flown here:
-{vehicles}; {len({row.case for row in found})} cases.
+{vehicles}; {_cases_flown(found)}.
 
-**Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {provenance_table()["commit"][:8]}.
+**Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {commit[:8]}.
 
 **Result.** {summary(found)}
 

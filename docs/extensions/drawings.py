@@ -17,7 +17,7 @@ from xml.sax.saxutils import escape
 from ltv_mpc import ControllerConfig, Vehicle
 from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.localisation.sensors import SENSORS
+from ltv_mpc.localisation.sensors import PUBLISHED, SENSORS
 from ltv_mpc.messages import Estimate
 from services.bus.topics import BY_TYPE, TOPICS, Topic
 from services.supervisor.process_table import PROCESSES
@@ -201,7 +201,7 @@ def estimator() -> str:
     drawing, y, sequencing = Drawing(), 20.0, 0.0
     for i, sensor in enumerate(SENSORS):
         drawing.box(20, 20 + 30 * i, 170, 24)
-        drawing.text(105, 36 + 30 * i, BY_TYPE[sensor.message].key, size=12, anchor="middle")
+        drawing.text(105, 36 + 30 * i, BY_TYPE[PUBLISHED[sensor.name]].key, size=12, anchor="middle")
         drawing.line(190, 32 + 30 * i, 206, 32 + 30 * i)
     last = 32 + 30 * (len(SENSORS) - 1)
     drawing.line(206, 32, 206, last)

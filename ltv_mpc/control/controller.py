@@ -264,7 +264,7 @@ class Controller:
         self._delay.add_receipt(applied)
         self._prediction.add_report(applied)
         self.actuator_check.add(applied)
-        self._estimates.stamp_check.add_report(applied)
+        self._estimates.motion_fit.add_thrust(applied.t_ns, applied.thrust_N)
         self.sent_commands.correct(applied.t_ns, applied.command_N)
 
     def add_timing(self, timing: CycleTiming) -> None:
@@ -353,6 +353,7 @@ class Controller:
         decision = self._decide(newest, now_ns, override, health)
         delay_ns = self._delay.expected_ns()
         start = self._prediction.state_at(decision.estimate, now_ns + delay_ns, self.sent_commands)
+        self._estimates.motion_fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
         knots = start.t_ns + self._knots_ns
         if self._lateral.fencing.predict_obstacles(start.t_ns):
             self._restrict_paths()
@@ -456,14 +457,13 @@ class Controller:
             check.began_ns = None
         if estimate is not None:
             self._vertical.depth_limits.update(estimate)
-            given, stamps = estimate, self._estimates.stamp_check
+            fit = self._estimates.motion_fit
+            if check.learns:
+                fit.update(estimate)
             estimate = self.observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
-            stamps.update(given, estimate.current)
             self._prediction.coefficients[:] = self.observer.coefficients
             self._lateral.set_coefficients(self._prediction.coefficients)
-            arm, model = self.observer.lever_arm, self.observer.model
-            of_water = self.observer.is_bounded
-            self.vehicle_file_check.update(estimate.t_ns, arm, model, bounded=of_water, late_s=stamps.delay_s)
+            self.vehicle_file_check.update(estimate.t_ns, fit, bounded=self.observer.is_bounded)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self.observer)
@@ -509,7 +509,7 @@ class Controller:
         if decision.mode is Mode.FOLLOW:
             self._lateral.set_reference(path=self.follower.is_path, heading=self.follower.heading_rad is not None)
             if not self.follower.is_path:
-                self._lateral.relax_target(start, knots, self.config.position_tolerance_m)
+                self._lateral.relax_target(start, self.config.position_tolerance_m)
             self._lateral.bend_target(start)
             return self._lateral.plan(start)
         if decision.stops:

@@ -204,16 +204,6 @@ class DisturbanceObserver:
         return self._belief[1][CURRENT:ARM, CURRENT:ARM].copy()
 
     @property
-    def lever_arm(self) -> Belief:
-        """Estimated lever arm (2,), forward and starboard (m), and its covariance (2, 2) (m^2)."""
-        return self._belief[0][ARM:MODEL].copy(), self._belief[1][ARM:MODEL, ARM:MODEL].copy()
-
-    @property
-    def model(self) -> Belief:
-        """Learned model q (8,) and its covariance (8, 8), as at the head of ``disturbance_filter.py``."""
-        return self._belief[0][MODEL:].copy(), self._belief[1][MODEL:, MODEL:].copy()
-
-    @property
     def coefficients(self) -> Array:
         """Coefficients (21,) of the vehicle with the learned model."""
         adapted_to: Array = adapted(self._file, self._belief[0][MODEL:])
@@ -303,8 +293,9 @@ class DisturbanceObserver:
     def arm_in_use(self) -> ReferencePoint:
         """Lever arm that corrects the estimates: the significant part of the estimated one."""
         mean, P = self._belief
-        squares = mean**2 / np.maximum(np.diag(P), 1e-12)  # 0 where no arm is estimated
-        forward_m, starboard_m = (float(mean[i]) * _significance(float(squares[i])) for i in (ARM, ARM + 1))
+        forward_m, starboard_m = (
+            float(mean[i]) * _significance(float(mean[i] ** 2 / max(P[i, i], 1e-12))) for i in (ARM, ARM + 1)
+        )
         return ReferencePoint(forward_m=forward_m, starboard_m=starboard_m)
 
     def take_back(self, t_ns: int) -> None:

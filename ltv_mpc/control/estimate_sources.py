@@ -79,8 +79,8 @@ class EstimateSources:
         ----------
         t_ns : current time (ns).
         """
-        active, second = self.selector.active, self.selector.second
-        if active is None or second is None or not self.selector.contested(t_ns):
+        active, second = self.selector.active, self.selector.contest.second(t_ns)
+        if active is None or second is None:
             return NOMINAL
         key = "estimate" if active.name == DEFAULT_SOURCE else f"estimate/{active.name}"
         why = f"second source on {key}: epoch {second.epoch} is rejected, epoch {active.epoch} is used"

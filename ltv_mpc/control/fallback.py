@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control import nominal
+from ltv_mpc.control import nominal, shooting_grid
 from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.vertical import ramp
@@ -180,9 +180,8 @@ class Fallback:
         stages, commands = self._previous.lateral_commands(start.t_ns)
         if math.isnan(stages):
             return None
-        X, U = self.empty()
-        nominal.shifted_trajectory(self._packed, start.lateral, commands, stages, C, X, U)
-        goal = U.copy()
+        (X, U), goal = self.empty(), commands.copy()
+        shooting_grid.shift(goal, self._previous.knots_ns / STAGE_NS, stages)
         goal[start.t_ns + self._previous.knots_ns > self._previous.solved_until_ns] = 0.0
         nominal.ramp_to(self._packed, start.lateral, goal, C, X, U)
         if not (np.isfinite(X).all() and np.isfinite(U).all()):

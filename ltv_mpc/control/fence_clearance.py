@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.control.problem_data import Objective, stage_length
+from ltv_mpc.control.problem_data import stage_length
 from ltv_mpc.geofence.obstacles import GROWTH_MPS, SD_FACTOR
 from ltv_mpc.geofence.zones import Zones, nearest
 from ltv_mpc.jit import jit, jit_outlined
@@ -60,6 +60,16 @@ class Scene(NamedTuple):
 
 NO_PATH = np.empty((0, 2))
 """Path of a corridor that does not bound."""
+
+
+def bounds_track(scene: Scene) -> bool:
+    """Return True if a scene has a zone, an obstacle or a corridor.
+
+    Parameters
+    ----------
+    scene : of a cycle.
+    """
+    return len(scene.need) > 0 or len(scene.discs) > 0 or len(scene.path) > 1
 
 
 @jit
@@ -110,15 +120,15 @@ def disc_at(scene: Scene, i: int, t_s: float) -> tuple[float, float, float]:
 
 
 @jit
-def sub_steps(o: Objective, k: int) -> int:
+def sub_steps(t: Array, k: int) -> int:
     """Return in how many points the stage that ends at knot k is looked at.
 
     Parameters
     ----------
-    o : has the knots.
+    t : (N+1,) knots in first stages.
     k : knot.
     """
-    return max(int(np.ceil(stage_length(o, k) - 1e-6)), 1)
+    return max(int(np.ceil(stage_length(t, k) - 1e-6)), 1)
 
 
 @jit
@@ -162,9 +172,7 @@ def surplus_m(scene: Scene, z: int, n: float, e: float, t_s: float) -> float:
 
 
 @jit
-def stage_lack(
-    scene: Scene, z: int, X: Array, k: int, o: Objective, spare_m: float
-) -> tuple[float, float, float, float]:
+def stage_lack(scene: Scene, z: int, X: Array, k: int, t: Array, spare_m: float) -> tuple[float, float, float, float]:
     """Return the largest lack of clearance from one zone or obstacle in the stage that ends at knot k.
 
     Parameters
@@ -172,7 +180,7 @@ def stage_lack(
     scene, z : as in ``surplus_m``.
     X : (N+1, 8) states at the knots.
     k : knot.
-    o : has the knots.
+    t : (N+1,) knots in first stages.
     spare_m : length of the track from knot k - 1 on which the clearance is surely kept (m).
 
     Returns
@@ -180,14 +188,14 @@ def stage_lack(
     Lack at the knot (m), largest lack between the knots (m), where that is as a share of the stage, and the length of
     ``spare_m`` from knot k on (m). A lack is 0 where there is none.
     """
-    g, steps = stage_length(o, k), sub_steps(o, k)
+    g, steps = stage_length(t, k), sub_steps(t, k)
     dn, de = (X[k, 0] - X[k - 1, 0]) / steps, (X[k, 1] - X[k - 1, 1]) / steps
     moved_m, knot, between, part = np.hypot(dn, de), 0.0, 0.0, 1.0
     for j in range(1, steps + 1):
         spare_m -= moved_m
         if spare_m > 0.0:
             continue
-        t_s = (o.t[k - 1] + j / steps * g) * scene.stage_s
+        t_s = (t[k - 1] + j / steps * g) * scene.stage_s
         surplus = surplus_m(scene, z, X[k - 1, 0] + j * dn, X[k - 1, 1] + j * de, t_s)
         spare_m = surplus if z < len(scene.need) else 0.0  # obstacles move, too
         if j == steps:
@@ -198,28 +206,29 @@ def stage_lack(
 
 
 @jit_outlined
-def fence_cost(X: Array, scene: Scene, o: Objective) -> float:
+def fence_cost(X: Array, scene: Scene, t: Array, scale_m: float) -> float:
     """Return the cost of too small clearances, and of too large cross-track distances, along a trajectory.
 
     Parameters
     ----------
     X : (N+1, 8) states at the knots.
     scene : zones and obstacles.
-    o : knots and scales.
+    t : (N+1,) knots in first stages.
+    scale_m : S.
     """
-    total, Z, factor = 0.0, len(scene.need), 1.0 / o.state_scale[0]
+    total, Z, factor = 0.0, len(scene.need), 1.0 / scale_m
     if len(scene.path) > 1:
         for k in range(1, X.shape[0]):
             excess = abs(cross_track(scene, k, X[k, 0], X[k, 1])[0]) - scene.half_width_m
-            total += factor * CORRIDOR_PENALTY * stage_length(o, k) * max(excess, 0.0)
+            total += factor * CORRIDOR_PENALTY * stage_length(t, k) * max(excess, 0.0)
     box = _box(X)
     for z in range(Z + len(scene.discs)):
         if z < Z and _is_beyond(scene, z, box):
             continue
         spare_m = 0.0
         for k in range(1, X.shape[0]):
-            g = stage_length(o, k)
-            worst, between, _, spare_m = stage_lack(scene, z, X, k, o, spare_m)
+            g = stage_length(t, k)
+            worst, between, _, spare_m = stage_lack(scene, z, X, k, t, spare_m)
             if between > 0.0:
                 worst = max(worst, sag_m(X, k, g * scene.stage_s) + between)
             total += factor * PENALTY * g * worst
@@ -249,20 +258,17 @@ def _is_beyond(scene: Scene, z: int, box: tuple[float, float, float, float]) -> 
     return bool(scene.exits[z, 0] == 0.0 and _from_box(scene.zones, z, box) > scene.need[z])
 
 
-@jit
-def is_near(X: Array, scene: Scene, o: Objective) -> bool:
+def is_near(X: Array, scene: Scene, t: Array, scale_m: float) -> bool:
     """Return True if a trajectory comes near to a zone, an obstacle or the edge of the corridor.
 
     Parameters
     ----------
-    X, scene, o : as in ``fence_cost``.
+    X, scene, t, scale_m : as in ``fence_cost``.
     """
-    if len(scene.need) + len(scene.discs) == 0 and len(scene.path) < 2:
-        return False
-    spare = NEAR * o.state_scale[0]
-    zones, need, exits, discs, disc_need_m, stage_s, path, targets, reach, width_m = scene
-    wide = Scene(zones, need + spare, exits, discs, disc_need_m + spare, stage_s, path, targets, reach, width_m - spare)
-    return bool(fence_cost(X, wide, o) > 0.0)
+    spare_m = NEAR * scale_m
+    need, disc_need_m, width_m = scene.need + spare_m, scene.disc_need_m + spare_m, scene.half_width_m - spare_m
+    wide = scene._replace(need=need, disc_need_m=disc_need_m, half_width_m=width_m)
+    return bool(fence_cost(X, wide, t, scale_m) > 0.0)
 
 
 @jit

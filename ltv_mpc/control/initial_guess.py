@@ -17,12 +17,10 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.control.horizon_limits import command_bounds
-from ltv_mpc.control.ocp.assembly import stage_cost
-from ltv_mpc.control.ocp.limits.motion import excess_penalty
-from ltv_mpc.control.problem_data import Constants, Objective, stage_length
-from ltv_mpc.jit import jit
+from ltv_mpc.control.problem_data import Objective, stage_length, unpack_constants
+from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
-from ltv_mpc.vehicle.flow import advance_by, lag_table
+from ltv_mpc.vehicle.flow import STATES, advance_by, lag_table
 from ltv_mpc.vehicle.resistance import steady_speed
 
 APPROACH_S = 4.0
@@ -48,36 +46,31 @@ def _wanted_velocity(target: Array, k: int, o: Objective, stage_s: float) -> tup
     if N == 1:
         return target[1, 0], target[1, 1]
     end = max(k, 1)
-    h = stage_length(o, end + 1) * stage_s
+    h = stage_length(o.t, end + 1) * stage_s
     return (target[end, 0] - target[end - 1, 0]) / h, (target[end, 1] - target[end - 1, 1]) / h
 
 
 @jit
-def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, max_cost: float, c: Constants) -> float:
-    """Simulate the steering law from X[0] and U[0], and return the cost of the trajectory.
+def steering_guess(packed: Array, start: Array, target: Array, astern: bool, C: Array, X: Array, U: Array) -> None:
+    """Simulate the steering law.
 
     Parameters
     ----------
-    X : (N+1, 8) states; X[1:] is overwritten.
-    U : (N+1, 2) commands (N); U[1:] is overwritten.
-    C : (N+1, 2) current at the knots, north and east (m/s).
-    target : (N+1, 3) as in ``ocp/terms``.
+    packed, start, target, C : as in ``nominal.py``.
     astern : True to steer with the stern ahead.
-    max_cost : the simulation stops as soon as the cost exceeds this; the remaining knots are then not written.
-    c : constants of the controller.
-
-    Returns
-    -------
-    The cost (ocp/assembly.py); infinity if the simulation stopped.
+    X, U : are overwritten.
     """
-    N, p, o = len(target) - 1, c.p, c.objective
+    c, N = unpack_constants(packed), len(target) - 1
+    p, o = c.p, c.objective
+    copy_to(X[0], start[:STATES])
+    copy_to(U[0], start[STATES:])
     fastest = steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
     sign = -1.0 if astern else 1.0
-    total, h, penalty = 0.0, stage_length(o, 1) * c.stage_s, excess_penalty(X, target, o)
+    h = stage_length(o.t, 1) * c.stage_s
     lag = lag_table(h, p)
     for k in range(N):
         x = X[k]
-        g = stage_length(o, k + 1)
+        g = stage_length(o.t, k + 1)
         before, h = h, g * c.stage_s
         if h != before:
             lag = lag_table(h, p)
@@ -104,7 +97,3 @@ def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, ma
             low, high = command_bounds(U[0, i], o.t[k + 1] * o.max_change[i], o.low[i], o.high[i])
             U[k + 1, i] = min(max(F[i], low, U[k, i] - g * o.max_change[i]), high, U[k, i] + g * o.max_change[i])
         advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])
-        total += stage_cost(k + 1, X, U, C, target, o, penalty)
-        if total > max_cost:
-            return np.inf
-    return total

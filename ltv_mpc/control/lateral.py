@@ -2,7 +2,7 @@
 
     previous plan --choose_nominal--> LTV model along it --fill--> problem --solve--> commands --line_search--> plan
                          ^                                                                                       |
-                         +------------------------ relinearise, ``sqp_iterations`` times ------------------------+
+                         +------------------------- linearise, ``sqp_iterations`` times -------------------------+
 
 The QP has the rows of fence and corridor only where they bind: without them it is solved faster. Where the nominal
 trajectory is near to a zone, the QP without them comes first, unless rows bound in the last one. If its solution meets
@@ -39,6 +39,7 @@ from ltv_mpc.control.ocp.problem import Problem, is_finite
 from ltv_mpc.control.prediction import Start, fill_currents, profile_of
 from ltv_mpc.control.problem_data import coefficients_of, pack_constants
 from ltv_mpc.control.solvers import Result, Solver, SolverFactory
+from ltv_mpc.control.target_placement import bring_within
 from ltv_mpc.messages import Array, Estimate, Pair, PlanOrigin, Solve, SolveStatus, Times
 from ltv_mpc.node import Stopwatch
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -127,13 +128,12 @@ class LateralPlanner:
         limited = self._config.limits.has_state_limit
         self.fencing.bend(start.lateral[:2], self._cycle.lin.C[0], self.target, limited=limited)
 
-    def relax_target(self, start: Start, knots: Times, radius_m: float) -> None:
+    def relax_target(self, start: Start, radius_m: float) -> None:
         """Move the target of each knot to the point of a disc about it that is nearest to the previous plan.
 
         Parameters
         ----------
         start : the vehicle at the plan's start, from where the previous plan is continued.
-        knots : (N+1,) times of the knots (ns).
         radius_m : radius of the disc (m). Where the heading is free and the depth is kept, it is ``REST_M`` at least in
             still water, and less in a current.
         """
@@ -143,9 +143,8 @@ class LateralPlanner:
             radius_m = max(radius_m, REST_M / (1.0 + RESTLESS * (current_mps / heading_free(self._vehicle)[0]) ** 2))
         if radius_m == 0.0 or plan is None:
             return
-        planned = np.stack([np.interp(knots, plan.t_ns, plan.states[:, i]) for i in (0, 1)], axis=1)
-        off = planned[1:] - planned[0] + start.lateral[:2] - self.target[:-1, :2]
-        self.target[:-1, :2] += off * np.minimum(radius_m / np.maximum(np.hypot(*off.T), 1e-9), 1.0)[:, None]
+        stages = (start.t_ns - int(plan.t_ns[0])) / STAGE_NS
+        bring_within(plan.states, stages, self._cycle.knots, start.lateral, radius_m, self.target)
 
     def ramp(self, start: Start, why: str, goal: Array | None = None) -> LateralPlan:
         """Ramp the lateral thrusters to a goal at their slew limits.
@@ -268,7 +267,7 @@ class LateralPlanner:
             else:
                 left -= 1
             if left > 0:
-                nominal.relinearise(cycle.packed, cycle.lin.flat, X, U)
+                nominal.linearise(cycle, U)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
     def _solve_qp(self, shift: float, *, near: bool) -> tuple[Array, Solve]:

@@ -7,9 +7,6 @@ between them; current C (N+1, 2) at the knots. Along a trajectory Xbar (N+1, 8),
 
 with Phi[k] the exact flow from Xbar[k]. Xbar need not be a solution of the equations of motion: the gap
 Phi[k] - Xbar[k+1] goes into the QP (multiple shooting).
-
-Kernels that Python calls in every cycle take ``Linearisation.flat`` and unpack it: a call with the eight arrays takes
-1 us more (docs/notes/kernel-arguments.md). Kernels that are called from kernels take the ``Linearisation``.
 """
 
 from __future__ import annotations
@@ -35,7 +32,6 @@ class Linearisation(NamedTuple):
     A: Array  # (N, 8, 8) derivative of the flow with respect to X[k]
     B0: Array  # (N, 8, 2) with respect to U[k]
     B1: Array  # (N, 8, 2) with respect to U[k+1]
-    flat: Array  # storage of all of these, in this order
 
     @classmethod
     def empty(cls, stages: int) -> Linearisation:
@@ -44,63 +40,9 @@ class Linearisation(NamedTuple):
         Parameters
         ----------
         stages : N.
-
-        Returns
-        -------
-        The linearisation.
         """
-        size = (stages + 1) * (STATES + 4) + stages * STATES * (STATES + 5)
-        lin: Linearisation = unpack_linearisation(np.empty(size), stages)
-        return lin
-
-    @classmethod
-    def from_arrays(cls, *parts: Array) -> Linearisation:
-        """Return a linearisation that holds copies of arrays.
-
-        Parameters
-        ----------
-        parts : X, U, C, Phi, A, B0, B1; shapes as those of the fields.
-
-        Returns
-        -------
-        The linearisation.
-        """
-        lin = cls.empty(len(parts[3]))
-        for part, values in zip(lin[:-1], parts, strict=True):
-            part[...] = values
-        return lin
-
-
-@jit
-def unpack_linearisation(flat: Array, stages: int) -> Linearisation:
-    """Return the parts of a flat array, which share its memory.
-
-    Parameters
-    ----------
-    flat : all numbers, in the order of the fields.
-    stages : N.
-
-    Returns
-    -------
-    The linearisation whose storage is ``flat``.
-    """
-    N = stages
-    u = (N + 1) * STATES
-    c = u + (N + 1) * 2
-    phi = c + (N + 1) * 2
-    a = phi + N * STATES
-    b0 = a + N * STATES * STATES
-    b1 = b0 + N * STATES * 2
-    return Linearisation(
-        flat[:u].reshape(N + 1, STATES),
-        flat[u:c].reshape(N + 1, 2),
-        flat[c:phi].reshape(N + 1, 2),
-        flat[phi:a].reshape(N, STATES),
-        flat[a:b0].reshape(N, STATES, STATES),
-        flat[b0:b1].reshape(N, STATES, 2),
-        flat[b1:].reshape(N, STATES, 2),
-        flat,
-    )
+        K, N, n = stages + 1, stages, STATES
+        return cls(*map(np.empty, ((K, n), (K, 2), (K, 2), (N, n), (N, n, n), (N, n, 2), (N, n, 2))))
 
 
 @jit_outlined
@@ -146,9 +88,9 @@ def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
     return X
 
 
-@jit
-def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
-    """Linearise the flow along a given trajectory.
+@jit_outlined
+def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficients, rollout: bool) -> None:
+    """Linearise the flow along a trajectory.
 
     Parameters
     ----------
@@ -156,25 +98,8 @@ def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficient
     t : (N+1,) knots in first stages.
     stage_s : length of the first stage.
     p : coefficients of the vehicle.
+    rollout : True: X[0] alone is given, and X[1:] is overwritten with the exact flow from there, in the same pass.
     """
-    _linearise(lin, t, stage_s, p, False)
-
-
-@jit
-def linearise_rollout(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
-    """Propagate the state by the exact flow from X[0], and linearise along it, in one pass.
-
-    Parameters
-    ----------
-    lin : X[0], U and C are given; X[1:], Phi, A, B0 and B1 are overwritten.
-    t, stage_s, p : as in ``linearise_along``.
-    """
-    _linearise(lin, t, stage_s, p, True)
-
-
-@jit_outlined
-def _linearise(lin: Linearisation, t: Array, stage_s: float, p: Coefficients, rollout: bool) -> None:
-    """Linearise along ``lin``; ``rollout``: along the exact flow from X[0], written into X[1:]."""
     X, U, C = lin.X, lin.U, lin.C
     h = (t[1] - t[0]) * stage_s
     lag = lag_table(h, p)
@@ -209,7 +134,7 @@ def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linear
     """
     lin = Linearisation.empty(len(U) - 1)
     lin.X[...], lin.U[...], lin.C[...] = X, U, C
-    linearise_along(lin, np.arange(float(len(U))), h, p)
+    linearise_along(lin, np.arange(float(len(U))), h, p, False)
     return lin
 
 
@@ -248,8 +173,8 @@ def describe_non_finite(lin: Linearisation, target: Array) -> str:
     -------
     One sentence for the report of a solve.
     """
-    names = (*Linearisation._fields[:-1], "target")
-    for name, values in zip(names, (*lin[:-1], target), strict=True):
+    names = (*Linearisation._fields, "target")
+    for name, values in zip(names, (*lin, target), strict=True):
         finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
         if not finite.all():
             return f"{name} is not finite from index {int(np.argmin(finite))} on"

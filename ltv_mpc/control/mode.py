@@ -31,8 +31,8 @@ from ltv_mpc.references.follower import Follower
 from ltv_mpc.safety.actuator_check import ActuatorCheck
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from ltv_mpc.safety.estimate_gate import EstimateGate
-from ltv_mpc.safety.health import NOMINAL, PREDICTED_TOO_FAR, HealthState, health, worst
-from ltv_mpc.safety.stamp_check import StampCheck
+from ltv_mpc.safety.health import PREDICTED_TOO_FAR, HealthState, health, worst
+from ltv_mpc.safety.motion_fit import MotionFit
 from ltv_mpc.safety.vehicle_file_check import VehicleFileCheck
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -95,13 +95,12 @@ class EstimateSelector:
         """Plausibility check, with the count of rejected estimates."""
         self.vehicle_file_check = VehicleFileCheck()
         """Check of the vehicle file against what the motion shows."""
-        self.stamp_check = StampCheck(vehicle)
-        """Check of the stamps of the estimates against the motion."""
+        self.motion_fit = MotionFit(vehicle)
+        """Vehicle, sea and stamps that explain the motion."""
         self.actuator_check = ActuatorCheck(vehicle, config.period_ns)
         """Check of the actuators' reports: whether the motion of the estimates comes from the plans."""
         self._vehicle, self._positions = vehicle, PositionFilter()
         self._ages = config.ages
-        self._fresh_ns = round(config.ages.degraded_s * 1e9)
         self._without = health(age_ns=None, period_ns=0)  # health before the first plausible estimate
         self._uncertain: Estimate | None = None  # the last one from which the prediction grew too uncertain
         self.growth_m = 0.0
@@ -125,7 +124,7 @@ class EstimateSelector:
         """Begin with another source of estimates."""
         self.gate.restart()
         self._positions = PositionFilter()
-        self.vehicle_file_check, self.stamp_check = VehicleFileCheck(), StampCheck(self._vehicle)
+        self.vehicle_file_check, self.motion_fit = VehicleFileCheck(), MotionFit(self._vehicle)
 
     def health(self, t_ns: int) -> HealthState:
         """Return the health by the age of the newest plausible estimate, and by ``limit_growth``.
@@ -138,9 +137,7 @@ class EstimateSelector:
         if estimate is None:
             return self._without
         age_ns = t_ns - estimate.t_ns
-        if -self._fresh_ns <= age_ns <= self._fresh_ns:
-            return NOMINAL  # for any period of the estimates
-        state = health(age_ns=age_ns, period_ns=self.gate.period.median_ns, ages=self._ages)
+        state = health(age_ns=age_ns, period_ns=self.gate.age.median_ns, ages=self._ages)
         if estimate is self._uncertain and state.health is Health.DEGRADED:
             return HealthState(Health.HOLD, PREDICTED_TOO_FAR)
         return state

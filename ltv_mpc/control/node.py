@@ -6,8 +6,6 @@ From that state and the plan in force another controller node can continue.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import msgspec
 
 from ltv_mpc.bathymetry import Bathymetry
@@ -42,7 +40,7 @@ from ltv_mpc.messages import (
     Plan,
     RejectedFrame,
 )
-from ltv_mpc.node import Cycle, Due, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
+from ltv_mpc.node import Cycle, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.safety.command_arbiter import MANUAL_TIMEOUT_NS, CommandArbiter
 from ltv_mpc.safety.health import NOMINAL, HealthState, report_health, worst
@@ -131,20 +129,14 @@ class ControllerNode:
         """Policy that ends the mission."""
         return self._commands.mission
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Run one cycle at each time; there is no plan before the first estimate.
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+        """Run one cycle; there is no plan before the first estimate.
 
         Parameters
         ----------
-        due : vehicle time (ns) and inbox of each cycle.
-
-        Returns
-        -------
-        The messages of each cycle.
+        t_ns : vehicle time of the cycle (ns).
+        inbox : messages since the last cycle.
         """
-        return [self._step(t_ns, inbox) for t_ns, inbox in due]
-
-    def _step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         self._cycle_ns = t_ns
         acknowledged: list[Message] = []
         for received in sorted(inbox, key=_is_by_operator):
@@ -228,13 +220,9 @@ class ControllerNode:
 
     def inputs(self) -> tuple[InputReport, ...]:
         """Return the state of each input whose age decides the health, at the last cycle."""
-        implausible, ages = self.controller.estimate_gate.rejected.total(), self.controller.config.ages
-        return tuple(
-            InputReport(
-                input=name, rejected=monitor.rejected + more, **monitor.state_at(self._cycle_ns, ages)._asdict()
-            )
-            for name, monitor, more in (("estimate", self.sources.monitor, implausible), (ACTUATORS, self.reports, 0))
-        )
+        t_ns, ages, implausible = self._cycle_ns, self.controller.config.ages, self.controller.estimate_gate.rejected
+        estimates = self.sources.monitor.report("estimate", t_ns, ages, implausible=implausible.total())
+        return estimates, self.reports.report(ACTUATORS, t_ns, ages)
 
     def _health_of_inputs(self, t_ns: int) -> HealthState:
         """Return the worst health of the inputs other than the estimate's age."""
@@ -242,8 +230,9 @@ class ControllerNode:
 
     def _states(self, t_ns: int) -> dict[str, HealthState]:
         """Return the health by each input other than estimate's age and mission policy, by name."""
+        reports, ages = self.reports.age, self.controller.config.ages
         return {
-            "actuators": self._health_of_reports(t_ns),
+            "actuators": report_health(silent_ns=reports.silent_ns(t_ns), period_ns=reports.median_ns, ages=ages),
             "plans": self._plan_rejections.health(t_ns),
             "commands": self.controller.actuator_check.health,
             "clock": self._health_of_clock(t_ns),
@@ -253,18 +242,10 @@ class ControllerNode:
             "thrusters": self._health_of_thrusters(),
         }
 
-    def _health_of_reports(self, t_ns: int) -> HealthState:
-        """Return the health by the time since the actuators' last report."""
-        reports, ages = self.reports, self.controller.config.ages
-        silent_ns = reports.silent_ns(t_ns)
-        if silent_ns is None or silent_ns <= ages.degraded_s * 1e9:
-            return NOMINAL  # for any period of the reports
-        return report_health(silent_ns=silent_ns, period_ns=reports.period.median_ns, ages=ages)
-
     def _health_of_report_source(self, t_ns: int) -> HealthState:
         """Return the health by a second source of the actuators' reports, whose frames validation rejects."""
-        why = self.reports.second_source(t_ns)
-        if not why:
+        why = self.reports.contest.second(t_ns)
+        if why is None:
             return NOMINAL
         return HealthState(Health.DEGRADED, f"{SECOND_SOURCE} on {ACTUATORS}{why.removeprefix(SECOND_SOURCE)}")
 

@@ -108,6 +108,16 @@ def coefficients_of(packed: Array) -> Array:
     return packed[begin : begin + 21]
 
 
+def bow_first(packed: Array) -> bool:
+    """Return True if packed constants have a lower limit of surge that lets the vehicle not go astern.
+
+    Parameters
+    ----------
+    packed : packed constants.
+    """
+    return bool(packed[20] >= 0.0)
+
+
 @jit
 def unpack_objective(packed: Array) -> Objective:
     """Return the objective at the beginning of a packed objective or of packed constants."""
@@ -127,16 +137,16 @@ def unpack_constants(packed: Array) -> Constants:
 
 
 @jit
-def stage_length(o: Objective, k: int) -> float:
+def stage_length(t: Array, k: int) -> float:
     """Return the length of the stage that ends at knot k = 1 .. N, in first stages.
 
     Parameters
     ----------
-    o : has the knots.
+    t : (N+1,) knots in first stages.
     k : knot.
 
     Returns
     -------
     g_k = t_k - t_(k-1).
     """
-    return float(o.t[k] - o.t[k - 1])
+    return float(t[k] - t[k - 1])

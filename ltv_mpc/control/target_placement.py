@@ -1,4 +1,4 @@
-"""Targets of a horizon where they cannot stay: behind a zone, and out of reach.
+"""Targets of a horizon where they cannot stay: behind a zone, out of reach, or in a disc that is near enough.
 
 A target behind a zone would pull the vehicle against it. So where the line through the targets is blocked, they move
 along the shortest way round the zones (``geofence/route.py``), no faster than the vehicle can follow:
@@ -18,6 +18,7 @@ import math
 import numpy as np
 
 from ltv_mpc.control.scaling import Scales
+from ltv_mpc.control.shooting_grid import locate
 from ltv_mpc.control.terminal_check import closing_speed
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.jit import jit
@@ -50,6 +51,31 @@ def bring_near(position: Array, current: Array, target: Array, horizon_s: float,
         if distance > far:
             target[k, 0] = position[0] + north * far / distance
             target[k, 1] = position[1] + east * far / distance
+
+
+@jit
+def bring_within(states: Array, stages: float, t: Array, state: Array, radius_m: float, target: Array) -> None:
+    """Move the target of each knot to the point of a disc about it that is nearest to the previous plan.
+
+    Parameters
+    ----------
+    states : (N+1, 6) states of the previous plan; the changes of its positions count.
+    stages : by how many first stages it began earlier.
+    t : (N+1,) knots in first stages.
+    state : of the vehicle at the first knot, from where the plan is continued: north and east first (m).
+    radius_m : radius of the disc (m).
+    target : (N+1, 3) as in ``ocp/terms``; its positions are overwritten.
+    """
+    low, part = locate(t, t[0] + stages, 0)
+    north = state[0] - (1.0 - part) * states[low, 0] - part * states[low + 1, 0]
+    east = state[1] - (1.0 - part) * states[low, 1] - part * states[low + 1, 1]
+    for k in range(1, len(t)):
+        low, part = locate(t, t[k] + stages, low)
+        off_n = north + (1.0 - part) * states[low, 0] + part * states[low + 1, 0] - target[k - 1, 0]
+        off_e = east + (1.0 - part) * states[low, 1] + part * states[low + 1, 1] - target[k - 1, 1]
+        share = min(radius_m / max(math.hypot(off_n, off_e), 1e-9), 1.0)
+        target[k - 1, 0] += share * off_n
+        target[k - 1, 1] += share * off_e
 
 
 def lead_round(router: Router, position: Array, current: Array, target: Array, times_s: Array, scales: Scales) -> bool:

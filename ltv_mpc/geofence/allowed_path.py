@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -49,14 +49,21 @@ DIRECTIONS = 64
 Columns: TypeAlias = npt.NDArray[np.int64]
 
 
-def allowed_path(schedule: Schedule, router: Router, table: Array | None = None) -> tuple[Schedule, float]:
+class DividedTable(NamedTuple):
+    """Table of a schedule whose steps are at most ``STEP_M``."""
+
+    table: Array  # (5, M)
+    points: Array  # (M, 2) north and east (m), for compiled code
+
+
+def allowed_path(schedule: Schedule, router: Router, of: DividedTable | None = None) -> tuple[Schedule, float]:
     """Return the schedule with detours for its columns that are nearer to a zone than the required clearance.
 
     Parameters
     ----------
     schedule : motion of the target.
     router : has the zones of the fence and the required clearance.
-    table : the divided table of the schedule, if it is known.
+    of : the divided table of the schedule, if it is known.
 
     Returns
     -------
@@ -64,8 +71,8 @@ def allowed_path(schedule: Schedule, router: Router, table: Array | None = None)
     path whose end has no allowed point near it stays as it is.
     """
     zones, need, keeps_time = router.zones, router.need, isinstance(schedule, TimedSchedule)
-    table = divided(schedule.table) if table is None else table
-    clear = are_clear(zones, need, np.ascontiguousarray(table[[NORTH, EAST]].T))
+    table, points = divided(schedule.table) if of is None else of
+    clear = are_clear(zones, need, points)
     if clear.all():
         return schedule, 0.0
     # Far from what is left out the path stays as it is, but for its times.
@@ -213,7 +220,7 @@ def nearest_allowed(zones: Zones, need: Array, point: Pair) -> Pair | None:
     return None
 
 
-def divided(table: Array) -> Array:
+def divided(table: Array) -> DividedTable:
     """Return the table (5, M) of a schedule with its steps divided into parts of at most ``STEP_M``.
 
     Parameters
@@ -223,7 +230,7 @@ def divided(table: Array) -> Array:
     lengths = np.diff(table[WAY])
     step_m = max(STEP_M, float(lengths.sum()) / MAX_COLUMNS)
     parts = np.maximum(np.ceil(lengths / step_m), 1.0).astype(np.int64)
-    if parts.max(initial=1) == 1:
-        return table
-    first = np.concatenate([[0], np.cumsum(parts)])  # columns of the table among those of the parts
-    return np.array([np.interp(np.arange(first[-1] + 1), first, row) for row in table])
+    if parts.max(initial=1) > 1:
+        first = np.concatenate([[0], np.cumsum(parts)])  # columns of the table among those of the parts
+        table = np.array([np.interp(np.arange(first[-1] + 1), first, row) for row in table])
+    return DividedTable(table, np.ascontiguousarray(table[[NORTH, EAST]].T))

@@ -1,4 +1,4 @@
-"""Fences in files of other programs: QGroundControl plans, and ArduPilot's lists of fence items (QGC WPL 110).
+"""Fences of other programs: QGroundControl plans, and fence items of ArduPilot (MAV_CMD), also in a QGC WPL 110 file.
 
 Inclusion zones of one group are one keep-in zone, their union, as the vehicle has to be in one of them; all those of a
 plan are one group. An inclusion circle becomes the polygon in it. The files have no margins: all are ``MARGIN_M``.
@@ -17,12 +17,13 @@ from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.geojson import union
 from ltv_mpc.references.geodesy import Origin, degrees
-from ltv_mpc.references.mission_files import WAYPOINT, read_json, read_waypoints
+from ltv_mpc.references.mission_files import read_json, read_waypoints
+from ltv_mpc.references.mission_items import WAYPOINT, Item, command_name
 
 MARGIN_M, MAX_RADIUS_M = 1.0, 100_000.0
 CORNERS = 32
 """Vertices of the polygon in an inclusion circle."""
-KEEP_IN, KEEP_OUT, CIRCLE_IN, CIRCLE_OUT = 5001, 5002, 5003, 5004  # MAV_CMD_NAV_FENCE
+RETURN_POINT, KEEP_IN, KEEP_OUT, CIRCLE_IN, CIRCLE_OUT = 5000, 5001, 5002, 5003, 5004  # MAV_CMD_NAV_FENCE
 
 
 class Area(NamedTuple):
@@ -56,18 +57,39 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
     try:
         if kind == ".plan":
             plan = read_json(text, source)
-            first, areas = plan["mission"]["plannedHomePosition"], list(_of_plan(plan["geoFence"]))
+            latitude, longitude = map(float, plan["mission"]["plannedHomePosition"][:2])
+            origin, table = Origin(latitude_deg=latitude, longitude_deg=longitude), _zones(_of_plan(plan), source)
         else:
-            items = read_waypoints(text, source)
-            first, areas = items[0].parameters[4:6], list(_of_items(items, source))
-        if origin is None or kind == ".plan" or items[0].command == WAYPOINT:
-            origin = Origin(latitude_deg=float(first[0]), longitude_deg=float(first[1]))
+            home, *items = read_waypoints(text, source)
+            if home.command == WAYPOINT:
+                origin = Origin(latitude_deg=home.latitude_deg, longitude_deg=home.longitude_deg)
+            else:
+                items.insert(0, home)
+            if origin is None:
+                raise ConfigError(source, "", "has no home: item 0, or the [origin] of a reference")
+            table = zones_of(items, source)
         notes.append(f"{source}: has no margins, each zone has {MARGIN_M:g} m")
-        return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **_zones(areas, source)}
+        return {"margin_m": MARGIN_M, "origin": msgspec.to_builtins(origin), **table}
     except ConfigError:
         raise
     except (TypeError, KeyError, ValueError, IndexError, OverflowError) as error:
         raise ConfigError(source, "", f"is no fence: {error}") from None
+
+
+def zones_of(items: Iterable[Item], source: str) -> dict[str, Any]:
+    """Return the tables of keep-in and keep-out zones of fence items; none for a return point alone.
+
+    Parameters
+    ----------
+    items : without home.
+    source : name of the list in errors.
+
+    Raises
+    ------
+    ConfigError
+        If an item is no part of a fence, or a polygon is not complete.
+    """
+    return _zones(_of_items(items, source), source)
 
 
 def _zones(areas: Iterable[Area], source: str) -> dict[str, Any]:
@@ -77,7 +99,7 @@ def _zones(areas: Iterable[Area], source: str) -> dict[str, Any]:
     for area in areas:
         ring = [_place(position) for position in area.positions]
         if area.inside:
-            groups.setdefault(area.group, []).append(_polygon_in(area) if 0.0 < area.radius_m <= MAX_RADIUS_M else ring)
+            groups.setdefault(area.group, []).append(_polygon_in(area) if area.radius_m else ring)
         elif area.radius_m:
             table.setdefault("keep_out_disc", []).append({"centre": ring[0], "radius_m": area.radius_m})
         else:
@@ -88,29 +110,34 @@ def _zones(areas: Iterable[Area], source: str) -> dict[str, Any]:
     return table
 
 
-def _of_plan(fence: Any) -> Iterator[Area]:
+def _of_plan(plan: Any) -> Iterator[Area]:
+    fence = plan["geoFence"]
     for polygon in fence["polygons"]:
         yield Area(bool(polygon["inclusion"]), 0, polygon["polygon"])
     for circle in fence["circles"]:
         yield Area(bool(circle["inclusion"]), 0, [circle["circle"]["center"]], float(circle["circle"]["radius"]))
 
 
-def _of_items(items: Iterable[Any], source: str) -> Iterator[Area]:
-    ring: list[Any] = []
+def _of_items(items: Iterable[Item], source: str) -> Iterator[Area]:
+    ring: list[Item] = []
     for item in items:
-        size, group, *_, latitude, longitude, _ = item.parameters
+        size, group = item.parameters[:2]
         if ring and item.command != ring[0].command:
             problem = f"the polygon before it has {len(ring)} of {ring[0].parameters[0]:g} vertices"
             raise ConfigError(source, f"item {item.number}", problem)
         if item.command in (KEEP_IN, KEEP_OUT):
             ring.append(item)
             if len(ring) == size:
-                yield Area(item.command == KEEP_IN, int(group), [one.parameters[4:6] for one in ring])
+                yield Area(item.command == KEEP_IN, int(group), [(one.latitude_deg, one.longitude_deg) for one in ring])
                 ring = []
         elif item.command in (CIRCLE_IN, CIRCLE_OUT):
-            yield Area(item.command == CIRCLE_IN, int(group), [(latitude, longitude)], size)
-        elif item.number or item.command != WAYPOINT:  # item 0 may be home
-            raise ConfigError(source, f"item {item.number}", "is no part of a fence", value=item.command)
+            if not 0.0 < size <= MAX_RADIUS_M:
+                problem = f"must be above 0 and <= {MAX_RADIUS_M:g} m"
+                raise ConfigError(source, f"item {item.number} radius", problem, value=size)
+            yield Area(item.command == CIRCLE_IN, int(group), [(item.latitude_deg, item.longitude_deg)], size)
+        elif item.command != RETURN_POINT:  # of a plane's fence: the vehicle keeps inside the zones instead
+            name = command_name(item.command)
+            raise ConfigError(source, f"item {item.number} {name} ({item.command})", "is no part of a fence")
     if ring:
         raise ConfigError(source, "", f"the last polygon has {len(ring)} of {ring[0].parameters[0]:g} vertices")
 

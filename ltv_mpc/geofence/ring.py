@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from ltv_mpc.messages import Array
@@ -22,14 +24,16 @@ def ring_problem(vertices: Array) -> str:
     if len(short):
         after = (int(short[0]) + 1) % len(vertices)
         return f"vertices[{short[0]}] and vertices[{after}] are the same position"
-    crossing = _crossing_edges(vertices)
-    if crossing is not None:
-        first, second = ((k, (k + 1) % len(vertices)) for k in crossing)
-        return (
-            f"the ring crosses itself: the edge from vertices[{first[0]}] to vertices[{first[1]}] meets that from "
-            f"vertices[{second[0]}] to vertices[{second[1]}]"
-        )
-    return ""
+    import shapely  # takes a tenth of a second, and only a fence needs it
+
+    polygon = shapely.Polygon(vertices)
+    if polygon.is_valid:
+        return ""
+    place = shapely.Point(*map(float, re.findall(r"[-+.\de]+(?=[ \]])", shapely.is_valid_reason(polygon))))
+    lines = shapely.linestrings(np.stack([vertices, vertices + edges], axis=1))
+    first, second = sorted(np.argsort(shapely.distance(lines, place), kind="stable")[:2].tolist())
+    ends = [f"from vertices[{k}] to vertices[{(k + 1) % len(vertices)}]" for k in (first, second)]
+    return f"the ring crosses itself: the edge {ends[0]} meets that {ends[1]}"
 
 
 def signed_area_m2(vertices: Array) -> float:
@@ -41,32 +45,3 @@ def signed_area_m2(vertices: Array) -> float:
     """
     n, e = vertices.T
     return 0.5 * float(n @ np.roll(e, -1) - e @ np.roll(n, -1))
-
-
-def _crossing_edges(vertices: Array) -> tuple[int, int] | None:
-    """Return the first pair of edges that meet elsewhere than in the vertex between two neighbours."""
-    K = len(vertices)
-    begin, end = vertices, np.roll(vertices, -1, axis=0)
-    for i in range(K):
-        j = np.arange(i + 1, K)
-        # the ends of an edge lie on different sides of the other, or on it
-        apart = _side(begin[i], end[i], begin[j]) * _side(begin[i], end[i], end[j]) <= 0.0
-        apart &= _side(begin[j], end[j], begin[i]) * _side(begin[j], end[j], end[i]) <= 0.0
-        low_i, high_i = np.minimum(begin[i], end[i]), np.maximum(begin[i], end[i])
-        near = np.all((np.minimum(begin[j], end[j]) <= high_i) & (np.maximum(begin[j], end[j]) >= low_i), axis=1)
-        neighbour = (j == i + 1) | (j - i == K - 1)
-        # neighbours share a vertex; they overlap if the second turns straight back
-        back = (np.abs(_side(begin[i], end[i], np.where((j == i + 1)[:, None], end[j], begin[j]))) == 0.0) & (
-            (end[i] - begin[i]) @ (end[j] - begin[j]).T < 0.0
-        )
-        meets = np.flatnonzero(np.where(neighbour, back, apart & near))
-        if len(meets):
-            return i, int(j[meets[0]])
-    return None
-
-
-def _side(begin: Array, end: Array, point: Array) -> Array:
-    """Return a number whose sign says on which side of the line from begin to end a point is; 0 on it."""
-    way, to = end - begin, point - begin
-    side: Array = way[..., 0] * to[..., 1] - way[..., 1] * to[..., 0]
-    return side

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.geofence.allowed_path import allowed_path, divided
+from ltv_mpc.geofence.allowed_path import DividedTable, allowed_path, divided
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import Zones
 from ltv_mpc.messages import Array
@@ -32,7 +32,7 @@ class Routes:
         self._at_margins: Router | None = None
         self._zones, self._need = NO_ZONES, np.empty(0)
         self._standing = np.empty((0, 3))
-        self._divided: tuple[Schedule, Array] | None = None  # last path, and its table in small steps
+        self._divided: tuple[Schedule, DividedTable] | None = None  # last path, and its table in small steps
 
     def set_zones(self, zones: Zones, need: Array) -> None:
         """Lead round other zones.

@@ -13,7 +13,7 @@ for satellites (``alignment.py``). What arrives after an estimate corrects the n
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from ltv_mpc.currents import WaterPrior
@@ -27,21 +27,21 @@ from ltv_mpc.localisation.publishing import CheckpointSchedule, EstimateSchedule
 from ltv_mpc.localisation.reinitialisation import is_usable
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensor_screening import SensorScreening
-from ltv_mpc.localisation.sensors import BY_MESSAGE
+from ltv_mpc.localisation.sensors import BY_MESSAGE, PUBLISHED
 from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.localisation.sequencing import Sequencing
 from ltv_mpc.localisation.supervision import Supervision
 from ltv_mpc.localisation.warm_restart import WarmRestart
-from ltv_mpc.messages import BottomTrack, Estimate, EstimatorState, ImuSample, LocalisationReport, Message
-from ltv_mpc.node import Due, Inbox, OnMessage, Progress, no_progress
+from ltv_mpc.messages import BottomTrack, Estimate, EstimatorState, ImuSample, ImuSamples, LocalisationReport, Message
+from ltv_mpc.node import Inbox, OnMessage, Progress, no_progress
 
 
 class Estimator:
     """ADCP-aided localisation as a node."""
 
     name = "estimator"
-    schedule = OnMessage(tuple(BY_MESSAGE))
-    reads: tuple[type[Message], ...] = tuple(BY_MESSAGE)
+    reads: tuple[type[Message], ...] = tuple(PUBLISHED.values())
+    schedule = OnMessage(reads)
     writes: tuple[type[Message], ...] = (Estimate, LocalisationReport, EstimatorState)
 
     def __init__(
@@ -97,34 +97,33 @@ class Estimator:
             account.update(self.filter.account)
         return account
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Use every message of each inbox, in its order, at the message's own time.
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
+        """Use every message of the inbox, in its order, at the message's own time.
 
         Parameters
         ----------
-        due : steps that are due, in order of time.
-
-        Returns
-        -------
-        The messages that each step publishes.
+        t_ns : time of the message that caused the step (ns).
+        inbox : messages of the sensors, and the state to continue from.
         """
-        return [self._step(inbox) for _, inbox in due]
-
-    def _step(self, inbox: Inbox) -> list[Message]:
-        """Use every message of the inbox in its order."""
         out = self._out = []
         for received in inbox:
-            message: Any = received.message
-            sensor = BY_MESSAGE.get(type(message))  # a tenth of the time of isinstance() of nine types
-            if sensor is not None:
-                why = self._screening.rejection(message.t_ns, message, received.received_t_ns)
-                if why is None:
-                    self._take(message)
-                else:
-                    self._account[f"{sensor.name}.{why}"] += 1
+            message = received.message
+            if isinstance(message, ImuSamples):
+                for sample in message.samples:
+                    self._receive(sample, received.received_t_ns)
             elif isinstance(message, EstimatorState):
                 self._restore(message)
+            else:
+                self._receive(message, received.received_t_ns)
         return out
+
+    def _receive(self, message: Any, received_ns: int) -> None:
+        """Use a plausible sample or measurement; count one that is not."""
+        why = self._screening.rejection(message.t_ns, message, received_ns)
+        if why is None:
+            self._take(message)
+        else:
+            self._account[f"{BY_MESSAGE[type(message)].name}.{why}"] += 1
 
     def _restore(self, state: EstimatorState) -> None:
         """Continue from the state of another process of this node, unless this one has a filter already."""

@@ -1,7 +1,7 @@
 """Reference trajectories: points, paths, tracks with times, "here"; ``load`` reads one from a file."""
 
 from ltv_mpc.references.geodesy import Origin, Place
-from ltv_mpc.references.shapes import Circle, Lawnmower, Line, Spiral, Waypoints
+from ltv_mpc.references.shapes import Circle, Lawnmower, Line, Spiral, Waypoint, Waypoints
 from ltv_mpc.references.timed import Timed
 from ltv_mpc.references.types import Hold, Point, Reference, load
 
@@ -16,6 +16,7 @@ __all__ = [
     "Reference",
     "Spiral",
     "Timed",
+    "Waypoint",
     "Waypoints",
     "load",
 ]

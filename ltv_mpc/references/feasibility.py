@@ -15,18 +15,18 @@ EQUAL = 0.99
 """Share of the desired speed from which a speed counts as equal to it."""
 
 
-def path_notes(path: Path, speed_mps: float, limits: Limits, descent_rate_mps: float) -> list[str]:
+def path_notes(path: Path, limits: Limits, descent_rate_mps: float) -> list[str]:
     """Return sentences about the parts of a path that the vehicle cannot follow at the desired speed.
 
     Parameters
     ----------
-    path : geometry of the path.
-    speed_mps : desired speed over ground (m/s).
+    path : geometry of the path, with the wanted speeds over ground.
     limits : limits of the vehicle.
     descent_rate_mps : largest sinking speed (m/s).
     """
     notes = []
-    straight = min(speed_mps, limits.cruise_mps)
+    speed_mps = float(path.speed.max())
+    straight = np.minimum(path.speed, limits.cruise_mps)
     if limits.cruise_mps < EQUAL * speed_mps:
         notes.append(
             f"speed_mps = {speed_mps:g} is reduced to {limits.cruise_mps:.2f} m/s, which {SUSTAINED_SHARE:.0%} of the "
@@ -36,7 +36,7 @@ def path_notes(path: Path, speed_mps: float, limits: Limits, descent_rate_mps: f
     curvature, turn, _ = bends(path, limits.turn_in_m)
     corner = (turn > 0.0) & (np.abs(path.turn) > EQUAL * turn)
     bend = ~corner & (curvature > 0.0)
-    if corner.any() and limit[corner].min() < EQUAL * straight:
+    if corner.any() and (limit < EQUAL * straight)[corner].any():
         # a corner is a run of pieces; count the first piece of each run
         corners = int(np.count_nonzero(corner & ~np.concatenate([[False], corner[:-1]])))
         sharpest = turn[corner].max()
@@ -51,19 +51,21 @@ def path_notes(path: Path, speed_mps: float, limits: Limits, descent_rate_mps: f
             f"{_count(len(stops), 'corner')} of up to {math.degrees(stops.max()):.0f} degrees not rounded: the vehicle "
             f"stops there and turns, {float(limits.turning_s(stops).sum()):.1f} s in total"
         )
-    if bend.any() and limit[bend].min() < EQUAL * straight:
+    if bend.any() and (limit < EQUAL * straight)[bend].any():
         radius = 1.0 / curvature[bend].max()
         notes.append(
             f"bends of {radius:.2g} m radius: speed reduced to {limit[bend].min():.2f} m/s, which the thrusts allow"
         )
-    steep = np.abs(np.nan_to_num(np.diff(path.depth))) / path.lengths * straight > descent_rate_mps / EQUAL
+    rise_m = np.abs(np.nan_to_num(np.diff(path.depth)))
+    steep = (path.lengths > 0.0) & (rise_m * straight > descent_rate_mps / EQUAL * path.lengths)
     if steep.any():
         notes.append(
             f"depth changes faster than descent_rate_mps = {descent_rate_mps:g}: "
             f"speed reduced to {limit[steep].min():.2f} m/s"
         )
-    schedule = fastest_schedule(path, speed_mps, limits, descent_rate_mps=descent_rate_mps)
-    ideal = path.length_m / speed_mps
+    schedule = fastest_schedule(path, limits, descent_rate_mps=descent_rate_mps)
+    still_s = rise_m[path.lengths == 0.0].sum() / descent_rate_mps + path.wait.sum()
+    ideal = float((path.lengths / path.speed).sum() + still_s)
     if notes or schedule.duration_s > 1.25 * ideal + 10.0:
         notes.append(f"{path.length_m:.1f} m take {schedule.duration_s:.0f} s instead of {ideal:.0f} s")
     return notes

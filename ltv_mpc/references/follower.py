@@ -388,6 +388,8 @@ def _unrestricted(schedule: Schedule) -> tuple[Schedule, float]:
 def _stay(table: Array, way_m: float) -> tuple[float, float]:
     """Return when the target reaches a place of its path and when it leaves it (s): not the same where it rests."""
     way, time = table[WAY], table[TIME]
+    first, last = np.searchsorted(way, [way_m - SAME_PLACE_M, way_m + SAME_PLACE_M])
+    if first < last:
+        return float(time[first]), float(time[last - 1])
     left_s = float(np.interp(way_m, way, time))
-    rests = time[np.abs(way - way_m) < SAME_PLACE_M]
-    return (float(rests[0]), float(rests[-1])) if len(rests) else (left_s, left_s)
+    return left_s, left_s

@@ -74,6 +74,30 @@ def fit_legs(points: Array, corner_m: float) -> LegFit:
     return LegFit(ends, np.maximum.accumulate(at), deviation_m)
 
 
+def fit_legs_between(points: Array, corner_m: float, fixed: npt.NDArray[np.bool_]) -> LegFit:
+    """Return the legs near the points, of which some are ends of legs.
+
+    Parameters
+    ----------
+    points : (K, 3) north, east, depth (m); depths may all be NaN.
+    corner_m : as in ``fit_legs``.
+    fixed : (K,) True for a point that is an end of a leg.
+    """
+    between = [0, *(1 + np.flatnonzero(fixed[1:-1])).tolist(), len(points) - 1]
+    if len(between) == 2:
+        return fit_legs(points, corner_m)
+    ends, at, legs, deviation_m = [points[:1]], [np.zeros(1)], 0, 0.0
+    for i, j in itertools.pairwise(between):
+        run = LegFit(points[i : j + 1], np.array([0.0, 1.0]), 0.0)
+        if j > i + 1:
+            run = fit_legs(points[i : j + 1], corner_m)
+        ends += [run.ends[1:-1], points[j : j + 1]]
+        at.append(legs + run.at[1:])
+        legs += len(run.ends) - 1
+        deviation_m = max(deviation_m, run.deviation_m)
+    return LegFit(np.concatenate(ends), np.concatenate(at), deviation_m)
+
+
 def _smooth_legs(given: Array, largest_m: float) -> tuple[Array, Array]:
     """Return the ends of legs by least squares and the places of the points, for a largest tolerance (m)."""
     p, number = _averaged(given, largest_m)

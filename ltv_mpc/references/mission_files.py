@@ -1,50 +1,39 @@
 """Paths in files of other programs: QGroundControl plans, ArduPilot waypoints, GPX, GeoJSON.
 
-What a file holds and a path cannot do is an error that names the item. Altitudes above home are depths if any is
-negative; other altitudes are not used. A file without a speed asks for the largest one, which ``notes`` reduce to that
-of the vehicle. The origin is the home of the file, else its first position.
+The items of a mission are those of an autopilot (``mission_items.py``): an error names those that cannot be driven.
+Altitudes above home are depths if any is negative; other altitudes are not used. A file without a speed asks for the
+largest one, which ``notes`` reduce to that of the vehicle. The origin is the home of the file, else its first position.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.references.geodesy import Origin
+from ltv_mpc.references.mission_items import (
+    LAST,
+    PLACES,
+    RELATIVE,
+    WAYPOINT,
+    Item,
+    ItemRefused,
+    Stop,
+    reference_table,
+    refusals,
+    stops_of,
+)
+from ltv_mpc.references.shapes import Waypoint
 
 MAX_SPEED_MPS = 20.0
-GLOBAL_FRAMES, RELATIVE_FRAMES = (0, 3, 5, 6), (3, 6)
-"""MAV_FRAME of latitude and longitude, and those of them whose altitude is above home."""
-WAYPOINT, LOITER, CHANGE_SPEED = 16, 17, 178
-COMMANDS = {
-    16: "NAV_WAYPOINT",
-    17: "NAV_LOITER_UNLIM",
-    18: "NAV_LOITER_TURNS",
-    19: "NAV_LOITER_TIME",
-    20: "NAV_RETURN_TO_LAUNCH",
-    21: "NAV_LAND",
-    22: "NAV_TAKEOFF",
-    82: "NAV_SPLINE_WAYPOINT",
-    93: "NAV_DELAY",
-    177: "DO_JUMP",
-    178: "DO_CHANGE_SPEED",
-}
-"""Names of commands (MAV_CMD) in errors."""
-
-Position = tuple[float, float, float | None]
-
-
-class Item(NamedTuple):
-    """Item of a mission."""
-
-    number: int
-    command: int
-    frame: int
-    parameters: tuple[float, ...]  # 7, of which the last three are latitude, longitude (degrees), altitude (m)
+"""Largest speed of a reference."""
+MOST_REFUSALS = 10
+"""Number of refused items that an error names."""
 
 
 def read(path: Path, source: str) -> dict[str, Any] | None:
@@ -65,56 +54,40 @@ def read(path: Path, source: str) -> dict[str, Any] | None:
         raise ConfigError(source, "", f"is KML: convert it, as with ogr2ogr {path.stem}.geojson {path.name}")
     if kind not in READERS:
         return None
-    speed_mps, home, positions = READERS[kind](config.read_text(path, what="reference"), source)
-    if not positions:
+    home, stops = READERS[kind](config.read_text(path, what="reference"), source)
+    if not stops:
         raise ConfigError(source, "", "has no path and no point")
-    latitude, longitude = home or positions[0][:2]
-    table: dict[str, Any] = {"origin": {"latitude_deg": latitude, "longitude_deg": longitude}}
-    dives = any(height is not None and height < 0.0 for *_, height in positions)
-    places = [
-        {"latitude_deg": at, "longitude_deg": on} | ({"depth_m": max(-(height or 0.0), 0.0)} if dives else {})
-        for at, on, height in positions
-    ]
-    if len(places) == 1:
-        return table | {"kind": "point"} | places[0]
-    return table | {
-        "kind": "waypoints",
-        "speed_mps": MAX_SPEED_MPS if speed_mps is None else speed_mps,
-        "waypoints": places,
-    }
+    return reference_table(stops, home or _origin(stops[0].place.latitude_deg, stops[0].place.longitude_deg))
 
 
-Content = tuple[float | None, Sequence[float] | None, list[Position]]
-"""Speed (m/s), home (latitude and longitude, degrees) if the file has them, and positions."""
+Content = tuple[Origin | None, list[Stop]]
+"""Home, if the file has it, and waypoints."""
 
 
-def _from_items(items: Iterable[Item], source: str) -> tuple[float | None, list[Position]]:
-    """Return speed and positions of a mission."""
-    speed_mps: float | None = None
-    positions: list[Position] = []
-    refused, endless = [], False
-    for number, command, frame, (wait_s, speed, *_, latitude, longitude, height) in items:
-        why = ""
-        if command == CHANGE_SPEED:
-            if positions and speed > 0.0 and speed != speed_mps:
-                why = "a path has one speed"
-            speed_mps = speed if speed > 0.0 else speed_mps
-        elif command not in (WAYPOINT, LOITER):
-            why = "a path has positions alone"
-        elif endless:
-            why = "it follows an item without an end"
-        elif frame not in GLOBAL_FRAMES:
-            why = f"its frame {frame} is not global"
-        elif command == WAYPOINT and wait_s > 0.0:
-            why = f"a path does not wait, here {wait_s:g} s"
-        else:
-            positions.append((latitude, longitude, height if frame in RELATIVE_FRAMES else None))
-            endless = command == LOITER
-        if why:
-            refused.append(f"item {number} {COMMANDS.get(command, 'MAV_CMD')} ({command}): {why}")
+def _origin(latitude_deg: Any, longitude_deg: Any) -> Origin:
+    return Origin(latitude_deg=float(latitude_deg), longitude_deg=float(longitude_deg))
+
+
+def _path(positions: Iterable[tuple[float, float]], speed_mps: float | None = None) -> list[Stop]:
+    """Return positions (latitude and longitude, degrees) as waypoints."""
+    speed = MAX_SPEED_MPS if speed_mps is None else speed_mps
+    return [Stop(0, Waypoint(latitude_deg=at, longitude_deg=on), speed) for at, on in positions]
+
+
+def _mission(items: Sequence[Item], speed_mps: float, source: str) -> Content:
+    """Return home, the first of the items, and the waypoints. It is that of a vehicle that dives if it goes down."""
+    home = _origin(items[0].latitude_deg, items[0].longitude_deg)
+    dives = any(item.command in PLACES and item.frame in RELATIVE and item.altitude_m < 0.0 for item in items[1:])
+    refused = refusals(items, dives=dives)
+    endless = next((k for k, item in enumerate(items) if item.command in LAST), len(items))
+    refused += [ItemRefused(item, "follows an item without an end") for item in items[endless + 1 :]]
+    try:
+        stops = [] if refused else stops_of(items, home, speed_mps, None, dives=dives)
+    except ItemRefused as error:
+        refused = [error]
     if refused:
-        raise ConfigError(source, "", f"cannot be followed: {'; '.join(refused[:10])}")
-    return speed_mps, positions
+        raise ConfigError(source, "", f"cannot be followed: {'; '.join(map(str, refused[:MOST_REFUSALS]))}")
+    return home, stops
 
 
 def read_waypoints(text: str, source: str) -> list[Item]:
@@ -131,12 +104,13 @@ def read_waypoints(text: str, source: str) -> list[Item]:
     items = []
     for k, line in enumerate(lines, start=2):
         try:
-            cells = [float(cell) for cell in line.split()]
-            if cells:
-                number, _, frame, command, *parameters, _ = cells
-                items.append(Item(int(number), int(command), int(frame), tuple(parameters)))
-            if cells and len(cells) != 12:
-                raise ValueError
+            if cells := [float(cell) for cell in line.split()]:
+                number, _, frame, command, *parameters, latitude, longitude, altitude, _ = cells
+                if len(parameters) != 4:
+                    raise ValueError
+                items.append(
+                    Item(int(number), int(command), int(frame), tuple(parameters), latitude, longitude, altitude)
+                )
         except (ValueError, OverflowError):
             raise ConfigError(source, f"line {k}", "must have 12 numbers", value=line[:60]) from None
     if not items:
@@ -162,15 +136,15 @@ def read_json(text: str, source: str) -> dict[str, Any]:
 
 
 def _waypoints(text: str, source: str) -> Content:
-    home, *items = read_waypoints(text, source)
-    speed_mps, positions = _from_items(items, source)
-    return speed_mps, home.parameters[4:6], positions
+    return _mission(read_waypoints(text, source), MAX_SPEED_MPS, source)
 
 
 def _plan(text: str, source: str) -> Content:
     """Read a QGroundControl plan."""
-    mission, items = read_json(text, source).get("mission"), []
+    mission = read_json(text, source).get("mission")
     try:
+        latitude, longitude = map(float, mission["plannedHomePosition"][:2])  # type: ignore[index]
+        items = [Item(0, WAYPOINT, 0, (0.0,) * 4, latitude, longitude, 0.0)]
         for k, entry in enumerate(mission["items"], start=1):  # type: ignore[index]
             number = int(entry.get("doJumpId", k))
             if entry["type"] != "SimpleItem":
@@ -179,13 +153,11 @@ def _plan(text: str, source: str) -> Content:
             parameters = tuple(float(number or 0.0) for number in entry["params"])
             if len(parameters) != 7:
                 raise ValueError(f"item {number} has {len(parameters)} of 7 parameters")
-            items.append(Item(number, int(entry["command"]), int(entry["frame"]), parameters))
-        home = [float(number) for number in mission["plannedHomePosition"][:2]]  # type: ignore[index]
-        cruise_mps = mission.get("cruiseSpeed")  # type: ignore[union-attr]
+            items.append(Item(number, int(entry["command"]), int(entry["frame"]), parameters[:4], *parameters[4:]))
+        cruise_mps = float(mission.get("cruiseSpeed", MAX_SPEED_MPS))  # type: ignore[union-attr]
     except (AttributeError, TypeError, KeyError, ValueError, OverflowError) as error:
         raise ConfigError(source, "mission", f"is not that of a plan: {error}") from None
-    speed_mps, positions = _from_items(items, source)
-    return cruise_mps if speed_mps is None else speed_mps, home, positions
+    return _mission(items, cruise_mps, source)
 
 
 def _gpx(text: str, source: str) -> Content:
@@ -203,7 +175,7 @@ def _gpx(text: str, source: str) -> Content:
     paths = paths or [[point] for point in gpx.waypoints]
     if len(paths) != 1:
         raise ConfigError(source, "", f"must have one route or track, it has {len(paths)}")
-    return None, None, [(point.latitude, point.longitude, None) for point in paths[0]]
+    return None, _path((point.latitude, point.longitude) for point in paths[0])
 
 
 def _geojson(text: str, source: str) -> Content:
@@ -231,11 +203,12 @@ def _geojson(text: str, source: str) -> Content:
     places = [place_of(one, at, source) for one in (coordinates if found["LineString"] else [coordinates])]
     origin = content.get("origin")
     try:
-        home = None if origin is None else (origin["latitude_deg"], origin["longitude_deg"])
-    except (TypeError, KeyError):
+        home = None if origin is None else _origin(origin["latitude_deg"], origin["longitude_deg"])
+    except (TypeError, KeyError, ValueError):
         raise ConfigError(source, "origin", "must have latitude_deg and longitude_deg") from None
-    positions: list[Position] = [(place["latitude_deg"], place["longitude_deg"], None) for place in places]
-    return properties.get("speed_mps"), home, positions
+    return home, _path(
+        [(place["latitude_deg"], place["longitude_deg"]) for place in places], properties.get("speed_mps")
+    )
 
 
 READERS = {".waypoints": _waypoints, ".plan": _plan, ".gpx": _gpx, ".geojson": _geojson, ".json": _geojson}

@@ -46,6 +46,8 @@ class Path(NamedTuple):
     curvature: Array  # (K-1,) (1/m), 0 on a straight leg
     turn: Array  # (K-1,) (rad) change of direction of the rounded corner that the piece belongs to, + to starboard
     turn_on_spot: Array  # (K,) (rad) change of direction at a point where the vehicle stops and turns, else 0
+    speed: Array  # (K-1,) (m/s) wanted
+    wait: Array  # (K,) (s) time at rest, besides that of a turn
 
     @property
     def lengths(self) -> Array:
@@ -59,48 +61,69 @@ class Path(NamedTuple):
         return float(self.lengths.sum())
 
 
-def smooth_curve(points: Array, curvature: Array) -> Path:
+def smooth_curve(points: Array, curvature: Array, speed_mps: float = math.inf) -> Path:
     """Return the path along a smooth curve.
 
     Parameters
     ----------
     points : (K, 2) points close together, north and east (m).
     curvature : (K-1,) curvature of each piece (1/m).
+    speed_mps : wanted speed (m/s).
     """
     K = len(points)
-    return Path(points, np.full(K, np.nan), curvature, np.zeros(K - 1), np.zeros(K))
+    speed = np.full(K - 1, speed_mps)
+    return Path(points, np.full(K, np.nan), curvature, np.zeros(K - 1), np.zeros(K), speed, np.zeros(K))
 
 
-def round_corners(points: Array, depth: Array, corner_m: float) -> Path:
+def round_corners(
+    points: Array, depth: Array, corner_m: float, speed: Array | float = math.inf, wait: Array | float = 0.0
+) -> Path:
     """Return the path of straight legs between points, with rounded corners.
 
     Parameters
     ----------
-    points : (K, 2) corners, north and east (m); successive ones differ.
+    points : (K, 2) corners, north and east (m); successive ones differ, or their depths do.
     depth : (K,) depth at the corners (m), NaN without a depth.
     corner_m : largest distance of an arc from its corner (m).
+    speed : (K-1,) wanted speed on each leg (m/s).
+    wait : (K,) time at rest at each corner (s), which is not rounded then.
     """
-    legs = np.diff(points, axis=0)
+    K, legs = len(points), np.diff(points, axis=0)
+    speed, wait = np.broadcast_to(speed, K - 1), np.broadcast_to(wait, K)
     lengths = np.hypot(*legs.T)
-    course = np.arctan2(legs[:, 1], legs[:, 0])
+    course = _courses(legs, lengths)
     turns = np.diff(course)
     turns -= 2.0 * np.pi * np.round(turns / (2.0 * np.pi))
-    # Of each point: position, depth, curvature and turn of the piece that leads to it, turn on the spot.
-    out = [(points[0], depth[0], 0.0, 0.0, 0.0)]
-    radii = _radii(turns, lengths, corner_m).tolist()
+    # Of each point: position, depth, curvature and turn of the piece that leads to it, turn on the spot, speed, wait.
+    out = [(points[0], depth[0], 0.0, 0.0, 0.0, 0.0, wait[0])]
+    radii = np.where(wait[1:-1] > 0.0, 0.0, _radii(turns, lengths, corner_m)).tolist()
     for k, (turn, R) in enumerate(zip(turns.tolist(), radii, strict=True), start=1):
         if R < MIN_RADIUS_M:
-            out.append((points[k], depth[k], 0.0, 0.0, abs(turn) if abs(turn) >= STRAIGHT_RAD else 0.0))
+            on_spot = abs(turn) if abs(turn) >= STRAIGHT_RAD else 0.0
+            out.append((points[k], depth[k], 0.0, 0.0, on_spot, speed[k - 1], wait[k]))
             continue
         arc, tangent_m = _arc(points[k], course[k - 1], turn, R), R * math.tan(0.5 * abs(turn))
         ends = [depth[k] + (depth[j] - depth[k]) * tangent_m / lengths[leg] for j, leg in ((k - 1, k - 1), (k + 1, k))]
-        for j, point in enumerate(arc):
+        out.append((arc[0], ends[0], 0.0, 0.0, 0.0, speed[k - 1], 0.0))
+        slower = min(speed[k - 1 : k + 1])
+        for j, point in enumerate(arc[1:], start=1):
             z = ends[0] + (ends[1] - ends[0]) * j / (len(arc) - 1)
-            out.append((point, z, 1.0 / R if j else 0.0, turn if j else 0.0, 0.0))
-    out.append((points[-1], depth[-1], 0.0, 0.0, 0.0))
-    p, z, curvature, corner_turn, turn_on_spot = (np.array(column) for column in zip(*out, strict=True))
-    keep = np.concatenate([[True], np.hypot(*np.diff(p, axis=0).T) > MIN_PIECE_M])
-    return Path(p[keep], z[keep], curvature[keep][1:], corner_turn[keep][1:], turn_on_spot[keep])
+            out.append((point, z, 1.0 / R, turn, 0.0, slower, 0.0))
+    out.append((points[-1], depth[-1], 0.0, 0.0, 0.0, speed[-1], wait[-1]))
+    p, z, curvature, corner_turn, turn_on_spot, wanted, rest = (np.array(column) for column in zip(*out, strict=True))
+    apart = (np.hypot(*np.diff(p, axis=0).T) > MIN_PIECE_M) | (np.abs(np.diff(z)) > MIN_PIECE_M)
+    keep = np.concatenate([[True], apart])
+    return Path(
+        p[keep], z[keep], curvature[keep][1:], corner_turn[keep][1:], turn_on_spot[keep], wanted[keep][1:], rest[keep]
+    )
+
+
+def _courses(legs: Array, lengths: Array) -> Array:
+    """Return the course (K-1,) in rad of each leg; a leg without length has that of the one before it."""
+    course = np.arctan2(legs[:, 1], legs[:, 0])
+    moves = np.append(np.flatnonzero(lengths > MIN_PIECE_M), 0)
+    before: Array = course[moves[np.maximum(np.searchsorted(moves[:-1], np.arange(len(legs)), side="right") - 1, 0)]]
+    return before
 
 
 def _radii(turns: Array, lengths: Array, corner_m: float) -> Array:
@@ -150,7 +173,7 @@ def with_lead_in(path: Path, start: Array, shortest_m: float) -> tuple[Path, flo
     length = float(np.hypot(*leg))
     if length < shortest_m:
         return path, 0.0
-    first = path.points[1] - path.points[0]
+    first = first_leg(path)
     turn = abs(math.remainder(math.atan2(first[1], first[0]) - math.atan2(leg[1], leg[0]), 2.0 * math.pi))
     turn_on_spot = path.turn_on_spot.copy()
     turn_on_spot[0] = turn if turn >= STRAIGHT_RAD else 0.0
@@ -161,6 +184,19 @@ def with_lead_in(path: Path, start: Array, shortest_m: float) -> tuple[Path, flo
             np.concatenate([[0.0], path.curvature]),
             np.concatenate([[0.0], path.turn]),
             np.concatenate([[0.0], turn_on_spot]),
+            np.concatenate([path.speed[:1], path.speed]),
+            np.concatenate([[0.0], path.wait]),
         ),
         length,
     )
+
+
+def first_leg(path: Path) -> Array:
+    """Return north and east (2,) in m of the first piece that has a length.
+
+    Parameters
+    ----------
+    path : a path that moves, or only changes its depth.
+    """
+    leg: Array = np.diff(path.points, axis=0)[int(np.argmax(path.lengths > MIN_PIECE_M))]
+    return leg

@@ -58,7 +58,6 @@ class Schedule(NamedTuple):
 
 def fastest_schedule(
     path: Path,
-    speed_mps: float,
     limits: Limits,
     *,
     descent_rate_mps: float,
@@ -70,15 +69,14 @@ def fastest_schedule(
 
     Parameters
     ----------
-    path : geometry of the path, including the leg that leads to it.
-    speed_mps : desired speed over ground (m/s).
+    path : geometry of the path, including the leg that leads to it, with the wanted speeds over ground.
     limits : limits of the vehicle.
     descent_rate_mps : largest sinking speed (m/s).
     start_mps : speed along the path at its start (m/s).
     lead_m : length of the leg that leads to the path (m).
     first_turn_rad : angle of the turn on the spot at the start (rad), >= 0.
     """
-    piece_limit = np.minimum(speed_mps, speed_limits(path, limits, descent_rate_mps))
+    piece_limit = np.minimum(path.speed, speed_limits(path, limits, descent_rate_mps))
     ds = max(STEP_M, path.length_m / MAX_COLUMNS)
     way = np.concatenate([[0.0], np.cumsum(path.lengths)])
     parts = np.maximum(np.ceil(path.lengths / ds), 1).astype(np.int64)
@@ -90,17 +88,22 @@ def fastest_schedule(
     limit = np.minimum(np.concatenate([step_limit, [0.0]]), np.concatenate([[start_mps], step_limit]))
     waiting = np.zeros(len(s))
     corner = np.concatenate([[0], last])  # columns of the points of the path
-    waiting[corner] = limits.turning_s(path.turn_on_spot)
+    waiting[corner] = limits.turning_s(path.turn_on_spot) + path.wait
     waiting[0] += float(limits.turning_s(np.array(first_turn_rad)))
-    limit[waiting > 0.0] = 0.0
+    # A step in depth alone takes its time at rest.
+    down = (path.lengths == 0.0)[piece]
+    sinking_s = np.where(down, np.abs(np.nan_to_num(np.diff(path.depth)))[piece] / descent_rate_mps, 0.0)
+    limit[waiting > 0.0] = limit[1:][down] = limit[:-1][down] = 0.0
     t = departure_times(s, limit, step_limit, waiting, limits.surge)
+    t[1:] += np.cumsum(sinking_s)
     columns = np.repeat(np.arange(len(s)), 1 + (waiting > 0.0))  # two columns for a point at which the target waits
     leaves = np.concatenate([[False], columns[1:] == columns[:-1]])
     table = np.empty((5, len(columns)))
     table[TIME] = t[columns] - np.where(leaves, 0.0, waiting[columns])
     table[WAY] = s[columns]
+    at = np.concatenate([[0.0], piece + fraction])[columns]
     for row, column in ((NORTH, path.points[:, 0]), (EAST, path.points[:, 1]), (DEPTH, path.depth)):
-        table[row] = np.interp(table[WAY], way, column)
+        table[row] = np.interp(at, np.arange(len(way)), column)
     return Schedule(table, lead_m)
 
 
@@ -120,9 +123,9 @@ def speed_limits(path: Path, limits: Limits, descent_rate_mps: float) -> Array:
     turning_s = TURN_SHARE_ON_ARC * limits.turning_s(turn[bent])
     speed[bent] = np.minimum(speed[bent], length_m[bent] / turning_s)
     speed = np.maximum(speed, 0.5 * CREEP_MPS)  # a vehicle without thrust astern has no steady speed in a sharp bend
-    slope = np.abs(np.nan_to_num(np.diff(path.depth))) / path.lengths
-    steep = slope > 0.0
-    speed[steep] = np.minimum(speed[steep], descent_rate_mps / slope[steep])
+    rise_m = np.abs(np.nan_to_num(np.diff(path.depth)))
+    steep = (rise_m > 0.0) & (path.lengths > 0.0)
+    speed[steep] = np.minimum(speed[steep], descent_rate_mps * path.lengths[steep] / rise_m[steep])
     return speed
 
 

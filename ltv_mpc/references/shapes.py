@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, TypeAlias
 
 import numpy as np
 from msgspec import Meta
+from msgspec.structs import asdict
 
 from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.feasibility import descent_notes, path_notes
 from ltv_mpc.references.geodesy import Place, local
-from ltv_mpc.references.leg_fit import ACCURACY_M, LegFit, fit_legs
+from ltv_mpc.references.leg_fit import ACCURACY_M, LegFit, fit_legs_between
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.references.path import MAX_POINTS, Path, chord_count, round_corners, smooth_curve, with_lead_in
+from ltv_mpc.references.path import MAX_POINTS, Path, chord_count, first_leg, round_corners, smooth_curve, with_lead_in
 from ltv_mpc.references.schedule import Schedule, fastest_schedule
 from ltv_mpc.vehicle.parameters import Vehicle
 
 Size: TypeAlias = Annotated[float, Meta(gt=0, le=100_000)]
+Speed: TypeAlias = Annotated[float, Meta(gt=0, le=20)]
 Turns: TypeAlias = Annotated[float, Meta(gt=0, le=100)]
 Angle: TypeAlias = Annotated[float, Meta(ge=-360, le=360)]
 
@@ -35,7 +38,7 @@ MIN_COURSE_SPEED_MPS = 0.05
 class Shape(BaseReference, frozen=True, kw_only=True):
     """Base class of paths with a desired speed over ground. Corners are rounded by arcs within ``corner_m`` of them."""
 
-    speed_mps: Annotated[float, Meta(gt=0, le=20)]
+    speed_mps: Speed
     corner_m: Annotated[float, Meta(ge=0, le=1000)] = 0.4  # 0: the vehicle stops at each corner and turns
 
     def path(self) -> Path:
@@ -61,7 +64,6 @@ class Shape(BaseReference, frozen=True, kw_only=True):
             begin, turn = _initial_motion(path, anchor)
         return fastest_schedule(
             path,
-            self.speed_mps,
             path_limits(vehicle),
             descent_rate_mps=self.descent_rate_mps,
             start_mps=begin,
@@ -77,19 +79,19 @@ class Shape(BaseReference, frozen=True, kw_only=True):
         vehicle : parameters of the vehicle.
         """
         path = self.path()
-        notes = path_notes(path, self.speed_mps, path_limits(vehicle), self.descent_rate_mps)
+        notes = path_notes(path, path_limits(vehicle), self.descent_rate_mps)
         return notes if np.isnan(path.depth).all() else notes + descent_notes(vehicle, self.descent_rate_mps)
 
     def _depths(self, count: int) -> Array:
         return np.full(count, math.nan if self.depth_m is None else self.depth_m)
 
     def _smooth_curve(self, points: Array, curvature: Array) -> Path:
-        return smooth_curve(points, curvature)._replace(depth=self._depths(len(points)))
+        return smooth_curve(points, curvature, self.speed_mps)._replace(depth=self._depths(len(points)))
 
 
 def _initial_motion(path: Path, anchor: ReferenceStart) -> tuple[float, float]:
     """Return the vehicle's speed along the first piece (m/s) and the angle to turn before it (rad)."""
-    way = path.points[1] - path.points[0]
+    way = first_leg(path)
     course = math.atan2(way[1], way[0])
     north, east = anchor.velocity_mps
     if math.hypot(north, east) > MIN_COURSE_SPEED_MPS:
@@ -110,20 +112,29 @@ class Line(Shape, frozen=True, kw_only=True, tag="line"):
         depth = _depths_between(points, [self.start, self.end], self.depth_m)
         if np.hypot(*(points[1] - points[0])) < 1e-3:
             raise ValueError("start and end are the same position")
-        return round_corners(points, depth, self.corner_m)
+        return round_corners(points, depth, self.corner_m, self.speed_mps)
+
+
+class Waypoint(Place, frozen=True, kw_only=True, omit_defaults=True):
+    """Place on a path, at which the vehicle may wait, and behind which it may have another speed over ground."""
+
+    speed_mps: Speed | None = None  # from here on; None: as before
+    wait_s: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
 
 
 class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
-    """Straight legs between waypoints; ``closed`` adds the leg back to the first, ``laps`` repeats the closed path."""
+    """Straight legs between waypoints; ``closed`` adds the leg back to the first, ``laps`` repeats the closed path.
 
-    waypoints: Annotated[tuple[Place, ...], Meta(min_length=2, max_length=MAX_POINTS)]
+    Two waypoints at one position with different depths are a change of depth there.
+    """
+
+    waypoints: Annotated[tuple[Waypoint, ...], Meta(min_length=2, max_length=MAX_POINTS)]
     closed: bool = False
     laps: Annotated[int, Meta(ge=1, le=1000)] = 1
 
     def path(self) -> Path:
         """Return the geometry: the legs, with rounded corners."""
-        ends = self._fit()[0].ends
-        return round_corners(ends[:, :2], ends[:, 2], self.corner_m)
+        return self._fit()[0]
 
     def notes(self, vehicle: Vehicle) -> list[str]:
         """Return sentences about doubled and noisy waypoints, and about what the vehicle cannot do.
@@ -132,7 +143,7 @@ class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
         ----------
         vehicle : parameters of the vehicle.
         """
-        fit, doubled = self._fit()
+        _, fit, doubled = self._fit()
         notes = []
         if doubled:
             notes.append(
@@ -146,9 +157,37 @@ class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
             )
         return notes + super().notes(vehicle)
 
-    def _fit(self) -> tuple[LegFit, list[int]]:
-        """Return the legs near the waypoints, and the numbers of those at the position of the one before them."""
-        places = list(self.waypoints)
+    def _fit(self) -> tuple[Path, LegFit, list[int]]:
+        """Return path and legs near the waypoints, and the numbers of those at the place of the one before them.
+
+        A waypoint at which the vehicle waits, sinks or changes its speed is the end of a leg.
+        """
+        places, points = self._places()
+        speed = [self.speed_mps]
+        for place in places:
+            speed.append(place.speed_mps or speed[-1])
+        steps = np.diff(np.nan_to_num(points), axis=0)
+        still = np.concatenate([[False], np.hypot(steps[:, 0], steps[:, 1]) < ROUNDING_M])
+        doubled = np.flatnonzero(still[1:] & (np.abs(steps[:, 2]) < ROUNDING_M)) + 1
+        first = np.delete(np.arange(len(places)), doubled)  # of those at one place
+        points, still = points[first], still[first]
+        if len(first) < 2 or (np.hypot(*np.ptp(points[:, :2], axis=0)) < SAME_M and not still.any()):
+            raise ValueError("all waypoints are the same position")
+        wait = np.add.reduceat([place.wait_s for place in places], first)
+        leaves = np.array(speed)[np.append(first[1:], len(places))]  # speed behind each of them
+        fixed = (wait > 0.0) | still | np.append(still[1:], False) | (np.diff(leaves, prepend=speed[0]) != 0.0)
+        fit = fit_legs_between(points, self.corner_m, fixed)
+        at = np.rint(fit.at[fixed]).astype(np.int64)
+        rest = np.zeros(len(fit.ends))
+        rest[at] = wait[fixed]
+        wanted = np.concatenate([[leaves[0]], leaves[fixed]])[
+            np.searchsorted(at, np.arange(len(rest) - 1), side="right")
+        ]
+        return round_corners(fit.ends[:, :2], fit.ends[:, 2], self.corner_m, wanted, rest), fit, doubled.tolist()
+
+    def _places(self) -> tuple[list[Waypoint], Array]:
+        """Return the waypoints of all laps, and their north, east and depth (K, 3) in m."""
+        places = [place if isinstance(place, Waypoint) else Waypoint(**asdict(place)) for place in self.waypoints]
         if self.laps > 1 and not self.closed:
             raise ValueError("laps > 1 needs closed = true")
         if self.closed:
@@ -161,15 +200,7 @@ class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
                 points[k] = local(place, self.origin)
             except ValueError as error:
                 raise ValueError(f"waypoints[{k % len(self.waypoints)}]: {error}") from None
-        if np.hypot(*np.ptp(points, axis=0)) < SAME_M:
-            raise ValueError("all waypoints are the same position")
-        doubled = (1 + np.flatnonzero(np.hypot(*np.diff(points, axis=0).T) < ROUNDING_M)).tolist()
-        for k in doubled:
-            if None is not places[k].depth_m != places[k - 1].depth_m is not None:
-                problem = "are the same position at different depths: a path does not go down on the spot"
-                raise ValueError(f"waypoints[{k % len(self.waypoints)}] and the one before it {problem}")
-        depth = _depths_between(points, places, self.depth_m)
-        return fit_legs(np.column_stack([points, depth]), self.corner_m), doubled
+        return places, np.column_stack([points, _depths_between(points, places, self.depth_m)])
 
 
 class Lawnmower(Shape, frozen=True, kw_only=True, tag="lawnmower"):
@@ -199,7 +230,7 @@ class Lawnmower(Shape, frozen=True, kw_only=True, tag="lawnmower"):
         for k in range(tracks):
             ends = (0.0, self.length_m) if k % 2 == 0 else (self.length_m, 0.0)
             points += [first + k * self.spacing_m * aside + end * ahead for end in ends]
-        return round_corners(np.array(points), self._depths(len(points)), self.corner_m)
+        return round_corners(np.array(points), self._depths(len(points)), self.corner_m, self.speed_mps)
 
 
 class Circle(Shape, frozen=True, kw_only=True, tag="circle"):
@@ -254,7 +285,7 @@ def _polar(centre: tuple[float, float], bearing_deg: float, clockwise: bool, at:
     return np.array(centre) + np.stack([r * np.cos(bearing), r * np.sin(bearing)], axis=1)
 
 
-def _depths_between(points: Array, places: list[Place], depth_m: float | None) -> Array:
+def _depths_between(points: Array, places: Sequence[Place], depth_m: float | None) -> Array:
     """Return depths (K,): linear along the path between places with a depth; else ``depth_m``, else NaN."""
     known = [k for k, place in enumerate(places) if place.depth_m is not None]
     if not known:
@@ -262,5 +293,7 @@ def _depths_between(points: Array, places: list[Place], depth_m: float | None) -
     if depth_m is not None:
         raise ValueError("depth_m is given for the whole path and for places on it: remove one of them")
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    depths: Array = np.interp(way, way[known], [places[k].depth_m or 0.0 for k in known])
+    given = [places[k].depth_m or 0.0 for k in known]
+    depths: Array = np.interp(way, way[known], given)
+    depths[known] = given  # two at one position keep theirs
     return depths

@@ -23,7 +23,6 @@ from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.csv_places import DEPTH, METRES, read_places
 from ltv_mpc.references.leg_fit import along, fit_legs
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.references.path import Path as Track
 from ltv_mpc.references.path import smooth_curve, with_lead_in
 from ltv_mpc.references.schedule import TIME, Schedule, fastest_schedule
 from ltv_mpc.references.shapes import LEAD_IN_M
@@ -90,9 +89,8 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         moved, lead_m = with_lead_in(track, start, LEAD_IN_M)
         if lead_m == 0.0:
             return TimedSchedule(table, 0.0)
-        leg = Track(moved.points[:2], moved.depth[:2], np.zeros(1), np.zeros(1), np.zeros(2))
-        limits = path_limits(vehicle)
-        lead = fastest_schedule(leg, limits.cruise_mps, limits, descent_rate_mps=self.descent_rate_mps).table
+        leg = smooth_curve(moved.points[:2], np.zeros(1))._replace(depth=moved.depth[:2])
+        lead = fastest_schedule(leg, path_limits(vehicle), descent_rate_mps=self.descent_rate_mps).table
         # the target reaches the first row at its time, or as soon as possible after it
         begin = max(float(table[TIME, 0]), float(lead[TIME, -1]))
         lead[TIME] += begin - lead[TIME, -1]

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import CurrentProfile, Estimate
-from ltv_mpc.safety.input_monitor import Period
+from ltv_mpc.safety.input_age import InputAge
 from ltv_mpc.validation import RELATIONS
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady_speed
@@ -82,8 +82,8 @@ class EstimateGate:
         """Number of rejected estimates, by reason."""
         self.accepted: Estimate | None = None
         """Newest accepted estimate."""
-        self.period = Period()
-        """Spacing of the stamps of accepted estimates."""
+        self.age = InputAge()
+        """Age of the accepted estimates, by their stamps."""
         self._bounds = Bounds.of(vehicle)
         self._jumped: Estimate | None = None  # the last estimate, if it was rejected as a jump
         self._last: tuple[Estimate | None, str] = (None, "")  # the last rejected estimate, and the reason
@@ -111,15 +111,14 @@ class EstimateGate:
             self.rejected[reason] += 1
             self._last = estimate, reason
             return reason
-        if self.accepted is None or estimate.t_ns != self.accepted.t_ns:
-            self.period.add(estimate.t_ns)
+        self.age.add(estimate.t_ns)
         self.accepted, self._jumped = estimate, None
         return ""
 
     def restart(self) -> None:
         """Begin with another source: its next plausible estimate is accepted, and its period is its own."""
         self.accepted = self._jumped = None
-        self.period = Period()
+        self.age = InputAge()
 
     def out_of_bounds(self, e: Estimate) -> str:
         """Return which bound an estimate exceeds by itself; NaN exceeds every bound.

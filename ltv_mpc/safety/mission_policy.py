@@ -29,7 +29,7 @@ from msgspec import Meta
 
 from ltv_mpc.messages import Battery, Health, Leak, MissionAction, MissionState
 from ltv_mpc.safety.health import HealthState
-from ltv_mpc.safety.input_monitor import Period
+from ltv_mpc.safety.input_age import InputAge
 
 GO_ON, HOLD, SURFACE = MissionAction.GO_ON, MissionAction.HOLD, MissionAction.SURFACE
 WEAKEST_FIRST = (GO_ON, HOLD, SURFACE)
@@ -78,7 +78,7 @@ class MissionPolicy:
         self.state = MissionState()
         """Start of the mission and the action in force; the saved state of the policy."""
         self._settings = settings
-        self._battery, self._leak = Period(), Period()  # arrivals
+        self._battery, self._leak = InputAge(), InputAge()  # arrivals
         self._newest_battery: Battery | None = None
         self._charged_ns: int | None = None  # arrival of the last message above the thresholds
         self._leaking = False
@@ -212,7 +212,7 @@ class MissionPolicy:
     def _unknown_causes(self) -> set[str]:
         """Return the causes of which nothing is known yet: since the start no message of their input has arrived."""
         arrivals = {"battery": self._battery, "leak": self._leak}
-        return {name for name, input_ in arrivals.items() if input_.last_ns is None}
+        return {name for name, input_ in arrivals.items() if input_.stamp_ns is None}
 
     def _causes(self, t_ns: int) -> Iterator[Cause]:
         settings, start_ns = self._settings, self.state.start_t_ns
@@ -232,7 +232,7 @@ class MissionPolicy:
                 yield Cause("leak input", GO_ON, f"leak: {silence}")
 
     def _battery_causes(self, t_ns: int) -> Iterator[Cause]:
-        battery, received_ns, charged_ns = self._newest_battery, self._battery.last_ns, self._charged_ns
+        battery, received_ns, charged_ns = self._newest_battery, self._battery.stamp_ns, self._charged_ns
         if battery is not None and received_ns is not None and (below := self._below(battery)):
             low = charged_ns is None or received_ns - charged_ns >= BATTERY_LOW_NS
             if low:
@@ -252,9 +252,9 @@ class MissionPolicy:
         return ""
 
 
-def _silence(arrivals: Period, t_ns: int) -> str:
+def _silence(arrivals: InputAge, t_ns: int) -> str:
     """Return a text if an input is silent, else an empty one."""
-    if arrivals.last_ns is None:
+    if arrivals.stamp_ns is None:
         return "no message yet"
     limit_ns = max(SILENT_NS, SILENT_PERIODS * arrivals.median_ns)
-    return "" if t_ns - arrivals.last_ns <= limit_ns else "no message any more"
+    return "" if t_ns - arrivals.stamp_ns <= limit_ns else "no message any more"

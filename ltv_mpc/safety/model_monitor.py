@@ -181,7 +181,7 @@ class ModelMonitor:
         ----------
         applied : the report.
         """
-        self._impulse.add(applied)
+        self._impulse.add(applied.t_ns, applied.thrust_N)
 
     def update(
         self, estimate: Estimate, learned: Belief | None = None, model: Array | None = None

@@ -30,15 +30,12 @@ import numpy.typing as npt
 from ltv_mpc.jit import copy_to, count_up_to, jit
 from ltv_mpc.messages import Array, Health, Plan, Triple
 from ltv_mpc.safety.health import plan_end_ns, plan_health
-from ltv_mpc.safety.input_monitor import Period
-from ltv_mpc.safety.source_selector import MAX_CANDIDATES, remember
+from ltv_mpc.safety.input_age import InputAge
+from ltv_mpc.safety.source_selector import remember
 from ltv_mpc.vehicle.parameters import Vehicle
 
 TOLERANCE_N = 1e-6
 """Tolerance for rounding in a plan's thrusts and in their change between knots; the command itself has no tolerance."""
-
-MAX_COMMANDERS = MAX_CANDIDATES
-"""Number of commanders whose last sequence is remembered, so that an old frame of one of them is not followed again."""
 
 
 class PlanVerdict(enum.StrEnum):
@@ -65,45 +62,6 @@ class _TimedThrust(NamedTuple):
 _NONE = _TimedThrust(0, -1, np.empty(0, dtype=np.int64), np.empty((0, 3)))
 
 
-class Commander:
-    """Controller whose plans are followed, and the last sequence of those before it."""
-
-    def __init__(self) -> None:
-        self.epoch: int | None = None
-        """Epoch of the commander; None before the first plan."""
-        self.last_sequence: dict[int, int] = {}
-        """Last accepted sequence by epoch, the most recent commander last."""
-        self.period = Period()
-        """Period of its cycles."""
-        self._accepted_ns = 0
-
-    def accept(self, epoch: int, sequence: int, cycle_ns: int, t_ns: int) -> None:
-        """Record an accepted plan.
-
-        Parameters
-        ----------
-        epoch, sequence : header of the plan.
-        cycle_ns : start of the cycle that computed it (ns).
-        t_ns : time of acceptance (ns).
-        """
-        if epoch != self.epoch:
-            self.epoch, self.period = epoch, Period()
-        remember(self.last_sequence, epoch, sequence)
-        self._accepted_ns = t_ns
-        self.period.add(cycle_ns)
-
-    def health(self, t_ns: int, left_ns: int) -> Health:
-        """Return the timeliness of the plans.
-
-        Parameters
-        ----------
-        t_ns : current time (ns).
-        left_ns : time to the end of the newest plan (ns); negative after it.
-        """
-        silent_ns = None if self.epoch is None else t_ns - self._accepted_ns
-        return plan_health(silent_ns=silent_ns, period_ns=self.period.median_ns, left_ns=left_ns)
-
-
 class PlanGate:
     """Checks plans and computes the commands of the thrusters.
 
@@ -114,8 +72,9 @@ class PlanGate:
         self._limits = np.array([[t.min_N, t.max_N, t.slew_N_per_s] for t in vehicle.thrusters]).T.copy()
         self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
         self._timeout_s = vehicle.plan_timeout_s
-        self.commander = Commander()
-        """Controller whose plans are followed."""
+        self._commander: int | None = None  # epoch of the controller whose plans are followed
+        self._age = InputAge()  # of its plans, by the start of the cycle
+        self._last_sequence: dict[int, int] = {}  # accepted, by epoch: an old frame is not followed again
         self._plans: list[_TimedThrust] = []  # the plan in force and those not started, by start time
         self._t_ns: int | None = None
         self._command: Triple = (0.0, 0.0, 0.0)
@@ -137,7 +96,10 @@ class PlanGate:
         if verdict is not PlanVerdict.ACCEPTED:
             self.plans_rejected += 1
             return verdict
-        self.commander.accept(epoch, sequence, plan.cycle_t_ns, t_ns)
+        if epoch != self._commander:
+            self._commander, self._age = epoch, InputAge()
+        remember(self._last_sequence, epoch, sequence)
+        self._age.add(plan.cycle_t_ns, t_ns)
         start_ns = int(plan.t_ns[0])
         end_ns = self._end_ns(plan)
         timed = _TimedThrust(start_ns, end_ns, plan.t_ns.astype(np.int64), plan.thrust_N.astype(np.float64, order="C"))
@@ -155,15 +117,16 @@ class PlanGate:
         ----------
         t_ns : current time (ns).
         """
-        return self.commander.health(t_ns, self._plans[-1].end_ns - t_ns if self._plans else -1)
+        left_ns = self._plans[-1].end_ns - t_ns if self._plans else -1
+        return plan_health(silent_ns=self._age.silent_ns(t_ns), period_ns=self._age.median_ns, left_ns=left_ns)
 
     def _end_ns(self, plan: Plan) -> int:
-        return plan_end_ns(plan.t_ns, self.commander.period.median_ns, self._timeout_s)
+        return plan_end_ns(plan.t_ns, self._age.median_ns, self._timeout_s)
 
     def _check(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> PlanVerdict:
-        if sequence <= self.commander.last_sequence.get(epoch, -1):
+        if sequence <= self._last_sequence.get(epoch, -1):
             return PlanVerdict.OUT_OF_ORDER
-        if self.commander.epoch not in (None, epoch) and self.health(t_ns) is Health.NOMINAL:
+        if self._commander not in (None, epoch) and self.health(t_ns) is Health.NOMINAL:
             return PlanVerdict.SECOND_COMMANDER
         if self._end_ns(plan) < t_ns:
             return PlanVerdict.ENDED

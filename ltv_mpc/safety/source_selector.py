@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
 from ltv_mpc.safety.health import DEGRADED_PERIODS
-from ltv_mpc.safety.input_monitor import CONTESTED_NS, Period
+from ltv_mpc.safety.input_age import Contest, InputAge
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -114,15 +114,12 @@ class SourceSelector:
         """Source whose messages are used; None before the first believed message."""
         self.rejected = 0
         """Number of messages of other sources that have the active one's name."""
-        self.second: Source | None = None
-        """Source of the last one of these."""
+        self.contest: Contest[Source] = Contest()
+        """Source of these, while both publish."""
         self.forced = ""
         """Name that an operator has put before all others; empty if none."""
         self._order = {name: place for place, name in enumerate(order)}
-        self._period = Period()
-        self._believed_ns = 0  # last believed message of the active source
-        self._unanswered = False  # a message was rejected since
-        self._contested_ns: int | None = None  # last time at which both published
+        self._age = InputAge()  # of the believed messages of the active source, by their arrival
         self._candidates: dict[Source, tuple[_Run, _Run]] = {}  # consistent messages, and those that agree besides
         self._heard_ns: dict[str, int] = {}  # last believed message by name
 
@@ -134,13 +131,10 @@ class SourceSelector:
         source, t_ns : source and time of arrival (ns) of the message.
         """
         if source != self.active:
-            self.active, self._period = source, Period()
+            self.active, self._age, self.contest = source, InputAge(), Contest()
             self._candidates.pop(source, None)
-        elif self._unanswered:
-            self._contested_ns = t_ns
-        self._unanswered = False
-        self._period.add(t_ns)
-        self._believed_ns = t_ns
+        self.contest.accept(t_ns)
+        self._age.add(t_ns)
         remember(self._heard_ns, source.name, t_ns)
 
     def offer(self, source: Source, t_ns: int, judgement: Judgement) -> bool:
@@ -152,19 +146,19 @@ class SourceSelector:
         judgement : of the message.
         """
         assert self.active is not None
-        self._believed_ns = min(self._believed_ns, t_ns)  # later than now only if the time was set back
+        self._age.arrived_ns = min(self._age.arrived_ns, t_ns)  # later than now only if the time was set back
         consistent, agreeing = candidate = self._candidates.pop(source, None) or (_Run(), _Run())
         consistent.add(t_ns, fits=judgement.believed and judgement.consistent)
         agreeing.add(t_ns, fits=all(judgement))
         if judgement.believed:
             remember(self._heard_ns, source.name, t_ns)
-            if self._takes_over(source, candidate, self.active, t_ns - self._believed_ns):
+            if self._takes_over(source, candidate, self.active, t_ns - self._age.arrived_ns):
                 self.believe(source, t_ns)
                 return True
         remember(self._candidates, source, candidate)
         if source.name == self.active.name:
             self.rejected += 1
-            self.second, self._unanswered = source, True
+            self.contest.reject(source)
         return False
 
     def force(self, name: str, t_ns: int) -> str:
@@ -181,24 +175,6 @@ class SourceSelector:
         self.forced = name
         return ""
 
-    def silent_ns(self, t_ns: int) -> int | None:
-        """Return the time (ns) since the last believed message of the active source; None without one.
-
-        Parameters
-        ----------
-        t_ns : current time (ns).
-        """
-        return None if self.active is None else t_ns - self._believed_ns
-
-    def contested(self, t_ns: int) -> bool:
-        """Return True if a second source publishes beside the active one, under the same name.
-
-        Parameters
-        ----------
-        t_ns : current time (ns).
-        """
-        return self._contested_ns is not None and t_ns - self._contested_ns <= CONTESTED_NS
-
     def _takes_over(self, source: Source, candidate: tuple[_Run, _Run], active: Source, silent_ns: int) -> bool:
         """Return True by one of the four conditions in the module docstring."""
         consistent, agreeing = candidate
@@ -214,7 +190,7 @@ class SourceSelector:
 
     @property
     def _silence_ns(self) -> int:
-        return min(max(DEGRADED_PERIODS * self._period.median_ns, MIN_SILENCE_NS), MAX_SILENCE_NS)
+        return min(max(DEGRADED_PERIODS * self._age.median_ns, MIN_SILENCE_NS), MAX_SILENCE_NS)
 
 
 def remember(memory: dict[K, V], key: K, value: V) -> None:

@@ -1,59 +1,74 @@
-"""Impulse of the reported thrusts of port and starboard, up to any time within the last seconds."""
+"""Impulse of the delivered thrusts of port and starboard, up to any time within the last seconds."""
 
 from __future__ import annotations
 
-from collections import deque
+import numpy as np
 
-from ltv_mpc.messages import Applied, Pair
+from ltv_mpc.jit import count_up_to, jit
+from ltv_mpc.messages import Array, Pair, Triple
 
-KEPT_NS = 5_000_000_000
-"""Age up to which reports are kept. An estimate that arrives later than this is not compared with the model."""
+KEPT_S = 5.0
+"""Age up to which thrusts are kept. An estimate that arrives later than this is not compared with the model."""
 
 
 class ThrustImpulse:
-    """Integral of the reported thrusts of port and starboard over time."""
+    """Integral of the delivered thrusts of port and starboard over time: linear between two, constant after the last.
 
-    def __init__(self) -> None:
-        self._reports: deque[tuple[int, Pair, Pair]] = deque()  # time, thrusts, impulses up to that time
+    Parameters
+    ----------
+    kept_s : age (s) up to which thrusts are kept.
+    """
 
-    def add(self, applied: Applied) -> None:
-        """Add a report of the actuators.
+    def __init__(self, kept_s: float = KEPT_S) -> None:
+        self._kept_s, self._origin_ns = kept_s, 0
+        self.rows = np.empty((0, 5))
+        """Time (s), thrusts of port and starboard (N), and their impulses up to that time (N s)."""
+
+    def seconds(self, t_ns: int) -> float:
+        """Return a vehicle time (ns) on the time axis of the rows (s)."""
+        return (t_ns - self._origin_ns) * 1e-9
+
+    def add(self, t_ns: int, thrust_N: Triple | Array) -> None:
+        """Add the thrusts at a time.
 
         Parameters
         ----------
-        applied : the report.
+        t_ns : vehicle time (ns). What is not newer than the last is ignored.
+        thrust_N : of port, starboard and vertical (N).
         """
-        thrust = applied.thrust_N[:2]
-        if not self._reports:
-            self._reports.append((applied.t_ns, thrust, (0.0, 0.0)))
-            return
-        t_ns, before, impulse = self._reports[-1]
-        half_s = 0.5e-9 * (applied.t_ns - t_ns)
-        if half_s > 0.0:
-            at = impulse[0] + half_s * (before[0] + thrust[0]), impulse[1] + half_s * (before[1] + thrust[1])
-            self._reports.append((applied.t_ns, thrust, at))
-            while self._reports[1][0] <= applied.t_ns - KEPT_NS:
-                self._reports.popleft()
+        if not len(self.rows):
+            self._origin_ns = t_ns
+        t, row, rows = self.seconds(t_ns), np.zeros((1, 5)), self.rows
+        row[0, :3] = t, thrust_N[0], thrust_N[1]
+        if len(rows):
+            if t <= rows[-1, 0]:
+                return
+            row[0, 3:] = rows[-1, 3:] + 0.5 * (t - rows[-1, 0]) * (rows[-1, 1:3] + row[0, 1:3])
+            rows = rows[max(int(np.searchsorted(rows[:, 0], t - self._kept_s, side="right")) - 1, 0) :]
+        self.rows = np.concatenate([rows, row])
 
     def until(self, t_ns: int) -> Pair | None:
-        """Return the impulses (N s) up to ``t_ns``; None before the oldest report that is kept.
-
-        The thrust is linear between reports and constant after the last one.
+        """Return the impulses (N s) up to ``t_ns``; None before the oldest thrusts that are kept.
 
         Parameters
         ----------
         t_ns : time (ns).
         """
-        reports = self._reports
-        if not reports or t_ns < reports[0][0]:
-            return None
-        k = len(reports) - 1
-        while reports[k][0] > t_ns:
-            k -= 1
-        at, (f1, f2), (i1, i2) = reports[k]
-        s = (t_ns - at) * 1e-9
-        if k + 1 < len(reports):
-            then, (g1, g2), _ = reports[k + 1]
-            half = 0.5 * s * s / ((then - at) * 1e-9)
-            return i1 + s * f1 + half * (g1 - f1), i2 + s * f2 + half * (g2 - f2)
-        return i1 + s * f1, i2 + s * f2
+        t = self.seconds(t_ns)
+        return impulses(self.rows, t) if len(self.rows) and t >= self.rows[0, 0] else None
+
+
+@jit
+def impulses(rows: Array, t: float) -> Pair:
+    """Return the impulses (N s) of port and starboard up to a time.
+
+    Parameters
+    ----------
+    rows : as in ``ThrustImpulse``, at least one.
+    t : time (s), not before the first row.
+    """
+    k = count_up_to(rows[:, 0], t) - 1
+    at, later = rows[k], rows[min(k + 1, len(rows) - 1)]
+    s = t - at[0]
+    half = 0.5 * s * s / (later[0] - at[0]) if later[0] > at[0] else 0.0
+    return at[3] + s * at[1] + half * (later[1] - at[1]), at[4] + s * at[2] + half * (later[2] - at[2])

@@ -11,7 +11,7 @@ thruster that is not used at all could never show that it has recovered.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TypeAlias
 
 from ltv_mpc.messages import Health, Pair
 from ltv_mpc.safety.health import NOMINAL, HealthState
@@ -37,11 +37,8 @@ MIN_SHARE = 0.2
 SIDES = "port", "starboard"
 
 
-class Attribution(NamedTuple):
-    """Loss of thrust that the detector attributes to one thruster."""
-
-    side: int  # 0 port, 1 starboard
-    loss: float  # lost share
+Attribution: TypeAlias = tuple[int, float]
+"""Loss of thrust that the detector attributes to one thruster: 0 port or 1 starboard, and its lost share."""
 
 
 def attribute(loss: Pair) -> Attribution | None:
@@ -52,7 +49,7 @@ def attribute(loss: Pair) -> Attribution | None:
     loss : lost shares of port and starboard; that of a sound thruster is at most the mismatch of the model.
     """
     side = 0 if loss[0] > loss[1] else 1
-    return Attribution(side, loss[side]) if loss[side] >= MIN_LOSS and loss[1 - side] < MIN_LOSS else None
+    return (side, loss[side]) if loss[side] >= MIN_LOSS and loss[1 - side] < MIN_LOSS else None
 
 
 class WeakThruster:
@@ -96,12 +93,12 @@ class WeakThruster:
                 self.restore((1.0, 1.0))
                 return True
             # While a recovery may be under way, the detector's window holds cycles from before and after it.
-            if attribution is not None and attribution.side == self._side and self._recovery == 0.0:
+            if attribution is not None and attribution[0] == self._side and self._recovery == 0.0:
                 self._set(attribution)
             return False
-        same = attribution is not None and attribution.side == self._side
+        same = attribution is not None and attribution[0] == self._side
         self._confirmations = self._confirmations + 1 if same else 1
-        self._side = None if attribution is None else attribution.side
+        self._side = None if attribution is None else attribution[0]
         if attribution is not None and self._confirmations >= CONFIRMING_CYCLES:
             self._set(attribution)
             self._since_ns = t_ns
@@ -131,8 +128,8 @@ class WeakThruster:
 
     def _set(self, attribution: Attribution) -> None:
         """Set the share of a thruster to the nearest step, if it is far enough from the share in force."""
-        share = max(1.0 - attribution.loss, MIN_SHARE)
-        if abs(share - self.shares[attribution.side]) < HYSTERESIS:
-            return
-        share = STEP * round(share / STEP)
-        self.shares = (share, 1.0) if attribution.side == 0 else (1.0, share)
+        side, loss = attribution
+        share = max(1.0 - loss, MIN_SHARE)
+        if abs(share - self.shares[side]) >= HYSTERESIS:
+            share = STEP * round(share / STEP)
+            self.shares = (share, 1.0) if side == 0 else (1.0, share)

@@ -16,11 +16,20 @@ from ltv_mpc.vehicle.thruster import thrust
 MIN_MASS_KG, MAX_MASS_KG = 5.0, 50_000.0
 ACCELERATION_MPS2 = (0.005, 10.0)
 MIN_TOP_SPEED_MPS, MAX_TOP_SPEED_MPS = 0.05, 15.0
-TOTAL_OVER_DRY = (0.95, 10.0)
+TOTAL_OVER_DRY = (0.95, 4.0)
 """Ratio of total mass (with added mass) to dry mass; added mass is positive and rarely above a few times dry mass."""
 
 GYRATION_OVER_SIZE = (0.15, 10.0)
 """Ratio of sqrt(I_z / M_y) to the edge of a cube of the hull's volume: 1 for a hull of 1 : 7."""
+
+GYRATION_OVER_LENGTH = (0.21, 0.6)
+"""The same over the hull's length: 0.29 for a rod, and 0.19 for one whose masses are in pounds."""
+
+MAX_TIP_MPS = 60.0
+"""Largest speed of the tips of a propeller: beyond half of it water cavitates."""
+MAX_PROPELLER_OVER_SIZE = 1.2
+MAX_PROPELLER_OVER_THRUST = 3.0
+"""Largest thrust of a propeller at the top speed over ``max_N``: a kgf is 9.8 N, a lbf 4.4 N."""
 
 ARM_OVER_SIZE = (0.02, 5.0)
 REFERENCE_POINT_OVER_SIZE = 5.0
@@ -67,6 +76,14 @@ def _size_warnings(vehicle: Vehicle) -> Iterator[str]:
             f"[yaw] inertia_kgm2 = {vehicle.yaw.inertia_kgm2:g}: a radius of gyration of {gyration:.2g} m does not fit "
             f"{mass:g} kg, of which {low:.2g} to {high:.2g} m are usual"
         )
+    elif vehicle.hull is not None:
+        low, high = (vehicle.hull.length_m * bound for bound in GYRATION_OVER_LENGTH)
+        if not low <= gyration <= high:
+            yield (
+                f"[yaw] inertia_kgm2 = {vehicle.yaw.inertia_kgm2:g} on [sway] mass_kg = {vehicle.sway.mass_kg:g}: a "
+                f"radius of gyration of {gyration:.2g} m; a hull of {vehicle.hull.length_m:g} m has {low:.2g} to "
+                f"{high:.2g} m: are the masses in kg (not in pounds), and is the inertia in kg m2?"
+            )
 
 
 def _reference_point_warnings(vehicle: Vehicle) -> Iterator[str]:
@@ -145,13 +162,23 @@ def _motion_warnings(vehicle: Vehicle, can: Performance) -> Iterator[str]:
 
 
 def _propeller_warnings(vehicle: Vehicle, top: float) -> Iterator[str]:
+    largest_m = MAX_PROPELLER_OVER_SIZE * _size(vehicle)
     for name, thruster in (("port", vehicle.thruster.port), ("starboard", vehicle.thruster.starboard)):
-        gives = thrust(thruster.max_rps, top, vehicle.water_density_kgpm3, thruster.propeller_diameter_m)
-        if gives < 0.95 * thruster.max_N:
+        where, diameter_m, rps = f"[thruster.{name}]", thruster.propeller_diameter_m, thruster.max_rps
+        gives = thrust(rps, top, vehicle.water_density_kgpm3, diameter_m)
+        at_top = f"at the top speed of {top:.3g} m/s a propeller of {diameter_m:g} m gives {max(gives, 0.0):.3g} N"
+        if diameter_m > largest_m:
+            fits = f"at most {largest_m:.2g} m fits {vehicle.dry_mass_kg:g} kg"
+            yield f"{where} propeller_diameter_m = {diameter_m:g}: {fits}; is it in m?"
+        elif math.pi * diameter_m * rps > MAX_TIP_MPS:
             yield (
-                f"[thruster.{name}] max_rps = {thruster.max_rps:g}: at the top speed of {top:.3g} m/s a propeller of "
-                f"{thruster.propeller_diameter_m:g} m gives {max(gives, 0.0):.3g} N, max_N = {thruster.max_N:g}"
+                f"{where} max_rps = {rps:g}: the tips of a propeller of {diameter_m:g} m move at "
+                f"{math.pi * diameter_m * rps:.0f} m/s; is it in rev/min?"
             )
+        elif gives < 0.95 * thruster.max_N:
+            yield f"{where} max_rps = {rps:g}: {at_top}, max_N = {thruster.max_N:g}"
+        elif gives > MAX_PROPELLER_OVER_THRUST * thruster.max_N:
+            yield f"{where} max_N = {thruster.max_N:g}: {at_top}; is the thrust in N (not in kgf or lbf)?"
 
 
 def _heave_warnings(vehicle: Vehicle) -> Iterator[str]:

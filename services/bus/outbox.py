@@ -9,11 +9,8 @@ from typing import NamedTuple
 
 from ltv_mpc.messages import Message
 from services.bus.session import Publisher, Session
-from services.bus.topics import BATCHED, key_of
+from services.bus.topics import key_of
 from services.bus.wire import Header, crc, encode
-
-MAX_FRAME_BYTES = 16_384
-"""Largest frame of several messages, well below one packet of Zenoh (64 KiB)."""
 
 
 def new_epoch() -> int:
@@ -22,7 +19,7 @@ def new_epoch() -> int:
 
 
 class SentMessage(NamedTuple):
-    """Identification of a published message; ``crc`` is that of its own payload."""
+    """Identification of a published message; ``crc`` is that of its frame."""
 
     key: str
     sequence: int
@@ -50,24 +47,12 @@ class Outbox:
         return sent
 
     def publish_all(self, messages: Iterable[Message]) -> list[SentMessage]:
-        """Encode all messages, then send them at once: Zenoh then puts their frames into few packets.
-
-        Messages of a ``BATCHED`` type share frames, which are sent at the place of the last of their messages.
-        """
-        sent_messages: list[SentMessage] = []
-        frames: dict[tuple[str, int], bytes] = {}  # by key and sequence number of the last message
-        for message in messages:
-            sent, payload = self._encoded(message)
-            sent_messages.append(sent)
-            if type(message) in BATCHED:
-                before = sent.key, sent.sequence - 1
-                if before in frames and len(frames[before]) + len(payload) <= MAX_FRAME_BYTES:
-                    payload = frames.pop(before) + payload
-            frames[sent.key, sent.sequence] = payload
-        for (key, _), frame in frames.items():
-            self._publishers[key].put(frame)
-        self.published += len(sent_messages)
-        return sent_messages
+        """Encode all messages, then send them at once: Zenoh then puts their frames into few packets."""
+        encoded = [self._encoded(message) for message in messages]
+        for sent, frame in encoded:
+            self._publishers[sent.key].put(frame)
+        self.published += len(encoded)
+        return [sent for sent, _ in encoded]
 
     def _encoded(self, message: Message) -> tuple[SentMessage, bytes]:
         key = self._keys[type(message)]

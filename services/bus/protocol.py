@@ -15,8 +15,8 @@ from inspect import cleandoc
 
 from ltv_mpc import messages
 from services.bus.schema import Field, Schema, fields, schema
-from services.bus.topics import BATCHED, BY_KEY, TOPICS, Topic
-from services.bus.wire import MAX_FRAME_MESSAGES, MAX_PAYLOAD_BYTES, Header
+from services.bus.topics import BY_KEY, TOPICS, Topic
+from services.bus.wire import MAX_PAYLOAD_BYTES, Header
 
 PAGE = "protocol.md"
 SCHEMAS = "schemas"
@@ -54,10 +54,6 @@ def _table(name: str, argument: str, rest: Iterable[Topic]) -> str:
         case "part":
             kind = getattr(messages, argument)
             return f"{_about(kind)}\n\n{_fields(fields(kind))}"
-        case "batched":
-            return ", ".join(f"`{_key(topic)}`" for topic in TOPICS if topic.message_type in BATCHED)
-        case "many":
-            return str(MAX_FRAME_MESSAGES)
         case "most":
             return f"{MAX_PAYLOAD_BYTES:,}"
     raise ValueError(f"{name}: no such table")

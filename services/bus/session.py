@@ -37,8 +37,8 @@ import zenoh.ext
 from ltv_mpc.errors import ConfigError
 from services.bus import roles, security
 from services.bus.options import BusOptions
-from services.bus.topics import BATCHED, Topic, topic_at
-from services.bus.wire import MAX_PAYLOAD_BYTES, split
+from services.bus.topics import Topic, topic_at
+from services.bus.wire import MAX_PAYLOAD_BYTES
 
 MAX_MESSAGE_BYTES = 2 * MAX_PAYLOAD_BYTES
 """Largest message that a session accepts."""
@@ -202,10 +202,7 @@ class Session:
 
         def on_sample(sample: zenoh.Sample) -> None:
             name = str(sample.key_expr)
-            topic_of_key, payload = topic or topic_at(name), sample.payload.to_bytes()
-            is_batch = topic_of_key is not None and topic_of_key.message_type in BATCHED
-            for message in split(payload) if is_batch else (payload,):
-                offer(topic_of_key, name, message)
+            offer(topic or topic_at(name), name, sample.payload.to_bytes())
 
         self._subscribers.append(
             self._session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))

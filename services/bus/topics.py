@@ -30,7 +30,7 @@ from ltv_mpc.messages import (
     FenceInForce,
     GnssFix,
     Heartbeat,
-    ImuSample,
+    ImuSamples,
     Injection,
     InjectorFrame,
     Kill,
@@ -93,7 +93,7 @@ TOPICS = (
     Topic(Disturbance,        "world/disturbance",                0, EVERY,    OPERATOR,     ("plant",)),
     Topic(Injection,          "inject",                           0, EVERY,    OPERATOR,     ("inject",)),
     Topic(Applied,            "applied",                100_000_000, EVERY,    "plant",      ("controller",)),
-    Topic(ImuSample,          "sensor/imu",              10_000_000, EVERY,    "sensors",    ("estimator",)),
+    Topic(ImuSamples,         "sensor/imu",              50_000_000, EVERY,    "sensors",    ("estimator",)),
     Topic(GnssFix,            "sensor/gnss",          1_000_000_000, EVERY,    "sensors",    ("estimator",)),
     Topic(TdcpFix,            "sensor/tdcp",          1_000_000_000, EVERY,    "sensors",    ("estimator",)),
     Topic(AdcpPing,           "sensor/adcp",            333_333_333, EVERY,    "sensors",    ("estimator",)),
@@ -141,9 +141,6 @@ BY_KEY = {topic.key: topic for topic in TOPICS}
 
 NAMED: frozenset[type[Message]] = frozenset({Estimate})
 """Types that several sources may publish, each on a key of its own: the key of the table, a slash, and its name."""
-
-BATCHED: frozenset[type[Message]] = frozenset({Truth, ImuSample})
-"""Types of which a frame may hold several messages, one after the other; on all other keys a frame holds one."""
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
 

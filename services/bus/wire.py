@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Callable, Mapping
-from itertools import pairwise
 from typing import Annotated, Any, TypeAlias, TypeVar
 
 import msgpack
@@ -27,9 +26,6 @@ T = TypeVar("T")
 
 MAX_PAYLOAD_BYTES = 1 << 20
 """Largest frame; a larger one is rejected undecoded. The largest message, an estimate with its profile, has 10 kB."""
-
-MAX_FRAME_MESSAGES = 1000
-"""Largest number of messages in a frame; one with more is rejected as a whole."""
 
 Epoch: TypeAlias = Annotated[int, Meta(ge=0, le=2**48 - 1, extra={"unit": "identifier"})]
 
@@ -107,24 +103,6 @@ def unpack(payload: bytes) -> dict[str, Any]:
     if not isinstance(plain_map, dict):
         raise WireError("not a map")
     return plain_map
-
-
-def split(frame: bytes) -> list[bytes]:
-    """Return the payload of each message of a frame with several; a frame that has no such form as it is."""
-    if len(frame) > MAX_PAYLOAD_BYTES:
-        return [frame]
-    unpacker = msgpack.Unpacker(max_buffer_size=MAX_PAYLOAD_BYTES)
-    ends = [0]
-    try:
-        unpacker.feed(frame)
-        while ends[-1] < len(frame) and len(ends) <= MAX_FRAME_MESSAGES:
-            unpacker.skip()
-            ends.append(unpacker.tell())
-    except DECODE_ERRORS:
-        return [frame]
-    if not 0 < ends[-1] == len(frame):
-        return [frame]
-    return [frame[start:end] for start, end in pairwise(ends)]
 
 
 def header_of(plain_map: dict[str, Any]) -> Header:

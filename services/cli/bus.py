@@ -25,6 +25,14 @@ Certs: TypeAlias = Annotated[
 ]
 
 
+Namespace: TypeAlias = Annotated[
+    str,
+    typer.Option(
+        "--namespace", metavar="NAME", help="Prefix of every key: one for each vehicle.", rich_help_panel=PANEL
+    ),
+]
+
+
 def _block(
     connect: Annotated[
         list[str] | None,
@@ -59,12 +67,7 @@ def _block(
             rich_help_panel=PANEL,
         ),
     ] = None,
-    namespace: Annotated[
-        str,
-        typer.Option(
-            "--namespace", metavar="NAME", help="Prefix of every key: one for each vehicle.", rich_help_panel=PANEL
-        ),
-    ] = "",
+    namespace: Namespace = "",
     certs: Certs = None,
     *,
     role: str = "",

@@ -33,6 +33,10 @@ def localise(
             max=12_000,
         ),
     ] = None,
+    head: Annotated[
+        str | None,
+        typer.Option("--head", metavar="up|down", help="Head to use, of two. Default: that with more ensembles."),
+    ] = None,
     as_json: Json = False,
     force: Force = False,
     out: Annotated[
@@ -56,7 +60,7 @@ def localise(
     written = None if out is None else folder.open_folder(out, force=force)
     try:
         with progress_bar(file.name) as progress:
-            outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m, progress=progress)
+            outcome = dive.localise(file, surface_fixes, start_depth_m, head, progress=progress)
     except ConfigError:
         if written is not None:
             with contextlib.suppress(OSError):  # it is not empty

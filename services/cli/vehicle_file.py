@@ -98,11 +98,13 @@ def check(
 
         notes: list[str] = []
         followed = references.load(reference)
+        zones, place = fence_for(loaded, followed, fence or "", notes), None if start is None else _place(start)
+        picture = mission_check.picture(loaded, followed, zones, place)
         mission = mission_check.check_mission(
             loaded,
             followed,
-            fence_for(loaded, followed, fence or "", notes),
-            start=None if start is None else _place(start),
+            zones,
+            start=place,
             current_mps=current,
             bottom=None if bottom is None else _bottom(bottom, followed.origin),
             limits=None if settings is None else ControllerConfig.load(str(settings)).limits,
@@ -110,14 +112,14 @@ def check(
         result = replace(result, mission=replace(mission, notes=[*notes, *mission.notes]))
     typer.echo(_json(result) if as_json else vehicle_check.table(result))
     if result.mission is not None and not as_json:
-        typer.echo(mission_check.table(result.mission))
+        typer.echo(f"{mission_check.table(result.mission)}\n{picture}")
     if result.mission is not None and result.mission.problems:
         raise typer.Exit(1)
 
 
 @vehicle.command()
 def identify(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="latest, a run's folder, or its run.mcap.")],
+    run: Annotated[str, typer.Argument(metavar="RUN", help="latest, a run's folder, its run.mcap, or .bin, .tlog.")],
     name: Annotated[
         str | None,
         typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle to start from. Default: that of the run."),
@@ -132,20 +134,20 @@ def identify(
     force: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Identify masses, damping, thrust, arms and lags from a recorded run, with 95 % intervals."""
+    """Identify masses, damping, thrust, arms and lags from a run or a log of ArduPilot, with 95 % intervals."""
     from services.tools import vehicle_identify
 
-    folder = vehicle_identify.open_run(run)
-    loaded = vehicle_identify.load_vehicle(folder, name)
+    source = vehicle_identify.open_run(run)
+    loaded = vehicle_identify.load_vehicle(source, name)
     if out is not None:
         _free(out, force=force)
     from services.reporting.terminal import reading_progress
 
-    with reading_progress(folder.recording):
-        report, identification = vehicle_identify.identify_run(folder, loaded, known.value, known_yaw.value)
+    with reading_progress(source if isinstance(source, Path) else source.recording):
+        report, identification = vehicle_identify.identify_run(source, loaded, known.value, known_yaw.value)
     typer.echo(_json(report) if as_json else vehicle_identify.format_text(report))
     if out is not None:
-        identified = vehicle_identify.identified_vehicle(folder, loaded, identification)
+        identified = vehicle_identify.identified_vehicle(source, loaded, identification)
         _write(out, vehicle_identify.format_toml(report, identified), force=force, quiet=as_json)
 
 

@@ -6,7 +6,7 @@ from collections import deque
 
 from ltv_mpc.messages import Array, Authority, Health, Plan
 from ltv_mpc.safety.health import plan_end_ns, plan_health
-from ltv_mpc.safety.input_monitor import Period
+from ltv_mpc.safety.input_age import InputAge
 from ltv_mpc.vehicle.parameters import PLAN_TIMEOUT_S
 
 
@@ -15,7 +15,7 @@ class PlanFollower:
 
     def __init__(self) -> None:
         self._plans: deque[Plan] = deque(maxlen=8)  # in force, then those that begin later
-        self._period = Period()  # of the plans
+        self._period = InputAge()  # of the plans
         self.identity = 0, -1
         """Epoch and sequence of the newest plan; 0 and -1 before the first."""
         self.received_t_ns = 0

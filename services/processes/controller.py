@@ -48,7 +48,6 @@ from services.processes.failed_qps import FailedQps
 from services.run.settings_files import TOO_LARGE, controller_files, node_settings
 from services.runtime import metrics as prometheus
 from services.runtime.console import Console
-from services.runtime.controller_changes import ControllerChanges
 from services.runtime.controller_status import ControllerStatusReporter, StatusSink, status_line
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
@@ -131,7 +130,7 @@ def main(config: Config) -> int:
                 clock=ClockOptions(sync_to_inputs=True, input_delay_ns=round(config.input_delay_s * 1e9)),
                 compute_delay_ns=round(config.compute_delay_s * 1e9),
                 stages=node_stages,
-                report=ControllerStatusReporter(node, shown, ControllerChanges(console.tell), checkpoint),
+                report=ControllerStatusReporter(node, shown, console.tell, checkpoint),
             )
             runner.settings = published
             return runner
@@ -204,9 +203,9 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
         gap_ns = 3_000_000_000 if k == 7 else 0  # too long for the bias of the current, which then only grows uncertain
         t_ns, fails = start_ns + k * config.period_ns + gap_ns, k == 4
         messages = (msgspec.structs.replace(estimate, t_ns=t_ns), *others.get(k, ()))
-        node.steps([(t_ns, [ReceivedMessage(message, 1, k, t_ns) for message in messages])])
+        node.step(t_ns, [ReceivedMessage(message, 1, k, t_ns) for message in messages])
     for missed_s in (2.0, 12.0, 30.0):  # prediction, hold, failsafe
-        node.steps([(t_ns + round(missed_s * 1e9), [])])
+        node.step(t_ns + round(missed_s * 1e9), [])
     sent = SentCommands(vehicle)
     sent.correct(0, (0.0, 0.0, 0.0))  # these cycles have no report of the actuators
     sent.at(np.zeros(1, dtype=np.int64))  # nor do they keep a depth

@@ -12,6 +12,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import fitted
 from ltv_mpc.localisation.sensors.imu import IMU
 from ltv_mpc.localisation.sensors.sensor import Availability
+from ltv_mpc.messages import ImuSample, ImuSamples
 from ltv_mpc.node import ReceivedMessage
 from services.bus.options import BusOptions
 from services.run.settings_files import TOO_LARGE, estimator_files, node_settings
@@ -71,4 +72,5 @@ def warm_up(sensor_config: SensorConfig, config: EstimatorConfig) -> None:
     end = [sensor.at_rest(second, settings) for sensor, settings in fitted(sensor_config)]
     late = [s.at_rest(second // 2, x) for s, x in fitted(sensor_config) if s.availability is not Availability.SURFACE]
     for message in (*start, *samples[:-1], *end, samples[-1], *late):
-        estimator.steps([(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])])
+        published = ImuSamples(samples=(message,)) if isinstance(message, ImuSample) else message
+        estimator.step(message.t_ns, [ReceivedMessage(published, 1, 0, message.t_ns)])

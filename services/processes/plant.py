@@ -53,8 +53,8 @@ def main(config: Config) -> int:
 def warm_up(run_config: RunConfig) -> None:
     """Load all compiled code, by a few steps of a plant that is discarded."""
     plant = _make(run_config)
-    for t_ns in range(0, 5 * Plant.schedule.period_ns, Plant.schedule.period_ns):
-        plant.steps([(t_ns, [])])
+    for t_ns in range(0, 2 * Plant.schedule.period_ns, Plant.schedule.period_ns):
+        plant.step(t_ns, [])
 
 
 def _make(run_config: RunConfig) -> Plant:

@@ -12,7 +12,7 @@ from services.runtime.console import Console
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
-from sim.plant import PERIOD_NS
+from sim.plant import STEP_NS
 from sim.sensors.node import Sensors
 
 
@@ -41,7 +41,7 @@ def warm_up(run_config: RunConfig) -> None:
     """Load all compiled code: run 1.4 s of a vehicle at rest through sensors that are then discarded."""
     sensors = _make(run_config)
     still = (0.0, 0.0, 0.0)
-    for t_ns in range(-1_000_000_000, 400_000_000, PERIOD_NS):
+    for t_ns in range(-1_000_000_000, 400_000_000, STEP_NS):
         truth = Truth(
             t_ns=t_ns,
             position_m=still,
@@ -52,7 +52,7 @@ def warm_up(run_config: RunConfig) -> None:
             current_mps=(0.0, 0.0),
             thrust_N=still,
         )
-        sensors.steps([(t_ns, [ReceivedMessage(truth, 1, 0, t_ns)])])
+        sensors.step(t_ns, [ReceivedMessage(truth, 1, 0, t_ns)])
 
 
 def _make(run_config: RunConfig) -> Sensors:

@@ -1,4 +1,4 @@
-"""Export of a recording as tables: one CSV or Parquet file for each key, one row for each message.
+"""Export of a recording as tables: one CSV or Parquet file for each key, one row for each message or inertial sample.
 
     published_s, published_ns   vehicle time of publication
     t_s, t_ns                   validity time, if the message has one
@@ -24,8 +24,9 @@ from typing import IO, Any, Literal, Protocol, TypeAlias
 import msgspec
 
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import ImuSamples
 from services.bus import topics
-from services.recording.recover import Progress, RawMessage, no_progress, read_segments
+from services.recording.reader import Progress, StoredMessage, no_progress, read_segments
 
 Format: TypeAlias = Literal["csv", "parquet"]
 
@@ -111,7 +112,7 @@ def export(parts: Sequence[Path], folder: Path, form: Format, *, progress: Progr
     open_sink = _csv if form == "csv" else _parquet()
     layouts: dict[str, _Layout] = {}
     unreadable = 0
-    for raw, message in _messages(parts, progress, (0.0, 0.5)):
+    for raw, message in _rows(parts, progress, (0.0, 0.5)):
         if message is None:
             unreadable += 1
             continue
@@ -122,7 +123,7 @@ def export(parts: Sequence[Path], folder: Path, form: Format, *, progress: Progr
         key: _Table(key, layout.spreads(), folder, name, open_sink) for key, layout, name in _named(layouts, form)
     }
     try:
-        for raw, message in _messages(parts, progress, (0.5, 1.0)):
+        for raw, message in _rows(parts, progress, (0.5, 1.0)):
             if message is not None:
                 tables[raw.key].add(raw.t_ns, message)
     finally:
@@ -132,17 +133,22 @@ def export(parts: Sequence[Path], folder: Path, form: Format, *, progress: Progr
     return ExportResult(folder=str(folder), files=files, unreadable=unreadable)
 
 
-def _messages(
+def _rows(
     parts: Sequence[Path], progress: Progress, share: tuple[float, float]
-) -> Iterator[tuple[RawMessage, dict[str, Any] | None]]:
-    """Yield each message with its flattened map; None if it is not a map."""
+) -> Iterator[tuple[StoredMessage, dict[str, Any] | None]]:
+    """Yield each message with its flattened map, each inertial sample with one of its own; None if it is not a map."""
     decode = msgspec.json.Decoder().decode
-    for _, raw in read_segments(parts, progress, share):
+    for raw in read_segments(parts, progress, share):
         try:
             plain = decode(raw.data)
         except (msgspec.DecodeError, ValueError, RecursionError):
             plain = None
-        yield raw, dict(_leaves(plain, "")) if isinstance(plain, dict) else None
+        if not isinstance(plain, dict):
+            yield raw, None
+            continue
+        samples = plain.pop("samples", [{}]) if raw.kind is ImuSamples else [{}]
+        for sample in samples if isinstance(samples, list) else [None]:
+            yield raw, dict(_leaves(plain | sample, "")) if isinstance(sample, dict) else None
 
 
 def _leaves(table: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:

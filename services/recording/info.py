@@ -10,17 +10,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
-from msgspec import Meta
 
 from ltv_mpc.config import loads
-from ltv_mpc.messages import Count
+from ltv_mpc.messages import NodeSettings, RunEvent
 from services.bus import topics
-from services.bus.wire import Epoch
-from services.recording.node_settings import PREFIX, vehicle_name
-from services.recording.recover import RECOVERY, RawMessage, SegmentReader
+from services.bus.wire import Header, WireError
+from services.recording.node_settings import vehicle_name
+from services.recording.reader import Recording, StoredMessage
+from services.recording.recover import RECOVERY
 from services.recording.sequence_gaps import SequenceGaps
 from services.recording.writer import VEHICLE_MODE
 
@@ -106,23 +106,6 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     events_total: int
 
 
-class _Header(msgspec.Struct):
-    epoch: Epoch
-    sequence: Count
-
-
-class _Settings(msgspec.Struct):
-    files: dict[str, str]
-    made_by: dict[str, str]
-
-
-class _RunEvent(msgspec.Struct):
-    t_ns: Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
-    node: str
-    kind: str
-    text: str
-
-
 @dataclass(slots=True)
 class _SourceStatistics:
     gaps: SequenceGaps
@@ -139,7 +122,7 @@ class _KeyStatistics:
         self.silence_from_ns = 0
         self.sources: dict[int, _SourceStatistics] = {}
 
-    def add(self, raw: RawMessage, header: _Header, *, from_first: bool) -> None:
+    def add(self, raw: StoredMessage, header: Header, *, from_first: bool) -> None:
         """Add a message. ``from_first``: a source is counted from its first recorded message on, not from 0."""
         if self.bytes and raw.t_ns - self.last_ns > self.silence_ns:
             self.silence_ns, self.silence_from_ns = raw.t_ns - self.last_ns, self.last_ns
@@ -160,28 +143,25 @@ class _Collector:
         self.events: list[Event] = []
         self.events_total = 0
         self.unreadable = 0
-        self.settings: dict[str, _Settings] = {}  # newest, by key
-        self._settings = msgspec.json.Decoder(_Settings).decode
-        self._header = msgspec.json.Decoder(_Header).decode
-        self._event = msgspec.json.Decoder(_RunEvent).decode
+        self.settings: dict[str, NodeSettings] = {}  # newest, by key
 
-    def add(self, raw: RawMessage, *, from_first: bool) -> None:
+    def add(self, stored: StoredMessage, *, from_first: bool) -> None:
         """Add a message; ``from_first`` as in ``_KeyStatistics.add``."""
         try:
-            header = self._header(raw.data)
-        except (msgspec.DecodeError, ValueError, RecursionError):
+            header = stored.header()
+        except WireError:
             self.unreadable += 1
             return
-        self.keys.setdefault(raw.key, _KeyStatistics()).add(raw, header, from_first=from_first)
-        if raw.key.startswith(PREFIX):
-            with contextlib.suppress(msgspec.DecodeError, ValueError, RecursionError):
-                self.settings[raw.key] = self._settings(raw.data)
-        if raw.key.startswith("event/"):
-            self.events_total += 1
-            with contextlib.suppress(msgspec.DecodeError, ValueError, RecursionError):
-                event = self._event(raw.data)
-                if len(self.events) < MAX_EVENTS:
-                    self.events.append(Event(t_s=event.t_ns / 1e9, node=event.node, kind=event.kind, text=event.text))
+        self.keys.setdefault(stored.key, _KeyStatistics()).add(stored, header, from_first=from_first)
+        self.events_total += stored.kind is RunEvent
+        if stored.kind not in (NodeSettings, RunEvent):
+            return
+        with contextlib.suppress(WireError):
+            match stored.message():
+                case NodeSettings() as settings:
+                    self.settings[stored.key] = settings
+                case RunEvent(t_ns=t_ns, node=node, kind=kind, text=text) if len(self.events) < MAX_EVENTS:
+                    self.events.append(Event(t_s=t_ns / 1e9, node=node, kind=kind, text=text))
 
 
 def read(parts: Sequence[Path]) -> Info:
@@ -191,7 +171,7 @@ def read(parts: Sequence[Path]) -> Info:
     metadata: dict[str, str] = {}
     recovered = False
     for path in parts:
-        reader = SegmentReader(path)
+        reader = Recording(path, past_losses=True)
         segments.append(_segment(reader, collector))
         metadata = metadata or reader.metadata
         recovered = recovered or RECOVERY in reader.others
@@ -224,9 +204,9 @@ def read(parts: Sequence[Path]) -> Info:
     )
 
 
-def _segment(reader: SegmentReader, collector: _Collector) -> Segment:
+def _segment(reader: Recording, collector: _Collector) -> Segment:
     count, first, last = 0, None, None
-    for raw in reader:
+    for raw in reader.stored():
         count += 1
         first = raw.t_ns if first is None else min(first, raw.t_ns)
         last = raw.t_ns if last is None else max(last, raw.t_ns)

@@ -6,9 +6,9 @@ of the file is not needed.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Container, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 from mcap.records import Channel, Metadata
@@ -16,7 +16,7 @@ from mcap.records import Message as McapMessage
 
 from ltv_mpc.messages import Message
 from services.bus import topics, wire
-from services.recording.records import Record, Records, start_of
+from services.recording.records import Records, start_of
 from services.recording.writer import RUN
 
 
@@ -47,14 +47,43 @@ class StoredMessage(NamedTuple):
     crc: int
     data: bytes
 
+    def header(self) -> wire.Header:
+        """Return the header. Raises ``WireError``."""
+        return _decoded(_header, self.data)
+
+    def message(self) -> Message:
+        """Return the message, as it was accepted when it was recorded. Raises ``WireError``."""
+        if self.kind is None:
+            raise wire.WireError(f"{self.key}: no topic has this key")
+        return wire.from_validated_map(self.kind, _decoded(msgspec.json.decode, self.data))
+
+
+_header = msgspec.json.Decoder(wire.Header).decode
+_T = TypeVar("_T")
+
+
+def _decoded(decode: Callable[[bytes], _T], data: bytes) -> _T:
+    try:
+        return decode(data)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:  # not written by a recorder
+        raise wire.WireError(str(error)) from None
+
 
 class Recording:
-    """Recording file; iteration reads it from the start. ``metadata`` is complete once iteration has started."""
+    """Recording file; iteration reads it from the start.
 
-    def __init__(self, path: Path) -> None:
+    ``metadata`` is complete once iteration has started, ``others``, the other metadata records by name, and ``cut``
+    after it. Reading ends at the first loss, because the messages behind it would seem to follow those before it;
+    ``past_losses``: it continues there. ``records`` has the losses.
+    """
+
+    def __init__(self, path: Path, *, past_losses: bool = False) -> None:
         self.path = path
         self.metadata: dict[str, str] = {}
+        self.others: dict[str, dict[str, str]] = {}
+        self.records = Records(path)
         self.cut = False
+        self._past_losses = past_losses
 
     def __iter__(self) -> Iterator[RecordedMessage]:
         decode = msgspec.json.Decoder(dict[str, Any]).decode
@@ -69,8 +98,11 @@ class Recording:
     def stored(self, keys: Container[str] | None = None) -> Iterator[StoredMessage]:
         """Yield the messages without decoding them; ``keys`` selects them, None: all."""
         channels: dict[int, tuple[str, type[Message] | None] | None] = {}
-        start_ns = 0
-        for record in self._records():
+        start_ns, records = 0, self.records
+        self.cut = False
+        for record in records:
+            if not self._past_losses and (records.losses or records.orphans):
+                break
             if isinstance(record, McapMessage):
                 channel = channels[record.channel_id]
                 if channel is not None:
@@ -82,13 +114,35 @@ class Recording:
             elif isinstance(record, Metadata) and record.name == RUN:
                 self.metadata = record.metadata
                 start_ns = start_of(record.metadata)
-
-    def _records(self) -> Iterator[Record]:
-        """Yield the records up to the first loss: the ones behind it would seem to follow those before it."""
-        records = Records(self.path)
-        self.cut = False
-        for record in records:
-            if records.losses or records.orphans:
-                break
-            yield record
+            elif isinstance(record, Metadata):
+                self.others[record.name] = record.metadata
         self.cut = not records.whole
+
+
+Progress: TypeAlias = Callable[[float], None]
+"""Callback that receives the share of the work that is done, 0 to 1."""
+
+PROGRESS_INTERVAL = 1000
+"""Messages between two reports of progress."""
+
+
+def no_progress(share: float) -> None:
+    """Ignore the progress."""
+
+
+def read_segments(
+    parts: Sequence[Path], progress: Progress, share: tuple[float, float] = (0.0, 1.0)
+) -> Iterator[StoredMessage]:
+    """Yield every message that can be read of the segments, in their order.
+
+    ``progress`` receives values from the first to the second number of ``share``.
+    """
+    sizes = [path.stat().st_size for path in parts]
+    before, total = 0, max(1, sum(sizes))
+    for path, size in zip(parts, sizes, strict=True):
+        recording = Recording(path, past_losses=True)
+        for count, stored in enumerate(recording.stored()):
+            if count % PROGRESS_INTERVAL == 0:
+                progress(share[0] + (share[1] - share[0]) * (before + recording.records.position) / total)
+            yield stored
+        before += size

@@ -23,6 +23,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeAlias
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -32,15 +33,21 @@ from mcap.records import Channel, Chunk, Message, Metadata, Schema
 from ltv_mpc.errors import ConfigError
 
 MAGIC = b"\x89MCAP0\r\n"
-MAX_CHUNK_BYTES = 1 << 24
-"""Limit of a decompressed chunk. Our own chunks have 1 MiB plus one message."""
+MAX_CHUNK_BYTES = 1 << 27
+"""Limit of a decompressed chunk. Our own chunks have 1 MiB plus one message; other programs write larger ones."""
+
+ENCODING = "json"
+"""Encoding of our messages."""
+FOREIGN = (
+    "was not written by `ltv-mpc recorder`. A bag of ROS 2: play it, with `ltv-mpc ros2` and the recorder beside it."
+)
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 MESSAGE = int(Opcode.MESSAGE)  # an int compares faster than an enum, and a file has some hundred thousand records
 
-DECODING_ERRORS = (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError, MemoryError)
-"""Exceptions of mcap, zstd and struct on damaged content; UnicodeDecodeError is a ValueError."""
+DECODING_ERRORS = (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError)
+"""Exceptions of mcap, zstd, lz4 and struct on damaged content; UnicodeDecodeError is a ValueError."""
 
 Record: TypeAlias = Schema | Channel | Message | Metadata
 
@@ -76,7 +83,8 @@ class Records:
 
     After iteration, ``losses`` lists the unreadable bytes, and ``orphans`` counts the messages that were skipped
     because the record of their channel is lost. ``position`` is the place of the newest record, of ``size`` bytes.
-    Iteration raises ``ConfigError`` if the file is not an MCAP file. An empty file has no records and is not whole.
+    Iteration raises ``ConfigError`` if the file is not an MCAP file, or one of another program. An empty file has no
+    records and is not whole.
     """
 
     def __init__(self, path: Path) -> None:
@@ -87,6 +95,7 @@ class Records:
         self.orphans = 0
         self.finished = False
         self._channels: set[int] = set()
+        self._schemas: dict[int, str] = {}
 
     @property
     def whole(self) -> bool:
@@ -149,8 +158,13 @@ class Records:
         self.losses.append(Loss(offset, length, why))
 
     def _is_known(self, record: Record) -> bool:
-        """Return False for a message of a lost channel."""
-        if isinstance(record, Channel):
+        """Return False for a message of a lost channel. Raises ``ConfigError`` if the first is of another program."""
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            if record.message_encoding != ENCODING and not self._channels:
+                what = f"{record.topic}, {self._schemas.get(record.schema_id, '')} as {record.message_encoding}"
+                raise ConfigError(f"recording {self.path}", "", f"{FOREIGN} It has {what}"[:300])
             self._channels.add(record.id)
         elif isinstance(record, Message) and record.channel_id not in self._channels:
             self.orphans += 1
@@ -204,6 +218,9 @@ def _decompressed(chunk: Chunk) -> bytes:
         if zstandard.frame_content_size(chunk.data) > MAX_CHUNK_BYTES:
             raise ValueError("its zstd frame claims too many bytes")
         return zstandard.decompress(chunk.data, chunk.uncompressed_size)
+    if chunk.compression == "lz4":
+        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size)
+        return data
     if chunk.compression:
         raise ValueError(f"compressed by {chunk.compression[:20]!r}, which is not supported")
     return chunk.data

@@ -8,9 +8,9 @@ metadata record ``recovery`` of the new file lists what was lost.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, BinaryIO
 
 import msgspec
 from mcap.records import Channel, Message, Metadata, Schema
@@ -165,69 +165,3 @@ class _Copy:
         if name not in self._schemas:
             self._schemas[name] = self._mcap.register_schema(*name)
         return self._schemas[name]
-
-
-class RawMessage(msgspec.Struct, frozen=True):
-    """Message as stored in the file: its key, vehicle time of publication, and JSON."""
-
-    key: str
-    t_ns: int
-    data: bytes
-
-
-class SegmentReader:
-    """Messages of one segment. ``metadata`` is the run's record, complete once iteration has started.
-
-    ``others`` has the other metadata records by name, complete after iteration.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.records = Records(path)
-        self.metadata: dict[str, str] = {}
-        self.others: dict[str, dict[str, str]] = {}
-
-    def __iter__(self) -> Iterator[RawMessage]:
-        keys: dict[int, str] = {}
-        start_ns = 0
-        for record in self.records:
-            match record:
-                case Message():
-                    yield RawMessage(keys[record.channel_id], record.log_time + start_ns, record.data)
-                case Channel():
-                    keys[record.id] = record.topic
-                case Metadata() if record.name == RUN:
-                    self.metadata = record.metadata
-                    start_ns = start_of(record.metadata)
-                case Metadata():
-                    self.others[record.name] = record.metadata
-                case _:
-                    pass
-
-
-Progress: TypeAlias = Callable[[float], None]
-"""Callback that receives the share of the work that is done, 0 to 1."""
-
-PROGRESS_INTERVAL = 1000
-"""Messages between two reports of progress."""
-
-
-def no_progress(share: float) -> None:
-    """Ignore the progress."""
-
-
-def read_segments(
-    parts: Sequence[Path], progress: Progress, share: tuple[float, float] = (0.0, 1.0)
-) -> Iterator[tuple[SegmentReader, RawMessage]]:
-    """Yield every message of the segments in their order, with its reader.
-
-    ``progress`` receives values from the first to the second number of ``share``.
-    """
-    sizes = [path.stat().st_size for path in parts]
-    before, total = 0, max(1, sum(sizes))
-    for path, size in zip(parts, sizes, strict=True):
-        reader = SegmentReader(path)
-        for count, raw in enumerate(reader):
-            if count % PROGRESS_INTERVAL == 0:
-                progress(share[0] + (share[1] - share[0]) * (before + reader.records.position) / total)
-            yield reader, raw
-        before += size

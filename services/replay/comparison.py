@@ -12,12 +12,12 @@ from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
 
-from ltv_mpc.messages import Message
+from ltv_mpc.messages import Message, RecordedStep
 from services.bus import wire
 from services.bus.topics import key_of
+from services.bus.wire import Header
 from services.recording.reader import StoredMessage
-from services.replay.epoch import Step
-from services.replay.frames import Header
+from services.replay.epoch import Outcome
 from services.replay.verdict import MAX_FIELDS, Difference, FieldDifference, Gap
 
 MAX_PENDING = 1000
@@ -86,7 +86,7 @@ class StepCounts:
         )
 
 
-class Comparison:
+class Comparison(Outcome):
     """Matching of the replayed and recorded outputs of one epoch.
 
     The replayed outputs of each key are numbered from 0, as they were when they were published.
@@ -94,7 +94,7 @@ class Comparison:
 
     def __init__(self, node: str, epoch: int) -> None:
         self.counts = StepCounts(node, epoch)
-        self._node = node
+        self._node, self._epoch = node, epoch
         self._replayed: dict[_Name, _Output] = {}  # not recorded yet
         self._recorded: dict[_Name, list[tuple[StoredMessage, Header]]] = {}  # not replayed yet
         self._different: dict[_Name, tuple[StoredMessage, Header]] = {}  # an identical copy may follow
@@ -104,7 +104,7 @@ class Comparison:
         self._last = (-1, 0)  # step and time of the newest record
 
     @property
-    def behind(self) -> bool:
+    def behind(self) -> bool:  # type: ignore[override]
         """True if the file has outputs of later steps than were replayed.
 
         It has, if the next output of one key is recorded, and of another key only a later one. A restarted recorder
@@ -116,27 +116,27 @@ class Comparison:
         next_ones = [sequence == self._next.get(key, 0) for key, sequence in first.items()]
         return any(next_ones) and not all(next_ones)
 
-    def add_replayed(self, step: Step, messages: Sequence[Message]) -> None:
+    def add_replayed(self, number: int, step: RecordedStep, messages: Sequence[Message]) -> None:
         """Add the outputs of a replayed step."""
         self.counts.replayed += 1
-        self._last = step.number, step.t_ns
+        self._last = number, step.t_ns
         for entry in step.inbox:
-            if entry.epoch == step.epoch:  # from the node's own process: the state that it started from
+            if entry.epoch == self._epoch:  # from the node's own process: the state that it started from
                 self._next[entry.key] = entry.sequence + 1
                 self._recorded.pop((entry.key, entry.sequence), None)
         for message in messages:
             key = key_of(type(message), self._node)
             sequence = self._next.get(key, 0)
             self._next[key] = sequence + 1
-            self._replayed[key, sequence] = _Output(step.number, step.t_ns, message)
+            self._replayed[key, sequence] = _Output(number, step.t_ns, message)
             for stored, header in self._recorded.pop((key, sequence), ()):
                 self._compare((key, sequence), stored, header)
 
-    def step_failed(self, step: Step, error: Exception) -> None:
+    def step_failed(self, number: int, step: RecordedStep, error: Exception) -> None:
         """Add a replayed step that raised. The recorded one did not, because the node survived it."""
         self.counts.replayed += 1
         what = f"the replay raised {type(error).__name__}: {error}"
-        self.counts.add_difference(_Output(step.number, step.t_ns, Message()), "", -1, what)
+        self.counts.add_difference(_Output(number, step.t_ns, Message()), "", -1, what)
 
     def add_recorded(self, stored: StoredMessage, header: Header) -> None:
         """Add a recorded output of the epoch."""

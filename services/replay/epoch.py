@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
 
 import msgspec
 
-from ltv_mpc.messages import InboxEntry, Message, RecordedStep
+from ltv_mpc.messages import InboxEntry, Message, RecordedStep, StepRecord
 from ltv_mpc.node import Node
 from services.bus.time_shift import shifted
-from services.bus.wire import WireError
+from services.bus.wire import Header, WireError
 from services.recording.node_settings import NoSettingsError
 from services.recording.reader import StoredMessage
-from services.replay.frames import Frames, Header, received_message
+from services.replay.frames import Frames, received_message
 from services.replay.verdict import Gap
 
 REACH = 100_000
@@ -24,51 +23,29 @@ messages of several processes in the order in which the recorder received them, 
 FIRST_STEP = "the record of its first step, which it published before the recorder was there,"
 
 
-class Record(msgspec.Struct, frozen=True):
-    """Fields of a step record that a replay reads."""
-
-    epoch: int
-    step: int
-    steps: tuple[RecordedStep, ...]
-
-
-class Step(NamedTuple):
-    """Step of an epoch, as recorded."""
-
-    epoch: int
-    number: int
-    t_ns: int
-    inbox: tuple[InboxEntry, ...]
-    shift_ns: int
-
-
-class Outcome(Protocol):
+class Outcome:
     """Consumer of an epoch's replayed and recorded outputs."""
 
-    @property
-    def behind(self) -> bool:
-        """True if the file has outputs of later steps than were replayed."""
-        ...
+    behind = False
+    """True if the file has outputs of later steps than were replayed."""
 
-    def add_replayed(self, step: Step, messages: Sequence[Message]) -> None:
+    def add_replayed(self, number: int, step: RecordedStep, messages: Sequence[Message]) -> None:
         """Add the outputs of a replayed step."""
-        ...
+        raise NotImplementedError
 
-    def step_failed(self, step: Step, error: Exception) -> None:
+    def step_failed(self, number: int, step: RecordedStep, error: Exception) -> None:
         """Add a replayed step that raised. The recorded one did not, because the node survived it."""
-        ...
+        raise NotImplementedError
 
     def add_recorded(self, stored: StoredMessage, header: Header) -> None:
         """Add a recorded output of the epoch."""
-        ...
+        raise NotImplementedError
 
     def stop(self) -> None:
         """Note a gap: no more steps are replayed."""
-        ...
 
     def close(self, gap: Gap | None) -> None:
         """Note the end of the file."""
-        ...
 
 
 class Epoch:
@@ -83,7 +60,7 @@ class Epoch:
         self._make = make
         self._node: Node | None = None
         self._frames = frames
-        self._steps: dict[int, tuple[int, Step]] = {}  # waiting for their turn, with the positions of their records
+        self._steps: dict[int, tuple[int, RecordedStep]] = {}  # in waiting, with the position of the record
         self._next = 0
 
     @property
@@ -91,15 +68,14 @@ class Epoch:
         """True while steps wait for their turn."""
         return bool(self._steps)
 
-    def take(self, record: Record, at: int) -> None:
+    def take(self, record: StepRecord, at: int) -> None:
         """Add a record of the file. A duplicate counts once."""
         self.last_at = at
         self.steps_run = max(self.steps_run, record.step + len(record.steps))
         if self.gap is None:
             for number, step in enumerate(record.steps, record.step):
                 if number >= self._next:
-                    of = Step(record.epoch, number, step.t_ns, step.inbox, step.shift_ns)
-                    self._steps.setdefault(number, (at, of))
+                    self._steps.setdefault(number, (at, step))
             self.advance(at)
 
     def advance(self, at: int | None) -> None:
@@ -131,8 +107,9 @@ class Epoch:
         self.outcome.close(self.gap)
         self._node = None
 
-    def _step(self, step: Step, inbox: Sequence[StoredMessage]) -> None:
-        del self._steps[step.number]
+    def _step(self, step: RecordedStep, inbox: Sequence[StoredMessage]) -> None:
+        number = self._next
+        del self._steps[number]
         try:
             arrivals = list(map(received_message, inbox, step.inbox))
         except WireError as error:
@@ -148,12 +125,12 @@ class Epoch:
                 return
         self._next += 1
         try:
-            (messages,) = self._node.steps([(step.t_ns, arrivals)])
+            messages = self._node.step(step.t_ns, arrivals)
         except Exception as error:
-            self.outcome.step_failed(step, error)
-            self._stop(f"the replayed step {step.number} raised {type(error).__name__}", step.t_ns)
+            self.outcome.step_failed(number, step, error)
+            self._stop(f"the replayed step {number} raised {type(error).__name__}", step.t_ns)
             return
-        self.outcome.add_replayed(step, [shifted(message, step.shift_ns) for message in messages])
+        self.outcome.add_replayed(number, step, [shifted(message, step.shift_ns) for message in messages])
 
     def _stop(self, why: str, t_ns: int | None) -> None:
         steps = self.steps_run - self._next

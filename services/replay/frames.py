@@ -8,6 +8,7 @@ the CRC identifies the one that the node received.
 from __future__ import annotations
 
 import base64
+from typing import Any
 
 import msgspec
 
@@ -18,29 +19,14 @@ from services.bus.time_shift import shifted
 from services.bus.topics import BY_TYPE, source_of, topic_at
 from services.recording.reader import StoredMessage
 
-
-class Header(wire.Header, frozen=True, kw_only=True, forbid_unknown_fields=False):
-    """Header of a recorded message; all other fields are skipped."""
-
-
 INJECTOR_KEY = BY_TYPE[InjectorFrame].key
 """Key of the frames that travelled only between an injector and the node under test."""
-
-
-class _InjectorFrame(msgspec.Struct, frozen=True):
-    """Fields of a relayed frame that a replay reads."""
-
-    key: str
-    payload_base64: str
-
-
-_injector_frame = msgspec.json.Decoder(_InjectorFrame).decode
 
 
 def unwrap(stored: StoredMessage) -> StoredMessage | None:
     """Return the frame inside an ``InjectorFrame`` as if it were recorded on its own key; None if it is unreadable."""
     try:
-        relayed = _injector_frame(stored.data)
+        relayed: Any = stored.message()
         payload = base64.b64decode(relayed.payload_base64)
         data = msgspec.json.encode(wire.unpack(payload))
     except (ValueError, TypeError, RecursionError):  # a damaged frame, which the node could not read either
@@ -55,7 +41,7 @@ class Frames:
     def __init__(self) -> None:
         self._of_source: dict[tuple[str, int], dict[int, list[tuple[int, StoredMessage]]]] = {}
 
-    def add(self, stored: StoredMessage, header: Header, at: int) -> None:
+    def add(self, stored: StoredMessage, header: wire.Header, at: int) -> None:
         """Add a message of the file."""
         source = self._of_source.setdefault((stored.key, header.epoch), {})
         source.setdefault(header.sequence, []).append((at, stored))
@@ -84,9 +70,10 @@ class Frames:
 
 def received_message(stored: StoredMessage, entry: InboxEntry) -> ReceivedMessage:
     """Return the entry as the node received it. Raises ``WireError`` if this version has no such message."""
-    if stored.kind is None:
-        raise wire.WireError(f"{stored.key}: no topic has this key")
-    message = wire.from_validated_map(stored.kind, msgspec.json.decode(stored.data))
     return ReceivedMessage(
-        shifted(message, entry.shift_ns), entry.epoch, entry.sequence, entry.received_t_ns, source_of(entry.key)
+        shifted(stored.message(), entry.shift_ns),
+        entry.epoch,
+        entry.sequence,
+        entry.received_t_ns,
+        source_of(entry.key),
     )

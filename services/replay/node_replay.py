@@ -5,44 +5,24 @@ These are the nodes that read it, wrote it, or whose step it records.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import chain
 from typing import Generic, TypeVar
 
-import msgspec
-
 from ltv_mpc.messages import NodeStatus, StepRecord
 from ltv_mpc.node import Node
 from services.bus.topics import STATES, key_of, table_key
+from services.bus.wire import Header, WireError
 from services.recording.reader import Recording, StoredMessage
-from services.replay.epoch import REACH, Epoch, Outcome, Record
-from services.replay.frames import INJECTOR_KEY, Frames, Header, unwrap
+from services.replay.epoch import REACH, Epoch, Outcome
+from services.replay.frames import INJECTOR_KEY, Frames, unwrap
 
 SWEEP = 10_000
 """Messages between two removals of those that are too old to be needed."""
 
-T = TypeVar("T")
 Made = TypeVar("Made", bound=Outcome)
-
-
-class _Status(msgspec.Struct, frozen=True):
-    """Fields of a node status that a replay reads."""
-
-    steps: int
-
-
-_header = msgspec.json.Decoder(Header).decode
-_record = msgspec.json.Decoder(Record).decode
-_status = msgspec.json.Decoder(_Status).decode
-
-
-def _read(decode: Callable[[bytes], T], stored: StoredMessage) -> T | None:
-    """Return the decoded message; None if it is not valid. No node has acted on it then."""
-    try:
-        return decode(stored.data)
-    except (msgspec.MsgspecError, UnicodeDecodeError):
-        return None
 
 
 class NodeReplay(Generic[Made]):
@@ -69,24 +49,23 @@ class NodeReplay(Generic[Made]):
         return self.reads | self.writes | {self.record_key, self.status_key}
 
     def take(self, stored: StoredMessage, header: Header, at: int) -> None:
-        """Take a message of the file; ``at`` is its position."""
-        if stored.key == self.record_key:
-            record = _read(_record, stored)
-            if record is not None:
-                self._epoch(header.epoch).take(record, at)
-        elif stored.key == self.status_key:
-            status = _read(_status, stored)
-            if status is not None and status.steps:
-                epoch = self._epoch(header.epoch)
-                epoch.steps_run = max(epoch.steps_run, status.steps)
-        else:
-            if table_key(stored.key) in self.reads:
-                self._frames.add(stored, header, at)
-                for epoch in self._open:
-                    if epoch.waits:
-                        epoch.advance(at)
-            if stored.key in self.writes and header.epoch in self.epochs:
-                self.epochs[header.epoch].outcome.add_recorded(stored, header)
+        """Take a message of the file; ``at`` is its position. An invalid one is skipped: no node has acted on it."""
+        if stored.key in (self.record_key, self.status_key):
+            with contextlib.suppress(WireError):
+                match stored.message():
+                    case StepRecord() as record:
+                        self._epoch(header.epoch).take(record, at)
+                    case NodeStatus(steps=steps) if steps:
+                        epoch = self._epoch(header.epoch)
+                        epoch.steps_run = max(epoch.steps_run, steps)
+            return
+        if table_key(stored.key) in self.reads:
+            self._frames.add(stored, header, at)
+            for epoch in self._open:
+                if epoch.waits:
+                    epoch.advance(at)
+        if stored.key in self.writes and header.epoch in self.epochs:
+            self.epochs[header.epoch].outcome.add_recorded(stored, header)
 
     def sweep(self, at: int) -> None:
         """Discard messages that are no longer needed, and close epochs that a newer one has followed."""
@@ -140,10 +119,11 @@ def feed(
             progress(stored.t_ns)
         t_ns = stored.t_ns
         frame = stored if stored.key != INJECTOR_KEY else unwrap(stored)
-        header = None if frame is None else _read(_header, frame)
-        if frame is not None and header is not None:
-            for node in readers.get(table_key(frame.key), ()):
-                node.take(frame, header, at)
+        if frame is not None:
+            with contextlib.suppress(WireError):
+                header = frame.header()
+                for node in readers.get(table_key(frame.key), ()):
+                    node.take(frame, header, at)
         if at % SWEEP == 0:
             progress(t_ns)
             for node in every:

@@ -1,8 +1,7 @@
 """Nodes of a recorded run, rebuilt from the settings in its recording.
 
 A recording of a simulation holds every settings file of the run's folder in its metadata. A recording beside a vehicle
-holds the settings that controller and estimator published, for each of their starts. The processes and lock step build
-their nodes from the same settings.
+holds the same files of controller and estimator, as these published them at each of their starts.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import dataclasses
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 
@@ -36,6 +34,8 @@ from services.run.nodes import make_nodes
 from services.run.run_config import SCENARIO, RunConfig, resolve
 from services.run.settings_files import BATHYMETRY
 from services.run.water import load_prior, resolve_prior_path
+from sim.plant import Plant
+from sim.sensors.node import Sensors
 
 SETTINGS: Mapping[str, type[ControllerConfig] | type[EstimatorConfig]] = {
     ControllerNode.name: ControllerConfig,
@@ -44,118 +44,51 @@ SETTINGS: Mapping[str, type[ControllerConfig] | type[EstimatorConfig]] = {
 """Nodes aboard, whose settings another file may replace: RUN/config/<name>.toml."""
 
 
-class RecordedNodes(Protocol):
-    """Nodes of a recording that can be replayed."""
+EVERY_START = 0
+"""In place of an epoch, which is never 0: the settings of a simulation are the same at each start."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordedNodes:
+    """Nodes of a recording that can be replayed: those aboard from their settings files, by the epoch of each start.
+
+    In a simulation, ``world`` is the configuration of its run.
+    """
+
+    source: str
+    settings: SettingsByStart
+    span_ns: tuple[int, int]
+    """Vehicle times of the start and the end."""
+    world: RunConfig | None = None
+    replacing: Mapping[str, Path] = dataclasses.field(default_factory=dict)
 
     @property
     def title(self) -> str:
-        """Name of the scenario, or of the vehicle."""
-        ...
+        """Name of the scenario, or of the vehicle, from the controller's file."""
+        if self.world is not None:
+            return self.world.name
+        name = ControllerNode.name
+        return vehicle_name(self._of(name, None).files) if name in self.names else "vehicle"
 
     @property
-    def made_by(self) -> Mapping[str, str] | None:
-        """Provenance of the run."""
-        ...
+    def made_by(self) -> Mapping[str, str]:
+        """Provenance of the newest start."""
+        return self._of(self.names[-1], None).made_by
 
     @property
     def names(self) -> tuple[str, ...]:
         """Nodes that can be replayed, in the order of the process table."""
-        ...
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Vehicle times of the start and the end."""
-        ...
+        aboard = tuple(name for name in (Estimator.name, ControllerNode.name) if name in self.settings)
+        return aboard if self.world is None else (Plant.name, Sensors.name, *aboard)
 
     def make(self, name: str, epoch: int | None = None) -> Node:
         """Build a new node, as at the start of its process; ``epoch``: the start, None: any.
 
         Raises ``NoSettingsError``, and ``ConfigError`` if the settings are rejected.
         """
-        ...
-
-    def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
-        """Return the settings of a node that may be replaced."""
-        ...
-
-    def with_settings(self, name: str, path: Path) -> RecordedNodes:
-        """Return the nodes with the settings in ``path`` for one of them. Raises ``ConfigError``."""
-        ...
-
-
-@dataclasses.dataclass(frozen=True)
-class SimulatedNodes:
-    """Nodes of a simulation, from the configuration of its run."""
-
-    run_config: RunConfig
-
-    @property
-    def title(self) -> str:
-        """Name of the scenario."""
-        return self.run_config.name
-
-    @property
-    def made_by(self) -> Mapping[str, str] | None:
-        """Provenance of the run."""
-        return self.run_config.scenario.made_by
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All nodes of the run."""
-        return tuple(node.name for node in make_nodes(self.run_config))
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Vehicle times of the start and the end."""
-        return self.run_config.scenario.start_ns, self.run_config.scenario.end_ns
-
-    def make(self, name: str, epoch: int | None = None) -> Node:  # noqa: ARG002
-        """Build a new node; its settings are the same at each start."""
-        return next(node for node in make_nodes(self.run_config) if node.name == name)
-
-    def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
-        """Return the settings of controller or estimator."""
-        run_config = self.run_config
-        return run_config.controller if name == ControllerNode.name else run_config.scenario.estimator
-
-    def with_settings(self, name: str, path: Path) -> SimulatedNodes:
-        """Return the nodes with the settings in ``path`` for one of them."""
-        run_config, settings = self.run_config, _load(name, path)
-        if isinstance(settings, EstimatorConfig):
-            changed = msgspec.structs.replace(run_config.scenario, estimator=settings)
-            return SimulatedNodes(dataclasses.replace(run_config, scenario=changed, prior=load_prior(settings)))
-        controller = settled(settings, run_config.vehicle, source=f"--with {path}")
-        return SimulatedNodes(dataclasses.replace(run_config, controller=controller))
-
-
-@dataclasses.dataclass(frozen=True)
-class VehicleNodes:
-    """Nodes aboard a vehicle, from the settings that their processes published, by the epoch of each start."""
-
-    source: str
-    settings: SettingsByStart
-    span_ns: tuple[int, int]
-    replacing: Mapping[str, Path] = dataclasses.field(default_factory=dict)
-
-    @property
-    def title(self) -> str:
-        """Name of the vehicle, from the controller's file."""
-        return (
-            vehicle_name(self._of(ControllerNode.name, None).files) if ControllerNode.name in self.names else "vehicle"
-        )
-
-    @property
-    def made_by(self) -> Mapping[str, str] | None:
-        """Provenance of the newest start."""
-        return self._of(self.names[-1], None).made_by
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Nodes whose settings are recorded."""
-        return tuple(name for name in (Estimator.name, ControllerNode.name) if name in self.settings)
-
-    def make(self, name: str, epoch: int | None = None) -> Node:
-        """Build a new node, as at the start of its process."""
+        world = self.world
+        if world is not None and name not in self.settings:
+            return next(node for node in make_nodes(world) if node.name == name)
         with _unpacked(self._of(name, epoch).files, source=self.source) as place:
             folder = place / "config"
             settings = self._settings(name, folder)
@@ -168,14 +101,17 @@ class VehicleNodes:
             return ControllerNode(vehicle, reference, settings, fence=kept, bathymetry=bottom)
 
     def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
-        """Return the settings of a node at its newest start."""
+        """Return the settings of a node that may be replaced, at its newest start."""
         with _unpacked(self._of(name, None).files, source=self.source) as place:
             return self._settings(name, place / "config")
 
-    def with_settings(self, name: str, path: Path) -> VehicleNodes:
-        """Return the nodes with the settings in ``path`` for one of them, at all of its starts."""
+    def with_settings(self, name: str, path: Path) -> RecordedNodes:
+        """Return the nodes with the settings in ``path`` for one of them, at all of its starts.
+
+        Raises ``ConfigError``.
+        """
         changed = dataclasses.replace(self, replacing={**self.replacing, name: path})
-        changed.settings_of(name)  # raises ConfigError
+        changed.settings_of(name)
         return changed
 
     def _settings(self, name: str, folder: Path) -> ControllerConfig | EstimatorConfig:
@@ -189,7 +125,7 @@ class VehicleNodes:
     def _of(self, name: str, epoch: int | None) -> NodeSettings:
         starts = self.settings[name]
         newest = next(reversed(starts.values()))
-        found = newest if epoch is None else starts.get(epoch)
+        found = newest if epoch is None else starts.get(epoch, starts.get(EVERY_START))
         if found is None:
             raise NoSettingsError(f"the settings of this {name} are not in the file")
         return found
@@ -198,7 +134,12 @@ class VehicleNodes:
 def nodes_of(recordings: Sequence[Recording], metadata: Mapping[str, str], *, source: str) -> RecordedNodes:
     """Return the nodes of a run's recordings, with its ``metadata``. Raises ``ConfigError``."""
     if SCENARIO in metadata:
-        return SimulatedNodes(run_config_of(metadata, source=source))
+        world = run_config_of(metadata, source=source)
+        scenario = world.scenario
+        aboard = [ControllerNode.name] if scenario.run.perfect_state else [Estimator.name, ControllerNode.name]
+        start = {name: NodeSettings(node=name, files=dict(metadata), made_by=scenario.made_by or {}) for name in aboard}
+        of_each = {name: {EVERY_START: of} for name, of in start.items()}
+        return RecordedNodes(source, of_each, (scenario.start_ns, scenario.end_ns), world)
     settings, span_ns = published_settings(recordings)
     if not settings.keys() & SETTINGS.keys():
         problem = (
@@ -206,7 +147,7 @@ def nodes_of(recordings: Sequence[Recording], metadata: Mapping[str, str], *, so
             "controller or an estimator beside the recorder publishes"
         )
         raise ConfigError(source, "", problem)
-    return VehicleNodes(source, settings, span_ns)
+    return RecordedNodes(source, settings, span_ns)
 
 
 def run_config_of(metadata: Mapping[str, str], *, source: str) -> RunConfig:

@@ -82,19 +82,16 @@ def replay(run: Run, *, only: str | None = None, progress: Progress = lambda _: 
     """Replay every step that can be replayed, and compare its outputs. Raises ``ConfigError``."""
     names = run.only(only)
     started_s = time.monotonic()
-    groups = _process_groups(run, names)
-    here = tuple(name for name in names if not any(name in group for group in groups))
-    if not groups:
-        done = _compared(run, here, progress)
+    here, *others = _groups(run, names)
+    if not others:
+        done = [_compared(run, here, progress)]
     else:
-        with ProcessPoolExecutor(len(groups), mp_context=multiprocessing.get_context(_start_method())) as pool:
-            futures: list[Future[_Done]] = [pool.submit(_compared_alone, run.path, group) for group in groups]
-            done = _compared(run, here, progress)
-            for future in futures:
-                done = done.merged(future.result())
+        with ProcessPoolExecutor(len(others), mp_context=multiprocessing.get_context(_start_method())) as pool:
+            futures: list[Future[_Done]] = [pool.submit(_compared_alone, run.path, group) for group in others]
+            done = [_compared(run, here, progress), *(future.result() for future in futures)]
     wall_s = time.monotonic() - started_s
-    verdicts = tuple(sorted(done.nodes, key=lambda verdict: names.index(verdict.node)))
-    return _verdict(run, verdicts, done, wall_s)
+    verdicts = sorted((node for part in done for node in part.nodes), key=lambda verdict: names.index(verdict.node))
+    return _verdict(run, tuple(verdicts), done, wall_s)
 
 
 def _start_method() -> str:
@@ -113,23 +110,16 @@ class _Done(msgspec.Struct, frozen=True):
     start_ns: int
     end_ns: int
 
-    def merged(self, other: _Done) -> _Done:
-        """Return both results together."""
-        start_ns, end_ns = min(self.start_ns, other.start_ns), max(self.end_ns, other.end_ns)
-        return _Done(self.nodes + other.nodes, self.cut or other.cut, start_ns, end_ns)
 
-
-def _process_groups(run: Run, names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the nodes that other processes replay, one group for each process."""
-    size = sum(part.stat().st_size for part in run.parts)
+def _groups(run: Run, names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the nodes that each process replays, those of the calling process first."""
     cores = core_count()
-    if cores < min(PROCESS_GROUPS) or size <= MIN_PARALLEL_BYTES:
-        return []
-    groups = [
-        tuple(name for name in group if name in names) for group in PROCESS_GROUPS[min(cores, max(PROCESS_GROUPS))]
-    ]
-    present = [group for group in groups if group]
-    return present if sum(map(len, present)) < len(names) else present[1:]
+    if cores < min(PROCESS_GROUPS) or sum(part.stat().st_size for part in run.parts) <= MIN_PARALLEL_BYTES:
+        return [tuple(names)]
+    aboard = PROCESS_GROUPS[min(cores, max(PROCESS_GROUPS))]
+    rest = tuple(name for name in names if not any(name in group for group in aboard))
+    shares = (rest, *(tuple(name for name in group if name in names) for group in aboard))
+    return [share for share in shares if share]
 
 
 def _compared_alone(path: Path, names: tuple[str, ...]) -> _Done:
@@ -168,8 +158,8 @@ def _node_verdict(part: NodeReplay[Comparison]) -> NodeVerdict:
     )
 
 
-def _verdict(run: Run, verdicts: tuple[NodeVerdict, ...], done: _Done, wall_s: float) -> Verdict:
-    vehicle_s = (done.end_ns - done.start_ns) / 1e9
+def _verdict(run: Run, verdicts: tuple[NodeVerdict, ...], done: Sequence[_Done], wall_s: float) -> Verdict:
+    vehicle_s = (max(part.end_ns for part in done) - min(part.start_ns for part in done)) / 1e9
     compared = sum(verdict.steps_compared for verdict in verdicts)
     identical = sum(verdict.steps_identical for verdict in verdicts)
     difference = first([verdict.first_difference for verdict in verdicts])
@@ -177,7 +167,7 @@ def _verdict(run: Run, verdicts: tuple[NodeVerdict, ...], done: _Done, wall_s: f
         recording=str(run.path),
         scenario=run.nodes.title,
         mode=run.metadata.get("mode", ""),
-        cut=done.cut,
+        cut=any(part.cut for part in done),
         vehicle_s=vehicle_s,
         wall_s=wall_s,
         times_real_time=vehicle_s / wall_s,

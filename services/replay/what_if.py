@@ -11,18 +11,16 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.messages import Array, Estimate, Message, Plan
-from services.bus import wire
+from ltv_mpc.messages import Array, Estimate, Message, Plan, RecordedStep
+from services.bus.wire import Header, WireError
 from services.recording.reader import StoredMessage
-from services.replay.epoch import Step
-from services.replay.frames import Header
-from services.replay.verdict import Deviation, Gap, Shares
+from services.replay.epoch import Outcome
+from services.replay.verdict import Deviation, Shares
 
 MAX_WAITING = 1000
 """Messages of one side that wait for the other side's message of the same time."""
@@ -155,38 +153,25 @@ class WhatIf:
         self._final = rows[0]
 
 
-class WhatIfEpoch:
+class WhatIfEpoch(Outcome):
     """Consumer of one epoch's outputs, which adds them to the comparison of all."""
 
     def __init__(self, comparison: WhatIf, epoch: int) -> None:
         self._comparison = comparison
         self._epoch = epoch
 
-    @property
-    def behind(self) -> bool:
-        """False: outputs without a counterpart are skipped."""
-        return False
-
-    def add_replayed(self, step: Step, messages: Sequence[Message]) -> None:  # noqa: ARG002
+    def add_replayed(self, number: int, step: RecordedStep, messages: Sequence[Message]) -> None:  # noqa: ARG002
         """Add the outputs of a replayed step."""
         self._comparison.steps += 1
         for message in messages:
             self._comparison.add(self._epoch, message, replayed=True)
 
-    def step_failed(self, step: Step, error: Exception) -> None:
+    def step_failed(self, number: int, step: RecordedStep, error: Exception) -> None:
         """Raise: other settings must not break a node."""
-        raise RuntimeError(f"step {step.number} at {step.t_ns / 1e9:.3f} s") from error
+        raise RuntimeError(f"step {number} at {step.t_ns / 1e9:.3f} s") from error
 
     def add_recorded(self, stored: StoredMessage, header: Header) -> None:  # noqa: ARG002
         """Add a recorded output of the epoch."""
-        if stored.kind is not self._comparison.kind:
-            return
-        with contextlib.suppress(wire.WireError):  # an invalid message on this key
-            message = wire.from_validated_map(stored.kind, msgspec.json.decode(stored.data))
-            self._comparison.add(self._epoch, message, replayed=False)
-
-    def stop(self) -> None:
-        """Do nothing: outputs without a counterpart are skipped."""
-
-    def close(self, gap: Gap | None) -> None:
-        """Do nothing: outputs without a counterpart are skipped."""
+        if stored.kind is self._comparison.kind:
+            with contextlib.suppress(WireError):  # an invalid message on this key
+                self._comparison.add(self._epoch, stored.message(), replayed=False)

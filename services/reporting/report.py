@@ -108,8 +108,10 @@ def plots_with_data(plot_data: Sequence[PlotData]) -> list[Plot]:
 
 
 def _is_surface_craft(data: PlotData) -> bool:
-    """Return True if the limits of the thrusters are known, and there is no vertical one."""
-    return "port_max_N" in data.values and "vertical_max_N" not in data.values
+    """Return True if the known thrusters have no vertical one; without a vehicle file, if there is no depth."""
+    if "port_max_N" in data.values:
+        return "vertical_max_N" not in data.values
+    return not any(depth_m is not None for depth_m in data.tables["track"].get("depth_m", ()))
 
 
 def _has_data(data: PlotData, series: Series) -> bool:

@@ -94,7 +94,7 @@ class LiveScreen:
             _progress(view),
             Text(),
             *_motion(view, self._collector),
-            Text(f"filter  {_filter(view.localisation)}", no_wrap=True, overflow="ellipsis"),
+            *_localisation(view),
             Text(),
             *_thrusts(view, self._limits),
             Text(),
@@ -252,6 +252,13 @@ def _control(controller: ControllerStatus | None) -> str:
     return f"{controller.authority}   {controller.health}{why}{progress}"
 
 
+def _localisation(view: LiveView) -> list[Text]:
+    """Return the line of the localisation filter; a vehicle with a navigation of its own has none."""
+    if view.localisation is None and view.end_ns is None:
+        return []
+    return [Text(f"filter  {_filter(view.localisation)}", no_wrap=True, overflow="ellipsis")]
+
+
 def _filter(report: LocalisationReport | None) -> str:
     """Return the status of the localisation filter, its reason, and the sensors that are not ok."""
     if report is None:
@@ -262,11 +269,13 @@ def _filter(report: LocalisationReport | None) -> str:
 
 
 def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
-    """Return a line for each thruster: its force, and a bar if its limits are known."""
+    """Return a line for each thruster: its force, and a bar if its limits are known. A surface craft has two."""
+    dives = any(limits[2]) if limits else view.estimate is None or view.estimate.depth_m is not None
+    names = THRUSTERS if dives else THRUSTERS[:2]
     if view.applied is None:
-        return [Text(f"{name:<10}{'-':>8} N") for name in THRUSTERS]
+        return [Text(f"{name:<10}{'-':>8} N") for name in names]
     lines = []
-    for i, (name, thrust_N) in enumerate(zip(THRUSTERS, view.applied.thrust_N, strict=True)):
+    for i, (name, thrust_N) in enumerate(zip(names, view.applied.thrust_N, strict=False)):
         text, style = f"{name:<10}{thrust_N:z8.1f} N", ""
         if limits:
             least, most = limits[i]

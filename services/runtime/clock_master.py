@@ -66,11 +66,6 @@ class ClockMaster:
                 return self._repeat_us
 
     @property
-    def requested_speed(self) -> float:
-        """Requested speed: vehicle seconds per second."""
-        return float(self._source.speed)
-
-    @property
     def waiting_for(self) -> str:
         """Names of the nodes that are not ready yet."""
         return ", ".join(self._missing)

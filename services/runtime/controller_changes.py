@@ -11,7 +11,8 @@ rejected, plans that arrived late
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TypeAlias
 
 from ltv_mpc.messages import (
     Applied,
@@ -38,6 +39,9 @@ WARNED_S = (300.0, 60.0, 20.0)
 
 FORGOTTEN = 1.5
 """Share of such a time above which it may be reported again: the time of a drift is not steady."""
+
+Event: TypeAlias = tuple[int, str, str]
+"""Vehicle time (ns), kind and text."""
 
 ARRIVED = "arrived at the end of the reference"
 
@@ -107,18 +111,6 @@ def _entered_or_left(
             yield Level.INFO, f"{what} left: {label}"
 
 
-class Arrival:
-    """Detector of arrivals, in the plans of one controller process."""
-
-    def __init__(self) -> None:
-        self._arrived = True  # a controller that continues may have arrived before
-
-    def is_new(self, plan: Plan) -> bool:
-        """Return True if the vehicle has arrived since the plan before."""
-        before, self._arrived = self._arrived, plan.arrived
-        return plan.arrived and not before
-
-
 class ControllerChanges:
     """Detector of the changes, from the messages of one controller process."""
 
@@ -126,24 +118,26 @@ class ControllerChanges:
         self._tell = tell
         self._states: dict[str, object] = {}  # newest, by kind
         self._fence = FenceChanges()
-        self._arrival = Arrival()
+        self._arrived = True  # a controller that continues may have arrived before
         self._reported_at: dict[str, int] = {}  # counts that were reported last, by their text
         self._reported: Mapping[str, int] | None = None  # counts in the newest report of the actuators
         self._since_start: dict[str, int] = {}  # what these counts have grown by
 
-    def on_message(self, message: Message) -> None:
-        """Take in a plan of the controller, its fence, or an accepted input."""
+    def on_message(self, message: Message) -> list[Event]:
+        """Take in a plan of the controller, its fence, or an accepted input.
+
+        Return what has changed of the fence, and an arrival, as events.
+        """
         match message:
             case Plan():
                 self._health(message.cycle_t_ns, message.health, message.health_why)
                 self._authority(message.cycle_t_ns, message.authority)
-                for level, text in self._fence.update(message.fence):
-                    self._tell(level, "fence", text, t_ns=message.cycle_t_ns, fields={})
-                if self._arrival.is_new(message):
-                    self._tell(Level.INFO, "arrived", ARRIVED, t_ns=message.cycle_t_ns, fields={})
+                before, self._arrived = self._arrived, message.arrived
+                arrived = [("arrived", Level.INFO, ARRIVED)] if message.arrived and not before else []
+                fence = [("fence", *change) for change in self._fence.update(message.fence)]
+                return self._events(message.cycle_t_ns, [*fence, *arrived])
             case FenceInForce():
-                for level, text in self._fence.in_force(message):
-                    self._tell(level, "fence", text, t_ns=message.t_ns, fields={})
+                return self._events(message.t_ns, [("fence", *change) for change in self._fence.in_force(message)])
             case Applied():
                 self._actuators(message)
             case ClockStep():
@@ -151,6 +145,7 @@ class ControllerChanges:
                 self._tell(Level.WARNING, "clock", step_text(message), t_ns=message.t_ns, fields=fields)
             case _:
                 pass
+        return []
 
     def on_status(self, status: ControllerStatus) -> None:
         """Take in the controller's status, which also exists while there are no plans."""
@@ -184,6 +179,11 @@ class ControllerChanges:
         for text, count in counts.items():
             self._since_start[text] = self._since_start.get(text, 0) + max(0, count - before[text])
             self._count(report.t_ns, "plans", text, self._since_start[text])
+
+    def _events(self, t_ns: int, changes: Sequence[tuple[str, Level, str]]) -> list[Event]:
+        for kind, level, text in changes:
+            self._tell(level, kind, text, t_ns=t_ns, fields={})
+        return [(t_ns, kind, text) for kind, _, text in changes]
 
     def _changes(self, kind: str, state: object) -> bool:
         """Return True if a state is new."""

@@ -12,7 +12,6 @@ from ltv_mpc.messages import (
     ClockMode,
     ClockStep,
     ControllerStatus,
-    FenceInForce,
     Message,
     MissionAction,
     Plan,
@@ -22,7 +21,8 @@ from ltv_mpc.node import DEFAULT_SOURCE
 from ltv_mpc.safety.health import HealthState
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
-from services.runtime.controller_changes import ARRIVED, Arrival, ControllerChanges, FenceChanges
+from services.runtime.console import Tell
+from services.runtime.controller_changes import ControllerChanges, Event
 from services.runtime.saved_state import SavedState
 
 PERIOD_US = 1_000_000
@@ -43,26 +43,23 @@ class ControllerStatusReporter:
         self,
         node: ControllerNode,
         sinks: Sequence[StatusSink] = (),
-        changes: ControllerChanges | None = None,
+        tell: Tell = lambda *_, **__: None,
         saved: SavedState | None = None,
     ) -> None:
         self._node = node
         self._saved = saved
-        self._changes = changes
+        self._changes = ControllerChanges(tell)
         self._sinks = sinks
         self._plan: Plan | None = None
         self._applied_ns: int | None = None
         self._clock_steps = 0
         self._mission_action = MissionAction.GO_ON
-        self._fence = FenceChanges()
-        self._arrival = Arrival()
         self._cycles: deque[tuple[int, int]] = deque()  # end and duration of each (us)
         self.due_us = 0
 
     def on_input(self, message: Message) -> None:
         """Record an accepted input."""
-        if self._changes is not None:
-            self._changes.on_message(message)
+        self._changes.on_message(message)
         match message:
             case Applied():
                 self._applied_ns = message.t_ns
@@ -73,22 +70,17 @@ class ControllerStatusReporter:
 
     def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> list[RunEvent]:
         """Record a step whose outputs were published; return an event for each change of mission policy and fence."""
-        changes: list[tuple[int, str, str]] = []
+        changes: list[Event] = []
         for message in outputs:
-            if self._changes is not None:
-                self._changes.on_message(message)
-            if isinstance(message, FenceInForce):
-                changes += [(message.t_ns, "fence", text) for _, text in self._fence.in_force(message)]
-            elif isinstance(message, Plan):
+            if isinstance(message, Plan):
                 self._plan = message
                 self._cycles.append((now_us, took_us))
                 mission, t_ns = self._node.mission.state, message.cycle_t_ns
                 if mission.action is not self._mission_action:
                     why = f": {mission.why}" if mission.why else ""
                     changes.append((t_ns, "mission", f"mission: {mission.action.value}{why}"))
-                changes += [(t_ns, "fence", text) for _, text in self._fence.update(message.fence)]
-                changes += [(t_ns, "arrived", ARRIVED)] if self._arrival.is_new(message) else []
                 self._mission_action = mission.action
+            changes += self._changes.on_message(message)
         return [RunEvent(t_ns=t_ns, node=self._node.name, kind=kind, text=text) for t_ns, kind, text in changes]
 
     def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: ClockOffset) -> ControllerStatus:
@@ -99,6 +91,7 @@ class ControllerStatusReporter:
         took_us = sorted(took for _, took in self._cycles)
         node = self._node
         estimate, sources = node.sources.newest, node.sources.selector
+        second = sources.contest.second(t_ns)
         rejected = Counter(validator.rejected_by_reason)
         if node.arbiter.manual_rejected:
             rejected["manual: thrust outside the limits"] = node.arbiter.manual_rejected
@@ -129,11 +122,10 @@ class ControllerStatusReporter:
             inputs=node.inputs(),
             source="" if sources.active is None else sources.active.name,
             source_epoch=0 if sources.active is None else sources.active.epoch,
-            rejected_epoch=sources.second.epoch if sources.second is not None and sources.contested(t_ns) else 0,
+            rejected_epoch=0 if second is None else second.epoch,
             rejected_estimates=sources.rejected,
         )
-        if self._changes is not None:
-            self._changes.on_status(status)
+        self._changes.on_status(status)
         for sink in self._sinks:
             sink(status, now_us)
         return status

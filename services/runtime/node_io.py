@@ -27,16 +27,9 @@ class PendingInbox:
         arrival = ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns, source_of(entry.key))
         self._pairs.insert(0 if first else len(self._pairs), (arrival, entry))
 
-    def take(self, received_until_ns: int | None = None) -> tuple[list[ReceivedMessage], tuple[InboxEntry, ...]]:
-        """Return and remove the messages, with their entries for the step's record.
-
-        ``received_until_ns``: the first message that arrived later stays, and all after it; None: none stays.
-        """
+    def take(self) -> tuple[list[ReceivedMessage], tuple[InboxEntry, ...]]:
+        """Return and remove the messages, with their entries for the step's record."""
         taken, self._pairs = self._pairs, []
-        if received_until_ns is not None:
-            later = (i for i, (arrival, _) in enumerate(taken) if arrival.received_t_ns > received_until_ns)
-            first_later = next(later, len(taken))
-            taken, self._pairs = taken[:first_later], taken[first_later:]
         return [arrival for arrival, _ in taken], tuple([entry for _, entry in taken])
 
 
@@ -133,16 +126,15 @@ class NodeIO:
             first=first,
         )
 
-    def take_inbox(self, t_ns: int, cause: str, *, received_until_ns: int | None = None) -> list[ReceivedMessage]:
+    def take_inbox(self, t_ns: int, cause: str) -> list[ReceivedMessage]:
         """Empty the inbox for a step, keep the step for the next record, and return the messages.
 
         Parameters
         ----------
         t_ns : vehicle time that the step is for (ns).
         cause : "grid", "cycle", or the key of the message that caused the step.
-        received_until_ns : messages that arrived later stay in the inbox (ns); None: none stays.
         """
-        inbox, entries = self._inbox.take(received_until_ns)
+        inbox, entries = self._inbox.take()
         self._steps.append(RecordedStep(t_ns=t_ns, cause=cause, inbox=entries, shift_ns=self.shift_ns))
         if len(self._steps) == MAX_RECORDED_STEPS:
             self.publish_record()

@@ -137,11 +137,11 @@ class NodeStatusReporter:
         if wait_us > MAX_BACKLOG_US:
             self.due_us = min(self.due_us, now_us + HURRIED_PERIOD_US)
 
-    def on_steps(self, steps: int, took_us: int) -> None:
-        """Note steps that took ``took_us`` of wall time together."""
-        self.steps += steps
+    def on_step(self, took_us: int) -> None:
+        """Note a step that took ``took_us`` of wall time."""
+        self.steps += 1
         self._busy_us += took_us
-        self._busy_steps += steps
+        self._busy_steps += 1
 
     @property
     def min_queue_delay_us(self) -> int:

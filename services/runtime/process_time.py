@@ -74,15 +74,10 @@ class ProcessTime:
         return SHARED_CLOCK if self.sync is None else self.sync.offset(now_us)
 
     @property
-    def batch_end_ns(self) -> int | None:
-        """Vehicle time of the last step that is carried out with the next scheduled one; None while it is not known."""
-        return self.schedule.batch_end_ns(self.master.requested_speed if self.master is not None else 1.0)
-
-    @property
-    def next_steps_us(self) -> int | None:
-        """Monotonic time at which the next scheduled steps are due; None while it is not known."""
-        end_ns = self.batch_end_ns
-        return None if end_ns is None else self.clock.due_us(end_ns)
+    def next_step_us(self) -> int | None:
+        """Monotonic time at which the next scheduled step is due; None while it is not known."""
+        next_ns = self.schedule.next_ns
+        return None if next_ns is None else self.clock.due_us(next_ns)
 
     def start_schedule(self) -> None:
         """Schedule the first step, if the time is known and the schedule has not started."""

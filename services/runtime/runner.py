@@ -1,6 +1,6 @@
 """Runner: a pure node as a process on the bus, stepped by the vehicle clock. Its other caller is lock step (``sim``).
 
-    bus -> Mailbox -> InputReceiver (validation, rejection) -> NodeIO (inbox) -> node.steps -> NodeIO (outbox) -> bus
+    bus -> Mailbox -> InputReceiver (validation, rejection) -> NodeIO (inbox) -> node.step -> NodeIO (outbox) -> bus
 
 The parts, each in its own file: ``step_loop.py`` waits and steps, ``input_receiver.py`` validates inputs,
 ``node_io.py`` holds inbox, records and outbox, ``process_time.py`` the clock and the schedule, ``deadlines.py`` the

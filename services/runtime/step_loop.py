@@ -2,11 +2,9 @@
 
     while steps remain and no stop is requested:
         wait    take inputs from the mailbox and run the deadlines, until the next step is due
-        step    node.steps(due) -> outputs: published at once, after the records of the steps
+        step    node.step(t_ns, inbox) -> outputs: published at once, after the records of the steps
 
-A step is due by the node's schedule (``schedule.py``), by an input that causes it, or by a command. Steps on a grid are
-carried out and published in batches, and so are those of inputs that arrive together, because a wake-up costs more than
-a step.
+A step is due by the node's schedule (``schedule.py``), by an input that causes it, or by a command.
 
 If the inputs stop, nothing changes here: the controller's cycles continue by the clock, and the controller itself
 decides what to do when its estimates stop (``ltv_mpc/safety/health.py``). If the estimator process has died or hangs,
@@ -16,11 +14,10 @@ the supervisor restarts it (``services/supervisor/failure_handler.py``).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import chain
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from ltv_mpc.messages import ClockMode, CycleTiming, Message, Plan, RunEvent
-from ltv_mpc.node import Due, Node
+from ltv_mpc.node import Node
 from ltv_mpc.safety.source_selector import Source
 from services.bus.mailbox import Mailbox
 from services.bus.message_validation import MessageValidator
@@ -35,9 +32,6 @@ from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import StopRequest
 from services.runtime.supervisor_link import SUPERVISOR_LINK
-
-MAX_BATCH_US = 5_000
-"""Longest time for which a step that an input causes waits for those of further inputs."""
 
 MAX_DRAIN_US = 20_000
 """Longest time that taking inputs may delay a due step, so that a message flood cannot starve the controller."""
@@ -79,8 +73,6 @@ class StepLoop:
         self._mailbox, self._io, self._time, self._reporters, validator = connected
         self._receiver = InputReceiver(node, self._io, self._time, self._reporters, validator)
         self._command = ""  # key of a command that the next step must not wait for
-        self._due: list[Due] = []  # steps that are carried out next
-        self._started_us = 0  # monotonic time at which the first of them was due
         self._navigated = node if isinstance(node, NavigatedNode) else None
         self._source: Source | None = None  # of the estimates in use
         self._deadlines = DeadlineQueue()
@@ -88,7 +80,7 @@ class StepLoop:
 
     def run(self) -> None:
         """Step until a stop is requested or the schedule ends; then take the inputs that are still on their way."""
-        while not self._time.schedule.finished and self._wait(self._step_due_us):
+        while not self._time.schedule.finished and self._wait(lambda: self._step_due_us):
             self._scheduled_step()
         SUPERVISOR_LINK.last_beat()
         SERVICE_MANAGER.stopping()
@@ -130,24 +122,19 @@ class StepLoop:
                 return True
         return False
 
+    @property
     def _step_due_us(self) -> int | None:
-        return monotonic_us() if self._command else self._time.next_steps_us
+        return monotonic_us() if self._command else self._time.next_step_us
 
     def _take(self, timeout_s: float) -> bool:
-        """Take the next input, if one arrives in time, and carry out the steps that inputs have caused.
-
-        These steps wait until no input is left, at most ``MAX_BATCH_US``. Return False if no input has arrived.
-        """
+        """Take the next input, if one arrives in time, and the step that it causes. Return False if none arrived."""
         frame = self._mailbox.take(timeout_s)
         trigger = None if frame is None else self._receiver.take(frame)
         if trigger is not None:
             if trigger.t_ns is None:
                 self._command = trigger.cause
             else:
-                self._add_step(trigger.t_ns, trigger.cause, monotonic_us())
-        none_left = frame is None or not len(self._mailbox)
-        if self._due and (none_left or monotonic_us() - self._started_us >= MAX_BATCH_US):
-            self._run_steps()
+                self._step(trigger.t_ns, trigger.cause, monotonic_us())
         return frame is not None
 
     def _drain(self) -> None:
@@ -158,65 +145,44 @@ class StepLoop:
             if self._take((silent_us - now_us) / 1e6):  # False also when the stop request itself wakes the mailbox
                 silent_us = monotonic_us() + FINAL_SILENCE_US
             now_us = monotonic_us()
-        if self._due:
-            self._run_steps()
 
     # --- steps -------------------------------------------------------------------------------------------------------
 
     def _scheduled_step(self) -> None:
-        """Do the steps that are due by the schedule, or the one that a command requests."""
+        """Take the step that is due by the schedule, or the one that a command requests between two of them."""
         now_us, time = monotonic_us(), self._time
-        self._stopwatch.start()
-        if self._command:  # between two scheduled steps, which keep their times
+        if self._command:
             cause, self._command = self._command, ""
-            self._add_step(time.now_ns(now_us), cause, now_us)
-            self._run_steps()
+            self._step(time.now_ns(now_us), cause, now_us)
             return
         schedule = time.schedule
         assert schedule.next_ns is not None
-        last_ns = time.batch_end_ns
-        assert last_ns is not None
         if schedule.on_grid:
             if time.master is not None:
-                time.master.on_late_step(now_us, time.clock.due_us(last_ns) or now_us, self._node.name)
-            while schedule.next_ns < last_ns:
-                self._add_step(schedule.next_ns, "grid", now_us, received_until_ns=schedule.next_ns)
-                schedule.advance(schedule.next_ns)
-            self._add_step(last_ns, "grid", now_us)
+                time.master.on_late_step(now_us, time.next_step_us or now_us, self._node.name)
+            self._step(schedule.next_ns, "grid", now_us)
         else:
-            self._add_step(max(schedule.next_ns, time.now_ns(now_us)), "cycle", now_us)
-        self._run_steps()
+            self._step(max(schedule.next_ns, time.now_ns(now_us)), "cycle", now_us)
         schedule.advance(time.now_ns(monotonic_us()))
 
-    def _add_step(self, t_ns: int, cause: str, now_us: int, *, received_until_ns: int | None = None) -> None:
-        """Add a step to those that are carried out next, with the inputs received until ``received_until_ns``, or all.
-
-        ``now_us`` is the monotonic time at which the step was due.
-        """
-        status, _, settings = self._reporters
-        step = status.steps + len(self._due)
-        if not self._due:
-            self._started_us = now_us
-        if settings is not None and step == 0:
+    def _step(self, t_ns: int, cause: str, due_us: int) -> None:
+        """Take a step that was due at the monotonic time ``due_us``; publish its outputs after its record."""
+        status, report, settings = self._reporters
+        self._stopwatch.start()
+        if settings is not None and status.steps == 0:
             settings.due_us = 0  # a recorder that receives the first step can replay the node
         if self._navigated is not None:
             self._follow_source(self._navigated.active_source, t_ns)
         self._io.shift_ns = self._time.published_shift_ns
-        if step == 0:
-            own_clock = self._time.offset(now_us).mode is not ClockMode.SHARED
-            self._io.restore_state(t_ns, now_us, own_clock=own_clock)
-        self._due.append((t_ns, self._io.take_inbox(t_ns, cause, received_until_ns=received_until_ns)))
-
-    def _run_steps(self) -> None:
-        """Carry out the steps that were added, and publish their outputs after their records."""
-        status, report, _ = self._reporters
-        due, self._due = self._due, []
-        t_ns, started_us = due[-1][0], self._started_us
+        if status.steps == 0:
+            own_clock = self._time.offset(due_us).mode is not ClockMode.SHARED
+            self._io.restore_state(t_ns, due_us, own_clock=own_clock)
+        inbox = self._io.take_inbox(t_ns, cause)
         # Stage "read": reading the inbox. The controller uses the same recorded name for reading the QP's solution out,
         # and the stage timer adds both.
         self._stopwatch("read")
-        outputs = list(chain.from_iterable(self._node.steps(due)))
-        status.on_steps(len(due), monotonic_us() - started_us)
+        outputs = self._node.step(t_ns, inbox)
+        status.on_step(monotonic_us() - due_us)
         if not outputs:
             return
         plan = _plan_in(outputs) if self._measures_cycles else None
@@ -225,10 +191,10 @@ class StepLoop:
             self._hold(self._compute_delay_ns)
         self._publish(outputs)
         if plan is not None:
-            self._publish_timing(plan, t_ns, started_us)
+            self._publish_timing(plan, t_ns, due_us)
         if report is not None:
             now_us = monotonic_us()
-            for event in report.on_step(outputs, now_us - started_us, now_us):
+            for event in report.on_step(outputs, now_us - due_us, now_us):
                 self._io.publish(event)
 
     def _follow_source(self, source: Source | None, t_ns: int) -> None:

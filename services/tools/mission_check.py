@@ -16,6 +16,7 @@ from ltv_mpc.references.limits import path_limits
 from ltv_mpc.references.schedule import WAY, Schedule
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance, sideways_drag_N, stopping
+from services.tools import text_map
 from services.tools.bottom_check import BottomCheck, check_bottom
 from services.tools.fence_check import ZoneCheck, check_fence, distance
 
@@ -109,6 +110,11 @@ def check_mission(
         problems=problems,
         notes=notes,
     )
+
+
+def picture(vehicle: Vehicle, reference: Reference, fence: Fence | None, start: Pair | None = None) -> str:
+    """Return a map of the reference and the fence as text, as ``check_mission`` takes them."""
+    return text_map.draw(_schedule(vehicle, reference, start)[0], fence)
 
 
 def table(of: MissionCheck) -> str:

@@ -145,4 +145,4 @@ def _value(number: float | None, unit: str) -> str:
 
 
 def _degrees(rate: float | None) -> str:
-    return "none: no damping" if rate is None else f"{math.degrees(abs(rate)):.3g} deg/s"
+    return "none: no steady turn" if rate is None else f"{math.degrees(abs(rate)):.3g} deg/s"

@@ -35,6 +35,8 @@ from services.bus.wire import WireError
 from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
+from services.tools import autopilot_log
+from services.tools.autopilot_log import AutopilotLog
 
 SD = np.array([0.01, 0.01, 0.005])
 """Standard deviations of u, v (m/s) and r (rad/s) without a covariance; the fit scales them to the run."""
@@ -61,7 +63,7 @@ class IdentifyReport(msgspec.Struct, frozen=True, kw_only=True):
     estimates: int
     left_out_s: float  # time of estimates whose thrusts are not known
     segments: int
-    input: str  # "applied" or "plan": where the thrusts come from
+    input: str  # "applied", "plan" or "pwm": where the thrusts come from
     known: tuple[Known, KnownYaw]  # coefficients taken from the file
     current_mps: tuple[float, float]  # current that the estimates do not contain, north and east
     current_half_mps: tuple[float, float]  # half width of its 95 % interval
@@ -79,37 +81,50 @@ class _Recorded(NamedTuple):
     plans: list[tuple[int, Plan]]  # with the time of publication
 
 
-def open_run(run: str) -> RunFolder:
-    """Open a run (its folder, its run.mcap or ``latest``). Raises ``ConfigError``."""
+def open_run(run: str) -> RunFolder | Path:
+    """Open a run (its folder, its run.mcap or ``latest``), or return the path of an autopilot's log.
+
+    Raises ``ConfigError``.
+    """
+    if run.lower().endswith(autopilot_log.SUFFIXES):
+        return Path(run)
     return RunFolder(folder.find(run).parent)
 
 
-def load_vehicle(run: RunFolder, name: str | None) -> Vehicle:
+def load_vehicle(run: RunFolder | Path, name: str | None) -> Vehicle:
     """Load the named vehicle, or the run's own. Raises ``ConfigError``."""
-    return Vehicle.load(str(run.config("vehicle")) if name is None else name)
+    if name is None and not isinstance(run, RunFolder):
+        raise ConfigError("option --vehicle", "", f"is needed: {run} has no vehicle file")
+    return Vehicle.load(str(run.config("vehicle")) if isinstance(run, RunFolder) and name is None else str(name))
 
 
 def identify_run(
-    run: RunFolder, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
+    run: RunFolder | Path, vehicle: Vehicle, known: Known, known_yaw: KnownYaw
 ) -> tuple[IdentifyReport, Identification]:
     """Identify the vehicle from the run. Raises ``ConfigError`` if no vehicle can be fitted to it."""
-    recorded = _recorded(run.recording)
     try:
-        estimates = [vehicle.reference_point.to_origin(estimate) for estimate in recorded.estimates]
-        motion = motion_of(vehicle, estimates, recorded.applied, recorded.plans)
+        if isinstance(run, RunFolder):
+            recorded = _recorded(run.recording)
+            estimates = [vehicle.reference_point.to_origin(estimate) for estimate in recorded.estimates]
+            motion, notes = motion_of(vehicle, estimates, recorded.applied, recorded.plans), []
+            thrust_from = "plan" if motion.thrust is None else "applied"
+        else:
+            log = autopilot_log.read(run, vehicle)
+            estimates = [vehicle.reference_point.to_origin(estimate) for estimate in log.estimates]
+            motion, notes, thrust_from = motion_of_log(estimates, log), log.notes, "pwm"
         identification = identify(vehicle, motion, known, known_yaw)
     except CannotIdentify as error:
         problem = "does not excite the vehicle enough" if isinstance(error, NotEnoughMotion) else "cannot be fitted"
-        raise ConfigError(f"run {run.recording}", "", f"{problem}: {error}") from None
+        raise ConfigError(name_of(run), "", f"{problem}: {error}") from None
     u, v, r = identification.sd.tolist()
     report = IdentifyReport(
-        run=str(run.path),
+        run=str(run.path if isinstance(run, RunFolder) else run),
         vehicle=vehicle.name,
         seconds=identification.seconds,
         estimates=len(motion.t_s),
-        left_out_s=_left_out_s(recorded.estimates, len(motion.t_s)),
+        left_out_s=_left_out_s(estimates, len(motion.t_s)),
         segments=identification.segments,
-        input="plan" if motion.thrust is None else "applied",
+        input=thrust_from,
         known=(known, known_yaw),
         current_mps=(float(identification.current_mps[0]), float(identification.current_mps[1])),
         current_half_mps=(float(identification.current_half_mps[0]), float(identification.current_half_mps[1])),
@@ -120,9 +135,27 @@ def identify_run(
             for coefficient in identification.coefficients
             if not coefficient.excited and not coefficient.declared
         ],
-        warnings=identification.warnings,
+        warnings=[*notes, *identification.warnings],
     )
     return report, identification
+
+
+def name_of(run: RunFolder | Path) -> str:
+    """Return the name of a run or a log in errors."""
+    return f"run {run.recording}" if isinstance(run, RunFolder) else f"log {run}"
+
+
+def motion_of_log(estimates: list[Estimate], log: AutopilotLog) -> Motion:
+    """Return velocities and commands at the times of the estimates while the autopilot is armed.
+
+    Raises ``NotEnoughMotion`` if there are fewer than two.
+    """
+    estimates = _sort_unique(estimates)
+    t_ns = np.array([estimate.t_ns for estimate in estimates], dtype=np.int64)
+    last = np.maximum(np.searchsorted(log.t_ns, t_ns, side="right") - 1, 0)
+    known = _reported(t_ns, log.t_ns) & log.armed[last] & np.isfinite(log.command_N[last]).all(axis=1)
+    command = np.column_stack([np.interp(t_ns, log.t_ns, np.nan_to_num(row)) for row in log.command_N.T])
+    return _motion(estimates, known, command, None)
 
 
 def _recorded(path: Path) -> _Recorded:
@@ -165,12 +198,18 @@ def motion_of(
         known &= ~_lasting(t_ns, idle, MAX_GAP_S if plans else SEGMENT_S)
     else:
         command, known = planned, in_force
+    return _motion(estimates, known, command, thrust)
+
+
+def _motion(estimates: list[Estimate], known: Mask, command: Array, thrust: Array | None) -> Motion:
+    """Return the motion at the estimates (M,) whose thrust is known. Raises ``NotEnoughMotion``."""
     if np.count_nonzero(known) < 2:
         raise NotEnoughMotion(
-            f"{np.count_nonzero(known)} of {len(t_ns)} estimates have a known thrust, at least 2 are needed: "
+            f"{np.count_nonzero(known)} of {len(estimates)} estimates have a known thrust, at least 2 are needed: "
             "record `applied`, or `plan` while the controller is armed"
         )
-    usable, t_ns = [estimate for estimate, use in zip(estimates, known, strict=True) if use], t_ns[known]
+    usable = [estimate for estimate, use in zip(estimates, known, strict=True) if use]
+    t_ns = np.array([estimate.t_ns for estimate in usable])
     return Motion(
         t_s=(t_ns - t_ns[0]) * 1e-9,
         velocity=np.array([_through_the_water(estimate) for estimate in usable]),
@@ -266,12 +305,12 @@ def _sd(estimates: list[Estimate]) -> Array:
     return np.maximum(np.sqrt([velocity, velocity, float(mean[YAW_RATE])]), MIN_SD)
 
 
-def identified_vehicle(run: RunFolder, vehicle: Vehicle, identification: Identification) -> Vehicle:
+def identified_vehicle(run: RunFolder | Path, vehicle: Vehicle, identification: Identification) -> Vehicle:
     """Return the vehicle with the identified coefficients. Raises ``ConfigError`` if a vehicle file rejects them."""
     try:
         return with_coefficients(vehicle, identification.coefficients)
     except ValueError as error:  # such as limits scaled beyond their bounds
-        raise ConfigError(f"run {run.recording}", "", f"fits no vehicle that a file accepts: {error}") from None
+        raise ConfigError(name_of(run), "", f"fits no vehicle that a file accepts: {error}") from None
 
 
 def format_text(report: IdentifyReport) -> str:

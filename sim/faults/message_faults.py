@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.messages import Message, MessageFault
+from ltv_mpc.messages import ImuSample, ImuSamples, Message, MessageFault
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import bounds
 from sim.faults.interval import Interval
@@ -169,7 +169,7 @@ class _Corruption(_Fault):
 
 class _NotANumber(_Fault):
     def harm(self, message: ReceivedMessage) -> list[Delivery]:
-        signal = message.message
+        signal = _parts(message.message)[-1]
         limits = bounds(type(signal)).items()
         fields = [name for name, of in limits if not of.has_gaps and _is_real(getattr(signal, name))]
         name = fields[int(self.rng.integers(len(fields)))]
@@ -178,7 +178,8 @@ class _NotANumber(_Fault):
         values.flat[int(self.rng.integers(values.size))] = bad
         value = getattr(signal, name)
         new = tuple(values.tolist()) if isinstance(value, tuple) else values if values.ndim else bad
-        return [Delivery(message.received_t_ns, _with(message, **{name: new}))]
+        harmed = msgspec.structs.replace(signal, **{name: new})
+        return [Delivery(message.received_t_ns, _replaced(message, [*_parts(message.message)[:-1], harmed]))]
 
 
 class _Stale(_Fault):
@@ -195,7 +196,7 @@ class _Stale(_Fault):
         return not first
 
     def harm(self, message: ReceivedMessage) -> list[Delivery]:
-        return [Delivery(message.received_t_ns, _replaced(message, self._first[type(message.message)]))]
+        return [Delivery(message.received_t_ns, _replaced(message, [self._first[type(message.message)]]))]
 
 
 class _ClockJump(_Fault):
@@ -204,9 +205,12 @@ class _ClockJump(_Fault):
 
     def harm(self, message: ReceivedMessage) -> list[Delivery]:
         ahead_ns = round(1e9 * self.fault.size)
-        stamps = [name for name in STAMPS if name in message.message.__struct_fields__]
-        jumped = {name: getattr(message.message, name) + ahead_ns for name in stamps}
-        return [Delivery(message.received_t_ns, _with(message, **jumped))]
+        parts = _parts(message.message)
+        stamps = [name for name in STAMPS if name in parts[0].__struct_fields__]
+        jumped = [
+            msgspec.structs.replace(part, **{name: getattr(part, name) + ahead_ns for name in stamps}) for part in parts
+        ]
+        return [Delivery(message.received_t_ns, _replaced(message, jumped))]
 
 
 STAMPS = ("t_ns", "from_t_ns", "cycle_t_ns")
@@ -230,9 +234,11 @@ def _is_real(value: Any) -> bool:
     return isinstance(value[0] if isinstance(value, tuple) else value, float)
 
 
-def _with(message: ReceivedMessage, **values: Any) -> ReceivedMessage:
-    return _replaced(message, msgspec.structs.replace(message.message, **values))
+def _parts(signal: Message) -> Sequence[Message]:
+    return signal.samples if isinstance(signal, ImuSamples) else (signal,)
 
 
-def _replaced(message: ReceivedMessage, signal: Message) -> ReceivedMessage:
-    return msgspec.structs.replace(message, message=signal)
+def _replaced(message: ReceivedMessage, parts: Sequence[Message]) -> ReceivedMessage:
+    """Return the received message with another content, or with other inertial samples."""
+    samples = tuple(part for part in parts if isinstance(part, ImuSample))
+    return msgspec.structs.replace(message, message=ImuSamples(samples=samples) if samples else parts[0])

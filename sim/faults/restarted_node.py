@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from ltv_mpc.messages import ControllerState, Message, Plan
-from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
+from ltv_mpc.node import Inbox, Node, ReceivedMessage
 from sim.faults.interval import Interval
 from sim.faults.node_wrapper import NodeWrapper
 
@@ -24,11 +24,8 @@ class RestartedNode(NodeWrapper):
         self._state: ControllerState | None = None
         self._plan: Plan | None = None  # in force
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Step the node inside, one step at a time; a dead one publishes nothing and loses its inbox."""
-        return [self._step(t_ns, inbox) for t_ns, inbox in due]
-
-    def _step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
+        """Step the node inside; a dead one publishes nothing and loses its inbox."""
         if any(interval.contains(t_ns) for interval in self._intervals):
             self._dead = True
             return []
@@ -37,7 +34,7 @@ class RestartedNode(NodeWrapper):
             if self._state is not None:
                 state = msgspec.structs.replace(self._state, plan=self._plan)
                 inbox = [ReceivedMessage(state, 0, 0, t_ns), *inbox]
-        (outputs,) = self._node.steps([(t_ns, inbox)])
+        outputs = self._node.step(t_ns, inbox)
         for message in outputs:
             if isinstance(message, ControllerState):
                 self._state = message

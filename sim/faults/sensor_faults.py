@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, Message, PressureDepth, TdcpFix
-from ltv_mpc.node import Due, Node
+from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, ImuSamples, Message, PressureDepth, TdcpFix
+from ltv_mpc.node import Inbox, Node
 from sim.faults.interval import Interval
 from sim.faults.node_wrapper import NodeWrapper
 
@@ -90,12 +90,16 @@ class FaultySensors(NodeWrapper):
         super().__init__(sensors)
         self._faulty = [_FaultySensor(fault) for fault in faults]
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Step the sensors and apply the faults to their messages."""
-        outputs = self._node.steps(due)
+    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
+        """Step the sensors and apply the faults to their messages, each inertial sample being one."""
+        outputs: list[Message] = []
+        for message in self._node.step(t_ns, inbox):
+            outputs += message.samples if isinstance(message, ImuSamples) else (message,)
         for sensor in self._faulty:
-            outputs = [sensor.apply(t_ns, messages) for (t_ns, _), messages in zip(due, outputs, strict=True)]
-        return outputs
+            outputs = sensor.apply(t_ns, outputs)
+        samples = tuple(message for message in outputs if isinstance(message, ImuSample))
+        others = [message for message in outputs if not isinstance(message, ImuSample)]
+        return [*others, ImuSamples(samples=samples)] if samples else others
 
 
 class _FaultySensor:
@@ -103,6 +107,7 @@ class _FaultySensor:
 
     def __init__(self, fault: SensorFault) -> None:
         self._fault = fault
+        self._kind = ImuSample if fault.kind is ImuSamples else fault.kind
         self._rng = np.random.default_rng(fault.seed)
         self._count = 0
         self._last: Message | None = None
@@ -115,7 +120,7 @@ class _FaultySensor:
         here = [signal for due_ns, signal in self._late if due_ns <= t_ns]
         self._late = [(due_ns, signal) for due_ns, signal in self._late if due_ns > t_ns]
         for signal in messages:
-            if type(signal) is not self._fault.kind:
+            if type(signal) is not self._kind:
                 here.append(signal)
             elif self._fault.interval.contains(t_ns):
                 here += self._failed(t_ns, signal)

@@ -17,7 +17,7 @@ import numpy as np
 from ltv_mpc.control.solvers import SolverFactory, make
 from ltv_mpc.control.solvers.interface import Result, Solver
 from ltv_mpc.messages import Message, Solve, SolveStatus
-from ltv_mpc.node import Due, Node
+from ltv_mpc.node import Inbox, Node
 from sim.faults.interval import Interval
 from sim.faults.node_wrapper import NodeWrapper
 
@@ -79,13 +79,10 @@ class TimedNode(NodeWrapper):
         super().__init__(node)
         self._now = now
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Step the node inside, one step at a time."""
-        outputs: list[list[Message]] = []
-        for one in due:
-            self._now.t_ns = one[0]
-            outputs += self._node.steps([one])
-        return outputs
+    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
+        """Step the node inside."""
+        self._now.t_ns = t_ns
+        return self._node.step(t_ns, inbox)
 
 
 def faulty_solvers(faults: Sequence[SolverFaultInterval], now: SolverClock) -> SolverFactory:

@@ -13,7 +13,6 @@ Source  Groves 2013, sections 5.4 (navigation equations in a local frame) and 4.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,14 +34,6 @@ class _End(NamedTuple):
     t_ns: int
     rotation: Array
     velocity_mps: Triple
-
-
-class _Motion(NamedTuple):
-    """Attitudes (K+1, 3, 3), body to NED, and velocities (K+1, 3) (m/s, NED) at instants ``dt`` (s) apart."""
-
-    R: Array
-    v: Array
-    dt: float
 
 
 class _Errors(NamedTuple):
@@ -71,11 +62,6 @@ class InertialUnit:
         self._last: _End | None = None
 
     @property
-    def has_begun(self) -> bool:
-        """True if an interval has started."""
-        return self._last is not None
-
-    @property
     def gyro_bias_radps(self) -> Array:
         """True bias of the last sample, (3,)."""
         return self._bias.value[:3].copy()
@@ -88,31 +74,19 @@ class InertialUnit:
     def sample(self, now: VehicleState) -> list[ImuSample]:
         """Return the mean over the interval that ends now."""
         before, here = self._last, _End(now.t_ns, now.rotation, now.velocity_mps)
+        self._last = here
         if before is None:
-            self._last = here
             return []
-        rotation, velocity = np.stack([before.rotation, here.rotation]), [before.velocity_mps, here.velocity_mps]
-        return self.samples([before.t_ns, here.t_ns], rotation, velocity)
-
-    def samples(self, t_ns: Sequence[int], rotation: Array, velocity_mps: Sequence[Triple]) -> list[ImuSample]:
-        """Return the means over K intervals of one length, between K + 1 instants.
-
-        The first instant is the end of the last sample; ``rotation`` is (K+1, 3, 3), body to world.
-        """
-        interval_ns = t_ns[1] - t_ns[0]
+        interval_ns = here.t_ns - before.t_ns
         dt = interval_ns * 1e-9
-        motion = _Motion(rotation, np.array(velocity_mps), dt)
         errors = _Errors(self._walks, self._bias.value, *self._bias.coefficients(dt))
-        rows = measured(motion, self._earth_rate, errors, self._draws.standard_normal((len(t_ns) - 1, 12))).tolist()
-        self._last = _End(t_ns[-1], rotation[-1], velocity_mps[-1])
-        return [
-            ImuSample(t_ns=end_ns, interval_ns=interval_ns, angular_rate_radps=(p, q, r), specific_force_mps2=(x, y, z))
-            for end_ns, (p, q, r, x, y, z) in zip(t_ns[1:], rows, strict=True)
-        ]
+        draws = self._draws.standard_normal(12)
+        w, f = measured(before[1:], here[1:], self._earth_rate, dt, errors, draws)
+        return [ImuSample(t_ns=here.t_ns, interval_ns=interval_ns, angular_rate_radps=w, specific_force_mps2=f)]
 
 
 @jit
-def increments(R1: Matrix3, v1: Array, R2: Matrix3, v2: Array, W: Array, dt: float) -> tuple[Triple, Triple]:
+def increments(R1: Matrix3, v1: Triple, R2: Matrix3, v2: Triple, W: Array, dt: float) -> tuple[Triple, Triple]:
     """Return the error-free mean angular rate (rad/s) and specific force (m/s2) between two instants, body axes."""
     turn = so3.log(so3.multiply(so3.transpose(R1), so3.multiply(so3.exp(dt * W[0], dt * W[1], dt * W[2]), R2)))
     w = turn[0] / dt, turn[1] / dt, turn[2] / dt
@@ -130,19 +104,18 @@ def increments(R1: Matrix3, v1: Array, R2: Matrix3, v2: Array, W: Array, dt: flo
 
 
 @jit
-def measured(motion: _Motion, W: Array, errors: _Errors, draws: Array) -> Array:
-    """Return the ``increments`` of each of K intervals with their errors, (K, 6).
+def measured(
+    before: tuple[Array, Triple], now: tuple[Array, Triple], W: Array, dt: float, errors: _Errors, draws: Array
+) -> tuple[Triple, Triple]:
+    """Return the ``increments`` between two attitudes (3, 3) and velocities, with their errors.
 
-    ``draws`` (K, 12) are standard normal: six for the white noise, then six for the new part of the biases.
+    ``draws`` (12,) are standard normal: six for the white noise, then six for the new part of the biases.
     """
-    K, dt, walks, bias = len(draws), motion.dt, errors.walks, errors.bias
-    means = np.empty((K, 6))
-    here = so3.read(motion.R[0])
-    for k in range(K):
-        before, here = here, so3.read(motion.R[k + 1])
-        w, f = increments(before, motion.v[k], here, motion.v[k + 1], W, dt)
-        for i in range(6):
-            bias[i] = errors.decay[i] * bias[i] + errors.new_sd[i] * draws[k, 6 + i]
-            mean = w[i] if i < 3 else f[i - 3]
-            means[k, i] = mean + walks[i] / math.sqrt(dt) * draws[k, i] + bias[i]
-    return means
+    walks, bias = errors.walks, errors.bias
+    means = np.empty(6)
+    w, f = increments(so3.read(before[0]), before[1], so3.read(now[0]), now[1], W, dt)
+    for i in range(6):
+        bias[i] = errors.decay[i] * bias[i] + errors.new_sd[i] * draws[6 + i]
+        mean = w[i] if i < 3 else f[i - 3]
+        means[i] = mean + walks[i] / math.sqrt(dt) * draws[i] + bias[i]
+    return (means[0], means[1], means[2]), (means[3], means[4], means[5])

@@ -4,28 +4,31 @@ A sensor samples at whole multiples of its period, independent of the times of t
 The first truth only opens the first interval, which is closed on both sides.
 A message is stored until it arrives, its sensor's latency after it is valid, and is published with the first truth that
 is not before its arrival: without latency, with the truth that closes its interval. The messages of one truth are
-published in order of validity; those of one validity in the order of ``SIMULATED``. Messages that have not arrived when
-the run ends are lost.
+published in order of validity; those of one validity in the order of ``SIMULATED``. Inertial samples are published
+together, those of ``BLOCK_NS`` in one message. Messages that have not arrived when the run ends are lost.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from heapq import heapify, heappush, heapreplace
+from heapq import heapify, heapreplace
 from typing import NamedTuple
 
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors import BY_NAME
+from ltv_mpc.localisation.sensors import PUBLISHED
 from ltv_mpc.localisation.sensors.settings import latency_ns
-from ltv_mpc.messages import Estimate, Message, Truth
-from ltv_mpc.node import Due, Inbox, OnMessage
+from ltv_mpc.messages import Estimate, ImuSample, ImuSamples, Message, Truth
+from ltv_mpc.node import Inbox, OnMessage
 from sim.scenario import Scenario
 from sim.sensors import SIMULATED
-from sim.sensors.imu import InertialUnit
 from sim.sensors.perfect import PerfectState
 from sim.sensors.simulated import Environment, InterrogatingSensor, SimulatedSensor
-from sim.sensors.vehicle_state import Motion, motions_between
+from sim.sensors.vehicle_state import Motion, motion_between
 from sim.water import WaterColumn
+
+BLOCK_NS = 50_000_000
+"""Time of the inertial samples in one message, which ends at a multiple of it. The estimator's period is a multiple
+too, so no estimate waits for the end of a block."""
 
 
 class _Mounted(NamedTuple):
@@ -69,7 +72,7 @@ class Sensors:
         self._mounted: list[_Mounted] = []
         self._by_name: dict[str, SimulatedSensor] = {}
         for name, make in SIMULATED.items():
-            settings, message = getattr(sensor_config, name), BY_NAME[name].message
+            settings, message = getattr(sensor_config, name), PUBLISHED[name]
             if settings is not None and (needed is None or message in needed):
                 sensor = self._by_name[name] = make(settings, environment)
                 self._mounted.append(_Mounted(sensor, settings.period_ns, latency_ns(settings) or 0))
@@ -82,6 +85,7 @@ class Sensors:
         self.writes: tuple[type[Message], ...] = tuple(writes)
         self._interrogating = [x for x in self._by_name.values() if isinstance(x, InterrogatingSensor)]
         self._under_way: list[_UnderWay] = []
+        self._samples: list[ImuSample] = []  # of the block that is not complete
         self._last: Truth | None = None
         self._motion: Motion | None = None  # the newest that was computed
         self._due: list[tuple[int, int]] = []  # heap of each sensor's next sample: its time, the sensor's order
@@ -96,51 +100,26 @@ class Sensors:
         """All sensors, that of a perfect state included, in the order in which they publish at one instant."""
         return tuple(mounted.sensor for mounted in self._mounted)
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Return the messages that have arrived since the last truth, in order of validity.
-
-        If the inertial unit measures at every truth, its samples are computed at once.
-        """
-        if len(due) == 1:  # a search for batches would cost more than it saves
-            return [self._step(due[0][1])]
-        truths = [received.message for _, inbox in due for received in inbox if isinstance(received.message, Truth)]
-        imu = self._mounted[0].sensor if self._mounted else None
-        if not (isinstance(imu, InertialUnit) and len(truths) == len(due) and self._is_measured_at(truths, imu)):
-            return [self._step(inbox) for _, inbox in due]
-        assert self._last is not None
-        ends = [self._last, *truths]
-        motions = motions_between(ends, self._motion)
-        samples = imu.samples([end.t_ns for end in ends], motions.rotation, [end.velocity_mps for end in ends])
-        self._last, self._motion = truths[-1], motions[len(truths) - 1]
-        self._due = [(t_ns, order) for t_ns, order in self._due if order]
-        heapify(self._due)
-        messages: list[list[Message]] = []
-        for k, sample in enumerate(samples):
-            t_ns = sample.t_ns
-            if self._under_way or (self._due and self._due[0][0] <= t_ns):
-                self._under_way.append(_UnderWay(t_ns, 0, t_ns, sample))
-                self._sample(motions[k], t_ns)
-                messages.append(self._arrived(t_ns))
-            else:
-                messages.append([sample])
-        heappush(self._due, (truths[-1].t_ns + self._mounted[0].period_ns, 0))
-        return messages
-
-    def _step(self, inbox: Inbox) -> list[Message]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
+        """Return the messages that have arrived since the last truth, in order of validity."""
         messages: list[Message] = []
         for received in inbox:
             if isinstance(received.message, Truth) and (self._last is None or received.message.t_ns > self._last.t_ns):
                 messages += self._measure(received.message)
-        return messages
+        return messages if ImuSample not in map(type, messages) else self._gathered(messages)
 
-    def _is_measured_at(self, truths: Sequence[Truth], imu: InertialUnit) -> bool:
-        """Return True if the inertial unit, the first of the sensors, is due at each truth and at no other time."""
-        period_ns, last = self._mounted[0].period_ns, self._last
-        if last is None or self._interrogating or not imu.has_begun:
-            return False
-        first_ns = last.t_ns + period_ns
-        stamps = [truth.t_ns for truth in truths]
-        return (first_ns, 0) in self._due and stamps == [first_ns + k * period_ns for k in range(len(stamps))]
+    def _gathered(self, messages: Sequence[Message]) -> list[Message]:
+        """Return the messages with the inertial samples of each ``BLOCK_NS`` in the place of the last of them."""
+        published: list[Message] = []
+        for message in messages:
+            if not isinstance(message, ImuSample):
+                published.append(message)
+                continue
+            self._samples.append(message)
+            if -(-message.t_ns // BLOCK_NS) < -(-(message.t_ns + message.interval_ns) // BLOCK_NS):
+                published.append(ImuSamples(samples=tuple(self._samples)))
+                self._samples.clear()
+        return published
 
     def _measure(self, truth: Truth) -> list[Message]:
         last, self._last = self._last, truth
@@ -150,7 +129,7 @@ class Sensors:
             heapify(self._due)
             return []  # measurements that are due now follow with the next truth
         if self._interrogating or (self._due and self._due[0][0] <= truth.t_ns):
-            self._motion = motions_between([last, truth], self._motion)[0]
+            self._motion = motion_between(last, truth, self._motion)
             self._sample(self._motion, truth.t_ns)
         return self._arrived(truth.t_ns) if self._under_way else []
 

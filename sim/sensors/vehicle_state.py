@@ -6,7 +6,6 @@ w = phi / h; position and velocity are linear (at 100 Hz and 0.3 m/s2 that is of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -69,35 +68,13 @@ class Motion(NamedTuple):
         )
 
 
-class Motions:
-    """Motions between K + 1 successive truths. A motion is computed when it is indexed."""
-
-    def __init__(self, truths: Sequence[Truth], rotation: Array, phi: Array, rate: Array) -> None:
-        """``rotation`` (K+1, 3, 3), ``phi`` and ``rate`` (K, 3) as in ``Motion``."""
-        self.truths, self.rotation = truths, rotation
-        self._phi, self._rate = phi, rate
-
-    def __len__(self) -> int:
-        return len(self._phi)
-
-    def __getitem__(self, k: int) -> Motion:
-        """Return the motion from truth k to the next, k >= 0."""
-        if k >= len(self):
-            raise IndexError(k)
-        R = self.rotation
-        return Motion(self.truths[k], self.truths[k + 1], R[k], R[k + 1], self._phi[k], self._rate[k])
-
-
-def motions_between(truths: Sequence[Truth], before: Motion | None = None) -> Motions:
-    """Return the motions from each truth to the next, which must be later.
+def motion_between(earlier: Truth, later: Truth, before: Motion | None = None) -> Motion:
+    """Return the motion between two truths, the second of which must be later.
 
     ``before`` is the motion that ended with the first truth, if it is known: its rotation is then not computed again.
     """
-    first = truths[0]
-    R1 = before.R2 if before is not None and before.later is first else rotation(*first.attitude_rad)
-    attitude = np.array([truth.attitude_rad for truth in truths[1:]])
-    t_ns = np.array([truth.t_ns for truth in truths])
-    return Motions(truths, *rotations_and_rates(R1, attitude, (t_ns[1:] - t_ns[:-1]) * 1e-9))
+    R1 = before.R2 if before is not None and before.later is earlier else rotation(*earlier.attitude_rad)
+    return Motion(earlier, later, R1, *turned(R1, *later.attitude_rad, (later.t_ns - earlier.t_ns) * 1e-9))
 
 
 def _plus(a: Triple, b: Array) -> Triple:
@@ -110,22 +87,15 @@ def _mix(a: Triple, b: Triple, s: float) -> Triple:
 
 
 @jit
-def rotations_and_rates(R1: Array, attitude: Array, h: Array) -> tuple[Array, Array, Array]:
-    """Return rotations (K+1, 3, 3), phi = log(R_k^T R_k+1) (K, 3) and w = phi / h (K, 3).
-
-    The rotations are R1 and those of the attitudes (K, 3); ``h`` (K,) are the intervals (s).
-    """
-    K = len(h)
-    R, phi, w = np.empty((K + 1, 3, 3)), np.empty((K, 3)), np.empty((K, 3))
-    here = so3.read(R1)
-    so3.write(here, R[0])
-    for k in range(K):
-        before, here = here, so3.from_angles(attitude[k, 0], attitude[k, 1], attitude[k, 2])
-        so3.write(here, R[k + 1])
-        turn = so3.log(so3.multiply(so3.transpose(before), here))
-        for i in range(3):
-            phi[k, i], w[k, i] = turn[i], turn[i] / h[k]
-    return R, phi, w
+def turned(R1: Array, roll: float, pitch: float, heading: float, h: float) -> tuple[Array, Array, Array]:
+    """Return the rotation R2 (3, 3) of an attitude, phi = log(R1^T R2) (3,) and phi / h (3,), h the interval (s)."""
+    R2, phi, w = np.empty((3, 3)), np.empty(3), np.empty(3)
+    now = so3.from_angles(roll, pitch, heading)
+    so3.write(now, R2)
+    turn = so3.log(so3.multiply(so3.transpose(so3.read(R1)), now))
+    for i in range(3):
+        phi[i], w[i] = turn[i], turn[i] / h
+    return R2, phi, w
 
 
 @jit

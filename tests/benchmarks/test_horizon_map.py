@@ -10,13 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks.horizon_map import rules
-from benchmarks.horizon_map.places import Place, places
-from benchmarks.horizon_map.summary import RULES, summary, tables
-from benchmarks.page_tables import table_text
+from benchmarks.horizon_map.places import Place
 from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES
-from ltv_mpc.control.scaling import characteristic_scales
-from ltv_mpc.vehicle.parameters import Vehicle
-from services.cli.app import run
 
 PAGE = Path(__file__).parents[2] / "docs" / "horizon.md"
 HORIZONS = np.geomspace(1.0, 32.0, 21)
@@ -45,49 +40,6 @@ def test_the_true_rule_is_found_and_beats_constants_outside_the_fitted_range() -
     judged = rules.judged(of)
     assert judged["four groups"]["p90"] < 0.5 * judged["best H / T"]["p90"]
     assert judged["best H / T"]["p90"] < judged["5 s"]["p90"]
-
-
-def test_what_is_enough_is_the_shortest_within_a_tenth_of_the_best() -> None:
-    place = Place(7.0, np.ones(4), np.array([1.0, 2.0, 4.0]), np.array([1.11, 1.09, 1.0]))
-    assert place.enough == 1
-    assert place.excess(2.2) == pytest.approx(0.09)
-    assert place.excess(100.0) == 0.0
-
-
-def test_a_campaign_s_places_are_those_that_were_flown_whole(tmp_path: Path) -> None:
-    file = tmp_path / "map.toml"
-    file.write_text(
-        'title = "t"\n[seeds]\ncount = 1\n[design]\nkind = "sobol"\npoints = 2\n[set]\nrun.perfect_state = true\n'
-        "run.duration_s = 0.9\n[vary]\nsize = { low = 0.5, high = 2.0 }\n"
-        "run.compute_delay_s = { low = 0.1, high = 0.2 }\n"
-        "[cross]\ncontroller.horizon_s = [0.9, 1.8]\n[scale.size]\nvehicle.surge.mass_kg = 1\n"
-    )
-    out = tmp_path / "out"
-    assert run(["campaign", str(file), "--out", str(out), "--workers", "1", "--json"]) == 0
-    first, second = places(out)
-    assert first.horizons_s.tolist() == [0.9, 1.8]
-    assert first.time_s != second.time_s != characteristic_scales(Vehicle.load("paper")).time_s
-    assert first.groups[1] == pytest.approx(8.0 / (0.2 * first.time_s))
-    assert 0.1 <= first.groups[3] * first.time_s <= 0.2
-    rows = (out / "results.jsonl").read_text().splitlines(keepends=True)
-    (out / "results.jsonl").write_text("".join(rows[:-1]))
-    assert len(places(out)) == 1
-
-
-def test_the_tables_hold_what_is_kept_and_stand_in_the_page() -> None:
-    of = made_up(32)
-    kept = {"state known": summary(of), "realistic": summary(of[:20])}
-    assert json.dumps(kept)
-    made = {table.name: table for table in tables(kept)}
-    assert made["flown"].rows == (("places", "32", "20"),)
-    assert sum(int(str(cell)) for cell in made["enough"].rows[0][1:]) == 32
-    assert made["errors"].head[1:] == tuple(f"{h:g} s" for h in HORIZONS)
-    worst = max(place.excess(5.0) for place in of)
-    assert str(made["rules"].rows[-1][1]).endswith(f", {worst:.0%}")
-    assert set(RULES) == set(rules.RULES)
-    page = PAGE.read_text(encoding="utf-8")
-    stored = tables(json.loads(PAGE.with_suffix(".json").read_text(encoding="utf-8")))
-    assert [table_text(page, table.name) for table in stored] == [table.markdown() for table in stored], "make map"
 
 
 def test_the_rule_that_vehicle_check_proposes_loses_little_at_nine_of_ten_places() -> None:

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.localisation_check import __main__ as command
 from benchmarks.localisation_check import check
-from benchmarks.localisation_check.probe import Probe, Record, Squares, descend
-from ltv_mpc.frames import wrap_angle
-from ltv_mpc.messages import CompassHeading
-from ltv_mpc.node import ReceivedMessage
+from benchmarks.localisation_check.probe import Record, Squares, descend
 from services.tools import lockstep_run
 from services.tools.batch.job import Job
-from services.tools.batch.results_store import NAME
 from sim.evaluation.consistency import band
 
 SHORT = 'title = "4 s of a descent"\n[run]\nduration_s = 4.0\n[plant]\ndepth_m = 5.0\n'
@@ -64,43 +57,6 @@ def test_drift_is_held_against_the_bound_and_against_the_velocity_error() -> Non
     assert check.failed(result) == []
 
 
-def test_what_is_not_held_is_named() -> None:
-    work = check.jobs("descent", (), first_seed=0, runs=40)
-    rng = np.random.default_rng(3)
-    seconds = [*range(200)]
-    bad = [
-        record((2.0, 2.0), (5e-3, 5e-3))._replace(
-            nees={
-                "heading": squares([0, 1], [4.0 * rng.chisquare(1)] * 2, [1, 1]),
-                "cells": squares(seconds, (1.2 * rng.chisquare(20, 200)).tolist(), [20] * 200),
-            },
-            nis={"gnss": squares(seconds, rng.chisquare(3, 200).tolist(), [3] * 200)},
-            min_eigenvalue=-1e-9,
-        )
-        for _ in range(40)
-    ]
-    problems = check.failed(check.result(bad, work, wall_s=1.0))
-    assert [problem.split(" ")[:3] for problem in problems] == [
-        ["drift", "over", "bound"],
-        ["NEES", "of", "heading"],
-        ["NEES", "of", "cells"],
-        ["share", "of", "instants"],
-        ["a", "covariance", "is"],
-    ]
-
-
-def test_a_run_that_lacks_an_instant_adds_nothing_to_it() -> None:
-    runs = [
-        {"lbl": squares([1, 2, 2], [1.0, 2.0, 3.0], [1, 1, 1])},  # two ranges of one instant
-        {"lbl": squares([2, 3, 4], [5.0, 0.0, 7.0], [2, 0, 1])},
-        {},
-    ]
-    graded = check.over_runs(runs)["lbl"]
-    assert graded.t_s.tolist() == [1.0, 2.0, 4.0]
-    assert graded.consistency.total.tolist() == [1.0, 10.0, 7.0]
-    assert graded.consistency.dof.tolist() == [1, 4, 1]
-
-
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("short") / "short.toml"
@@ -127,69 +83,3 @@ def test_a_watched_run_is_the_same_run_and_its_drift_is_that_of_the_grader(scena
     pings = watched.nis["adcp"]
     assert np.diff(pings.t_ns).max() == 333_333_333
     assert 0.8 < pings.square.sum() / pings.dof.sum() < 1.2  # one outlier of 25 deviations left in would be 600
-
-
-def test_the_vehicle_s_distance_from_the_line_is_that_of_a_run_s_summary(scenario: str) -> None:
-    job = Job(scenario, ("sensors=paper", "run.seed=2"))
-    assert descend(job).true_error_m == pytest.approx(lockstep_run.run(job.run_config()).true_error_m.mean, rel=0.05)
-
-
-def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario: str) -> None:
-    """The compass's bias by its mean error, a profiler's by its own; seen cells by the filter's own account of them."""
-    headings: list[float] = []
-
-    class Ears(Probe):
-        message_types = Probe.message_types | {CompassHeading}
-
-        def published(self, node: str, message: ReceivedMessage) -> None:
-            super().published(node, message)
-            if isinstance(message.message, CompassHeading) and self.truth is not None:
-                headings.append(wrap_angle(message.message.heading_rad - self.truth.attitude_rad[2]))
-
-    run_config = Job(scenario, ("sensors=realistic", "run.seed=5")).run_config()
-    probe = Ears(run_config)
-    probe.descend()
-    assert probe.truth is not None
-    true = probe.true_states.at(probe.truth)
-    sd = run_config.sensor_config.compass.heading_sd_rad / math.sqrt(len(headings))
-    assert abs(np.mean(headings) - true.compass_bias_rad) < 3 * sd < abs(true.compass_bias_rad)
-    filter_ = probe.estimator.filter
-    assert filter_ is not None
-    own = filter_.belief.column.observed
-    assert np.count_nonzero(own) >= 14
-    assert np.count_nonzero(own != probe.observed.mask) <= 1  # a cell's edge may lie a centimetre either side of a node
-
-
-def test_the_command_continues_what_was_interrupted_and_refuses_what_is_another_s(
-    scenario: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    arguments = ["--runs", "2", "--scenario", scenario, "--seed", "7", "--json", "--out", str(out)]
-    assert command.main(arguments) in (0, 1)
-    said = json.loads(capsys.readouterr().out)
-    assert (said["runs"], said["first_seed"], said["scenario"]) == (2, 7, "short")
-    assert json.loads((out / "localisation-check.json").read_text()) == said
-    assert (out / "localisation-check.png").stat().st_size > 10_000
-    rows = (out / NAME).read_text().splitlines(keepends=True)
-    (out / NAME).write_text("".join(rows[:2]))  # as if it had been interrupted
-    command.main(arguments)
-    assert json.loads(capsys.readouterr().out) | {"wall_s": 0.0} == said | {"wall_s": 0.0}
-    after = (out / NAME).read_text().splitlines(keepends=True)
-    assert after[:2] == rows[:2]
-    assert sorted(after) == sorted(rows)
-    with pytest.raises(SystemExit, match="2"):
-        command.main([*arguments, "--sensors", "realistic"])
-    assert "holds another campaign" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("settings", "problem"),
-    [(["--sensors", "perfect"], "perfect"), (["--surface-time-s", "0"], "surface_time_s"), (["--scenario", "x"], "x")],
-)
-def test_bad_input_is_refused_before_a_run_or_a_folder_is_begun(
-    settings: list[str], problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        command.main(["--out", str(tmp_path / "out"), *settings])
-    assert problem in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

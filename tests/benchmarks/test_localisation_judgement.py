@@ -7,28 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.localisation_check.judgement import (
-    MIN_DRAWS,
-    holm,
-    judge,
-    mean_square,
-    p_of_mean,
-    p_of_ratio,
-    p_of_share,
-)
+from benchmarks.localisation_check.judgement import MIN_DRAWS, holm, judge, mean_square, p_of_mean
 from benchmarks.localisation_check.probe import Squares
 
 INSTANTS = 200
 
 
 def runs_of(
-    rng: np.random.Generator,
-    runs: int,
-    *,
-    constant: bool,
-    factor: float = 1.0,
-    dof: int = 3,
-    instants: int = INSTANTS,
+    rng: np.random.Generator, runs: int, *, constant: bool, factor: float = 1.0, dof: int = 3, instants: int = INSTANTS
 ) -> list[Squares]:
     """Return runs whose squares are one draw repeated, or one draw per instant."""
     t, n = np.arange(instants) * 1_000_000_000, np.full(instants, dof)
@@ -55,16 +41,16 @@ def test_independent_draws_of_a_run_are_recognised() -> None:
 @pytest.mark.parametrize("runs", [5, 40])
 @pytest.mark.parametrize("constant", [True, False])
 def test_consistent_squares_are_rejected_as_rarely_as_the_level_says(runs: int, constant: bool) -> None:
-    """Ten means are judged together: at 1 % of 300 checks 3 are rejected in the mean.
+    """Ten means are judged together: at 1 % of 100 checks 1 is rejected in the mean.
 
     With 200 instants the means of independent draws would nearly all be within the tolerance, and never be rejected.
     """
     rng = np.random.default_rng([7, runs, constant])
     rejected = 0
-    for _ in range(300):
+    for _ in range(100):
         means = [mean_square(runs_of(rng, runs, constant=constant, dof=1, instants=20)) for _ in range(10)]
         rejected += any(one.rejected for one in judge([("", mean.value, "", p_of_mean(mean)) for mean in means]))
-    assert rejected <= 10
+    assert rejected <= 5
 
 
 @pytest.mark.parametrize("factor", [1.3**2, 1.3**-2])
@@ -77,10 +63,3 @@ def test_a_noise_that_is_off_by_thirty_per_cent_is_rejected(factor: float) -> No
 def test_p_values_are_adjusted_by_the_method_of_holm() -> None:
     np.testing.assert_allclose(holm([0.01, 0.04, 0.03, 0.005]), [0.03, 0.06, 0.06, 0.02])
     assert holm([0.5, 0.9]).tolist() == [1.0, 1.0]
-
-
-def test_a_share_and_a_ratio_are_rejected_beyond_their_limits_alone() -> None:
-    assert p_of_share(0.90, 400.0) > 0.3
-    assert p_of_share(0.80, 400.0) < 1e-6
-    assert p_of_ratio(1.2, 1.2, 200) > 0.3
-    assert p_of_ratio(1.5, 1.2, 200) < 1e-4

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from importlib import import_module
 from typing import Any
 
@@ -10,8 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import along
-from benchmarks.peers import known, table
-from benchmarks.peers.loop import Entry, Held, closed
+from benchmarks.peers import known
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
@@ -26,9 +24,6 @@ from ltv_mpc.messages import Array, SolveStatus
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.flow import substeps
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.tools.profile import machine_description, problems
-from services.tools.profile.measure import SolverByName
-from services.tools.profile.run import Spread
 
 H = STAGE_NS * 1e-9
 N = 8
@@ -135,94 +130,3 @@ def test_the_symbolic_motion_is_the_controllers() -> None:
     expected = roll_out(X, u, C, np.array([H]), P)[1]
     np.testing.assert_allclose(symbolic.stage(H, substeps(H), P)(X, *u, *C).full().ravel(), expected, atol=1e-12)
     np.testing.assert_allclose(symbolic.stage(H, 1, P)(X, *u, *C).full().ravel(), expected, atol=2e-4)
-
-
-def test_ipopts_duals_move_with_the_plan() -> None:
-    """Each row's dual goes to the row of the same kind a stage earlier: less to do for the next problem."""
-    peer: Any = peer_of("with_casadi")(CONFIG, LIMITS, VEHICLE)
-    solved(peer, *trajectory(0, gap=0.0))
-    before = {name: dual.copy() for name, dual in peer._duals.items()}
-    peer.shift_warm_start(1.1)
-    for name, first, width in (("lam_x0", 0, 10), ("lam_g0", 0, 8), ("lam_g0", 8 * N, 2)):
-        was, now = (duals[name][first : first + width * N].reshape(N, width) for duals in (before, peer._duals))
-        np.testing.assert_array_equal(now[:-1], was[1:])
-        np.testing.assert_array_equal(now[-1], was[-1])
-    assert np.abs(before["lam_g0"]).max() > 0
-    peer.reset_warm_start()
-    assert not peer._duals
-
-
-def test_a_solution_that_is_not_finite_is_none() -> None:
-    class Broken(Peer):
-        name, solves, packages, settings = "broken", "QP", (), ""
-
-        def solve(self) -> Any:
-            return self.answer(np.full((N, 2), np.nan))
-
-    answer = solved(Broken(CONFIG, LIMITS, VEHICLE), *trajectory(0, gap=0.0))
-    assert answer.solve.status is SolveStatus.FAILED
-    assert not answer.z.any()
-
-
-def test_a_peer_that_never_answers_holds_no_line() -> None:
-    """The closed loop is the candidate's own."""
-
-    class Silent(Peer):
-        name, solves, packages, settings = "silent", "QP", (), ""
-
-        def solve(self) -> Any:
-            return self.answer(None, why="nothing to say")
-
-    class Idle(Peer):
-        name, solves, packages, settings = "idle", "QP", (), ""
-
-        def solve(self) -> Any:
-            starts.add(tuple(self.lin.X[0]))
-            return self.answer(self.lin.U[1:])
-
-    starts: set[tuple[float, ...]] = set()
-    episode = problems.simulated(N, 40, seed=0)[2]
-    assert episode.kind == "hard"
-    silent, own = closed(Entry(Silent), episode), closed(SolverByName("osqp"), episode._replace(cycles=40))
-    assert silent.unsolved == episode.cycles + 1
-    assert closed(Entry(Idle), episode).unsolved == 0
-    assert len(starts) > episode.cycles  # each problem has the start of its own cycle
-    assert own.unsolved == 0
-    assert silent.thrust_N < 0.1 < own.thrust_N
-    assert own.off_m < silent.off_m
-
-
-def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        known, "find_spec", lambda package: None if package in ("qpmpc", "casadi", "cvxpy") else "there"
-    )
-    there, missing = known.installed()
-    assert [peer.__name__ for peer in there] == ["ScipyLeastSquares"]
-    assert missing == ["with_qpmpc", "with_cvxpy", "with_casadi", "with_do_mpc"]
-
-
-def test_the_table_has_time_beside_error() -> None:
-    def line(name: str, solves: str, median_us: float, off_m: float) -> table.Line:
-        return table.Line(
-            name=name,
-            solves=solves,
-            settings=f"settings of {name}",
-            cycle_us=Spread(median=median_us, p90=0.0, p99=2 * median_us, max=0.0),
-            repeated_us=Spread(median=math.sqrt(median_us), p90=0.0, p99=0.0, max=0.0),
-            flushed_us=Spread(median=median_us + 1000.0, p90=0.0, p99=0.0, max=0.0),
-            thrust_error_N=Spread(median=0.0, p90=0.0, p99=0.0123, max=0.0),
-            held={"descent": Held(off_m, 11.0, 1), "hard": Held(2 * off_m, 22.0, 2)},
-        )
-
-    here = machine_description.machine(machine_description.load(), ("numpy", "casadi"))
-    text = table.markdown(
-        [line("ours", "QP", 80.0, 0.05), line("theirs", "NLP", 4000.0, 0.06)],
-        title="T",
-        notes=["N"],
-        machine=here,
-        packages=("numpy", "casadi"),
-    )
-    assert "| ours | QP | 0.08 | 0.16 | 1, 1, 1 | 0.012 | 0.050 | 0.100 | 11.0 / 22.0 | 3 |" in text
-    assert "| theirs | NLP | 4 | 8 | 7.07, 50, 4.63 |  | 0.060 | 0.120 | 11.0 / 22.0 | 3 |" in text
-    assert "| theirs | settings of theirs |" in text
-    assert f"numpy {np.__version__}, casadi " in text

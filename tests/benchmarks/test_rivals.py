@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import msgspec
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 from benchmarks.loop import run_config
 from benchmarks.rivals import law, lqr, mpc, pid
-from benchmarks.rivals.search import Span, search
 from ltv_mpc.messages import CurrentProfile, Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -59,34 +57,3 @@ def test_the_gain_is_stable_at_every_speed_of_the_water_and_does_nothing_at_the_
     assert pair == pytest.approx((0.5 * 500.0 * 0.1**2,) * 2, abs=1e-9)  # head into the current, against the drag
     north = made.thrust(msgspec.structs.replace(still, current=current), (-0.1, 0.0))
     assert min(north) > max(pair)  # the target is ahead
-
-
-def test_a_pid_turns_the_shorter_way_and_pushes_astern_for_what_is_behind() -> None:
-    vehicle = Vehicle.load("paper")
-    ahead, behind, to_starboard = (
-        pid.Pid(vehicle, GAINS).thrust(Estimate.at_rest(), target) for target in ((0.1, 0.0), (-0.1, 0.0), (0.1, 0.05))
-    )
-    assert ahead[0] == ahead[1] == pytest.approx(0.5 * 200.0 * 0.1)
-    assert behind[0] == behind[1] == pytest.approx(-0.5 * 200.0 * 0.1)
-    assert to_starboard[0] > to_starboard[1]
-
-
-def test_the_actuators_take_a_law_no_further_than_their_slew() -> None:
-    u = law.ramped(np.array([0.0, 10.0, 0.0]), np.array([5.0, -50.0, 1.0]), np.full(3, 100.0), np.array([0.0, 0.1]))
-    np.testing.assert_allclose(u, [[0.0, 10.0, 0.0], [5.0, 0.0, 1.0]])
-
-
-def test_the_search_finds_a_minimum_over_decades_within_its_budget() -> None:
-    asked = 0
-
-    def costs(trials: Sequence[dict[str, float]]) -> list[float]:
-        nonlocal asked
-        asked += len(trials)
-        costs = [math.log10(one["a"] / 30.0) ** 2 + math.log10(one["b"] / 0.02) ** 2 for one in trials]
-        return [math.nan if one["a"] > 5000.0 else cost for one, cost in zip(trials, costs, strict=True)]
-
-    found = search({"a": Span(0.1, 10_000.0), "b": Span(1e-4, 1.0)}, costs, budget=64, seed=1)
-    assert asked == len(found.history) == 64
-    assert found.history == sorted(found.history, reverse=True)
-    assert found.cost == found.history[-1] < 0.01 < found.history[10]
-    assert found.values["a"] == pytest.approx(30.0, rel=0.3)

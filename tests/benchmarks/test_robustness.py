@@ -140,3 +140,4 @@ def test_the_table_begins_with_the_rows_in_which_a_rival_is_better() -> None:
     assert page.cases_table(found).splitlines()[2] == "| ahead | 0.100 | 0.100 | 0.200 | 0.300 |"
     assert "in 1 of 3 rows" in page.summary(found)
     assert '"arrival_s": null' in page.as_json(found)
+    assert page.from_json([page.as_json(found)]) == found

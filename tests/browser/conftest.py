@@ -18,7 +18,8 @@ import pytest
 
 from services.cli import app
 from services.supervisor import loopback
-from tests.services.dashboard.synthetic_vehicle import Served, served, until
+from tests.services.dashboard.synthetic_vehicle import Served, served
+from tests.waiting import until
 
 SCREEN, TABLET, PHONE = (1280, 800), (768, 1024), (390, 844)
 SCHEMES = ["light", "dark"]

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from tests.browser.conftest import SCHEMES, SCREEN, background, ended, looks, tab
-from tests.services.dashboard.synthetic_vehicle import Served, until
+from tests.services.dashboard.synthetic_vehicle import Served
+from tests.waiting import until
 
 AXE = Path(__file__).parent / "node_modules" / "axe-core" / "axe.min.js"
 

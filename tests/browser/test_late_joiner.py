@@ -11,10 +11,11 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.dashboard.bus_feed import BusFeed
 from services.supervisor import loopback
 from tests.browser.conftest import SCREEN, looks, tab
-from tests.services.dashboard.synthetic_vehicle import serving, until
+from tests.services.dashboard.synthetic_vehicle import serving
 from tests.services.dashboard.test_late_joining import END_S, JOIN_S, recorded_dive, verdict
 from tests.services.reporting.synthetic_run import CYCLE_NS, SPEED_NORTH_MPS, S
 from tests.services.words import status
+from tests.waiting import until
 
 FIGURE = """name => {
   const row = [...document.querySelectorAll("#facts div")].find(row => row.firstChild.textContent === name);

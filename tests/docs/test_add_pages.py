@@ -1,4 +1,4 @@
-"""The pages "How to add ...": the example of each, built from the page alone, works, and the page is short."""
+"""The pages "How to add ...": the example of each, built from the page alone, works."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.docs.changed_tree import build, run
-from tests.docs.pages import NAMES, ROOT, prose
-
-MAX_WORDS = 400
+from tests.docs.pages import NAMES, ROOT
 
 DIVE = """
 import json
@@ -178,7 +176,6 @@ def test_the_example_of_the_page_works(page: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page", [name for name in NAMES if name.startswith("docs/add-")])
-def test_the_page_is_short_and_has_a_test(page: str) -> None:
-    assert len(" ".join(text for _, text in prose(page)).split()) <= MAX_WORDS
+def test_the_page_has_a_test(page: str) -> None:
     assert page in OF_EACH or page in ELSEWHERE
     assert f"]({Path(page).name})" in (ROOT / "docs" / "index.md").read_text(encoding="utf-8")

@@ -44,10 +44,7 @@ UNTIL_STOPPED = "a process that runs until it is stopped; tests/system, tests/se
 MINUTES = "takes minutes; a short one is run by"
 ELSEWHERE = "needs another host, or somebody else's program"
 NOT_RUN = (
-    (
-        r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|ros2|mavlink|dashboard|watch)\b",
-        UNTIL_STOPPED,
-    ),
+    (r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|ros2|mavlink|dashboard|watch)\b", UNTIL_STOPPED),
     (r"ltv-mpc ctl\b", "needs a running controller; tests/services/cli/test_ctl.py has one"),
     (r"ltv-mpc dive plan\b", f"{MINUTES} tests/services/tools/dive_plan"),
     (r"ltv-mpc campaign\b", f"{MINUTES} tests/services/campaign"),
@@ -132,14 +129,6 @@ def test_every_command_between_backticks_exists_with_its_options(page: str) -> N
             assert found[1] in targets, f"{page}:{number}: {text}"
         elif found := re.match(r"python -m (benchmarks\.[\w.]+)(.*)", text):
             benchmark(found[1], found[2].split(), f"{page}:{number}")
-
-
-def test_everything_that_is_not_run_is_there_to_be_not_run() -> None:
-    """An entry that no page needs would hide the next command that looks like it."""
-    typed = [command.text.removeprefix(".venv/bin/") for command in every_command()]
-    whole = [command.text for command in every_command()]
-    for pattern, _ in NOT_RUN:
-        assert any(re.match(pattern, text) for text in (*typed, *whole)), pattern
 
 
 # --- what is typed ---------------------------------------------------------------------------------------------------
@@ -236,12 +225,6 @@ def write_toml(text: str, folder: Path, page: str, place: str) -> None:
 # --- the command line ------------------------------------------------------------------------------------------------
 
 
-def every_command() -> list[Command]:
-    return [
-        command for page in NAMES for block in blocks(page) if block.language == "sh" for command in commands(block)
-    ]
-
-
 @cache
 def tree() -> Any:
     """Return the tree of all commands."""
@@ -319,8 +302,3 @@ def absent(text: str) -> list[str]:
 @pytest.mark.parametrize("page", NAMES)
 def test_every_file_that_a_page_names_exists_or_has_its_version(page: str) -> None:
     assert absent("\n".join(line for _, line in prose(page))) == []
-
-
-def test_a_command_whose_file_is_gone_is_noticed() -> None:
-    assert absent("`python -m benchmarks.gone --seeds 3` and `tests/gone.py`") == ["benchmarks.gone", "tests/gone.py"]
-    assert absent("`benchmarks/gone.py --seeds 3` of version 650b3753, `python -m benchmarks.loop`") == []

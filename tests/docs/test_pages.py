@@ -1,4 +1,4 @@
-"""Pages: each begins with its question, is as long as its kind allows, and is written in plain modern English."""
+"""Pages: each begins with its question and is written in plain modern English."""
 
 from __future__ import annotations
 
@@ -6,14 +6,8 @@ import re
 
 import pytest
 
-from tests.docs.pages import NAMES, ROOT, blocks
-from tests.docs.readability import UNIDIOMATIC
-
-EXPLANATION = "Why and how"
-"""Caption of the explanation pages in the table of contents."""
-
-MAX_EXPLANATION, MAX_README = 1500, 900
-"""Largest number of words: texts between spaces that contain a letter. Links count without their targets."""
+from tests.docs.pages import NAMES, ROOT
+from tests.docs.test_readability import UNIDIOMATIC
 
 NOTES = "docs/notes/"
 WITHOUT_QUESTION = ("README.md", "docs/changes.md", "docs/contributing.md")  # the last two include a file
@@ -44,21 +38,6 @@ def without_code(text: str) -> str:
     return re.sub(r"<!--.*?-->|```.*?```|`[^`]*`", "", text, flags=re.DOTALL)
 
 
-def count_words(text: str) -> int:
-    return sum(bool(re.search(r"[A-Za-z]", word)) for word in re.sub(r"\]\([^)]*\)", "]", text).split())
-
-
-def pages_below(caption: str) -> list[str]:
-    """Return the pages of the site below a caption of the table of contents."""
-    return [
-        f"docs/{line}.md"
-        for block in blocks("docs/index.md")
-        if f":caption: {caption}\n" in block.text
-        for line in block.text.split("\n")
-        if line and not line.startswith((":", "notes/"))
-    ]
-
-
 @pytest.mark.parametrize("page", [page for page in PAGES if page not in WITHOUT_QUESTION])
 def test_a_page_begins_with_the_question_that_it_answers(page: str) -> None:
     first = " ".join(re.split(r"\n\n", text_of(page), maxsplit=2)[1].split())
@@ -69,30 +48,6 @@ def test_a_page_begins_with_the_question_that_it_answers(page: str) -> None:
 def test_a_note_has_question_method_result_decision_date_and_version(page: str) -> None:
     text = text_of(page)
     assert [label for label, begin in NOTE.items() if not re.search(rf"\*\*{label}\.\*\*{begin}", text)] == []
-
-
-def test_an_explanation_is_short_enough_to_be_read_in_one_go() -> None:
-    explanations = pages_below(EXPLANATION)
-    assert len(explanations) >= 8, explanations
-    lengths = {page: count_words(re.sub(r"```.*?```", "", text_of(page), flags=re.DOTALL)) for page in explanations}
-    assert {page: words for page, words in lengths.items() if words > MAX_EXPLANATION} == {}
-
-
-def test_readme_has_at_most_900_words_with_its_code_and_tables() -> None:
-    assert count_words(text_of("README.md")) <= MAX_README
-
-
-def test_readme_keeps_its_order() -> None:
-    headings = re.findall(r"^## (.*)$", text_of("README.md"), re.MULTILINE)
-    assert headings == [
-        "Try it",
-        "Use it from Python",
-        "Run it on your vehicle",
-        "What is measured",
-        "How it compares",
-        "Limits",
-        "Read on",
-    ]
 
 
 @pytest.mark.parametrize("page", [*PAGES, "CHANGELOG.md"])

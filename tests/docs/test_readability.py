@@ -1,136 +1,123 @@
-"""Readability: the figures of ``readability.py`` stay below their limits, and each check finds what it looks for."""
+"""Readability of the code: docstrings are statements in plain modern English, functions and classes are short.
+
+Ruff checks the number of parameters and that every public name of ltv_mpc has a docstring.
+"""
 
 from __future__ import annotations
 
 import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
 
 import pytest
 
-from tests.docs import readability
-from tests.docs.readability import OF_CODE, OF_TESTS, Place, Source
+ROOT = Path(__file__).resolve().parents[2]
+MAX_FUNCTION_LINES, MAX_ATTRIBUTES = 60, 12
+MAX_WITHOUT_PARAMETERS = 20  # overrides, which say nothing again; the limit is never raised
 
-# Highest number of places allowed. A limit is lowered when the code has become better; it is never raised.
-LIMITS = {
-    "docstrings that open with a fragment": 0,
-    "unidiomatic words": 0,
-    "public names of ltv_mpc without a docstring": 0,
-    "public functions of ltv_mpc without a Parameters section": 20,  # overrides, which say nothing again
-    "functions above 60 lines": 0,
-    "functions with more than 8 parameters": 0,
-    "classes with more than 12 attributes": 0,
-    "folders of services that import each other": 0,
-    "private attributes in tests": 20,
-    "patched names in tests": 40,
-    "names of tests above 80 characters": 0,
-}
+Function: TypeAlias = ast.FunctionDef | ast.AsyncFunctionDef
+Documented: TypeAlias = ast.Module | ast.ClassDef | Function
 
-# Places that may stay as they are and are not counted: figure, then file and name, then the reason.
-EXCEPTIONS: dict[str, dict[str, str]] = {
-    "functions above 60 lines": {
-        "services/cli/bus.py _block": "the block of bus options, each with its help text",
-    },
-    "functions with more than 8 parameters": {
-        "services/cli/start.py sim": "a typer command declares each of its options as a parameter",
-        "services/cli/ros2.py ros2": "a typer command declares each of its options as a parameter",
-        "services/cli/dive.py plan_": "a typer command declares each of its options as a parameter",
-        "services/cli/vehicle.py controller": "a typer command declares each of its options as a parameter",
-        "ltv_mpc/vehicle/dynamics.py rates": "innermost kernel of every cycle; the reason is at the function",
-        "ltv_mpc/vehicle/flow.py advance_by": "innermost kernel; the head of its file says why",
-        "ltv_mpc/vehicle/sensitivity.py linearise_stage": "innermost kernel; the head of its file says why",
-    },
-}
+# A docstring that opens with one of these continues the name above it instead of making a statement of its own.
+FRAGMENT = re.compile(
+    r"(?:Of|What|Whether|Than|So|Those|Which|Who|Whom|Whose|Where|Its|By|Into|Onto|From|As|Unlike|Besides|Without|With"
+    r"|In|On|At|To|For|Before|After|Until|Since|While|Once|Not|Nothing|How|And|Or|But|Here|There|Other|None|Towards"
+    r"|Over|Under)\b"
+)
+# The summary of a function is a command; one that opens with an article or a quantity lacks the verb.
+WITHOUT_VERB = re.compile(r"(?:The|An?|One|All|Each|Every|Another)\b")
+UNIDIOMATIC = re.compile(
+    r"\b(?:said|told|tells|heard|hears|anew|whoever|shall|foretold|unheard|unsaid|doubted|thereby|thereof|wherein|lest"
+    r"|begun|of themselves|goes on|go on from|let in|turned back|made up(?! of)|is worth|lets? (?:the thrusters )?go"
+    r"|by turns|the other way round|comes? to nothing|in the midst|none of its)\b"
+)
+PARAMETERS = re.compile(r"^\s*Parameters\n\s*-{3,}", re.MULTILINE)
 
 
-def _key(place: Place) -> str:
-    return f"{place.path} {place.text.partition(':')[0]}"
+class Named(NamedTuple):
+    """Definition in a file, with its docstring."""
+
+    path: str
+    node: Documented
+    docstring: str
+
+    def __str__(self) -> str:
+        return f"{self.path} {getattr(self.node, 'name', 'module')}"
+
+
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield a node and all statements in it, without their expressions, which are most of a tree."""
+    yield node
+    for name in ("body", "orelse", "handlers", "finalbody", "cases"):
+        for child in getattr(node, name, ()):
+            yield from statements(child)
 
 
 @pytest.fixture(scope="module")
-def figures() -> dict[str, list[Place]]:
-    return readability.figures()
+def texts() -> dict[str, str]:
+    """Return the text of each file of the three packages."""
+    paths = (path for package in ("ltv_mpc", "sim", "services") for path in sorted((ROOT / package).rglob("*.py")))
+    return {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in paths}
 
 
-@pytest.mark.parametrize("figure", LIMITS)
-def test_no_figure_is_above_its_limit(figure: str, figures: dict[str, list[Place]]) -> None:
-    counted = [place for place in figures[figure] if _key(place) not in EXCEPTIONS.get(figure, {})]
-    listed = "\n".join(map(str, counted))
-    assert len(counted) <= LIMITS[figure], f"{len(counted)} {figure}, at most {LIMITS[figure]}:\n{listed}"
+@pytest.fixture(scope="module")
+def names(texts: dict[str, str]) -> list[Named]:
+    return [
+        Named(path, node, ast.get_docstring(node) or "")
+        for path, text in texts.items()
+        for node in statements(ast.parse(text))
+        if isinstance(node, Documented)
+    ]
 
 
-def test_every_figure_has_a_limit() -> None:
-    assert LIMITS.keys() == OF_CODE.keys() | OF_TESTS.keys()
+def is_fragment(node: Documented, summary: str) -> bool:
+    is_property = any("property" in ast.unparse(each) for each in getattr(node, "decorator_list", ()))
+    verb_missing = isinstance(node, Function) and not is_property and WITHOUT_VERB.match(summary)
+    lower_case = summary[:1].islower() and "=" not in summary  # a summary may be an equation
+    return bool(FRAGMENT.match(summary) or verb_missing or lower_case)
 
 
-def test_every_exception_is_still_needed(figures: dict[str, list[Place]]) -> None:
-    for figure, places in EXCEPTIONS.items():
-        assert places.keys() <= {_key(place) for place in figures[figure]}
+def test_the_first_line_of_a_docstring_is_a_whole_statement(names: list[Named]) -> None:
+    assert [str(of) for of in names if of.docstring and is_fragment(of.node, of.docstring.splitlines()[0])] == []
 
 
-# --- the checks themselves -------------------------------------------------------------------------------------------
+def test_docstrings_and_comments_have_no_unidiomatic_word(names: list[Named], texts: dict[str, str]) -> None:
+    assert [f"{of}: {word}" for of in names for word in UNIDIOMATIC.findall(of.docstring)] == []
+    comments = [(path, line.partition("# ")[2]) for path, text in texts.items() for line in text.splitlines()]
+    assert [(path, comment) for path, comment in comments if UNIDIOMATIC.search(comment)] == []
 
 
-def _source(text: str, path: str = "ltv_mpc/sample.py") -> list[Source]:
-    return [Source(path, text, ast.parse(text))]
+def test_public_functions_of_the_library_describe_their_parameters(names: list[Named]) -> None:
+    found = [
+        str(of)
+        for of in names
+        if isinstance(of.node, Function) and of.path.startswith("ltv_mpc/") and not of.node.name.startswith("_")
+        if sum(map(len, (of.node.args.posonlyargs, of.node.args.args, of.node.args.kwonlyargs))) > 1
+        if of.docstring and not PARAMETERS.search(of.docstring)
+    ]
+    assert len(found) <= MAX_WITHOUT_PARAMETERS, found
 
 
-@pytest.mark.parametrize(
-    ("summary", "is_fragment"),
-    [
-        ("Return the thrust (N).", False),
-        ("F = M a", False),
-        ("x' = f(x, F, c), the horizontal motion.", False),
-        ("Of one filter.", True),
-        ("Whether it fits.", True),
-        ("The state at the end.", True),
-        ("state at the end.", True),
-        ("Offset of the clock.", False),
-    ],
-)
-def test_a_fragment_is_a_summary_that_is_no_statement(summary: str, is_fragment: bool) -> None:
-    text = f'def f():\n    """{summary}"""\n'
-    assert bool(readability.fragments(_source(text))) == is_fragment
+def lines(node: ast.stmt) -> int:
+    return (node.end_lineno or node.lineno) - node.lineno + 1
 
 
-def test_a_property_or_a_class_may_open_with_an_article() -> None:
-    text = 'class C:\n    """The vehicle."""\n    @property\n    def mass(self):\n        """The mass (kg)."""\n'
-    assert not readability.fragments(_source(text))
-
-
-@pytest.mark.parametrize(
-    ("check", "bad", "good"),
-    [
-        (readability.unidiomatic_words, "x = 1  # as was said", "x = 'as was said'"),
-        (readability.unidiomatic_words, '"""Begun anew."""', '"""Started again, made up of parts."""'),
-        (readability.missing_docstrings, "def f(): ...", "def _f(): ..."),
-        (
-            readability.undescribed_parameters,
-            'def f(a, b):\n    """Add."""',
-            'def f(a, b):\n    """Add.\n\n    Parameters\n    ----------\n    a, b : terms.\n    """',
-        ),
-        (readability.long_functions, "def f():\n" + 60 * "    x = 1\n", "def f():\n" + 59 * "    x = 1\n"),
-        (
-            readability.many_parameters,
-            "def f(a, b, c, d, e, *, g, h, i, j): ...",
-            "def f(a, b, c, d, e, *, g, h, i): ...",
-        ),
-        (
-            readability.many_attributes,
-            "class C:\n    def f(self):\n" + "".join(f"        self.a{i} = 0\n" for i in range(13)),
-            "class C:\n    def f(self):\n" + "".join(f"        self.a{i} = 0\n" for i in range(12)),
-        ),
-        (readability.private_attributes, f"node.{'_state'}", "self._state"),
-        (readability.private_attributes, f"node.{'_replaced'}", "pair._replace(x=1)"),
-        (readability.patched_names, f"{'monkeypatch'}.setattr(m, 'f', g)", "monkeypatch.setenv('A', 'b')"),
-        (readability.long_test_names, f"def test_{76 * 'x'}(): ...", f"def test_{75 * 'x'}(): ..."),
-    ],
-)
-def test_each_check_finds_its_fault_and_nothing_else(check, bad, good) -> None:  # type: ignore[no-untyped-def]
-    assert check(_source(bad))
-    assert not check(_source(good))
-
-
-def test_folders_that_import_each_other_are_found() -> None:
-    one = _source("from services.bus.wire import decode\n", "services/run/summary.py")
-    other = _source("from services.run.summary import of_recording\n", "services/bus/wire.py")
-    assert len(readability.mutual_imports(one + other)) == 2
-    assert not readability.mutual_imports(one)
+def test_functions_are_short_and_classes_have_few_attributes(names: list[Named]) -> None:
+    long = [
+        str(of)
+        for of in names
+        if isinstance(of.node, Function)
+        and lines(of.node) - bool(of.docstring) * lines(of.node.body[0]) > MAX_FUNCTION_LINES
+    ]
+    assert long == []
+    for of in (of for of in names if isinstance(of.node, ast.ClassDef)):
+        assigned = (node for node in ast.walk(of.node) if isinstance(node, ast.Assign | ast.AnnAssign))
+        targets = (
+            ast.unparse(each)
+            for node in assigned
+            for each in (node.targets if isinstance(node, ast.Assign) else [node.target])
+        )
+        own = {target for target in targets if target.startswith("self.") and target[5:].isidentifier()}
+        assert len(own) <= MAX_ATTRIBUTES, str(of)

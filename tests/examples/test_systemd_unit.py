@@ -20,6 +20,17 @@ FOLDER = Path(__file__).parents[2] / "examples" / "systemd"
 UNIT = FOLDER / "ltv-mpc-controller.service"
 UNITS = sorted(FOLDER.glob("*.service"))
 PAGE = FOLDER.parents[1] / "docs" / "boat.md"
+SANDBOX = (
+    *("ProtectHome", "PrivateTmp", "NoNewPrivileges", "CapabilityBoundingSet", "RestrictAddressFamilies"),
+    *(
+        "RestrictNamespaces",
+        "SystemCallFilter",
+        "ProtectKernelTunables",
+        "ProtectControlGroups",
+        "ProtectKernelModules",
+    ),
+    *("ProtectKernelLogs", "ProtectClock", "PrivateDevices", "RestrictSUIDSGID", "SystemCallArchitectures"),
+)
 PROGRAM = "/opt/ltv-mpc/bin/ltv-mpc"
 
 
@@ -53,7 +64,7 @@ def service_of(unit: Path) -> dict[str, str]:
 def options() -> dict[str, str]:
     """Return the lines of the options file, as if none were a comment."""
     text = (FOLDER / "options.env").read_text()
-    return dict(re.findall(r"^#?([A-Z_]+)=(.*)$", text, re.MULTILINE))
+    return dict(re.findall(r"^#?([A-Z0-9_]+)=(.*)$", text, re.MULTILINE))
 
 
 def parameters(unit: Path, given: dict[str, str]) -> dict[str, Any]:
@@ -74,6 +85,16 @@ def parameters(unit: Path, given: dict[str, str]) -> dict[str, Any]:
 def test_its_command_exists_with_the_options_of_the_file_and_without(unit: Path) -> None:
     assert parameters(unit, {})["certs"] is None
     assert parameters(unit, options())["certs"] == Path("/etc/ltv-mpc/certs")
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+def test_it_may_write_only_where_systemd_lets_it(unit: Path) -> None:
+    assert set(SANDBOX) <= set(service_of(unit))
+    assert service_of(unit)["ProtectSystem"] == "strict"
+    if shutil.which("systemd-analyze") is not None:
+        command = ["systemd-analyze", "security", "--offline=true", "--threshold=30", str(unit)]  # 3.0
+        answer = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert answer.returncode == 0, answer.stdout[-300:]
 
 
 def test_every_option_of_the_file_is_used_by_a_unit() -> None:
@@ -98,5 +119,5 @@ def test_the_controller_resumes_armed_from_the_folder_that_systemd_keeps() -> No
 def test_each_setting_has_its_reason_on_the_page() -> None:
     page = PAGE.read_text()
     for name in re.findall(r"^(\w+)=", UNIT.read_text().partition("[Service]")[2], re.MULTILINE):
-        if name not in ("ExecStart", "StateDirectory", "Environment", "User", "WantedBy"):
+        if name not in ("ExecStart", "StateDirectory", "Environment", "User", "WantedBy", *SANDBOX):
             assert f"`{name}" in page, name

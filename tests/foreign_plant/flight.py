@@ -30,7 +30,6 @@ from services.runtime.clock_offset import ClockOffset
 from services.runtime.clock_sync import ClockSync
 from services.runtime.saved_state import SavedState
 from tests.foreign_plant.plant import STEP_NS, Actuators, Hull, Sender
-from tests.stepping import step
 
 HERE = Path(__file__).parent
 HULL, SQUARE = HERE / "hull.toml", HERE / "square.toml"
@@ -208,7 +207,7 @@ class Flight:
         if self._sequence == 0 and self._saved is not None:
             state = self._saved.restored(t_ns, self.host_us, own_clock=True)
             inbox = inbox if state is None else [ReceivedMessage(state, self.epoch, 0, t_ns), *inbox]
-        outputs = step(self.node, t_ns, inbox)
+        outputs = self.node.step(t_ns, inbox)
         if self.node.active_source is not None:
             self._sync.follow_source(self.node.active_source.epoch, self.host_us)
         for message in outputs:

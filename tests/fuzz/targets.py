@@ -76,7 +76,6 @@ from tests.fuzz.mutate import Random
 from tests.recorded.pd0_writer import Head, Written, written
 from tests.services.bus.messages import EXAMPLES, HEADER
 from tests.services.edges.ros2.test_ros2 import odometry
-from tests.stepping import step
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -431,7 +430,7 @@ def command() -> Target:
         if count % 50 == 0:
             here = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), t_ns=t_ns)
             inbox.append(ReceivedMessage(here, 1, count, t_ns))
-        return step(node, t_ns, inbox)
+        return node.step(t_ns, inbox)
 
     def check(said: Sequence[Message]) -> None:
         for signal in said:

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import datetime
 import os
 import tomllib
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from ltv_mpc import config
 from ltv_mpc.config import missing_file_hint
 from ltv_mpc.control.config import ControllerConfig, WeightSettings
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.references import Hold, Point, Reference
+from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 
 PAPER = (Path(config.__file__).parent / "vehicle" / "files" / "paper.toml").read_text()
@@ -77,10 +72,7 @@ def test_a_mistake_in_a_vehicle_is_found_at_its_place(before: str, after: str, s
         ("", 'reference r.toml: key "kind" is missing: must be "point" or "hold" or "line" or'),
         ('kind = "holt"', 'reference r.toml: kind = "holt": must be "point" or "hold" or "line" or'),
         ('kind = "hold"\ndepth_m = -1', "reference r.toml: depth_m = -1: must be >= 0 and <= 11000"),
-        (
-            'kind = "point"\nnorth_m = 1',
-            "reference r.toml: a position needs north_m and east_m, or latitude_deg and longitude_deg",
-        ),
+        ('kind = "point"\nnorth_m = 1', "reference r.toml: a position needs north_m and east_m, or latitude_deg and"),
         ('kind = "hold"\nnorth_m = 1', 'reference r.toml: unknown key "north_m"; known: kind, start_s,'),
     ],
 )
@@ -169,57 +161,6 @@ def test_what_is_written_is_read_back_bit_for_bit() -> None:
     assert config.parse(tomllib.loads(config.to_toml(settings_)), ControllerConfig, source="x") == settings_
     point = Point(north_m=1.0, east_m=2.0)
     assert config.parse(tomllib.loads(config.to_toml(point)), Reference, source="x") == point  # None is left out
-
-
-scalars = (
-    st.none()
-    | st.booleans()
-    | st.integers()
-    | st.floats()
-    | st.text(max_size=8)
-    | st.sampled_from(
-        [10**400, datetime.date(2020, 1, 1), datetime.time(1), datetime.datetime(2020, 1, 1), -0.0, 1e308]
-    )
-)
-KINDS = (ControllerConfig, EstimatorConfig, WeightSettings, Vehicle, SensorConfig, Point, Hold, Reference)
-NAMES = sorted(
-    {f.name for k in KINDS[:-1] for f in msgspec.structs.fields(k)} | {"kind", "port", "mass_kg", "lever_arm_m"}
-)
-keys = st.sampled_from(NAMES) | st.text(max_size=5)
-flat = scalars | st.lists(scalars, max_size=3) | st.dictionaries(keys, scalars, max_size=5)
-tables = flat | st.lists(flat, max_size=3) | st.dictionaries(keys, flat, max_size=5)
-
-
-def outcome(table: dict[str, Any], kind: Any) -> str:
-    """``""`` where it was accepted, else the refusal; anything but a ``ConfigError`` fails the test."""
-    try:
-        config.parse(table, kind, source="settings x.toml")
-    except ConfigError as error:
-        return str(error)
-    return ""
-
-
-@settings(max_examples=400, deadline=None)
-@given(table=st.dictionaries(keys, tables, max_size=6), kind=st.sampled_from(KINDS))
-def test_whatever_a_table_holds_it_is_a_struct_or_a_config_error(table: dict[str, Any], kind: Any) -> None:
-    refusal = outcome(table, kind)
-    assert refusal.startswith("settings x.toml: ") or refusal == ""
-    assert refusal.isprintable()
-
-
-@settings(max_examples=200, deadline=None)
-@given(data=st.data())
-def test_one_changed_value_in_a_good_file_is_accepted_or_named(data: st.DataObject) -> None:
-    table = tomllib.loads(PAPER)
-    inner = table
-    while True:
-        key = data.draw(st.sampled_from(sorted(inner)))
-        if not isinstance(inner[key], dict) or data.draw(st.booleans()):
-            break
-        inner = inner[key]
-    inner[key] = data.draw(tables)
-    refusal = outcome(table, Vehicle)
-    assert refusal == "" or key in refusal
 
 
 def test_a_missing_file_error_names_the_similar_file_or_the_missing_folder(tmp_path: Path) -> None:

@@ -12,16 +12,7 @@ import pytest
 from msgspec import Meta
 
 from ltv_mpc.array_encoding import to_wire
-from ltv_mpc.messages import (
-    AdcpPing,
-    BottomTrack,
-    Clock,
-    ControllerState,
-    ControllerStatus,
-    Estimate,
-    Message,
-    Plan,
-)
+from ltv_mpc.messages import AdcpPing, BottomTrack, Clock, ControllerState, ControllerStatus, Estimate, Message, Plan
 from ltv_mpc.validation import RELATIONS, Bounds, bounds, rejection_reason, validator
 from services.bus.topics import TOPICS
 from services.bus.wire import WireError, from_map

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import email
-import re
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -62,16 +60,6 @@ def files(root: Path) -> set[str]:
     }
 
 
-def empty(tree: Path) -> Path:
-    """Return a copy of the project without its code."""
-    for package in PACKAGES:
-        (tree / package).mkdir(parents=True)
-        (tree / package / "__init__.py").touch()
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, tree)
-    return tree
-
-
 def test_it_holds_the_three_packages_whole_and_nothing_else(ours: zipfile.ZipFile) -> None:
     """Vehicles, sensors, references, scenarios, pages and styles are files of the packages."""
     code = {name for name in ours.namelist() if ".dist-info/" not in name}
@@ -103,21 +91,6 @@ def test_its_name_is_nobody_else_s_and_its_command_is_there(ours: zipfile.ZipFil
     (entries,) = (name for name in ours.namelist() if name.endswith("entry_points.txt"))
     assert "ltv-mpc = services.cli.app:main" in ours.read(entries).decode()
     assert any(name.endswith("licenses/LICENSE") for name in ours.namelist())
-
-
-def test_a_tree_without_git_is_built_as_what_the_next_release_will_be_called(tmp_path: Path) -> None:
-    tree = empty(tmp_path / "tree")
-    assert re.fullmatch(r"\d+\.\d+\.\d+\.dev0", metadata(wheel(tree, tmp_path))["Version"])
-
-
-def test_the_tag_is_the_version_and_a_commit_behind_it_is_in_it(tmp_path: Path) -> None:
-    tree = empty(tmp_path / "tree")
-    git = ("git", "-C", tree, "-c", "user.name=nobody", "-c", "user.email=nobody@localhost")
-    for words in ("init --quiet", "add .", "commit --quiet -m first", "tag v3.1.4"):
-        subprocess.run([*git, *words.split()], check=True, capture_output=True)
-    assert metadata(wheel(tree, tmp_path))["Version"] == "3.1.4"
-    subprocess.run([*git, "commit", "--quiet", "--allow-empty", "-m", "second"], check=True, capture_output=True)
-    assert re.fullmatch(r"3\.1\.5\.dev1\+g[0-9a-f]{7,}", metadata(wheel(tree, tmp_path))["Version"])
 
 
 @pytest.mark.parametrize(

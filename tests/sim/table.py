@@ -8,7 +8,6 @@ import numpy as np
 
 from ltv_mpc.messages import Message, Plan, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.node import Inbox, Schedule
-from tests.stepping import OneByOne
 
 MS = 1_000_000
 
@@ -26,7 +25,7 @@ def plan(cycle_t_ns: int, estimate_t_ns: int) -> Plan:
     )
 
 
-class Fake(OneByOne):
+class Fake:
     """A node that answers with a function and keeps what it was handed."""
 
     def __init__(

@@ -60,24 +60,6 @@ def constant(seconds: float, *thrust: float) -> np.ndarray:
     return np.tile(thrust, (round(seconds / H) + 1, 1))
 
 
-def test_full_ahead_reaches_half_a_metre_a_second():
-    states, _, thrusts = travel([0] * 8, constant(60, 62.5, 62.5, 0), PAPER)
-    assert states[-1, 2] == pytest.approx(0.5, abs=1e-4)
-    np.testing.assert_allclose(thrusts[-1, :2], 62.5, atol=1e-3)
-    np.testing.assert_allclose(states[:, [1, 3, 4, 5]], 0.0)
-
-
-def test_full_vertical_thrust_sinks_at_a_fifth_of_a_metre_a_second():
-    states, _, _ = travel([0] * 8, constant(30, 0, 0, 62.5), PAPER)
-    assert states[-1, 7] == pytest.approx(0.2, abs=1e-5)
-
-
-def test_port_thrust_turns_to_starboard():
-    states, _, _ = travel([0] * 8, constant(3, 20, 0, 0), PAPER)
-    assert states[-1, 4] > 0.01
-    assert states[-1, 1] > 0
-
-
 def test_without_drag_and_thrust_kinetic_energy_is_conserved():
     """Coriolis forces do no work, and RK4 keeps it to nine digits over a minute."""
     p = UNEQUAL._replace(net_buoyancy=0.0, **DRAGLESS)
@@ -100,11 +82,6 @@ def test_sinking_through_shear_conserves_momentum_of_dry_and_added_mass():
     # Where a step crosses a cell's centre the slope of the current jumps in it: 2e-3 m/s at most, of 10 ms.
     np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), atol=0.2)
     assert np.abs(p.dry_mass * (current - current[0])).max() > 10 * 0.2
-
-
-def test_the_way_made_good_is_that_through_the_water_plus_that_of_the_water():
-    states, _, _ = travel([0, 0, 0, 0, 0, 0, 20, 0], none(10), PAPER, current=np.tile([0.1, -0.2], (71, 1)), held=True)
-    np.testing.assert_allclose(states[-1, :2], [1.0, -2.0])
 
 
 def equations(t, x, p, command, lag, current):

@@ -76,27 +76,11 @@ def test_an_assignment_that_fits_no_key_says_what_would(assignment: str, says: s
         (["water.kind=measured"], '[water] file = "": must name a currents CSV'),
         (["water.file=a.csv"], 'is not read where kind = "markov"'),
         (["water.cell_m=100"], "[water] cell_m = 100.0: must be <= deepest_m = 70"),
-        (
-            ["estimator.deepest_m=2000"],
-            "[estimator] cell_m = 1.0: must be <= deepest_m = 2000, and at least 4: at most 500",
-        ),
-        (
-            ["water.bottom_m=12", "plant.depth_m=12"],
-            "[water] bottom_m = 12.0: must be deeper than the start of the vehicle, [plant] depth_m = 12",
-        ),
-        (
-            ["water.feature.step_mps=0.2"],
-            '[water.feature] kind = "none": must be "front", "step", "waves" or "tide" where another key of its table '
-            "is set",
-        ),
-        (
-            ["water.surface_waves.height_m=1", "water.surface_waves.period_s=2"],
-            "[water.surface_waves] height_m = 1.0: must be at most 0.892, a seventh of the wavelength",
-        ),
-        (
-            ["plant.depth_m=20", "plant.wind.gust_N=1"],
-            "[plant] depth_m = 20.0: must be less than 0.5 where [plant.wind]",
-        ),
+        (["estimator.deepest_m=2000"], "[estimator] cell_m = 1.0: must be <= deepest_m = 2000, and at least 4: at"),
+        (["water.bottom_m=12", "plant.depth_m=12"], "[water] bottom_m = 12.0: must be deeper than the start of the"),
+        (["water.feature.step_mps=0.2"], '[water.feature] kind = "none": must be "front", "step", "waves" or "tide"'),
+        (["water.surface_waves.height_m=1", "water.surface_waves.period_s=2"], "[water.surface_waves] height_m ="),
+        (["plant.depth_m=20", "plant.wind.gust_N=1"], "[plant] depth_m = 20.0: must be less than 0.5 where"),
     ],
 )
 def test_fields_that_contradict_each_other_are_refused(assignments: list[str], says: str) -> None:

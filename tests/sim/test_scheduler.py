@@ -274,8 +274,22 @@ def test_advancing_in_pieces_is_the_same_as_at_once() -> None:
     assert lines([1, 45, 46, 50, 200]) == lines([200])
 
 
+def test_an_observer_of_some_types_is_told_of_these_and_all_messages_are_counted() -> None:
+    """Plans that are on their way at the end are neither told nor counted."""
+
+    def told(types: frozenset[type[Message]] | None) -> tuple[list[tuple[Any, ...]], int]:
+        log, nodes = Log(), [plant(), controller(30)]
+        run = LockStep(nodes, start_ns=0, compute_delay_ns=45 * MS, observation=Observation(log, types))
+        run.advance(200 * MS)
+        return log.lines, run.published
+
+    everything, of_all = told(None)
+    plans, number = told(frozenset({Plan}))
+    assert plans == [line for line in everything if line[3] is Plan]
+    assert number == of_all == len(everything) > len(plans) == 4
+
+
 def test_a_message_of_a_type_that_a_node_does_not_declare_is_an_error() -> None:
-    """Which nodes may do many steps at once is known by what they declare."""
     node = Fake("plant", Grid(10 * MS), (), lambda t_ns, _: [truth(t_ns)])
     with pytest.raises(ValueError, match="plant publishes Truth, which is not among its writes"):
         run([node], start_ns=0, end_ns=0)

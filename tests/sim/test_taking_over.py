@@ -19,14 +19,13 @@ from sim.scenario import Scenario
 from sim.scheduler import LockStep, Observation
 from sim.sensors.node import Sensors
 from sim.water import make
-from tests.stepping import OneByOne
 
 S = 1_000_000_000
 VEHICLE = Vehicle.load("paper")  # +-62.5 N, 100 N/s
 DELAY_NS = 50_000_000
 
 
-class Operator(OneByOne):
+class Operator:
     """Gives each command at its time; from the first "manual" on its hand is on the stick."""
 
     name = "operator"
@@ -77,12 +76,7 @@ def fly(
         operator,
         ControllerNode(VEHICLE, references.load("descent"), scenario.controller),
     ]
-    lockstep = LockStep(
-        nodes,
-        start_ns=scenario.start_ns,
-        compute_delay_ns=DELAY_NS,
-        observation=Observation(seen),
-    )
+    lockstep = LockStep(nodes, start_ns=scenario.start_ns, compute_delay_ns=DELAY_NS, observation=Observation(seen))
     lockstep.advance(round(until_s * S))
     return seen, operator.answers
 

@@ -13,11 +13,11 @@ from ltv_mpc.messages import Applied, Message, Plan, PlanOrigin, Solve, SolveSta
 from ltv_mpc.node import Inbox, ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.actuators import CommandPath
-from sim.plant import PERIOD_NS, Plant
+from sim.plant import PERIOD_NS, STEP_NS, Plant
 from sim.scenario import Actuators, Scenario, Wind, with_overrides
 from sim.water import make
 from sim.wind import Wind as WindForce
-from tests.stepping import feed_each
+from tests.stepping import feed
 
 S = 1_000_000_000
 VEHICLE = Vehicle.load("surface")
@@ -26,7 +26,7 @@ ENCODE = msgspec.json.Encoder(enc_hook=to_wire).encode
 
 
 def fly(
-    *settings: str, thrust: tuple[float, float] = (0.0, 0.0), until_s: float = 4.0, at_once: int = 50
+    *settings: str, thrust: tuple[float, float] = (0.0, 0.0), until_s: float = 4.0, period_ns: int = PERIOD_NS
 ) -> list[Message]:
     """Return the messages of a plant in still water that ramps to a thrust in 0.3 s from t = 0 on."""
     scenario = with_overrides(Scenario.load("descent"), ["water.sd_mps=0", "plant.tilt_rms_rad=0", *settings])
@@ -41,9 +41,8 @@ def fly(
         solve=Solve(status=SolveStatus.SOLVED),
     )
     inbox: Inbox = [ReceivedMessage(plan, 7, 0, 0)]
-    times = range(-S, round(until_s * S) + 1, PERIOD_NS)
-    due = [(t, inbox if t == 0 else []) for t in times]
-    return [message for outputs in feed_each(plant, due, at_once) for message in outputs]
+    times = range(-S, round(until_s * S) + 1, period_ns)
+    return feed(plant, ((t, inbox if t == 0 else []) for t in times))
 
 
 def truths(*settings: str, **of) -> dict[float, Truth]:
@@ -51,7 +50,7 @@ def truths(*settings: str, **of) -> dict[float, Truth]:
     return {round(x.t_ns / S, 2): x for x in fly(*settings, **of) if isinstance(x, Truth)}
 
 
-def test_all_effects_give_the_same_bits_step_by_step_and_in_batches():
+def test_all_effects_give_the_same_bits_step_by_step_and_five_at_once():
     all_of_it = (
         "plant.mismatch.port_thrust=0.8", "plant.mismatch.starboard_arm=1.3", "plant.mismatch.lag=1.5",
         "plant.actuators.dead_time_s=0.123", "plant.actuators.dead_zone_N=2", "plant.actuators.quantum_N=0.5",
@@ -59,7 +58,7 @@ def test_all_effects_give_the_same_bits_step_by_step_and_in_batches():
         "water.change_mps_per_rts=0.01",
     )  # fmt: skip
     for effects in (all_of_it, [one for one in all_of_it if "wind" not in one]):  # wind has steps of its own
-        one, two = (fly(*effects, thrust=(20.0, 15.0), at_once=n) for n in (1, 64))
+        one, two = (fly(*effects, thrust=(20.0, 15.0), period_ns=ns) for ns in (STEP_NS, PERIOD_NS))
         assert [ENCODE(x) for x in one] == [ENCODE(x) for x in two]
     assert ENCODE(fly(*all_of_it)[-2]) != ENCODE(fly(*all_of_it, "run.seed=8")[-2])
 

@@ -39,7 +39,6 @@ from services.cli.app import run
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
 from tests.services.bus.messages import EXAMPLES
-from tests.stepping import step
 from tests.system.alone import controller
 from tests.system.damaged import damaged
 
@@ -92,7 +91,7 @@ class Listening:
 
     def plan(self, t_ns: int) -> Plan:
         inbox, self._inbox = self._inbox, []
-        (plan,) = (signal for signal in step(self.node, t_ns, inbox) if isinstance(signal, Plan))
+        (plan,) = (signal for signal in self.node.step(t_ns, inbox) if isinstance(signal, Plan))
         return plan
 
 

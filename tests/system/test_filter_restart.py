@@ -6,18 +6,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import AdcpPing, Applied, Estimate, FilterStatus, ImuSample, LocalisationReport, Truth
+from ltv_mpc.messages import AdcpPing, Applied, Estimate, FilterStatus, ImuSamples, LocalisationReport, Truth
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep, Observation
-from tests.stepping import OneByOne, step
 
 FROM_S = 15
 SECOND = 1_000_000_000
 
 
-class Led(OneByOne):
+class Led:
     """Sensors node whose measurements are altered for some time."""
 
     def __init__(self, node, alter, to_s):
@@ -25,7 +24,7 @@ class Led(OneByOne):
         self.name, self.schedule, self.reads, self.writes = node.name, node.schedule, node.reads, node.writes
 
     def step(self, t_ns, inbox):
-        said = step(self.node, t_ns, inbox)
+        said = self.node.step(t_ns, inbox)
         return [self.alter(s) if FROM_S * SECOND < s.t_ns < self.to_ns else s for s in said]
 
 
@@ -37,10 +36,13 @@ def scaled_doppler(signal):
 
 def wild_accelerometer(signal):
     """Return the sensors with an accelerometer bias that is a hundred times larger."""
-    if isinstance(signal, ImuSample):
-        force = np.array(signal.specific_force_mps2) + 0.98 * np.array([1.0, -1.0, 0.0])
-        return msgspec.structs.replace(signal, specific_force_mps2=tuple(force.tolist()))
-    return signal
+    if not isinstance(signal, ImuSamples):
+        return signal
+    forces = (np.array(sample.specific_force_mps2) + 0.98 * np.array([1.0, -1.0, 0.0]) for sample in signal.samples)
+    biased = zip(signal.samples, forces, strict=True)
+    return ImuSamples(
+        samples=tuple(msgspec.structs.replace(x, specific_force_mps2=tuple(force.tolist())) for x, force in biased)
+    )
 
 
 class Ears:
@@ -80,10 +82,7 @@ def led(request):
     nodes = [Led(n, alter, to_s) if n.name == "sensors" else n for n in make_nodes(run_config)]
     ears = Ears()
     LockStep(
-        nodes,
-        start_ns=run_config.scenario.start_ns,
-        latest=lockstep_run.LATEST,
-        observation=Observation(ears),
+        nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observation=Observation(ears)
     ).advance(end_s * SECOND)
     return run_config, ears
 

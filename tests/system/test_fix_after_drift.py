@@ -12,14 +12,13 @@ from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep, Observation
-from tests.stepping import OneByOne, step
 
 SECOND = 1_000_000_000
 FIRST_FIX_S, END_S = 20, 45
 USBL = Path(__file__).resolve().parents[2] / "examples" / "sensors" / "usbl.toml"
 
 
-class WithoutFixes(OneByOne):
+class WithoutFixes:
     """Sensors node without USBL fixes before ``FIRST_FIX_S``."""
 
     def __init__(self, node):
@@ -27,7 +26,7 @@ class WithoutFixes(OneByOne):
         self.name, self.schedule, self.reads, self.writes = node.name, node.schedule, node.reads, node.writes
 
     def step(self, t_ns, inbox):
-        said = step(self.node, t_ns, inbox)
+        said = self.node.step(t_ns, inbox)
         return [s for s in said if not (isinstance(s, UsblFix) and s.t_ns < FIRST_FIX_S * SECOND)]
 
 
@@ -47,10 +46,7 @@ def run():
     nodes = [WithoutFixes(n) if n.name == "sensors" else n for n in make_nodes(run_config)]
     ears = Ears()
     LockStep(
-        nodes,
-        start_ns=run_config.scenario.start_ns,
-        latest=lockstep_run.LATEST,
-        observation=Observation(ears),
+        nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observation=Observation(ears)
     ).advance(END_S * SECOND)
     return run_config, ears.heard
 

@@ -7,8 +7,9 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
+
+import pytest
 
 from ltv_mpc.messages import NodeStatus, RunEvent, StepRecord
 from services.bus import certificates
@@ -21,19 +22,19 @@ from services.bus.wire import decode
 from services.processes import router
 from services.runtime.stopping import StopRequest
 from services.supervisor.entry_point import read_config
+from tests.waiting import PATIENCE_S, until
 
 CLI = [sys.executable, "-P", "-m", "services.cli"]
 INTRUDER = Path(__file__).with_name("intruder.py")
 FORGED_EPOCH = 0xBAD
 ENOUGH = 50  # messages that steps were given, to say something of them
-PATIENCE_S = 90.0
 
 
 REFUSED = 500
 """Frames that the controller refuses at least. On a loaded host the bus drops some of the flood before it."""
 
-OWN_ESTIMATES = 60
-"""Estimates of the run in the three seconds of a replay."""
+OWN_ESTIMATES = 200
+"""Estimates of the run in the three seconds of a replay, or in the ten that they last on a busy host."""
 
 
 def ended_in_order(process: subprocess.Popen[bytes]) -> None:
@@ -44,12 +45,9 @@ def ended_in_order(process: subprocess.Popen[bytes]) -> None:
 
 def router_of(run: Path, launcher: subprocess.Popen[bytes], log: Path) -> tuple[str, str]:
     """Return endpoint and namespace from the configuration of the router."""
-    until = time.monotonic() + PATIENCE_S
-    while time.monotonic() < until:
-        assert launcher.poll() is None, log.read_text()
-        if (run / "run.mcap").exists() and (run / "run.mcap").stat().st_size > 100_000:
-            break
-        time.sleep(0.05)
+    recording = run / "run.mcap"
+    until(lambda: launcher.poll() is not None or (recording.exists() and recording.stat().st_size > 100_000))
+    assert launcher.poll() is None, log.read_text()
     config: router.Config = read_config(run / "logs" / "router.json", router.Config)
     return config.bus.listen[0], config.bus.namespace
 
@@ -86,6 +84,7 @@ class Ears:
         return self.status[node].rejected if node in self.status else 0
 
 
+@pytest.mark.timeout(600)
 def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(tmp_path: Path) -> None:
     run, certs, foreign, log = (tmp_path / name for name in ("run", "certs", "foreign", "launcher.log"))
     certificates.make(certs, ROLES, days=1)
@@ -108,13 +107,14 @@ def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(t
             )
             assert attack.returncode == 0, attack.stderr
             sent = json.loads(attack.stdout)
-            until = time.monotonic() + PATIENCE_S
-            while ears.rejected("controller") < REFUSED or ears.rejected("router") < sent["denied"]:
-                assert time.monotonic() < until, f"never turned away: {sent}, {ears.status}"
-                assert launcher.poll() is None, log.read_text()
-                ears.hear(0.1)
-            while ears.hear(0.5) and time.monotonic() < until and len(ears.taken) < ENOUGH:
-                pass
+
+            def turned_away() -> bool:
+                while ears.hear(0.0):
+                    pass
+                return ears.rejected("controller") >= REFUSED and ears.rejected("router") >= sent["denied"]
+
+            until(turned_away)
+            until(lambda: ears.hear(0.5) and len(ears.taken) >= ENOUGH)
         launcher.send_signal(signal.SIGINT)
         assert launcher.wait(PATIENCE_S) == 130
     finally:

@@ -19,7 +19,7 @@ import numpy as np
 
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation, unpack_linearisation
+from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.ocp import limits, terms
 from ltv_mpc.control.ocp.limits import motion
 from ltv_mpc.control.ocp.problem import Problem, clear
@@ -44,61 +44,41 @@ def empty(stages: int, rows: int = 0) -> Problem:
 
 
 @jit
-def fill(packed: Array, flat: Array, target: Array, p: Problem) -> None:
+def fill(packed: Array, lin: Linearisation, target: Array, p: Problem) -> None:
     """Fill in the motion, all terms of the cost and the limits that have rows at every knot.
 
     Parameters
     ----------
     packed : a packed objective (problem_data.py).
-    flat : ``Linearisation.flat``.
+    lin : the motion along the nominal trajectory.
     target : (N+1, 3) as in ``ocp/terms``.
     p : is overwritten; further rows are empty.
     """
-    o, lin = unpack_objective(packed), unpack_linearisation(flat, len(target) - 1)
+    o = unpack_objective(packed)
     clear(p)
-    S = np.empty(SIZE)
-    for i in range(SIZE):
-        S[i] = o.state_scale[i] if i < 6 else o.thrust_scale[i % 2]
-    for k in range(len(lin.Phi)):
-        _add_motion(p, k, lin, S)
-        terms.add(p, k + 1, lin, target, o)
+    _add_motion(p, lin, o)
+    terms.add(p, lin, target, o)
     limits.add(p, lin, target, o)
 
 
 @jit
-def _add_motion(p: Problem, k: int, lin: Linearisation, S: Array) -> None:
-    """Add the dynamics of a stage; S (12,) is 1 in the numbers of a stage."""
-    for i in range(STATES):
-        over = 1.0 / S[i]
-        p.f[k, i] = (lin.Phi[k, i] - lin.X[k + 1, i]) * over
-        for j in range(STATES):
-            p.F[k, i, j] = lin.A[k, i, j] * S[j] * over
+def _add_motion(p: Problem, lin: Linearisation, o: Objective) -> None:
+    """Add the dynamics."""
+    F, f, X, Phi, A, B0, B1 = p.F, p.f, lin.X, lin.Phi, lin.A, lin.B0, lin.B1
+    S = np.empty(SIZE)
+    for i in range(SIZE):
+        S[i] = o.state_scale[i] if i < 6 else o.thrust_scale[i % 2]
+    for k in range(len(Phi)):
+        for i in range(STATES):
+            over = 1.0 / S[i]
+            f[k, i] = (Phi[k, i] - X[k + 1, i]) * over
+            for j in range(STATES):
+                F[k, i, j] = A[k, i, j] * S[j] * over
+            for j in range(2):
+                F[k, i, COMMANDS + j] = (B0[k, i, j] + B1[k, i, j]) * S[COMMANDS + j] * over
+                F[k, i, CHANGES + j] = B1[k, i, j] * S[CHANGES + j] * over
         for j in range(2):
-            p.F[k, i, COMMANDS + j] = (lin.B0[k, i, j] + lin.B1[k, i, j]) * S[COMMANDS + j] * over
-            p.F[k, i, CHANGES + j] = lin.B1[k, i, j] * S[CHANGES + j] * over
-    for j in range(2):
-        p.F[k, COMMANDS + j, COMMANDS + j] = p.F[k, COMMANDS + j, CHANGES + j] = 1.0
-
-
-@jit
-def commands_of(packed: Array, flat: Array, z: Array) -> Array:
-    """Return the commands of a solution.
-
-    Parameters
-    ----------
-    packed : a packed objective.
-    flat : ``Linearisation.flat`` that the problem was made from.
-    z : (N+1, 12) solution.
-
-    Returns
-    -------
-    (N+1, 2) port and starboard thrust at the knots (N); the first row is the command in force.
-    """
-    o, U = unpack_objective(packed), unpack_linearisation(flat, len(z) - 1).U.copy()
-    for k in range(1, len(z)):
-        for i in range(2):
-            U[k, i] += z[k, COMMANDS + i] * o.thrust_scale[i]
-    return U
+            F[k, COMMANDS + j, COMMANDS + j] = F[k, COMMANDS + j, CHANGES + j] = 1.0
 
 
 @jit
@@ -109,25 +89,7 @@ def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
     ----------
     X, U, C, target, o : as in ``ocp/terms``.
     """
-    total, penalty = 0.0, motion.excess_penalty(X, target, o)
-    for k in range(1, len(X)):
-        total += stage_cost(k, X, U, C, target, o, penalty)
-    return total
-
-
-@jit
-def stage_cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective, penalty: float) -> float:
-    """Return the part of ``cost`` that knot k = 1 .. N adds.
-
-    Every part is at least zero, so an incomplete sum is a lower bound: a search for the cheapest of several
-    trajectories can abandon one as soon as it costs more than another.
-
-    Parameters
-    ----------
-    k, X, U, C, target, o : as in ``ocp/terms``.
-    penalty : ``motion.excess_penalty``.
-    """
-    return terms.cost(k, X, U, C, target, o) + motion.cost(k, X, target, o, penalty)
+    return terms.cost(X, U, C, target, o) + motion.cost(X, target, o)
 
 
 def scales(limits: HorizonLimits) -> Array:
@@ -153,5 +115,5 @@ def problem_along(lin: Linearisation, target: Array, knots: Array, limits: Horiz
     """
     problem, wanted = empty(len(lin.Phi)), np.zeros((len(target), 3))
     wanted[:, : target.shape[1]] = target
-    fill(pack_objective(knots, limits, weights), lin.flat, wanted, problem)
+    fill(pack_objective(knots, limits, weights), lin, wanted, problem)
     return problem

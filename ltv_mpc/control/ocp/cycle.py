@@ -19,7 +19,7 @@ from ltv_mpc.control.ocp import assembly, limits
 from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
 from ltv_mpc.control.ocp.limits import fence
 from ltv_mpc.control.ocp.problem import Problem, least_surplus
-from ltv_mpc.control.problem_data import COMMANDS
+from ltv_mpc.control.problem_data import CHANGES, COMMANDS, bow_first
 from ltv_mpc.messages import Array
 
 
@@ -53,14 +53,17 @@ class Cycle:
         terms : of a user, beside those of ``ocp/``.
         """
         stages = len(knots) - 1
-        self.packed, self.scene = packed, scene
+        self.packed, self.scene, self.knots = packed, scene, knots
+        self._scales = assembly.scales(scales)
         self.target = np.zeros((stages + 1, 3))
         """Target at the knots (``ocp/terms``)."""
-        self.lin, self.guess = Linearisation.empty(stages), Linearisation.empty(stages)
-        """The motion along the nominal trajectory; room for another trajectory."""
+        self.lin = Linearisation.empty(stages)
+        """The motion along the nominal trajectory."""
+        self.start = np.zeros(CHANGES)
+        """State at the first knot, and commands there."""
         self.score = UNKNOWN
         """Score of the nominal trajectory."""
-        self.further = Extensions(terms, np.diff(knots), assembly.scales(scales)[: COMMANDS + 2], self.target)
+        self.further = Extensions(terms, np.diff(knots), self._scales[:CHANGES], self.target)
         """Terms and limits of a user."""
         self.plain = assembly.empty(stages, self.further.rows)
         """Problem without the rows of the fence."""
@@ -91,10 +94,10 @@ class Cycle:
         ----------
         problem : is overwritten.
         """
-        assembly.fill(self.packed, self.lin.flat, self.target, problem)
+        assembly.fill(self.packed, self.lin, self.target, problem)
         self.further.add(problem, limits.ROWS, self.lin.X, self.lin.U)
         if problem is self.fenced:
-            fence.fill(self.packed, self.lin.flat, self.scene, self.fence_rows, problem)
+            fence.fill(self.packed, self.lin.X, self.scene, self.fence_rows, problem)
         return problem
 
     def surplus(self, z: Array) -> float:
@@ -111,9 +114,21 @@ class Cycle:
 
         Parameters
         ----------
-        z : (N+1, 12) solution.
+        z : (N+1, 12) solution; the first row is the command in force.
         """
-        return assembly.commands_of(self.packed, self.lin.flat, z)
+        commands = z[:, COMMANDS:CHANGES] * self._scales[COMMANDS:CHANGES]
+        commands += self.lin.U
+        return commands
+
+    @property
+    def position_scale_m(self) -> float:
+        """Scale S of a position."""
+        return float(self._scales[0])
+
+    @property
+    def bow_first(self) -> bool:
+        """True if the vehicle may not go astern."""
+        return bow_first(self.packed)
 
     def full_problem(self, problem: Problem, lin: Linearisation) -> Problem:
         """Return a problem of a size in which every number that can differ from zero does: it gives the pattern.
@@ -127,7 +142,7 @@ class Cycle:
         """
         N, n, m, M = problem.sizes
         full, first = Problem.empty(N, n, m, M), self.plain.sizes[3]
-        assembly.fill(self.packed, lin.flat, np.ones_like(self.target), full)
+        assembly.fill(self.packed, lin, np.ones_like(self.target), full)
         self.further.add(full, limits.ROWS, lin.X, lin.U)
         full.G[1:, first:, :2], full.low[1:, first:], full.penalty[1:, first:] = 1.0, -1.0, 1.0
         return full

@@ -56,7 +56,6 @@ class Problem(NamedTuple):
         return N, n, z - n, self.G.shape[1]
 
 
-@jit
 def is_finite(p: Problem) -> bool:
     """Return True if all numbers are finite; bounds and penalties may be infinite.
 
@@ -64,18 +63,7 @@ def is_finite(p: Problem) -> bool:
     ----------
     p : problem.
     """
-    total = 0.0
-    for part in (p.f, p.h):
-        for i in range(part.size):
-            total += part.flat[i]
-    for part in (p.F, p.H, p.G):
-        for i in range(part.size):
-            total += part.flat[i]
-    for part in (p.low, p.high, p.penalty):
-        for i in range(part.size):
-            if np.isnan(part.flat[i]):
-                return False
-    return bool(np.isfinite(total))
+    return all(np.isfinite(part).all() for part in p[:5]) and not any(np.isnan(part).any() for part in p[5:])
 
 
 @jit
@@ -219,10 +207,9 @@ def least_surplus(p: Problem, z: Array, first: int) -> float:
     z : (N+1, n+m) inputs; the states follow from them.
     first : number of the first row that counts.
     """
-    own, g = z.copy(), p.low.copy()
+    own, g, least = z.copy(), p.low.copy(), np.inf
     roll_out(p, own)
     row_values(p, own, g)
-    least = np.inf
     for k in range(g.shape[0]):
         for i in range(first, g.shape[1]):
             least = min(least, g[k, i] - p.low[k, i], p.high[k, i] - g[k, i])

@@ -1,10 +1,11 @@
-"""Active-set method on a problem of stages: rows that are held, and Riccati sweeps for the rest.
+"""Active-set method on a problem of stages: rows that are held, Riccati sweeps for the rest, and a line search.
 
-Rows whose dual y was not zero in the last solve are held by a large weight: weight = RHO, linear = y - RHO b for each
-such row g = b. Then y + RHO (g - b) is its dual. A row whose dual has the wrong sign is released, a violated row is
-added, and the sweep is repeated (a primal-dual active set method: Hintermueller, Ito & Kunisch 2002; with the
-multipliers of Hestenes 1969). A soft row whose dual would be larger than its penalty is exceeded: weight = 0,
-linear = +-penalty. If the last cycle's set is still right, one sweep is enough.
+A row g = b is held by a large weight: weight = RHO, linear = y - RHO b. Then y + RHO (g - b) is its dual. A soft row
+whose dual would be larger than its penalty is exceeded: weight = 0, linear = +-penalty. So a sweep minimises the
+augmented Lagrangian as long as no row changes its part: a row whose dual has the wrong sign is released, a violated one
+is held, one whose dual passes its penalty is exceeded. From the second sweep on, an exact line search ends where the
+augmented Lagrangian is least, which lets it fall with each sweep (a Newton method on a convex function that is
+quadratic in pieces; Hermans, Themelis & Patrinos 2019). If the last cycle's set is still right, one sweep is enough.
 
 Arguments of the kernels in this file:
 
@@ -20,7 +21,7 @@ import numpy as np
 
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.solvers.sweep import Sweep, sweep
-from ltv_mpc.jit import jit
+from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
 
 RHO = 1e6
@@ -38,6 +39,12 @@ DUAL_SIGN_TOLERANCE = 1e-7
 HELD_ROW_TOLERANCE = 1e-7
 """Largest error of a row that is held. OSQP moves away from a guess with larger ones, and returns slowly."""
 
+MANY_WRONG = 12
+"""Wrong rows after the first sweep with which the method gives up: the interior point is faster from there."""
+
+MAX_NEWTON = 30
+"""Limit of Newton steps of a line search; it takes about five."""
+
 FAILED, NOT_CONVERGED, CONVERGED = -1, 0, 1
 """Outcome of a method: no usable result; nearly a solution; the solution."""
 
@@ -51,16 +58,15 @@ def active_rows(p: Problem, y: Array) -> Array:
     p, y : as at the head of this file.
     """
     active = np.sign(y)
-    for k in range(y.shape[0]):
-        for i in range(y.shape[1]):
-            if np.isinf(p.high[k, i] if y[k, i] > 0.0 else p.low[k, i]):
-                active[k, i] = 0.0
-            elif abs(y[k, i]) >= p.penalty[k, i] - DUAL_SIGN_TOLERANCE:
-                active[k, i] *= BEYOND
+    for i in range(y.size):
+        if np.isinf(p.high.flat[i] if y.flat[i] > 0.0 else p.low.flat[i]):
+            active.flat[i] = 0.0
+        elif abs(y.flat[i]) >= p.penalty.flat[i] - DUAL_SIGN_TOLERANCE:
+            active.flat[i] *= BEYOND
     return active
 
 
-@jit
+@jit_outlined
 def active_set(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: Array) -> tuple[int, int]:
     """Solve by the active-set method; return its outcome and the number of sweeps.
 
@@ -69,45 +75,128 @@ def active_set(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: Array
     p, work, active, y : as at the head of this file; active and y are overwritten.
     max_sweeps : limit of sweeps.
     """
+    z, g = np.empty(work.z.shape), np.empty(work.g.shape)
     for sweeps in range(1, max_sweeps + 1):
-        for k in range(active.shape[0]):
-            for i in range(active.shape[1]):
-                sign = active[k, i]
-                work.weight[k, i] = work.linear[k, i] = 0.0
-                if abs(sign) == 1.0:
-                    work.weight[k, i] = RHO
-                    work.linear[k, i] = y[k, i] - RHO * (p.high[k, i] if sign > 0.0 else p.low[k, i])
-                elif sign != 0.0:
-                    work.linear[k, i] = np.sign(sign) * p.penalty[k, i]
-        if not sweep(p, work):
+        last = _hold(p, work, active, y)
+        if not sweep(p, work, len(p.f) if sweeps == 1 else last):
             return FAILED, sweeps
-        if not _update_active(p, work, active, y):
-            return CONVERGED, sweeps
+        wrong = _update_active(p, work.g, y, active)
+        if wrong == 0:
+            if not _update_duals(work, y):
+                return CONVERGED, sweeps
+        elif sweeps == 1 and wrong > MANY_WRONG:
+            return NOT_CONVERGED, sweeps
+        step = 1.0
+        if sweeps > 1 and wrong > 0:
+            step = _step(p, work, z, g, y)
+        _move(z, work.z, step)
+        _move(g, work.g, step)
+        if step < 1.0:
+            _update_active(p, g, y, active)
     return NOT_CONVERGED, max_sweeps
 
 
 @jit
-def _update_active(p: Problem, work: Sweep, active: Array, y: Array) -> bool:
-    """Update the active rows and their duals after a sweep; return True if they are not those of the solution yet."""
-    changed = False
+def _hold(p: Problem, work: Sweep, active: Array, y: Array) -> int:
+    """Set weight and linear of all rows, and return the last stage in which one changes."""
+    last = 0
     for k in range(active.shape[0]):
         for i in range(active.shape[1]):
-            held, cap, g = active[k, i], p.penalty[k, i], work.g[k, i]
-            low, high = p.low[k, i] - VIOLATION_TOLERANCE, p.high[k, i] + VIOLATION_TOLERANCE
-            dual = work.weight[k, i] * g + work.linear[k, i]
-            now = held
-            if abs(held) == 1.0 and dual * held >= -DUAL_SIGN_TOLERANCE:
-                if abs(dual) > cap + DUAL_SIGN_TOLERANCE:
-                    now, dual = BEYOND * held, held * cap
-                else:
-                    changed |= abs(dual - y[k, i]) > RHO * HELD_ROW_TOLERANCE
-            elif abs(held) == BEYOND:
-                if (held > 0.0 and g < high) or (held < 0.0 and g > low):
-                    now = np.sign(held)
-            else:
-                now = 1.0 if g > high else -1.0 if g < low else 0.0
-                dual = 0.0
-            y[k, i] = dual
-            if now != held:
-                active[k, i], changed = now, True
+            sign, weight, linear = active[k, i], 0.0, 0.0
+            if abs(sign) == 1.0:
+                weight = RHO
+                linear = y[k, i] - RHO * (p.high[k, i] if sign > 0.0 else p.low[k, i])
+            elif sign != 0.0:
+                linear = np.sign(sign) * p.penalty[k, i]
+            if weight != work.weight[k, i] or linear != work.linear[k, i]:
+                work.weight[k, i], work.linear[k, i], last = weight, linear, k
+    return last
+
+
+@jit
+def _update_active(p: Problem, g: Array, y: Array, active: Array) -> int:
+    """Update the active rows by their values g, and return how many change."""
+    changed = 0
+    for i in range(active.size):
+        held, cap = float(active.flat[i]), p.penalty.flat[i]
+        above = y.flat[i] + RHO * (g.flat[i] - p.high.flat[i])
+        below = y.flat[i] + RHO * (g.flat[i] - p.low.flat[i])
+        now = held
+        if held == 0.0:
+            if above > RHO * VIOLATION_TOLERANCE:
+                now = 1.0
+            elif below < -RHO * VIOLATION_TOLERANCE:
+                now = -1.0
+        else:
+            dual = above if held > 0.0 else -below
+            if dual < -DUAL_SIGN_TOLERANCE:
+                now = 0.0
+            elif abs(held) == 1.0 and dual > cap + DUAL_SIGN_TOLERANCE:
+                now = BEYOND * held
+            elif abs(held) == BEYOND and dual < cap - DUAL_SIGN_TOLERANCE:
+                now = float(np.sign(held))
+        if now != held:
+            active.flat[i] = now
+            changed += 1
     return changed
+
+
+@jit
+def _update_duals(work: Sweep, y: Array) -> bool:
+    """Set the duals to those of the last sweep; return True if the change of one leaves an error of its row."""
+    largest = 0.0
+    for i in range(y.size):
+        dual = work.weight.flat[i] * work.g.flat[i] + work.linear.flat[i]
+        if work.weight.flat[i] > 0.0:
+            largest = max(largest, abs(dual - y.flat[i]))
+        y.flat[i] = dual
+    return largest > RHO * HELD_ROW_TOLERANCE
+
+
+@jit
+def _step(p: Problem, work: Sweep, z: Array, g: Array, y: Array) -> float:
+    """Return the part of the way from z, g to the last sweep's at which the augmented Lagrangian is least: 1 at most.
+
+    Its slope along the way is linear in pieces and does not fall. Newton steps find its zero, kept between bounds.
+    """
+    curvature, end = 0.0, 0.0
+    for k in range(z.shape[0]):
+        for i in range(z.shape[1]):
+            d = work.z[k, i] - z[k, i]
+            if d != 0.0:
+                for j in range(z.shape[1]):
+                    curvature += d * p.H[k, i, j] * (work.z[k, j] - z[k, j])
+    for i in range(g.size):  # the sweep's model has no slope at its own end
+        end += (work.weight.flat[i] * work.g.flat[i] + work.linear.flat[i]) * (work.g.flat[i] - g.flat[i])
+    least, most, t = 0.0, 1.0, 1.0
+    for _ in range(MAX_NEWTON):
+        slope, rise = (t - 1.0) * curvature - end, curvature
+        for i in range(g.size):
+            d = work.g.flat[i] - g.flat[i]
+            value, cap = g.flat[i] + t * d, p.penalty.flat[i]
+            above, below = y.flat[i] + RHO * (value - p.high.flat[i]), y.flat[i] + RHO * (value - p.low.flat[i])
+            dual = above if above > 0.0 else min(below, 0.0)
+            if abs(dual) >= cap:
+                slope += np.sign(dual) * cap * d
+            elif dual != 0.0:
+                slope += dual * d
+                rise += RHO * d * d
+        if slope > 0.0:
+            most = t
+        else:
+            least = t
+        if least == 1.0:
+            return 1.0
+        before, t = t, t - slope / rise
+        if not least < t < most:
+            t = 0.5 * (least + most)
+        if abs(t - before) < 1e-9:
+            break
+    return t
+
+
+@jit
+def _move(point: Array, end: Array, step: float) -> None:
+    """Move a point by a part of the way to an end."""
+    for i in range(point.size):
+        point.flat[i] = end.flat[i] if step == 1.0 else point.flat[i] + step * (end.flat[i] - point.flat[i])

@@ -56,13 +56,15 @@ TO_BOUNDARY = 0.995
 
 
 class _Barrier(NamedTuple):
-    """Numbers of the upper bounds (0) and of the lower ones (1), and their steps; nu = 0 where there is no bound."""
+    """Numbers of the sides that have a bound: the upper ones (0) and the lower ones (1) of rows (2, N+1, M)."""
 
-    t: Array  # (2, N+1, M) slacks
+    bound: Array  # as an upper bound of  side's sign times g; inf: there is none
+    cap: Array  # penalty
+    t: Array  # slacks
     e: Array  # excesses, 0 for a hard row
-    nu: Array  # duals
+    nu: Array  # duals, 0 where there is no bound
     room: Array  # penalty - nu, kept apart: the difference would be lost in the rounding of a penalty of 1e4
-    dt: Array
+    dt: Array  # steps
     de: Array
     dnu: Array
 
@@ -77,24 +79,23 @@ def interior_point(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: A
     max_sweeps : limit of sweeps; the active-set method can take a few more.
     """
     barrier = _initial_barrier(p)
-    sweeps, step, mu, regularisation = 0, 1.0, _mean_product(p, barrier), DUAL_REGULARISATION
+    sweeps, step, mu, regularisation = 0, 1.0, _mean_product(barrier), DUAL_REGULARISATION
     failed = False
     while sweeps < max_sweeps:
         aim = max(max(MIN_SIGMA, (1.0 - step) ** 2) * mu, 0.1 * MU_CONVERGED)
-        _set_barrier_terms(p, barrier, aim, regularisation, work)
+        _set_barrier_terms(barrier, aim, regularisation, work)
         sweeps += 1
-        if not sweep(p, work):
+        if not sweep(p, work, len(p.f)):
             return FAILED, sweeps
-        primal, dual = _find_step(p, barrier, aim, regularisation, work)
+        primal, dual = _find_step(barrier, aim, regularisation, work)
         _take_step(barrier, primal, dual)
         same = _name_active(barrier, active)
-        step, mu = min(primal, dual), _mean_product(p, barrier)
+        step, mu = min(primal, dual), _mean_product(barrier)
         if not np.isfinite(mu):
             return FAILED, sweeps
         if mu < MU_CONVERGED and step > WHOLE_STEP:
-            for k in range(y.shape[0]):  # the duals that belong to the inputs of the last sweep
-                for i in range(y.shape[1]):
-                    y[k, i] = work.weight[k, i] * work.g[k, i] + work.linear[k, i]
+            for i in range(y.size):  # the duals that belong to the inputs of the last sweep
+                y.flat[i] = work.weight.flat[i] * work.g.flat[i] + work.linear.flat[i]
             if optimality_error(p, work.z, y) < MAX_OPTIMALITY_ERROR:
                 return CONVERGED, sweeps
             regularisation = LAST_REGULARISATION
@@ -111,78 +112,63 @@ def interior_point(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: A
 
 
 @jit
-def _bound(p: Problem, side: int, k: int, i: int) -> float:
-    """Return the bound of a side as an upper bound of  side's sign times g; infinite if there is none."""
-    return float(p.high[k, i] if side == 0 else -p.low[k, i])
-
-
-@jit
 def _initial_barrier(p: Problem) -> _Barrier:
     """Return the numbers at which the interior point starts."""
-    K, R = p.low.shape
-    t, e, nu, room = np.ones((2, K, R)), np.zeros((2, K, R)), np.zeros((2, K, R)), np.zeros((2, K, R))
-    dt, de, dnu = np.zeros((2, K, R)), np.zeros((2, K, R)), np.zeros((2, K, R))
+    rows, shape = p.low.size, (2, *p.low.shape)
+    bound, cap, t, e = np.empty(shape), np.empty(shape), np.ones(shape), np.zeros(shape)
+    nu, room, dt, de, dnu = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape)
     product = INITIAL_SLACK * INITIAL_DUAL
-    for k in range(K):
-        for i in range(R):
-            if not np.isinf(p.penalty[k, i]):
-                product = max(product, p.penalty[k, i] * max(p.low[k, i], -p.high[k, i]))
-    for side in range(2):
-        for k in range(K):
-            for i in range(R):
-                within, cap = _bound(p, side, k, i), p.penalty[k, i]
-                if np.isinf(within):
-                    continue
-                t[side, k, i] = max(within, INITIAL_SLACK)
-                nu[side, k, i] = min(product / t[side, k, i], 0.5 * cap)
-                room[side, k, i] = cap - nu[side, k, i]
-                if not np.isinf(cap):
-                    e[side, k, i] = product / room[side, k, i]
-    return _Barrier(t, e, nu, room, dt, de, dnu)
+    for i in range(rows):
+        bound.flat[i], bound.flat[rows + i] = p.high.flat[i], -p.low.flat[i]
+        cap.flat[i] = cap.flat[rows + i] = p.penalty.flat[i]
+        if not np.isinf(p.penalty.flat[i]):
+            product = max(product, p.penalty.flat[i] * max(p.low.flat[i], -p.high.flat[i]))
+    for i in range(bound.size):
+        if not np.isinf(bound.flat[i]):
+            t.flat[i] = max(bound.flat[i], INITIAL_SLACK)
+            nu.flat[i] = min(product / t.flat[i], 0.5 * cap.flat[i])
+            room.flat[i] = cap.flat[i] - nu.flat[i]
+            e.flat[i] = 0.0 if np.isinf(cap.flat[i]) else product / room.flat[i]
+    return _Barrier(bound, cap, t, e, nu, room, dt, de, dnu)
 
 
 @jit
-def _set_barrier_terms(p: Problem, barrier: _Barrier, aim: float, regularisation: float, work: Sweep) -> None:
+def _set_barrier_terms(barrier: _Barrier, aim: float, regularisation: float, work: Sweep) -> None:
     """Set weight and linear of the next sweep, of both sides of each row."""
-    t, e, nu = barrier.t, barrier.e, barrier.nu
-    for k in range(t.shape[1]):
-        for i in range(t.shape[2]):
-            weight = linear = 0.0
-            for side in range(2):
-                bound, x, room = _bound(p, side, k, i), nu[side, k, i], barrier.room[side, k, i]
-                if np.isinf(bound):
-                    continue
-                w = 1.0 / (t[side, k, i] / x + e[side, k, i] / room + regularisation)
-                sign = 1.0 if side == 0 else -1.0
-                weight += w
-                linear += sign * (x + w * (aim / x - aim / room) - w * bound)
-            work.weight[k, i], work.linear[k, i] = weight, linear
+    bound, t, e, nu, room = barrier.bound, barrier.t, barrier.e, barrier.nu, barrier.room
+    rows = work.weight.size
+    for i in range(rows):
+        work.weight.flat[i] = work.linear.flat[i] = 0.0
+    for i in range(bound.size):
+        if not np.isinf(bound.flat[i]):
+            row, sign, x = i % rows, 1.0 if i < rows else -1.0, nu.flat[i]
+            w = 1.0 / (t.flat[i] / x + e.flat[i] / room.flat[i] + regularisation)
+            work.weight.flat[row] += w
+            work.linear.flat[row] += sign * (x + w * (aim / x - aim / room.flat[i] - bound.flat[i]))
 
 
 @jit
-def _find_step(p: Problem, barrier: _Barrier, aim: float, regularisation: float, work: Sweep) -> tuple[float, float]:
+def _find_step(barrier: _Barrier, aim: float, regularisation: float, work: Sweep) -> tuple[float, float]:
     """Compute the steps; return the fractions of slacks' and duals' steps that keep all numbers positive."""
-    primal = dual = 1.0
-    for side in range(2):
-        for k in range(work.g.shape[0]):
-            for i in range(work.g.shape[1]):
-                t, e, nu = barrier.t[side, k, i], barrier.e[side, k, i], barrier.nu[side, k, i]
-                room, bound = barrier.room[side, k, i], _bound(p, side, k, i)
-                if np.isinf(bound):
-                    continue
-                beyond = (work.g[k, i] if side == 0 else -work.g[k, i]) - bound
-                # e + de - (t + dt) = beyond - regularisation dnu, and both products are the aim to first order
-                dnu = (beyond + aim / nu - aim / room) / (t / nu + e / room + regularisation)
-                dt, de = aim / nu - t - t * dnu / nu, aim / room - e + e * dnu / room
-                barrier.dt[side, k, i], barrier.de[side, k, i], barrier.dnu[side, k, i] = dt, de, dnu
-                if dt < 0.0:
-                    primal = min(primal, -TO_BOUNDARY * t / dt)
-                if de < 0.0:
-                    primal = min(primal, -TO_BOUNDARY * e / de)
-                if dnu < 0.0:
-                    dual = min(dual, -TO_BOUNDARY * nu / dnu)
-                else:
-                    dual = min(dual, TO_BOUNDARY * room / dnu)
+    rows, primal, dual = work.g.size, 1.0, 1.0
+    for i in range(barrier.bound.size):
+        bound, room = barrier.bound.flat[i], barrier.room.flat[i]
+        t, e, nu = barrier.t.flat[i], barrier.e.flat[i], barrier.nu.flat[i]
+        if np.isinf(bound):
+            continue
+        beyond = (1.0 if i < rows else -1.0) * work.g.flat[i % rows] - bound
+        # e + de - (t + dt) = beyond - regularisation dnu, and both products are the aim to first order
+        dnu = (beyond + aim / nu - aim / room) / (t / nu + e / room + regularisation)
+        dt, de = aim / nu - t - t * dnu / nu, aim / room - e + e * dnu / room
+        barrier.dt.flat[i], barrier.de.flat[i], barrier.dnu.flat[i] = dt, de, dnu
+        if dt < 0.0:
+            primal = min(primal, -TO_BOUNDARY * t / dt)
+        if de < 0.0:
+            primal = min(primal, -TO_BOUNDARY * e / de)
+        if dnu < 0.0:
+            dual = min(dual, -TO_BOUNDARY * nu / dnu)
+        else:
+            dual = min(dual, TO_BOUNDARY * room / dnu)
     return primal, dual
 
 
@@ -200,40 +186,33 @@ def _take_step(barrier: _Barrier, primal: float, dual: float) -> None:
 def _name_active(barrier: _Barrier, active: Array) -> bool:
     """Update the active rows; return True if they are the same as before."""
     t, e, nu, room = barrier.t, barrier.e, barrier.nu, barrier.room
-    same = True
-    for k in range(active.shape[0]):
-        for i in range(active.shape[1]):
-            now = 0.0
-            if nu[0, k, i] > t[0, k, i]:
-                now = BEYOND if e[0, k, i] > room[0, k, i] else 1.0
-            elif nu[1, k, i] > t[1, k, i]:
-                now = -BEYOND if e[1, k, i] > room[1, k, i] else -1.0
-            if now != active[k, i]:
-                active[k, i], same = now, False
+    same, rows = True, active.size
+    for row in range(rows):
+        now = 0.0
+        i = row if nu.flat[row] > t.flat[row] else rows + row
+        if nu.flat[i] > t.flat[i]:
+            now = (BEYOND if e.flat[i] > room.flat[i] else 1.0) * (1.0 if i < rows else -1.0)
+        if now != active.flat[row]:
+            active.flat[row], same = now, False
     return same
 
 
 @jit
 def _duals(nu: Array, y: Array) -> None:
     """Compute y (N+1, M) from the duals of both sides."""
-    for k in range(y.shape[0]):
-        for i in range(y.shape[1]):
-            y[k, i] = nu[0, k, i] - nu[1, k, i]
+    for i in range(y.size):
+        y.flat[i] = nu.flat[i] - nu.flat[y.size + i]
 
 
 @jit
-def _mean_product(p: Problem, barrier: _Barrier) -> float:
+def _mean_product(barrier: _Barrier) -> float:
     """Return mu, the mean product of slack and dual, and of excess and what its dual is below its penalty."""
-    t, e, nu = barrier.t, barrier.e, barrier.nu
     total, count = 0.0, 1
-    for side in range(2):
-        for k in range(t.shape[1]):
-            for i in range(t.shape[2]):
-                if np.isinf(_bound(p, side, k, i)):
-                    continue
-                total += t[side, k, i] * nu[side, k, i]
+    for i in range(barrier.bound.size):
+        if not np.isinf(barrier.bound.flat[i]):
+            total += barrier.t.flat[i] * barrier.nu.flat[i]
+            count += 1
+            if not np.isinf(barrier.cap.flat[i]):
+                total += barrier.e.flat[i] * barrier.room.flat[i]
                 count += 1
-                if not np.isinf(p.penalty[k, i]):
-                    total += e[side, k, i] * barrier.room[side, k, i]
-                    count += 1
     return float(total / count)

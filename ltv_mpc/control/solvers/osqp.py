@@ -13,6 +13,9 @@ solution. A forward sweep gives the states that they lead to; a backward sweep g
 does not determine the inputs), the guess is no deviation, with the duals of the previous solve.
 
 Over-relaxation is off: with step sizes this unequal the plain iteration is faster.
+
+The solver is OSQP's binding, the class that its Python wrapper calls, too. The wrapper prepares derivatives of the
+solution and copies all settings and results, which takes as long as two Riccati sweeps (docs/notes/problem-form.md).
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ import signal
 from typing import NamedTuple
 
 import numpy as np
-import osqp
+from osqp import SolverStatus, ext_builtin
 from scipy.sparse import csc_array, csc_matrix
 
 from ltv_mpc.control.config import ResolvedConfig
@@ -36,6 +39,8 @@ from ltv_mpc.control.solvers.sparse import (
     HARD,
     LOWER,
     UPPER,
+    Indices,
+    Masks,
     Numbers,
     Places,
     SparseLayout,
@@ -67,18 +72,21 @@ SETTINGS = {
 }
 """Plain ADMM on rows that are scaled already: step size 1, absolute residuals, limited by iterations, never by time."""
 
-SOLVED, INTERRUPTED = int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SIGINT)
+SOLVED, INTERRUPTED = int(SolverStatus.OSQP_SOLVED), int(SolverStatus.OSQP_SIGINT)
 
 STATUS = {
     SOLVED: SolveStatus.SOLVED,
-    int(osqp.SolverStatus.OSQP_SOLVED_INACCURATE): SolveStatus.ITERATION_LIMIT,
-    int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED): SolveStatus.ITERATION_LIMIT,
-    int(osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE): SolveStatus.INFEASIBLE,
-    int(osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE_INACCURATE): SolveStatus.INFEASIBLE,
-    int(osqp.SolverStatus.OSQP_DUAL_INFEASIBLE): SolveStatus.INFEASIBLE,
-    int(osqp.SolverStatus.OSQP_DUAL_INFEASIBLE_INACCURATE): SolveStatus.INFEASIBLE,
+    int(SolverStatus.OSQP_SOLVED_INACCURATE): SolveStatus.ITERATION_LIMIT,
+    int(SolverStatus.OSQP_MAX_ITER_REACHED): SolveStatus.ITERATION_LIMIT,
+    int(SolverStatus.OSQP_PRIMAL_INFEASIBLE): SolveStatus.INFEASIBLE,
+    int(SolverStatus.OSQP_PRIMAL_INFEASIBLE_INACCURATE): SolveStatus.INFEASIBLE,
+    int(SolverStatus.OSQP_DUAL_INFEASIBLE): SolveStatus.INFEASIBLE,
+    int(SolverStatus.OSQP_DUAL_INFEASIBLE_INACCURATE): SolveStatus.INFEASIBLE,
 }
 """Status by OSQP's own; one that is missing here is ``FAILED``."""
+
+INFINITE = 1e30
+"""Bound that OSQP takes as none."""
 
 EQUALITY_ROW = 300.0
 """Scale s of the dynamics; their step size is its square."""
@@ -108,6 +116,9 @@ NOT_EXCEEDED = 1e-3
 
 NOT_ACTIVE = 1e-9
 """Magnitude below which a dual is zero up to rounding."""
+
+NOT_FINITE, MISFIT = -1.0, -2.0
+"""Size of a problem that has a number that is not finite, or one that the layout has no place for."""
 
 FIRST_BATCH = 1
 """Iterations of the first batch: the first guess usually is the solution."""
@@ -149,7 +160,11 @@ class OsqpSolver:
         """Problem that was built last."""
         self.layout: SparseLayout | None = None
         """Layout of its QP; ``arrays`` has the QP's numbers and its point, ``duals`` those of the limits (N+1, M)."""
-        self._solver: osqp.OSQP | None = None
+        self._solver: ext_builtin.OSQPSolver | None = None
+        self._settings = ext_builtin.OSQPSettings()
+        ext_builtin.osqp_set_default_settings(self._settings)
+        for name, value in SETTINGS.items():
+            setattr(self._settings, name, value)
         self._finite = False
 
     def shift_warm_start(self, stages: float) -> None:
@@ -172,14 +187,14 @@ class OsqpSolver:
         ----------
         problem : is read now alone.
         """
-        self.problem, self._finite = problem, is_finite(problem)
-        if not self._finite:
-            return
-        before = self.layout
+        self.problem, before = problem, self.layout
         if before is None or before.masks.H.shape != problem.H.shape or before.masks.low.shape != problem.low.shape:
-            before = None
+            before, self.layout = None, None
             self.work, self.duals, self._shift = Sweep.empty(problem), np.zeros(problem.low.shape), math.nan
-        if before is None or not fits(problem, before.masks):
+        size = self._prepare(problem)
+        if size == MISFIT and not is_finite(problem):  # its pattern would be wrong
+            size = NOT_FINITE
+        if size == MISFIT:
             self.layout = layout = SparseLayout(problem, before)
             rows, columns = layout.rows, layout.variables
             self.arrays = Arrays(
@@ -187,11 +202,18 @@ class OsqpSolver:
                 np.zeros(layout.A.nnz), np.zeros(rows), np.zeros(rows), np.zeros(rows),
             )  # fmt: skip
             self._solver = None
-        assert self.layout is not None
-        places = self.layout.places
-        size, costate = prepare(problem, places, self._knots, self._shift, self.work, self.duals, self.arrays)
+            size = self._prepare(problem)
         self._finite = size >= 0.0
+
+    def _prepare(self, problem: Problem) -> float:
+        """Prepare the solve in the present layout; return ``prepare``'s size."""
+        if self.layout is None:
+            return MISFIT
+        size, costate = prepare(
+            problem, self.layout.masks, self.layout.places, self._knots, self._shift, self.work, self.duals, self.arrays
+        )
         self._eps = max(self._tolerance * size, ROUNDING * costate if self.layout.soft_rows else 0.0)
+        return float(size)
 
     def update(self) -> None:
         """Pass the problem to OSQP; the first one sets it up (see ``Solver``)."""
@@ -200,18 +222,19 @@ class OsqpSolver:
         at, layout = self.arrays, self.layout
         if self._solver is None:
             rescale(layout.places, at)  # changes nothing, but is compiled now and not with the first hard problem
-            self._solver = osqp.OSQP(algebra="builtin")
             P, A = (_csc(of, data) for of, data in ((layout.P, at.numbers.P), (layout.A, at.A)))
-            self._solver.setup(P, at.numbers.q.copy(), A, at.l.copy(), at.u.copy(), **SETTINGS)
-        self._load(with_cost=True)
+            sizes = layout.rows, layout.variables
+            self._solver = ext_builtin.OSQPSolver(P, at.numbers.q, A, at.l, at.u, *sizes, self._settings)
+        self._load(at.numbers.P)
 
-    def _load(self, *, with_cost: bool) -> None:
-        """Pass numbers and point to OSQP, which factorises."""
+    def _load(self, P: Array | None) -> None:
+        """Pass numbers and point to OSQP, which copies them and factorises; None: the cost is the same as before."""
         at, solver = self.arrays, self._solver
         assert solver is not None
-        solver.update(Ax=at.A.copy(), **({"Px": at.numbers.P.copy()} if with_cost else {}))  # OSQP keeps the arrays
-        solver.update(q=at.numbers.q, l=at.l, u=at.u)
-        solver.warm_start(x=at.x, y=at.scaled_y)
+        errors = solver.update_data_mat(P, None, at.A, None), solver.update_data_vec(at.numbers.q, at.l, at.u)
+        if any(errors):
+            raise ArithmeticError(f"OSQP rejects the problem, errors {errors} of matrices and vectors")
+        solver.warm_start(at.x, at.scaled_y)
 
     def solve(self) -> Result:
         """Solve the problem (see ``Solver``). It ends after ``max_iterations`` or a few more, never by time."""
@@ -219,27 +242,30 @@ class OsqpSolver:
         assert p is not None, "build() must be called before solve()"
         if not self._finite or solver is None or layout is None:
             return self._no_solution(p, "the problem is not finite")
-        at, z = self.arrays, np.zeros_like(p.h)
+        at, z = self.arrays, np.zeros(p.h.shape)
         iterations, batch = 0, 0
         while True:
             length = BATCH * 2 ** max(0, batch - CONSTANT_BATCHES) if batch else FIRST_BATCH
-            solver.update_settings(max_iter=min(length, self._max_iterations), eps_abs=self._eps)
-            result = solver.solve(raise_error=False)
-            status = int(result.info.status_val)
+            self._settings.max_iter, self._settings.eps_abs = min(length, self._max_iterations), self._eps
+            solver.update_settings(self._settings)
+            solver.solve()
+            info, solution = solver.info, solver.solution
+            status = int(info.status_val)
             if status == INTERRUPTED:
                 signal.raise_signal(signal.SIGINT)  # OSQP catches Ctrl-C during a solve
             batch += 1
-            iterations += int(result.info.iter)
-            if not store_solution(np.asarray(result.x), np.asarray(result.y), layout.places, at, z, self.duals):
+            iterations += int(info.iter)
+            at.x[:] = solution.x
+            if not store_solution(at.x, solution.y, at.scale, at.y, layout.places.column, layout.limit, z, self.duals):
                 self._solver = None
                 return self._no_solution(p, "OSQP returned a value that is not finite; rebuilt")
             if status == SOLVED or iterations >= self._max_iterations:
                 break
             if rescale(layout.places, at) > 0:
-                self._load(with_cost=False)
+                self._load(None)
         self._shift = 0.0
         report = STATUS.get(status, SolveStatus.FAILED)
-        primal, dual, why = float(result.info.prim_res), float(result.info.dual_res), ""
+        primal, dual, why = float(info.prim_res), float(info.dual_res), ""
         if report is not SolveStatus.SOLVED:
             named = report.value.replace("_", " ")
             why = f"OSQP: {named} after {iterations} iterations, primal residual {primal:.1e}, dual {dual:.1e}"
@@ -252,22 +278,22 @@ class OsqpSolver:
         return Result(np.zeros_like(p.h), Solve(status=SolveStatus.NON_FINITE, why=why))
 
 
-def _csc(pattern: csc_array, data: Array) -> csc_matrix:
-    """Return a matrix in OSQP's types, with numbers of its own: OSQP keeps the arrays that it is set up with."""
-    parts = data.copy(), pattern.indices.astype(np.int32), pattern.indptr.astype(np.int32)
-    return csc_matrix(parts, shape=pattern.shape)
+def _csc(pattern: csc_array, data: Array) -> ext_builtin.CSC:
+    """Return a matrix in OSQP's types."""
+    parts = data, pattern.indices.astype(np.int32), pattern.indptr.astype(np.int32)
+    return ext_builtin.CSC(csc_matrix(parts, shape=pattern.shape))
 
 
 @jit
 def prepare(
-    p: Problem, places: Places, t: Array, shift: float, work: Sweep, duals: Array, at: Arrays
+    p: Problem, masks: Masks, places: Places, t: Array, shift: float, work: Sweep, duals: Array, at: Arrays
 ) -> tuple[float, float]:
     """Compute the QP of a problem and its first guess, unscaled and with scaled rows.
 
     Parameters
     ----------
     p : problem.
-    places : places of its numbers.
+    masks, places : of the layout.
     t : (N+1,) knots in first stages.
     shift : by how many first stages the last solve's knots were earlier; NaN if there is none to begin with.
     work : workspace of the sweeps; overwritten.
@@ -276,8 +302,10 @@ def prepare(
 
     Returns
     -------
-    ``dual_scale`` of the problem, or -1 if a number is not finite; magnitude of the largest dual of the dynamics.
+    ``dual_scale`` of the problem, ``NOT_FINITE`` or ``MISFIT``; magnitude of the largest dual of the dynamics.
     """
+    if not fits(p, masks):
+        return MISFIT, 0.0
     fill(p, places, at.numbers)
     riccati.shift_duals(duals, t, shift)
     for i in range(duals.size):
@@ -293,7 +321,7 @@ def prepare(
     costates(p, work.z, duals, costate)
     _guess(p, places, work, duals, costate, at)
     if rescale(places, at) < 0:
-        return -1.0, 0.0
+        return NOT_FINITE, 0.0
     largest = 0.0
     for i in range(p.f.size):
         largest = max(largest, abs(at.y[i]))
@@ -363,7 +391,7 @@ def rescale(places: Places, at: Arrays) -> int:
     """
     numbers, y, size = at.numbers, at.y, dual_scale(at.numbers.q, places)
     free = min(LIMIT_ROW * size, MAX_LIMIT_ROW)
-    changed, total = 0, size
+    changed, total = 0, np.sum(numbers.q) + np.sum(numbers.P)
     for i in range(len(y)):
         kind, active = places.kind[i], abs(y[i]) > NOT_ACTIVE
         if kind == DYNAMICS:
@@ -376,28 +404,27 @@ def rescale(places: Places, at: Arrays) -> int:
             s = (EXCESS_ROW if kind == EXCESS else SOFT_ACTIVE) * size
         if s != at.scale[i]:
             changed, at.scale[i] = 1, s
-        at.l[i], at.u[i], at.scaled_y[i] = numbers.l[i] * s, numbers.u[i] * s, y[i] / s
+        at.l[i], at.u[i], at.scaled_y[i] = max(numbers.l[i] * s, -INFINITE), min(numbers.u[i] * s, INFINITE), y[i] / s
         total += y[i]
         if np.isnan(numbers.l[i]) or np.isnan(numbers.u[i]) or (kind == DYNAMICS and np.isinf(numbers.l[i])):
             return -1
     for i in range(len(at.A)):
         at.A[i] = numbers.A[i] * at.scale[places.row[i]]
         total += at.A[i]
-    for i in range(len(numbers.P)):
-        total += numbers.P[i]
     return changed if np.isfinite(total) else -1
 
 
 @jit
-def store_solution(solution: Array, scaled_y: Array, places: Places, at: Arrays, z: Array, duals: Array) -> bool:
+def store_solution(
+    x: Array, scaled_y: Array, scale: Array, y: Array, column: Indices, limit: Indices, z: Array, duals: Array
+) -> bool:
     """Store a solution, with the duals of the unscaled rows.
 
     Parameters
     ----------
-    solution : (n,) primal solution.
-    scaled_y : (m,) its dual, of the scaled rows.
-    places : places of its numbers.
-    at : its x and y are overwritten.
+    x, scaled_y : (n,) and (m,) the solution and its dual, of the scaled rows.
+    scale, y : (m,) of its ``Arrays``; y is overwritten.
+    column, limit : of its layout.
     z : (N+1, n+m) is overwritten with states and inputs.
     duals : (N+1, M) is overwritten with the duals of the limits.
 
@@ -405,18 +432,12 @@ def store_solution(solution: Array, scaled_y: Array, places: Places, at: Arrays,
     -------
     True if the solution is finite.
     """
-    total = 0.0
-    for i in range(len(solution)):
-        at.x[i] = solution[i]
-        total += solution[i]
-    for k in range(z.shape[0]):
-        for j in range(z.shape[1]):
-            if places.column[k, j] >= 0:
-                z[k, j] = solution[places.column[k, j]]
+    for i in range(z.size):
+        if column.flat[i] >= 0:
+            z.flat[i] = x[column.flat[i]]
     duals[:, :] = 0.0
-    for row in range(len(scaled_y)):
-        at.y[row] = scaled_y[row] * at.scale[row]
-        total += at.y[row]
-        if places.kind[row] != DYNAMICS and places.kind[row] != EXCESS:
-            duals.flat[places.source[row]] += at.y[row]
-    return bool(np.isfinite(total))
+    for row in range(len(y)):
+        y[row] = scaled_y[row] * scale[row]
+        if limit[row] >= 0:
+            duals.flat[limit[row]] += y[row]
+    return bool(np.isfinite(np.sum(x) + np.sum(y)))

@@ -25,7 +25,7 @@ from ltv_mpc.control.solvers.sweep import Sweep
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Solve, SolveStatus
 
-FIRST_SWEEPS = 3
+FIRST_SWEEPS = 14
 """Limit of the active-set sweeps with the last solve's rows."""
 
 MAX_SWEEPS = 60
@@ -182,8 +182,7 @@ def solve(p: Problem, work: Sweep, max_sweeps: int, y: Array) -> tuple[int, int,
         y[:, :] = 0.0
         return outcome, sweeps, 0.0
     violation = 0.0
-    for k in range(y.shape[0]):
-        for i in range(y.shape[1]):
-            if np.isinf(p.penalty[k, i]):
-                violation = max(violation, work.g[k, i] - p.high[k, i], p.low[k, i] - work.g[k, i])
+    for i in range(y.size):
+        if np.isinf(p.penalty.flat[i]):
+            violation = max(violation, work.g.flat[i] - p.high.flat[i], p.low.flat[i] - work.g.flat[i])
     return outcome, sweeps, violation

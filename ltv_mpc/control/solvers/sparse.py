@@ -106,6 +106,8 @@ class SparseLayout:
             sides = ((UPPER, self.masks.high), (LOWER, self.masks.low), (EXCESS, soft))
             rows += [(side, i) for side, mask in sides if mask.flat[i]] if soft.flat[i] else [(HARD, i)]
         kind, source = np.array(rows, dtype=np.int64).reshape(-1, 2).T
+        self.limit: Indices = np.where((kind == DYNAMICS) | (kind == EXCESS), -1, source)
+        """Index of each row's limit in low; -1 for a row that is none."""
         self.soft_rows = int(soft.sum())
         """Number of soft rows of limits."""
         self.variables = N * z + self.soft_rows
@@ -256,15 +258,14 @@ def fits(p: Problem, masks: Masks) -> bool:
     p : problem.
     masks : entries and bounds of the layout.
     """
+    missing = 0
     for part, mask in ((p.H, masks.H), (p.F, masks.F), (p.G, masks.G)):
         for i in range(part.size):
-            if part.flat[i] != 0.0 and not mask.flat[i]:
-                return False
+            missing += bool(part.flat[i] != 0.0) and not mask.flat[i]
     for part, mask in ((p.low, masks.low), (p.high, masks.high), (p.penalty, masks.soft)):
         for i in range(part.size):
-            if np.isfinite(part.flat[i]) and not mask.flat[i]:
-                return False
-    return True
+            missing += bool(abs(part.flat[i]) < np.inf) and not mask.flat[i]
+    return missing == 0
 
 
 @jit
@@ -293,7 +294,7 @@ def fill(p: Problem, at: Places, to: Numbers) -> None:
             to.l[row] = to.u[row] = -p.f.flat[i]
         elif kind == EXCESS:
             to.l[row], to.u[row] = 0.0, np.inf
-            to.q[at.excess.flat[i]] = min(p.penalty.flat[i], NO_PENALTY)
+            to.q[at.excess.flat[i]] = NO_PENALTY if p.penalty.flat[i] > NO_PENALTY else p.penalty.flat[i]
         else:
             to.l[row] = p.low.flat[i] if kind != UPPER else -np.inf
             to.u[row] = p.high.flat[i] if kind != LOWER else np.inf

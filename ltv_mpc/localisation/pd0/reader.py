@@ -2,7 +2,7 @@
 
 A frame starts with 7F 7F, its length lies within the file, and the sum of its bytes modulo 65536 equals the checksum
 after it. Frames are read in file order and do not overlap. All other bytes, and frames with invalid content, are losses
-with offset and reason. The instrument clock must increase.
+with offset and reason. The clock of each head must increase: of its ensembles the most that do are read.
 
     checksum_i = total[i + length] - total[i]  (mod 65536),   total = running sum of all bytes
 
@@ -11,8 +11,9 @@ So time and memory depend only on the size of the file, even if every byte start
 
 from __future__ import annotations
 
+import bisect
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -119,18 +120,39 @@ def parse(data: bytes, *, source: str, max_losses: int = MAX_LISTED_LOSSES) -> R
         end = start + length + 2
         try:
             ensemble = records.decode(memoryview(data)[start : start + length], start)
-            if ensembles and ensemble.t_ns <= ensembles[-1].t_ns:
-                raise DamagedEnsemble("its clock does not increase")
         except DamagedEnsemble as problem:
             add_loss(start, end, str(problem))
         else:
             ensembles.append(ensemble)
     if end < len(data):
         add_loss(end, len(data))
+    kept = {k for upward in (False, True) for k in _increasing(ensembles, upward)}
+    for k, ensemble in enumerate(ensembles):
+        if k not in kept:
+            add_loss(ensemble.offset, ensemble.offset + ensemble.size, "its clock does not increase")
+    losses.sort(key=lambda loss: loss.offset)
+    ensembles = [ensemble for k, ensemble in enumerate(ensembles) if k in kept]
     if not ensembles:
         first = losses[0] if losses else Loss(0, 0, "the file is empty")
         raise ConfigError(source, f"byte {first.offset}", f"no valid ensemble: {first.why}")
     return Recording(source, len(data), tuple(ensembles), tuple(losses), places, lost)
+
+
+def _increasing(ensembles: Sequence[Ensemble], upward: bool) -> list[int]:
+    """Return the numbers of the most ensembles of one direction whose clock increases (Schensted 1961)."""
+    begins: list[int] = []  # of the best runs of each length: the number of the first ensemble
+    behind: dict[int, int | None] = {}
+    for k in reversed(range(len(ensembles))):
+        if ensembles[k].settings.upward == upward:
+            length = bisect.bisect_left(begins, -ensembles[k].t_ns, key=lambda begin: -ensembles[begin].t_ns)
+            behind[k] = begins[length - 1] if length else None
+            begins[length : length + 1] = [k]
+    run: list[int] = []
+    at = begins[-1] if begins else None
+    while at is not None:
+        run.append(at)
+        at = behind[at]
+    return run
 
 
 def _running_sum(data: bytes) -> Sums:

@@ -97,6 +97,7 @@ class Ensemble(NamedTuple):
     """Decoded ensemble. Records that the file does not contain are None."""
 
     offset: int  # of its first byte in the file
+    size: int  # bytes with the checksum
     number: int
     t_ns: int  # instrument clock, since 1970
     settings: Settings
@@ -138,6 +139,7 @@ def decode(frame: memoryview, offset: int) -> Ensemble:
     velocity = _needed(records, 0x0100, 2 + 2 * BEAMS * settings.cells, "velocity")
     return Ensemble(
         offset=offset,
+        size=len(frame) + 2,
         number=struct.unpack_from("<H", leader, 2)[0] + (leader[11] << 16),
         t_ns=_time(leader),
         settings=settings,

@@ -21,6 +21,7 @@ from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.screening import usable
 from ltv_mpc.localisation.recorded_dive.uniformity import added_variance
 from ltv_mpc.localisation.recorded_dive.update import Mask, beams, correct, over_ground
+from ltv_mpc.localisation.recorded_dive.velocity_change import velocity_changes
 from ltv_mpc.messages import Array
 
 MAX_GRID_POINTS = 200
@@ -44,7 +45,7 @@ class Track:
     cells_used: int
     cells_screened: int  # cells with too few good pings or too near the bottom
     cells_rejected: int  # rejected by the gate
-    nis: float  # mean of residual^2 / S over the beams' rows, before the gate
+    nis: float  # residual^2 / S of the beams' rows before the gate: their median over that of a consistent filter
     water: WaterPrior
 
     @property
@@ -70,13 +71,14 @@ def run(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DivePar
     masks = [usable(x, parameters.min_good_share) for x in ensembles]
     model = Model.of(parameters, _nodes(ensembles, masks), _ranges(ensembles, masks))
     gate = float(chi2.ppf(parameters.gate_probability, 1))
+    changes = velocity_changes(ensembles, noise, parameters)
     x, P = model.prior()
     position, velocity, p_cov, v_cov = [], [], [], []
     fixed = last_fix = used = rejected = 0
-    nis_sum = 0.0
+    all_nis = [np.empty(0)]
     for k, (ensemble, mask) in enumerate(zip(ensembles, masks, strict=True)):
         if k:
-            model.propagate(x, P, 1e-9 * (ensemble.t_ns - ensembles[k - 1].t_ns))
+            model.propagate(x, P, 1e-9 * (ensemble.t_ns - ensembles[k - 1].t_ns), float(changes[k]))
         batch = beams(model, ensemble, mask, noise.sd_mps(ensemble.settings))
         cells = len(batch.z)
         if k < fixes and np.isfinite(ensemble.bottom_mps[:2]).all():
@@ -85,7 +87,7 @@ def run(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DivePar
         if accepted[cells:].any():
             fixed, last_fix = fixed + 1, k
         used, rejected = used + int(accepted[:cells].sum()), rejected + int((~accepted[:cells]).sum())
-        nis_sum += float(nis[:cells].sum())
+        all_nis.append(nis[:cells])
         position.append(x[POSITION].copy())
         velocity.append(x[VELOCITY].copy())
         p_cov.append(P[POSITION, POSITION].copy())
@@ -106,7 +108,7 @@ def run(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DivePar
         cells_used=used,
         cells_screened=there - used - rejected,
         cells_rejected=rejected,
-        nis=nis_sum / max(used + rejected, 1),
+        nis=float(np.median(rows)) / float(chi2.median(1)) if len(rows := np.concatenate(all_nis)) else 0.0,
         water=_water(model, x, P),
     )
 

@@ -6,6 +6,7 @@ State   x = [p, v, w, beta, c]
         beta   bias of beam i at range j (m/s), (4 C); a cell has that of the nearest range
         c      current north at the grid points, then east (m/s), (2 K); linear between grid points
 Propagation over dt:  p += v dt,  v a random walk of intensity q:  Q = q^2 [dt^3/3, dt^2/2; dt^2/2, dt]
+        q of each step as in velocity_change.py
         beta := f beta + noise,  f = exp(-dt / tau), noise of covariance (1 - f^2) B: stationary covariance B
         c += noise of covariance q_c^2 dt rho,  rho = exp(-|z1 - z2| / L): neighbours change together
 Prior   B(r1, r2) = s_b^2 + (s_r^2 + s_n^2 exp(-(r1 + r2) / r_n)) exp(-|r1 - r2| / L_r),  beams independent
@@ -120,7 +121,7 @@ class Model:
             P[axis, axis] = p.water_mean_sd_mps**2 + p.water_sd_mps**2 * self.correlation
         return np.zeros(self.size), P
 
-    def propagate(self, x: Array, P: Array, dt: float) -> None:
+    def propagate(self, x: Array, P: Array, dt: float, change_mps_per_rts: float) -> None:
         """Propagate estimate and covariance in place.
 
         Parameters
@@ -128,13 +129,14 @@ class Model:
         x : (n,) estimate.
         P : (n, n) covariance.
         dt : time (s).
+        change_mps_per_rts : q of this step.
         """
         p = self.parameters
         # p += v dt
         x[POSITION] += dt * x[VELOCITY]
         P[POSITION, :] += dt * P[VELOCITY, :]
         P[:, POSITION] += dt * P[:, VELOCITY]
-        q2 = p.velocity_change_mps_per_rts**2
+        q2 = change_mps_per_rts**2
         for a in range(2):
             P[a, a] += q2 * dt**3 / 3
             P[a, a + 2] += q2 * dt**2 / 2

@@ -19,8 +19,9 @@ Sd: TypeAlias = Annotated[float, Meta(ge=0, le=10)]
 class DiveParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Standard deviations (1 sigma) and lengths, SI units."""
 
-    # Velocity over ground is a random walk, wide enough for any vehicle: 6 cm/s in the 4 s of an ensemble is 0.3 m/s
-    # turned by 3 deg/s, or a swell; a shear of 0.02 per second at a descent of 0.14 m/s is a fifth of it.
+    # Velocity over ground is a random walk: 6 cm/s in the 4 s of an ensemble is 0.3 m/s turned by 3 deg/s, or a swell;
+    # a shear of 0.02 per second at a descent of 0.14 m/s is a fifth of it. The least: ``velocity_change.py`` estimates
+    # what a vehicle does that is faster or turns more.
     velocity_change_mps_per_rts: Positive = 0.03
     # Before the first fix: no glider or survey vehicle is faster.
     velocity_sd_mps: Positive = 2.0

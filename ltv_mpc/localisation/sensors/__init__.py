@@ -20,6 +20,7 @@ from ltv_mpc.localisation.sensors.sensor import AnySensor
 from ltv_mpc.localisation.sensors.settings import SensorSettings, Table
 from ltv_mpc.localisation.sensors.tdcp import TDCP, Tdcp
 from ltv_mpc.localisation.sensors.usbl import USBL, Usbl
+from ltv_mpc.messages import ImuSample, ImuSamples, Message
 
 
 class SensorTables(Table, frozen=True, kw_only=True):
@@ -43,6 +44,11 @@ SENSORS: tuple[AnySensor, ...] = tuple(
 
 BY_MESSAGE: Mapping[type[Any], AnySensor] = {sensor.message: sensor for sensor in SENSORS}
 BY_NAME: Mapping[str, AnySensor] = {sensor.name: sensor for sensor in SENSORS}
+
+PUBLISHED: Mapping[str, type[Message]] = {
+    sensor.name: ImuSamples if sensor.message is ImuSample else sensor.message for sensor in SENSORS
+}
+"""Messages of each sensor on the bus, by its name: inertial samples travel several at a time."""
 
 
 def fitted(tables: SensorTables) -> Iterator[tuple[AnySensor, SensorSettings]]:

@@ -154,7 +154,8 @@
       while (next < plots.length && !everything && !seen.has(panels.get(plots[next].name).section)) next += 1;
       if (next < plots.length) {
         const plot = plots[next];
-        Plots.draw(panels.get(plot.name), plot, [shown(plot)], Plots.times([run]), { at_s: past && past.status.t_s });
+        const view = { at_s: past && past.status.t_s, hides: !status.simulated };
+        Plots.draw(panels.get(plot.name), plot, [shown(plot)], Plots.times([run]), view);
       }
       next += 1;
       if (next >= plots.length) {

@@ -121,7 +121,7 @@ class MavlinkEdge(Edge):
             case Command():
                 self._mission.operator(message)
             case Plan():
-                numbers = self._mission.follow(message, now_us)
+                numbers = self._mission.follow(message)
                 return [self._send(self._codec.make.mission_item_reached_encode(number)) for number in numbers]
             case ControllerStatus(error_m=float() as error_m):
                 boot_ms = (self.clock.read(now_us) or 0) // MS & 0xFFFFFFFF

@@ -1,14 +1,14 @@
-"""Mission and fence of the autopilot as commands to the controller: the legs of the mission one after the other.
+"""Mission and fence of the autopilot as commands to the controller, and the items of the mission that are reached.
 
-A leg follows the one before when the vehicle has arrived and waited. An operator's ``follow`` or ``hold`` ends the
-mission. It starts again when the ground station sends it again, and at the item that the station sets as the current.
+An operator's ``follow`` or ``hold`` ends the mission. It starts again when the ground station sends it again, and at
+the item that the station sets as the current.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from msgspec import structs
@@ -17,8 +17,7 @@ from ltv_mpc.messages import Acknowledgement, Action, Command, Pair, Plan
 from ltv_mpc.references import Origin
 from services.edges.edge import Output
 from services.edges.mavlink.download import Download, ListKind, ListRefused
-from services.edges.mavlink.fence_items import fence_of
-from services.edges.mavlink.mission_items import Leg, legs_of
+from services.edges.mavlink.lists import Mission, fence_of, mission_of
 
 MISSION, FENCE = ListKind.MISSION, ListKind.FENCE
 NOTICE, WARNING = 5, 4  # MAV_SEVERITY
@@ -31,33 +30,35 @@ RECEIVED = "Flight plan received"
 
 
 class Progress:
-    """Progress along the first of the legs of a mission that are left."""
+    """Progress along a mission."""
 
-    def __init__(self, legs: Sequence[Leg], texts: Sequence[str] = ()) -> None:
-        """``texts`` say what the mission is."""
-        self.legs, self._texts, self._reached = legs, texts, 0
-        self._follows_ns: int | None = None  # time since which the controller follows the leg
-        self._leaves_us: float | None = None  # end of the wait
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self._reached = 0  # number of stops
+        self._follows_ns: int | None = None  # time since which the controller follows the mission
 
-    def accept(self, t_ns: int) -> Sequence[str]:
-        """Note that the controller follows the leg. Return the texts of a mission that begins."""
+    def accept(self, t_ns: int) -> None:
+        """Note that the controller follows the mission."""
         self._follows_ns = t_ns
-        return self._texts
 
-    def follow(self, plan: Plan, now_us: int) -> list[int]:
+    def follow(self, plan: Plan) -> list[int]:
         """Take a plan. Return the numbers of the items that are reached."""
-        if not self.legs or self._follows_ns is None or plan.cycle_t_ns < self._follows_ns:
+        if self._follows_ns is None or plan.cycle_t_ns < self._follows_ns:
             return []
-        leg, before = self.legs[0], self._reached
-        while self._reached < len(leg.stops) and (plan.arrived or _passed(leg, self._reached, plan)):
+        stops, before = self.mission.stops, self._reached
+        while self._reached < len(stops) and (plan.arrived or self._has_passed(plan)):
             self._reached += 1
-        if plan.arrived and self._leaves_us is None:
-            self._leaves_us = now_us + leg.wait_s * 1e6
-        return [stop.number for stop in leg.stops[before : self._reached]]
+        return [stop.number for stop in stops[before : self._reached] if stop.number]
 
-    def is_done(self, now_us: int) -> bool:
-        """Return True if the vehicle has arrived at the end of the leg and waited."""
-        return self._leaves_us is not None and now_us >= self._leaves_us
+    def _has_passed(self, plan: Plan) -> bool:
+        """Return True if the vehicle is at the next stop on its way, or the target, which waits for it, well behind."""
+        at, along_m = self._reached, self.mission.along_m
+        if at == len(along_m) - 1 or plan.progress is None:
+            return False
+        state, (north_m, east_m) = plan.states[0], self.mission.places[at]
+        behind_m = plan.progress * along_m[-1] - along_m[at]
+        near = behind_m >= -NEAR_M and math.hypot(state[0] - north_m, state[1] - east_m) <= NEAR_M
+        return near or behind_m >= PASSED_M
 
 
 class MissionFollower:
@@ -71,7 +72,7 @@ class MissionFollower:
         self._due: dict[ListKind, Command] = {}  # that the controller has not acknowledged
         self._sent: dict[ListKind, int] = {}  # newest command of each kind
         self._operators: deque[int] = deque(maxlen=100)  # commands of others that end the mission if accepted
-        self._progress = Progress([])
+        self._progress: Progress | None = None
         self.current: int | None = None
         """Item of the autopilot; None: unknown."""
         self.here: Pair | None = None
@@ -121,33 +122,32 @@ class MissionFollower:
 
     def acknowledged(self, reply: Acknowledgement) -> ListRefused | None:
         """Take a reply of the controller. Return the refusal if it rejects the newest mission or fence."""
-        if reply.command_id in self._operators and reply.accepted and self._progress.legs:
+        if reply.command_id in self._operators and reply.accepted and self._progress is not None:
             self._end("mission ended by a command of the operator")
         for kind in (kind for kind in ListKind if self._sent.get(kind) == reply.command_id):
             self._due.pop(kind, None)
             if not reply.accepted:
-                self._progress = Progress([]) if kind is MISSION else self._progress
+                self._progress = None if kind is MISSION else self._progress
                 return ListRefused(f"{kind.label} rejected: {reply.why}")
-            if kind is MISSION:
-                self.texts.extend((NOTICE, text) for text in self._progress.accept(reply.t_ns))
+            if kind is MISSION and self._progress is not None:
+                self._progress.accept(reply.t_ns)
+                self.texts.extend((NOTICE, text) for text in self._progress.mission.texts)
         return None
 
-    def follow(self, plan: Plan, now_us: int) -> list[int]:
-        """Take a plan. Return the numbers of the items that are reached, and begin the next leg when it is time."""
-        numbers = self._progress.follow(plan, now_us)
-        if self._progress.is_done(now_us):
-            self._begin(Progress(self._progress.legs[1:]))
-        return numbers
+    def follow(self, plan: Plan) -> list[int]:
+        """Take a plan. Return the numbers of the items that are reached."""
+        return [] if self._progress is None else self._progress.follow(plan)
 
     def _convert(self, origin: Origin, first: int) -> None:
         """Make commands of what has changed, of the mission from an item on."""
         if MISSION in self._changed and self.here is not None:
             self._changed.discard(MISSION)
             items = self._downloads[MISSION].items
-            legs = legs_of(items, origin, self._speed_mps, self.here, dives=self._dives, first=first)
-            if legs:
-                self._begin(Progress(legs, [text for leg in legs for text in leg.texts]))
-            elif self._progress.legs:
+            mission = mission_of(items, origin, self._speed_mps, self.here, dives=self._dives, first=first)
+            if mission is not None:
+                self._progress = Progress(mission)
+                self._ask(MISSION, Command(command_id=0, action=Action.FOLLOW, reference_toml=mission.toml))
+            elif self._progress is not None:
                 self._end("mission cleared: holds")
                 self._ask(MISSION, Command(command_id=0, action=Action.HOLD))
         if FENCE in self._changed:
@@ -155,24 +155,11 @@ class MissionFollower:
             fence = fence_of(self._downloads[FENCE].items, origin)
             self._ask(FENCE, Command(command_id=0, action=Action.FENCE, fence_toml=fence))
 
-    def _begin(self, progress: Progress) -> None:
-        self._progress = progress
-        self._ask(MISSION, Command(command_id=0, action=Action.FOLLOW, reference_toml=progress.legs[0].toml))
-
     def _ask(self, kind: ListKind, command: Command) -> None:
         self._due[kind] = command
         self._sent.pop(kind, None)  # a reply to the one before is none to this one
 
     def _end(self, text: str) -> None:
-        self._progress = Progress([])
+        self._progress = None
         self._due.pop(MISSION, None)
         self.texts.append((NOTICE, text))
-
-
-def _passed(leg: Leg, at: int, plan: Plan) -> bool:
-    """Return True if the vehicle is at a place on its way, or the target, which waits for it, is well behind it."""
-    if at == len(leg.stops) - 1:
-        return False
-    stop, state = leg.stops[at], plan.states[0]
-    near = math.hypot(state[0] - stop.north_m, state[1] - stop.east_m) <= NEAR_M
-    return near or (plan.progress is not None and plan.progress * leg.along_m[-1] >= leg.along_m[at] + PASSED_M)

@@ -202,7 +202,7 @@ const Plots = (() => {
   const begun = (runs) => runs.some((run) => Object.values(run.tables).some((table) => (table.t_s || []).length > 0));
 
   // View: {follow: around the vehicle, at_s: a moment that time plots mark, ranges: of the axes, in place of their own,
-  // empty: the text without data}.
+  // empty: the text without data, hides: a panel without data is not shown}.
   function layout(plot, traces, timeRange, view) {
     const around = view.follow ? traces.filter((trace) => plot.follow.includes(trace.series.table)) : [];
     const x = axisLayout(plot.x, around.length ? around : traces, "x");
@@ -227,6 +227,8 @@ const Plots = (() => {
   function draw(panel, plot, runs, timeRange, view = {}) {
     const several = runs.length > 1;
     const traces = several ? ofSeveral(plot, runs) : ofOneRun(plot, runs[0]);
+    panel.section.hidden = Boolean(view.hides) && traces.length === 0;
+    if (panel.section.hidden) return Promise.resolve();
     const empty = begun(runs) ? plot.empty : NO_DATA;
     const made = layout(plot, traces, timeRange, { ...view, follow: panel.follow, empty });
     const events = plot.over_time && !several && runs[0].marks.length > 0;

@@ -21,6 +21,7 @@ from ltv_mpc.currents import write_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
+from ltv_mpc.localisation.pd0.reader import Recording
 from ltv_mpc.localisation.pd0.records import Ensemble, Settings
 from ltv_mpc.localisation.recorded_dive import study
 from ltv_mpc.localisation.recorded_dive.filter import Track, run
@@ -39,6 +40,9 @@ from services.tools.localise.dive_result import (
 )
 
 MAX_STARTS = 60
+MOST_NIS, LEAST_INSIDE = 3.0, 0.9
+"""Largest NIS, and smallest share of starts inside 3 sigma, of a filter that is consistent."""
+
 COLUMNS = (
     *("t_ns", "t_s", "depth_m", "north_m", "east_m", "sigma_m", "velocity_north_mps", "velocity_east_mps"),
     *("bottom_north_m", "bottom_east_m"),
@@ -59,9 +63,10 @@ class Outcome:
 
 def localise(
     path: Path,
-    *,
     fixes: int = 10,
     start_depth_m: float | None = None,
+    head: str | None = None,
+    *,
     parameters: DiveParameters | None = None,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> Outcome:
@@ -71,10 +76,11 @@ def localise(
     """
     parameters = parameters or DiveParameters()
     recording = reader.read(path)
-    first = _first(recording.ensembles, start_depth_m, recording.source)
-    end, why = dive_end(recording.ensembles, first, parameters.longest_gap_s)
-    settings = recording.ensembles[first].settings
-    seen = [to_beams(e) for e in recording.ensembles]
+    ensembles, heads = _of_head(recording, head)
+    first = _first(ensembles, start_depth_m, recording.source)
+    end, why = dive_end(ensembles, first, parameters.longest_gap_s)
+    settings = ensembles[first].settings
+    seen = [to_beams(e) for e in ensembles]
     dive = seen[first:end]
     water = uniformity(dive, parameters)
     if water is not None and not water.uniform:
@@ -82,20 +88,22 @@ def localise(
     noise = BeamNoise(dive, parameters.min_good_share)
     track = run(dive, noise, parameters, fixes=fixes)
     ground = dead_reckon(dive)
+    error = _error(dive, ground, track, fixes)
+    many = _study(ensembles, seen, parameters, fixes, progress)
     result = LocalisationResult(
         file=str(path),
         bytes=recording.size,
-        ensembles=len(recording.ensembles),
+        ensembles=len(ensembles),
         lost_bytes=recording.lost_bytes,
         lost_places=recording.lost_places,
         losses=tuple(LostBytes(offset=x.offset, length=x.length, why=x.why) for x in recording.losses),
         surface_fixes=fixes,
         instrument=_instrument(settings, noise),
-        track=_track(track, dive, recording.ensembles[first].number),
+        track=_track(track, dive, ensembles[first].number),
         water=None if water is None else WaterRow(**dataclasses.asdict(water)),
-        error=_error(dive, ground, track, fixes),
-        study=_study(recording.ensembles, seen, parameters, fixes, progress),
-        notes=tuple(_notes(settings, dive, track, why)),
+        error=error,
+        study=many,
+        notes=(*heads, *_notes(settings, dive, track, why), *_inconsistency(track, many)),
         parameters=parameters,
     )
     constant = study.constant_velocity(dive[:fixes])
@@ -125,6 +133,30 @@ def write(outcome: Outcome, folder: Path) -> str:
         return "no plot: matplotlib is not installed: pip install matplotlib (extra viz)"
     plot.draw(outcome, folder / "localise.png")
     return ""
+
+
+def _of_head(recording: Recording, head: str | None) -> tuple[Sequence[Ensemble], list[str]]:
+    """Return the ensembles of one head, and a note if there are two: without a choice the one with more ensembles."""
+    heads = {way: [e for e in recording.ensembles if e.settings.upward == (way == "up")] for way in ("down", "up")}
+    chosen = head or max(heads, key=lambda way: len(heads[way]))
+    if not heads.get(chosen):
+        problem = f"must be one that looks, of {recording.source}: {', '.join(way for way in heads if heads[way])}"
+        raise ConfigError("option --head", "", problem, value=chosen)
+    other = "down" if chosen == "up" else "up"
+    if not heads[other]:
+        return heads[chosen], []
+    note = f"two heads: {len(heads[chosen])} ensembles look {chosen} and are used, {len(heads[other])} look {other}"
+    return heads[chosen], [f"{note} (--head {other})"]
+
+
+def _inconsistency(track: Track, many: StudyRow | None) -> list[str]:
+    """Return a note if the errors are larger than the filter's sigma says."""
+    if track.nis > MOST_NIS:
+        return [f"the filter is NOT consistent, its sigma is too small: NIS {track.nis:.1f} where 1 is expected"]
+    if many is not None and many.inside_3_sigma < LEAST_INSIDE:
+        share = f"{100 * many.inside_3_sigma:.0f} % of the starts are inside 3 sigma, where 99 % are expected"
+        return [f"the filter is NOT consistent, its sigma is too small: {share}"]
+    return []
 
 
 def _first(ensembles: Sequence[Ensemble], start_depth_m: float | None, source: str) -> int:

@@ -24,7 +24,7 @@ from ltv_mpc.control.config import STAGE_NS, ControllerConfig, ResolvedConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.messages import Estimate, Message, StepRecord
-from ltv_mpc.node import Due, Node, ReceivedMessage
+from ltv_mpc.node import Inbox, Node, ReceivedMessage
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.recording.reader import Recording
@@ -185,15 +185,12 @@ class _WithoutCurrent:
             sensors.reads,
             sensors.writes,
         )
-        self._steps = sensors.steps
+        self._step = sensors.step
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
         return [
-            [
-                msgspec.structs.replace(message, current=None) if isinstance(message, Estimate) else message
-                for message in messages
-            ]
-            for messages in self._steps(due)
+            msgspec.structs.replace(message, current=None) if isinstance(message, Estimate) else message
+            for message in self._step(t_ns, inbox)
         ]
 
 
@@ -209,10 +206,10 @@ def _replay(recording: Path, node: Node, is_done: Callable[[], bool]) -> None:
     for t_ns, inbox in _steps(recording, node):
         if is_done():
             return
-        node.steps([(t_ns, inbox)])
+        node.step(t_ns, inbox)
 
 
-def _steps(recording: Path, node: Node) -> Iterable[Due]:
+def _steps(recording: Path, node: Node) -> Iterable[tuple[int, Inbox]]:
     """Generate the time and the inbox of each recorded step of the node, without messages that the recorder lost."""
     reads = frozenset(node.reads)
     received: dict[tuple[str, int, int], Message] = {}

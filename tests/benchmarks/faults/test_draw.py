@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 
 import pytest
@@ -30,58 +29,6 @@ def test_faults_are_spread_evenly_over_classes_and_targets():
     off = Counter(fault.target for fault in faults if fault.kind == "sensor_off")
     assert set(off) == set(kinds.INSTRUMENTS)
     assert max(off.values()) - min(off.values()) <= 1
-
-
-def test_in_a_run_a_minute_passes_between_two_faults_and_after_the_last():
-    for run in drawn():
-        under = [fault for fault in run.faults if fault.target not in kinds.AFLOAT]
-        for before, after in itertools.pairwise(under):
-            assert after.start_s - before.end_s >= 60.0
-        assert all(fault.end_s < 0.0 for fault in run.faults if fault.target in kinds.AFLOAT)
-        for fault in under:
-            assert fault.end_s == run.duration_s if fault.permanent else fault.end_s + 60.0 <= run.duration_s
-
-
-def test_some_of_what_may_last_is_permanent_and_then_the_last_of_its_run():
-    faults = [run.faults for run in drawn(400)]
-    assert any(fault.permanent for run in faults for fault in run)
-    assert all(not fault.permanent for run in faults for fault in run[:-1])
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_run_has_at_most_one_undeclared_antenna_because_its_alarm_outlasts_it(seed):
-    found = [sum(fault.kind == "reference_point" for fault in run.faults) for run in drawn(400, seed=seed)]
-    assert sum(found) == 16
-    assert max(found) == 1
-
-
-def test_sizes_and_durations_are_those_of_the_class():
-    for fault in (fault for run in drawn() for fault in run.faults if not fault.permanent):
-        kind = kinds.of(fault.kind, Place.LOCKSTEP)
-        assert kind.size[0] <= fault.size <= kind.size[1]
-        assert fault.end_s - fault.start_s <= kind.duration_s[1] + 1e-9
-
-
-def test_a_quick_campaign_breaks_nothing_that_works_afloat_only():
-    runs = drawn(pace=campaign.QUICK)
-    assert not any(fault.target in kinds.AFLOAT or fault.permanent for run in runs for fault in run.faults)
-    assert max(fault.end_s - fault.start_s for run in runs for fault in run.faults) <= campaign.QUICK.longest_s + 1e-9
-
-
-def test_of_a_thousand_faults_two_hundred_are_in_processes_ten_of_each_class():
-    asked = campaign.plan("", "both", 1000)
-    assert asked.total == 1000
-    assert asked.n_outside >= 200
-    assert asked.n_outside // len(asked.outside) >= 10
-    assert len({kind.name for kind in (*asked.inside, *asked.outside)}) >= 15
-
-
-def test_a_quick_one_leaves_processes_themselves_alone_unless_they_are_asked_for():
-    asked = campaign.plan("", "both", 31, quick=True)
-    assert (asked.n_inside, asked.n_outside) == (25, 6)
-    assert all(kind.name.startswith("message_") for kind in asked.outside)
-    (kind,) = campaign.plan("process_hang", "both", 1, quick=True).outside
-    assert kind.name == "process_hang"
 
 
 @pytest.mark.parametrize(

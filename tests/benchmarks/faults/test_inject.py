@@ -5,12 +5,11 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.faults import inject
-from benchmarks.faults.__main__ import main
-from benchmarks.faults.inject import Interference, read_by, unlike_at_a
+from benchmarks.faults.inject import Interference, unlike_at_a
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Applied, Estimate, Injection, MessageFault, PressureDepth
+from ltv_mpc.messages import Injection, MessageFault, PressureDepth
 from services.bus.topics import BY_TYPE
-from services.bus.wire import Header, WireError, decode, encode
+from services.bus.wire import Header, encode
 
 MS, S = 1_000_000, 1_000_000_000
 TOPIC = BY_TYPE[PressureDepth]
@@ -35,58 +34,10 @@ def test_what_no_fault_concerns_passes_byte_for_byte(way):
     assert through(way) == [(i * 100 * MS, frame(i)) for i in range(30)]
 
 
-def test_before_and_after_a_fault_every_frame_passes_byte_for_byte():
-    for harm in MessageFault:
-        came = [payload for _, payload in through(Interference([fault(harm, 0.5)]))]
-        assert came[:10] == [frame(i) for i in range(10)]
-        assert came[-9:] == [frame(i) for i in range(21, 30)]
-
-
 def test_a_lost_frame_is_gone_and_counted():
     way = Interference([fault(MessageFault.LOSS)])
     assert [payload for _, payload in through(way)] == [frame(i) for i in (*range(10), *range(20, 30))]
     assert way.harmed == [10]
-
-
-def test_a_late_a_doubled_and_a_reordered_frame_are_the_same_bytes():
-    assert through(Interference([fault(MessageFault.DELAY, 0.25)]))[10] == (S + 250 * MS, frame(10))
-    doubled = [payload for _, payload in through(Interference([fault(MessageFault.DUPLICATE)]))]
-    assert doubled[10:14] == [frame(10), frame(10), frame(11), frame(11)]
-    reordered = [payload for _, payload in through(Interference([fault(MessageFault.REORDER)]))]
-    assert reordered[10:14] == [frame(11), frame(10), frame(13), frame(12)]
-
-
-def test_a_frame_with_no_number_keeps_its_header_and_is_refused_by_the_wire():
-    for _, payload in through(Interference([fault(MessageFault.NOT_A_NUMBER)]))[10:20]:
-        with pytest.raises(WireError, match="depth_m"):
-            decode(PressureDepth, payload)
-        assert payload != frame(10)
-
-
-def test_a_jumped_clock_stamps_what_is_otherwise_the_same():
-    came = through(Interference([fault(MessageFault.CLOCK_JUMP, 7.0)]))
-    signal, header = decode(PressureDepth, came[10][1])
-    assert (signal.t_ns, signal.depth_m) == (8 * S, 10.0)
-    assert header == decode(PressureDepth, frame(10))[1]
-
-
-def test_rubbish_is_none_of_its_business():
-    way = Interference([fault(MessageFault.LOSS)])
-    assert way.carry(TOPIC, b"rubbish", S) == [(S, b"rubbish")]
-
-
-def test_a_fault_may_be_added_while_it_runs():
-    way = Interference()
-    assert way.carry(TOPIC, frame(0), S) == [(S, frame(0))]
-    way.add(fault(MessageFault.LOSS))
-    assert way.carry(TOPIC, frame(1), S) == []
-
-
-def test_a_controller_hears_the_named_sources_of_estimates_through_the_injector():
-    heard = read_by("controller")
-    assert heard["estimate/**"] is BY_TYPE[Estimate]
-    assert "estimate" not in heard  # the expression contains it
-    assert heard["applied"] is BY_TYPE[Applied]
 
 
 def test_a_fault_of_the_command_line_is_read_field_by_field():
@@ -134,18 +85,3 @@ def test_with_what_is_unlike_at_a_a_recorder_there_has_every_frame_of_both_route
     if harm in (MessageFault.NOT_A_NUMBER, MessageFault.CLOCK_JUMP):  # the same numbers of the sequence, other bytes
         assert at_a != at_b
         assert handed
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("--to x", 'option --to: "x": must be PROTOCOL/ADDRESS'),
-        ("--to tls/h:1 --connect tcp/h:1 --certs certs", 'option --connect: "tcp/h:1": must be tls/HOST:PORT'),
-        ("--to tcp/h:1 --namespace a//b", "option --namespace"),
-        ("--to tcp/h:1 --fault loss,plan,3", "option --fault"),
-    ],
-)
-def test_what_the_bus_cannot_use_is_refused_before_a_connection(words, said, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        main(["inject", "controller", *words.split()])
-    assert said in capsys.readouterr().err

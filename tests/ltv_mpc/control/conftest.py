@@ -88,7 +88,7 @@ def cycles() -> list[Cycle]:
     run_solver = LateralPlanner._run_solver
 
     def remembered(self, problem, shift):  # type: ignore[no-untyped-def]
-        copied = Linearisation.from_arrays(*self._cycle.lin[:-1])  # the controller's own is used again
+        copied = Linearisation(*map(np.copy, self._cycle.lin))  # the controller's own is used again
         seen.append(Cycle(Form(config.knots), copied, np.array(self.target), shift))
         return run_solver(self, problem, shift)
 

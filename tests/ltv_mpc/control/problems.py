@@ -63,9 +63,7 @@ def unlike_any_motion(seed: int, stages: int) -> tuple[Linearisation, Array]:
         B[:, 6, 1] = B[:, 7, 0] = 0.0
     X = rng.normal(size=(stages + 1, 8))
     U = rng.uniform(-40, 40, (stages + 1, 2))
-    lin = Linearisation.from_arrays(
-        X, U, rng.normal(size=(stages + 1, 2)), X[1:] + rng.normal(size=(stages, 8)) * 0.1, A, B0, B1
-    )
+    lin = Linearisation(X, U, rng.normal(size=(stages + 1, 2)), X[1:] + rng.normal(size=(stages, 8)) * 0.1, A, B0, B1)
     return lin, rng.normal(size=(stages + 1, 2))
 
 

@@ -10,7 +10,6 @@ from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Action, Command, ControllerState, Plan
 from ltv_mpc.node import ReceivedMessage
-from tests.stepping import step
 
 PAPER = Vehicle.load("paper")
 PLACE = references.Place
@@ -101,7 +100,7 @@ def test_a_controller_that_continues_has_arrived_and_an_armed_one_begins_again()
     node = ControllerNode(PAPER, POINT, ControllerConfig())
 
     def cycle(node, t_ns, *messages):
-        return step(node, t_ns, [ReceivedMessage(message, 1, t_ns + i, t_ns) for i, message in enumerate(messages)])
+        return node.step(t_ns, [ReceivedMessage(message, 1, t_ns + i, t_ns) for i, message in enumerate(messages)])
 
     def plan_of(outputs):
         return next(message for message in outputs if isinstance(message, Plan))

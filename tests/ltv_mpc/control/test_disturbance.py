@@ -17,7 +17,6 @@ from ltv_mpc.messages import Action, Plan, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.reference_point import ReferencePoint
 from tests.ltv_mpc.reports import report
-from tests.stepping import step
 
 PAPER = Vehicle.load("paper")
 ON = Disturbance(sd_mps=0.1)
@@ -269,7 +268,7 @@ def largest_bias(share: float) -> float:
         applied = report(t_ns, reported, commands.at(np.array([t_ns]))[0])
         vehicle.add_report(applied)
         inbox = [ReceivedMessage(applied, 1, k, t_ns), ReceivedMessage(truth, 1, k, t_ns)]
-        (plan,) = (message for message in step(node, t_ns, inbox) if isinstance(message, Plan))
+        (plan,) = (message for message in node.step(t_ns, inbox) if isinstance(message, Plan))
         commands.add(plan)
         end = vehicle.state_at(truth, t_ns + 300_000_000, commands)
         truth, reported = as_estimate(end, truth), np.array([*end.X[6:] / shares, end.vertical_N])
@@ -309,7 +308,8 @@ def test_the_lever_arm_to_the_estimated_point_is_learned_while_the_vehicle_turns
         if k == 199:
             break
         truth = as_estimate(vehicle.state_at(truth, truth.t_ns + 300_000_000, commands), truth)
-    mean, covariance = observer.lever_arm
+    state = observer.save()
+    mean, covariance = state.mean[2:4], state.covariance[2:4, 2:4]
     np.testing.assert_allclose(mean, arm_m, atol=0.03)
     assert np.all(np.abs(mean - arm_m) < 4.0 * np.sqrt(np.diag(covariance)))
     velocity = corrected.velocity_north_mps, corrected.velocity_east_mps
@@ -359,7 +359,8 @@ def test_a_steady_course_shows_no_lever_arm():
     estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
     for k in range(100):
         observer.correct(msgspec.structs.replace(estimate, t_ns=k * 300_000_000), vehicle, commands)
-    mean, covariance = observer.lever_arm
+    state = observer.save()
+    mean, covariance = state.mean[2:4], state.covariance[2:4, 2:4]
     np.testing.assert_allclose(mean, 0.0, atol=1e-6)
     np.testing.assert_allclose(np.diag(covariance), 0.04, rtol=1e-6)
 
@@ -370,7 +371,7 @@ def test_no_lever_arm_is_learned_where_the_settings_turn_it_off():
     for k in range(50):
         turning = msgspec.structs.replace(Estimate.at_rest(heading_rad=0.1 * k), t_ns=k * 300_000_000)
         observer.correct(msgspec.structs.replace(turning, yaw_rate_radps=0.3, velocity_east_mps=0.1), vehicle, commands)
-    np.testing.assert_array_equal(observer.lever_arm[0], 0.0)
+    np.testing.assert_array_equal(observer.save().mean[2:4], 0.0)
     assert observer.save().covariance[2:4].any() == False  # noqa: E712
 
 

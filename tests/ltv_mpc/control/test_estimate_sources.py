@@ -15,7 +15,6 @@ from ltv_mpc.node import DEFAULT_SOURCE, ReceivedMessage
 from ltv_mpc.references import Point
 from ltv_mpc.safety.source_selector import Source
 from ltv_mpc.vehicle.parameters import Vehicle
-from tests.stepping import step
 
 MS = 1_000_000
 CYCLE_MS, PERIOD_MS = 300, 100
@@ -57,7 +56,7 @@ class Controlled:
                     for source in sources
                 ]
             self.t_ms += CYCLE_MS
-            self.outputs += step(self.node, self.t_ms * MS, inbox)
+            self.outputs += self.node.step(self.t_ms * MS, inbox)
         return [message for message in self.outputs if isinstance(message, Plan)]
 
     def choose(self, name: str, *sources: From) -> Acknowledgement:
@@ -186,7 +185,7 @@ def test_an_operator_chooses_a_source_and_the_choice_is_saved_and_restored() -> 
     assert controlled.run(1, plain, dvl)[-1].estimate_t_ns == (controlled.t_ms - PERIOD_MS) * MS
     assert controlled.active == OTHER
     after = Controlled()
-    step(after.node, 0, [ReceivedMessage(saved, 3, 0, 0)])
+    after.node.step(0, [ReceivedMessage(saved, 3, 0, 0)])
     after.run(4, plain, dvl)
     assert after.active == OTHER
 

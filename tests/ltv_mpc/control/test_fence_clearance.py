@@ -76,7 +76,7 @@ def test_the_cost_of_a_track_is_that_of_all_its_points(seed: int) -> None:
         lack = np.maximum(every_need(of, t_s) - every_clearance(of, points, t_s), 0.0)
         lack[:-1] += np.where(lack[:-1] > 0.0, 0.5 * 0.4 * (0.3 * g) ** 2 / 8.0, 0.0)
         total += PENALTY * g * lack.max(axis=0).sum()
-    assert fence_cost(X, of, o) == pytest.approx(total)
+    assert fence_cost(X, of, o.t, o.state_scale[0]) == pytest.approx(total)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -149,13 +149,13 @@ def test_near_is_up_to_one_length_scale_beyond_what_is_required(within: float, n
     of_path = scene(**empty, path=ahead, targets=targets, path_reach=1, half_width_m=3.0 + within * scale)
     of_both = scene(**empty | {"zones": zones} | need | obstacle)
     X = np.zeros((len(KNOTS), 8))
-    assert not is_near(X, nothing, o)
-    assert is_near(X, of_zone, o) is near
-    assert is_near(X[:2], of_both, o) is near
+    assert not is_near(X, nothing, o.t, o.state_scale[0])
+    assert is_near(X, of_zone, o.t, o.state_scale[0]) is near
+    assert is_near(X[:2], of_both, o.t, o.state_scale[0]) is near
     X[:, 1] = 0.5
-    assert is_near(X[:2], of_disc, o) is near
+    assert is_near(X[:2], of_disc, o.t, o.state_scale[0]) is near
     X[:, 1] = -3.0
-    assert is_near(X, of_path, o) is near
+    assert is_near(X, of_path, o.t, o.state_scale[0]) is near
 
 
 def test_a_place_far_to_the_south_west_changes_nothing() -> None:
@@ -168,7 +168,7 @@ def test_a_place_far_to_the_south_west_changes_nothing() -> None:
     for seed in SEEDS:
         X, away = track(seed), track(seed)
         away[:, :2] += far
-        assert fence_cost(away, moved, o) == pytest.approx(fence_cost(X, of, o))
+        assert fence_cost(away, moved, o.t, o.state_scale[0]) == pytest.approx(fence_cost(X, of, o.t, o.state_scale[0]))
         assert entry_s(away, TIMES_S, moved, HULL_M) == pytest.approx(entry_s(X, TIMES_S, of, HULL_M))
 
 

@@ -13,7 +13,6 @@ from ltv_mpc.messages import Authority, ControllerState, CurrentProfile, Health
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.command_arbiter import ThrustOverride
 from tests.ltv_mpc.control.problems import SOLVER_NAMES
-from tests.stepping import step
 
 PAPER = Vehicle.load("paper")
 START = Estimate.at_rest(north_m=-1.0, heading_rad=0.3, depth_m=2.0)
@@ -81,7 +80,7 @@ def node_after(state: ControllerState, **settings: object) -> tuple[ControllerNo
     """Return a node that was restored from a state, and its first plan."""
     node = ControllerNode(PAPER, ORIGIN, ControllerConfig(**settings))
     inbox = [ReceivedMessage(message, 1, k, 0) for k, message in enumerate((state, OFF))]
-    (plan,) = [message for message in step(node, 0, inbox) if isinstance(message, Plan)]
+    (plan,) = [message for message in node.step(0, inbox) if isinstance(message, Plan)]
     return node, plan
 
 

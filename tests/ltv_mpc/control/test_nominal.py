@@ -57,7 +57,7 @@ def chosen(of: Scene) -> tuple[int, Array, float]:
     astern = objective.low
     start = np.array([0.0, 8.0, -0.25, 0.0, math.pi / 2, 0.0, *astern, *astern])
     kind = choose_nominal(cycle, start, np.tile(astern, (N + 1, 1)), 0.0, was_clear=True)
-    return kind, cycle.lin.X.copy(), fence_cost(cycle.lin.X, of, objective)
+    return kind, cycle.lin.X.copy(), fence_cost(cycle.lin.X, of, objective.t, objective.state_scale[0])
 
 
 def test_what_follows_the_horizon_counts_only_for_a_way_free_of_zones() -> None:

@@ -33,7 +33,6 @@ from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.mission_policy import MissionSettings
 from ltv_mpc.validation import rejection_reason
 from tests.ltv_mpc.reports import report
-from tests.stepping import step
 
 PAPER = msgspec.structs.replace(Vehicle.load("paper"), failsafe_vertical_N=-20.0)
 S = 1_000_000_000
@@ -61,7 +60,7 @@ class Craft:
         self.t_ns += PERIOD_NS
         fresh = () if self.estimate is None else (msgspec.structs.replace(self.estimate, t_ns=self.t_ns),)
         plan = None
-        for message in step(self.node, self.t_ns, [self._arrival(message) for message in (*messages, *fresh)]):
+        for message in self.node.step(self.t_ns, [self._arrival(message) for message in (*messages, *fresh)]):
             assert rejection_reason(message) is None
             match message:
                 case Plan():

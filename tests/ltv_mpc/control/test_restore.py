@@ -27,7 +27,6 @@ from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.validation import rejection_reason
 from tests.ltv_mpc.reports import report
-from tests.stepping import step
 
 PAPER = Vehicle.load("paper")
 PERIOD_NS = 300_000_000
@@ -59,7 +58,7 @@ class Flight:
     def step(self, *messages: Message) -> Plan:
         """Run one cycle, and move the vehicle by it."""
         inbox = [self.arrival(message) for message in (*messages, self.estimate)]
-        for signal in step(self.node, self.estimate.t_ns, inbox):
+        for signal in self.node.step(self.estimate.t_ns, inbox):
             assert rejection_reason(signal) is None
             self.messages.append(signal)
             match signal:
@@ -324,13 +323,13 @@ def test_estimates_out_of_order_are_ignored_and_counted():
     flight = armed(references.load("line"), 5)
     newest = flight.estimate
     node, t = flight.node, newest.t_ns
-    step(node, t, [ReceivedMessage(newest, 1, 100, t)])
+    node.step(t, [ReceivedMessage(newest, 1, 100, t)])
     old = msgspec.structs.replace(newest, t_ns=t - S, north_m=0.0)
     for arrival in (
         ReceivedMessage(old, 1, 101, t),
         ReceivedMessage(msgspec.structs.replace(newest, t_ns=t + 1), 1, 100, t),
     ):
-        plan = step(node, t + PERIOD_NS, [arrival])[0]
+        plan = node.step(t + PERIOD_NS, [arrival])[0]
         assert plan.estimate_t_ns == t
     state = node.inputs()[0]
     assert (state.input, state.rejected, state.alive, state.valid) == ("estimate", 2, True, True)
@@ -356,7 +355,7 @@ def test_a_report_with_a_stamp_from_the_future_does_not_block_later_ones():
 def test_health_follows_the_ages_of_estimate_and_reports():
     flight = armed(references.load("line"), 60)  # the current is known by then, so the prediction stays certain
     node, t = flight.node, flight.estimate.t_ns - PERIOD_NS
-    plans = [step(node, t + k * PERIOD_NS, [])[0] for k in range(1, 68)]
+    plans = [node.step(t + k * PERIOD_NS, [])[0] for k in range(1, 68)]
     # the period is 0.3 s, so the limits are 0.9, 10 and 20 s
     assert [p.health for p in plans] == ["nominal"] * 3 + ["degraded"] * 30 + ["hold"] * 33 + ["failsafe"]
     assert [p.origin for p in plans] == [PlanOrigin.SOLVED] * 33 + [PlanOrigin.STOP] * 33 + [PlanOrigin.ZERO]

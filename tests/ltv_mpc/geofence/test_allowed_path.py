@@ -62,7 +62,7 @@ def test_a_detour_on_a_long_path_takes_no_more_work_than_on_a_short_one() -> Non
         before, router = line(0.0, end_m), CountingRouter(ONE, NEED)
         after, _ = allowed_path(before, router)
         counts.append(router.searches)
-        behind = divided(before.table)[:, -100:].copy()
+        behind = divided(before.table).table[:, -100:].copy()
         behind[TIME] += after.duration_s - before.duration_s
         np.testing.assert_allclose(after.table[:, -100:], behind)
     assert counts[0] == counts[1]

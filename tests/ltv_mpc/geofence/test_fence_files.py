@@ -13,6 +13,7 @@ from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.references.geodesy import Origin, tangent_plane
 
 HOME = Origin(latitude_deg=50.2, longitude_deg=-5.1)
+ITEM_0 = (16, 0.0, 0, 50.2, -5.1)
 
 
 def square(north_deg: float, east_deg: float) -> list[list[float]]:
@@ -86,16 +87,21 @@ def test_inclusion_zones_of_one_group_are_their_union(tmp_path: Path) -> None:
         ("f.plan", plan([], []), "no zone: give at least one"),
         (
             "f.waypoints",
-            items((5001, 3.0, 0, 50.0, -5.0), (5002, 3.0, 0, 50.0, -5.0)),
-            "item 1: the polygon before it has 1 of 3",
+            items(ITEM_0, (5001, 3.0, 0, 50.0, -5.0), (5002, 3.0, 0, 50.0, -5.0)),
+            "item 2: the polygon before it has 1 of 3",
         ),
-        ("f.waypoints", items((5001, 3.0, 0, 50.0, -5.0)), "the last polygon has 1 of 3 vertices"),
+        (
+            "f.waypoints",
+            items(ITEM_0, (5001, 3.0, 0, 50.0, -5.0)),
+            "the last polygon has 1 of 3 vertices",
+        ),
         (
             "f.waypoints",
             items((16, 0.0, 0, 50.0, -5.0), (16, 0.0, 0, 50.0, -5.0)),
-            "item 1 = 16: is no part of a fence",
+            "item 1 MAV_CMD_NAV_WAYPOINT (16): is no part of a fence",
         ),
-        ("f.waypoints", items((5003, 0.0, 0, 50.0, -5.0)), "keep_in"),
+        ("f.waypoints", items((5003, 9.0, 0, 50.0, -5.0)), "has no home"),
+        ("f.waypoints", items(ITEM_0, (5003, 0.0, 0, 50.0, -5.0)), "item 1 radius = 0"),
     ],
 )
 def test_what_is_no_fence_is_refused_by_item(tmp_path: Path, name: str, text: str, says: str) -> None:

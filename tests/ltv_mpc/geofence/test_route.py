@@ -51,8 +51,7 @@ FENCES = {
     "two": Fence(margin_m=0.0, keep_out_disc=(disc(6.0, 0.5, 3.0), disc(14.0, -1.0, 2.0))),
     "trap": Fence(margin_m=0.0, keep_out=(polygon(*TRAP),)),
     "bay": Fence(
-        margin_m=0.0,
-        keep_in=(polygon((-3, -9), (25, -9), (25, 9), (12, 9), (12, -4), (9, -4), (9, 9), (-3, 9)),),
+        margin_m=0.0, keep_in=(polygon((-3, -9), (25, -9), (25, 9), (12, 9), (12, -4), (9, -4), (9, 9), (-3, 9)),)
     ),
 }
 START, GOAL = np.array([0.0, 0.0]), np.array([20.0, 0.0])
@@ -155,13 +154,7 @@ def test_a_way_round_a_disc_is_hardly_longer_than_the_tangents() -> None:
 def test_a_way_is_kept_until_another_is_clearly_shorter() -> None:
     _, of = router(FENCES["disc"])
     assert of.way(START, GOAL)[0][1] < 0.5  # to port, where the disc reaches less far
-    for east, side in (
-        (0.7, -1.0),
-        (0.9, -1.0),
-        (1.5, -1.0),
-        (1.8, 1.0),
-        (4.0, 1.0),
-    ):
+    for east, side in ((0.7, -1.0), (0.9, -1.0), (1.5, -1.0), (1.8, 1.0), (4.0, 1.0)):
         way = of.way(np.array([3.0, east]), GOAL)
         assert np.sign(way[0][1] - 0.5) == side
     _, fresh = router(FENCES["disc"])

@@ -16,17 +16,9 @@ from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import write_prior
-from ltv_mpc.messages import (
-    AdcpPing,
-    Array,
-    CompassHeading,
-    GnssFix,
-    ImuSample,
-    Message,
-    PressureDepth,
-    TdcpFix,
-)
+from ltv_mpc.messages import AdcpPing, Array, CompassHeading, GnssFix, ImuSample, Message, PressureDepth, TdcpFix
 from ltv_mpc.node import ReceivedMessage
+from tests.stepping import as_sent
 
 DT_NS = 10_000_000
 
@@ -309,7 +301,7 @@ def yoyo(
 
 def inbox(signal: Message) -> list[ReceivedMessage]:
     """Return the inbox of one message without latency."""
-    return [ReceivedMessage(message=signal, epoch=1, sequence=0, received_t_ns=signal.t_ns)]
+    return [ReceivedMessage(message=as_sent(signal), epoch=1, sequence=0, received_t_ns=signal.t_ns)]
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,6 @@ from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
 from ltv_mpc.localisation.sensors.lbl import Lbl
 from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import AdcpPing, BottomTrack, Estimate, LblRange, UsblFix
-from tests.stepping import step
 
 SECOND = 1_000_000_000
 ODD = {"missing_share": 0.1, "outlier_share": 0.1}
@@ -94,7 +93,7 @@ def drifts(dive, inbox_of, aid=None):
         arriving += [(t_ns, 10**6 + i, m) for i, (t_ns, m) in enumerate(aid(dive, np.random.default_rng(3)))]
     estimator, errors = Estimator(SUITE, CONFIG), []
     for _, _, message in sorted(arriving, key=lambda entry: entry[:2]):
-        for said in step(estimator, message.t_ns, inbox_of(message)):
+        for said in estimator.step(message.t_ns, inbox_of(message)):
             if not isinstance(said, Estimate):
                 continue
             if said.t_ns > 0 and said.t_ns % SECOND == 0:

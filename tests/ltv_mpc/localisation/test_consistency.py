@@ -1,7 +1,5 @@
 """Consistency of the filter over whole descents, against its covariance and theory; wide limits, few fixed seeds."""
 
-import itertools
-
 import msgspec
 import numpy as np
 import pytest
@@ -11,20 +9,8 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Estimate
-from tests.stepping import step
 
 EVERY_NS = 10_000_000_000
-
-
-def batches(messages, inbox_of):
-    """Generate the steps in batches, and alone where the filter is graded."""
-    due = []
-    for message in messages:
-        due.append((message.t_ns, inbox_of(message)))
-        if len(due) == 50 or message.t_ns % EVERY_NS < 200_000_000:
-            yield due
-            due = []
-    yield due
 
 
 class Sailed:
@@ -37,8 +23,8 @@ class Sailed:
         self.nees = {}  # per degree of freedom
         self.least_eigenvalue = np.inf
         seen = np.zeros(71, dtype=bool)
-        for due in batches(dive.messages, inbox_of):
-            for said in itertools.chain(*self.estimator.steps(due)):
+        for message in dive.messages:
+            for said in self.estimator.step(message.t_ns, inbox_of(message)):
                 if not isinstance(said, Estimate):
                     continue
                 self.estimates[said.t_ns] = said
@@ -172,7 +158,7 @@ def test_water_unlike_the_prior_still_passes_the_gate(make_dive, inbox_of):
             ahead, starboard = s * 0.25 * R[0, 0], s * 0.25 * R[0, 1]
             tide = np.array([ahead, -ahead, starboard, -starboard])
             message = msgspec.structs.replace(message, beam_velocity_mps=message.beam_velocity_mps + tide[:, None])
-        step(estimator, message.t_ns, inbox_of(message))
+        estimator.step(message.t_ns, inbox_of(message))
     account = estimator.account
     assert account["adcp.gate"] < 0.01 * account["adcp.used"]
     belief = estimator.filter.belief

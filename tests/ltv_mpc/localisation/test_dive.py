@@ -113,15 +113,13 @@ def test_the_recursion_is_the_batch_solution_of_the_same_linear_problem() -> Non
         if k:
             dt = 2.0 + k
             F, Q = change(model, dt)
-            model.propagate(x, P, dt)
+            model.propagate(x, P, dt, model.parameters.velocity_change_mps_per_rts)
             # the joint of all instants so far, with the next one below
             last = covariance[-n:]
             covariance = np.block([[covariance, last.T @ F.T], [F @ last, F @ last[:, -n:] @ F.T + Q]])
             mean.append(F @ mean[-1])
         batch = Batch(
-            rng.standard_normal((6, n)) * (rng.random((6, n)) < 0.3),
-            rng.standard_normal(6),
-            rng.uniform(0.01, 0.1, 6),
+            rng.standard_normal((6, n)) * (rng.random((6, n)) < 0.3), rng.standard_normal(6), rng.uniform(0.01, 0.1, 6)
         )
         correct(x, P, batch, gate=1e9)
         H_all.append(batch.H)
@@ -142,7 +140,7 @@ def test_a_bias_keeps_its_ensemble_and_the_water_walks() -> None:
     x, P = model.prior()
     before = P.copy()
     for _ in range(50):
-        model.propagate(x, P, 20.0)
+        model.propagate(x, P, 20.0, 0.03)
     biases = slice(BIAS, model.north.start)
     np.testing.assert_allclose(P[biases, biases], before[biases, biases], atol=1e-12)
     walked = np.diagonal(P[model.east, model.east] - before[model.east, model.east])

@@ -10,7 +10,6 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Estimate, FilterStatus, ImuSample, LocalisationReport
-from tests.stepping import step
 
 SUITE = SensorConfig.load("realistic")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0)
@@ -26,7 +25,7 @@ def dive(make_dive):
 
 def flown(messages, inbox_of):
     estimator = Estimator(SUITE, CONFIG)
-    return estimator, [said for m in messages for said in step(estimator, m.t_ns, inbox_of(m))]
+    return estimator, [said for m in messages for said in estimator.step(m.t_ns, inbox_of(m))]
 
 
 def without(dive, gaps):

@@ -11,7 +11,6 @@ from ltv_mpc.localisation.filter.error_state_filter import Innovations
 from ltv_mpc.localisation.health import MAX_ROWS, InnovationSamples
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import LocalisationReport
-from tests.stepping import step
 
 SENSORS = SensorConfig.load("realistic")
 
@@ -71,7 +70,7 @@ def test_the_innovations_in_the_reports_of_a_filter_are_as_large_as_it_expects(m
     """Of 40 s of every sensor, 95 % lie within two standard deviations; and a report has none of an earlier one."""
     estimator = Estimator(SENSORS, msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0))
     dive = make_dive(SENSORS, 4, duration_s=40.0)
-    out = [one for m in dive.messages for one in step(estimator, m.t_ns, inbox_of(m))]
+    out = [one for m in dive.messages for one in estimator.step(m.t_ns, inbox_of(m))]
     reports = [one for one in out if isinstance(one, LocalisationReport)]
     samples = [sample for report in reports for sample in report.innovations]
     assert {sample.sensor for sample in samples} >= {"gnss", "adcp", "pressure", "compass"}

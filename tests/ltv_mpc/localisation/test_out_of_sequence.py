@@ -30,7 +30,6 @@ from ltv_mpc.messages import (
     TdcpFix,
     UsblFix,
 )
-from tests.stepping import step
 
 SECOND = 1_000_000_000
 ODD = {"missing_share": 0.0, "outlier_share": 0.0}
@@ -98,7 +97,7 @@ def used(messages, inbox_of, observe=None):
         heard = estimator.filter is not None and message.t_ns > ALIGNED_NS
         if heard and observe not in (None, *estimator.filter.observers):
             estimator.filter.observers.append(observe)
-        said += [one for one in step(estimator, message.t_ns, inbox_of(message)) if isinstance(one, Estimate)]
+        said += [one for one in estimator.step(message.t_ns, inbox_of(message)) if isinstance(one, Estimate)]
     return estimator, said
 
 
@@ -251,5 +250,5 @@ def test_snapshots_are_rarer_if_no_sensor_has_a_latency(messages, inbox_of, monk
     monkeypatch.setattr(ErrorStateFilter, "snapshot", lambda self: taken.append(self.belief.t_ns) or snapshot(self))
     estimator = Estimator(suite, CONFIG)
     for message in messages:
-        step(estimator, message.t_ns, inbox_of(message))
+        estimator.step(message.t_ns, inbox_of(message))
     assert 0.9 * a_second < len(taken) / 6 <= a_second

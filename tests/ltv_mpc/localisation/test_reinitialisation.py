@@ -28,7 +28,6 @@ from ltv_mpc.messages import (
     LocalisationReport,
     PressureDepth,
 )
-from tests.stepping import step
 
 SUITE = SensorConfig.load("realistic")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=30.0, kept_m=5.0)
@@ -150,7 +149,7 @@ def test_an_estimator_whose_belief_is_corrupted_continues_at_the_next_estimate(m
     dive = make_dive(SUITE, 50, duration_s=24.0)
     estimator, out, spoilt = Estimator(SUITE, EstimatorConfig()), [], False
     for message in dive.messages:
-        out += step(estimator, message.t_ns, inbox_of(message))
+        out += estimator.step(message.t_ns, inbox_of(message))
         if message.t_ns > 19_950_000_000 and not spoilt:
             spoilt = True
             if spoil == "covariance":
@@ -184,7 +183,7 @@ def test_known_water_determines_the_velocity_after_a_reinitialisation(make_dive,
             rate = tuple(w + 0.07 for w in message.angular_rate_radps)
             force = tuple(f + 0.2 for f in message.specific_force_mps2)
             said = msgspec.structs.replace(message, angular_rate_radps=rate, specific_force_mps2=force)
-        out = step(estimator, message.t_ns, inbox_of(said))
+        out = estimator.step(message.t_ns, inbox_of(said))
         sd |= {one.t_ns: one.covariance[2, 2] ** 0.5 for one in out if isinstance(one, Estimate)}
         restarts |= {one.restarts for one in out if isinstance(one, LocalisationReport)}
     assert restarts == {0, 1}

@@ -10,7 +10,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensor_screening import MAX_CLOCK_LEAD_NS, MIN_CONSISTENT, SensorScreening
 from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, TdcpFix
 from ltv_mpc.node import ReceivedMessage
-from tests.stepping import step
+from tests.stepping import as_sent
 
 SUITE = SensorConfig.load("paper")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0)
@@ -77,7 +77,7 @@ def test_random_readings_of_an_inertial_unit_are_no_motion(make_dive):
             noise = rng.uniform(-1.0, 1.0, (2, 3)) * [[0.2], [2.0]]
             values = {"angular_rate_radps": tuple(noise[0]), "specific_force_mps2": tuple(noise[1])}
             said = msgspec.structs.replace(message, **values)
-        step(estimator, message.t_ns, [ReceivedMessage(said, 1, 0, message.t_ns)])
+        estimator.step(message.t_ns, [ReceivedMessage(as_sent(said), 1, 0, message.t_ns)])
     assert estimator.account["imu.jump"] > 390
     P, x, k = estimator.filter.core_covariance(), estimator.filter.belief.x, dive.at(12 * S)
     assert abs(x[3:5] - dive.velocity[k, :2]).max() < 3.5 * P[3, 3] ** 0.5
@@ -119,7 +119,7 @@ def test_a_clock_that_jumps_and_comes_back_leaves_a_gap_and_nothing_else(make_di
         if 4 * S < message.t_ns <= 9 * S:
             said = msgspec.structs.replace(message, t_ns=message.t_ns + round(jump_s * S))
             before_ns = estimator.filter.belief.t_ns
-        step(estimator, message.t_ns, [ReceivedMessage(said, 1, 0, message.t_ns)])
+        estimator.step(message.t_ns, [ReceivedMessage(as_sent(said), 1, 0, message.t_ns)])
         assert said is message or estimator.filter.belief.t_ns == before_ns
     assert estimator.filter.belief.t_ns == 12 * S
     assert estimator.account["imu.gap"] == 1

@@ -11,7 +11,6 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, Estimate, ImuSample, LocalisationReport, Message, PressureDepth
-from tests.stepping import step
 
 SUITE = SensorConfig.load("realistic")
 SECOND = 1_000_000_000
@@ -37,7 +36,7 @@ class Said:
                 self._step(inbox_of, waiting.pop(0))
 
     def _step(self, inbox_of, message: Message) -> None:
-        for one in step(self.estimator, message.t_ns, inbox_of(message)):
+        for one in self.estimator.step(message.t_ns, inbox_of(message)):
             if isinstance(one, Estimate):
                 self.estimates[one.t_ns] = one
             elif isinstance(one, LocalisationReport):

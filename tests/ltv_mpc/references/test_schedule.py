@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc import references
 from ltv_mpc.messages import ReferenceStart
-from ltv_mpc.references import Circle, Line, Place, Waypoints
+from ltv_mpc.references import Circle, Line, Place, Waypoint, Waypoints
 from ltv_mpc.references.limits import ACCELERATION_SHARE, SUSTAINED_SHARE, path_limits
 from ltv_mpc.references.schedule import (
     DEPTH,
@@ -34,11 +34,6 @@ LINE = Line(speed_mps=0.3, start=HERE, end=Place(north_m=40.0, east_m=0.0))
 
 def speeds(table):
     return np.diff(table[WAY]) / np.diff(table[TIME])
-
-
-def test_at_top_speed_drag_balances_thrust():
-    assert LIMITS.top_mps == pytest.approx(0.5)  # 2 x 62.5 = 500 x 0.5^2
-    assert LIMITS.cruise_mps == pytest.approx(0.5 * math.sqrt(SUSTAINED_SHARE))
 
 
 @pytest.mark.parametrize("radius_m", [2.0, 5.0, 20.0])
@@ -139,6 +134,31 @@ def test_every_schedule_advances_and_reaches_its_end(vehicle, name, corner_m):
     np.testing.assert_allclose(table[[NORTH, EAST], 0], [30.0, -7.0])
     np.testing.assert_allclose(table[[NORTH, EAST], -1], reference.path().points[-1])
     np.testing.assert_allclose(np.hypot(*np.diff(table[[NORTH, EAST]])), np.diff(table[WAY]), atol=1e-9)
+
+
+def test_waypoints_have_waits_depths_in_place_and_their_own_speeds():
+    places = (
+        Waypoint(north_m=0.0, east_m=0.0, depth_m=2.0),
+        Waypoint(north_m=20.0, east_m=0.0, depth_m=2.0, speed_mps=0.1),
+        Waypoint(north_m=20.0, east_m=20.0, depth_m=2.0, wait_s=20.0, speed_mps=0.2),
+        Waypoint(north_m=20.0, east_m=20.0, depth_m=5.0, wait_s=4.0),
+        Waypoint(north_m=0.0, east_m=20.0),
+    )
+    path = Waypoints(speed_mps=0.3, waypoints=places, descent_rate_mps=0.2)
+    table = path.schedule(PAPER).table
+    moving = speeds(table)[np.diff(table[WAY]) > 0.0]
+    way = table[WAY, 1:][np.diff(table[WAY]) > 0.0]
+    corner = path.path().lengths.sum() - 20.0  # up to the place with the depth
+    for begin, end, speed in ((3.0, 15.0, 0.3), (corner - 16.0, corner - 4.0, 0.1), (corner + 4.0, corner + 16.0, 0.2)):
+        inside = moving[(way > begin) & (way < end)]
+        assert inside.max() == pytest.approx(speed, rel=1e-6)
+    still = np.flatnonzero((np.diff(table[WAY]) == 0.0) & (np.diff(table[TIME]) > 0.0))
+    rest_s, depth_m = np.diff(table[TIME])[still], np.diff(table[DEPTH])[still]
+    turn_s = float(LIMITS.turning_s(np.array(math.pi / 2)))
+    np.testing.assert_allclose(rest_s, [20.0, 3.0 / 0.2, 4.0 + turn_s])
+    np.testing.assert_allclose(depth_m, [0.0, 3.0, 0.0])
+    np.testing.assert_allclose(table[[NORTH, EAST]][:, still], [[20.0] * 3, [20.0] * 3])
+    assert not path.notes(Vehicle.load("paper"))[1:]
 
 
 def test_targets_agree_with_the_table_at_any_knots():

@@ -55,11 +55,7 @@ FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
         (f"{FIRST}waypoints = [{{north_m = 1, east_m = 1}}]", "waypoints = "),
         (f"{FIRST}waypoints = [{{north_m = 1, east_m = 1}}, {{north_m = 1}}]", "waypoints[1]: a position needs"),
         (f"{FIRST}waypoints = [{{north_m = 1, east_m = 1}}, {{north_m = 1, east_m = 1}}]", "are the same position"),
-        (
-            f"{FIRST}waypoints = [{{north_m=1, east_m=1, depth_m=1}}, {{north_m=1, east_m=1, depth_m=9}}, "
-            "{north_m=2, east_m=1}]",
-            "waypoints[1] and the one before it are the same position at different depths",
-        ),
+        (f"{FIRST}waypoints = [{{north_m=1, east_m=1, wait_s=-1}}, {{north_m=2, east_m=1}}]", "wait_s = -1"),
         (f"{FIRST}waypoints = [{{north_m = 1, est_m = 1}}, {{}}]", 'unknown key "est_m" in [waypoints.0]; did'),
         (f"{FIRST}laps = 2\nwaypoints = [{{north_m=1, east_m=1}}, {{north_m=2, east_m=1}}]", "needs closed = true"),
         (

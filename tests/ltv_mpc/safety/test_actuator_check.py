@@ -258,11 +258,12 @@ def test_while_an_override_is_in_force_nothing_is_learned_and_the_uncertainty_gr
     assert variances[-1] == pytest.approx(0.15**2)  # the prior's, so that it is learned quickly
 
 
-def test_no_lever_arm_is_learned_while_the_actuators_contradict_the_plans():
+def test_nothing_is_learned_while_the_actuators_contradict_the_plans():
     loop, beliefs = Loop(delivered=Release()), []
-    loop.controller.vehicle_file_check.update = lambda t_ns, arm, _, **__: beliefs.append((t_ns, *arm[0]))
+    observer = loop.controller.observer
+    loop.controller.vehicle_file_check.update = lambda t_ns, *_, **__: beliefs.append((t_ns, *observer.save().mean))
     cycles = loop.run(20.0)
-    during = [arm_m for t_ns, *arm_m in beliefs if t_ns * 1e-9 >= degraded_s(cycles)[0]]
+    during = [mean for t_ns, *mean in beliefs if t_ns * 1e-9 >= degraded_s(cycles)[0]]
     assert len(during) > 10
     np.testing.assert_array_equal(during, during[:1] * len(during))
 

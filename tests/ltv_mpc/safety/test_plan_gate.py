@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ltv_mpc.messages import Plan, PlanOrigin, Solve, SolveStatus
-from ltv_mpc.safety.plan_gate import MAX_COMMANDERS, PlanGate, PlanVerdict
+from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
+from ltv_mpc.safety.source_selector import MAX_CANDIDATES
 from ltv_mpc.vehicle.parameters import Vehicle
 
 VEHICLE = Vehicle.load("paper")  # +-62.5 N, 100 N/s
@@ -257,7 +258,7 @@ def test_the_memory_of_commanders_is_bounded():
     for epoch in range(1000):
         at = epoch * 10 * S
         assert gate.offer(constant(at, 0.0, 0.0, 0.0), epoch, 5, at) is PlanVerdict.ACCEPTED
-    assert len(gate.commander.last_sequence) == MAX_COMMANDERS
+    assert len(gate._last_sequence) == MAX_CANDIDATES
 
 
 @pytest.mark.parametrize(

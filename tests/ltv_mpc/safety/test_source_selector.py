@@ -44,7 +44,7 @@ def test_one_message_of_another_source_changes_nothing() -> None:
     publish(of, TRUE, range(0, 1000, 100))
     assert not receive(of, OTHER, 950 * MS)
     assert all(publish(of, TRUE, range(1000, 3000, 100)))
-    assert (of.active, of.second, of.rejected) == (TRUE, OTHER, 1)
+    assert (of.active, of.contest.second(1500 * MS), of.rejected) == (TRUE, OTHER, 1)
 
 
 def test_a_second_source_is_reported_while_both_publish_and_not_after_a_restart() -> None:
@@ -52,11 +52,11 @@ def test_a_second_source_is_reported_while_both_publish_and_not_after_a_restart(
     publish(of, TRUE, range(0, 1000, 100))
     publish(of, OTHER, range(1000, 2000, 100))
     assert of.active == OTHER
-    assert not of.contested(2000 * MS)
+    assert of.contest.second(2000 * MS) is None
     publish(of, TRUE, range(2010, 2050, 10))
     publish(of, OTHER, range(2100, 2200, 100))
-    assert of.contested(2200 * MS)
-    assert not of.contested(4000 * MS)
+    assert of.contest.second(2200 * MS) == TRUE
+    assert of.contest.second(4000 * MS) is None
 
 
 def test_a_source_of_another_name_is_no_second_source() -> None:
@@ -64,7 +64,7 @@ def test_a_source_of_another_name_is_no_second_source() -> None:
     for t in range(0, 3000, 100):
         publish(of, TRUE, range(t, t + 1))
         publish(of, GNSS, range(t + 50, t + 51))
-    assert not of.contested(3000 * MS)
+    assert of.contest.second(3000 * MS) is None
     assert of.rejected == 0
 
 

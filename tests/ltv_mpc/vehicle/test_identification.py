@@ -10,13 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ltv_mpc import Vehicle
-from ltv_mpc.vehicle.identification import (
-    CannotIdentify,
-    Identification,
-    NotEnoughMotion,
-    identify,
-    with_coefficients,
-)
+from ltv_mpc.vehicle.identification import CannotIdentify, Identification, NotEnoughMotion, identify, with_coefficients
 from ltv_mpc.vehicle.reference_point import ReferencePoint
 from ltv_mpc.vehicle.shooting_fit import Motion, lagged_thrust, segments
 from tests.foreign_plant import plant

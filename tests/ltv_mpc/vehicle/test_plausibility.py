@@ -32,9 +32,9 @@ def warnings_of(vehicle: Vehicle) -> list[str]:
     return warnings(vehicle, performance(vehicle))
 
 
-@pytest.mark.parametrize("name", ["paper", "surface", "low-yaw", "weak-reverse", str(FOLDER / "template.toml")])
-def test_shipped_vehicles_and_the_template_give_no_warning(name: str) -> None:
-    assert warnings_of(Vehicle.load(name)) == []
+@pytest.mark.parametrize("name", [*sorted((FOLDER / "files").glob("*.toml")), FOLDER / "template.toml"])
+def test_shipped_vehicles_and_the_template_give_no_warning(name: Path) -> None:
+    assert warnings_of(Vehicle.load(str(name))) == []
 
 
 def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
@@ -48,47 +48,24 @@ def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
     [
         ("dry_mass_kg = 200.0", "dry_mass_kg = 200000.0", "dry_mass_kg = 200000: 5 to 50000 kg are usual; is it in g"),
         ("dry_mass_kg = 200.0", "dry_mass_kg = 0.2", "dry_mass_kg = 0.2: 5 to 50000 kg are usual"),
-        (
-            SURGE,
-            "[surge]\nmass_kg = 150.0\n",
-            r"[surge] mass_kg = 150: 0.75 x dry_mass_kg",
-        ),
-        (
-            "inertia_kgm2 = 179.049",
-            "inertia_kgm2 = 0.179",
-            "[yaw] inertia_kgm2 = 0.179: a radius of gyration of 0.019 m",
-        ),
+        (SURGE, "[surge]\nmass_kg = 150.0\n", r"[surge] mass_kg = 150: 0.75 x dry_mass_kg"),
+        ("inertia_kgm2 = 179.049", "inertia_kgm2 = 0.179", "[yaw] inertia_kgm2 = 0.179: a radius of gyration of"),
         ("inertia_kgm2 = 179.049", "inertia_kgm2 = 179049.0", "[yaw] inertia_kgm2 = 179049: a radius of gyration"),
         ("arm_m = 0.2 ", "arm_m = 0.0002 ", "[thruster.port] arm_m = 0.0002: 0.012 to 2.9 m fit 200 kg; is it in m?"),
         ("arm_m = 0.2 ", "arm_m = 20.0 ", "[thruster.starboard] arm_m = 20: 0.012 to 2.9 m fit 200 kg"),
-        (
-            "arm_m = 0.2                    # m left",
-            "arm_m = 0.0 # m left",
-            "[thruster.port] arm_m = 0: this thruster makes no yaw moment",
-        ),
-        (
-            "[surge]",
-            "[reference_point]\nforward_m = 50.0\n[surge]",
-            "[reference_point] forward_m = 50: within 2.9 m of the centre fits 200 kg; is it in m?",
-        ),
+        ("arm_m = 0.2                    # m left", "arm_m = 0.0 # m left", "[thruster.port] arm_m = 0: this"),
+        ("[surge]", "[reference_point]\nforward_m = 50.0\n[surge]", "[reference_point] forward_m = 50: within 2.9 m"),
         ("max_N = 62.5 ", "max_N = 0.0625 ", "is the thrust in kN or gf"),
         ("max_N = 62.5 ", "max_N = 62500.0 ", "is the thrust in kN or gf"),
-        (
-            "min_N = -62.5                  # N; paper",
-            "min_N = 0.0 # N; paper",
-            "[thruster.port] min_N = 0: no thrust astern",
-        ),
+        ("min_N = -62.5                  # N; paper", "min_N = 0.0 # N; paper", "[thruster.port] min_N = 0: no"),
         ("lag_s = 0.3 ", "lag_s = 30.0 ", "[thruster.port] lag_s = 30"),
-        (
-            SWAY,
-            "quadratic_damping_kgpm = 0.0\n",
-            "[sway] both dampings are 0: a sideways drift never ends",
-        ),
-        (
-            "max_rps = 7.2",
-            "max_rps = 5.0",
-            "[thruster.port] max_rps = 5: at the top speed of 0.5 m/s a propeller of 0.25 m gives",
-        ),
+        (SWAY, "quadratic_damping_kgpm = 0.0\n", "[sway] both dampings are 0: a sideways drift never ends"),
+        ("max_rps = 7.2", "max_rps = 5.0", "[thruster.port] max_rps = 5: at the top speed of 0.5 m/s a propeller of"),
+        ("max_rps = 7.2 ", "max_rps = 432.0 ", "move at 339 m/s; is it in rev/min?"),
+        ("propeller_diameter_m = 0.25 ", "propeller_diameter_m = 9.8 ", "at most 0.7 m fits 200 kg; is it in m?"),
+        ("max_N = 62.5 ", "max_N = 6.37 ", "is the thrust in N (not in kgf or lbf)?"),
+        ("mass_kg = 500.0", "mass_kg = 1102.3", "are the masses in kg (not in pounds)"),
+        ("mass_kg = 500.0", "mass_kg = 1102.3", "[surge] mass_kg = 1102.3: 5.51 x dry_mass_kg"),
         ("net_buoyancy_N = 30.5", "net_buoyancy_N = 100.0", "cannot dive"),
         ("net_buoyancy_N = 30.5", "net_buoyancy_N = -100.0", "cannot rise"),
         ("net_buoyancy_N = 30.5", "net_buoyancy_N = -5.0", "without a plan the vehicle sinks"),

@@ -36,6 +36,7 @@ from ltv_mpc.messages import (
     Health,
     Heartbeat,
     ImuSample,
+    ImuSamples,
     InboxEntry,
     Injection,
     InjectorFrame,
@@ -149,7 +150,12 @@ EXAMPLES: tuple[Message, ...] = (
         plans_rejected=0,
         why="autopilot disarmed; arm it",
     ),
-    ImuSample(t_ns=10_000_000, interval_ns=10_000_000, angular_rate_radps=TRIPLE, specific_force_mps2=TRIPLE),
+    ImuSamples(
+        samples=tuple(
+            ImuSample(t_ns=t_ns, interval_ns=10_000_000, angular_rate_radps=TRIPLE, specific_force_mps2=TRIPLE)
+            for t_ns in (10_000_000, 20_000_000)
+        )
+    ),
     GnssFix(t_ns=0, north_m=1.0, east_m=-1.0, velocity_north_mps=0.0, velocity_east_mps=0.0),
     TdcpFix(t_ns=0, from_t_ns=-1_000_000_000, north_m=0.01, east_m=0.02),
     BottomTrack(

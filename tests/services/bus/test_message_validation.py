@@ -296,12 +296,6 @@ def test_the_epoch_of_a_frame_is_found_without_decoding_it(epoch: int, sequence:
     assert epoch_of(msgpack.packb({"sequence": sequence, "epoch": epoch, "thrust_N": [0.0] * 3})) == epoch
 
 
-@given(st.binary(max_size=40))
-def test_any_bytes_have_an_epoch_or_none(payload: bytes) -> None:
-    for each in (payload, b"\xa5epoch" + payload, payload + b"\xa5epoch"):
-        assert epoch_of(each) is None or isinstance(epoch_of(each), int)
-
-
 def test_a_named_source_has_a_key_of_its_own() -> None:
     assert topic_at("estimate/gnss-2") is ESTIMATE
     assert (source_of("estimate/gnss-2"), source_of("estimate")) == ("gnss-2", "default")

@@ -196,28 +196,3 @@ def test_foxgloves_reader_takes_every_schema(kind: type[Message]) -> None:
     assert described["type"] == "object"
     assert takes(described)
     assert b"$ref" not in schema.text(kind)
-
-
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_a_schema_names_every_field_of_header_and_signal_in_their_order(kind: type[Message]) -> None:
-    fields = list(dict.fromkeys(wire.Header.__struct_fields__ + kind.__struct_fields__))
-    assert list(schema.message(kind)) == fields
-    described = schema.schema(kind)
-    names = {*described["properties"], *(pattern.strip("^$") for pattern in described["patternProperties"])}
-    assert names == set(fields)
-
-
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_every_field_has_its_meaning_in_words(kind: type[Message]) -> None:
-    """Also of the structs inside: a field that is added without is found here, with its name."""
-    assert list(_without_words(schema.schema(kind))) == []
-
-
-def _without_words(described: dict[str, Any]) -> Iterator[str]:
-    for name, value in (described["properties"] | described["patternProperties"]).items():
-        if not value.get("description"):
-            yield name
-        inner = [value, value.get("items", {}), *value.get("anyOf", ())]
-        for part in inner:
-            if part.get("required"):
-                yield from _without_words(part)

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
@@ -26,6 +25,7 @@ from services.bus.security import credentials
 from services.bus.session import configuration, open_session
 from services.bus.topics import TOPICS
 from services.cli.app import run
+from tests.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -66,12 +66,6 @@ def test_no_file_is_anybody_elses_to_read_and_the_authoritys_key_is_not_kept(fol
         "ca.pem",
         *(f"{role}.{kind}" for role in ROLES for kind in ("pem", "key")),
     }
-
-
-def test_certificates_made_twice_do_not_know_each_other(folder: Path, tmp_path: Path) -> None:
-    certificates.make(tmp_path, ("plant",), days=30)
-    with pytest.raises(InvalidSignature):
-        certificate(tmp_path / "plant.pem").verify_directly_issued_by(certificate(folder / "ca.pem"))
 
 
 def test_a_missing_open_or_foreign_key_is_refused_by_name(folder: Path, tmp_path: Path) -> None:
@@ -186,14 +180,6 @@ def test_a_router_learns_the_named_sources_from_the_certificates_in_its_folder(t
     assert rules["estimator puts"].count("**/estimate") == 1
 
 
-@pytest.mark.parametrize("name", ["default", "GNSS", "a/b", ""])
-def test_a_source_has_a_name_that_is_one_part_of_a_key(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["certs", "new", str(tmp_path / "certs"), "--source", name]) == 2
-    assert "option --source" in capsys.readouterr().err
-
-
 def test_a_router_denies_by_default_and_grants_within_its_namespace() -> None:
     control = access_control("auv/7")
     assert control["enabled"]
@@ -283,10 +269,7 @@ def test_a_router_that_is_told_nothing_has_no_socket_but_one_on_loopback(tmp_pat
             stderr=output,
         )
     try:
-        until = time.monotonic() + 60.0
-        while "ready at" not in log.read_text():
-            assert time.monotonic() < until, "it never came to that"
-            time.sleep(0.02)
+        until(lambda: "ready at" in log.read_text())
         assert sockets(router.pid) == {("tcp", "0100007F")}  # 127.0.0.1, as the kernel writes it
     finally:
         router.terminate()

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import math
-import random
 from typing import Any
 
 import msgpack
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from ltv_mpc.messages import (
-    AdcpPing,
-    BottomTrack,
-    CurrentProfile,
-    Estimate,
-    Message,
-    Plan,
-    PressureDepth,
-    StepRecord,
-)
+from ltv_mpc.messages import AdcpPing, CurrentProfile, Estimate, Message, Plan, PressureDepth, StepRecord
 from ltv_mpc.validation import rejection_reason
 from services.bus.topics import TOPICS
 from services.bus.wire import (
-    MAX_FRAME_MESSAGES,
     MAX_PAYLOAD_BYTES,
     Header,
     WireError,
@@ -36,7 +22,6 @@ from services.bus.wire import (
     decode,
     encode,
     header_of,
-    split,
     to_map,
     unpack,
 )
@@ -103,10 +88,7 @@ def test_the_crc_is_that_of_every_other_implementation() -> None:
             msgpack.packb({"epoch": 2**48, "sequence": 0, "sent_monotonic_us": 0}),
             "epoch = 281474976710656: Expected `int` <= 281474976710655",
         ),
-        (
-            msgpack.packb({"epoch": True, "sequence": 0, "sent_monotonic_us": 0}),
-            "epoch = True: Expected `int`",
-        ),
+        (msgpack.packb({"epoch": True, "sequence": 0, "sent_monotonic_us": 0}), "epoch = True: Expected `int`"),
         (msgpack.packb({"epoch": 1, "sequence": -1, "sent_monotonic_us": 0}), "sequence"),
         (b"\x91" * 100_000, "."),
         (b"\xdd\xff\xff\xff\xff", "."),
@@ -117,8 +99,8 @@ def test_the_crc_is_that_of_every_other_implementation() -> None:
         "empty",
         "reserved",
         "list",
-        "no header",
-        "no body",
+        "no-header",
+        "no-body",
         "epoch",
         "bool",
         "negative",
@@ -131,21 +113,6 @@ def test_the_crc_is_that_of_every_other_implementation() -> None:
 def test_rubbish_is_refused_by_reason(payload: bytes, reason: str) -> None:
     with pytest.raises(WireError, match=reason):
         decode(PressureDepth, payload)
-
-
-@given(st.binary(max_size=200), st.integers(0, 3))
-def test_any_bytes_are_split_without_loss_and_what_is_no_row_of_messages_stays_whole(rubbish: bytes, many: int) -> None:
-    messages = [encode(PressureDepth(t_ns=t_ns, depth_m=1.0), HEADER) for t_ns in range(many)]
-    parts = split(b"".join(messages) + rubbish)
-    assert b"".join(parts) == b"".join(messages) + rubbish
-    assert parts == [b"".join(parts)] or parts[:many] == messages
-
-
-def test_a_frame_with_more_messages_than_the_limit_is_rejected_as_a_whole() -> None:
-    row = msgpack.packb({}) * MAX_FRAME_MESSAGES
-    assert len(split(row)) == MAX_FRAME_MESSAGES
-    assert split(row + row[:1]) == [row + row[:1]]
-    assert split(b"\x00" * (MAX_PAYLOAD_BYTES + 1)) == [b"\x00" * (MAX_PAYLOAD_BYTES + 1)]
 
 
 def changed(signal: Message, **fields: Any) -> bytes:
@@ -218,92 +185,6 @@ def test_a_singular_covariance_passes_and_a_perfectly_known_state_too() -> None:
     rank_one = np.outer([5.0, 5.0, 1e-2, 1e-2, 1e-2, 1e-5], [5.0, 5.0, 1e-2, 1e-2, 1e-2, 1e-5])
     for covariance in (rank_one, np.zeros((6, 6))):
         assert rejection_reason(msgspec.structs.replace(ESTIMATE, covariance=covariance)) is None
-
-
-def numbers(value: object) -> list[float]:
-    """Every number in a decoded signal."""
-    if isinstance(value, np.ndarray):
-        return [float(x) for x in value.ravel()]
-    if isinstance(value, msgspec.Struct):
-        return [x for name in value.__struct_fields__ for x in numbers(getattr(value, name))]
-    if isinstance(value, dict):
-        return [x for part in value.values() for x in numbers(part)]
-    if isinstance(value, tuple):
-        return [x for part in value for x in numbers(part)]
-    return [float(value)] if isinstance(value, int | float) and not isinstance(value, bool) else []
-
-
-RUBBISH: tuple[Any, ...] = (
-    math.nan,
-    math.inf,
-    -math.inf,
-    1e308,
-    -1,
-    2**63,
-    2**64 - 1,
-    -(2**63),
-    None,
-    True,
-    "x",
-    b"\xff",
-    [],
-    {},
-    [[]],
-)
-
-
-def mutated(rng: random.Random, signal: Message) -> bytes:
-    """Return a frame of ``signal`` with one or two errors, from bits to meanings."""
-    message: Any = unpack(encode(signal, HEADER))
-    for _ in range(rng.choice((1, 1, 2))):
-        place: Any = message
-        while isinstance(place, dict | list) and place:
-            key = rng.choice(list(place) if isinstance(place, dict) else range(len(place)))
-            if not isinstance(place[key], dict | list) or not place[key] or rng.random() < 0.3:
-                break
-            place = place[key]
-        match rng.randrange(4):
-            case 0:
-                place[key] = copy.deepcopy(rng.choice(RUBBISH))  # else the next change is made to RUBBISH itself
-            case 1:
-                del place[key]
-            case 2 if isinstance(place, list):
-                place.append(copy.deepcopy(rng.choice((*RUBBISH, place[key]))))
-            case _:
-                place[key] = [place[key]]
-    payload = bytearray(msgpack.packb(message))
-    if rng.random() < 0.3:
-        for _ in range(rng.randrange(1, 4)):
-            payload[rng.randrange(len(payload))] = rng.randrange(256)
-    if rng.random() < 0.1:
-        del payload[rng.randrange(len(payload)) :]
-    return bytes(payload)
-
-
-def test_of_ten_thousand_hostile_frames_none_crashes_or_passes_a_wrong_value() -> None:
-    rng = random.Random(1)
-    accepted = 0
-    for i in range(10_000):
-        signal = EXAMPLES[i % len(EXAMPLES)]
-        payload = mutated(rng, signal) if i % 10 else rng.randbytes(rng.randrange(64))
-        try:
-            decoded, _ = decode(type(signal), payload)
-        except WireError:
-            continue
-        accepted += 1
-        values = numbers(decoded)
-        if isinstance(decoded, AdcpPing | BottomTrack):
-            values = [x for x in values if not math.isnan(x)]
-        if isinstance(decoded, AdcpPing):
-            assert decoded.beam_velocity_mps.shape == (4, len(decoded.range_m))
-        assert all(math.isfinite(x) for x in values), (type(signal), payload)
-        if isinstance(decoded, Plan):
-            assert decoded.thrust_N.shape == (len(decoded.t_ns), 3)
-            assert decoded.states.shape == (len(decoded.t_ns), 6)
-            assert (np.diff(decoded.t_ns) > 0).all()
-        if isinstance(decoded, Estimate) and decoded.covariance is not None:
-            assert np.linalg.eigvalsh(decoded.covariance / 25.0).min() > -1e-4
-    assert accepted < 2_500  # a changed digit is still a number; the rest was seen through
 
 
 @pytest.mark.parametrize(

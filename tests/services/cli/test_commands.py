@@ -8,11 +8,9 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,33 +18,10 @@ import pytest
 import shellingham
 
 from services.cli.app import run
-from services.cli.overview import WIDTH
-from services.cli.start import KEYS
 from services.processes import recorder
 from services.recording.reader import Recording
 from services.run.folder import RunFolder
 
-COMMANDS = (
-    *(
-        "sim",
-        "dashboard",
-        "watch",
-        "doctor",
-        "completion",
-        "controller",
-        "localise",
-        "topics",
-        "ctl",
-        "ros2",
-        "mavlink",
-        "vehicle",
-        "dive",
-        "certs",
-    ),
-    *("report", "replay", "log"),
-    *("profile", "campaign", "qp"),
-    *("router", "plant", "sensors", "estimator", "recorder"),
-)
 CLI = (sys.executable, "-P", "-X", "importtime", "-m", "services.cli")
 
 
@@ -58,15 +33,6 @@ def imported(stderr: str) -> set[str]:
     """Return the imported top-level packages from the output of ``-X importtime``."""
     names = re.findall(r"^import time: +\d+ \| +\d+ \| +(\S+)$", stderr, re.MULTILINE)
     return {name.partition(".")[0] for name in names}
-
-
-def test_the_command_alone_lists_every_command_in_one_line_each(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run([]) == 0
-    alone = capsys.readouterr().out
-    assert cli("--help") == 0
-    assert capsys.readouterr().out == alone
-    assert tuple(re.findall(r"^  ([a-z]\S*)  +\S.*$", alone, re.MULTILINE)) == COMMANDS
-    assert max(map(len, alone.splitlines())) <= WIDTH
 
 
 def test_shell_completion_knows_every_command_and_is_not_in_the_way_of_help(
@@ -94,34 +60,6 @@ def test_help_imports_nothing_that_is_slow() -> None:
         assert imported(result.stderr) & slow == set()
 
 
-@pytest.mark.parametrize(
-    ("command", "word"),
-    [
-        ("controller", "[controller]"),
-        ("estimator", "[estimator]"),
-        ("qp export-c", "[controller]"),
-    ],
-)
-def test_help_keeps_words_in_brackets(command: str, word: str, capsys: pytest.CaptureFixture[str]) -> None:
-    cli(f"{command} --help")
-    assert word in capsys.readouterr().out
-
-
-def test_help_prints_the_key_of_each_short_spelling(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
-    assert cli("sim --help") == 0
-    lines = capsys.readouterr().out.splitlines()
-    for option, key in (
-        *KEYS.items(),
-        ("--perfect-state", "run.perfect_state"),
-        ("--no-control", "controller.lateral"),
-    ):
-        (line,) = (line for line in lines if re.search(rf"{option}\b", line))
-        assert f"Key {key}." in line
-
-
 def test_an_option_wins_over_set_and_set_over_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.toml").write_text(
@@ -142,20 +80,6 @@ def test_json_has_stdout_to_itself(
     monkeypatch.chdir(tmp_path)
     assert cli("sim descent --lockstep --duration-s 0.3 --json --perfect-state --out r") == 0
     assert json.loads(capsys.readouterr().out) == json.loads(Path("r/summary.json").read_text())
-
-
-def test_the_verdict_ends_with_the_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert cli("sim descent --lockstep --duration-s 0.3 --no-control --perfect-state") == 0
-    lines = capsys.readouterr().out.splitlines()
-    folder = Path(lines[-1])
-    assert folder.parent == Path("runs")
-    assert (folder / "run.mcap").is_file()
-    commands = [line.split("ltv-mpc ")[1] for line in lines if "ltv-mpc " in line]
-    again = "sim runs/latest/scenario.toml"
-    assert commands == [again, "replay runs/latest"]  # lock step is not proposed again
 
 
 def test_a_run_s_scenario_runs_again_to_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,18 +136,6 @@ def test_an_interrupted_lock_step_exits_with_its_code_and_a_readable_recording(
     assert 0 < json.loads((tmp_path / "r" / "summary.json").read_text())["duration_s"] < 5000
 
 
-def test_the_name_of_the_scenario_outlives_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run of the scenario.toml of another run has the same name; a name with special characters is not used."""
-    monkeypatch.chdir(tmp_path)
-    for scenario, out in (("descent", "a"), ("a/scenario.toml", "b"), ("b/scenario.toml", "c")):
-        assert cli(f"sim {scenario} --lockstep --duration-s 0.3 --perfect-state --out {out}") == 0
-        assert json.loads(Path(out, "summary.json").read_text())["scenario"] == "descent"
-    foreign = Path("c/scenario.toml").read_text().replace('scenario = "descent"', 'scenario = "../descent"')
-    Path("c/mine.toml").write_text(foreign)
-    assert cli("sim c/mine.toml --lockstep --duration-s 0.3 --perfect-state --out d") == 0
-    assert json.loads(Path("d/summary.json").read_text())["scenario"] == "mine"
-
-
 @pytest.mark.parametrize("mode", ["", "--lockstep"])
 def test_a_disk_without_room_for_the_run_is_refused_before_its_folder_is_made(
     mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -265,21 +177,3 @@ def test_the_recorder_continues_its_own_folder_and_rejects_one_that_is_not_empty
     assert Path("r/run.mcap").read_bytes() == before
     assert cli("recorder descent --out new") == 0
     assert taken == [Path("r"), Path("new")]
-
-
-@pytest.mark.parametrize("line", ["controller", "estimator"])
-def test_what_runs_aboard_never_imports_the_simulation(line: str, tmp_path: Path) -> None:
-    """Not even through another module: the process itself lists its imports."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    errors = tmp_path / "stderr"
-    with errors.open("w") as sink, subprocess.Popen([*CLI, *line.split(), "-l", endpoint], stderr=sink) as process:
-        deadline = time.monotonic() + 60
-        while "waiting for" not in errors.read_text() and time.monotonic() < deadline:
-            time.sleep(0.05)
-        os.kill(process.pid, signal.SIGTERM)
-        assert process.wait(20) == 0
-    names = imported(errors.read_text())
-    assert {"ltv_mpc", "services", "zenoh"} <= names
-    assert "sim" not in names

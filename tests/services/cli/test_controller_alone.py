@@ -71,35 +71,6 @@ def test_a_checkpoint_arms_only_with_an_option_and_for_a_minute(started: list[co
     assert kept == [(None, None), (folder, None), (folder, 60.0), (folder, 5.0)]
 
 
-def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(tmp_path, capsys, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("file").write_text("in the way")
-    assert run(["controller", "--state", "file"]) == 2
-    assert 'option --state: "file": cannot be written: File exists' in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("--resume-armed", "option --resume-armed: needs --state DIR"),
-        ("--state s --resume-armed --resume-within-s -1", "resume-within-s"),
-        ("--rate-hz 0", "rate-hz"),
-        ("--rate-hz 51", "rate-hz"),
-        ("--rate-hz nan", "rate-hz"),
-        ("--horizon-s 0.1", "horizon-s"),
-        ("--rate-hz 0.1 --horizon-s 5", "period_s = 10.0: must be <= horizon_s = 5"),
-        ("--metrics 0", "metrics"),
-        ("--metrics 65536", "metrics"),
-        ("--input-delay-s -1", "input-delay-s"),
-        ("--own-clock", "--own-clock"),
-    ],
-)
-def test_bad_options_are_refused_before_anything_starts(words, said, started, capsys) -> None:
-    assert run(["controller", *words.split()]) == 2
-    assert said in capsys.readouterr().err
-    assert not started
-
-
 def test_a_port_that_is_taken_is_said_and_nothing_is_started(capsys, monkeypatch) -> None:
     monkeypatch.setattr(controller, "warm_up", lambda *_: pytest.fail("started"))
     with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from services.cli.app import run
-from services.recording import export as tables
 from tests.services.recording.recordings import write_depths
 
 
@@ -64,18 +63,3 @@ def test_export_writes_one_folder_and_rejects_one_that_is_not_empty(
     assert run(["log", "export", "--out", str(folder), "--force", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["files"][0]["file"].endswith("sensor-depth.csv")
     assert (folder / "run.mcap").read_bytes() == before
-
-
-def test_without_pyarrow_parquet_is_refused_in_words_before_anything_is_made(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tables, "find_spec", lambda _: None)
-    assert run(["log", "export", "--format", "parquet"]) == 2
-    assert "pip install pyarrow" in capsys.readouterr().err
-    assert not (folder / "parquet").exists()
-
-
-def test_a_run_that_is_not_there_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("info", "recover", "export"):
-        assert run(["log", command, str(folder / "no")]) == 2
-        assert "no such folder or file" in capsys.readouterr().err

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -45,20 +44,12 @@ from services.runtime.clock import fraction_of, monotonic_us
 from tests.services.reporting import synthetic_run
 from tests.services.reporting.synthetic_run import EPOCH, S
 from tests.services.words import status
+from tests.waiting import until
 
 K = TypeVar("K", bound=Message)
 
 NODES = ("plant", "sensors", "estimator", "controller", "recorder")
 SPEED = 10
-PATIENCE_S = 20.0
-
-
-def until(what: Callable[[], object], within_s: float = PATIENCE_S) -> None:
-    """Wait until ``what()`` is true."""
-    end = time.monotonic() + within_s
-    while not what():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
 
 
 class SyntheticVehicle:

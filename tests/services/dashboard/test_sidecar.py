@@ -18,10 +18,10 @@ from services.bus.options import BusOptions
 from services.bus.session import open_session
 from services.dashboard.config import About
 from services.dashboard.serve import NICE
-from services.dashboard.sidecar import NEEDS, REPORT_S, Sidecar
+from services.dashboard.sidecar import NEEDS, Sidecar
 from services.recording.node_settings import VEHICLE as VEHICLE_FILE
-from tests.services.dashboard.synthetic_vehicle import until
 from tests.services.reporting import synthetic_run
+from tests.waiting import until
 
 
 def page_of(
@@ -74,16 +74,19 @@ def test_the_address_is_said_and_the_page_ends_with_the_run(tmp_path: Path, free
 
 
 @pytest.mark.parametrize("waits", [True, False])
-def test_the_page_shows_the_preparation_and_is_awaited_from_opened_to_drawn(
+def test_the_run_waits_for_a_page_from_opened_to_drawn_and_then_until_it_has_the_report(
     tmp_path: Path, free_port: int, waits: bool
 ) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
-    page, said = page_of(tmp_path, waits=waits)
+    report = tmp_path / "report.html"
+    page, said = page_of(tmp_path, waits=waits, report=report)
     with open_session(BusOptions(listen=(endpoint,)), stop=lambda: False, say=said.append):
         page.start(BusOptions(connect=(endpoint,), namespace="a/run"))
+        given = threading.Thread(target=page.give_report)
         try:
             page.show("compiling: 43 %")
             until(lambda: said, within_s=60.0)
+            page.give_report()  # nobody shows the page
             host = urlsplit(said[0].removeprefix("live page: ")).netloc
             assert not page.awaited
             urllib.request.urlopen(f"http://{host}/").close()
@@ -92,39 +95,18 @@ def test_the_page_shows_the_preparation_and_is_awaited_from_opened_to_drawn(
                 until(lambda: "compiling: 43 %" in stream.recv(10))
                 stream.send(json.dumps({"number": 0, "token": "", "button": "drawn"}))
                 until(lambda: not page.awaited)
-        finally:
-            page.stop()
-        page.show("starting")  # of one that has ended
-        assert not page.awaited
-
-
-@pytest.mark.parametrize("waits", [True, False])
-def test_the_run_waits_until_a_drawn_page_has_the_report(tmp_path: Path, free_port: int, waits: bool) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port}"
-    report = tmp_path / "report.html"
-    page, said = page_of(tmp_path, waits=waits, report=report)
-    with open_session(BusOptions(listen=(endpoint,)), stop=lambda: False, say=said.append):
-        page.start(BusOptions(connect=(endpoint,), namespace="a/run"))
-        given = threading.Thread(target=page.give_report)
-        try:
-            until(lambda: said, within_s=60.0)
-            page.give_report()  # nobody shows the page
-            host = urlsplit(said[0].removeprefix("live page: ")).netloc
-            with connect(f"ws://{host}/stream", origin=f"http://{host}", proxy=None, max_size=2**24) as stream:
-                urllib.request.urlopen(f"http://{host}/").close()
-                until(lambda: page.awaited is waits)
-                stream.send(json.dumps({"number": 0, "token": "", "button": "drawn"}))
-                until(lambda: not page.awaited)
                 given.start()
-                given.join(0.5)
+                given.join(0.5 if waits else 60.0)
                 assert given.is_alive() is waits
                 report.write_text("report")
                 assert urllib.request.urlopen(f"http://{host}/report").read() == b"report"
                 stream.send(json.dumps({"number": 0, "token": "", "button": "has report"}))
-                given.join(REPORT_S / 2)
+                given.join(60.0)
                 assert not given.is_alive()
         finally:
             page.stop()
+        page.show("starting")  # of one that has ended
+        assert not page.awaited
 
 
 def test_without_the_extra_the_run_reports_it_and_continues(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,6 +21,7 @@ from services.processes.checkpoint import FILE, Checkpoint, Damaged, Stamp, pars
 from services.runtime.clock import boot_id
 from services.runtime.console import Console
 from tests.services.bus.messages import CONTROLLER_STATE, EXAMPLES
+from tests.waiting import until
 
 S_US, S_NS = 1_000_000, 1_000_000_000
 POINT = 'kind = "point"\nnorth_m = 0.0\neast_m = 0.0\n'
@@ -253,16 +253,6 @@ def test_if_writing_fails_no_checkpoint_is_left_that_arms_after_a_stop(
     assert parse(path.read_bytes())[1].authority is authority
     checkpoint.show(STATUS, 0)
     assert said()[1:] == ["the checkpoint is written again"]
-
-
-def until(condition: Callable[[], bool]) -> None:
-    """Wait for the thread of the disk."""
-    tick = threading.Event()
-    for _ in range(2000):
-        if condition():
-            return
-        tick.wait(0.01)
-    raise AssertionError("it never came to that")
 
 
 def test_two_controllers_do_not_share_a_folder(opened: Opener, tmp_path: Path) -> None:

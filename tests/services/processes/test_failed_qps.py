@@ -48,9 +48,7 @@ def test_each_failure_is_written_once_and_announced(failure, tmp_path):
     shown(writer, 3)
     (path,) = (tmp_path / "failed").iterdir()
     assert path.name == "qp-2.npz"
-    assert lines == [
-        f"a QP was not solved (slew of port in stage 2 violated by 3 N); saved: ltv-mpc qp show {path}",
-    ]
+    assert lines == [f"a QP was not solved (slew of port in stage 2 violated by 3 N); saved: ltv-mpc qp show {path}"]
     np.testing.assert_array_equal(FailedQp.load(path).qp.q, recorder.failed.qp.q)
 
 

@@ -14,6 +14,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.messages import *
+from tests.stepping import as_sent
 from services.processes.estimator import warm_up
 
 odd = {"period_ns": 10**9, "missing_share": 0.0, "outlier_share": 0.0, "outlier_m": 0.0}
@@ -41,7 +42,7 @@ before = compiled()
 estimator = Estimator(full if sys.argv[1] == "full" else base, config)
 said = []
 def feed(message):
-    said.extend(estimator.steps([(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])])[0])
+    said.extend(estimator.step(message.t_ns, [ReceivedMessage(as_sent(message), 1, 0, message.t_ns)]))
 still = {"north_m": 0.0, "east_m": 0.0}
 feed(GnssFix(t_ns=0, **still, velocity_north_mps=0.0, velocity_east_mps=0.0))
 feed(CompassHeading(t_ns=0, heading_rad=1.0))

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ltv_mpc.messages import AdcpPing, Applied, CycleTiming, Estimate, Message, Plan
+from ltv_mpc.messages import AdcpPing, Applied, CycleTiming, Estimate, ImuSamples, Message, Plan
 from services.bus.topics import key_of
 from services.bus.wire import Header, to_map
 from services.recording import export
@@ -46,7 +46,7 @@ def leaves(value: Any, name: str) -> dict[str, Any]:
     return {name: value}
 
 
-LATEST = {type(signal): signal for signal in EXAMPLES}
+LATEST = {type(signal): signal for signal in EXAMPLES if not isinstance(signal, ImuSamples)}
 """One message of each type, so that every list has one length."""
 
 
@@ -78,6 +78,27 @@ def said(cell: Any, like: Any) -> Any:
     if isinstance(like, str) or not isinstance(cell, str):
         return cell
     return json.loads(cell) if cell else None
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_each_inertial_sample_has_a_row_with_the_header_of_its_message(form: Format, tmp_path: Path) -> None:
+    two = example(ImuSamples)
+    assert isinstance(two, ImuSamples)
+    exported(tmp_path, form, ("sensors", two), ("sensors", two))
+    name = f"sensor-imu.{form}"
+    table = rows(tmp_path, name) if form == "csv" else pq.read_table(tmp_path / name).to_pylist()
+    assert [(int(row["sequence"]), int(row["t_ns"])) for row in table] == [
+        (sequence, sample.t_ns) for sequence in (0, 1) for sample in two.samples
+    ]
+    assert [float(row["specific_force_mps2_2"]) for row in table] == 2 * [x.specific_force_mps2[2] for x in two.samples]
+
+
+def test_a_single_inertial_sample_of_an_older_recording_is_a_row_and_no_list_of_samples_is_counted(
+    tmp_path: Path,
+) -> None:
+    path = foreign(tmp_path / "run.mcap", "sensor/imu", b'{"t_ns": 5}', b'{"samples": 3}', b'{"samples": [1]}')
+    assert export.export([path], tmp_path, "csv").unreadable == 2
+    assert [row["t_ns"] for row in rows(tmp_path, "sensor-imu.csv")] == ["5"]
 
 
 def test_validity_time_stands_beside_itself_in_seconds(tmp_path: Path) -> None:

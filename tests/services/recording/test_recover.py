@@ -5,21 +5,25 @@ from __future__ import annotations
 import struct
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import zstandard
 from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 
 from ltv_mpc.errors import ConfigError
+from services.cli.app import run
 from services.recording import recover
+from services.recording.reader import Recording
 from services.recording.records import MAGIC, MAX_CHUNK_BYTES, Records
-from services.recording.recover import Recovery, SegmentReader, recovered_path, segments
+from services.recording.recover import Recovery, recovered_path, segments
 from tests.services.recording.recordings import START_NS, depth, write, write_depths
 
 
 def messages(path: Path) -> list[tuple[str, int, bytes]]:
-    return [(line.key, line.t_ns, line.data) for line in SegmentReader(path)]
+    return [(line.key, line.t_ns, line.data) for line in Recording(path, past_losses=True).stored()]
 
 
 def chunks(path: Path) -> list[tuple[int, int]]:
@@ -122,7 +126,7 @@ def test_recovery_keeps_the_run_s_metadata_and_each_frame_s_checksum(tmp_path: P
     path = write_depths(tmp_path / "run.mcap", range(500))
     path.write_bytes(path.read_bytes()[:-200])
     made = recovered(path)
-    lines = SegmentReader(Path(made.file))
+    lines = Recording(Path(made.file), past_losses=True)
     assert len(list(lines)) == 500
     assert lines.metadata["seed"] == "7"
     assert lines.others == {"recovery": {"run.mcap": f"500 messages, {made.lost_bytes} bytes lost"}}
@@ -200,6 +204,38 @@ def test_a_record_that_lies_costs_no_memory_and_is_a_loss_with_its_reason(
     (loss,) = records.losses
     assert why in loss.why
     assert (loss.offset, loss.length) == (len(MAGIC + CHANNEL + MESSAGE), len(content))
+
+
+@pytest.mark.parametrize("how", [{"compression": CompressionType.LZ4}, {"chunk_size": 1 << 26}])
+def test_a_file_that_another_program_has_written_anew_is_whole(
+    how: dict[str, Any], whole: Path, tmp_path: Path
+) -> None:
+    with whole.open("rb") as before, (tmp_path / "run.mcap").open("wb") as file:
+        reader, writer, channels = make_reader(before), Writer(file, **how), dict[int, int]()
+        writer.start(profile="", library="other")
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
+            known = channels[channel.id]
+            writer.add_message(known, message.log_time, message.data, message.publish_time, message.sequence)
+        writer.finish()
+    records = Records(tmp_path / "run.mcap")
+    assert sum(type(found).__name__ == "Message" for found in records) == 3000
+    assert records.whole
+
+
+def test_a_bag_of_ros_2_is_said_to_be_one(tmp_path: Path) -> None:
+    with (tmp_path / "run.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="rosbag2")
+        schema = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", b"")
+        writer.add_message(writer.register_channel("/odom", "cdr", schema), 0, bytes(9), 0)
+        writer.finish()
+    for command in (["report"], ["log", "info"], ["log", "export"]):
+        with pytest.raises(ConfigError, match=r"A bag of ROS 2.*/odom, nav_msgs/msg/Odometry as cdr"):
+            list(Records(tmp_path / "run.mcap"))
+        assert run([*command, str(tmp_path)]) == 2
 
 
 def test_bytes_after_the_end_are_a_loss(whole: Path, tmp_path: Path) -> None:

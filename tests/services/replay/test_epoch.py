@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import msgspec
 
-from ltv_mpc.messages import InboxEntry, Message, PressureDepth, RecordedStep
+from ltv_mpc.messages import InboxEntry, Message, PressureDepth, RecordedStep, StepRecord
 from ltv_mpc.node import Grid, Inbox
 from services.bus import wire
+from services.bus.wire import Header
 from services.recording.reader import StoredMessage
 from services.replay.comparison import Comparison
-from services.replay.epoch import REACH, Epoch, Record
-from services.replay.frames import Frames, Header
-from tests.stepping import OneByOne
+from services.replay.epoch import REACH, Epoch
+from services.replay.frames import Frames
 
 
 def depth(sequence: int) -> tuple[StoredMessage, Header]:
@@ -43,7 +43,7 @@ def test_used_and_old_frames_are_discarded() -> None:
     assert frames.find(entry(*depth(9))) is not None
 
 
-class Fragile(OneByOne):
+class Fragile:
     """Node that raises at a depth."""
 
     name = "sensors"
@@ -61,10 +61,12 @@ def test_a_step_that_raises_only_in_the_replay_is_a_difference_and_ends_its_epoc
     frames, outcome = Frames(), Comparison("sensors", 7)
     frames.add(*depth(0), 0)
     epoch = Epoch(7, Fragile, frames, outcome)
-    epoch.take(Record(epoch=7, step=0, steps=(RecordedStep(t_ns=0, cause="grid", inbox=()),)), 1)
+    epoch.take(StepRecord(node="sensors", epoch=7, step=0, steps=(RecordedStep(t_ns=0, cause="grid", inbox=()),)), 1)
     outcome.add_recorded(*depth(0))
     raising = RecordedStep(t_ns=1, cause="grid", inbox=(entry(*depth(0)),))
-    epoch.take(Record(epoch=7, step=1, steps=(raising, RecordedStep(t_ns=2, cause="grid", inbox=()))), 2)
+    epoch.take(
+        StepRecord(node="sensors", epoch=7, step=1, steps=(raising, RecordedStep(t_ns=2, cause="grid", inbox=()))), 2
+    )
     epoch.close()
     assert (outcome.counts.compared, outcome.counts.identical) == (2, 1)
     assert outcome.counts.first_difference is not None
@@ -79,7 +81,12 @@ def test_a_step_that_raises_only_in_the_replay_is_a_difference_and_ends_its_epoc
 def test_a_missing_input_is_waited_for_up_to_the_largest_distance() -> None:
     frames, outcome = Frames(), Comparison("sensors", 7)
     epoch = Epoch(7, Fragile, frames, outcome)
-    epoch.take(Record(epoch=7, step=0, steps=(RecordedStep(t_ns=0, cause="grid", inbox=(entry(*depth(0)),)),)), 0)
+    epoch.take(
+        StepRecord(
+            node="sensors", epoch=7, step=0, steps=(RecordedStep(t_ns=0, cause="grid", inbox=(entry(*depth(0)),)),)
+        ),
+        0,
+    )
     epoch.advance(REACH)
     assert epoch.gap is None
     epoch.advance(REACH + 1)
@@ -96,7 +103,7 @@ def killed(*heard: tuple[StoredMessage, Header]) -> tuple[Epoch, Comparison]:
     """Return an epoch with one recorded step, and outputs after which the file has nothing more of the node."""
     outcome = Comparison("sensors", 7)
     epoch = Epoch(7, Fragile, Frames(), outcome)
-    epoch.take(Record(epoch=7, step=0, steps=(RecordedStep(t_ns=0, cause="grid", inbox=()),)), 0)
+    epoch.take(StepRecord(node="sensors", epoch=7, step=0, steps=(RecordedStep(t_ns=0, cause="grid", inbox=()),)), 0)
     for of in heard:
         outcome.add_recorded(*of)
     epoch.close()

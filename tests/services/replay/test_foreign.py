@@ -119,7 +119,7 @@ def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording
                 step=step,
                 steps=(RecordedStep(t_ns=t_ns, cause="cycle", inbox=tuple(entries), shift_ns=shift_ns),),
             )
-            (outputs,) = node.steps([(t_ns, arrivals)])
+            outputs = node.step(t_ns, arrivals)
             made += len(outputs)
             for signal in (record, *(shifted(output, shift_ns) for output in outputs)):
                 key = key_of(type(signal), node.name)

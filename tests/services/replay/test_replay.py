@@ -43,7 +43,7 @@ def test_every_step_of_a_run_in_lock_step_is_identical_from_the_file_alone(recor
     assert [(node.node, node.starts, node.outputs_lost) for node in verdict.nodes] == [
         (name, 1, 0) for name in ("plant", "sensors", "estimator", "controller")
     ]
-    assert of(verdict, "plant").steps_run == of(verdict, "sensors").steps_run == 401
+    assert (of(verdict, "plant").steps_run, of(verdict, "sensors").steps_run) == (81, 401)
     assert of(verdict, "controller").outputs_compared >= of(verdict, "controller").steps_run >= 8
     assert (verdict.cut, verdict.provenance_differences, verdict.first_difference) == (False, (), None)
     assert told[-1] == 3_000_000_000
@@ -101,7 +101,7 @@ def test_the_same_values_in_another_spelling_are_another_frame(recording: Path, 
 
 @pytest.mark.parametrize(
     ("key", "sequence", "node"),
-    [("sensor/imu", 250, "estimator"), ("record/estimator", 300, "estimator"), ("world/truth", 120, "sensors")],
+    [("sensor/imu", 70, "estimator"), ("record/estimator", 120, "estimator"), ("world/truth", 120, "sensors")],
 )
 def test_a_lost_message_is_a_gap_and_all_before_it_is_compared(
     recording: Path, tmp_path: Path, key: str, sequence: int, node: str
@@ -112,7 +112,7 @@ def test_a_lost_message_is_a_gap_and_all_before_it_is_compared(
     assert gap.first_step + gap.steps == of(verdict, node).steps_run
     assert gap.first_step == of(verdict, node).steps_compared > 100
     assert "is not in the file" in gap.why
-    assert ("the record of step 300" if key == "record/estimator" else f"{key} {sequence} (") in gap.why
+    assert ("the record of step 120" if key == "record/estimator" else f"{key} {sequence} (") in gap.why
     others = [other for other in verdict.nodes if other.node != node]
     assert all(other.steps_compared >= other.steps_run - 1 and not other.gaps for other in others)
 
@@ -187,7 +187,7 @@ def test_after_a_gap_a_node_is_compared_again_from_its_next_start(recording: Pat
     with RunWriter(out, start_ns=-1_000_000_000, metadata=dict(run.metadata)) as writer:
         for stored, plain in aboard:
             assert stored.kind is not None
-            if (stored.key, plain["sequence"]) != ("sensor/imu", 250):
+            if (stored.key, plain["sequence"]) != ("sensor/imu", 70):
                 writer.write_plain(stored.key, stored.kind, plain, stored.t_ns)
         for stored, plain in [(stored, second(stored, plain)) for stored, plain in aboard]:
             assert stored.kind is not None

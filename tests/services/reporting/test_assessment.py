@@ -52,11 +52,6 @@ def test_the_larger_part_of_the_error_is_named(figures: dict[str, Any], sentence
         assert sentence.startswith(beginning)
 
 
-def test_without_a_truth_only_the_estimate_is_judged() -> None:
-    assert assessment(summary(0.50, None, None))[0] == "The estimate was 0.500 m from the reference on average."
-    assert "which is good" in assessment(summary(0.004, None, None))[0]
-
-
 def test_an_error_of_centimetres_is_good_and_gets_no_advice() -> None:
     """A millimetre more than the floor gets advice again."""
     for figures in (summary(0.004, 0.006, 0.002), summary(0.002, 0.006, 0.004), summary(0.049, 0.049, 0.0)):
@@ -65,13 +60,6 @@ def test_an_error_of_centimetres_is_good_and_gets_no_advice() -> None:
         assert found[1] == "No lateral thruster reached its limit."
         assert next_option(figures) is None
     assert next_option(summary(0.051, 0.051, 0.0)) is not None
-
-
-def test_with_the_true_state_the_error_is_that_of_the_control_alone() -> None:
-    given = "All of this is tracking, because `--perfect-state` gave the true state to the controller."
-    assert given in assessment(summary(0.5, 0.5, 0.0, perfect_state=True))
-    assert given in assessment(summary(0.01, 0.01, 0.0, perfect_state=True))
-    assert given not in assessment(summary(0.5, 0.5, 0.0))
 
 
 def test_a_vehicle_that_the_thrust_could_not_hold_is_named() -> None:
@@ -83,37 +71,6 @@ def test_a_vehicle_that_the_thrust_could_not_hold_is_named() -> None:
     for thrust, error in ((SATURATED, held), (summary(None, None, None)["thrust"], lost)):
         text = " ".join(assessment(summary(0.50, 0.51, 0.02, thrust=thrust, true_error_m=error)))
         assert "ended at" not in text
-
-
-@pytest.mark.parametrize(
-    ("share", "words"),
-    [
-        (0.97, "for 97.0 % of the time, because the vertical speed of the reference and the buoyancy"),
-        (0.02, "The vertical thruster was at its limit for 2.0 % of the time."),
-    ],
-)
-def test_a_vertical_thruster_at_its_limit_is_explained(share: float, words: str) -> None:
-    thrust = summary(None, None, None)["thrust"]
-    assert words in " ".join(
-        assessment(summary(0.5, 0.5, 0.0, thrust={**thrust, "vertical_saturated_fraction": share}))
-    )
-    assert "vertical" not in " ".join(assessment(summary(0.5, 0.5, 0.0)))
-
-
-def test_the_next_command_follows_the_sentence_about_the_error() -> None:
-    for figures in (summary(0.50, 0.51, 0.02), summary(0.02, 0.31, 0.30)):
-        option = next_option(figures)
-        assert option is not None
-        assert f"`{option}`" in assessment(figures)[2]
-    assert next_option(summary(0.02, 0.31, 0.30)) == "--perfect-state"
-    assert next_option(summary(0.50, 0.51, 0.02, thrust=SATURATED)) is None
-    assert next_option(summary(0.50, None, None)) is None
-
-
-def test_a_run_with_high_effort_is_not_proposed_again() -> None:
-    figures = summary(0.50, 0.51, 0.02, effort="high", horizon_s=13.8)
-    assert next_option(figures) == "--horizon-s 28"
-    assert "controller.effort" not in " ".join(assessment(figures))
 
 
 def test_late_plans_and_losses_are_counted() -> None:
@@ -130,12 +87,6 @@ def test_cycles_with_less_than_nominal_health_are_counted_with_their_reason() ->
     text = " ".join(assessment(summary(0.02, 0.3, 0.3, health=health)))
     assert "not nominal in 67 of 667 cycles, most often degraded: estimate too uncertain." in text
     assert "health" not in " ".join(assessment(summary(0.02, 0.3, 0.3, health={"nominal": 667})))
-
-
-def test_lock_step_says_nothing_of_delays_and_losses() -> None:
-    text = " ".join(assessment(summary(0.02, 0.3, 0.3, mode="lockstep")))
-    assert "too late" not in text
-    assert "lost" not in text
 
 
 def test_a_summary_without_figures_gives_no_sentence_about_them() -> None:

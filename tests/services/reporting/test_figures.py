@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from services.reporting.figures import paper, readme, renderer, sheet
-from services.reporting.figures.renderer import Run, draw, from_zero
+from services.reporting.figures import sheet
+from services.reporting.figures.renderer import Run, draw
 from services.reporting.plots import catalogue, palette
 from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.description import Plot, Style
@@ -63,51 +62,10 @@ def test_of_several_runs_what_is_compared_is_drawn_for_each(plot: Plot, dive: Ru
         assert said(axes)[2:] == [series.label for series in compared]
 
 
-def test_runs_that_began_elsewhere_begin_at_zero_in_a_plan_from_above(dive: Run) -> None:
-    for line in drawn(catalogue.TRACK, dive, dive).lines:
-        x, y = (np.asarray(column, dtype=float) for column in line.get_data())
-        assert (x[0], y[0]) == (0.0, 0.0)
-        if len(x) > 1:
-            assert (x[-1], y[-1]) == pytest.approx((0.0, 2.0), abs=1e-3)
-
-
 def test_depth_grows_downwards_and_a_logarithmic_axis_is_one(dive: Run) -> None:
     top, bottom = drawn(catalogue.DEPTH, dive).get_ylim()[::-1]
     assert top < 0.0 < 4.0 < bottom
     assert drawn(catalogue.LATENCY, dive).get_yscale() == "log"
-
-
-def test_an_axis_shows_at_least_the_span_of_its_description(dive: Run) -> None:
-    flat = Run("still", {"truth": {"t_s": [0.0, 10.0], "depth_m": [2.0, 2.0]}})
-    low, high = sorted(drawn(catalogue.DEPTH, flat).get_ylim())
-    assert high - low >= 1.0
-    assert low < 2.0 < high
-    assert drawn(catalogue.DEPTH, dive).get_xlim()[1] == pytest.approx(20.0, abs=1.0)
-
-
-def test_thrust_limits_are_inside_the_picture_and_named_once(dive: Run) -> None:
-    axes = drawn(catalogue.THRUST, dive)
-    low, high = axes.get_ylim()
-    assert low < -62.5 < 62.5 < high
-    assert said(axes).count("limits") == 1
-    levels = {float(np.asarray(line.get_ydata())[0]) for line in axes.lines if line.get_color() == palette.LIMIT}
-    assert levels == {-62.5, 62.5}
-
-
-def test_events_are_marks_on_a_time_axis_of_one_run_alone(dive: Run) -> None:
-    marks = [line for line in drawn(catalogue.DEPTH, dive).lines if line.get_color() == palette.MARK]
-    assert [float(np.asarray(line.get_xdata())[0]) for line in marks] == [mark.t_s for mark in dive.marks]
-    assert not [line for line in drawn(catalogue.DEPTH, dive, dive).lines if line.get_color() == palette.MARK]
-
-
-def test_figures_begin_where_the_descent_begins() -> None:
-    run = Run(
-        "x", {"track": {"t_s": [-1.0, 0.0, 1.0, None], "north_m": [9.0, 1.0, 2.0, 3.0]}, "profile": {"depth_m": [0.0]}}
-    )
-    assert from_zero(run).tables == {
-        "track": {"t_s": [0.0, 1.0], "north_m": [1.0, 2.0]},
-        "profile": {"depth_m": [0.0]},
-    }
 
 
 def test_gaps_stay_gaps_and_what_is_not_there_is_said() -> None:
@@ -117,43 +75,3 @@ def test_gaps_stay_gaps_and_what_is_not_there_is_said() -> None:
     axes = drawn(catalogue.LATENCY, gap)
     assert not axes.lines
     assert [text.get_text() for text in axes.texts] == [catalogue.LATENCY.empty]
-
-
-def test_a_legend_covers_no_line(dive: Run) -> None:
-    picture = Figure(figsize=(sheet.COLUMN_IN, 2.5), layout="constrained")
-    axes = picture.subplots()
-    with sheet.style():
-        draw(axes, catalogue.LATENCY, [dive])
-        picture.draw_without_rendering()
-    legend = axes.get_legend()
-    assert legend is not None
-    box = legend.get_window_extent()
-    assert box.y0 >= axes.get_window_extent().y1
-    assert box.x1 <= picture.bbox.x1
-
-
-def test_the_readme_s_picture_has_one_distance_and_one_energy_a_run(dive: Run) -> None:
-    runs = [from_zero(dive), from_zero(dive)._replace(name="another")]
-    for plot, table, column in (
-        (readme.CONTROL_ERROR, "distance", "distance_m"),
-        (readme.LATERAL_ENERGY, "energy", "lateral_J"),
-    ):
-        axes = drawn(plot, *runs)
-        assert said(axes) == [run.name for run in runs]
-        for line in axes.get_lines():
-            np.testing.assert_array_equal(line.get_ydata(), runs[0].tables[table][column])
-
-
-def test_every_sheet_of_the_paper_draws_a_description_of_the_catalogue() -> None:
-    known = {plot.name for plot in PLOTS} | {"structure"}
-    sheets = paper.sheets(["a measured one"])
-    assert len({one.name for one in sheets}) == len(sheets)
-    assert {panel.plot.name for one in sheets for panel in one.panels} <= known
-    for plot in (paper.DISTANCE, paper.PROFILES):
-        (own,) = (one for one in PLOTS if one.name == plot.name)
-        assert msgspec.structs.replace(plot, y=own.y, empty=own.empty) == own
-
-
-def test_colours_of_runs_and_dashes_of_series_differ() -> None:
-    assert len(set(palette.RUNS)) == len(palette.RUNS)
-    assert len({str(dash) for dash in renderer.COMPARED}) == len(renderer.COMPARED)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,14 +10,10 @@ import pytest
 from ltv_mpc.messages import Array
 from services.reporting.plots import palette
 
-ROOT = Path(__file__).resolve().parents[3]
-
 MEANT = (palette.TRUTH, palette.ESTIMATE, palette.REFERENCE, palette.PORT, palette.STARBOARD, palette.CURRENT)
 
 EVERY_MEANING = tuple(colour for name, colour in vars(palette).items() if name.isupper() and isinstance(colour, str))
 
-WITH_RUNS = (palette.TRUTH, palette.REFERENCE, palette.LIMIT, palette.OTHER)
-"""Colours that stand beside those of runs in one plot."""
 
 VISION = {
     "normal": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
@@ -68,35 +62,3 @@ def test_no_colour_of_a_run_is_near_one_with_a_meaning(dark: bool) -> None:
     for run, meant in itertools.product(palette.RUNS, EVERY_MEANING):
         one, other = (palette.DARK[colour] if dark else colour for colour in (run, meant))
         assert np.linalg.norm(lab(one, "normal") - lab(other, "normal")) > ANOTHER, (one, other)
-
-
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("vision", VISION)
-def test_runs_differ_from_what_is_drawn_with_them(vision: str, dark: bool) -> None:
-    for run, meant in itertools.product(palette.RUNS, WITH_RUNS):
-        one, other = (palette.DARK[colour] if dark else colour for colour in (run, meant))
-        assert np.linalg.norm(lab(one, vision) - lab(other, vision)) > LEAST, (one, other)
-
-
-def test_page_and_report_have_the_canvas_of_the_palette() -> None:
-    light = (ROOT / "services/reporting/static/style.css").read_text(encoding="utf-8").partition("@media")[0]
-    for name, colour in palette.CANVAS.items():
-        assert f"--{name}: {colour};" in light
-
-
-def test_no_figure_has_a_colour_or_a_style_of_its_own() -> None:
-    """A file that draws with matplotlib names no colour, sets no style and places no legend but by the style sheet."""
-    own = re.compile(r"#[0-9a-fA-F]{6}|tab:|pyplot|rcParams|\.legend\(|\.savefig\(|color=\"|markersize=\d+, *mfc=\"")
-    drawing = [
-        path
-        for folder in ("services", "benchmarks", "docs/extensions")
-        for path in sorted((ROOT / folder).rglob("*.py"))
-        if "matplotlib" in path.read_text(encoding="utf-8")
-    ]
-    assert len(drawing) > 10
-    found = {
-        str(path.relative_to(ROOT)): own.findall(path.read_text(encoding="utf-8"))
-        for path in drawing
-        if path.name != "sheet.py"
-    }
-    assert {path: words for path, words in found.items() if words} == {}

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.sensors import SENSORS
-from ltv_mpc.messages import Estimate, NodeSettings, PlanOrigin
+from ltv_mpc.messages import Estimate, PlanOrigin
 from ltv_mpc.vehicle.propulsion import propulsive_power_W
 from services.bus.wire import Header
 from services.recording.node_settings import vehicle_of
 from services.recording.writer import RunWriter
-from services.reporting.plots import analysis, palette
+from services.reporting.plots import analysis
 from services.reporting.plots.catalogue import PLOTS, REVIEW
-from services.reporting.plots.collector import CORRECTING, HISTORY, INNOVATIONS, Collector, nis_deviation
-from services.reporting.plots.delays import STAGES
-from services.reporting.plots.description import Plot, Style
+from services.reporting.plots.collector import INNOVATIONS, Collector, nis_deviation
+from services.reporting.plots.description import Style
 from services.reporting.plots.percentiles import Percentiles
 from services.reporting.plots.recorded import read
 from services.reporting.plots.table import Table
@@ -28,9 +25,6 @@ from tests.services.reporting import synthetic_run
 from tests.services.reporting.synthetic_run import DRIFT_EAST_MPS, EPOCH, GROWTH_M2_PER_S, OFFSET, TARGET, S
 from tests.services.runtime.test_controller_status import STATUS as CONTROLLER_STATUS
 from tests.services.words import status
-
-COLOURS = [value for name, value in vars(palette).items() if name.isupper() and isinstance(value, str)]
-
 
 SPEEDS = ("gnss_velocity", "adcp", "bottom_track")
 
@@ -54,31 +48,6 @@ def test_each_plot_names_columns_that_there_are(collector: Collector) -> None:
             assert (series.style is Style.BAND) == bool(series.x_high or series.y_high)
         for level in plot.levels:
             assert level.value in collector.values
-
-
-def test_each_plot_says_its_units() -> None:
-    assert len({plot.name for plot in PLOTS}) == len(PLOTS)
-    for plot in PLOTS:
-        for axis in (plot.x, plot.y):
-            named = axis.rows or re.search(r"\((s|m|m/s|N|ms|deg|deg/s|J)\)", axis.label) or "NIS" in axis.label
-            assert named, (plot.name, axis.label)
-
-
-@pytest.mark.parametrize("colour", sorted({*COLOURS, *palette.RUNS}))
-def test_lines_are_told_from_white_paper(colour: str) -> None:
-    """Contrast by the relative luminance of WCAG; 2.8 is that of the palest used colour of Okabe and Ito."""
-    channels = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
-    assert 1.05 / (np.dot([0.2126, 0.7152, 0.0722], linear) + 0.05) > 2.8
-
-
-@pytest.mark.parametrize("plot", [*PLOTS, *REVIEW], ids=lambda plot: plot.name)
-def test_a_band_has_the_colour_of_what_it_belongs_to(plot: Plot) -> None:
-    """A line of the plot, the estimate if the legend names it, or the reference for a limit that is no uncertainty."""
-    for band in (one for one in plot.series if one.style is Style.BAND):
-        lines = {one.colour for one in plot.series if one.style is not Style.BAND}
-        named = palette.ESTIMATE if "estimate" in band.label else palette.REFERENCE
-        assert band.colour in (lines if not band.label else {named}), (plot.name, band.label)
 
 
 def test_errors_are_drifts_since_the_start_and_so_is_their_spread(collector: Collector) -> None:
@@ -142,16 +111,6 @@ def test_the_deadline_is_when_the_plan_takes_effect_in_wall_time(collector: Coll
     assert set(columns["cycle_ms"]) == {2.0}
 
 
-def test_the_stages_are_shown_by_their_percentiles(collector: Collector) -> None:
-    """Each cycle takes as long: its percentiles are equal, within the width of a bin."""
-    table = collector.all_tables()["stages"]
-    for stage, ms in {"predict": 0.5, "build": 0.2, "cycle": 2.0, "cycle to actuators": 50.0}.items():
-        row = STAGES.index(stage)
-        assert table["median_ms"][row] == pytest.approx(ms, rel=0.025)
-        assert table["p99_ms"][row] == pytest.approx(ms, rel=0.025)
-        assert table["max_ms"][row] == pytest.approx(ms)
-
-
 def test_percentiles_are_those_of_all_durations() -> None:
     measured = Percentiles()
     for ms in range(1, 1001):
@@ -159,10 +118,6 @@ def test_percentiles_are_those_of_all_durations() -> None:
     assert measured.at(0.5) == pytest.approx(500.0, rel=0.025)
     assert measured.at(0.99) == pytest.approx(990.0, rel=0.025)
     assert Percentiles().at(0.5) is None
-
-
-def test_the_sensors_with_innovations_are_those_of_the_registry() -> None:
-    assert tuple(sensor.name for sensor in SENSORS if sensor.linearise is not None) == CORRECTING
 
 
 def test_the_band_of_the_innovations_is_that_of_chi_squared(collector: Collector) -> None:
@@ -217,30 +172,6 @@ def test_the_vehicle_is_seen_from_above(collector: Collector) -> None:
     assert current["east_m"][1] - current["east_m"][0] == pytest.approx(-0.012 * 2.0 / 0.1, abs=1e-3)  # type: ignore[operator]
 
 
-def test_the_vehicle_of_the_first_settings_is_used() -> None:
-    collector = Collector()
-    files = {"config/vehicle.toml": synthetic_run.VEHICLE}
-    collector.add(NodeSettings(node="controller", files=files, made_by={}), EPOCH)
-    assert collector.vehicle is not None
-    assert collector.values["vertical_max_N"] == 62.5
-
-
-@pytest.mark.parametrize(("first_s", "since_s"), [(-1, None), (6, 6.0)])
-def test_data_that_begin_late_say_since_when(first_s: int, since_s: float | None) -> None:
-    collector = Collector()
-    for _, signal, t_ns in synthetic_run.dive():
-        if t_ns >= first_s * S:
-            collector.add(signal, EPOCH)
-    assert collector.values.get("since_s") == since_s
-
-
-def test_without_a_truth_the_spread_is_that_of_the_position_itself() -> None:
-    collector = Collector()
-    collector.add(synthetic_run.estimate(0), EPOCH)
-    columns = collector.tables["errors"].since(0)
-    assert (columns["north_m"], columns["plus_2_sigma_m"]) == ([None], [6.0])
-
-
 def test_events_and_changes_are_marks() -> None:
     collector = Collector()
     for signal in (
@@ -264,16 +195,6 @@ def test_events_and_changes_are_marks() -> None:
     ]
 
 
-@pytest.mark.parametrize(("simulated", "text"), [(True, "arm accepted"), (False, "arm accepted: skipped: estimate")])
-def test_what_a_simulated_vehicle_skips_when_it_arms_is_no_mark(simulated: bool, text: str) -> None:
-    collector = Collector()
-    if simulated:
-        collector.add(synthetic_run.truth(0), EPOCH)
-    collector.add(synthetic_run.ARM, EPOCH)
-    collector.add(msgspec.structs.replace(synthetic_run.ARMED, warnings=("skipped: estimate",)), EPOCH + 1)
-    assert [mark.text for mark in collector.marks.marks] == [text]
-
-
 def test_a_table_stays_small_and_keeps_its_peaks() -> None:
     table = Table(("t", "x"), limit=50, peak="x")
     for t in range(10_000):
@@ -283,13 +204,6 @@ def test_a_table_stays_small_and_keeps_its_peaks() -> None:
     assert [t for t, x in zip(columns["t"], columns["x"], strict=True) if x == 100.0] == [777, 5_000]
     assert columns["t"] == sorted(columns["t"], key=float)  # type: ignore[arg-type]
     assert table.generation > 0
-
-
-def test_a_long_recording_is_read_in_few_rows(tmp_path: Path) -> None:
-    picture = read(synthetic_run.record(tmp_path / "run.mcap"), rows=20)
-    for name in HISTORY:
-        assert all(len(column) < 40 for column in picture.tables[name].values()), name
-    assert picture.tables["track"]["t_s"][-1] > 15.0  # type: ignore[operator]
 
 
 def test_a_recording_gives_what_the_signals_give(tmp_path: Path, collector: Collector) -> None:
@@ -313,20 +227,6 @@ def test_estimates_of_a_source_that_is_not_in_use_are_not_drawn(tmp_path: Path) 
                 estimate = msgspec.structs.replace(Estimate.at_rest(north_m=north_m, depth_m=0.0), t_ns=t_ns)
                 writer.write("estimator", estimate, Header(epoch=epoch, sequence=k), t_ns)
     assert read(path).tables["track"]["north_m"] == [1.0] * 20
-
-
-def test_a_second_source_does_not_thin_the_track_of_the_one_in_use(tmp_path: Path) -> None:
-    """Its estimates come first in each period."""
-    path, used = tmp_path / "run.mcap", 5
-    with RunWriter(path, start_ns=0, metadata={}) as writer:
-        in_use = msgspec.structs.replace(CONTROLLER_STATUS, source="default", source_epoch=used)
-        writer.write("controller", in_use, Header(epoch=1, sequence=0), 0)
-        for k in range(50):
-            for epoch, later_ns in ((6, 0), (used, 10_000_000)):
-                t_ns = k * S // 10 + later_ns
-                estimate = msgspec.structs.replace(Estimate.at_rest(north_m=1.0, depth_m=0.0), t_ns=t_ns)
-                writer.write("estimator", estimate, Header(epoch=epoch, sequence=k), t_ns)
-    assert len(read(path).tables["track"]["t_s"]) >= 10
 
 
 def test_of_a_recording_that_was_cut_off_what_is_there_is_read(tmp_path: Path) -> None:
@@ -361,11 +261,3 @@ def test_the_review_of_a_run_is_that_of_its_tables() -> None:
     frequency, power = (np.array(spectrum[name], dtype=float) for name in ("frequency_Hz", "port_N2pHz"))
     assert frequency[np.nanargmax(power)] == pytest.approx(0.5, abs=0.03)
     assert np.nansum(power) * (frequency[1] - frequency[0]) == pytest.approx(50.0, rel=0.05)
-
-
-def test_the_plots_of_the_review_name_columns_that_there_are(collector: Collector) -> None:
-    tables = analysis.tables(collector.all_tables())
-    for plot in REVIEW:
-        for series in plot.series:
-            for name in (series.x, series.y):
-                assert name in tables[series.table], (plot.name, name)

@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from ltv_mpc.messages import Clock, LocalisationReport, NodeSettings, Truth
-from services.bus.wire import Header, from_map, to_map
+from ltv_mpc.messages import Clock, Estimate, LocalisationReport, NodeSettings, Truth
+from services.bus.wire import Header
 from services.cli import app
 from services.recording.writer import VEHICLE_MODE, RunWriter
 from services.reporting import static_files
@@ -138,50 +138,6 @@ def test_without_plotly_a_run_says_in_one_line_that_it_wrote_none(
     assert not (out / "report.html").exists()
 
 
-def test_a_run_ends_with_its_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "run"
-    words = ["sim", "--lockstep", "--duration-s", "1", "--surface-time-s", "1", "--out", str(out), "--json"]
-    assert app.run(words) == 0
-    captured = capsys.readouterr()
-    assert json.loads(captured.out)["mode"] == "lockstep"
-    assert f"report: {out / 'report.html'}" in captured.err
-    assert data((out / "report.html").read_text())["runs"][0]["tables"]["truth"]["t_s"]
-
-
-def test_the_report_of_a_surface_craft_has_no_plot_of_depth(runs: tuple[Path, Path], tmp_path: Path) -> None:
-    """A run of it beside one of a vehicle that dives has it, for the other."""
-    craft = re.sub(
-        r"\[(heave|thruster\.vertical)\][^\[]*|(net_buoyancy|failsafe_vertical)_N.*", "", synthetic_run.VEHICLE
-    )
-    with RunWriter(tmp_path / "run.mcap", start_ns=0, metadata={"config/vehicle.toml": craft}) as writer:
-        for i, (node, message, t_ns) in enumerate(synthetic_run.dive()):
-            writer.write(node, message, Header(epoch=synthetic_run.EPOCH, sequence=i), t_ns)
-    both = tmp_path / "both"
-    assert app.run(["report", str(tmp_path)]) == 0
-    assert app.run(["report", str(tmp_path), str(runs[0]), "--out", str(both)]) == 0
-    for folder, shown in ((tmp_path, set()), (both, {"depth", "vertical", "over_depth"})):
-        names = {plot["name"] for plot in data((folder / "report.html").read_text())["plots"]}
-        assert names & {"depth", "vertical", "over_depth"} == shown
-        assert "thrust" in names
-
-
-def test_a_recording_without_innovations_has_no_plot_of_them(runs: tuple[Path, Path], tmp_path: Path) -> None:
-    """As an older version recorded it: the field is missing in the message."""
-    with RunWriter(tmp_path / "run.mcap", start_ns=-synthetic_run.S, metadata={}) as writer:
-        for i, (node, message, t_ns) in enumerate(synthetic_run.dive()):
-            header = Header(epoch=synthetic_run.EPOCH, sequence=i)
-            if isinstance(message, LocalisationReport):
-                plain = to_map(message, header)
-                del plain["innovations"]
-                message, header = from_map(LocalisationReport, plain)
-            writer.write(node, message, header, t_ns)
-    for folder, shown in ((runs[0], True), (tmp_path, False)):
-        assert app.run(["report", str(folder)]) == 0
-        names = [plot["name"] for plot in data((folder / "report.html").read_text())["plots"]]
-        assert "nis" in names
-        assert ("innovation_adcp" in names) is shown
-
-
 def test_beside_a_vehicle_no_plot_of_a_truth_is_drawn_and_times_count_from_the_start(tmp_path: Path) -> None:
     """The same dive, as a recorder beside a vehicle has it whose clock counts from 1970."""
     began_ns = 1_790_000_000 * synthetic_run.S
@@ -213,3 +169,16 @@ def test_beside_a_vehicle_no_plot_of_a_truth_is_drawn_and_times_count_from_the_s
     assert run["values"]["port_max_N"] == 62.5
     plotted = [t for table in run["tables"].values() for t in table.get("t_s", ())]
     assert max(map(abs, plotted + [mark["t_s"] for mark in run["marks"]])) < 1000.0
+
+
+def test_beside_a_boat_no_plot_of_a_dive_is_drawn(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run.mcap", start_ns=0, metadata={"mode": VEHICLE_MODE}) as writer:
+        for i in range(20):
+            t_ns = i * synthetic_run.S
+            estimate = msgspec.structs.replace(Estimate.at_rest(), t_ns=t_ns)
+            writer.write("mavlink", estimate, Header(epoch=1, sequence=i), t_ns)
+            writer.write("mavlink", synthetic_run.applied(t_ns), Header(epoch=1, sequence=i), t_ns)
+    assert app.run(["report", str(tmp_path)]) == 0
+    names = {plot["name"] for plot in data((tmp_path / "report.html").read_text())["plots"]}
+    assert "thrust" in names
+    assert not names & {"depth", "vertical", "current", "nis", "energy"}

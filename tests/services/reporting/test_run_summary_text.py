@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from services.reporting.run_summary_text import how, verdict
+from services.reporting.run_summary_text import verdict
 
 NOTHING = {"mean": None, "max": None, "final": None, "median": None, "p99": None}
 THRUST = {"saturated_fraction": None, "max_abs_N": None, "mean_abs_N": None, "max_slew_N_per_s": None}
@@ -51,28 +51,3 @@ def test_the_energy_is_in_joules_and_without_torque_coefficients_relative() -> N
 )
 def test_the_first_line_says_how_the_run_went(changed: dict[str, Any], words: str) -> None:
     assert words in verdict(SUMMARY | changed, Path("somewhere")).splitlines()[0]
-
-
-def test_every_verdict_has_its_horizon_and_fits_the_terminal() -> None:
-    lines = verdict(SUMMARY, Path("x")).splitlines()
-    assert lines[1] == "horizon       13.8 s in 34 stages"
-    assert max(map(len, lines)) <= 80
-
-
-def test_an_option_is_not_broken_at_the_end_of_a_line() -> None:
-    """Wherever it stands in the sentence."""
-    for more in range(80):
-        health = {f"degraded: {'x' * more} --perfect-state": 1}
-        lines = verdict(SUMMARY | {"health": health}, Path("x")).splitlines()
-        assert sum("--perfect-state" in line for line in lines) == 1
-
-
-def test_lock_step_leaves_out_what_it_cannot_measure() -> None:
-    rows = {mode: {line.split("  ")[0] for line in verdict(SUMMARY | {"mode": mode}, Path("x")).splitlines()}
-            for mode in ("services", "lockstep")}  # fmt: skip
-    assert rows["services"] - rows["lockstep"] >= {"compute", "end to end", "messages"}
-
-
-def test_a_run_that_was_cut_off_has_no_speed_to_tell() -> None:
-    assert how({}) == how({"mode": "services"}) == "as processes"
-    assert how({"mode": "lockstep"}) == "in lock step"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import msgspec
 
-from ltv_mpc.messages import Authority, FenceReport, FilterStatus, Health, Message, PlanOrigin
+from ltv_mpc.messages import FenceReport, FilterStatus, Health, Message
 from services.reporting.safety import Fact, Mood, RunSafety
 from tests.services.reporting import synthetic_run
-from tests.services.reporting.synthetic_run import EPOCH, WRECK, S
+from tests.services.reporting.synthetic_run import EPOCH, WRECK
 from tests.services.words import status
 
 
@@ -39,14 +39,6 @@ def test_what_was_not_nominal_is_counted_with_its_most_frequent_reason() -> None
     assert found["filter"].text == "nominal in 1 of 2 reports, otherwise most often inconsistent: adcp"
 
 
-def test_each_authority_and_origin_has_its_number_of_cycles() -> None:
-    solved, shifted = synthetic_run.plan(0), synthetic_run.plan(S, origin=PlanOrigin.SHIFTED)
-    manual = msgspec.structs.replace(solved, authority=Authority.MANUAL)
-    found = facts(solved, shifted, manual)
-    assert found["command authority"].text == "2 controller, 1 manual"
-    assert found["plan"].text == "2 solved, 1 shifted"
-
-
 def test_the_nearest_zone_and_a_hull_in_a_margin_are_named() -> None:
     def plan(clearance_m: float, in_margin: tuple[str, ...] = ()) -> Message:
         fence = FenceReport(clearance_m=clearance_m, nearest=f"zone at {clearance_m:g}", in_margin=in_margin)
@@ -74,8 +66,3 @@ def test_a_process_is_counted_over_all_of_its_starts() -> None:
     assert estimator.lost == 3 + 1 + 4 + 1
     assert estimator.step_us == (10 * 100 + 30 * 20 + 40 * 60) / 80
     assert (recorder.state, recorder.step_us, recorder.lost) == ("running", None, 0)
-
-
-def test_without_messages_there_is_no_fact() -> None:
-    assert facts() == {}
-    assert RunSafety().processes() == []

@@ -31,7 +31,7 @@ from ltv_mpc.messages import (
     SolveStatus,
     Truth,
 )
-from services.reporting.terminal import LiveScreen, PlainScreen, bar, run_progress_bar, screen_for
+from services.reporting.terminal import LiveScreen, PlainScreen, bar, screen_for
 from services.supervisor.screen import ORDER, LiveView
 from tests.services.bus.messages import EXAMPLES
 from tests.services.words import status
@@ -142,6 +142,21 @@ def drawn(view: LiveView, limits: Sequence[tuple[float, float]] = LIMITS) -> lis
     return capture.get().splitlines()
 
 
+def test_beside_a_boat_the_screen_has_what_a_boat_has() -> None:
+    boat = dataclasses.replace(
+        FULL,
+        end_ns=None,
+        truth=None,
+        localisation=None,
+        estimate=msgspec.structs.replace(FULL.estimate, depth_m=None, current=None),
+    )
+    text = "\n".join(drawn(boat, []))
+    assert "port" in text
+    assert "starboard" in text
+    for of_a_dive in ("vertical", "depth", "filter", "current"):
+        assert of_a_dive not in text
+
+
 @pytest.mark.parametrize("view", [FULL, EMPTY], ids=["full", "empty"])
 def test_the_screen_fits_80_by_24(view: LiveView) -> None:
     lines = drawn(view)
@@ -168,15 +183,6 @@ def test_the_screen_says_what_the_messages_hold() -> None:
         assert name in text
 
 
-def test_the_status_of_the_filter_and_of_bad_sensors_are_on_the_screen() -> None:
-    (line,) = (text for text in drawn(FULL) if text.startswith("filter"))
-    assert line.startswith("filter  inconsistent (adcp: more than half of its measurements fail the gate)")
-    quiet = msgspec.structs.replace(LOCALISATION, status=FilterStatus.NOMINAL, why="")
-    view = dataclasses.replace(FULL, localisation=quiet)
-    assert "filter  nominal   adcp rejected   lbl silent" in drawn(view)
-    assert "filter  -" in drawn(EMPTY)
-
-
 def test_a_vehicle_without_truth_and_known_limits_has_no_bars_and_no_end() -> None:
     lines = drawn(dataclasses.replace(FULL, truth=None, end_ns=None, phase=""), limits=())
     assert lines[1].strip() == "t    123.0 s"
@@ -190,26 +196,6 @@ def test_without_a_message_nothing_looks_like_a_measurement() -> None:
     assert [line.split() for line in lines if line.endswith(" N")] == [
         [name, "-", "N"] for name in ("port", "starboard", "vertical")
     ]
-
-
-def test_the_cycle_names_as_many_stages_as_fit_and_cuts_none() -> None:
-    (line,) = (text for text in drawn(FULL) if text.startswith("cycle"))
-    assert line == "cycle   1234.5 ms, most of it:  solve 1234.56  linearise 300.00  build 200.00"
-
-
-def test_a_note_above_the_screen_breaks_between_clauses_and_leaves_the_screen_whole() -> None:
-    file = io.StringIO()
-    screen = LiveScreen("x", LIMITS, Console(file=file, width=80, height=24))
-    screen.say("-29.8 s  plant: machine too slow: waits of the clock so far: 1, in all 0.07 s of vehicle time; slower")
-    screen.say(f"report: {'/folder' * 12}/report.html")
-    screen.update(FULL)
-    screen.close()
-    lines = file.getvalue().splitlines()
-    assert lines[0] == "-29.8 s  plant: machine too slow: waits of the clock so far: 1,"
-    assert lines[1] == "    in all 0.07 s of vehicle time; slower"
-    assert lines[2:4] == ["report:", f"    {'/folder' * 12}/report.html"]
-    assert lines[4].startswith("x")
-    assert [line.rstrip() for line in lines[5:]] == [line.rstrip() for line in drawn(FULL)[1:]]
 
 
 def test_a_bar_is_full_at_the_limit_and_points_where_the_thrust_goes() -> None:
@@ -247,33 +233,3 @@ def test_a_plain_line_is_one_line_without_control_characters() -> None:
     assert first.isprintable()
     assert "plant waits for sensors" in first
     assert second == "[bold]a phase"
-
-
-def test_what_is_waited_for_has_a_bar_with_the_time_left_until_there_is_a_picture() -> None:
-    file = io.StringIO()
-    screen = LiveScreen("x", LIMITS, Console(file=file, width=80, force_terminal=True))
-    screen.wait("compiling", 0.25)
-    waiting = file.getvalue()
-    screen.update(FULL)
-    screen._next = 0.0
-    screen.update(FULL)
-    screen.close()
-    assert "compiling" in waiting
-    assert "25%" in waiting
-    assert "-:--:--" in waiting  # nobody knows yet
-    assert "depth" in file.getvalue()[len(waiting) :]
-
-
-def test_in_a_pipe_what_is_waited_for_is_a_line_now_and_then() -> None:
-    file = io.StringIO()
-    screen = PlainScreen(Console(file=file, width=80))
-    screen.wait("compiling", 0.25)
-    screen.wait("compiling", 0.26)  # too soon for another
-    assert file.getvalue() == "compiling: 25%\n"
-
-
-def test_progress_in_a_pipe_is_silent() -> None:
-    file = io.StringIO()
-    with run_progress_bar(0, 10, Console(file=file)) as told:
-        told(5)
-    assert file.getvalue() == ""

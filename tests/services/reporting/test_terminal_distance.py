@@ -67,12 +67,6 @@ def test_an_old_first_estimate_is_compared_with_the_truth_of_its_own_time() -> N
     assert errors.true_error_m == pytest.approx(math.hypot(0.5, 0.25), abs=1e-12)
 
 
-def test_before_the_start_nothing_is_known() -> None:
-    errors = Collector()
-    observe(errors, moment(-1, truth_m=(1.0, 2.0), estimate_m=(3.0, 4.0)))
-    assert errors.true_error_m is None
-
-
 def test_an_estimate_from_before_the_start_does_not_say_where_the_reference_is() -> None:
     """At ten times real time the first view after the start may hold an estimate from before a fix, metres off."""
     errors = Collector()

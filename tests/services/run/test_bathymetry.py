@@ -13,7 +13,7 @@ from services.cli.app import run as command
 from services.processes import controller
 from services.recording.reader import Recording
 from services.replay import replay
-from services.replay.nodes import VehicleNodes
+from services.replay.nodes import RecordedNodes
 from services.run import folder
 from services.run.run_config import Override, resolve
 from services.run.settings_files import controller_files, node_settings
@@ -60,7 +60,7 @@ def test_the_settings_that_a_controller_publishes_have_its_bathymetry(file: Path
     published = node_settings("controller", controller_files("paper", "square", "", str(file), settings))
     assert published is not None
     assert published.files["config/bathymetry.csv"] == SOUNDINGS
-    nodes = VehicleNodes("test", {"controller": {1: published}}, (0, 0))
+    nodes = RecordedNodes("test", {"controller": {1: published}}, (0, 0))
     node = nodes.make("controller", 1)
     assert isinstance(node, ControllerNode)
     assert node.controller.bathymetry is not None

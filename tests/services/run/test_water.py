@@ -15,7 +15,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.messages import CurrentProfile, Estimate, Message, Truth
-from ltv_mpc.node import Due, Node
+from ltv_mpc.node import Inbox, Node
 from services.cli.app import run
 from services.processes import estimator as process
 from services.recording.reader import Recording
@@ -64,14 +64,14 @@ def visit(here: RunConfig) -> Visit:
 
 
 def listen(node: Node, said: dict[type[Message], Any]) -> None:
-    steps = node.steps
+    step = node.step
 
-    def listening(due: Sequence[Due]) -> list[list[Message]]:
-        out = steps(due)
-        said.update((type(signal), signal) for signals in out for signal in signals)
+    def listening(t_ns: int, inbox: Inbox) -> Sequence[Message]:
+        out = step(t_ns, inbox)
+        said.update((type(signal), signal) for signal in out)
         return out
 
-    node.steps = listening  # type: ignore[attr-defined]
+    node.step = listening  # type: ignore[attr-defined]
 
 
 @pytest.fixture(scope="module")
@@ -130,9 +130,7 @@ def test_without_an_estimate_or_its_standard_deviations_nothing_was_learned() ->
     assert heard() is None
 
 
-def test_a_run_saves_its_last_profile_and_its_recording_yields_the_same(
-    recorded: tuple[RunConfig, RunFolder],
-) -> None:
+def test_a_run_saves_its_last_profile_and_its_recording_yields_the_same(recorded: tuple[RunConfig, RunFolder]) -> None:
     here, place = recorded
     saved = read_prior(place.currents)
     end = [message for message in Recording(place.recording) if message.kind is Estimate][-1].typed()[0]

@@ -30,7 +30,6 @@ from services.runtime.clock_sync import ClockSync
 from sim.plant import PERIOD_NS, Plant
 from sim.scenario import Scenario
 from sim.water import make
-from tests.stepping import step
 
 VEHICLE = Vehicle.load("paper")
 UNIX_NS = 1_763_740_800_000_000_000
@@ -112,7 +111,7 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
             ReceivedMessage(_shifted(plan, -UNIX_NS), EPOCH, number, t_ns - PERIOD_NS + 1)
             for plan, number, _ in there.come(m_us)
         ]
-        for said in step(plant, t_ns, plans):
+        for said in plant.step(t_ns, plans):
             if isinstance(said, Truth):
                 off.append((t_ns * 1e-9, np.hypot(*said.position_m[:2])))
                 if t_ns % 100_000_000 == 0:
@@ -127,7 +126,7 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
         now_ns = clock.read(m_us)
         if now_ns is not None and now_ns >= (due_ns or now_ns):
             due_ns = now_ns + 300_000_000
-            (plan,) = (said for said in step(node, now_ns, inbox) if isinstance(said, Plan))
+            (plan,) = (said for said in node.step(now_ns, inbox) if isinstance(said, Plan))
             timing = CycleTiming(t_ns=now_ns, compute_ns=0, compute_wall_ns=0, estimate_age_ns=0, stage_us={})
             inbox = [ReceivedMessage(timing, EPOCH, 0, now_ns)]
             foreign.on_plan_sent(there.send(plan, m_us), m_us)

@@ -34,11 +34,9 @@ from ltv_mpc.vehicle.reference_point import ReferencePoint
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_sync import ClockOffset
 from services.runtime.console import Level
-from services.runtime.controller_changes import ControllerChanges
 from services.runtime.controller_status import ControllerStatusReporter, status_line
 from services.runtime.metrics import Metrics, serving
 from services.supervisor import loopback
-from tests.stepping import step
 
 STATUS = ControllerStatus(
     t_ns=5,
@@ -84,7 +82,7 @@ def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(
     assert (first.authority, first.health) == ("disarmed", "degraded")
     estimate = msgspec.structs.replace(Estimate.at_rest(north_m=3.0, east_m=4.0), t_ns=7_000_000_000)
     arm = Command(command_id=1, action=Action.ARM)
-    step(node, estimate.t_ns, [ReceivedMessage(message, 1, 0, estimate.t_ns) for message in (estimate, arm)])
+    node.step(estimate.t_ns, [ReceivedMessage(message, 1, 0, estimate.t_ns) for message in (estimate, arm)])
     node.arbiter.receive_manual((1e6, 0.0, 0.0), 0)
     report.on_input(estimate)
     for _ in range(5):
@@ -111,12 +109,12 @@ def test_its_error_is_that_of_the_origin_wherever_the_estimates_are_measured() -
     report = ControllerStatusReporter(node)
     estimate = Estimate.at_rest(east_m=5.0, depth_m=0.0, heading_rad=np.pi / 2)
     messages = estimate, Command(command_id=1, action=Action.ARM)
-    report.on_step(step(node, 0, [ReceivedMessage(message, 1, 0, 0) for message in messages]), 1, 0)
+    report.on_step(node.step(0, [ReceivedMessage(message, 1, 0, 0) for message in messages]), 1, 0)
     assert report.status(1, 0, MessageValidator(), SHARED).error_m == pytest.approx(2.0)
 
 
 def test_a_message_by_hand_outside_the_box_is_counted_by_the_node(node: ControllerNode) -> None:
-    step(node, 0, [ReceivedMessage(Manual(thrust_N=(0.0, 0.0, 99.0)), 1, 0, 0)])
+    node.step(0, [ReceivedMessage(Manual(thrust_N=(0.0, 0.0, 99.0)), 1, 0, 0)])
     assert node.arbiter.manual_rejected == 1
 
 
@@ -158,7 +156,7 @@ def test_plans_inputs_and_statuses_reach_the_changes(node: ControllerNode) -> No
     def tell(_level: Level, _kind: str, text: str, **_: object) -> None:
         told.append(text)
 
-    report = ControllerStatusReporter(node, changes=ControllerChanges(tell))
+    report = ControllerStatusReporter(node, tell=tell)
     report.status(0, 0, MessageValidator(), SHARED)
     assert told == ["health: degraded (no estimate yet)", "authority: disarmed"]
     told.clear()
@@ -178,7 +176,7 @@ def test_an_action_of_the_mission_policy_is_an_event_and_a_field_of_the_status()
     node.arbiter.authority = Authority.CONTROLLER
     events = []
     for sequence, detected in enumerate((False, True, True)):
-        step(node, sequence * S, [ReceivedMessage(Leak(detected=detected), 1, sequence, sequence * S)])
+        node.step(sequence * S, [ReceivedMessage(Leak(detected=detected), 1, sequence, sequence * S)])
         events.append([event.text for event in report.on_step([plan(0.0)], 1, sequence * S)])
     assert events == [[], ["mission: surface: leak detected"], []]
     assert report.status(3 * S, 3 * S, MessageValidator(), SHARED).mission_action == "surface"
@@ -191,11 +189,11 @@ def test_a_fence_in_force_is_an_event_and_a_change_also_before_the_first_estimat
         told.append(text)
 
     node = ControllerNode(Vehicle.load("paper"), references.load("hover"), ControllerConfig(), fence=fence)
-    report, events = ControllerStatusReporter(node, changes=ControllerChanges(tell)), []
+    report, events = ControllerStatusReporter(node, tell=tell), []
     inboxes: list[list[Message]] = [[], [], [Command(command_id=1, action=Action.FENCE)], []]
     for cycle, inbox in enumerate(inboxes):
         t_ns = cycle * 300_000_000
-        outputs = step(node, t_ns, [ReceivedMessage(message, 1, cycle, t_ns) for message in inbox])
+        outputs = node.step(t_ns, [ReceivedMessage(message, 1, cycle, t_ns) for message in inbox])
         assert not any(isinstance(message, Plan) for message in outputs)
         events += report.on_step(outputs, 1, cycle * S)
     zones = f"{len(fence.keep_in)} keep-in and {len(fence.keep_out) + len(fence.keep_out_disc)} keep-out zones"
@@ -264,7 +262,7 @@ def test_the_status_names_the_sources_and_shows_the_error_of_the_one_in_use(
             estimate = msgspec.structs.replace(Estimate.at_rest(north_m=north_m, depth_m=0.0), t_ns=t_ns)
             report.on_input(estimate)
             node.receive(ReceivedMessage(estimate, epoch, k, t_ns))
-        report.on_step(step(node, t_ns, [ReceivedMessage(message, 1, 0, t_ns) for message in inbox]), 1, 0)
+        report.on_step(node.step(t_ns, [ReceivedMessage(message, 1, 0, t_ns) for message in inbox]), 1, 0)
     status = report.status(0, t_ns, MessageValidator(), SHARED)
     assert (status.source, status.source_epoch) == ("default", 5)
     assert (status.rejected_epoch, status.rejected_estimates) == (6, 12)

@@ -21,6 +21,7 @@ from ltv_mpc.messages import (
     CycleTiming,
     Estimate,
     ImuSample,
+    ImuSamples,
     Message,
     NodeSettings,
     NodeStatus,
@@ -35,7 +36,7 @@ from ltv_mpc.messages import (
     StepRecord,
     Truth,
 )
-from ltv_mpc.node import Cycle, Due, Grid, Inbox, Node, OnMessage
+from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
@@ -47,14 +48,14 @@ from services.runtime.clock_master import ClockMasterSettings
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.stopping import StopRequest
-from tests.stepping import OneByOne
+from tests.stepping import as_sent
 
 TICK_NS = 10_000_000
 ZERO = (0.0, 0.0, 0.0)
 PATIENCE_S = 20.0
 
 
-class Plant(OneByOne):
+class Plant:
     name = "plant"
     schedule = Grid(TICK_NS)
     reads: tuple[type[Message], ...] = (Plan,)
@@ -75,7 +76,7 @@ class Plant(OneByOne):
         return [truth]
 
 
-class Sensors(OneByOne):
+class Sensors:
     name = "sensors"
     schedule = OnMessage((Truth,))
     reads: tuple[type[Message], ...] = (Truth,)
@@ -91,7 +92,7 @@ class Sensors(OneByOne):
         return [Estimate.at_rest(north_m=t_ns * 1e-9)] if t_ns % (10 * TICK_NS) == 0 else []
 
 
-class Controller(OneByOne):
+class Controller:
     name = "controller"
     schedule = Cycle(300_000_000)
     reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming)
@@ -118,12 +119,12 @@ class Commanded(Controller):
     reads: tuple[type[Message], ...] = (*Controller.reads, Command)
 
 
-class Listener(OneByOne):
+class Listener:
     """Node that keeps what a test publishes."""
 
     name = "estimator"
-    schedule = OnMessage((ImuSample, PressureDepth, CompassHeading))
-    reads: tuple[type[Message], ...] = (ImuSample, PressureDepth, CompassHeading)
+    schedule = OnMessage((ImuSamples, PressureDepth, CompassHeading))
+    reads: tuple[type[Message], ...] = (ImuSamples, PressureDepth, CompassHeading)
     writes: tuple[type[Message], ...] = ()
 
     def __init__(self, error: Exception | None = None) -> None:
@@ -314,75 +315,15 @@ def test_arrival_across_keys_keeps_the_order_of_one_source(bus: BusOptions) -> N
         for i in range(900):
             match i % 3:
                 case 0:
-                    out.publish(ImuSample(t_ns=i, interval_ns=1, angular_rate_radps=ZERO, specific_force_mps2=ZERO))
+                    out.publish(
+                        as_sent(ImuSample(t_ns=i, interval_ns=1, angular_rate_radps=ZERO, specific_force_mps2=ZERO))
+                    )
                 case 1:
                     out.publish(PressureDepth(t_ns=i, depth_m=0.0))
                 case _:
                     out.publish(CompassHeading(t_ns=i, heading_rad=0.0))
         until(lambda: len(node.heard) == 900)
     assert [signal.t_ns for signal in node.heard] == list(range(900))  # type: ignore[attr-defined]
-
-
-class Batched(Listener):
-    """Node that keeps how many steps were carried out together, and that is busy with the first message."""
-
-    def __init__(self, busy: Callable[[], None]) -> None:
-        super().__init__()
-        self.batches: list[list[int]] = []
-        self._busy = busy
-
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        self.batches.append([t_ns for t_ns, _ in due])
-        if len(self.batches) == 1:
-            self._busy()
-        return super().steps(due)
-
-
-def test_steps_of_inputs_that_piled_up_are_carried_out_together_and_recorded_each(bus: BusOptions) -> None:
-    def pile_up() -> None:
-        for t_ns in range(1, 21):
-            out.publish(PressureDepth(t_ns=t_ns, depth_m=0.0))
-        until(lambda: len(runner.mailbox) == 20)
-
-    node = Batched(pile_up)
-    runner = Runner(node, stop=StopRequest(), say=print)
-    frames: list[Frame] = []
-    with listening(bus) as (session, box):
-        out = Outbox(session, node="test", epoch=5, kinds=(PressureDepth,))
-        with running(bus, runner):
-            until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, frames))))
-            out.publish(PressureDepth(t_ns=0, depth_m=0.0))
-            until(lambda: len(node.heard) == 21)
-        until(lambda: finished(drained(box, frames), 1))
-    assert node.batches[0] == [0]
-    assert len(node.batches) < 21
-    assert [t_ns for batch in node.batches for t_ns in batch] == list(range(21))
-    records = [s for _, s, _ in read(frames) if isinstance(s, StepRecord)]
-    assert len(records) < 21
-    numbered = [each for record in records for each in enumerate(record.steps, record.step)]
-    assert [(number, s.t_ns, len(s.inbox)) for number, s in numbered] == [(t_ns, t_ns, 1) for t_ns in range(21)]
-
-
-class BatchedPlant(Plant):
-    """Plant that keeps which steps were carried out together."""
-
-    def __init__(self) -> None:
-        self.batches: list[list[int]] = []
-
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        self.batches.append([t_ns for t_ns, _ in due])
-        return super().steps(due)
-
-
-@pytest.mark.parametrize(("speed", "together"), [(0.2, 1), (1, 5), (10, 5)])
-def test_steps_on_a_grid_are_carried_out_in_batches_of_fifty_milliseconds(
-    bus: BusOptions, speed: float, together: int
-) -> None:
-    plant = BatchedPlant()
-    frames = run(bus, [(plant, 0)], end_ns=500_000_000, speed=speed)
-    assert {len(batch) for batch in plant.batches[1:]} == {together}
-    truths = [s.t_ns for _, s, _ in read(frames) if isinstance(s, Truth)]
-    assert truths == list(range(-100_000_000, 500_000_001, TICK_NS))
 
 
 def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_them(bus: BusOptions) -> None:
@@ -465,7 +406,7 @@ def test_messages_on_their_way_at_a_stop_request_are_taken(bus: BusOptions) -> N
             until(lambda: len(node.heard) == 2)
 
 
-class Slow(OneByOne):
+class Slow:
     """A cycle that lasts longer than its period; ``during`` is what happens in the first one."""
 
     name = "estimator"
@@ -501,7 +442,7 @@ def test_a_step_that_is_late_takes_all_that_has_arrived_before_it_starts(bus: Bu
     assert node.inboxes[:3] == [[], list(range(50)), []]
 
 
-class Flooded(OneByOne):
+class Flooded:
     """Node that keeps the times of its cycles."""
 
     name = "estimator"

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Cycle, Grid, OnMessage
-from services.runtime.schedule import BATCH_NS, StepSchedule
+from services.runtime.schedule import StepSchedule
 
 PERIOD_NS = 300_000_000
 
@@ -66,46 +66,3 @@ def test_messages_need_no_timetable_and_a_grid_ends_after_its_last_step() -> Non
         ends.append(grid.finished)
         grid.advance(t)
     assert [*ends, grid.finished] == [False, False, False, True]
-
-
-@given(start=st.integers(-(10**10), 10**10), speed=st.floats(0.1, 100), steps=st.integers(1, 200))
-def test_batches_have_every_step_once_and_end_at_multiples_of_their_length(
-    start: int, speed: float, steps: int
-) -> None:
-    period_ns = 10_000_000
-    end_ns = start + steps * period_ns
-    grid = StepSchedule(Grid(period_ns), end_ns=end_ns)
-    grid.start(start)
-    taken = []
-    while not grid.finished:
-        last_ns = grid.batch_end_ns(speed)
-        assert last_ns is not None
-        first_ns = grid.next_ns
-        assert first_ns is not None
-        assert first_ns <= last_ns <= end_ns
-        assert last_ns - first_ns < BATCH_NS * min(1.0, speed)
-        assert speed < 1 or last_ns == end_ns - end_ns % period_ns or last_ns % BATCH_NS == 0
-        while grid.next_ns is not None and grid.next_ns <= last_ns:
-            taken.append(grid.next_ns)
-            grid.advance(grid.next_ns)
-    assert taken == list(range(-(-start // period_ns) * period_ns, end_ns + 1, period_ns))
-
-
-def test_five_steps_are_one_batch_but_below_real_time() -> None:
-    """A batch lasts 50 ms of wall time at most, so that a display of a slow run does not jump."""
-    grid = StepSchedule(Grid(10_000_000))
-    grid.start(20_000_000)
-    assert [grid.batch_end_ns(speed) for speed in (20.0, 1.0, 0.4, 0.1)] == [
-        50_000_000,
-        50_000_000,
-        20_000_000,
-        20_000_000,
-    ]
-    grid.next_ns = 60_000_000
-    assert [grid.batch_end_ns(speed) for speed in (1.0, 0.4)] == [100_000_000, 60_000_000]
-
-
-def test_a_cycle_is_never_in_a_batch() -> None:
-    cycle = StepSchedule(Cycle(PERIOD_NS))
-    cycle.start(1)
-    assert cycle.batch_end_ns(1000.0) == PERIOD_NS

@@ -6,8 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -22,6 +21,7 @@ from services.supervisor.forkserver import ForkServer
 from services.supervisor.managed_process import ManagedProcess, Program
 from services.supervisor.parent_death import OrphanCleanup
 from services.supervisor.process_table import ProcessRow
+from tests.waiting import until
 
 PATIENCE_S = 60.0
 
@@ -82,13 +82,6 @@ def server(tmp_path: Path, watch: OrphanCleanup) -> Iterator[ForkServer]:
     until(server.is_loaded)
     yield server
     server.close()
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it never came to that"
-        time.sleep(0.005)
 
 
 def forked(server: ForkServer, log: Path, watch: OrphanCleanup, name: str, task: str, code: int = 0) -> ManagedProcess:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 
 from services.supervisor.hang_detector import HangDetector
 from services.supervisor.managed_process import cpu_wait_s
+from tests.waiting import until
 
 
 def never() -> float:
@@ -81,11 +81,7 @@ def test_linux_says_how_long_a_process_waited_for_a_processor() -> None:
     spin = f"import os, time; os.sched_setaffinity(0, {one}); t = time.time() + 0.6\nwhile time.time() < t: pass"
     processes = [subprocess.Popen([sys.executable, "-S", "-c", spin + "\ninput()"], stdin=-1) for _ in range(2)]
     try:
-        waited = 0.0
-        deadline = time.monotonic() + 20
-        while waited < 0.1 and time.monotonic() < deadline:
-            waited = max(cpu_wait_s(process.pid) for process in processes)
-        assert waited >= 0.1
+        until(lambda: max(cpu_wait_s(process.pid) for process in processes) >= 0.1)
     finally:
         for process in processes:
             process.kill()

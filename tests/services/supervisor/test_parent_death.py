@@ -14,6 +14,7 @@ import pytest
 
 from services.supervisor import orphan_cleanup
 from services.supervisor.parent_death import OrphanCleanup
+from tests.waiting import until
 
 
 @pytest.fixture
@@ -24,29 +25,24 @@ def sleeper() -> Iterator[subprocess.Popen[bytes]]:
     process.wait()
 
 
-def test_children_left_after_two_seconds_are_killed_even_if_stopped(
-    sleeper: subprocess.Popen[bytes],
-) -> None:
+def test_children_left_after_two_seconds_are_killed_even_if_stopped(sleeper: subprocess.Popen[bytes]) -> None:
     cleanup = OrphanCleanup()
     cleanup.add(sleeper.pid)
     sleeper.send_signal(19)  # SIGSTOP
     began = time.monotonic()
     cleanup.close()  # what the kernel does when the supervisor dies, by whatever death
-    assert sleeper.wait(5.0) == -9
-    assert orphan_cleanup.GRACE_S <= time.monotonic() - began < orphan_cleanup.GRACE_S + 1.5
+    assert sleeper.wait(60.0) == -9
+    assert time.monotonic() - began >= orphan_cleanup.GRACE_S
 
 
-def test_an_orphan_cleanup_without_children_ends_at_once(sleeper: subprocess.Popen[bytes]) -> None:
+def test_a_removed_or_reused_pid_is_not_killed(
+    sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
     cleanup = OrphanCleanup()
     cleanup.add(sleeper.pid)
     cleanup.remove(sleeper.pid)
-    began = time.monotonic()
     cleanup.close()
-    assert time.monotonic() - began < orphan_cleanup.GRACE_S
     assert sleeper.poll() is None
-
-
-def test_a_reused_pid_is_not_killed(sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch) -> None:
     ticks = orphan_cleanup.start_ticks(sleeper.pid)
     assert ticks is not None
     with monkeypatch.context() as patched:
@@ -97,10 +93,7 @@ def test_a_killed_supervisor_leaves_no_child_even_if_stopped_or_holding_the_gil(
     try:
         supervisor.kill()
         supervisor.wait()
-        deadline = time.monotonic() + 20
-        while any(orphan_cleanup.start_ticks(pid) is not None for pid in pids):
-            assert time.monotonic() < deadline, [orphan_cleanup.start_ticks(pid) for pid in pids]
-            time.sleep(0.02)
+        until(lambda: all(orphan_cleanup.start_ticks(pid) is None for pid in pids))
     finally:
         supervisor.stdout.close()
         for pid in pids:

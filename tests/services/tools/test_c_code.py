@@ -62,15 +62,6 @@ def test_the_compiled_code_gives_the_controller_s_thrusts(
     assert np.abs(by_c).max() > 5.0
 
 
-def test_the_layout_names_columns_and_rows_with_their_units(tmp_path: Path) -> None:
-    assert run(["qp", "export-c", str(tmp_path / "c")]) == 0
-    lines = (tmp_path / "c" / "mpc_layout.h").read_text().splitlines()
-    port = [line for line in lines if "port's command (N) at knot 2 " in line]
-    assert port == ["  62.5, /* 22: port's command (N) at knot 2 */"]
-    assert sum("slew of port in stage 2 (N)" in line for line in lines) == 2  # its scale and its factor
-    assert "  300.0, /* 0: dynamics of north in stage 1 (m) */" in lines  # EQUALITY_ROW of solvers/osqp.py
-
-
 def test_a_problem_that_is_not_solved_is_not_exported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import resource
-import shutil
 import signal
 import subprocess
 import sys
@@ -16,7 +14,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from ltv_mpc.messages import AdcpPing, CycleTiming, Estimate, ImuSample, RecordedStep, StepRecord
+from ltv_mpc.messages import AdcpPing, Estimate, ImuSamples, RecordedStep, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus import topics, wire
 from services.cli.app import run
@@ -30,9 +28,6 @@ from services.run.summary import summarise_recording
 from services.supervisor.jit_cache import MARK
 from services.tools import lockstep_run
 from sim.evaluation.summary import Summary
-from tests.stepping import step
-
-ROOT = Path(__file__).resolve().parents[3]
 
 CHILD = """
 import sys
@@ -57,30 +52,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunFo
     return here, place, lockstep_run.run(here, place)
 
 
-def test_two_processes_with_other_hash_seeds_and_folders_write_the_same_bytes(
-    tmp_path: Path,
-) -> None:
-    digests = []
-    for seed, out in (("1", "short"), ("4242", "another/much/longer/name")):
-        cwd = tmp_path / seed
-        cwd.mkdir()
-        env = os.environ | {"PYTHONHASHSEED": seed}
-        subprocess.run([sys.executable, "-P", "-c", CHILD, out], cwd=cwd, env=env, check=True, timeout=200)
-        digests.append(hashlib.sha256((cwd / out / "run.mcap").read_bytes()).hexdigest())
-    assert digests[0] == digests[1]
-
-
-def test_nothing_measured_is_in_the_recording(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
-    _, place, _ = recorded
-    cycles = 0
-    for message in Recording(place.recording):
-        assert message.plain["sent_monotonic_us"] == 0
-        assert message.plain["epoch"] == 1
-        if message.kind is CycleTiming:
-            cycles += 1
-            assert message.plain["compute_ns"] == 710_000_000
-            assert (message.plain["compute_wall_ns"], message.plain["stage_us"]) == (0, {})
-    assert cycles >= 6
+def test_a_process_with_another_hash_seed_and_folder_writes_the_same_bytes(tmp_path: Path) -> None:
+    here, out = run_config("run.duration_s=3", "run.compute_delay_s=0.4"), "another/much/longer/name"
+    env = os.environ | {"PYTHONHASHSEED": "4242"}
+    subprocess.run([sys.executable, "-P", "-c", CHILD, out], cwd=tmp_path, env=env, check=True, timeout=200)
+    lockstep_run.run(here, folder.make("descent", here.files, out=tmp_path / "short"))
+    assert (tmp_path / "short" / "run.mcap").read_bytes() == (tmp_path / out / "run.mcap").read_bytes()
 
 
 def test_the_metadata_hold_all_that_the_run_was_made_of(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
@@ -107,9 +84,7 @@ def test_messages_are_in_order_of_time_without_a_gap_and_all_are_counted(
     assert summary.messages.published == losses.published == len(times)
 
 
-def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
-    recorded: tuple[RunConfig, RunFolder, Summary],
-) -> None:
+def test_a_recording_replays_through_fresh_nodes_byte_for_byte(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
     """Each record finds the frames of its inbox by key, epoch, sequence and crc, and they make the same outputs."""
     here, place, _ = recorded
     nodes = {node.name: node for node in make_nodes(here)}
@@ -124,7 +99,7 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
         assert isinstance(record, StepRecord)
         (recorded_step,) = record.steps
         steps[record.node] += 1
-        outputs = step(nodes[record.node], recorded_step.t_ns, list(inbox(recorded_step, frames)))
+        outputs = nodes[record.node].step(recorded_step.t_ns, list(inbox(recorded_step, frames)))
         for output in outputs:
             key = topics.key_of(type(output), record.node)
             sequence = made.get(key, 0)
@@ -136,7 +111,8 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
             header = wire.Header(epoch=1, sequence=sequence, sent_monotonic_us=0)
             assert msgspec.json.encode(wire.to_map(output, header)) == msgspec.json.encode(was.plain), (key, sequence)
     assert min(steps.values()) >= 9
-    assert steps["plant"] == steps["sensors"] == 701
+    assert steps["plant"] == 141
+    assert steps["sensors"] == 701
 
 
 def inbox(recorded: RecordedStep, frames: dict[tuple[str, int, int], RecordedMessage]) -> Iterator[ReceivedMessage]:
@@ -156,24 +132,6 @@ def test_a_step_is_on_record_before_its_outputs(recorded: tuple[RunConfig, RunFo
             assert at["plant"] == message.t_ns
         elif message.key == "plan":
             assert at["controller"] == message.plain["cycle_t_ns"] == message.t_ns - 710_000_000
-
-
-def test_what_caused_a_step_is_the_key_of_the_last_entry_of_its_inbox(
-    recorded: tuple[RunConfig, RunFolder, Summary],
-) -> None:
-    _, place, _ = recorded
-    causes: dict[str, set[str]] = {}
-    for message in Recording(place.recording):
-        if message.kind is StepRecord:
-            (recorded_step,) = message.plain["steps"]
-            cause = recorded_step["cause"]
-            causes.setdefault(message.plain["node"], set()).add(cause)
-            if cause not in ("grid", "cycle"):
-                assert recorded_step["inbox"][-1]["key"] == cause
-    assert causes["plant"] == {"grid"}
-    assert causes["controller"] == {"cycle"}
-    assert causes["sensors"] == {"world/truth"}
-    assert {"sensor/imu", "sensor/adcp", "sensor/depth"} <= causes["estimator"]
 
 
 def test_the_summary_on_disk_is_the_one_returned_and_says_what_was_asked_for(
@@ -201,14 +159,8 @@ def test_what_nobody_reads_is_measured_for_a_recording_alone_and_changes_nothing
     assert sensors.writes == (Estimate,)
     place = folder.make("descent", here.files, out=tmp_path / "run")
     summary, alone = lockstep_run.run(here, place), lockstep_run.run(here)
-    assert {ImuSample, AdcpPing} <= {message.kind for message in Recording(place.recording)}
+    assert {ImuSamples, AdcpPing} <= {message.kind for message in Recording(place.recording)}
     assert msgspec.structs.replace(alone, messages=summary.messages) == summary
-
-
-def test_progress_is_told_in_vehicle_time_from_the_start_on() -> None:
-    told: list[int] = []
-    lockstep_run.run(run_config("run.duration_s=2", "run.perfect_state=true"), progress=told.append)
-    assert told == [-1_000_000_000, 0, 1_000_000_000, 2_000_000_000]
 
 
 def test_a_run_whose_end_is_not_on_the_plants_grid_is_complete_all_the_same() -> None:
@@ -224,9 +176,7 @@ def test_with_known_state_there_is_no_estimator_and_no_localisation_error() -> N
     assert summary.tracking_error_m == summary.true_error_m
 
 
-def test_the_summary_of_a_recording_is_that_of_the_run_itself(
-    recorded: tuple[RunConfig, RunFolder, Summary],
-) -> None:
+def test_the_summary_of_a_recording_is_that_of_the_run_itself(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
     """But for what only processes have: a speed, and wall times."""
     here, place, summary = recorded
     again, _ = summarise_recording(here, place.recording)
@@ -241,20 +191,6 @@ def test_the_summary_of_a_recording_is_that_of_the_run_itself(
         end_to_end_delay_wall_s=summary.end_to_end_delay_wall_s,
     )
     assert lockstep == summary
-
-
-def test_a_folder_that_is_deleted_ends_the_run_with_its_name(tmp_path: Path) -> None:
-    here = run_config("run.duration_s=600")
-    made = folder.make("descent", here.files, out=tmp_path / "run")
-    reached: list[int] = []
-
-    def progress(t_ns: int) -> None:
-        reached.append(t_ns)
-        shutil.rmtree(made.path, ignore_errors=True)
-
-    with pytest.raises(lockstep_run.NotStored, match="the folder was deleted during the run"):
-        lockstep_run.run(here, made, progress=progress)
-    assert len(reached) == 1
 
 
 def test_a_disk_that_stays_full_leaves_the_verdict_exit_1_and_no_draft(
@@ -275,10 +211,7 @@ def test_a_disk_that_stays_full_leaves_the_verdict_exit_1_and_no_draft(
     assert not list((tmp_path / "run").rglob("*.part"))
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 1), (signal.SIGINT, 130)])
-def test_compiling_is_announced_and_a_signal_ends_it_within_two_seconds(
-    number: signal.Signals, code: int, tmp_path: Path
-) -> None:
+def test_compiling_is_announced_and_a_signal_ends_it(tmp_path: Path) -> None:
     options = ["--lockstep", "--horizon-s", "9", "--out", str(tmp_path / "run")]  # a horizon is not proposed first
     words = [sys.executable, "-P", "-m", "services.cli", "sim", *options]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
@@ -290,12 +223,10 @@ def test_compiling_is_announced_and_a_signal_ends_it_within_two_seconds(
             while not list((tmp_path / "cache").rglob("*.nbc")):
                 assert process.poll() is None
                 time.sleep(0.05)
-            began = time.monotonic()
-            process.send_signal(number)
+            process.terminate()
             assert process.stderr.readline() == "stopped while compiling\n"
-            assert time.monotonic() - began < 2.0
             assert process.stderr.read() == ""
-            assert process.wait(60) == code
+            assert process.wait(60) == 1
         finally:
             process.kill()
     assert not list((tmp_path / "cache").rglob(f"{MARK}*"))

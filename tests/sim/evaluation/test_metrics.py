@@ -226,9 +226,7 @@ def test_the_delivered_slew_is_that_of_the_lateral_thrust_from_zero_on(metrics: 
     assert metrics.thrust().max_delivered_slew_N_per_s == pytest.approx(170.0)
 
 
-def test_a_command_inside_the_box_or_between_its_bounds_is_not_saturated(
-    metrics: RunMetrics,
-) -> None:
+def test_a_command_inside_the_box_or_between_its_bounds_is_not_saturated(metrics: RunMetrics) -> None:
     inside_N = 62.5 - 2e-6
     feed(metrics, applied(0, inside_N, 62.5), applied(S, inside_N, -62.5), applied(2 * S, -inside_N, -inside_N))
     feed(metrics, applied(3 * S, -inside_N, -inside_N))
@@ -262,9 +260,7 @@ def test_a_surface_craft_has_no_vertical_thruster_to_be_at_a_limit(vehicle: Vehi
     assert metrics.thrust().vertical_saturated_fraction is None
 
 
-def test_end_to_end_delay_ends_at_the_plans_start_or_its_later_arrival(
-    metrics: RunMetrics,
-) -> None:
+def test_end_to_end_delay_ends_at_the_plans_start_or_its_later_arrival(metrics: RunMetrics) -> None:
     feed(metrics, plan(1000 * MS, start_ns=1400 * MS, estimate_t_ns=900 * MS), epoch=7, sequence=0)
     feed(metrics, plan(2000 * MS, start_ns=2400 * MS, estimate_t_ns=1900 * MS), epoch=7, sequence=1)
     feed(metrics, applied(1390 * MS, taken=(7, 0, 1350 * MS)))  # in time: takes effect at its start

@@ -11,10 +11,9 @@ import pytest
 from ltv_mpc.messages import Disturbance, Plan, PlanOrigin, Solve, SolveStatus, Truth
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.plant import PERIOD_NS, Plant
+from sim.plant import STEP_NS, Plant
 from sim.scenario import Mismatch, Scenario
 from sim.water import make
-from tests.stepping import step
 
 S = 1_000_000_000
 VEHICLE = Vehicle.load("paper")
@@ -49,11 +48,11 @@ def steady(thrust_N: tuple[float, float, float]) -> ReceivedMessage:
 def run(plant: Plant, until_ns: int, *, disturbance: Disturbance | None = None, at_ns: int = 0, plan=None):
     """Return the truths by time."""
     truth = {}
-    for t in range(0, until_ns + 1, PERIOD_NS):
+    for t in range(0, until_ns + 1, STEP_NS):
         inbox = [] if plan is None or t else [plan]
         if disturbance is not None and t == at_ns:
             inbox.append(ReceivedMessage(disturbance, 9, 0, t))
-        truth |= {x.t_ns: x for x in step(plant, t, inbox) if isinstance(x, Truth)}
+        truth |= {x.t_ns: x for x in plant.step(t, inbox) if isinstance(x, Truth)}
     return truth
 
 
@@ -96,14 +95,14 @@ def test_it_ends_when_it_says_and_leaves_no_bit_changed_before_it_comes():
     here, there = run(plant_of(), 6 * S, disturbance=push, at_ns=2 * S), run(plant_of(), 6 * S)
     assert all(msgspec.json.encode(here[t]) == msgspec.json.encode(there[t]) for t in there if t <= 2 * S)
     speed = {t: here[t].water_velocity_mps[0] for t in here}
-    assert speed[3 * S] > speed[2 * S + PERIOD_NS] > 0.0
-    assert speed[3 * S + PERIOD_NS] < speed[3 * S]
+    assert speed[3 * S] > speed[2 * S + STEP_NS] > 0.0
+    assert speed[3 * S + STEP_NS] < speed[3 * S]
 
 
 def test_a_new_one_takes_the_old_ones_place():
     plant = plant_of()
     run(plant, S // 10, disturbance=Disturbance(end_t_ns=60 * S, force_N=(50.0, 0.0, 0.0)))
     nothing = Disturbance(end_t_ns=60 * S)
-    (before, *_) = step(plant, S // 10 + PERIOD_NS, [ReceivedMessage(nothing, 9, 1, S // 10 + PERIOD_NS)])
-    (after, *_) = step(plant, S // 10 + 2 * PERIOD_NS, [])
+    (before, *_) = plant.step(S // 10 + STEP_NS, [ReceivedMessage(nothing, 9, 1, S // 10 + STEP_NS)])
+    (after, *_) = plant.step(S // 10 + 2 * STEP_NS, [])
     assert after.water_velocity_mps[0] <= before.water_velocity_mps[0]

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import Estimate, ImuSample, Message, MessageFault, PressureDepth, RejectedFrame
+from ltv_mpc.messages import Estimate, ImuSample, ImuSamples, Message, MessageFault, PressureDepth, RejectedFrame
 from ltv_mpc.node import Grid, Inbox, OnMessage, ReceivedMessage
 from ltv_mpc.validation import rejection_reason
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval, MessageFaults
 from sim.scheduler import Delivery, LockStep
-from tests.stepping import OneByOne
+from tests.stepping import as_sent
 
 MS, S = 1_000_000, 1_000_000_000
 INTERVAL = Interval(S, 2 * S)
@@ -52,7 +52,7 @@ def sequences(deliveries: list[Delivery]) -> list[int]:
 
 @pytest.mark.parametrize("harm", MessageFault)
 def test_outside_its_spell_and_on_other_keys_every_message_arrives_as_it_was_sent(harm):
-    way = message_faults(harm, kind=ImuSample)
+    way = message_faults(harm, kind=ImuSamples)
     assert [(d.at_ns, d.message.message.t_ns, d.payload) for d in through(way)] == [
         (t, t, None) for t in range(0, 3 * S, PERIOD_NS)
     ]
@@ -98,7 +98,9 @@ def test_damage_flips_a_few_bits_of_the_bytes():
     [
         depth(S),
         Estimate.at_rest(depth_m=3.0),
-        ImuSample(t_ns=S, interval_ns=5, angular_rate_radps=(0.1, 0.2, 0.3), specific_force_mps2=(0.0, 0.0, -9.8)),
+        as_sent(
+            ImuSample(t_ns=S, interval_ns=5, angular_rate_radps=(0.1, 0.2, 0.3), specific_force_mps2=(0.0, 0.0, -9.8))
+        ),
     ],
 )
 def test_what_is_no_number_is_refused_for_it_in_whatever_field(signal):
@@ -121,7 +123,7 @@ def test_a_jumped_clock_moves_the_stamps_and_nothing_else():
     assert [d.message.message.depth_m for d in came] == pytest.approx(np.arange(30) * 0.1)
 
 
-class Speaker(OneByOne):
+class Speaker:
     name = "sensors"
     schedule = Grid(PERIOD_NS)
     reads: tuple[type[Message], ...] = ()
@@ -131,7 +133,7 @@ class Speaker(OneByOne):
         return [depth(t_ns)]
 
 
-class Listener(OneByOne):
+class Listener:
     name = "estimator"
     schedule = OnMessage((PressureDepth,))
     reads: tuple[type[Message], ...] = (PressureDepth, RejectedFrame)

@@ -32,7 +32,7 @@ def test_a_new_node_goes_on_armed_and_solves_its_second_plan() -> None:
         inbox = [ReceivedMessage(estimate, 1, i, t_ns)]
         if i == 0:
             inbox.append(ReceivedMessage(Command(command_id=1, action=Action.ARM), 2, 0, t_ns))
-        (outputs,) = node.steps([(t_ns, inbox)])
+        outputs = node.step(t_ns, inbox)
         plans[t_ns] = [message for message in outputs if isinstance(message, Plan)]
     assert len(made) == 2
     assert [t_ns for t_ns, of in plans.items() if not of] == [t for t in plans if 2 * S <= t < 4 * S]

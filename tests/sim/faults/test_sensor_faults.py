@@ -9,14 +9,13 @@ from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, Messa
 from ltv_mpc.node import Inbox, OnMessage
 from sim.faults.interval import Interval
 from sim.faults.sensor_faults import READINGS, Failure, FaultySensors, SensorFault
-from tests.stepping import OneByOne, step
 
 MS, S = 1_000_000, 1_000_000_000
 INTERVAL = Interval(S, 2 * S)
 PERIOD_NS = 100 * MS
 
 
-class Healthy(OneByOne):
+class Healthy:
     """Depth and heading ten times a second: the time in seconds, and its tenth."""
 
     name = "sensors"
@@ -33,7 +32,7 @@ def said(failure: Failure, size: float = 1.0) -> list[tuple[int, PressureDepth]]
     sensors = FaultySensors(Healthy(), [SensorFault(PressureDepth, failure, INTERVAL, size, seed=3)])
     result = []
     for t in range(0, 4 * S, PERIOD_NS):
-        signals = step(sensors, t, [])
+        signals = sensors.step(t, [])
         assert [x.heading_rad for x in signals if isinstance(x, CompassHeading)] == [1e-10 * t]
         result += [(t, x) for x in signals if isinstance(x, PressureDepth)]
     return result

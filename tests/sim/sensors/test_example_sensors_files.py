@@ -16,7 +16,6 @@ from ltv_mpc.validation import rejection_reason
 from sim.scenario import Scenario, with_overrides
 from sim.sensors.node import Sensors
 from sim.water import make
-from tests.stepping import step
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "sensors"
 REALISTIC = SensorConfig.load("realistic")
@@ -77,7 +76,7 @@ def test_each_example_measures_in_a_hover_at_20_m(name, kind, late_ns):
             current_mps=(0.0, 0.0),
             thrust_N=(0.0, 0.0, 0.0),
         )
-        for message in step(node, t, [ReceivedMessage(truth, 1, k, t)]):
+        for message in node.step(t, [ReceivedMessage(truth, 1, k, t)]):
             assert rejection_reason(message) is None
             if isinstance(message, kind):
                 seen += 1

@@ -16,7 +16,7 @@ from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import Truth
 from sim.sensors.lbl import AcousticTransceiver
 from sim.sensors.usbl import ShipTransceiver
-from sim.sensors.vehicle_state import VehicleState, motions_between
+from sim.sensors.vehicle_state import VehicleState, motion_between
 
 MS, S = 1_000_000, 1_000_000_000
 LBL = Lbl(
@@ -74,7 +74,7 @@ def said_along(settings, *, seed=1, step_ns=10 * MS, until_s=3.0):
     said = []
     called_ns = 123 * MS
     for at in range(0, round(until_s * S), step_ns):
-        (motion,) = motions_between([path(at / S), path((at + step_ns) / S)])
+        motion = motion_between(path(at / S), path((at + step_ns) / S))
         if at < called_ns <= at + step_ns:
             assert transceiver.sample(motion.at(called_ns)) == []
         said += [(at + step_ns, message) for message in transceiver.answers(motion, at + step_ns)]
@@ -114,7 +114,7 @@ def calls(settings, count, *, seed=1):
     transceiver = AcousticTransceiver(settings, seed)
     heard = np.full((count, len(settings.transponders_m)), np.nan)
     wild = np.zeros_like(heard, dtype=bool)
-    (still,) = motions_between([truth(0), truth(2 * S)])
+    still = motion_between(truth(0), truth(2 * S))
     for k in range(count):
         transceiver.sample(still.at(0))
         for message in transceiver.answers(still, 2 * S):
@@ -167,13 +167,13 @@ def test_a_tenth_of_the_answers_is_lost_and_a_twentieth_longer_but_never_shorter
 
 def test_no_range_with_the_head_out_of_water_or_from_a_far_transponder():
     out = AcousticTransceiver(LBL, 1)
-    (world,) = motions_between([truth(0, position=(0.0, 0.0, 0.3)), truth(S, position=(0.0, 0.0, 0.3))])
+    world = motion_between(truth(0, position=(0.0, 0.0, 0.3)), truth(S, position=(0.0, 0.0, 0.3)))
     out.sample(world.at(0))  # 0.4 m above the origin, at 0.3 m
     assert out.answers(world, S) == []
     far = msgspec.structs.replace(LBL, **PERFECT, transponders_m=((46_000.0, 0.0, 60.0), (100.0, 0.0, 60.0)))
     transceiver = AcousticTransceiver(far, 1)
-    transceiver.sample(motions_between([truth(0), truth(S)])[0].at(0))
-    motions = motions_between([truth(k * S) for k in range(71)])
+    transceiver.sample(motion_between(truth(0), truth(S)).at(0))
+    motions = [motion_between(truth(k * S), truth((k + 1) * S)) for k in range(70)]
     said = [x for motion in motions for x in transceiver.answers(motion, motion.later.t_ns)]
     assert [message.transponder for message in said] == [1]
 

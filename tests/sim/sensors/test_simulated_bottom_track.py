@@ -91,8 +91,7 @@ def test_any_attitude_lever_arm_and_turn_by_scipys_rotations():
 
 
 @pytest.mark.parametrize(
-    ("bottom_m", "found"),
-    [(24.999, True), (25.001, False), (5.001, True), (5.0, False), (4.0, False), (None, False)],
+    ("bottom_m", "found"), [(24.999, True), (25.001, False), (5.001, True), (5.0, False), (4.0, False), (None, False)]
 )
 def test_the_bed_is_found_within_range_below_and_never_above(bottom_m, found):
     message = ping(instant(), bottom_m=bottom_m)

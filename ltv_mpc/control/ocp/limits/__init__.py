@@ -5,8 +5,8 @@
     motion   surge and yaw rate                        soft
     fence    zones, obstacles and corridor (last rows) soft; rows only near to them
 
-``add(p, k, lin, target, o)`` adds the rows of knot k = 1 .. N to a problem, in the places that the file names;
-arguments as in ``ocp/terms``.
+``add(p, lin, target, o)`` adds the rows of all knots to a problem, in the places that the file names; arguments as in
+``ocp/terms``.
 """
 
 from __future__ import annotations
@@ -34,10 +34,9 @@ def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
     p : problem.
     lin, target, o : as in ``ocp/terms``.
     """
-    for k in range(1, len(lin.X)):
-        box.add(p, k, lin, target, o)
-        slew.add(p, k, lin, target, o)
-        motion.add(p, k, lin, target, o)
+    box.add(p, lin, target, o)
+    slew.add(p, lin, target, o)
+    motion.add(p, lin, target, o)
 
 
 def names(scale: Array) -> list[tuple[str, float, str]]:

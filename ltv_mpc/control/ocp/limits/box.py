@@ -18,15 +18,16 @@ ROW = 0
 
 
 @jit
-def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the rows of a knot.
+def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
+    """Add the rows.
 
     Parameters
     ----------
-    p, k, lin, target, o : as in ``ocp/terms``.
+    p, lin, target, o : as in ``ocp/terms``.
     """
-    for i in range(2):
-        low, high = command_bounds(lin.U[0, i], o.t[k] * o.max_change[i], o.low[i], o.high[i])
-        p.G[k, ROW + i, COMMANDS + i] = 1.0
-        p.low[k, ROW + i] = (low - lin.U[k, i]) / o.thrust_scale[i]
-        p.high[k, ROW + i] = (high - lin.U[k, i]) / o.thrust_scale[i]
+    U, F, t = lin.U, o.thrust_scale, o.t
+    for k in range(1, len(U)):
+        for i in range(2):
+            low, high = command_bounds(U[0, i], t[k] * o.max_change[i], o.low[i], o.high[i])
+            p.G[k, ROW + i, COMMANDS + i] = 1.0
+            p.low[k, ROW + i], p.high[k, ROW + i] = (low - U[k, i]) / F[i], (high - U[k, i]) / F[i]

@@ -19,9 +19,8 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.control.fence_clearance import CORRIDOR_PENALTY, PENALTY, Scene, cross_track, disc_at, sag_m, stage_lack
-from ltv_mpc.control.linearisation import unpack_linearisation
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.problem_data import Objective, stage_length, unpack_constants
+from ltv_mpc.control.problem_data import stage_length, unpack_constants
 from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, allocate, half_planes, insert_row
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
@@ -34,25 +33,25 @@ REACH = 4.0
 
 
 @jit
-def fill(packed: Array, flat: Array, scene: Scene, rows: int, p: Problem) -> None:
+def fill(packed: Array, X: Array, scene: Scene, rows: int, p: Problem) -> None:
     """Fill in the rows of a cycle, which are the last ones of a problem.
 
     Parameters
     ----------
     packed : packed constants (problem_data.py).
-    flat : ``Linearisation.flat``.
+    X : (N+1, 8) nominal states.
     scene : zones and obstacles.
     rows : how many rows a knot has for fence and corridor.
     p : problem; these rows are overwritten.
     """
     stages = len(p.f)
-    o, X, Z = unpack_constants(packed).objective, unpack_linearisation(flat, stages).X, len(scene.need)
+    o, Z = unpack_constants(packed).objective, len(scene.need)
     scale, first = o.state_scale[0], p.G.shape[1] - rows
     points, required = np.empty((stages, 2)), np.empty((stages, Z))
     times, reach = np.empty(stages), np.full(stages, REACH * scale)
-    at = _worst_points(X, scene, o)
+    at = _worst_points(X, scene, o.t)
     for k in range(1, stages + 1):
-        g = stage_length(o, k)
+        g = stage_length(o.t, k)
         for i in range(2):
             points[k - 1, i] = X[k - 1, i] + at[k - 1] * (X[k, i] - X[k - 1, i])
         times[k - 1] = (o.t[k - 1] + at[k - 1] * g) * scene.stage_s
@@ -64,7 +63,7 @@ def fill(packed: Array, flat: Array, scene: Scene, rows: int, p: Problem) -> Non
     for k in range(1, stages + 1):
         for i in range(len(scene.discs)):
             _insert_disc(scene, i, times[k - 1], k - 1, points, reach[k - 1], found)
-        g = stage_length(o, k)
+        g = stage_length(o.t, k)
         for j in range(ROWS):
             if found.zone[k - 1, j] >= 0:
                 normal = found.normal[k - 1, j]
@@ -84,14 +83,14 @@ def _set_row(p: Problem, k: int, row: int, north: float, east: float, low: float
 
 
 @jit
-def _worst_points(X: Array, scene: Scene, o: Objective) -> Array:
+def _worst_points(X: Array, scene: Scene, t: Array) -> Array:
     """Return where each stage has its point of the least clearance, as a share (N,) of the stage; 1 if none lacks."""
     N, Z = X.shape[0] - 1, len(scene.need)
     at, worst = np.ones(N), np.zeros(N)
     for z in range(Z + len(scene.discs)):
         spare_m = 0.0
         for k in range(1, N + 1):
-            knot, between, part, spare_m = stage_lack(scene, z, X, k, o, spare_m)
+            knot, between, part, spare_m = stage_lack(scene, z, X, k, t, spare_m)
             if between > worst[k - 1]:
                 at[k - 1], worst[k - 1] = part, between
             if knot > worst[k - 1]:

@@ -23,38 +23,40 @@ ROW = 4
 
 
 @jit
-def cost(k: int, X: Array, target: Array, o: Objective, penalty: float) -> float:
-    """Return the cost of the excesses at knot k, which is that of the problem.
+def cost(X: Array, target: Array, o: Objective) -> float:
+    """Return the cost of the excesses along a trajectory, which is that of the problem.
 
     Parameters
     ----------
-    k, X, target, o : as in ``ocp/terms``.
-    penalty : ``excess_penalty``.
+    X, target, o : as in ``ocp/terms``.
     """
-    total = 0.0
-    for j in range(2):
-        x = X[k, LIMITED_STATES[j]]
-        excess = max(o.low_state[j] - x, x - o.high_state[j])
-        if excess > 0.0:
-            total += penalty * stage_length(o, k) * excess / o.state_scale[LIMITED_STATES[j]]
-    return float(total)
-
-
-@jit
-def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the rows of a knot.
-
-    Parameters
-    ----------
-    p, k, lin, target, o : as in ``ocp/terms``.
-    """
+    total, t = 0.0, o.t
     for j in range(2):
         if is_limited(o, j):
             i = LIMITED_STATES[j]
-            p.G[k, ROW + j, i] = 1.0
-            p.low[k, ROW + j] = (o.low_state[j] - lin.X[k, i]) / o.state_scale[i]
-            p.high[k, ROW + j] = (o.high_state[j] - lin.X[k, i]) / o.state_scale[i]
-            p.penalty[k, ROW + j] = excess_penalty(lin.X, target, o) * stage_length(o, k)
+            low, high = o.low_state[j], o.high_state[j]
+            for k in range(1, len(X)):
+                total += stage_length(t, k) * max(low - X[k, i], X[k, i] - high, 0.0) / o.state_scale[i]
+    return float(excess_penalty(X, target, o) * total) if total > 0.0 else 0.0
+
+
+@jit
+def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
+    """Add the rows.
+
+    Parameters
+    ----------
+    p, lin, target, o : as in ``ocp/terms``.
+    """
+    X, t, penalty = lin.X, o.t, excess_penalty(lin.X, target, o)
+    for j in range(2):
+        if is_limited(o, j):
+            i = LIMITED_STATES[j]
+            S = o.state_scale[i]
+            for k in range(1, len(X)):
+                p.G[k, ROW + j, i] = 1.0
+                p.low[k, ROW + j], p.high[k, ROW + j] = (o.low_state[j] - X[k, i]) / S, (o.high_state[j] - X[k, i]) / S
+                p.penalty[k, ROW + j] = penalty * stage_length(t, k)
 
 
 @jit
@@ -74,7 +76,7 @@ def excess_penalty(X: Array, target: Array, o: Objective) -> float:
         return MIN_PENALTY
     N, pull = target.shape[0] - 1, 0.0
     for k in range(N):
-        weight = o.position * stage_length(o, k + 1) + (o.terminal_position if k == N - 1 else 0.0)
+        weight = o.position * stage_length(o.t, k + 1) + (o.terminal_position if k == N - 1 else 0.0)
         pull += weight * np.hypot(X[0, 0] - target[k, 0], X[0, 1] - target[k, 1])
     return float(max(MIN_PENALTY, pull * o.state_scale[0]))
 

@@ -18,15 +18,16 @@ ROW = 2
 
 
 @jit
-def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the rows of the stage that ends at a knot.
+def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
+    """Add the rows.
 
     Parameters
     ----------
-    p, k, lin, target, o : as in ``ocp/terms``.
+    p, lin, target, o : as in ``ocp/terms``.
     """
-    for i in range(2):
-        largest, change = stage_length(o, k) * o.max_change[i], lin.U[k, i] - lin.U[k - 1, i]
-        p.G[k - 1, ROW + i, CHANGES + i] = 1.0
-        p.low[k - 1, ROW + i] = (-largest - change) / o.thrust_scale[i]
-        p.high[k - 1, ROW + i] = (largest - change) / o.thrust_scale[i]
+    U, F, t = lin.U, o.thrust_scale, o.t
+    for k in range(1, len(U)):
+        for i in range(2):
+            largest, change = stage_length(t, k) * o.max_change[i], U[k, i] - U[k - 1, i]
+            p.G[k - 1, ROW + i, CHANGES + i] = 1.0
+            p.low[k - 1, ROW + i], p.high[k - 1, ROW + i] = (-largest - change) / F[i], (largest - change) / F[i]

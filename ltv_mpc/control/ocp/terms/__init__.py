@@ -1,9 +1,9 @@
 """Terms of the cost, one file each: its value along a trajectory, and its quadratic model in the problem.
 
-Every file has two functions of knot k = 1 .. N, of which a terminal term is 0 before the last one:
+Every file has two functions:
 
-    cost(k, X, U, C, target, o)      value along a trajectory
-    add(p, k, lin, target, o)        adds gradient and Hessian along the nominal trajectory to a problem
+    cost(X, U, C, target, o)      value along a trajectory, a sum over the knots 1 .. N
+    add(p, lin, target, o)        adds gradient and Hessian along the nominal trajectory to a problem
 
     X       (N+1, 8) states n, e, u, v, psi, r, F1, F2 at the knots
     U       (N+1, 2) commands (N)
@@ -38,37 +38,34 @@ TERMS = (position, heading, thrust, thrust_change, terminal_position, terminal_v
 
 
 @jit
-def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value of all terms at knot k = 1 .. N; arguments as at the head of this file.
+def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
+    """Return the value of all terms; arguments as at the head of this file.
 
     Parameters
     ----------
-    k : knot.
     X, U, C, target, o : as there.
     """
     return (
-        position.cost(k, X, U, C, target, o)
-        + heading.cost(k, X, U, C, target, o)
-        + thrust.cost(k, X, U, C, target, o)
-        + thrust_change.cost(k, X, U, C, target, o)
-        + terminal_position.cost(k, X, U, C, target, o)
-        + terminal_velocity.cost(k, X, U, C, target, o)
+        position.cost(X, U, C, target, o)
+        + heading.cost(X, U, C, target, o)
+        + thrust.cost(X, U, C, target, o)
+        + thrust_change.cost(X, U, C, target, o)
+        + terminal_position.cost(X, U, C, target, o)
+        + terminal_velocity.cost(X, U, C, target, o)
     )
 
 
 @jit
-def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model of all terms at knot k = 1 .. N to a problem.
+def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
+    """Add the quadratic model of all terms to a problem.
 
     Parameters
     ----------
-    p : problem.
-    k : knot.
-    lin, target, o : as at the head of this file.
+    p, lin, target, o : as at the head of this file.
     """
-    position.add(p, k, lin, target, o)
-    heading.add(p, k, lin, target, o)
-    thrust.add(p, k, lin, target, o)
-    thrust_change.add(p, k, lin, target, o)
-    terminal_position.add(p, k, lin, target, o)
-    terminal_velocity.add(p, k, lin, target, o)
+    position.add(p, lin, target, o)
+    heading.add(p, lin, target, o)
+    thrust.add(p, lin, target, o)
+    thrust_change.add(p, lin, target, o)
+    terminal_position.add(p, lin, target, o)
+    terminal_velocity.add(p, lin, target, o)

@@ -17,31 +17,35 @@ from ltv_mpc.messages import Array
 
 
 @jit
-def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value at a knot.
+def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
+    """Return the value along a trajectory.
 
     Parameters
     ----------
-    k, X, U, C, target, o : as in ``ocp/terms``.
+    X, U, C, target, o : as in ``ocp/terms``.
     """
-    if o.heading == 0.0:
-        return 0.0
-    off = _short_way(X[k, 4] - target[k - 1, 2])
-    return float(0.5 * o.heading * stage_length(o, k) * off * off)
+    total, t = 0.0, o.t
+    if o.heading != 0.0:
+        for k in range(1, len(X)):
+            off = _short_way(X[k, 4] - target[k - 1, 2])
+            total += stage_length(t, k) * off * off
+    return float(0.5 * o.heading * total)
 
 
 @jit
-def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model at a knot.
+def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
+    """Add the quadratic model.
 
     Parameters
     ----------
-    p, k, lin, target, o : as in ``ocp/terms``.
+    p, lin, target, o : as in ``ocp/terms``.
     """
+    X, S, t = lin.X, o.state_scale[4], o.t
     if o.heading != 0.0:
-        weight = o.heading * stage_length(o, k) * o.state_scale[4]
-        p.H[k, 4, 4] += weight * o.state_scale[4]
-        p.h[k, 4] += weight * _short_way(lin.X[k, 4] - target[k - 1, 2])
+        for k in range(1, len(X)):
+            weight = o.heading * stage_length(t, k) * S
+            p.H[k, 4, 4] += weight * S
+            p.h[k, 4] += weight * _short_way(X[k, 4] - target[k - 1, 2])
 
 
 @jit

@@ -15,26 +15,31 @@ from ltv_mpc.messages import Array
 
 
 @jit
-def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value at a knot.
+def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
+    """Return the value along a trajectory.
 
     Parameters
     ----------
-    k, X, U, C, target, o : as in ``ocp/terms``.
+    X, U, C, target, o : as in ``ocp/terms``.
     """
-    dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
-    return float(0.5 * o.position * stage_length(o, k) * (dn * dn + de * de))
+    total, t = 0.0, o.t
+    for k in range(1, len(X)):
+        dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
+        total += stage_length(t, k) * (dn * dn + de * de)
+    return float(0.5 * o.position * total)
 
 
 @jit
-def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model at a knot.
+def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
+    """Add the quadratic model.
 
     Parameters
     ----------
-    p, k, lin, target, o : as in ``ocp/terms``.
+    p, lin, target, o : as in ``ocp/terms``.
     """
-    for i in range(2):
-        weight = o.position * stage_length(o, k) * o.state_scale[i]
-        p.H[k, i, i] += weight * o.state_scale[i]
-        p.h[k, i] += weight * (lin.X[k, i] - target[k - 1, i])
+    X, S, t = lin.X, o.state_scale, o.t
+    for k in range(1, len(X)):
+        for i in range(2):
+            weight = o.position * stage_length(t, k) * S[i]
+            p.H[k, i, i] += weight * S[i]
+            p.h[k, i] += weight * (X[k, i] - target[k - 1, i])

@@ -13,28 +13,27 @@ from ltv_mpc.messages import Array
 
 
 @jit
-def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value at a knot.
+def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
+    """Return the value along a trajectory.
 
     Parameters
     ----------
-    k, X, U, C, target, o : as in ``ocp/terms``.
+    X, U, C, target, o : as in ``ocp/terms``.
     """
-    if k < len(X) - 1:
-        return 0.0
-    dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
+    N = len(X) - 1
+    dn, de = X[N, 0] - target[N - 1, 0], X[N, 1] - target[N - 1, 1]
     return float(0.5 * o.terminal_position * (dn * dn + de * de))
 
 
 @jit
-def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model at a knot.
+def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
+    """Add the quadratic model.
 
     Parameters
     ----------
-    p, k, lin, target, o : as in ``ocp/terms``.
+    p, lin, target, o : as in ``ocp/terms``.
     """
-    if k == len(lin.X) - 1:
-        for i in range(2):
-            p.H[k, i, i] += o.terminal_position * o.state_scale[i] * o.state_scale[i]
-            p.h[k, i] += o.terminal_position * o.state_scale[i] * (lin.X[k, i] - target[k - 1, i])
+    N, S = len(lin.X) - 1, o.state_scale
+    for i in range(2):
+        p.H[N, i, i] += o.terminal_position * S[i] * S[i]
+        p.h[N, i] += o.terminal_position * S[i] * (lin.X[N, i] - target[N - 1, i])

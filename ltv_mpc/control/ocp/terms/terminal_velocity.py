@@ -16,33 +16,32 @@ from ltv_mpc.messages import Array
 
 
 @jit
-def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value at a knot.
+def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
+    """Return the value along a trajectory.
 
     Parameters
     ----------
-    k, X, U, C, target, o : as in ``ocp/terms``.
+    X, U, C, target, o : as in ``ocp/terms``.
     """
-    if k < len(X) - 1:
-        return 0.0
-    velocity, _ = velocity_over_ground(X[k], C[k])
-    wn, we = velocity[0] - target[k, 0], velocity[1] - target[k, 1]
+    N = len(X) - 1
+    velocity, _ = velocity_over_ground(X[N], C[N])
+    wn, we = velocity[0] - target[N, 0], velocity[1] - target[N, 1]
     return float(0.5 * o.terminal_velocity * (wn * wn + we * we))
 
 
 @jit
-def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model at a knot.
+def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
+    """Add the quadratic model.
 
     Parameters
     ----------
-    p, k, lin, target, o : as in ``ocp/terms``.
+    p, lin, target, o : as in ``ocp/terms``.
     """
-    if k == len(lin.X) - 1:
-        velocity, slope = velocity_over_ground(lin.X[k], lin.C[k])
-        for axis in range(2):
-            for i in range(3):
-                weight = o.terminal_velocity * slope[axis, i] * o.state_scale[2 + i]
-                p.h[k, 2 + i] += weight * (velocity[axis] - target[k, axis])
-                for j in range(3):
-                    p.H[k, 2 + i, 2 + j] += weight * slope[axis, j] * o.state_scale[2 + j]
+    N, S = len(lin.X) - 1, o.state_scale
+    velocity, slope = velocity_over_ground(lin.X[N], lin.C[N])
+    for axis in range(2):
+        for i in range(3):
+            weight = o.terminal_velocity * slope[axis, i] * S[2 + i]
+            p.h[N, 2 + i] += weight * (velocity[axis] - target[N, axis])
+            for j in range(3):
+                p.H[N, 2 + i, 2 + j] += weight * slope[axis, j] * S[2 + j]

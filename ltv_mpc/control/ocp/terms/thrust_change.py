@@ -15,27 +15,31 @@ from ltv_mpc.messages import Array
 
 
 @jit
-def cost(k: int, X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """Return the value at a knot.
+def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
+    """Return the value along a trajectory.
 
     Parameters
     ----------
-    k, X, U, C, target, o : as in ``ocp/terms``.
+    X, U, C, target, o : as in ``ocp/terms``.
     """
-    port = (U[k, 0] - U[k - 1, 0]) / o.thrust_scale[0]
-    starboard = (U[k, 1] - U[k - 1, 1]) / o.thrust_scale[1]
-    return float(0.5 * o.thrust_change / stage_length(o, k) * (port * port + starboard * starboard))
+    total, F, t = 0.0, o.thrust_scale, o.t
+    for k in range(1, len(U)):
+        port, starboard = (U[k, 0] - U[k - 1, 0]) / F[0], (U[k, 1] - U[k - 1, 1]) / F[1]
+        total += (port * port + starboard * starboard) / stage_length(t, k)
+    return float(0.5 * o.thrust_change * total)
 
 
 @jit
-def add(p: Problem, k: int, lin: Linearisation, target: Array, o: Objective) -> None:
-    """Add the quadratic model at a knot, in the input of the stage before it.
+def add(p: Problem, lin: Linearisation, target: Array, o: Objective) -> None:
+    """Add the quadratic model, in the input of the stage before each knot.
 
     Parameters
     ----------
-    p, k, lin, target, o : as in ``ocp/terms``.
+    p, lin, target, o : as in ``ocp/terms``.
     """
-    weight = o.thrust_change / stage_length(o, k)
-    for i in range(2):
-        p.H[k - 1, CHANGES + i, CHANGES + i] += weight
-        p.h[k - 1, CHANGES + i] += weight * (lin.U[k, i] - lin.U[k - 1, i]) / o.thrust_scale[i]
+    U, F, t = lin.U, o.thrust_scale, o.t
+    for k in range(1, len(U)):
+        weight = o.thrust_change / stage_length(t, k)
+        for i in range(2):
+            p.H[k - 1, CHANGES + i, CHANGES + i] += weight
+            p.h[k - 1, CHANGES + i] += weight * (U[k, i] - U[k - 1, i]) / F[i]

@@ -98,7 +98,7 @@ def test_slopes_and_cost_belong_together(term: Term | Limit) -> None:
     scale = assembly.scales(LIMITS)[:10]
     of = Extensions([term], np.ones(N), scale, wanted)
     p = assembly.empty(N, of.rows)
-    assembly.fill(pack_objective(form.knots, LIMITS, form.weights), lin.flat, wanted, p)
+    assembly.fill(pack_objective(form.knots, LIMITS, form.weights), lin, wanted, p)
     before = p.h.copy()
     of.add(p, limits.ROWS, lin.X, lin.U)
     z, h = np.random.default_rng(0).normal(size=(N + 1, 12)), 1e-6

@@ -114,7 +114,7 @@ class Filled(NamedTuple):
 def rows_of(packed: Array, lin: Linearisation, of: Scene, rows: int) -> Array:
     """Return the rows (N, R, 4) of a scene along a motion."""
     p = assembly.empty(len(lin.Phi), rows)
-    fence.fill(packed, lin.flat, of, rows, p)
+    fence.fill(packed, lin.X, of, rows, p)
     scale = unpack_constants(packed).objective.state_scale[:2]
     first = p.sizes[3] - rows
     parts = p.G[1:, first:, :2] / scale, p.low[1:, first:, None], p.penalty[1:, first:, None]
@@ -164,7 +164,7 @@ def test_the_cost_is_that_of_the_rows_at_the_nominal_trajectory() -> None:
         o = unpack_constants(packed).objective
         surplus = np.array([[surplus_m(of, z, *lin.X[k, :2], 0.3 * k) for z in range(4)] for k in range(1, N + 1)])
         lacks = np.maximum(-surplus, 0.0)
-        assert fence_cost(lin.X, of, o) == pytest.approx(PENALTY * lacks.sum() / o.state_scale[0])
+        assert fence_cost(lin.X, of, o.t, o.state_scale[0]) == pytest.approx(PENALTY * lacks.sum() / o.state_scale[0])
 
 
 def test_the_rows_of_a_long_stage_are_those_of_its_point_of_least_clearance() -> None:
@@ -269,7 +269,9 @@ def test_the_cost_of_the_corridor_is_its_excess() -> None:
     lin, packed = filled(of, 1, ROWS + CORRIDOR_ROWS)
     o = unpack_constants(packed).objective
     across = np.array([abs(cross_track(of, k, *lin.X[k, :2])[0]) for k in range(1, N + 1)])
-    extra = fence_cost(lin.X, of, o) - fence_cost(lin.X, of._replace(path=NO_PATH), o)
+    extra = fence_cost(lin.X, of, o.t, o.state_scale[0]) - fence_cost(
+        lin.X, of._replace(path=NO_PATH), o.t, o.state_scale[0]
+    )
     assert extra == pytest.approx(CORRIDOR_PENALTY * np.maximum(across - 0.2, 0.0).sum() / o.state_scale[0])
 
 

@@ -34,7 +34,7 @@ def lin() -> Linearisation:
     X = rng.normal(size=(N + 1, 8)) * SCALE[:8]
     A, B0, B1 = (rng.normal(size=(N, 8, k)) for k in (8, 2, 2))
     U = rng.uniform(-20, 20, (N + 1, 2))
-    return Linearisation.from_arrays(X, U, rng.normal(size=(N + 1, 2)), X[1:] + rng.normal(size=(N, 8)), A, B0, B1)
+    return Linearisation(X, U, rng.normal(size=(N + 1, 2)), X[1:] + rng.normal(size=(N, 8)), A, B0, B1)
 
 
 @pytest.fixture

@@ -36,14 +36,13 @@ def trajectory(seed: int) -> tuple[Linearisation, Array]:
 def value(term: ModuleType, lin: Linearisation, target: Array, z: Array) -> float:
     """Return the value along the trajectory that deviations z (N+1, 12) lead to."""
     X, U = lin.X + z[:, :8] * SCALES[:8], lin.U + z[:, 8:10] * SCALES[8:10]
-    return float(sum(term.cost(k, X, U, lin.C, target, OBJECTIVE) for k in range(1, N + 1)))
+    return float(term.cost(X, U, lin.C, target, OBJECTIVE))
 
 
 def model(term: ModuleType, lin: Linearisation, target: Array) -> Problem:
     """Return a problem with this term alone."""
     p = assembly.empty(N)
-    for k in range(1, N + 1):
-        term.add(p, k, lin, target, OBJECTIVE)
+    term.add(p, lin, target, OBJECTIVE)
     return p
 
 
@@ -94,8 +93,7 @@ def test_every_solver_feels_it(term: ModuleType, name: str) -> None:
     config = ResolvedConfig(horizon_s=2.4, max_stages=N, weights=WEIGHTS, tolerance=1e-7, max_iterations=5000)
     once, more = form.problem(lin, target), form.problem(lin, target)
     for _ in range(2):
-        for k in range(1, N + 1):
-            term.add(more, k, lin, target, OBJECTIVE)
+        term.add(more, lin, target, OBJECTIVE)
     before, wanted = (form.commands(lin, solution_of(p, precise(sparse_qp(p)))) for p in (once, more))
     assert np.abs(before - wanted).max() > 0.01
     solver = SOLVERS[name](config)

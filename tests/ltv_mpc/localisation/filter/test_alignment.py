@@ -186,11 +186,7 @@ def test_position_and_velocity_are_the_origins_and_not_the_antennas():
     antenna = at(suite.gnss.lever_arm_m, 0.0)
     moving = (at(suite.gnss.lever_arm_m, 1e-6) - at(suite.gnss.lever_arm_m, -1e-6)) / 2e-6
     seen = GnssFix(
-        t_ns=T0,
-        north_m=antenna[0],
-        east_m=antenna[1],
-        velocity_north_mps=moving[0],
-        velocity_east_mps=moving[1],
+        t_ns=T0, north_m=antenna[0], east_m=antenna[1], velocity_north_mps=moving[0], velocity_east_mps=moving[1]
     )
     pressed = PressureDepth(t_ns=T0, depth_m=at(suite.pressure.lever_arm_m, 0.0)[2])
     belief, _ = aligned([seen, compass(), pressed, *samples()], suite)

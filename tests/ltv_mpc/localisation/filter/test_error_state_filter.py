@@ -83,11 +83,7 @@ def test_inertial_and_satellite_measurements_are_weighted_as_least_squares_does(
         if k % 20 == 0:
             z = rng.standard_normal(3)
             fix = GnssFix(
-                t_ns=k * DT_NS,
-                north_m=float(z[0]),
-                east_m=0.0,
-                velocity_north_mps=float(z[1]),
-                velocity_east_mps=0.0,
+                t_ns=k * DT_NS, north_m=float(z[0]), east_m=0.0, velocity_north_mps=float(z[1]), velocity_east_mps=0.0
             )
             step = TdcpFix(t_ns=k * DT_NS, from_t_ns=epoch_ns, north_m=float(0.1 * z[2]), east_m=0.0)
             # whichever comes first, the change of position is taken from the epoch before

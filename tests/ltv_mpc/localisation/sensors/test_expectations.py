@@ -16,16 +16,7 @@ from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
 from ltv_mpc.localisation.sensors.lbl import Lbl
 from ltv_mpc.localisation.sensors.sensor import Context
 from ltv_mpc.localisation.sensors.usbl import Usbl
-from ltv_mpc.messages import (
-    AdcpPing,
-    BottomTrack,
-    CompassHeading,
-    GnssFix,
-    LblRange,
-    PressureDepth,
-    TdcpFix,
-    UsblFix,
-)
+from ltv_mpc.messages import AdcpPing, BottomTrack, CompassHeading, GnssFix, LblRange, PressureDepth, TdcpFix, UsblFix
 
 SUITE = SensorConfig.load("realistic")
 CONFIG = EstimatorConfig()

@@ -7,7 +7,7 @@ import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import Belief, Layout
-from ltv_mpc.localisation.sensors import BY_MESSAGE, BY_NAME, SENSORS, SensorTables, fitted
+from ltv_mpc.localisation.sensors import BY_MESSAGE, BY_NAME, PUBLISHED, SENSORS, SensorTables, fitted
 from ltv_mpc.localisation.sensors.sensor import Context
 from ltv_mpc.messages import AdcpPing
 from services.bus.topics import BY_TYPE
@@ -27,7 +27,7 @@ def test_each_sensor_stands_under_its_name_with_its_settings():
 def test_each_sensor_has_a_topic_and_a_simulation():
     assert set(SIMULATED) == set(NAMES)
     for sensor in SENSORS:
-        assert BY_TYPE[sensor.message].key.startswith("sensor/")
+        assert BY_TYPE[PUBLISHED[sensor.name]].key.startswith("sensor/")
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "imu"])

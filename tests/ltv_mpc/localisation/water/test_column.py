@@ -15,11 +15,7 @@ def test_a_new_grid_point_is_conditioned_on_its_neighbour_and_the_common_part(no
     prior = NodePrior(mean_mps=mean, sd_mps=sd, common_sd_mps=common, correlation=rho)
     k, i = node, neighbour
     P = common**2 + np.array(
-        [
-            [sd[k] ** 2 + walked, rho * sd[k] * sd[i], 0],
-            [rho * sd[k] * sd[i], sd[i] ** 2 + walked, 0],
-            [0, 0, 0],
-        ]
+        [[sd[k] ** 2 + walked, rho * sd[k] * sd[i], 0], [rho * sd[k] * sd[i], sd[i] ** 2 + walked, 0], [0, 0, 0]]
     )
     A = P[0, 1:] @ np.linalg.inv(P[1:, 1:])
     C = P[0, 0] - A @ P[1:, 0]

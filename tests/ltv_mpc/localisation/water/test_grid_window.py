@@ -270,11 +270,7 @@ def test_a_walk_in_time_makes_a_remembered_depth_less_certain():
 
 def test_the_filter_is_consistent_when_it_returns_to_a_depth(make_yoyo):
     """Down and up again, over 10 seeds: current and velocity are consistent, and better than without links."""
-    suite = msgspec.structs.replace(
-        SUITE,
-        adcp=LEVEL,
-        imu=msgspec.structs.replace(SUITE.imu, **QUIET),
-    )
+    suite = msgspec.structs.replace(SUITE, adcp=LEVEL, imu=msgspec.structs.replace(SUITE.imu, **QUIET))
     config = msgspec.structs.replace(WINDOW, gate_probability=1.0, deepest_m=40.0)
     water, velocity, error = [], [], []
     for seed in range(10):

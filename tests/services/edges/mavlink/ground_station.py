@@ -10,7 +10,7 @@ import json
 import sys
 from typing import Any
 
-PLACES = ((50.2, -5.1), (50.2001, -5.1), (50.2001, -5.0999))
+PLACES = ((50.2, -5.1), (50.20004, -5.1), (50.20004, -5.09996))
 
 
 def say(**fields: Any) -> None:

@@ -16,7 +16,6 @@ from tests.foreign_plant.mavlink_flight import ROOT
 from tests.services.edges.mavlink.ground_station import PLACES
 from tests.system.alone import CLI, arm, controller, started
 
-STATION = "tests.services.edges.mavlink.ground_station"
 MAVSDK_SYSTEM = "245"
 
 

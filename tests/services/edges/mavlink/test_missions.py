@@ -16,9 +16,10 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from ltv_mpc import config, references
 from ltv_mpc.messages import Acknowledgement, Action, Authority, Command
 from ltv_mpc.references import Origin
+from ltv_mpc.references.mission_items import DRIVEN
 from services.edges.edge import Outgoing, Received
+from services.edges.mavlink.lists import Mission, mission_of
 from services.edges.mavlink.mission import MissionFollower, Progress
-from services.edges.mavlink.mission_items import COMMANDS, Leg, legs_of
 from tests.foreign_plant.mavlink_flight import MavlinkFlight
 from tests.services.edges.mavlink.test_mavlink import codec
 from tests.services.edges.plans import plan
@@ -45,17 +46,25 @@ def item(seq: int, command: int, *parameters: float, north_m: float = 0.0, east_
 HOME = item(0, 16)
 
 
-def legs(*items: Any, dives: bool = False, first: int = 1) -> list[Leg]:
-    return legs_of([HOME, *items], ORIGIN, 0.5, HERE, dives=dives, first=first)
+def mission(*items: Any, dives: bool = False, first: int = 1) -> Mission:
+    found = mission_of([HOME, *items], ORIGIN, 0.5, HERE, dives=dives, first=first)
+    assert found is not None
+    return found
 
 
-def read(leg: Leg) -> references.Reference:
-    reference: references.Reference = config.parse(config.loads(leg.toml), references.Reference, source="leg")
+def read(found: Mission) -> references.Reference:
+    reference: references.Reference = config.parse(config.loads(found.toml), references.Reference, source="mission")
     return reference
 
 
-def numbers(found: list[Leg]) -> list[list[int]]:
-    return [[stop.number for stop in leg.stops] for leg in found]
+def path(found: Mission) -> references.Waypoints:
+    reference = read(found)
+    assert isinstance(reference, references.Waypoints)
+    return reference
+
+
+def numbers(found: Mission) -> list[int]:
+    return [stop.number for stop in found.stops if stop.number]
 
 
 # --- items -----------------------------------------------------------------------------------------------------------
@@ -66,25 +75,23 @@ def numbers(found: list[Leg]) -> list[list[int]]:
 def test_each_command_is_driven_or_refused_by_number_and_name(number: int, dives: bool) -> None:
     """All NAV, CONDITION and DO commands that pymavlink knows, as item 2 of a mission."""
     parameters = {18: (1.0, 0.0, 5.0), 19: (20.0,), 93: (20.0,), 177: (1.0, 2.0), 178: (1.0, 0.7)}.get(number, ())
-    mission = (
+    items = (
         item(1, 16, north_m=20.0),
         item(2, number, *parameters, north_m=20.0, east_m=20.0),
         item(3, 16, east_m=40.0),
     )
-    if number in COMMANDS and (dives or number != 21):
-        found = legs(*mission, dives=dives)
-        assert found[-1].wait_s == math.inf
-        driven = [one for leg in numbers(found) for one in leg]
+    if number in DRIVEN and (dives or number != 21):
+        driven = numbers(mission(*items, dives=dives))
         assert driven[:2] == ([1, 2] if number in (16, 17, 18, 19, 20, 21, 82) else [1, 1] if number == 177 else [1, 3])
         assert (3 in driven) is (number not in (17, 20))  # nothing is driven behind these
     else:
         with pytest.raises(ValueError, match=rf"mission: item 2 {NAV_CONDITION_DO[number]} \({number}\)"):
-            legs(*mission, dives=dives)
+            mission(*items, dives=dives)
 
 
-def test_each_leg_keeps_its_own_speed_and_its_wait() -> None:
+def test_each_waypoint_has_its_own_speed_and_its_wait() -> None:
     """The mission of ``cases/mission.waypoints``: speeds by leg, a loiter of 20 s, a spline, and the way back."""
-    found = legs(
+    found = mission(
         item(1, 178, 1.0, 0.3, -1.0),
         item(2, 16, north_m=22.0),
         item(3, 19, 20.0, north_m=22.0, east_m=28.0),
@@ -93,70 +100,64 @@ def test_each_leg_keeps_its_own_speed_and_its_wait() -> None:
         item(6, 16, east_m=28.0),
         item(7, 20),
     )
-    assert [leg.speed_mps for leg in found] == [0.3, 0.3, 1.2]
-    assert [leg.wait_s for leg in found] == [20.0, 0.0, math.inf]
-    assert numbers(found) == [[2, 3], [4], [6, 7]]
-    ways = [[references.geodesy.local(place, ORIGIN) for place in read(leg).waypoints] for leg in found]
-    expected = [[(22, 0), (22, 28)], [(22, 28), (11, 42)], [(11, 42), (0, 28), (0, 0)]]
-    for way, places in zip(ways, expected, strict=True):
-        np.testing.assert_allclose(way, places, atol=0.02)
+    way = path(found)
+    assert way.speed_mps == 0.3
+    assert [place.speed_mps for place in way.waypoints] == [None, None, 1.2, None, None]
+    assert [place.wait_s for place in way.waypoints] == [0.0, 20.0, 0.0, 0.0, 0.0]
+    assert numbers(found) == [2, 3, 4, 6, 7]
+    np.testing.assert_allclose(found.places, [(22, 0), (22, 28), (11, 42), (0, 28), (0, 0)], atol=0.02)
 
 
 def test_a_single_place_is_driven_at_the_speed_of_the_mission() -> None:
     """A point has no speed: the way begins where the vehicle is."""
-    (leg,) = legs(item(1, 178, 1.0, 0.2), item(2, 16, north_m=30.0))
-    way = read(leg)
-    assert isinstance(way, references.Waypoints)
-    assert (way.speed_mps, len(way.waypoints), leg.along_m) == (0.2, 2, (pytest.approx(30.0, abs=0.02),))
+    found = mission(item(1, 178, 1.0, 0.2), item(2, 16, north_m=30.0))
+    way = path(found)
+    assert (way.speed_mps, len(way.waypoints), found.along_m) == (0.2, 2, [pytest.approx(30.0, abs=0.02)])
 
 
 def test_a_dive_goes_to_the_depth_of_each_item_and_surfaces_to_land() -> None:
     """The places of ArduSub's own ``DiveMission``: three at 50 m, a circle and a landing place at 25 m."""
-    found = legs(
+    found = mission(
         item(1, 16, east_m=-20.0, z=-50.0),
         item(2, 16, east_m=-60.0, z=-50.0),
         item(3, 18, 1.25, 0.0, 50.0, east_m=-120.0, z=-25.0),
         item(4, 21, 25.0, north_m=100.0, east_m=70.0, z=-25.0),
         dives=True,
     )
-    down, circle, back, up = map(read, found)
-    assert [place.depth_m for place in down.waypoints] == [50.0, 50.0]
-    assert isinstance(circle, references.Circle)
-    assert (circle.depth_m, circle.radius_m, circle.turns, circle.clockwise) == (25.0, 50.0, 1.25, True)
-    assert circle.bearing_deg == pytest.approx(90.0, abs=0.01)  # it comes from the east
-    np.testing.assert_allclose(found[2].stops[0][1:3], (100.0, 70.0), atol=0.02)
-    assert [place.depth_m for place in back.waypoints] == [25.0, 25.0]
-    begin = back.waypoints[0]  # a quarter of a turn clockwise from the east
-    assert (begin.north_m, begin.east_m) == pytest.approx((-50.0, -120.0), abs=0.02)
-    assert isinstance(up, references.Point)
-    assert up.depth_m == 0.0
-    assert numbers(found) == [[1, 2], [3], [4], [4]]
+    assert numbers(found) == [1, 2, 3, 4]
+    places, stops = np.array(found.places), found.stops
+    assert [stop.place.depth_m for stop in stops] == [50.0, 50.0, *[25.0] * (len(stops) - 3), 0.0]
+    circle = places[2:-2] - (0.0, -120.0)
+    np.testing.assert_allclose(np.hypot(*circle.T), 50.0, atol=0.02)
+    angle = np.unwrap(np.arctan2(circle[:, 1], circle[:, 0]))
+    assert angle[0] == pytest.approx(0.5 * math.pi, abs=1e-3)  # it comes from the east
+    assert angle[-1] - angle[0] == pytest.approx(2.5 * math.pi, abs=1e-3)
+    np.testing.assert_allclose(places[-2:], [(100.0, 70.0)] * 2, atol=0.02)
+    assert path(found).path().depth[-2:].tolist() == [25.0, 0.0]
 
 
 def test_a_negative_radius_is_counter_clockwise() -> None:
-    circle, away = legs(item(1, 18, 0.25, 0.0, -5.0, north_m=20.0), item(2, 16, east_m=60.0))
-    assert circle.toml.count("clockwise = false") == 1
-    begin = read(away).waypoints[0]  # it came from the south
-    assert (begin.north_m, begin.east_m) == pytest.approx((20.0, 5.0), abs=0.02)
+    found = mission(item(1, 18, 0.25, 0.0, -5.0, north_m=20.0), item(2, 16, east_m=60.0))
+    np.testing.assert_allclose(np.array(found.places)[[0, -2]], [(15.0, 0.0), (20.0, 5.0)], atol=0.02)  # from the south
 
 
 def test_two_items_at_one_place_are_a_wait_or_a_change_of_depth_there() -> None:
-    found = legs(item(1, 16, north_m=20.0), item(2, 19, 9.0, north_m=20.0), item(3, 17, x=0, y=0))
-    assert numbers(found) == [[1], [2], [3]]
-    assert [leg.wait_s for leg in found] == [0.0, 9.0, math.inf]
-    _, deeper = map(read, legs(item(1, 16, north_m=9.0, z=-2.0), item(2, 16, north_m=9.0, z=-7.0), dives=True))
-    assert isinstance(deeper, references.Point)
-    assert deeper.depth_m == 7.0
+    found = mission(item(1, 16, north_m=20.0), item(2, 19, 9.0, north_m=20.0), item(3, 17, x=0, y=0))
+    assert numbers(found) == [1, 2, 3]
+    assert isinstance(read(found), references.Point)  # at which it stays
+    found = mission(item(1, 16, north_m=9.0), item(2, 19, 9.0, north_m=9.0), item(3, 16, east_m=9.0))
+    assert path(found).path().wait.tolist() == [9.0, 0.0]
+    found = mission(item(1, 16, north_m=9.0, z=-2.0), item(2, 16, north_m=9.0, z=-7.0), dives=True)
+    assert path(found).path().depth.tolist() == [2.0, 7.0]
 
 
 def test_jumps_repeat_and_a_delay_waits() -> None:
-    mission = (item(1, 93, 5.0), item(2, 16, north_m=20.0), item(3, 16, east_m=20.0), item(4, 177, 2.0, 2.0))
-    found = legs(*mission)
-    assert numbers(found) == [[], [2, 3, 2, 3, 2, 3]]
-    assert isinstance(read(found[0]), references.Hold)
-    assert found[0].wait_s == 5.0
-    assert numbers(legs(*mission, first=3)) == [[3, 2, 3, 2, 3]]
-    assert legs() == []
+    items = (item(1, 93, 5.0), item(2, 16, north_m=20.0), item(3, 16, east_m=20.0), item(4, 177, 2.0, 2.0))
+    found = mission(*items)
+    assert numbers(found) == [2, 3, 2, 3, 2, 3]
+    assert (found.places[0], found.stops[0].place.wait_s) == (HERE, 5.0)
+    assert numbers(mission(*items, first=3)) == [3, 2, 3, 2, 3]
+    assert mission_of([HOME], ORIGIN, 0.5, HERE, dives=False) is None
 
 
 @pytest.mark.parametrize(
@@ -178,7 +179,7 @@ def test_jumps_repeat_and_a_delay_waits() -> None:
 )
 def test_an_item_that_cannot_be_driven_is_refused(refused: Any, dives: bool, says: str) -> None:
     with pytest.raises(ValueError, match=rf"mission: item 2 MAV_CMD_\w+ \(\d+\).*{says}"):
-        legs(item(1, 16, north_m=20.0), refused, dives=dives)
+        mission(item(1, 16, north_m=20.0), refused, dives=dives)
 
 
 # --- following -------------------------------------------------------------------------------------------------------
@@ -222,7 +223,7 @@ LEGS = (
 )
 
 
-def test_a_mission_is_driven_leg_by_leg_and_each_item_is_reported() -> None:
+def test_a_mission_is_driven_at_its_speeds_and_each_item_is_reported() -> None:
     flight = MavlinkFlight()
     reached = reached_items(flight)
     flight.relays = True
@@ -231,20 +232,16 @@ def test_a_mission_is_driven_leg_by_leg_and_each_item_is_reported() -> None:
     flight.arm()
     flight.command(action="arm")
     flight.fly(15.0)
-    for until in ([2], [2, 3]):
-        while len(reached) < len(until):
-            flight.fly(0.5)
-            assert len(flight.track) < 10_000
-        assert reached == until
-    at_s = len(flight.track) * 0.02
-    while len(followed(flight)) < 2:
+    while len(reached) < 2:
         flight.fly(0.5)
         assert len(flight.track) < 10_000
-    assert len(flight.track) * 0.02 - at_s == pytest.approx(10.0, abs=2.0)
-    slow = flight.fly(15.0)
+    assert reached == [2, 3]
+    assert np.hypot(*(flight.fly(7.0)[-250:] - (8.0, 8.0)).T).max() < 1.0  # it waits
+    slow = flight.fly(21.0)
     assert np.hypot(*np.diff(slow[-250:], axis=0).T).mean() / 0.02 == pytest.approx(0.4, abs=0.1)
     flight.fly(25.0)
     assert reached == [2, 3, 5]
+    assert len(followed(flight)) == 1
     assert np.hypot(*(flight.track[-1] - (0.0, 8.0))) < 0.5
     texts = [text for text in flight.autopilot.log if "m/s" in text]
     assert texts[0].startswith("LTV-MPC: 2: 50.2000")
@@ -252,17 +249,16 @@ def test_a_mission_is_driven_leg_by_leg_and_each_item_is_reported() -> None:
     assert texts[2].endswith("at 0.4 m/s, then holds")
 
 
-def test_a_plan_that_is_older_than_the_reply_says_nothing_of_the_leg() -> None:
+def test_a_plan_that_is_older_than_the_reply_says_nothing_of_the_mission() -> None:
     """It is of the reference before, at whose end the vehicle may be."""
-    progress = Progress(legs(item(1, 16, north_m=10.0)))
+    progress = Progress(mission(item(1, 16, north_m=10.0)))
     arrived = msgspec.structs.replace(plan(0), arrived=True)
-    assert progress.follow(arrived, 0) == []
-    assert list(progress.accept(300)) == []
-    assert progress.follow(arrived, 0) == []
+    assert progress.follow(arrived) == []
+    progress.accept(300)
+    assert progress.follow(arrived) == []
     later = msgspec.structs.replace(arrived, cycle_t_ns=300)
-    assert progress.follow(later, 0) == [1]
-    assert progress.follow(later, 0) == []
-    assert not progress.is_done(10**15)
+    assert progress.follow(later) == [1]
+    assert progress.follow(later) == []
 
 
 def test_a_late_reply_to_the_mission_before_is_none_to_the_new_one() -> None:
@@ -350,11 +346,9 @@ def test_an_accepted_command_of_an_operator_ends_the_mission(accepted: bool) -> 
     reply = Acknowledgement(t_ns=0, command_id=77, accepted=accepted, authority=Authority.CONTROLLER, why="")
     list(edge.take(reply, now_us))
     arrived = msgspec.structs.replace(flight.plans[-1], arrived=True)
-    for seconds in range(3):
-        flight.pass_on(edge.take(arrived, now_us + 1_000_000 * seconds))
+    flight.pass_on(edge.take(arrived, now_us))
     flight.fly(2.0)
-    assert reached == ([] if accepted else [1])
-    assert len(followed(flight)) == (1 if accepted else 2)
+    assert reached == ([] if accepted else [1, 2])
     assert ("LTV-MPC: mission ended by a command of the operator" in flight.autopilot.log) is accepted
 
 

@@ -151,12 +151,7 @@ def test_a_goal_is_a_point_and_a_route_is_waypoints_that_a_controller_can_read()
 
 
 @pytest.mark.parametrize(
-    ("poses", "frame", "reason"),
-    [
-        (0, "map", "0 poses"),
-        (501, "map", "501 poses"),
-        (2, "map_ned", "must be ENU"),
-    ],
+    ("poses", "frame", "reason"), [(0, "map", "0 poses"), (501, "map", "501 poses"), (2, "map_ned", "must be ENU")]
 )
 def test_routes_that_cannot_be_followed_are_refused(poses: int, frame: str, reason: str) -> None:
     edge = edge_with()

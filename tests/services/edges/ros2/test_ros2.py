@@ -121,20 +121,6 @@ def test_names_of_any_length_shift_nothing(frame: str) -> None:
     assert estimate(position=(3.0, 4.0, -5.0), frame=frame).north_m == 4.0
 
 
-def test_whatever_the_bytes_are_they_are_a_message_or_an_error_with_a_reason() -> None:
-    whole = odometry()
-    rng = np.random.default_rng(0)
-    for _ in range(2000):
-        broken = bytearray(whole[: rng.integers(0, len(whole) + 1)])
-        for _ in range(rng.integers(0, 4)):
-            if broken:
-                broken[rng.integers(0, len(broken))] = rng.integers(0, 256)
-        edge = new_edge()
-        if not edge.receive(received(bytes(broken))):
-            assert (edge.refused, edge.accepted) == (1, 0)
-            assert edge.reason
-
-
 @pytest.mark.parametrize("payload", [b"", b"\0\1\0\0", b"\0\7\0\0" + bytes(720), odometry()[:-9], bytes(300_000)])
 def test_what_is_no_odometry_is_refused(payload: bytes) -> None:
     with pytest.raises(Refused):

@@ -16,6 +16,7 @@ import pytest
 
 from ltv_mpc.errors import ConfigError
 from services.tools.batch.executor import MAX_LOSSES, WorkerLost, run_each
+from tests.waiting import until
 
 
 def mortal(marks: Path, deadly: dict[int, int], job: int) -> int:
@@ -26,15 +27,6 @@ def mortal(marks: Path, deadly: dict[int, int], job: int) -> int:
         os.kill(os.getpid(), signal.SIGKILL)
     time.sleep(0.1)  # so long that it is lost with a deadly job beside it
     return -job
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_each_job_comes_back_with_its_place(workers: int) -> None:
-    assert sorted(run_each(math.sqrt, [4.0, 9.0, 16.0], workers=workers)) == [(0, 2.0), (1, 3.0), (2, 4.0)]
-
-
-def test_no_jobs_are_no_processes() -> None:
-    assert list(run_each(math.sqrt, [])) == []
 
 
 @pytest.mark.parametrize("how", [{"workers": 1}, {"workers": 2}, {"workers": 2, "threads": True}])
@@ -74,10 +66,8 @@ def test_told_to_stop_it_ends_what_runs() -> None:
     """Also where the terminal's interrupt reaches the workers too, which leave it to their parent."""
     stop = threading.Event()
     before = set(multiprocessing.active_children())  # of other tests
-    began = time.monotonic()
-    threading.Timer(2.0, stop.set).start()
-    assert list(run_each(time.sleep, [60.0, 60.0, 60.0], workers=2, stop=stop.is_set)) == []
-    assert time.monotonic() - began < 30.0
+    threading.Timer(1.0, stop.set).start()
+    assert list(run_each(time.sleep, [3600.0, 3600.0, 3600.0], workers=2, stop=stop.is_set)) == []
     assert not set(multiprocessing.active_children()) - before
 
 
@@ -99,7 +89,7 @@ def write_pid_and_sleep(folder: Path, job: int) -> None:
     """Write the worker's pid, whole at once, and work for longer than the test."""
     (folder / f"{job}.part").write_text(str(os.getpid()))
     (folder / f"{job}.part").rename(folder / f"{job}.pid")
-    time.sleep(100.0)
+    time.sleep(3600.0)
 
 
 def run_sleepers(folder: Path) -> None:
@@ -117,18 +107,11 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     parent = multiprocessing.get_context("spawn").Process(target=run_sleepers, args=(tmp_path,))
     parent.start()
     try:
-        until = time.monotonic() + 90.0
-        while len(pids := [int(path.read_text()) for path in tmp_path.glob("*.pid")]) < 2:
-            assert parent.is_alive()
-            assert time.monotonic() < until
-            time.sleep(0.05)
+        until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
     finally:
         parent.kill()
         parent.join()
-    until = time.monotonic() + 5.0
-    while any(is_alive(pid) for pid in pids):
-        assert time.monotonic() < until, "a worker outlives its parent"
-        time.sleep(0.02)
+    until(lambda: not any(is_alive(int(path.read_text())) for path in tmp_path.glob("*.pid")))
 
 
 def interrupted(job: int) -> int:

@@ -19,6 +19,7 @@ import pytest
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array
 from services.tools.batch.results_store import NAME, decode, open_store, read
+from tests.waiting import until
 
 SETTINGS = {"seed": 3, "design": {"kinds": ("a", "b"), "size": 0.1}, "version": "1"}
 
@@ -84,13 +85,9 @@ def test_a_writer_that_is_killed_loses_no_whole_result_and_leaves_none_that_is_c
     for delay_s in (0.05, 0.2, 0.1):
         writer = subprocess.Popen([sys.executable, "-P", "-c", WRITER, str(tmp_path)], stdin=subprocess.DEVNULL)
         try:
-            until = time.monotonic() + 60
             path = tmp_path / NAME
             start = path.stat().st_size if path.exists() else 0
-            while not path.exists() or path.stat().st_size <= start + 1000:
-                assert writer.poll() is None
-                assert time.monotonic() < until
-                time.sleep(0.005)
+            until(lambda path=path, start=start: path.exists() and path.stat().st_size > start + 1000)
             time.sleep(delay_s)
             with pytest.raises(ConfigError, match="another process"), open_store(tmp_path, {}):
                 pass

@@ -155,11 +155,7 @@ def test_a_range_that_is_none_is_refused(tmp_path: Path, old: str, new: str, pro
             "controller.horizon = [2.5]",
             r"\[cross\] controller.horizon: unknown key",
         ),
-        (
-            "controller.horizon_s = [2.5, 5.1]",
-            "water.sd_mps = [0.1]",
-            r"\[cross\] water.sd_mps: is also in \[vary\]",
-        ),
+        ("controller.horizon_s = [2.5, 5.1]", "water.sd_mps = [0.1]", r"\[cross\] water.sd_mps: is also in \[vary\]"),
         ("controller.horizon_s = [2.5, 5.1]", "controller.horizon_s = []", r"\[cross\] .*must have at least one value"),
         ("low = 0.5", "low = -0.5", r"low = -0.5: must be > 0"),
         ('low = 0.5, high = 2.0, scale = "log"', "low = -0.5, high = 2.0", r"size = -0.5: a factor must be > 0"),

@@ -26,7 +26,7 @@ from services.run.folder import RunFolder
 from services.tools.batch import executor
 from services.tools.batch.job import Job
 from services.tools.dive_plan import plan, report
-from services.tools.dive_plan.plan import Dive, DivePlan, RecordedDrift
+from services.tools.dive_plan.plan import Dive, DivePlan
 from sim.evaluation.cramer_rao_bound.model import ACCELEROMETER_BIAS, BEAM_BIAS, GYRO_BIAS, MOUNTING, ErrorModel
 from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR
 
@@ -150,39 +150,8 @@ def test_without_a_truth_the_filter_s_own_sigma_is_laid_over_the_plan(recorded: 
         report.recorded_drift([])
 
 
-def test_text_and_picture_show_the_plan(planned: DivePlan, tmp_path: Path) -> None:
-    shown = replace(planned, against=RecordedDrift(t_s=[5.0, 10.0], drift_m=[0.02, 0.04], kind="true"))
-    text = report.text(shown)
-    assert f"{planned.drift_m[0][-1]:.2f}" in text
-    assert "4 fixes" in text
-    assert "error of the run at 10 s: 0.04 m an axis" in text
-    report.draw(shown, tmp_path / "plan.png")
-    assert (tmp_path / "plan.png").stat().st_size > 20_000
-
-
 def test_the_command_prints_json_and_writes_its_folder(output: Output) -> None:
     printed = json.loads(output.printed)
     assert (printed["sensors"], printed["fixes"], printed["runs"], printed["limit_m"]) == ("realistic", [1, 4], 1, 0.05)
     assert json.loads((output.folder / "dive-plan.json").read_text()) == printed
     assert (output.folder / "dive-plan.png").stat().st_size > 20_000
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ("--reference square --depth-m 5", "--depth-m"),
-        ("--fixes 1,x", "--fixes"),
-        ("--fixes 0", "from 1 to 3600"),
-        ("--sensors perfect", "perfect"),
-        ("--reference nowhere", "nowhere"),
-        ("--against no-such-run", "no-such-run"),
-        ("--duration-s 5", "--duration-s"),
-        ("--depth-m 480", "largest depth"),
-    ],
-)
-def test_bad_input_is_refused_before_a_dive_is_simulated(
-    options: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["dive", "plan", *options.split(), "--out", str(tmp_path / "out")]) == 2
-    assert words in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

@@ -13,24 +13,20 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import ControllerConfig, MotionLimits
+from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.messages import Applied, Array, CycleTiming, Estimate, Message, Plan, SolveStatus
 from ltv_mpc.node import Cycle, Inbox, Node
-from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
 from services.recording.reader import Recording
 from services.run import folder
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
-from services.tools.profile import machine_description, problems, table
-from services.tools.profile import run as profile
+from services.tools.profile import problems
 from services.tools.profile.measure import STAGES, Candidate, Piqp, Samples, SolverByName, measure
-from tests.stepping import OneByOne, step
 
 OSQP, PIQP = SolverByName("osqp"), Piqp()
 
@@ -41,7 +37,7 @@ def measured(episodes: list[problems.Episode], *candidates: Candidate) -> list[S
     return measure(episodes, candidates, warm_up=warm_up, order=random.Random(1), progress=lambda _: None)
 
 
-class Probe(OneByOne):
+class Probe:
     """Stands in the controller's place and keeps what it hears."""
 
     name = "controller"
@@ -76,10 +72,6 @@ def profiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], 
     return json.loads((out / "profile.json").read_text()), out
 
 
-def test_into_the_folder_of_a_run_it_writes_beside_the_recording(profiled: tuple[dict[str, Any], Path]) -> None:
-    assert (profiled[1] / "run.mcap").exists()
-
-
 def test_each_solver_has_a_row_at_each_horizon_and_piqp_is_among_them(profiled: tuple[dict[str, Any], Path]) -> None:
     rows = profiled[0]["rows"]
     assert [(row["stages"], row["solver"]) for row in rows] == [
@@ -92,35 +84,18 @@ def test_each_solver_has_a_row_at_each_horizon_and_piqp_is_among_them(profiled: 
         assert row["iterations"]["max"] > 0 or row["solver"] != "osqp"
 
 
-def test_rows_are_reported_before_all_cycles_are_measured() -> None:
-    counts, cycles = [], []
-    profile.run(
-        [problems.simulated(4, 10, 0)],
-        [OSQP],
-        seed=0,
-        progress=lambda: cycles.append(1),
-        on_rows=lambda rows: counts.append({row.cycles for row in rows}),
-    )
-    assert counts == [{1}, {5}, {10}]
-    assert len(cycles) == profile.WARM_UP + 10
-
-
 def test_the_stages_are_parts_of_the_cycle(profiled: tuple[dict[str, Any], Path]) -> None:
     for row in profiled[0]["rows"]:
         assert list(row["stage_us"]) == list(STAGES)
         for spread in (row["cycle_us"], *row["stage_us"].values()):
             assert 0 < spread["median"] <= spread["p90"] <= spread["p99"] <= spread["max"]
         assert max(spread["max"] for spread in row["stage_us"].values()) < row["cycle_us"]["max"]
-        # A cycle is the sum of its stages. A busy machine lengthens another stage in each cycle, so the median of the
-        # sum may be far above the sum of the medians.
-        middle, longest = (sum(spread[name] for spread in row["stage_us"].values()) for name in ("median", "max"))
-        assert 0.5 * middle < row["cycle_us"]["median"] < longest + 500
 
 
-def test_a_cycle_with_flushed_caches_takes_longer_than_a_repeated_one(profiled: tuple[dict[str, Any], Path]) -> None:
-    # The middle of all rows: a busy machine may lengthen half of the cycles of one row.
-    ratios = [row["flushed_us"]["median"] / row["repeated_us"]["median"] for row in profiled[0]["rows"]]
-    assert np.median(ratios) > 1.1, ratios
+def test_a_cycle_with_flushed_caches_takes_longer_than_a_repeated_one() -> None:
+    """The shortest cycle of each: a busy machine only lengthens them."""
+    found = measured(problems.simulated(6, 20, seed=3)[:1], OSQP, PIQP)
+    assert sum(min(of.flushed_us) for of in found) > sum(min(of.repeated_us) for of in found)
 
 
 def test_ratios_are_to_piqp_at_the_same_horizon(profiled: tuple[dict[str, Any], Path]) -> None:
@@ -137,70 +112,6 @@ def test_the_yardstick_with_a_tolerance_of_its_own_is_another_solver(profiled: t
     exact, relaxed, _ = profiled[0]["rows"][3:]
     assert relaxed["iterations"]["median"] <= exact["iterations"]["median"]
     assert relaxed["thrust_error_N"]["median"] > exact["thrust_error_N"]["median"]
-
-
-def test_it_says_on_what_and_where_it_was_measured(profiled: tuple[dict[str, Any], Path]) -> None:
-    assert profiled[0]["problems"] == {"descent": 6, "unknown current": 3, "hard": 3}
-    machine = profiled[0]["machine"]
-    assert machine["cores"] >= 1
-    assert len(machine["load_before"]) == 3
-    assert {"processor", "python", "numpy", "osqp", "piqp", "load_after"} <= set(machine)
-
-
-def test_the_picture_is_written(profiled: tuple[dict[str, Any], Path]) -> None:
-    assert (profiled[1] / "profile.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_table_has_stages_and_seconds_and_every_figure() -> None:
-    def spread(first: float) -> profile.Spread:
-        return profile.Spread(median=first, p90=first + 1, p99=first + 2, max=first + 3)
-
-    row = profile.Row(
-        solver="osqp",
-        stages=17,
-        horizon_s=5.1,
-        cycles=12,
-        cycle_us=spread(100),
-        stage_us={stage: spread(10 * i) for i, stage in enumerate(STAGES)},
-        iterations=spread(4),
-        thrust_error_N=profile.Spread(median=2e-5, p90=1.0, p99=0.125, max=2.5),
-        status={"solved": 11, "iteration_limit": 1},
-        repeated_us=spread(60),
-        flushed_us=spread(180),
-        ratio=profile.Ratio(median=0.25, p99=0.5),
-        repeated_ratio=profile.Ratio(median=0.15, p99=0.3),
-        flushed_ratio=profile.Ratio(median=0.35, p99=0.7),
-    )
-    here = machine_description.machine(machine_description.load())
-    text = table.text(profile.Profile(rows=[row], problems={"descent": 6, "hard": 6}, machine=here))
-    _, heads, cycle, _, _, stage_heads, stages, *_ = text.splitlines()
-    assert heads.split()[-1] == "status"
-    assert stage_heads.split()[-6:] == list(STAGES)
-    names = "17 stages, 5.1 s osqp"
-    assert " ".join(cycle.split()) == (
-        f"{names} 60 100 180 102 103 0.15 0.25 0.35 0.50 4 6 2.0e-05 0.125 2.500 solved 11, iteration_limit 1"
-    )
-    assert " ".join(stages.split()) == f"{names} 0.0 10.0 20.0 30.0 40.0 50.0"
-    assert "6 descent, 6 hard" in text
-    assert machine_description.line(here) in " ".join(text.split())
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        (["--horizons", "5,x"], 'option --horizons: "x": must be numbers of stages of 0.3 s, 1 to 400, or default'),
-        (["--horizons", "17,,"], "option --horizons"),
-        (["--horizons", "401"], 'option --horizons: "401"'),
-        (["--horizons", "0"], 'option --horizons: "0"'),
-        (["--solvers", "osqp,ospq"], 'option --solvers: "ospq"'),
-        (["--solvers", ""], 'option --solvers: ""'),
-        (["--cycles", "0"], "--cycles"),
-        (["--run", "nowhere"], "RUN nowhere: no such folder or file"),
-    ],
-)
-def test_a_bad_option_is_refused_by_name(options: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["profile", *options]) == 2
-    assert says in capsys.readouterr().err
 
 
 # --- the measurement -------------------------------------------------------------------------------------------------
@@ -285,30 +196,7 @@ def test_no_garbage_is_collected_within_a_cycle() -> None:
     assert gc.get_freeze_count() == 0
 
 
-def test_a_cycle_without_an_answer_has_no_error_to_count() -> None:
-    assert profile.Spread.of([1.0, float("nan"), 3.0]).max == 3.0
-
-
 # --- the problems ----------------------------------------------------------------------------------------------------
-
-
-def test_the_cycles_are_shared_out_among_the_kinds() -> None:
-    episodes = problems.simulated(17, 1400, seed=5)
-    assert [(episode.kind, episode.cycles) for episode in episodes if episode.kind != "hard"] == [
-        *(("descent", 650), ("descent", 50), ("unknown current", 350)),
-    ]
-    hard = [episode.cycles for episode in episodes if episode.kind == "hard"]
-    assert sum(hard) == 350
-    assert max(hard) == problems.HARD_CYCLES
-    assert {episode.config.stages for episode in episodes} == {17}
-
-
-def test_default_is_the_horizon_that_the_controller_has_without_settings() -> None:
-    (stages,) = profile.parse_horizons("default")
-    own = settled(ControllerConfig(), Vehicle.load("paper"))
-    for episode in problems.simulated(stages, 8, seed=0):
-        np.testing.assert_array_equal(episode.config.knots, own.knots)
-        assert problems.length_s(episode.config) == pytest.approx(own.horizon_s)
 
 
 def test_hard_episodes_begin_2_m_off_with_headings_up_to_3_rad_from_the_way_there() -> None:
@@ -352,7 +240,7 @@ def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
         reads = ControllerNode.reads  # the command to arm too
 
         def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-            plans.extend(plan for plan in step(node, t_ns, inbox) if isinstance(plan, Plan))
+            plans.extend(plan for plan in node.step(t_ns, inbox) if isinstance(plan, Plan))
             return []
 
     episode.feed(Kept(), lambda: False)
@@ -376,14 +264,3 @@ def test_a_recorded_run_is_measured_at_any_horizon_and_json_has_stdout_to_itself
     assert printed["problems"] == {"dive": 10}
     assert "2 stages, 0.6 s    piqp              median " in shown.err
     assert shown.err.count(" of 1 cycle\n") == shown.err.count(" of 10 cycles\n") == 8  # as soon as they are known
-
-
-def test_a_run_without_a_solved_cycle_is_refused(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    settings = dive / "config" / "controller.toml"
-    kept = settings.read_text()
-    settings.write_text(kept.replace("lateral = true", "lateral = false"))
-    try:
-        assert run(["profile", "--run", str(dive), "--horizons", "4", "--cycles", "10"]) == 2
-    finally:
-        settings.write_text(kept)
-    assert "option --run: has no solved cycle" in capsys.readouterr().err

@@ -1,0 +1,211 @@
+"""Motion fit: the vehicle, the sea and the stamps that explain the motion of the last minute and a half best.
+
+A steady wind, a wrong vehicle file, an undeclared reference point and estimates that are older than their stamps all
+bend the motion, each in another way: a force of the earth stays when the heading turns, drag grows with the speed
+through the water, a mass shows in accelerations alone, and a delay shifts all of them. One fit has all of them:
+
+    x (16,)   c   current that the estimates do not contain, north and east (m/s)
+              W   steady force of the earth over the mean mass, north and east (m/s^2)
+              l   lever arm, and q (8,) model, both as in ``control/disturbance_filter.py``
+              d   age of the estimates beyond their stamps (s), not negative
+              s   loss of thrust: logarithm of port's share of its thrust if negative, minus that of starboard's if not
+
+From one estimate to the next the equations of motion (``vehicle/dynamics.py``) with x and the impulses of the delivered
+thrust d seconds before give the change of u, v and r. What they lack is added up over segments of ``SEGMENT_S`` and
+taken from its mean there, so that e (3, K) is the error of each estimated velocity up to a constant. Noise of an
+estimate then is in one error, and not in the thrust with which the controller answered it. From the error of r its
+slope is taken, too: a velocity that is wrong for some seconds gives a Munk moment. x is that of the least
+
+    J = sum over i of log(|e_i|^2 / K + ``NOISE``^2) K / (2 k_i) + sum over j of x_j^2 / (2 sd_j^2)
+
+k_i = (1 + rho) / (1 - rho), with rho the correlation of successive errors: so many of them are worth one that is
+independent. One step of Gauss and Newton each ``EVALUATED`` estimates follows it, and H^-1 is the covariance.
+Source  Ljung 1999, System identification, section 7.4 (concentrated likelihood), section 9.6 (coloured residuals).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltv_mpc.control.disturbance_filter import MAX_LOG, adapted
+from ltv_mpc.control.prediction import current_at_depth, profile_of
+from ltv_mpc.jit import jit_outlined
+from ltv_mpc.messages import Array, Estimate, Triple
+from ltv_mpc.references.limits import path_limits
+from ltv_mpc.safety.thrust_impulse import ThrustImpulse, impulses
+from ltv_mpc.vehicle.dynamics import coefficients, rates
+from ltv_mpc.vehicle.parameters import Vehicle
+
+SIZE, ARM, MODEL, DELAY, LOSS = 16, 4, 6, 14, 15
+"""Number of unknowns, and the first of each kind."""
+
+MEMORY_S, SEGMENT_S, MIN_SEGMENTS = 90.0, 5.0, 4
+"""Time that is fitted, length of a segment, and the number of segments from which sixteen unknowns are known."""
+
+MAX_INTERVAL_S = 1.05
+"""Longest interval: beyond it the velocities in between are not linear."""
+
+EVALUATED = 10
+"""Estimates from one step to the next."""
+
+NOISE = 2e-3
+"""Least error of a velocity over the top speed, and of a yaw rate over half of what a second of full thrust gives."""
+
+MAX_DELAY_S, DELAY_STEP_S, STEP = 1.5, 0.05, 1e-4
+"""Largest delay; and steps of the finite differences: of the delay (s), and of the others over their scales."""
+
+SIGMAS = np.where(np.arange(SIZE) == DELAY, 3.5, 5.0)
+"""Unknowns over their standard deviations from which they are certain (docs/notes/wrong-file.md). A delay needs less:
+nothing but late stamps makes thrust act late.
+"""
+
+BOUND_SIGMAS = 2.0
+"""Standard deviations by which an unknown may be less than it seems: noise that the controller answers shifts it."""
+
+PREDICTED_AFTER_NS = 1_000_000_000
+"""Age of the last report from which the thrust is that of the sent commands through the lag."""
+
+SD = np.array([0.5] * 2 + [0.3] * 4 + [0.5] * 6 + [0.3, 0.3, 0.5, 0.3])
+"""Prior standard deviations: c over the top speed, W over what full thrust gives, l in m, logarithms, added Munk mass
+over the mean mass, steady moment over that of full thrust, d in s.
+"""
+
+
+class MotionFit:
+    """Fit of vehicle, sea and stamps to the motion of one source of estimates."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Begin with the vehicle file, still water and right stamps.
+
+        Parameters
+        ----------
+        vehicle : from its file.
+        """
+        self._file, lateral = np.array(vehicle.coefficients()), vehicle.thrusters[:2]
+        top_mps, mean_kg = path_limits(vehicle).top_mps, 0.5 * float(self._file[:2].sum())
+        full_mps2 = sum(t.max_N for t in lateral) / mean_kg
+        turning_radps2 = sum(t.max_N * t.arm_m for t in lateral) / vehicle.yaw.inertia_kgm2
+        self._scale = np.array([*[top_mps] * 2, *[full_mps2] * 2, *[1.0] * 9, turning_radps2, 1.0, 1.0])
+        self._floor = (NOISE * np.array((top_mps, top_mps, 0.5 * turning_radps2))) ** 2
+        most = np.full(SIZE, np.inf)
+        most[:2], most[MODEL : MODEL + 6], most[DELAY] = top_mps, MAX_LOG, MAX_DELAY_S
+        self._bounds = np.where(np.arange(SIZE) == DELAY, 0.0, -most), most
+        self._motion = np.empty((0, 8))  # t (s), n', e', psi, r, current of the profile, north and east, segment
+        self._impulse, self.reported_ns = ThrustImpulse(MEMORY_S + MAX_DELAY_S), 0
+        self._begin_s, self._new = 0.0, 0  # of the newest segment; estimates since the last step
+        self.x = np.zeros(SIZE)
+        """Most likely unknowns."""
+        self.certain = np.zeros(SIZE)
+        """What they are at least, with their signs; 0 where they may be none."""
+        # compiled before it is needed
+        _fill_misfit(self.x, self._file, np.zeros((1, 8)), np.zeros((1, 5)), np.empty((3, 1)))
+
+    def add_thrust(self, t_ns: int, thrust_N: Triple | Array, *, reported: bool = True) -> None:
+        """Add the delivered thrusts at a time.
+
+        Parameters
+        ----------
+        t_ns : vehicle time (ns). Thrusts that are not newer than the last are ignored.
+        thrust_N : of port, starboard and vertical (N).
+        reported : by the actuators; False: predicted, which is used if there are no newer reports.
+        """
+        if reported:
+            self.reported_ns = t_ns
+        elif t_ns - self.reported_ns < PREDICTED_AFTER_NS:
+            return
+        self._impulse.add(t_ns, thrust_N)
+
+    def update(self, estimate: Estimate) -> None:
+        """Add an estimate.
+
+        Parameters
+        ----------
+        estimate : as it was given; its velocities are not filtered.
+        """
+        t, motion, thrust = self._impulse.seconds(estimate.t_ns), self._motion, self._impulse.rows
+        segment, passed_s = (motion[-1, 7], t - motion[-1, 0]) if len(motion) else (0.0, np.inf)
+        if passed_s < 0.0:  # the clock was set back
+            self._motion, self._impulse = motion[:0], ThrustImpulse(MEMORY_S + MAX_DELAY_S)
+        if passed_s <= 0.0 or not len(thrust) or t < thrust[0, 0] + MAX_DELAY_S:
+            return
+        if passed_s > MAX_INTERVAL_S or t >= self._begin_s + SEGMENT_S:
+            self._begin_s, segment = t, segment + 1.0
+        profile = profile_of(estimate)
+        water = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m or 0.0)
+        over_ground = estimate.velocity_north_mps, estimate.velocity_east_mps
+        row = t, *over_ground, estimate.heading_rad, estimate.yaw_rate_radps, *water, segment
+        self._motion = np.concatenate([motion, [row]])
+        self._new += 1
+        if self._new >= EVALUATED:
+            self._new, self._motion = 0, self._motion[self._motion[:, 0] > t - MEMORY_S]
+            _, self._begins, self._sizes = np.unique(self._motion[:, 7], return_index=True, return_counts=True)
+            if len(self._sizes) > MIN_SEGMENTS:
+                since = self._motion[:, 0] - self._mean(self._motion[:, 0])
+                self._ramp = since / np.sqrt(np.maximum(self._mean(since**2), 1e-9))
+                self._step()
+
+    def _mean(self, of: Array) -> Array:
+        """Return the mean of each segment, at each estimate in it."""
+        return (np.add.reduceat(of, self._begins, axis=-1) / self._sizes).repeat(self._sizes, axis=-1)
+
+    def _misfit(self, x: Array) -> Array:
+        """Return the errors e (3, K) of the velocities."""
+        e = np.empty((3, len(self._motion)))
+        _fill_misfit(x, self._file, self._motion, self._impulse.rows, e)
+        e -= self._mean(e)
+        e[2] -= self._mean(e[2] * self._ramp) * self._ramp
+        return e
+
+    def _step(self) -> None:
+        """Take one step of Gauss and Newton, as far as J falls."""
+        x, steps, prior = self.x, STEP * self._scale, (SD * self._scale) ** -2.0
+        steps[DELAY] = DELAY_STEP_S
+        e = self._misfit(x)
+        slopes = np.stack([self._misfit(x + step) - e for step in np.diag(steps)], axis=1) / steps[:, None]
+        squares = (e**2).mean(axis=1) + self._floor
+        rho = np.clip((e[:, 1:] * e[:, :-1]).mean(axis=1) / squares, 0.0, 0.95)
+        worth = e.shape[1] * (1.0 - rho) / (1.0 + rho)  # in independent errors
+        weighted = slopes * (worth / squares / e.shape[1])[:, None, None]
+        H = (weighted @ slopes.mT).sum(axis=0) + np.diag(prior)
+        step = np.linalg.solve(H, -np.einsum("ijk,ik->j", weighted, e) - prior * x)
+
+        def cost(x: Array) -> float:
+            errors = self._misfit(x)
+            return float(worth @ np.log((errors**2).mean(axis=1) + self._floor) + prior @ x**2)
+
+        self.x = min((np.clip(x + share * step, *self._bounds) for share in (1.0, 0.4, 0.16, 0.0)), key=cost)
+        if self.x[DELAY] == 0.0:  # at its bound it is no unknown
+            H[DELAY, DELAY] = 1e12
+        sd = np.sqrt(np.diag(np.linalg.inv(H)))
+        if (np.abs(self.x - x) > sd).any():  # far from the least J: the next step is sooner
+            self._new = EVALUATED // 2
+        size = np.abs(self.x)
+        self.certain = np.where(size > SIGMAS * sd, np.copysign(size - BOUND_SIGMAS * sd, self.x), 0.0)
+
+
+@jit_outlined
+def _fill_misfit(x: Array, file: Array, motion: Array, thrust: Array, out: Array) -> None:
+    """Write the errors (3, K) of u, v and r, by the rows of the motion (K, 8) and of ``ThrustImpulse`` (R, 5)."""
+    p = coefficients(adapted(file, x[MODEL:DELAY]))
+    over_dry = -0.5 * (file[0] + file[1]) / p.dry_mass  # a force of the earth acts like water that accelerates
+    port_share, starboard_share = np.exp(min(x[LOSS], 0.0)), np.exp(min(-x[LOSS], 0.0))
+    u0 = v0 = r0 = du0 = dv0 = dr0 = port0 = starboard0 = 0.0
+    for k in range(len(motion)):
+        t, psi, r = motion[k, 0], motion[k, 3], motion[k, 4]
+        cos, sin = np.cos(psi), np.sin(psi)
+        north, east = motion[k, 1] - motion[k, 5] - x[0], motion[k, 2] - motion[k, 6] - x[1]
+        u, v = cos * north + sin * east + r * x[ARM + 1], cos * east - sin * north - r * x[ARM]
+        _, _, du, dv, _, dr = rates(u, v, psi, r, 0.0, 0.0, 0.0, 0.0, x[2] * over_dry, x[3] * over_dry, p)
+        port, starboard = impulses(thrust, t - x[DELAY])
+        if k == 0 or motion[k, 7] != motion[k - 1, 7]:
+            out[0, k] = out[1, k] = out[2, k] = 0.0
+        else:
+            h, dn, de = 0.5 * (t - motion[k - 1, 0]), motion[k, 5] - motion[k - 1, 5], motion[k, 6] - motion[k - 1, 6]
+            f1, f2 = port_share * (port - port0), starboard_share * (starboard - starboard0)
+            # The change of the profile with time and depth carries the vehicle: M [u', v'] = ... - m R(psi)' c'
+            surge, sway = f1 + f2 - p.dry_mass * (cos * dn + sin * de), -p.dry_mass * (cos * de - sin * dn)
+            out[0, k] = out[0, k - 1] + u - u0 - h * (du + du0) - surge / p.mass_surge
+            out[1, k] = out[1, k - 1] + v - v0 - h * (dv + dv0) - sway / p.mass_sway
+            yaw = f1 * p.arm_port - f2 * p.arm_starboard
+            out[2, k] = out[2, k - 1] + r - r0 - h * (dr + dr0) - yaw / p.inertia_yaw
+        u0, v0, r0, du0, dv0, dr0, port0, starboard0 = u, v, r, du, dv, dr, port, starboard

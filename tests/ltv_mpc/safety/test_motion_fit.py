@@ -1,0 +1,153 @@
+"""Motion fit: late stamps, a wrong file and wind are told apart, and a right file in right stamps looks like none."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.messages import Estimate
+from ltv_mpc.safety.motion_fit import ARM, DELAY, MODEL, MotionFit
+from ltv_mpc.vehicle.parameters import Vehicle
+
+VEHICLE = Vehicle.load("bluerobotics-boat")
+MAX_N = VEHICLE.thrusters[0].max_N
+STEP_S = 0.01
+
+
+def ns(seconds: float) -> int:
+    """Return a time in ns."""
+    return round(seconds * 1e9)
+
+
+def steered(seconds: float, *, mass: float = 1.0, drag: float = 1.0, port: float = 1.0, wind_mps2: float = 0.0):
+    """Return times, states (n', e', psi, r) over ground and thrusts of the vehicle with factors, in a current.
+
+    Each second both thrusters move towards other random thrusts; ``port`` is the share that port delivers, and the wind
+    from the south accelerates the vehicle of the file so much.
+    """
+    p = VEHICLE.coefficients()
+    rng = np.random.default_rng(3)
+    steps = round(seconds / STEP_S)
+    knots = 0.6 * MAX_N * rng.uniform(-0.5, 1.0, (round(seconds) + 2, 2))
+    t = STEP_S * np.arange(steps)
+    thrust = np.stack([np.interp(t, np.arange(len(knots)), knots[:, i]) for i in range(2)], axis=1)
+    u = v = psi = r = 0.0
+    states = np.empty((steps, 4))
+    for k in range(steps):
+        states[k] = u * math.cos(psi) - v * math.sin(psi) + 0.2, u * math.sin(psi) + v * math.cos(psi) - 0.1, psi, r
+        f1, f2 = thrust[k] * (port, 1.0)
+        blown = wind_mps2 * 0.5 * (p.mass_surge + p.mass_sway)
+        surge = f1 + f2 - drag * (p.linear_surge + p.quadratic_surge * abs(u)) * u + blown * math.cos(psi)
+        sway = -drag * (p.linear_sway + p.quadratic_sway * abs(v)) * v - blown * math.sin(psi)
+        yaw = p.arm_port * f1 - p.arm_starboard * f2 - drag * (p.linear_yaw + p.quadratic_yaw * abs(r)) * r
+        du = (surge / mass + p.mass_sway * v * r) / p.mass_surge
+        dv = (sway / mass - p.mass_surge * u * r) / p.mass_sway
+        dr = (yaw / mass + (p.mass_surge - p.mass_sway) * u * v) / p.inertia_yaw
+        u, v, r, psi = u + STEP_S * du, v + STEP_S * dv, r + STEP_S * dr, psi + STEP_S * r
+    return t, states, thrust
+
+
+def fitted(
+    late_s: float = 0.0, jitter_s: float = 0.0, *, seconds: float = 90.0, noise: float = 0.0, reports: bool = True,
+    arm_m: float = 0.0, **true: float,
+) -> MotionFit:  # fmt: skip
+    """Return the fit after a flight; the states are older than their stamps by ``late_s`` +- ``jitter_s``."""
+    t, states, thrust = steered(seconds, **true)
+    rng, fit = np.random.default_rng(4), MotionFit(VEHICLE)
+    for k in range(0, len(t), 30):
+        fit.add_thrust(ns(t[k]), (*thrust[k].tolist(), 0.0), reported=reports)
+        shown = states[max(k - round((late_s + jitter_s * rng.uniform(-1.0, 1.0)) / STEP_S), 0)]
+        fit.update(estimate(t[k], shown + noise * rng.standard_normal(4) * (1.0, 1.0, 0.1, 0.3), arm_m))
+    return fit
+
+
+def estimate(t_s: float, state, arm_m: float = 0.0) -> Estimate:
+    """Return the estimate of a state (n', e', psi, r) of a point ahead of the origin."""
+    north, east, psi, r = state.tolist()
+    motion = {
+        "velocity_north_mps": north - r * arm_m * math.sin(psi),
+        "velocity_east_mps": east + r * arm_m * math.cos(psi),
+        "heading_rad": psi,
+        "yaw_rate_radps": r,
+    }
+    return msgspec.structs.replace(Estimate.at_rest(), t_ns=ns(t_s), **motion)
+
+
+WRONG = {"mass": 2.0, "drag": 0.5}
+
+
+@pytest.mark.parametrize("late_s", [0.5, 0.75, 1.0])
+@pytest.mark.parametrize("true", [{}, WRONG, {"port": 0.5}, {"wind_mps2": 0.1}])
+def test_a_delay_is_found_within_30_s_whatever_the_vehicle_is(late_s, true):
+    fit = fitted(late_s, seconds=30.0, **true)
+    assert fit.certain[DELAY] > 0.15
+    assert fit.x[DELAY] == pytest.approx(late_s, abs=0.1)
+
+
+def test_a_delay_that_jumps_is_found_within_30_s():
+    assert fitted(0.5, 0.3, seconds=30.0).x[DELAY] == pytest.approx(0.5, abs=0.21)
+
+
+@pytest.mark.parametrize("true", [{}, WRONG, {"port": 0.5}, {"noise": 0.03}, {"wind_mps2": 0.1}, {"reports": False}])
+def test_right_stamps_are_never_late(true):
+    assert fitted(**true).certain[DELAY] == 0.0
+
+
+@pytest.mark.parametrize("true", [{"wind_mps2": 0.1}, {"noise": 0.03}, {"port": 0.5}, {"port": 0.5, "wind_mps2": 0.1}])
+def test_neither_wind_nor_noise_nor_a_weak_thruster_is_another_vehicle(true):
+    fit = fitted(**true)
+    assert np.abs(fit.certain[MODEL:DELAY]).max() < 0.15
+    assert math.hypot(*fit.certain[ARM:MODEL]) < 0.1
+
+
+@pytest.mark.parametrize("wind_mps2", [0.0, 0.1])
+def test_a_wrong_file_is_measured_also_in_wind(wind_mps2):
+    fit = fitted(**WRONG, wind_mps2=wind_mps2, noise=0.005)
+    mass, _, inertia, ahead, _, yaw = np.exp(fit.x[MODEL : MODEL + 6]).tolist()
+    assert (mass, inertia) == pytest.approx((2.0, 2.0), rel=0.1)
+    assert (ahead, yaw) == pytest.approx((0.5, 0.5), rel=0.1)
+
+
+def test_another_reference_point_is_measured():
+    assert fitted(arm_m=0.5, noise=0.005).x[ARM:MODEL] == pytest.approx((0.5, 0.0), abs=0.05)
+
+
+def test_without_reports_the_thrust_is_the_predicted_one_and_reports_replace_it():
+    predicted = fitted(0.5, reports=False)
+    assert predicted.x[DELAY] == pytest.approx(0.5, abs=0.1)
+    assert not predicted.reported_ns
+    fit = MotionFit(VEHICLE)
+    t, states, thrust = steered(30.0)
+    for k in range(0, len(t), 30):  # a prediction that knows nothing of a dead time of 0.5 s
+        fit.add_thrust(ns(t[k]), (*thrust[k].tolist(), 0.0))
+        fit.add_thrust(ns(t[k]) + 1, (*thrust[min(k + 50, len(t) - 1)].tolist(), 0.0), reported=False)
+        fit.update(estimate(t[k], states[k]))
+    assert fit.reported_ns
+    assert fit.certain[DELAY] == 0.0
+
+
+def test_a_small_delay_and_one_without_motion_are_none():
+    assert fitted(0.08).x[DELAY] < 0.15
+    fit, rng = MotionFit(VEHICLE), np.random.default_rng(5)
+    for k in range(300):
+        fit.add_thrust(ns(0.3 * k), (*rng.uniform(0.0, 0.1, 2).tolist(), 0.0))
+        fit.update(estimate(0.3 * k, np.array((0.02, 0.0, 0.0, 0.02)) * rng.standard_normal(4)))
+        assert fit.certain[DELAY] == 0.0
+
+
+def test_the_delay_ends_after_the_stamps_are_mended_and_a_clock_that_is_set_back_begins_again():
+    t, states, thrust = steered(210.0)
+    fit, found = MotionFit(VEHICLE), []
+    for k in range(0, len(t), 30):
+        fit.add_thrust(ns(t[k]), (*thrust[k].tolist(), 0.0))
+        fit.update(estimate(t[k], states[max(k - 50, 0) if t[k] < 60.0 else k]))
+        found.append(fit.x[DELAY] * (fit.certain[DELAY] > 0.0))
+    assert found[190] == pytest.approx(0.5, abs=0.1)
+    assert found[-1] == 0.0
+    for k in range(0, 12000, 30):
+        fit.add_thrust(ns(t[k]), (*thrust[k].tolist(), 0.0))
+        fit.update(estimate(t[k], states[max(k - 50, 0)]))
+    assert fit.x[DELAY] == pytest.approx(0.5, abs=0.1)

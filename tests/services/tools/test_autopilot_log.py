@@ -1,0 +1,150 @@
+"""Logs of ArduPilot: the vehicle that made them is found, from DataFlash and from telemetry."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink", reason="not installed: pip install pymavlink (extra mavlink)")
+
+from ltv_mpc import Vehicle
+from ltv_mpc.config import to_toml
+from ltv_mpc.vehicle.dynamics import rates
+from services.cli.app import run
+from tests.services.edges.mavlink.test_mavlink import codec
+
+BOAT = Vehicle.load("bluerobotics-boat")
+STEP_S, SECONDS, PERIOD = 0.02, 150.0, 5
+HEADER = b"\xa3\x95"
+FORMATS = {
+    "PARM": (10, "QNff", "TimeUS,Name,Value,Default"),
+    "ARM": (11, "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method"),
+    "IMU": (12, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    "XKF1": (13, "QBccCfffffff", "TimeUS,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD"),
+    "RCOU": (14, "QHHHH", "TimeUS,C1,C2,C3,C4"),
+}
+LETTERS = {"Q": "Q", "B": "B", "I": "I", "f": "f", "c": "h", "C": "H", "H": "H", "N": "16s"}
+
+
+class Sample(NamedTuple):
+    """Motion and outputs at one instant."""
+
+    t_us: int
+    state: tuple[float, ...]  # n, e, u, v, psi, r
+    pwm: tuple[int, int]
+
+
+def drive() -> Iterator[Sample]:
+    """Yield a drive with thrusts that change every 4 s; the motors follow the PWM with lag and slew of the file."""
+    rng, thrusters, p = np.random.default_rng(3), BOAT.thrusters[:2], BOAT.coefficients()
+    x, F, wanted = np.zeros(6), np.zeros(2), np.zeros(2)
+    for k in range(round(SECONDS / STEP_S)):
+        if k % 200 == 0:
+            wanted = rng.uniform(-0.5, 0.9, 2) * 40.0
+        pwm = tuple(round(float(np.interp(wanted[i], thrusters[i].pwm_N, thrusters[i].pwm_us))) for i in range(2))
+        command = np.array([np.interp(pwm[i], thrusters[i].pwm_us, thrusters[i].pwm_N) for i in range(2)])
+        if k % PERIOD == 0:
+            yield Sample(1_000_000 + round(k * STEP_S * 1e6), tuple(x.tolist()), (pwm[0], pwm[1]))
+        F += (command - F) * (1.0 - math.exp(-STEP_S / thrusters[0].lag_s))
+        k1 = np.array(rates(x[2], x[3], x[4], x[5], F[0], F[1], 0.0, 0.0, 0.0, 0.0, p))
+        y = x + 0.5 * STEP_S * k1
+        x = x + STEP_S * np.array(rates(y[2], y[3], y[4], y[5], F[0], F[1], 0.0, 0.0, 0.0, 0.0, p))
+
+
+def over_ground(x: tuple[float, ...]) -> tuple[float, float]:
+    return x[2] * math.cos(x[4]) - x[3] * math.sin(x[4]), x[2] * math.sin(x[4]) + x[3] * math.cos(x[4])
+
+
+def data_flash(path: Path, functions: dict[str, float]) -> None:
+    def row(name: str, *values: Any) -> bytes:
+        number, letters, _ = FORMATS[name]
+        return HEADER + bytes([number]) + struct.pack("<" + "".join(LETTERS[one] for one in letters), *values)
+
+    data = bytearray()
+    for name, (number, letters, columns) in {
+        "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"),
+        **FORMATS,
+    }.items():
+        size = 89 if name == "FMT" else 3 + struct.calcsize("<" + "".join(LETTERS[one] for one in letters))
+        row_of = struct.pack("<BB4s16s64s", number, size, name.encode(), letters.encode(), columns.encode())
+        data += HEADER + b"\x80" + row_of
+    for name, value in functions.items():
+        data += row("PARM", 0, name.encode(), value, 0.0)
+    for k, (t_us, x, pwm) in enumerate(drive()):
+        if k == 20:
+            data += row("ARM", t_us, 1, 0, 0, 0)
+        north, east = over_ground(x)
+        data += row("IMU", t_us, 0, 0.0, 0.0, x[5], 0.0, 0.0, -9.8)
+        data += row(
+            "XKF1", t_us, 0, 0, 0, round(math.degrees(x[4]) % 360.0 * 100), north, east, 0.0, 0.0, x[0], x[1], 0.0
+        )
+        data += row("RCOU", t_us, pwm[1], 1500, pwm[0], 1500)
+    path.write_bytes(data)
+
+
+def telemetry(path: Path) -> None:
+    make, data = codec(), bytearray()
+
+    def add(t_us: int, message: Any) -> None:
+        nonlocal data
+        data += struct.pack(">Q", 1_700_000_000_000_000 + t_us) + make.encode(message)
+
+    for k, (t_us, x, pwm) in enumerate(drive()):
+        north, east = over_ground(x)
+        if k % 10 == 0:
+            add(t_us, make.make.heartbeat_encode(10, 3, 128 if k >= 20 else 0, 0, 4))
+        add(t_us, make.make.attitude_encode(t_us // 1000, 0.0, 0.0, math.remainder(x[4], 2 * math.pi), 0.0, 0.0, x[5]))
+        add(t_us, make.make.local_position_ned_encode(t_us // 1000, x[0], x[1], 0.0, north, east, 0.0))
+        add(t_us, make.make.servo_output_raw_encode(t_us, 0, pwm[0], 1500, pwm[1], 1500, 0, 0, 0, 0))
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("kind", ["boat.BIN", "boat.tlog"])
+def test_the_vehicle_that_made_a_log_is_found(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, wrong = tmp_path / kind, tmp_path / "wrong.toml"
+    if kind.endswith("BIN"):
+        data_flash(log, {"SERVO1_FUNCTION": 74.0, "SERVO3_FUNCTION": 73.0})
+    else:
+        telemetry(log)
+    surge, sway = BOAT.surge, BOAT.sway
+    other = msgspec.structs.replace(
+        BOAT,
+        surge=msgspec.structs.replace(surge, mass_kg=22.0, quadratic_damping_kgpm=13.0),
+        sway=msgspec.structs.replace(sway, mass_kg=34.0),
+    )
+    wrong.write_text(to_toml(other))
+    assert run(["vehicle", "identify", str(log), "--vehicle", str(wrong), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["input"] == "pwm"
+    assert report["left_out_s"] == pytest.approx(2.0, abs=0.3)  # disarmed
+    found = {one["name"]: one for one in report["found"]}
+    for name, true in (("mass_surge", surge.mass_kg), ("mass_sway", sway.mass_kg)):
+        assert found[name]["excited"]
+        assert found[name]["value"] == pytest.approx(true, rel=0.1)
+    assert any("SERVOn_FUNCTION" in warning for warning in report["warnings"]) is (kind == "boat.tlog")
+
+
+def test_a_log_that_cannot_be_used_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "boat.bin"
+    data_flash(log, {"SERVO1_FUNCTION": 26.0})
+    for arguments, says in (
+        ([str(log), "--vehicle", "bluerobotics-boat"], "SERVOn_FUNCTION: must have (73, 74)"),
+        ([str(log), "--vehicle", "paper"], "SERVOn_FUNCTION"),
+        ([str(log)], "option --vehicle: is needed"),
+        ([str(tmp_path / "none.tlog"), "--vehicle", "paper"], "none.tlog: cannot be read"),
+    ):
+        assert run(["vehicle", "identify", *arguments]) == 2
+        error = capsys.readouterr().err
+        assert says in error
+        assert "Traceback" not in error
+    data_flash(log, {"SERVO1_FUNCTION": 73.0, "SERVO3_FUNCTION": 74.0})
+    assert run(["vehicle", "identify", str(log), "--vehicle", "paper"]) == 2
+    assert "[thruster.port] pwm_us: is missing" in capsys.readouterr().err
