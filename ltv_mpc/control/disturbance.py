@@ -76,7 +76,7 @@ HEADING_FREE_SHARE, SHIFT_TIME_S, SHIFT_WAY_M = 0.03, 15.0, 2.0
 which it changes; and time or way in which the estimated point is brought to where the origin is.
 """
 
-REST_M = 0.1
+REST_M = 0.09
 """Distance from a point within which a vehicle rests in still water. Closer, an error of the estimated point would make
 it turn for ever, or drive to and fro: it turns its bow to a target that turns with it.
 """
