@@ -334,7 +334,7 @@ def test_the_lever_arm_to_the_estimated_point_is_learned_while_the_vehicle_turns
     ],
 )
 def test_the_estimated_point_is_held_along_the_water_or_in_still_water_along_the_bow(water, heading, yaw_radps, held):
-    """In still water 0.09 m of the arm is kept, and a target that turns with the vehicle would make it turn for ever."""
+    """In still water 0.09 m of the arm is kept; a target that turns with the vehicle would make it turn for ever."""
     arm = np.array([0.2, -0.15])
     observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
     belief = observer.save()
