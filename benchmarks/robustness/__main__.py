@@ -18,7 +18,6 @@ from benchmarks.robustness.laws import LAWS
 from benchmarks.strangers.flight import FOREIGN, SHIPPED
 from services.run.provenance import provenance_table
 
-VEHICLES = ("ellipsoid", "light_boat", *SHIPPED)
 QUICK_VEHICLES = ("light_boat", "bluerobotics-boat", "paper")
 
 
@@ -41,7 +40,7 @@ def main() -> None:
     )
     parser.add_argument("--commit", default=provenance_table()["commit"], help="version that was flown")
     options = parser.parse_args()
-    vehicles = options.vehicles or (QUICK_VEHICLES if options.quick else VEHICLES)
+    vehicles = options.vehicles or (QUICK_VEHICLES if options.quick else page.VEHICLES)
     if options.tune:
         tuning.tune(vehicles, options.jobs)
         return

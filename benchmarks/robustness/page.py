@@ -10,11 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.robustness.cases import CASES
 from benchmarks.robustness.flights import Row
 from benchmarks.robustness.laws import DEFAULT, LAWS, RIVALS
+from benchmarks.strangers.flight import SHIPPED
 from benchmarks.strangers.tasks import Figures
 
-MOST_ROWS = 60
+MOST_ROWS = 40
+VEHICLES = ("ellipsoid", "light_boat", *SHIPPED)
 PAGE = Path("docs/notes/robustness-table.md")
 Found = dict[Row, dict[str, Figures]]
 ROUNDING_M = 0.0005
@@ -75,11 +78,16 @@ def as_json(found: Found) -> str:
 
 
 def _cases_flown(found: Found) -> str:
-    """Return the number of cases, and which vehicles flew fewer of them."""
+    """Return the number of cases, which vehicles flew fewer of them, and which none."""
     of = {vehicle: len({row.case for row in found if row.vehicle == vehicle}) for vehicle, _, _ in found}
     most = max(of.values())
     fewer = [f"`{vehicle}` {count}" for vehicle, count in of.items() if count < most]
-    return f"{most} cases" + (f", of {', '.join(fewer)}" if fewer else "")
+    missing = [f"`{vehicle}`" for vehicle in VEHICLES if vehicle not in of]
+    return (
+        f"{most} of {len(CASES)} cases"
+        + (f", of {', '.join(fewer)}" if fewer else "")
+        + (f". Not flown: {', '.join(missing)}" if missing else "")
+    )
 
 
 def from_json(pieces: Sequence[str]) -> Found:

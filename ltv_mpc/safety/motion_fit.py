@@ -138,15 +138,16 @@ class MotionFit:
         self._new += 1
         if self._new >= EVALUATED:
             self._new, self._motion = 0, self._motion[self._motion[:, 0] > t - MEMORY_S]
-            _, self._begins, self._sizes = np.unique(self._motion[:, 7], return_index=True, return_counts=True)
-            if len(self._sizes) > MIN_SEGMENTS:
+            self._segments = np.unique(self._motion[:, 7], return_index=True, return_counts=True)[1:]
+            if len(self._segments[0]) > MIN_SEGMENTS:
                 since = self._motion[:, 0] - self._mean(self._motion[:, 0])
                 self._ramp = since / np.sqrt(np.maximum(self._mean(since**2), 1e-9))
                 self._step()
 
     def _mean(self, of: Array) -> Array:
         """Return the mean of each segment, at each estimate in it."""
-        return (np.add.reduceat(of, self._begins, axis=-1) / self._sizes).repeat(self._sizes, axis=-1)
+        begins, sizes = self._segments
+        return (np.add.reduceat(of, begins, axis=-1) / sizes).repeat(sizes, axis=-1)
 
     def _misfit(self, x: Array) -> Array:
         """Return the errors e (3, K) of the velocities."""

@@ -56,10 +56,18 @@ def test_a_wrong_file_is_learned_and_named_within_two_corners(factors, named):
     assert not flight.nominal[flight.t_s > 60.0].any()
 
 
-@pytest.mark.parametrize(("case", "wrong"), [("wind=0.1", False), ("mass=0.5", True), ("arm=0.7", True)])
-def test_wind_is_no_wrong_file_and_a_wrong_one_is_named_within_30_s_of_its_second_corner(case, wrong):
-    """Errors of the estimated velocity, and a current that nothing tells. Seed 3 of wind was named after 50 s."""
-    run = judged((Row("bluerobotics-boat", "square", case), 3))
+@pytest.mark.parametrize(
+    ("hull", "case", "wrong"),
+    [
+        ("bluerobotics-boat", "wind=0.1", False),
+        ("surface", "wind=0.1", False),
+        ("surface", "mass=0.5", True),
+        ("surface", "arm=0.7", True),
+    ],
+)
+def test_wind_is_no_wrong_file_and_a_wrong_one_is_named_within_30_s_of_its_second_corner(hull, case, wrong):
+    """With errors of the estimated velocity, and a current that nothing tells."""
+    run = judged((Row(hull, "square", case), 3))
     assert bool(run.named) is wrong
     assert run.after_s < 30.0 or not wrong
 
