@@ -129,9 +129,10 @@ def test_a_vehicle_rests_within_a_distance_of_its_point(radius_m, tolerance_m, c
         controller = Controller(PAPER, point, ControllerConfig(position_tolerance_m=tolerance_m))
         water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.array([-current_mps]), east_mps=np.zeros(1))
         at = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), velocity_down_mps=sinking_mps, current=water)
-        before = [controller.plan(msgspec.structs.replace(at, t_ns=k * 300_000_000)) for k in range(20)][-1]
+        plans = [controller.plan(msgspec.structs.replace(at, t_ns=k * 300_000_000)) for k in range(20)]
+        assert all(plan.origin is PlanOrigin.SOLVED for plan in plans)  # also the first one
         after = controller.plan(msgspec.structs.replace(at, t_ns=6_000_000_000, north_m=off_m))
-        return float(np.abs(after.thrust_N[:, :2] - before.thrust_N[:, :2]).max())
+        return float(np.abs(after.thrust_N[:, :2] - plans[-1].thrust_N[:, :2]).max())
 
     assert change_N(0.95 * radius_m) < 0.1
     assert change_N(radius_m + 0.01) > 0.5

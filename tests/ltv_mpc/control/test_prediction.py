@@ -130,6 +130,27 @@ def test_without_reports_the_thrust_follows_the_lag_from_rest_before_the_first_p
     np.testing.assert_allclose(start.X[6:], 50.0 * (1.0 - np.exp(-seconds / lag_s)), atol=0.02)
 
 
+@pytest.mark.parametrize(
+    ("lag_s", "age_s", "kept_s"), [(0.5, 0.0, 10.0), (2.0, 0.0, 16.0), (0.5, 20.0, 21.0), (0.5, 90.0, 60.0)]
+)
+def test_commands_are_kept_for_eight_lags_and_since_the_estimate_in_use(lag_s: float, age_s: float, kept_s: float):
+    thrusters = msgspec.structs.replace(PAPER.thruster, port=msgspec.structs.replace(PAPER.thrusters[0], lag_s=lag_s))
+    commands = SentCommands(msgspec.structs.replace(PAPER, thruster=thrusters))
+    for t_ns in range(0, 100_000_000_000, 500_000_000):
+        commands.add(
+            Plan(
+                cycle_t_ns=t_ns,
+                t_ns=t_ns + np.array([0, 3_000_000_000]),
+                thrust_N=np.ones((2, 3)),
+                states=np.zeros((2, 6)),
+                origin=PlanOrigin.SOLVED,
+                solve=Solve(status=SolveStatus.SOLVED),
+                estimate_t_ns=max(t_ns - round(age_s * 1e9), 0),
+            )
+        )
+    assert (99.5 - commands.oldest[0] * 1e-9) == pytest.approx(kept_s, abs=0.51)
+
+
 def test_a_report_corrects_the_thrust_that_the_lag_predicts():
     prediction, commands = Prediction(PAPER), sent()
     prediction.add_report(applied(200_000_000, (40.0, -30.0, 0.0)))
