@@ -151,10 +151,11 @@
         round += 1;
       }
       const everything = !drawn || ended() || round % UNSEEN_ROUNDS === 0;
-      while (next < plots.length && !everything && !seen.has(panels.get(plots[next].name).section)) next += 1;
+      const isSeen = ({ section }) => section.hidden || seen.has(section);
+      while (next < plots.length && !everything && !isSeen(panels.get(plots[next].name))) next += 1;
       if (next < plots.length) {
         const plot = plots[next];
-        const view = { at_s: past && past.status.t_s, hides: !status.simulated };
+        const view = { at_s: past && past.status.t_s, hides: status?.simulated === false };
         Plots.draw(panels.get(plot.name), plot, [shown(plot)], Plots.times([run]), view);
       }
       next += 1;

@@ -227,7 +227,7 @@ const Plots = (() => {
   function draw(panel, plot, runs, timeRange, view = {}) {
     const several = runs.length > 1;
     const traces = several ? ofSeveral(plot, runs) : ofOneRun(plot, runs[0]);
-    panel.section.hidden = Boolean(view.hides) && traces.length === 0;
+    panel.section.hidden = Boolean(view.hides) && traces.length === 0 && begun(runs);
     if (panel.section.hidden) return Promise.resolve();
     const empty = begun(runs) ? plot.empty : NO_DATA;
     const made = layout(plot, traces, timeRange, { ...view, follow: panel.follow, empty });
