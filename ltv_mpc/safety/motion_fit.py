@@ -98,6 +98,7 @@ class MotionFit:
         self.certain = np.zeros(SIZE)
         """What they are at least, with their signs; 0 where they may be none."""
         # compiled before it is needed
+        current_at_depth(np.zeros(1), np.zeros(1), np.zeros(1), 0.0)
         _fill_misfit(self.x, self._file, np.zeros((1, 8)), np.zeros((1, 5)), np.empty((3, 1)))
 
     def add_thrust(self, t_ns: int, thrust_N: Triple | Array, *, reported: bool = True) -> None:
