@@ -34,6 +34,20 @@ class Area(NamedTuple):
     positions: list[Sequence[float]]
     radius_m: float = 0.0
 
+    @classmethod
+    def circle(cls, inside: bool, group: int, centre: Sequence[float], radius_m: float, where: tuple[str, str]) -> Area:
+        """Return a circle. Raises ``ConfigError`` if its radius is not that of one.
+
+        Parameters
+        ----------
+        inside, group, radius_m : of the area.
+        centre : latitude and longitude (degrees).
+        where : names of file and field in errors.
+        """
+        if not 0.0 < radius_m <= MAX_RADIUS_M:
+            raise ConfigError(*where, f"must be above 0 and <= {MAX_RADIUS_M:g} m", value=radius_m)
+        return cls(inside, group, [centre], radius_m)
+
 
 def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> dict[str, Any] | None:
     """Return the table of a fence, as ``fence.toml`` holds it; None for a file that is none of another program.
@@ -58,7 +72,10 @@ def read(path: Path, source: str, notes: list[str], origin: Origin | None) -> di
         if kind == ".plan":
             plan = read_json(text, source)
             latitude, longitude = map(float, plan["mission"]["plannedHomePosition"][:2])
-            origin, table = Origin(latitude_deg=latitude, longitude_deg=longitude), _zones(_of_plan(plan), source)
+            origin, table = (
+                Origin(latitude_deg=latitude, longitude_deg=longitude),
+                _zones(_of_plan(plan, source), source),
+            )
         else:
             home, *items = read_waypoints(text, source)
             if home.command == WAYPOINT:
@@ -110,12 +127,13 @@ def _zones(areas: Iterable[Area], source: str) -> dict[str, Any]:
     return table
 
 
-def _of_plan(plan: Any) -> Iterator[Area]:
+def _of_plan(plan: Any, source: str) -> Iterator[Area]:
     fence = plan["geoFence"]
     for polygon in fence["polygons"]:
         yield Area(bool(polygon["inclusion"]), 0, polygon["polygon"])
-    for circle in fence["circles"]:
-        yield Area(bool(circle["inclusion"]), 0, [circle["circle"]["center"]], float(circle["circle"]["radius"]))
+    for k, circle in enumerate(fence["circles"]):
+        centre, radius_m = circle["circle"]["center"], float(circle["circle"]["radius"])
+        yield Area.circle(bool(circle["inclusion"]), 0, centre, radius_m, (source, f"circles[{k}] radius"))
 
 
 def _of_items(items: Iterable[Item], source: str) -> Iterator[Area]:
@@ -131,10 +149,8 @@ def _of_items(items: Iterable[Item], source: str) -> Iterator[Area]:
                 yield Area(item.command == KEEP_IN, int(group), [(one.latitude_deg, one.longitude_deg) for one in ring])
                 ring = []
         elif item.command in (CIRCLE_IN, CIRCLE_OUT):
-            if not 0.0 < size <= MAX_RADIUS_M:
-                problem = f"must be above 0 and <= {MAX_RADIUS_M:g} m"
-                raise ConfigError(source, f"item {item.number} radius", problem, value=size)
-            yield Area(item.command == CIRCLE_IN, int(group), [(item.latitude_deg, item.longitude_deg)], size)
+            centre, where = (item.latitude_deg, item.longitude_deg), (source, f"item {item.number} radius")
+            yield Area.circle(item.command == CIRCLE_IN, int(group), centre, size, where)
         elif item.command != RETURN_POINT:  # of a plane's fence: the vehicle keeps inside the zones instead
             name = command_name(item.command)
             raise ConfigError(source, f"item {item.number} {name} ({item.command})", "is no part of a fence")

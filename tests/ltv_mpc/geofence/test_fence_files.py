@@ -84,6 +84,7 @@ def test_inclusion_zones_of_one_group_are_their_union(tmp_path: Path) -> None:
     ("name", "text", "says"),
     [
         ("f.plan", "{}", "is no fence: 'mission'"),
+        ("f.plan", plan([], [(True, [50.2, -5.1], -5.0)]), "circles[0] radius = -5.0: must be above 0"),
         ("f.plan", plan([], []), "no zone: give at least one"),
         (
             "f.waypoints",
