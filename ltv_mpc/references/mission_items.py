@@ -175,19 +175,37 @@ class _Writer:
         self._begin = None if here is None else _at(*here, None)
 
     def change_speed(self, item: Item, default_mps: float) -> None:
-        """Set the speed from here on: that of the item, for -1 the one before it, for -2 that of the settings."""
+        """Set the speed from here on: that of the item, for -1 the one before it, for -2 that of the settings.
+
+        Parameters
+        ----------
+        item : changes the speed.
+        default_mps : speed of the settings (m/s).
+        """
         speed = item.parameters[1]
         self.speed_mps = speed if speed > 0.0 else self.speed_mps if speed == -1.0 else default_mps
 
     def wait(self, item: Item, wait_s: float) -> None:
-        """Wait at the newest place, or where the vehicle is."""
+        """Wait at the newest place, or where the vehicle is.
+
+        Parameters
+        ----------
+        item : asks for the wait.
+        wait_s : is added to what the place has (s).
+        """
         if not self.stops:
             self._add(0, self._last(item))
         number, place, speed_mps = self.stops[-1]
         self.stops[-1] = Stop(number, structs.replace(place, wait_s=place.wait_s + wait_s), speed_mps)
 
     def drive(self, item: Item, *, dives: bool) -> None:
-        """Write an item with a place."""
+        """Write an item with a place.
+
+        Parameters
+        ----------
+        item : without coordinates it is at the newest place.
+        dives : the vehicle follows depths.
+        """
         depth_m = abs(item.altitude_m) if dives else None
         here = self._place(item, item) if item.has_place else self._last(item)
         place = structs.replace(here, depth_m=depth_m, wait_s=0.0)
@@ -201,7 +219,13 @@ class _Writer:
             self.wait(item, item.parameters[0])
 
     def go_back(self, item: Item, home: Item) -> None:
-        """Write the way home at the depth of the newest place."""
+        """Write the way home at the depth of the newest place.
+
+        Parameters
+        ----------
+        item : asks for the way.
+        home : item 0.
+        """
         depth_m = self.stops[-1].place.depth_m if self.stops else None
         self._add(item.number, structs.replace(self._place(item, home), depth_m=depth_m))
 

@@ -25,7 +25,12 @@ class ThrustImpulse:
         """Time (s), thrusts of port and starboard (N), and their impulses up to that time (N s)."""
 
     def seconds(self, t_ns: int) -> float:
-        """Return a vehicle time (ns) on the time axis of the rows (s)."""
+        """Return a vehicle time on the time axis of the rows (s).
+
+        Parameters
+        ----------
+        t_ns : vehicle time (ns).
+        """
         return (t_ns - self._origin_ns) * 1e-9
 
     def add(self, t_ns: int, thrust_N: Triple | Array) -> None:

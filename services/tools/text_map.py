@@ -5,19 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.messages import Array, ZoneInForce
+from ltv_mpc.messages import Array
 from ltv_mpc.references.schedule import EAST, NORTH, Schedule
+from services.reporting.plots.fence import boundary
 
 COLUMNS, ROWS = 72, 24
 ASPECT = 2.0
 """Height of a letter over its width."""
-CORNERS = 64
-"""Number of corners of the polygon that stands for a disc."""
 
 
 def draw(schedule: Schedule | None, fence: Fence | None) -> str:
     """Return the map: B begin, E end, * path, + keep-in, # keep-out; empty if there is nothing to draw."""
-    lines = [("+" if zone.keep_in else "#", _ring(zone)) for zone in (fence.zones() if fence else ())]
+    lines = [("+" if zone.keep_in else "#", boundary(zone)) for zone in (fence.zones() if fence else ())]
     if schedule is not None:
         way = schedule.table[[NORTH, EAST]].T
         lines += [("*", way), ("B", way[:1]), ("E", way[-1:])]
@@ -36,15 +35,6 @@ def draw(schedule: Schedule | None, fence: Fence | None) -> str:
     legend = [key for letter, key in keys.items() if letter in {letter for letter, _ in lines}]
     scale = f"north up, {extent[1]:.3g} m east by {extent[0]:.3g} m north, a letter is {column_m:.2g} m wide"
     return "\n".join([*("  " + "".join(row).rstrip() for row in letters), f"  {', '.join([*legend, scale])}"])
-
-
-def _ring(zone: ZoneInForce) -> Array:
-    """Return the closed boundary (K, 2) of a zone in m."""
-    ring: Array = zone.vertices_m
-    if len(ring) == 1:
-        angle = np.linspace(0.0, 2.0 * np.pi, CORNERS)
-        ring = ring + zone.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.concatenate([ring, ring[:1]])
 
 
 def _dense(line: Array, step_m: float) -> Array:

@@ -71,7 +71,7 @@ def run(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DivePar
     masks = [usable(x, parameters.min_good_share) for x in ensembles]
     model = Model.of(parameters, _nodes(ensembles, masks), _ranges(ensembles, masks))
     gate = float(chi2.ppf(parameters.gate_probability, 1))
-    changes = velocity_changes(ensembles, noise, parameters)
+    changes = velocity_changes(ensembles, masks, noise, parameters.velocity_change_mps_per_rts)
     x, P = model.prior()
     position, velocity, p_cov, v_cov = [], [], [], []
     fixed = last_fix = used = rejected = 0

@@ -18,24 +18,26 @@ import numpy as np
 
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
 from ltv_mpc.localisation.recorded_dive.noise import BeamNoise
-from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-from ltv_mpc.localisation.recorded_dive.screening import usable
+from ltv_mpc.localisation.recorded_dive.update import Mask
 from ltv_mpc.messages import Array
 
 
-def velocity_changes(ensembles: Sequence[BeamEnsemble], noise: BeamNoise, parameters: DiveParameters) -> Array:
+def velocity_changes(
+    ensembles: Sequence[BeamEnsemble], masks: Sequence[Mask], noise: BeamNoise, least_mps_per_rts: float
+) -> Array:
     """Return the intensity (N,) of the velocity's random walk (m/s per square root of s) in the step to each ensemble.
 
     Parameters
     ----------
     ensembles : the dive.
+    masks : usable cells (4, cells) of each ensemble.
     noise : beam noise of the recording.
-    parameters : ``velocity_change_mps_per_rts`` is the least.
+    least_mps_per_rts : smallest intensity.
     """
-    changes = np.full(len(ensembles), parameters.velocity_change_mps_per_rts)
+    changes = np.full(len(ensembles), least_mps_per_rts)
     before: tuple[int, Array, float] | None = None
-    for k, ensemble in enumerate(ensembles):
-        cells = usable(ensemble, parameters.min_good_share).all(axis=0)
+    for k, (ensemble, mask) in enumerate(zip(ensembles, masks, strict=True)):
+        cells = mask.all(axis=0)
         if not cells.any():
             continue
         inverse = np.linalg.pinv(ensemble.direction)[:2]

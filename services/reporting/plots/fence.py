@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.geofence.obstacles import OBSTACLE_MARGIN, predicted_m, required_m
-from ltv_mpc.messages import Array, FenceInForce, Obstacle, Plan
+from ltv_mpc.messages import Array, FenceInForce, Obstacle, Plan, ZoneInForce
 from services.reporting.plots.table import Cell, Columns, short
 
 CIRCLE = 48  # points
@@ -40,7 +40,7 @@ def tables(fence: FenceInForce | None, plan: Plan | None) -> dict[str, Columns]:
         distance_m = hull_m + zone.margin_m
         outwards = -distance_m if zone.keep_in else distance_m
         disc = zone.radius_m > 0.0
-        zones.append(_circle(zone.vertices_m[0], zone.radius_m) if disc else _closed(zone.vertices_m))
+        zones.append(boundary(zone))
         free = _circle(zone.vertices_m[0], zone.radius_m + distance_m) if disc else _grown(zone.vertices_m, outwards)
         (bounding if zone.label in active else kept_free).append(free)
     ends_ns = [] if plan is None else plan.t_ns[[0, -1]].tolist()
@@ -62,6 +62,11 @@ def tables(fence: FenceInForce | None, plan: Plan | None) -> dict[str, Columns]:
             ("obstacle_paths", paths),
         )
     }
+
+
+def boundary(zone: ZoneInForce) -> Array:
+    """Return the closed boundary (K, 2) of a zone, north and east (m)."""
+    return _circle(zone.vertices_m[0], zone.radius_m) if zone.radius_m > 0.0 else _closed(zone.vertices_m)
 
 
 def _kept_free_m(obstacle: Obstacle, start_ns: int, t_ns: int, hull_m: float) -> float:
