@@ -109,6 +109,7 @@ def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(t
             sent = json.loads(attack.stdout)
 
             def turned_away() -> bool:
+                assert launcher.poll() is None, log.read_text()
                 while ears.hear(0.0):
                     pass
                 return ears.rejected("controller") >= REFUSED and ears.rejected("router") >= sent["denied"]
