@@ -3,6 +3,7 @@
     python intruder.py tls/HOST:PORT NAMESPACE CERTS FOREIGN_CERTS
 
 CERTS is what it got hold of (of each role its certificate and key), FOREIGN_CERTS the same of another authority. It
+goes on until its standard input closes, first with a line on its standard output that everything was sent once. Then it
 prints what it has sent, by way, as JSON: ``denied`` for the router to stop, ``refused`` for the reader to refuse.
 """
 
@@ -10,9 +11,11 @@ from __future__ import annotations
 
 import json
 import random
+import select
 import sys
 import time
 from collections import deque
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -88,28 +91,34 @@ def forged(frame: bytes) -> bytes:
     return msgpack.packb(msgpack.unpackb(frame) | {"epoch": FORGED_EPOCH, "sequence": random.randrange(10**6)})
 
 
-def with_wrong_role(frames: dict[str, list[bytes]]) -> int:
-    """Send valid frames, forged and replayed, under roles that may not send them, with a publisher and without."""
+def with_wrong_role(frames: dict[str, list[bytes]], open_ones: ExitStack) -> int:
+    """Send valid frames, forged and replayed, under roles that may not send them, with a publisher and without.
+
+    The sessions stay open: one that closes takes along what it has not sent yet.
+    """
     ways = [(role, key) for role in ("display", "recorder", "sensors", "controller") for key in frames]
     ways = [(role, key) for role, key in ways if (role, key) != ("controller", "plan")]
     sent = 0
     for role, key in ways:
-        with opened(CERTS, role) as session:
-            publisher = session.declare_publisher(f"{NAMESPACE}/{key}", congestion_control=KEPT)
-            while not publisher.matching_status.matching:
-                time.sleep(0.01)
-            for i in range(WRONG_ROLE // len(ways)):
-                frame = random.choice(frames[key])
-                publisher.put(frame if i % 2 else forged(frame))
-                sent += 1
-            session.put(f"{NAMESPACE}/{key}", forged(frames[key][0]), congestion_control=KEPT)
-            session.delete(f"{NAMESPACE}/{key}", congestion_control=KEPT)
-            sent += 2
+        session = open_ones.enter_context(opened(CERTS, role))
+        publisher = session.declare_publisher(f"{NAMESPACE}/{key}", congestion_control=KEPT)
+        while not publisher.matching_status.matching:
+            time.sleep(0.01)
+        for i in range(WRONG_ROLE // len(ways)):
+            frame = random.choice(frames[key])
+            publisher.put(frame if i % 2 else forged(frame))
+            sent += 1
+        session.put(f"{NAMESPACE}/{key}", forged(frames[key][0]), congestion_control=KEPT)
+        session.delete(f"{NAMESPACE}/{key}", congestion_control=KEPT)
+        sent += 2
     return sent
 
 
 def with_stolen_key(estimates: list[bytes]) -> int:
-    """Send with the estimator's own certificate: readers must reject replayed, broken and too large messages."""
+    """Send with the estimator's own certificate: readers must reject replayed, broken and too large messages.
+
+    All of them once, then replayed ones until the standard input closes: a reader may lose some of a flood.
+    """
     fields = msgpack.unpackb(estimates[-1])
     broken = [
         b"",
@@ -133,16 +142,21 @@ def with_stolen_key(estimates: list[bytes]) -> int:
         for _ in range(OVERSIZED):
             publisher.put(bytes(3 * MEBIBYTE // 2))  # more than a message may have
         publisher.put(bytes(5 * MEBIBYTE))  # more than any session takes in
-        time.sleep(0.5)  # a session that closes takes along what it has not sent yet
-    return REPLAYED + MALFORMED + OVERSIZED
+        print("sent once", flush=True)  # noqa: T201
+        sent = REPLAYED + MALFORMED + OVERSIZED
+        while not select.select([sys.stdin], [], [], 0.05)[0]:
+            publisher.put(estimates[sent % len(estimates)])
+            sent += 1
+    return sent
 
 
 def main() -> None:
     random.seed(0)
     frames = overheard(("plan", "estimate", "applied", "clock"))
     connections = refused_connections()
-    denied = with_wrong_role({**frames, "command": frames["clock"]})
-    refused = with_stolen_key(frames["estimate"])
+    with ExitStack() as open_ones:
+        denied = with_wrong_role({**frames, "command": frames["clock"]}, open_ones)
+        refused = with_stolen_key(frames["estimate"])
     print(json.dumps({"connections": connections, "denied": denied, "refused": refused}))  # noqa: T201
 
 
