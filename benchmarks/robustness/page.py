@@ -109,14 +109,13 @@ def text(found: Found, starts: int, commit: str) -> str:
     vehicles = ", ".join(f"`{name}`" for name in dict.fromkeys(row.vehicle for row in found))
     return f"""# Robustness table
 
-**Question.** How well does the controller keep its station and its path when the vehicle, its thrusters, its navigation
-and the sea are not those of the vehicle file, and how does it compare with a tuned PID and a tuned LQR?
+**Question.** How well does the controller keep station and path when vehicle, thrusters, navigation and sea are not
+those of the vehicle file, beside a tuned PID and LQR?
 
 **Method.** `python -m benchmarks.robustness --write`: the loop and the hulls of the [strangers](strangers.md), a point
-5 m away and a square of 20 m, in a current of a fifth of the top speed that no estimate contains. A case multiplies
-values of the true vehicle: `drag=0.5` has half of the file's drag (keys: `benchmarks/robustness/cases.py`). PID and LQR
-are tuned once a vehicle, on the right file; LQR alone is given the current. Starts a row: {starts}. Flown: {vehicles};
-{_cases_flown(found)}.
+5 m away and a square of 20 m, in a current of a fifth of the top speed that no estimate contains. `drag=0.5`: the
+true vehicle has half of the file's drag (`benchmarks/robustness/cases.py`). PID and LQR are tuned once a vehicle, on the
+right file; LQR alone is given the current. Starts a row: {starts}. Flown: {vehicles}; {_cases_flown(found)}.
 
 **Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {commit[:8]}.
 

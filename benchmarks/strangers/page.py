@@ -57,45 +57,30 @@ def run(*, starts: int = STARTS, jobs: int | None = None) -> dict[Cell, Figures]
     return {cell: mean_figures(of) for cell, of in flights.items()}
 
 
-def errors_table(found: dict[Cell, Figures]) -> str:
-    """Return the largest errors over the tasks by condition and hull, the rival's after a stroke."""
-    lines = ["| condition | " + " | ".join(FOREIGN) + " |", "|---" * (1 + len(FOREIGN)) + "|"]
+def table(found: dict[Cell, Figures]) -> str:
+    """Return largest errors over the tasks by condition and hull, and arrivals, thrust and wrong health of all."""
+    columns = (*FOREIGN, "not arrived", "time to arrive (s)", "mean F (%)", "wrongly nominal (%)")
+    lines = ["| condition | " + " | ".join(columns) + " |", "|---" * (1 + len(columns)) + "|"]
     for condition in CONDITIONS:
-        cells = [_errors(found, hull, condition) for hull in FOREIGN]
-        lines.append(f"| {condition} | " + " | ".join(cells) + " |")
+        of = [(cell, figures) for cell, figures in found.items() if cell.condition == condition]
+        by_side = [[(cell.hull, figures) for cell, figures in of if cell.ours == ours] for ours in (True, False)]
+        sides = [_side(each) for each in by_side if each]
+        wrong = f"{100 * np.mean([figures.wrongly_nominal for _, figures in by_side[0]]):.1f}"
+        lines.append("| " + " | ".join((condition, *map(" / ".join, zip(*sides, strict=True)), wrong)) + " |")
     return "\n".join(lines)
 
 
-def _errors(found: dict[Cell, Figures], hull: str, condition: str) -> str:
+def _side(of: Sequence[tuple[str, Figures]]) -> list[str]:
+    """Return the cells of one condition, of the controller or of the rival."""
     texts = []
-    for ours in (True, False):
-        of = [figures for cell, figures in found.items() if cell[:2] == (hull, condition) and cell.ours == ours]
-        if of:
-            late = "" if all(np.isfinite(figures.arrival_s) for figures in of) else "!"
-            mean_m, max_m = (max(getattr(figures, name) for figures in of) for name in ("mean_m", "max_m"))
-            texts.append(f"{mean_m:.2f} ({max_m:.1f}){late}")
-    return " / ".join(texts)
-
-
-def effort_table(found: dict[Cell, Figures]) -> str:
-    """Return arrivals, thrust and wrong health by condition, over all hulls and tasks; the rival's after a stroke."""
-    lines = [
-        "| condition | arrived | time to arrive (s) | mean F (%) | wrongly nominal (%) |",
-        "|---|---|---|---|---|",
-    ]
-    for condition in CONDITIONS:
-        columns: list[list[str]] = [[], [], []]
-        for ours in (True, False):
-            of = [figures for cell, figures in found.items() if (cell.condition, cell.ours) == (condition, ours)]
-            if of:
-                arrivals = [figures.arrival_s for figures in of if np.isfinite(figures.arrival_s)]
-                columns[0].append(f"{len(arrivals)} of {len(of)}")
-                columns[1].append(f"{np.median(arrivals):.0f}" if arrivals else "-")
-                columns[2].append(f"{100 * np.mean([figures.force for figures in of]):.0f}")
-        mine = [figures.wrongly_nominal for cell, figures in found.items() if cell[1] == condition and cell.ours]
-        wrong = f"{100 * np.mean(mine):.1f}"
-        lines.append(f"| {condition} | " + " | ".join(" / ".join(column) for column in columns) + f" | {wrong} |")
-    return "\n".join(lines)
+    for hull in FOREIGN:
+        figures = [each for name, each in of if name == hull]
+        late = "" if all(np.isfinite(each.arrival_s) for each in figures) else "!"
+        texts.append(f"{max(x.mean_m for x in figures):.2f} ({max(x.max_m for x in figures):.1f}){late}")
+    arrivals = [figures.arrival_s for _, figures in of if np.isfinite(figures.arrival_s)]
+    median = f"{np.median(arrivals):.0f}" if arrivals else "-"
+    force = f"{100 * np.mean([figures.force for _, figures in of]):.0f}"
+    return [*texts, str(len(of) - len(arrivals)), median, force]
 
 
 def worse_cells(found: dict[Cell, Figures]) -> Sequence[Cell]:
@@ -121,15 +106,13 @@ def text(found: dict[Cell, Figures], starts: int = STARTS) -> str:
         names = "; ".join(f"{cell.hull}, {cell.condition}, {cell.task}" for cell in worse) or "none"
     return f"""# A fleet of strangers
 
-**Question.** Does the controller steer hulls of another structure than its model, and how does it compare with what
-most vehicles have?
+**Question.** Does the controller steer hulls of another structure than its model, and how well beside a usual one?
 
 **Method.** `python -m benchmarks.strangers --write`: three hulls that share no equation with the model (80 kg catamaran
 with linear drag, 70 kg ellipsoid with a Munk moment, 28 kg boat with coupled drag; sources in `benchmarks/strangers`),
-each with the file that its owner would write from the data sheet. The rival, PID and line-of-sight guidance with an
-integral, is tuned once a hull and reads no reports. Tasks: a point 5 m away, a line and a square of 20 m, a point 5 m
-astern, three points with stays; starts: {starts}. Offset: estimates of an undeclared point 0.15 m ahead. Noise has no
-covariance. Side force: wind of a tenth of the thrust. Released: thrusters rest between 20 and 50 s.
+each with the file of its data sheet. The rival (PID, line of sight with an integral) is tuned once a hull and reads no
+reports. Tasks: a point 5 m away, a line and a square of 20 m, a point 5 m astern, three points with stays; starts: {starts}.
+Offset: estimates of an undeclared point 0.15 m ahead. Noise has no covariance. Side force: wind of a tenth of the thrust. Released: thrusters rest between 20 and 50 s.
 
 **Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {provenance_table()["commit"][:8]}.
 
@@ -137,13 +120,10 @@ covariance. Side force: wind of a tenth of the thrust. Released: thrusters rest 
 {len(worse)}: {names}.
 
 Largest mean error of the five tasks and, in brackets, largest error (m), controller / rival: distance from the path
-until the arrival, or from the point 15 s after it; `!`: a flight did not arrive within 0.5 m.
+until the arrival, or from the point 15 s after it; `!`: a flight did not arrive within 0.5 m. *Wrongly nominal*: share
+of that time with an error above 1 m and nominal health.
 
-{errors_table(found)}
-
-Over all hulls and tasks; *wrongly nominal*: share of that time with an error above 1 m and nominal health.
-
-{effort_table(found)}
+{table(found)}
 
 **Decision.** The worst rows of station keeping (`python -m benchmarks.strangers hold`) and short flights are tests:
 `tests/strangers`.
