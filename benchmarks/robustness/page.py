@@ -114,8 +114,8 @@ those of the vehicle file, beside a tuned PID and LQR?
 
 **Method.** `python -m benchmarks.robustness --write`: the loop and the hulls of the [strangers](strangers.md), a point
 5 m away and a square of 20 m, in a current of a fifth of the top speed that no estimate contains. `drag=0.5`: the
-true vehicle has half of the file's drag (`benchmarks/robustness/cases.py`). PID and LQR are tuned once a vehicle, on the
-right file; LQR alone is given the current. Starts a row: {starts}. Flown: {vehicles}; {_cases_flown(found)}.
+true vehicle has half of the file's drag (`benchmarks/robustness/cases.py`). PID and LQR are tuned once a vehicle, on
+the right file; LQR alone is given the current. Starts a row: {starts}. Flown: {vehicles}; {_cases_flown(found)}.
 
 **Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {commit[:8]}.
 
