@@ -111,9 +111,9 @@ def text(found: dict[Cell, Figures], starts: int = STARTS) -> str:
 **Method.** `python -m benchmarks.strangers --write`: three hulls that share no equation with the model (80 kg catamaran
 with linear drag, 70 kg ellipsoid with a Munk moment, 28 kg boat with coupled drag; sources in `benchmarks/strangers`),
 each with the file of its data sheet. The rival (PID, line of sight with an integral) is tuned once a hull and reads no
-reports. Tasks ({starts} starts): a point 5 m away, a line and a square of 20 m, a point 5 m astern, three points with stays.
-Offset: estimates of an undeclared point 0.15 m ahead. Noise has no covariance. Side force: wind of a tenth of the
-thrust. Released: thrusters rest between 20 and 50 s.
+reports. Tasks ({starts} starts): a point 5 m away, a line and a square of 20 m, a point 5 m astern, three points with
+stays. Offset: estimates of an undeclared point 0.15 m ahead. Noise has no covariance. Side force: wind of a tenth of
+the thrust. Released: thrusters rest between 20 and 50 s.
 
 **Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {provenance_table()["commit"][:8]}.
 
