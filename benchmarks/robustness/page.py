@@ -50,7 +50,7 @@ def cases_table(found: Found) -> str:
     for case in dict.fromkeys(row.case for row in found):
         of = [found[row] for row in found if row.case == case]
         medians = " | ".join(f"{np.median([x[law].mean_m for x in of]):.3f}" for law in laws)
-        lines.append(f"| {case} | {medians} | {sum(map(_is_behind, of))} of {len(of)} |")
+        lines.append(f"| {case} | {medians} | {sum(map(_is_behind, of))}/{len(of)} |")
     return "\n".join(lines)
 
 

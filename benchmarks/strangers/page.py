@@ -58,15 +58,15 @@ def run(*, starts: int = STARTS, jobs: int | None = None) -> dict[Cell, Figures]
 
 
 def table(found: dict[Cell, Figures]) -> str:
-    """Return largest errors over the tasks by condition and hull, and arrivals, thrust and wrong health of all."""
-    columns = (*FOREIGN, "not arrived", "time to arrive (s)", "mean F (%)", "wrongly nominal (%)")
+    """Return largest errors over the tasks by condition and hull, and late cells, thrust and wrong health of all."""
+    columns = (*FOREIGN, "not arrived", "mean F (%)", "wrongly nominal (%)")
     lines = ["| condition | " + " | ".join(columns) + " |", "|---" * (1 + len(columns)) + "|"]
     for condition in CONDITIONS:
         of = [(cell, figures) for cell, figures in found.items() if cell.condition == condition]
         by_side = [[(cell.hull, figures) for cell, figures in of if cell.ours == ours] for ours in (True, False)]
         sides = [_side(each) for each in by_side if each]
         wrong = f"{100 * np.mean([figures.wrongly_nominal for _, figures in by_side[0]]):.1f}"
-        lines.append("| " + " | ".join((condition, *map(" / ".join, zip(*sides, strict=True)), wrong)) + " |")
+        lines.append("| " + " | ".join((condition, *map("; ".join, zip(*sides, strict=True)), wrong)) + " |")
     return "\n".join(lines)
 
 
@@ -75,12 +75,11 @@ def _side(of: Sequence[tuple[str, Figures]]) -> list[str]:
     texts = []
     for hull in FOREIGN:
         figures = [each for name, each in of if name == hull]
-        late = "" if all(np.isfinite(each.arrival_s) for each in figures) else "!"
-        texts.append(f"{max(x.mean_m for x in figures):.2f} ({max(x.max_m for x in figures):.1f}){late}")
-    arrivals = [figures.arrival_s for _, figures in of if np.isfinite(figures.arrival_s)]
-    median = f"{np.median(arrivals):.0f}" if arrivals else "-"
+        mark = "" if all(np.isfinite(each.arrival_s) for each in figures) else "!"
+        texts.append(f"{max(x.mean_m for x in figures):.2f} ({max(x.max_m for x in figures):.1f}){mark}")
+    late = sum(not np.isfinite(figures.arrival_s) for _, figures in of)
     force = f"{100 * np.mean([figures.force for _, figures in of]):.0f}"
-    return [*texts, str(len(of) - len(arrivals)), median, force]
+    return [*texts, str(late), force]
 
 
 def worse_cells(found: dict[Cell, Figures]) -> Sequence[Cell]:
@@ -120,7 +119,7 @@ the thrust. Released: thrusters rest between 20 and 50 s.
 **Result.** Of {both} cells with a rival, the controller is worse by more than 0.1 m, or alone does not arrive, in
 {len(worse)}: {names}.
 
-Largest mean error of the five tasks and, in brackets, largest error (m), controller / rival: distance from the path
+Largest mean error of the five tasks and, in brackets, largest error (m), controller; rival: distance from the path
 until the arrival, or from the point 15 s after it; `!`: a flight did not arrive within 0.5 m. *Wrongly nominal*: share
 of that time with an error above 1 m and nominal health.
 
