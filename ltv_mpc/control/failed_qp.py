@@ -62,8 +62,9 @@ def row_names(layout: SparseLayout, scale: Array) -> tuple[ConstraintRow, ...]:
             name, of, unit = of_limits[row]
         else:
             name, of, unit = f"row {row - len(of_limits) + 1} of your limits and of the fence", float(scale[0]), "m"
-        place = f"in stage {knot + 1}" if name.startswith("slew") else f"at the end of stage {knot}"
-        named.append(ConstraintRow(f"{OF_KIND.get(kind, '')}{name} {place}", of, unit))
+            name += " at the end of stage {knot}"
+        name = name.format(knot=knot, stage=knot + 1)
+        named.append(ConstraintRow(OF_KIND.get(kind, "") + name, of, unit))
     return tuple(named)
 
 

@@ -102,7 +102,7 @@ class LateralPlanner:
 
     @property
     def target(self) -> Array:
-        """Target at the knots (``ocp/terms``)."""
+        """Target at the knots (``ocp/terms.py``)."""
         return self._cycle.target
 
     def set_current(self, estimate: Estimate, depth_m: Array) -> None:

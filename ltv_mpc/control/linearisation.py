@@ -167,7 +167,7 @@ def describe_non_finite(lin: Linearisation, target: Array) -> str:
     Parameters
     ----------
     lin : linearisation.
-    target : (N+1, 3) as in ``ocp/terms``.
+    target : (N+1, 3) as in ``ocp/terms.py``.
 
     Returns
     -------

@@ -64,7 +64,7 @@ def bring_within(states: Array, stages: float, t: Array, state: Array, radius_m:
     t : (N+1,) knots in first stages.
     state : of the vehicle at the first knot, from where the plan is continued: north and east first (m).
     radius_m : radius of the disc (m).
-    target : (N+1, 3) as in ``ocp/terms``; its positions are overwritten.
+    target : (N+1, 3) as in ``ocp/terms.py``; its positions are overwritten.
     """
     low, part = locate(t, t[0] + stages, 0)
     north = state[0] - (1.0 - part) * states[low, 0] - part * states[low + 1, 0]
@@ -86,7 +86,7 @@ def lead_round(router: Router, position: Array, current: Array, target: Array, t
     router : shortest ways round the zones.
     position : (2,) of the vehicle at the first knot (m).
     current : (2,) velocity of the water there (m/s).
-    target : (N+1, 3) as in ``ocp/terms``; positions and velocity are overwritten.
+    target : (N+1, 3) as in ``ocp/terms.py``; positions and velocity are overwritten.
     times_s : (N+1,) times of the knots after the first one (s).
     scales : length and top speed of the vehicle.
 
