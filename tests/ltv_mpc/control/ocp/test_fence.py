@@ -22,8 +22,7 @@ from ltv_mpc.control.fence_clearance import (
 )
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.ocp import assembly, limits
-from ltv_mpc.control.ocp import fence
+from ltv_mpc.control.ocp import assembly, fence, limits
 from ltv_mpc.control.ocp.fence import CORRIDOR_ROWS
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
