@@ -55,7 +55,7 @@ class SentCommands:
         period_ns : period of the plans (ns).
         """
         self._slew = np.array([t.slew_N_per_s for t in vehicle.thrusters])
-        self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
+        self._rest = 0.0, 0.0, vehicle.failsafe_vertical_N
         self._history_ns = max(HISTORY_NS, round(HISTORY_LAGS * 1e9 * max(t.lag_s for t in vehicle.thrusters)))
         self._period_ns, self._timeout_s = period_ns, vehicle.plan_timeout_s
         self.knots: Commands = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
@@ -69,27 +69,35 @@ class SentCommands:
         plan : is in force from its first knot on.
         before_N : commands until then, if it is the first plan (N); by default the thrusters are at rest.
         """
-        (t, thrust), planned_t, planned = self.knots, plan.t_ns, plan.thrust_N
-        start_ns = int(planned_t[0])
+        (t, thrust), start_ns = self.knots, int(plan.t_ns[0])
         if len(t) == 0:
             t, thrust = np.array([start_ns - 1]), np.array([before_N])
         estimate_ns = max(plan.estimate_t_ns - BEFORE_ESTIMATE_NS, start_ns - MAX_HISTORY_NS)
-        since_ns = min(start_ns - self._history_ns, estimate_ns)
+        past = slice(t.searchsorted(min(start_ns - self._history_ns, estimate_ns), "right"), t.searchsorted(start_ns))
         end_ns = plan_end_ns(plan.t_ns, self._period_ns, self._timeout_s)
-        past, followed = (t > since_ns) & (t < start_ns), planned_t < end_ns
-        last_N = commands_at((planned_t, planned), np.array([end_ns]))[0]
-        seconds = np.abs(last_N - self._rest) / self._slew
-        # One knot where each thruster comes to rest, in the order of time; two in one nanosecond share it.
-        corners = {math.ceil(s * 1e9): s for s in sorted(seconds.tolist(), reverse=True) if s > 0.0}
-        ramp_t = [end_ns, *(end_ns + corner_ns for corner_ns in reversed(corners))]
-        ramp = [last_N]
-        for s in reversed(corners.values()):
-            left = 1.0 - np.minimum(s / np.maximum(seconds, s * 1e-9), 1.0)
-            ramp.append(self._rest + left * (last_N - self._rest))
+        k = int(plan.t_ns.searchsorted(end_ns))
+        (t0, t1), (first_N, next_N) = plan.t_ns[[k - 1, k]].tolist(), plan.thrust_N[[k - 1, k]]
+        last_N = first_N + (end_ns - t0) / (t1 - t0) * (next_N - first_N) if k > 0 else next_N
+        ramp_t, ramp = self._ramp_to_rest(last_N.tolist())
         self.knots = (
-            np.concatenate([t[past], planned_t[followed], np.array(ramp_t, dtype=np.int64)]),
-            np.concatenate([thrust[past], planned[followed], np.array(ramp)]),
+            np.concatenate([t[past], plan.t_ns[:k], [end_ns + ns for ns in ramp_t]]),
+            np.concatenate([thrust[past], plan.thrust_N[:k], ramp]),
         )
+
+    def _ramp_to_rest(self, last_N: list[float]) -> tuple[list[int], list[list[float]]]:
+        """Return times after the end of a plan (ns) and commands (N): one where each thruster comes to rest."""
+        ways = [last - rest for last, rest in zip(last_N, self._rest, strict=True)]
+        seconds = [abs(way) / slew for way, slew in zip(ways, self._slew.tolist(), strict=True)]
+        corners = {math.ceil(s * 1e9): s for s in sorted(seconds, reverse=True)}  # two in one nanosecond share it
+        ramp = {0: last_N} | {
+            ns: [
+                r + w * (1.0 - min(s / own, 1.0)) if own else r
+                for r, w, own in zip(self._rest, ways, seconds, strict=True)
+            ]
+            for ns, s in sorted(corners.items())
+            if ns
+        }
+        return list(ramp), list(ramp.values())
 
     @property
     def oldest(self) -> tuple[int, Array]:
