@@ -19,7 +19,7 @@ from typing import NamedTuple, Protocol
 from services.runtime.supervisor_link import HEARTBEAT_FORMAT, LAST_HEARTBEAT, STATE_LENGTH
 from services.supervisor import entry_point
 from services.supervisor.forkserver import ForkServer
-from services.supervisor.hang_detector import HANG_TIMEOUT_S, HangDetector
+from services.supervisor.hang_detector import HANG_TIMEOUT_S, HangDetector, ProcessorLack
 from services.supervisor.parent_death import OrphanCleanup
 
 LAST_LINES = 12
@@ -67,7 +67,6 @@ class ManagedProcess:
         hang_timeout_s: float = HANG_TIMEOUT_S,
     ) -> None:
         self.name = program.name
-        self.hang_detector = HangDetector(hang_timeout_s)
         self.pipe_closed = False
         """True once the child has closed its heartbeat pipe: it has ended, or is about to."""
         self.heartbeat_fd = -1
@@ -83,6 +82,7 @@ class ManagedProcess:
             process = self._start(lambda stdin, heartbeat: _spawn(program, stdin, heartbeat))
         assert process is not None
         self._process = process
+        self.hang_detector = HangDetector(ProcessorLack(self.pid), hang_timeout_s)
         cleanup.add(self.pid)
         with contextlib.suppress(BrokenPipeError):  # the child is already dead, which is noticed elsewhere
             os.write(self._stdin, STATE_LENGTH.pack(len(state)) + state)
@@ -122,18 +122,6 @@ class ManagedProcess:
             self.pipe_closed = True
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(EXIT_TIMEOUT_S)
-
-    def cpu_wait_s(self) -> float:
-        """Return how long the child's loop has waited for a processor since it started."""
-        return cpu_wait_s(self.pid)
-
-    def in_uninterruptible_sleep(self) -> bool:
-        """Return True in state D of ``ps``, as during a write to a slow disk; not even SIGKILL ends such a process."""
-        try:
-            stat = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            return False
-        return stat.rpartition(")")[2].split()[0] == "D"
 
     def exit_code(self) -> int | None:
         """Return the exit code, or minus the number of the signal that ended the child; None while it runs."""
@@ -198,15 +186,6 @@ def _widen(pipe: int) -> None:
     if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
         with contextlib.suppress(OSError):  # more than this user is allowed
             fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-
-
-def cpu_wait_s(pid: int) -> float:
-    """Return how long the main thread of a process has waited for a processor (s); 0 if the system does not tell."""
-    try:
-        _, waited_ns, _ = Path(f"/proc/{pid}/task/{pid}/schedstat").read_text(encoding="utf-8").split()
-    except (OSError, ValueError):
-        return 0.0
-    return int(waited_ns) / 1e9
 
 
 def last_lines(log: Path) -> tuple[str, ...]:

@@ -35,7 +35,6 @@ from services.supervisor import jit_cache, loopback, process_table, shutdown
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.failure_handler import FailureHandler, RunFailed
-from services.supervisor.hang_detector import LATE_S
 from services.supervisor.live_view import live_view
 from services.supervisor.managed_process import describe_exit, last_lines
 from services.supervisor.parent_death import OrphanCleanup
@@ -104,7 +103,7 @@ class Supervisor:
         self._screen = screen
         self._page = page
         self._logs.mkdir(exist_ok=True)
-        self._started_s = self._ticked_s = time.monotonic()
+        self._started_s = time.monotonic()
         self._cleanup: OrphanCleanup
         self._request: StopRequest
         self.children: ChildProcesses
@@ -295,8 +294,7 @@ class Supervisor:
         if self._folder.deleted:
             raise RunFailed(f"{self._folder.path}: {DELETED}")
         now_s = time.monotonic()
-        late, self._ticked_s = now_s - self._ticked_s > LATE_S, now_s
-        self.failures.check(now_s, excuse=late)
+        self.failures.check(now_s)
         monitor, events = self._monitor, self._events
         if monitor is None or events is None:
             return
