@@ -125,7 +125,7 @@ class RecordingLoop:
     def _finish(self) -> None:
         """Record until each process has reported its count and all its messages have arrived, or no more arrive.
 
-        It ends in time however many messages arrive. Those that arrived before the stop request come first; what is left
+        It ends in time however many messages arrive: those from before the stop request come first, and what is left
         of them counts as lost.
         """
         if not self._time.known:
