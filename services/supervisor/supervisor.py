@@ -35,7 +35,6 @@ from services.supervisor import jit_cache, loopback, process_table, shutdown
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.failure_handler import FailureHandler, RunFailed
-from services.supervisor.hang_detector import LATE_S
 from services.supervisor.live_view import live_view
 from services.supervisor.managed_process import describe_exit, last_lines
 from services.supervisor.parent_death import OrphanCleanup
@@ -104,7 +103,7 @@ class Supervisor:
         self._screen = screen
         self._page = page
         self._logs.mkdir(exist_ok=True)
-        self._started_s = self._ticked_s = time.monotonic()
+        self._started_s = time.monotonic()
         self._cleanup: OrphanCleanup
         self._request: StopRequest
         self.children: ChildProcesses
@@ -153,7 +152,7 @@ class Supervisor:
         in_order = False
         with ExitStack() as sessions:
             self._cleanup = OrphanCleanup()
-            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup)
+            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group)
             self.failures = FailureHandler(self.children)
             try:
                 context = self._open_bus(certs)
@@ -162,6 +161,8 @@ class Supervisor:
                 self._start(sessions, context)
                 self._wait_until(lambda: self.children.run_complete, None, "")
                 in_order = True
+            except ChildProcessError as error:
+                return Outcome(completed=False, exit_code=FAILED, why=str(error))
             except RunFailed as failure:
                 in_order = failure.in_order
                 return Outcome(completed=False, exit_code=FAILED, why=failure.why, last_lines=failure.last_lines)
@@ -171,7 +172,7 @@ class Supervisor:
                     completed=False, exit_code=code, why="stopped early; the messages recorded so far are kept"
                 )
             finally:
-                self.children.close()
+                self.children.forks.close()
                 killed = shutdown.stop(self.children.by_name, in_order=in_order, close_session=sessions.close)
                 self._cleanup.close()
         return self._final_check(killed)
@@ -221,22 +222,23 @@ class Supervisor:
             if self._page is not None:
                 self._page.show(f"{jit_cache.NOTE}; {share:.0%} after {time.monotonic() - begun_s:.0f} s")
 
-        code = jit_cache.fill(self._folder.scenario, log, self._cleanup, wait)
+        code = jit_cache.fill(self._folder.scenario, log, self._cleanup.group, wait)
         if code != DONE:
             raise RunFailed(f"compiling {describe_exit(code)}; its last lines:", last_lines(log))
 
     def _load(self) -> None:
-        """Start the fork server and wait until it has loaded."""
+        """Wait until the fork server has loaded."""
         if self._page is not None:
             self._page.show("starting the processes")
-        self.children.start_fork_server()
+        forks, until = self.children.forks, time.monotonic() + READY_TIMEOUT_S
+        forks.load()
         for row in process_table.processes(self._run_config.scenario):
             importlib.import_module(row.module)  # for its config, while the fork server loads the same
-        if (forks := self.children.forks) is None:
-            return
         while not forks.is_loaded():
-            if (code := forks.exit_code()) is not None:
-                raise RunFailed(f"loading {describe_exit(code)}; its last lines:", last_lines(forks.log))
+            code = forks.exit_code()
+            if code is not None or time.monotonic() > until:
+                how = f"is not done within {READY_TIMEOUT_S:.0f} s" if code is None else describe_exit(code)
+                raise RunFailed(f"loading {how}; its last lines:", last_lines(forks.log))
             self._tick()
 
     def _start(self, sessions: ExitStack, context: process_table.RunContext) -> None:
@@ -295,8 +297,7 @@ class Supervisor:
         if self._folder.deleted:
             raise RunFailed(f"{self._folder.path}: {DELETED}")
         now_s = time.monotonic()
-        late, self._ticked_s = now_s - self._ticked_s > LATE_S, now_s
-        self.failures.check(now_s, excuse=late)
+        self.failures.check(now_s)
         monitor, events = self._monitor, self._events
         if monitor is None or events is None:
             return
@@ -307,7 +308,7 @@ class Supervisor:
                 self._screen.say(one_line(f"kill refused: no process {format_value(name)} in this run"))
         self.failures.check_recoveries(now_s)
         if not self.failures.recovering:  # a restarted process needs the processor more
-            self.children.replace_dead_fork_server()
+            self.children.forks.replace_if_dead()
         for event in monitor.new_events():
             if event.node != SUPERVISOR:
                 events.show(event)

@@ -189,7 +189,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
     page = Page(drawn_s=1.0)
 
     def disturb() -> None:
-        (pid,) = (pid for pid, words in children_of(os.getpid()).items() if "orphan_cleanup.py" in words)
+        (pid,) = (pid for pid, words in children_of(os.getpid()).items() if "killpg" in words)
         os.kill(pid, signal.SIGKILL)
         with open_session(structs.replace(page.bus[0], role=OPERATOR), stop=StopRequest(), say=print) as session:
             Outbox(session, node=OPERATOR, epoch=1, kinds=(Kill,)).publish(Kill(node="nobody\n"))
