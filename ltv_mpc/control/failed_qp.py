@@ -68,8 +68,8 @@ def row_names(layout: SparseLayout, scale: Array) -> tuple[ConstraintRow, ...]:
 
 
 @dataclass(frozen=True)
-class FailedQp:
-    """QP that was not solved, the names of its rows, and the solver's report."""
+class NamedQp:
+    """QP of a cycle, the names of its rows, and the solver's report."""
 
     qp: QP
     rows: tuple[ConstraintRow, ...]
@@ -95,7 +95,7 @@ class FailedQp:
         np.savez_compressed(path, **parts)
 
     @classmethod
-    def load(cls, path: Path) -> FailedQp:
+    def load(cls, path: Path) -> NamedQp:
         """Read a file that ``save`` wrote.
 
         Parameters
@@ -119,7 +119,7 @@ class FailedQp:
             raise ConfigError(f"{FILE} {path}", "", problem) from None
 
     @classmethod
-    def _from_parts(cls, parts: dict[str, Any]) -> FailedQp:
+    def _from_parts(cls, parts: dict[str, Any]) -> NamedQp:
         """Return the problem from the arrays of its file. Raises an exception of any kind if they do not fit."""
         if str(parts["format"]) != FORMAT:
             raise ValueError(f"format {parts['format']}, must be {FORMAT}")

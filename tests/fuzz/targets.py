@@ -28,7 +28,7 @@ from scipy.sparse import csc_array, eye_array
 
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.failed_qp import ConstraintRow, FailedQp
+from ltv_mpc.control.failed_qp import ConstraintRow, NamedQp
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.qp import QP
 from ltv_mpc.currents import read_prior, read_profile
@@ -583,7 +583,7 @@ def failed_qp() -> Target:
     """Target: a saved QP in numpy's npz format."""
     unit = csc_array(eye_array(2))
     qp = QP(unit, np.array([-1.0, -1.0]), unit, np.zeros(2), np.full(2, 0.5))
-    failed = FailedQp(
+    failed = NamedQp(
         qp, (ConstraintRow("slew", 1.0, "N"), ConstraintRow("box", 2.0, "N")), Solve(status=SolveStatus.INFEASIBLE)
     )
     place = Path(WORKSHOP.name) / "seed.npz"
@@ -628,7 +628,7 @@ def failed_qp() -> Target:
         ways = (5, lambda: rebuilt(rng)), (4, lambda: mutate.raw(rng, seed)), (1, lambda: lying(rng))
         return mutate.one_of(rng, *ways)
 
-    def check(found: FailedQp) -> None:
+    def check(found: NamedQp) -> None:
         n, m = len(found.qp.q), len(found.qp.l)
         assert found.qp.P.shape == (n, n)
         assert found.qp.A.shape == (m, n)
@@ -637,7 +637,7 @@ def failed_qp() -> Target:
         assert len(found.rows) == m
         found.faults()
 
-    return file_reader("failed qp", 1, frame, FailedQp.load, check, file="failed.npz")
+    return file_reader("failed qp", 1, frame, NamedQp.load, check, file="failed.npz")
 
 
 def recordings() -> Iterator[Target]:

@@ -45,7 +45,8 @@ CASES = [
     # --- scenario -------------------------------------------------------------------------------------------------
     (
         "sim decsent",
-        'scenario "decsent": no shipped name; shipped: demo, descent, hover, paper-2.5s, paper-5s, paper-no-control; did you mean "descent"?',
+        'scenario "decsent": no shipped name; shipped: demo, descent, hover, paper-2.5s, paper-5s, paper-no-control; '
+        'did you mean "descent"?',
     ),
     ("sim none.toml", "scenario none.toml: no such file"),
     ("sim folder/", "scenario folder: is a folder"),
