@@ -27,7 +27,7 @@ from scipy.sparse import csc_array, eye_array
 
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.failed_qp import ConstraintRow, FailedQp
+from ltv_mpc.control.failed_qp import ConstraintRow, NamedQp
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.qp import QP
 from ltv_mpc.currents import read_prior, read_profile
@@ -635,7 +635,7 @@ def failed_qp() -> Target:
     """Target: a saved QP."""
     unit = csc_array(eye_array(2))
     qp = QP(unit, np.array([-1.0, -1.0]), unit, np.zeros(2), np.full(2, 0.5))
-    failed = FailedQp(
+    failed = NamedQp(
         qp, (ConstraintRow("slew", 1.0, "N"), ConstraintRow("box", 2.0, "N")), Solve(status=SolveStatus.INFEASIBLE)
     )
     place = Path(WORKSHOP.name) / "seed.qp"
@@ -661,7 +661,7 @@ def failed_qp() -> Target:
     def frame(rng: Random) -> bytes:
         return mutate.one_of(rng, (5, lambda: rebuilt(rng)), (5, lambda: mutate.raw(rng, seed)))
 
-    def check(found: FailedQp) -> None:
+    def check(found: NamedQp) -> None:
         n, m = len(found.qp.q), len(found.qp.l)
         assert found.qp.P.shape == (n, n)
         assert found.qp.A.shape == (m, n)
@@ -670,7 +670,7 @@ def failed_qp() -> Target:
         assert len(found.rows) == m
         found.faults()
 
-    return file_reader("failed qp", 1, frame, FailedQp.load, check, file="failed.qp")
+    return file_reader("failed qp", 1, frame, NamedQp.load, check, file="failed.qp")
 
 
 def recordings() -> Iterator[Target]:
