@@ -20,7 +20,7 @@ from services.bus.wire import MAX_PAYLOAD_BYTES, Header
 
 PAGE = "protocol.md"
 SCHEMAS = "schemas"
-HEAD = ("key", "period", "written by", "read by")
+HEAD = ("key", "period", "written by")
 BAR = "\\|"  # inside a cell
 
 
@@ -44,11 +44,13 @@ def page() -> str:
 def _table(name: str, argument: str, named: Iterable[str]) -> str:
     match name:
         case "topics":
-            rows = [_row(topic, f"#{_anchor(topic)}", topic.delivery.value) for topic in TOPICS if topic.key in named]
-            return _markdown((*HEAD, "delivery"), rows)
+            rows = [(*_row(t, f"#{_key(t)}"), _who(t.read_by), t.delivery.value) for t in TOPICS if t.key in named]
+            return _markdown((*HEAD, "read by", "delivery"), rows)
         case "rest":
             rest = [topic for topic in TOPICS if topic.key not in named]
-            return _markdown((*HEAD, "content"), [_row(t, _schema(t), _about(t).partition("\n")[0]) for t in rest])
+            return _markdown(
+                (*HEAD, "content"), [(*_row(t, _schema(t)), re.split(r"\.(?:\s|$)", _about(t))[0]) for t in rest]
+            )
         case "header":
             return _fields(fields(Header))
         case "fields":
@@ -62,8 +64,8 @@ def _table(name: str, argument: str, named: Iterable[str]) -> str:
     raise ValueError(f"{name}: no such table")
 
 
-def _row(topic: Topic, link: str, *more: str) -> tuple[str, ...]:
-    return f"[`{_key(topic)}`]({link})", _rate(topic), _who((topic.written_by,)), _who(topic.read_by), *more
+def _row(topic: Topic, link: str) -> tuple[str, ...]:
+    return f"[`{_key(topic)}`]({link})", _rate(topic), _who((topic.written_by,))
 
 
 def _schema(topic: Topic) -> str:
@@ -76,11 +78,6 @@ def _about(topic: Topic) -> str:
 
 def _key(topic: Topic) -> str:
     return f"{topic.key}/<node>" if topic.written_by == "*" else topic.key
-
-
-def _anchor(topic: Topic) -> str:
-    """Return the anchor that GitHub derives from the heading."""
-    return re.sub(r"[^a-z0-9_ -]", "", _key(topic).lower())
 
 
 def _rate(topic: Topic) -> str:
