@@ -73,7 +73,8 @@ def _schema(topic: Topic) -> str:
 
 
 def _about(topic: Topic) -> str:
-    return cleandoc(topic.message_type.__doc__ or "").replace("``", "`").replace("\n", " ").replace("  ", "\n\n")
+    first = cleandoc(topic.message_type.__doc__ or "").partition("\n\n")[0]
+    return first.replace("``", "`").replace("\n", " ")
 
 
 def _key(topic: Topic) -> str:
