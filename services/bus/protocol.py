@@ -116,7 +116,7 @@ def _bound(bound: float) -> str:
     """Format a bound; limits of integers are written as powers of two."""
     for power in (48, 53, 63):
         if abs(bound) == 2**power - 1:
-            return f"{'-' if bound < 0 else ''}(2^{power} - 1)"
+            return f"{'-' if bound < 0 else ''}(2^{power}-1)"
     return f"{bound:g}"
 
 
