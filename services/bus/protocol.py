@@ -56,7 +56,7 @@ def _table(name: str, argument: str, named: Iterable[str]) -> str:
         case "fields":
             topic = BY_KEY[argument]
             table = _fields(fields(topic.message_type))
-            return f"#### `{_key(topic)}`\n\n{_about(topic)} [Schema]({_schema(topic)})\n\n{table}"
+            return f"### `{_key(topic)}`\n\n{_about(topic)} [Schema]({_schema(topic)})\n\n{table}"
         case "part":
             return _fields(fields(getattr(messages, argument)))
         case "most":

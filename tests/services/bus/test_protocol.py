@@ -32,7 +32,7 @@ def test_what_is_in_docs_is_not_stale() -> None:
 def test_every_message_is_on_the_page_once_and_those_of_a_vehicle_with_all_their_fields() -> None:
     rows = re.findall(r"^\| \[`([\w/]+?)(?:/<node>)?`\]\((\S+)\)", PAGE, flags=re.M)
     assert sorted(key for key, _ in rows) == sorted(topic.key for topic in TOPICS)
-    sections = {text.partition("`")[0]: text for text in re.split(r"^#### `", PAGE, flags=re.M)[1:]}
+    sections = {text.partition("`")[0]: text for text in re.split(r"^### `", PAGE, flags=re.M)[1:]}
     assert {key for key, link in rows if link.startswith("#")} == set(sections)
     for key, section in sections.items():
         own = list(fields(BY_KEY[key].message_type))
