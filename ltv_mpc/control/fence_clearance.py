@@ -62,16 +62,6 @@ NO_PATH = np.empty((0, 2))
 """Path of a corridor that does not bound."""
 
 
-def bounds_track(scene: Scene) -> bool:
-    """Return True if a scene has a zone, an obstacle or a corridor.
-
-    Parameters
-    ----------
-    scene : of a cycle.
-    """
-    return len(scene.need) > 0 or len(scene.discs) > 0 or len(scene.path) > 1
-
-
 @jit
 def cross_track(scene: Scene, k: int, n: float, e: float) -> tuple[float, float, float]:
     """Return the distance of a point from the path beside knot k = 1 .. N, positive to starboard, and the normal there.
