@@ -23,9 +23,8 @@ class Solver(Protocol):
     solved is reported by the status of the result, not by an exception. The controller still treats an exception as a
     failed solve, because solvers of other authors may raise. docs/add-solver.md shows how to add one.
 
-    If another QP of the same cycle follows, the cycle calls ``draft()`` after ``build``, if the solver has it: it returns
-    an exact result that has not had the solver's last check, or None. If there is one, ``update`` and ``solve`` are left
-    out.
+    If another QP of the same cycle follows, the cycle calls ``draft()`` after ``build``, if the solver has it. It
+    returns an exact result without the solver's last check, which replaces ``update`` and ``solve``, or None.
     """
 
     def shift_warm_start(self, stages: float) -> None:

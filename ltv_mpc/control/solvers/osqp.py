@@ -10,8 +10,9 @@ this needs no additional factorisation.
 First guess: inputs and duals of all limits from the Riccati method (riccati.py), which nearly always are those of the
 solution. A forward sweep gives the states that they lead to; a backward sweep gives the duals of the dynamics
 (costates). OSQP then confirms the solution after one iteration. It does so for the last QP of a cycle, whose commands
-are sent; the solution of one before it is taken if it meets the conditions of the optimum (``draft``). Where the Riccati method does not apply (a cost that
-does not determine the inputs), the guess is no deviation, with the duals of the previous solve.
+are sent; the solution of one before it is taken if it meets the conditions of the optimum (``draft``). Where the
+Riccati method does not apply (a cost that does not determine the inputs), the guess is no deviation, with the duals of
+the previous solve.
 
 Over-relaxation is off: with step sizes this unequal the plain iteration is faster.
 
