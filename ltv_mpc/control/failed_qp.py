@@ -99,8 +99,8 @@ class _File(msgspec.Struct):
 
 
 @dataclass(frozen=True)
-class FailedQp:
-    """QP that was not solved, the names of its rows, and the solver's report."""
+class NamedQp:
+    """QP of a cycle, the names of its rows, and the solver's report."""
 
     qp: QP
     rows: tuple[ConstraintRow, ...]
@@ -119,7 +119,7 @@ class FailedQp:
         path.write_bytes(msgspec.msgpack.encode(content, enc_hook=to_wire))
 
     @classmethod
-    def load(cls, path: Path) -> FailedQp:
+    def load(cls, path: Path) -> NamedQp:
         """Read a file that ``save`` wrote.
 
         Parameters

@@ -8,10 +8,10 @@ import pytest
 from scipy.sparse import csc_array
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, references
-from ltv_mpc.control.failed_qp import FailedQp, row_names, worst_violation
+from ltv_mpc.control.failed_qp import NamedQp, row_names, worst_violation
 from ltv_mpc.control.ocp.assembly import scales
 from ltv_mpc.control.qp import QP
-from ltv_mpc.control.solvers.recorder import FailureRecorder
+from ltv_mpc.control.solvers.recorder import QpRecorder
 from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Solve
@@ -71,7 +71,7 @@ def test_faults_name_what_is_not_finite_and_bounds_that_exclude_each_other():
     qp.l[row] = qp.u[row] + 0.1
     qp.q[3] = np.nan
     qp.u[0] = np.nan
-    said = FailedQp(qp, rows, Solve(status=SolveStatus.FAILED)).faults()
+    said = NamedQp(qp, rows, Solve(status=SolveStatus.FAILED)).faults()
     assert said == [
         f"q: 1 of {len(qp.q)} numbers are not finite",
         "u of dynamics of north in stage 1 is not a number",
@@ -82,9 +82,9 @@ def test_faults_name_what_is_not_finite_and_bounds_that_exclude_each_other():
 def test_a_saved_problem_comes_back_as_it_was(tmp_path):
     qp, rows = built()
     qp.q[0] = np.nan
-    kept = FailedQp(qp, rows, Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="so"))
+    kept = NamedQp(qp, rows, Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="so"))
     kept.save(tmp_path / "one.qp")
-    back = FailedQp.load(tmp_path / "one.qp")
+    back = NamedQp.load(tmp_path / "one.qp")
     for name in ("q", "l", "u"):
         np.testing.assert_array_equal(getattr(back.qp, name), getattr(kept.qp, name))
     for name in ("P", "A"):
@@ -104,27 +104,27 @@ def broken(tmp_path, name):
     elif name == "another":
         path.write_bytes(msgspec.msgpack.encode({"q": [0.0, 0.0]}))
     elif name == "rows":
-        FailedQp(qp, rows[:1], Solve(status=SolveStatus.FAILED)).save(path)
+        NamedQp(qp, rows[:1], Solve(status=SolveStatus.FAILED)).save(path)
     elif name == "cut":
-        FailedQp(qp, rows, Solve(status=SolveStatus.FAILED)).save(path)
+        NamedQp(qp, rows, Solve(status=SolveStatus.FAILED)).save(path)
         path.write_bytes(path.read_bytes()[:200])
     elif name == "indices":
         qp.A.indices[:] = 7
-        FailedQp(qp, rows, Solve(status=SolveStatus.FAILED)).save(path)
+        NamedQp(qp, rows, Solve(status=SolveStatus.FAILED)).save(path)
     return path
 
 
 @pytest.mark.parametrize("name", ["absent", "text", "another", "rows", "cut", "indices"])
 def test_a_file_that_holds_none_is_refused_by_name(tmp_path, name):
     with pytest.raises(ConfigError, match=r"QP file .*\.qp: "):
-        FailedQp.load(broken(tmp_path, name))
+        NamedQp.load(broken(tmp_path, name))
 
 
 @pytest.fixture(scope="module")
 def content(tmp_path_factory):
     """Return the content of a file."""
     path = tmp_path_factory.mktemp("parts") / "one.qp"
-    FailedQp(*built(), Solve(status=SolveStatus.FAILED)).save(path)
+    NamedQp(*built(), Solve(status=SolveStatus.FAILED)).save(path)
     return msgspec.msgpack.decode(path.read_bytes())
 
 
@@ -146,7 +146,7 @@ def test_parts_of_another_kind_are_refused_by_name(tmp_path, content, wrong):
     path = tmp_path / "bad.qp"
     path.write_bytes(msgspec.msgpack.encode(content | wrong))
     with pytest.raises(ConfigError, match=r"QP file .*bad\.qp: is not a QP saved by this program"):
-        FailedQp.load(path)
+        NamedQp.load(path)
 
 
 def test_a_damaged_file_is_refused_or_read_wherever_it_is_damaged(tmp_path, content):
@@ -155,7 +155,7 @@ def test_a_damaged_file_is_refused_or_read_wherever_it_is_damaged(tmp_path, cont
     for place in range(0, len(data), len(data) // 100):
         path.write_bytes(data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :])
         try:
-            FailedQp.load(path)  # of a byte of a number, for example
+            NamedQp.load(path)  # of a byte of a number, for example
         except ConfigError:
             refused += 1
     assert refused > 10
@@ -163,7 +163,7 @@ def test_a_damaged_file_is_refused_or_read_wherever_it_is_damaged(tmp_path, cont
 
 def test_a_cycle_that_is_not_solved_says_so_and_keeps_its_problem():
     """Twelve iterations are not enough 2 m off with the heading wrong; what they came to is inside box and slew."""
-    recorder, config = FailureRecorder(), ControllerConfig(max_iterations=12, tolerance=1e-9, horizon_s=5.1)
+    recorder, config = QpRecorder(), ControllerConfig(max_iterations=12, tolerance=1e-9, horizon_s=5.1)
     controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0), config, make_solver=recorder)
     assert recorder.failed is None
     plan = controller.plan(Estimate.at_rest(north_m=2.0, heading_rad=2.0))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.failed_qp import FailedQp, row_names
+from ltv_mpc.control.failed_qp import NamedQp, row_names
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import linearise
 from ltv_mpc.control.ocp.assembly import problem_along, scales
@@ -31,7 +31,7 @@ def failure():
     layout = SparseLayout(problem)
     qp, rows = layout.assemble(layout.filled(problem)), row_names(layout, scales(limits))
     solve = Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="slew of port in stage 2 violated by 3 N")
-    return lambda: FailedQp(qp, rows, solve)
+    return lambda: NamedQp(qp, rows, solve)
 
 
 def shown(writer, t_ns):
@@ -49,7 +49,7 @@ def test_each_failure_is_written_once_and_announced(failure, tmp_path):
     (path,) = (tmp_path / "failed").iterdir()
     assert path.name == "qp-2.qp"
     assert lines == [f"a QP was not solved (slew of port in stage 2 violated by 3 N); saved: ltv-mpc qp show {path}"]
-    np.testing.assert_array_equal(FailedQp.load(path).qp.q, recorder.failed.qp.q)
+    np.testing.assert_array_equal(NamedQp.load(path).qp.q, recorder.failed.qp.q)
 
 
 def test_at_most_max_files_are_written(failure, tmp_path):
