@@ -2,14 +2,20 @@
 
 dead      its heartbeat pipe is closed and it has an exit code            (``managed_process.py``)
 hung      no heartbeat for the hang timeout: it is killed                 (``hang_detector.py``)
-restart   if the policy allows it, with the newest state it had published  (``restarts.py``, ``restore_state``)
+restart   with the newest state it had published                          (``restore_state``)
 back      its first message of work under a new epoch                     (``BusMonitor.last_activity``)
+
+A process is restarted if the process table allows it, all processes had been ready before, and fewer than
+``MAX_RESTARTS`` restarts of any process were done within the last ``WINDOW_S`` (as systemd's StartLimitBurst). Another
+restart does not repair a process that fails again and again; the run then ends in order, with the reason.
 """
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Collection
+from typing import NamedTuple
 
 import msgspec
 
@@ -20,20 +26,60 @@ from services.runtime.stopping import DONE
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.managed_process import ManagedProcess, describe_exit
-from services.supervisor.restarts import ProcessFailure, Recovery, RestartBudget, restart_refusal
 from services.supervisor.run_events import RECORDING_PROCESSES, RunEvents
+
+MAX_RESTARTS = 5
+WINDOW_S = 60.0
 
 RECOVERY_TIMEOUT_S = 60.0
 """Longest time from a restart to the first message; after it the process has failed again."""
 
 
+class ProcessFailure(NamedTuple):
+    """Death or hang of one process."""
+
+    node: str
+    how: str  # "was ended by SIGKILL", "hung: ..."
+    alive_s: float  # last sign of life: the newest heartbeat
+    seen_s: float  # when the supervisor noticed
+
+
+class Recovery(NamedTuple):
+    """Restarted process that has not shown yet that it works."""
+
+    failure: ProcessFailure
+    old_epoch: int  # epoch of the process that failed; 0 if it has none
+    started_s: float
+
+    def is_over(self, epoch: int, arrived_s: float) -> bool:
+        """Return True if a message of ``epoch`` that arrived at ``arrived_s`` shows that the new process works."""
+        return arrived_s > self.started_s and (epoch != self.old_epoch or self.old_epoch == 0)
+
+
 class RunFailed(Exception):
-    """End of a run by a failure, with the last log lines of the process that failed."""
+    """End of a run by a failure, with the last log lines of the process that failed.
+
+    ``in_order``: the other processes are well and may finish one after the other.
+    """
 
     def __init__(self, why: str, last_lines: tuple[str, ...] = (), *, in_order: bool = False) -> None:
         self.why = why
         self.last_lines = last_lines
         self.in_order = in_order
+
+
+class RestartBudget:
+    """Limit on the restarts of all processes together; times are seconds of one monotonic clock."""
+
+    def __init__(self) -> None:
+        self._restarts_s: deque[float] = deque(maxlen=MAX_RESTARTS)
+
+    def spend(self, now_s: float) -> bool:
+        """Spend one restart. Return False if none is left."""
+        if len(self._restarts_s) == MAX_RESTARTS and now_s - self._restarts_s[0] < WINDOW_S:
+            return False
+        self._restarts_s.append(now_s)
+        return True
 
 
 class FailureHandler:
@@ -46,8 +92,8 @@ class FailureHandler:
         self._children = children
         self._budget = RestartBudget()
         self._recoveries: dict[str, Recovery] = {}
-        self._monitor: BusMonitor | None = None
-        self._events: RunEvents | None = None
+        self._monitor: BusMonitor
+        self._events: RunEvents
 
     def connect(self, monitor: BusMonitor, events: RunEvents) -> None:
         """Use the run's bus, for the states of failed processes and to report events."""
@@ -75,8 +121,6 @@ class FailureHandler:
 
     def check_recoveries(self, now_s: float) -> None:
         """End the recoveries of processes that work again; restart those that do not come back in time."""
-        assert self._monitor is not None
-        assert self._events is not None
         for name, recovery in tuple(self._recoveries.items()):
             activity, failure = self._monitor.last_activity(name), recovery.failure
             if activity is not None and recovery.is_over(activity.epoch, activity.arrived_s):
@@ -108,17 +152,12 @@ class FailureHandler:
 
     def _restart(self, failure: ProcessFailure) -> None:
         name = failure.node
-        refusal = restart_refusal(
-            failure,
-            restartable=self._children.restartable(name),
-            had_started=self.all_ready,
-            budget=self._budget,
-        )
-        if refusal is not None:
-            lines = self._children.by_name[name].last_lines()
-            raise RunFailed(f"{refusal.why}; its last lines:", lines, in_order=refusal.in_order)
-        assert self._monitor is not None
-        assert self._events is not None
+        text, lines = f"{name} {failure.how}", self._children.by_name[name].last_lines()
+        if not self._children.restartable(name) or not self.all_ready:
+            raise RunFailed(f"{text}; its last lines:", lines)
+        if not self._budget.spend(failure.seen_s):
+            limit = f"the limit of {MAX_RESTARTS} restarts within {WINDOW_S:.0f} s is reached: stopping safely"
+            raise RunFailed(f"{text}; {limit}; its last lines:", lines, in_order=True)
         before = self._monitor.last_activity(name)
         self._children.restart(name, restore_state(name, self._monitor))
         self.restarts += 1

@@ -3,7 +3,7 @@
     prepare  router and live page, then compiled code if it is missing                   ``jit_cache.py``
     start    the recorder, then the others; each must report ready                       ``process_table.py``
     watch    heartbeats, failures, restarts, screen, until the plant's last step         ``failure_handler.py``
-    stop     nodes, then the recorder, which records all last messages, then the router  ``shutdown.py``
+    stop     nodes, then the recorder, which records all last messages, then the router  ``child_processes.py``
 
 Estimator, controller, recorder and router are restarted if they die or hang. Plant and sensors are the simulated world:
 if one of them fails, the run ends. Ctrl-C ends all processes within two seconds. No process outlives the supervisor
@@ -31,7 +31,7 @@ from services.run.folder import DELETED, RunFolder
 from services.run.run_config import RunConfig
 from services.run.summary import summarise_recording
 from services.runtime.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
-from services.supervisor import jit_cache, loopback, process_table, shutdown
+from services.supervisor import jit_cache, loopback, process_table
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.failure_handler import FailureHandler, RunFailed
@@ -172,8 +172,7 @@ class Supervisor:
                     completed=False, exit_code=code, why="stopped early; the messages recorded so far are kept"
                 )
             finally:
-                self.children.forks.close()
-                killed = shutdown.stop(self.children.by_name, in_order=in_order, close_session=sessions.close)
+                killed = self.children.stop(in_order=in_order, close_session=sessions.close)
                 self._cleanup.close()
         return self._final_check(killed)
 
