@@ -131,16 +131,14 @@ def main(
     if run([*PIP, "--quiet", "uv>=0.9"]) == 0:
         bytecode = () if keeps_bytecode else ("--compile-bytecode",)
         command = [*UV, "install", *bytecode, "--python", sys.executable, "-e", project]
-        if (
-            run([*command, "-c", LOCK, "-b", LOCK], env={**environment(), "UV_INDEX_STRATEGY": "unsafe-best-match"})
-            == 0
-        ):
+        env = environment()
+        if run([*command, "-c", LOCK, "-b", LOCK], env={**env, "UV_INDEX_STRATEGY": "unsafe-best-match"}) == 0:
             return done(project, began_s)
         if LOG.exists() and WRONG_HASH in LOG.read_bytes():
             print(f"a file that a package index gave is not the one of {LOCK}: see {LOG}", file=sys.stderr)
             return 1
         print(f"the package indexes lack a version of {LOCK}: the newest that pyproject.toml allows", flush=True)
-        if run(command, env=environment()) == 0:
+        if run(command, env=env) == 0:
             return done(project, began_s)
     print("without uv: pip installs, which takes a minute or two", flush=True)
     bytecode = "--no-compile" if keeps_bytecode else "--compile"
