@@ -19,20 +19,29 @@ from typing import NamedTuple
 
 import msgspec
 
-from ltv_mpc.messages import ControllerState, Estimate
+from ltv_mpc.messages import ControllerState, Estimate, RunEvent
+from services.bus.outbox import Outbox
+from services.bus.roles import SUPERVISOR
 from services.bus.topics import STATES
 from services.bus.wire import Header, encode
 from services.runtime.stopping import DONE
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.managed_process import ManagedProcess, describe_exit
-from services.supervisor.run_events import RECORDING_PROCESSES, RunEvents
+from services.supervisor.screen import Screen
 
 MAX_RESTARTS = 5
 WINDOW_S = 60.0
 
 RECOVERY_TIMEOUT_S = 60.0
 """Longest time from a restart to the first message; after it the process has failed again."""
+
+
+RECORDING_PROCESSES = frozenset({"router", "recorder"})
+"""Processes without which no event is recorded."""
+
+RECONNECT_S = 1.0
+"""Time after the router's return in which all processes have found it again."""
 
 
 class ProcessFailure(NamedTuple):
@@ -83,21 +92,36 @@ class RestartBudget:
 
 
 class FailureHandler:
-    """Restarts of one run. Until ``connect`` every failure ends the run."""
+    """Restarts of one run, with their events: shown at once, published as soon as they can be recorded.
 
-    def __init__(self, children: ChildProcesses) -> None:
+    Until ``connect`` every failure ends the run.
+    """
+
+    def __init__(self, children: ChildProcesses, screen: Screen) -> None:
         self.restarts = 0
         self.all_ready = False
         """Set once every process has been ready."""
         self._children = children
         self._budget = RestartBudget()
         self._recoveries: dict[str, Recovery] = {}
+        self._screen = screen
+        self._pending: list[RunEvent] = []  # not published yet
+        self._publish_from_s = 0.0
         self._monitor: BusMonitor
-        self._events: RunEvents
+        self._outbox: Outbox
 
-    def connect(self, monitor: BusMonitor, events: RunEvents) -> None:
+    def connect(self, monitor: BusMonitor, outbox: Outbox) -> None:
         """Use the run's bus, for the states of failed processes and to report events."""
-        self._monitor, self._events = monitor, events
+        self._monitor, self._outbox = monitor, outbox
+
+    @property
+    def settled(self) -> bool:
+        """True if every restarted process works again and all events are published."""
+        return not self._recoveries and not self._pending
+
+    def show(self, event: RunEvent) -> None:
+        """Print an event on the screen."""
+        self._screen.say(f"{event.t_ns / 1e9:.1f} s  {event.node}: {event.text}")
 
     @property
     def recovering(self) -> Collection[str]:
@@ -125,17 +149,18 @@ class FailureHandler:
             activity, failure = self._monitor.last_activity(name), recovery.failure
             if activity is not None and recovery.is_over(activity.epoch, activity.arrived_s):
                 del self._recoveries[name]
-                self._events.on_recovery(name, now_s)
+                if name in RECORDING_PROCESSES:
+                    self._publish_from_s = now_s + RECONNECT_S
                 took_s = activity.arrived_s - failure.alive_s
-                self._events.report(
-                    "restart", f"{name} {failure.how}; recovered {took_s:.2f} s after its last heartbeat"
-                )
+                self._report("restart", f"{name} {failure.how}; recovered {took_s:.2f} s after its last heartbeat")
             elif now_s - recovery.started_s > RECOVERY_TIMEOUT_S:
                 self._children.by_name[name].kill()
                 how = f"did not recover within {RECOVERY_TIMEOUT_S:.0f} s"
                 self._restart(ProcessFailure(name, how, failure.alive_s, now_s))
-        if not self._recoveries.keys() & RECORDING_PROCESSES:
-            self._events.publish_pending(now_s)
+        if now_s >= self._publish_from_s and not self._recoveries.keys() & RECORDING_PROCESSES:
+            for event in self._pending:
+                self._outbox.publish(event)
+            self._pending.clear()
 
     def _find_failure(self, name: str, child: ManagedProcess, now_s: float) -> ProcessFailure | None:
         """Return the failure of a process that is dead, or that hangs and is killed here."""
@@ -169,7 +194,13 @@ class FailureHandler:
             started_s=time.monotonic(),
         )
         silent_s = failure.seen_s - failure.alive_s
-        self._events.report("fault", f"{name} {failure.how}; detected {silent_s:.2f} s after its last heartbeat")
+        self._report("fault", f"{name} {failure.how}; detected {silent_s:.2f} s after its last heartbeat")
+
+    def _report(self, kind: str, text: str) -> None:
+        """Show an event, and queue it for publication."""
+        event = RunEvent(t_ns=self._monitor.t_ns() or 0, node=SUPERVISOR, kind=kind, text=text)
+        self.show(event)
+        self._pending.append(event)
 
 
 def restore_state(node: str, monitor: BusMonitor) -> bytes:

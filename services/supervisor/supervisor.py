@@ -38,7 +38,6 @@ from services.supervisor.failure_handler import FailureHandler, RunFailed
 from services.supervisor.live_view import live_view
 from services.supervisor.managed_process import describe_exit, last_lines
 from services.supervisor.parent_death import OrphanCleanup
-from services.supervisor.run_events import RunEvents
 from services.supervisor.screen import LivePage, LiveView, Screen
 from sim.evaluation.summary import Summary
 
@@ -109,7 +108,6 @@ class Supervisor:
         self.children: ChildProcesses
         self.failures: FailureHandler
         self._monitor: BusMonitor | None = None  # None before the connection to the bus
-        self._events: RunEvents | None = None
 
     def run(self, certs: Path | None = None) -> Outcome:
         """Run from the first process to the last and write the summary, also of a run that was interrupted."""
@@ -143,17 +141,12 @@ class Supervisor:
     def _logs(self) -> Path:
         return self._folder.path / "logs"
 
-    @property
-    def recovered(self) -> bool:
-        """True if every restarted process works again and all events are published."""
-        return not self.failures.recovering and not (self._events is not None and self._events.pending)
-
     def _supervise(self, certs: Path | None) -> Outcome:
         in_order = False
         with ExitStack() as sessions:
             self._cleanup = OrphanCleanup()
             self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group)
-            self.failures = FailureHandler(self.children)
+            self.failures = FailureHandler(self.children, self._screen)
             try:
                 context = self._open_bus(certs)
                 self._fill_jit_cache()
@@ -269,8 +262,7 @@ class Supervisor:
     def _connect(self, session: Session, rows: Sequence[process_table.ProcessRow]) -> None:
         outbox = Outbox(session, node=SUPERVISOR, epoch=new_epoch(), kinds=(RunEvent,))
         self._monitor = BusMonitor(session, [row.name for row in rows])
-        self._events = RunEvents(outbox, self._monitor, self._screen)
-        self.failures.connect(self._monitor, self._events)
+        self.failures.connect(self._monitor, outbox)
 
     # --- watching ----------------------------------------------------------------------------------------------------
 
@@ -297,8 +289,7 @@ class Supervisor:
             raise RunFailed(f"{self._folder.path}: {DELETED}")
         now_s = time.monotonic()
         self.failures.check(now_s)
-        monitor, events = self._monitor, self._events
-        if monitor is None or events is None:
+        if (monitor := self._monitor) is None:
             return
         for name in monitor.kill_requests():
             if name in self.children.by_name:  # handled as any other failure
@@ -310,7 +301,7 @@ class Supervisor:
             self.children.forks.replace_if_dead()
         for event in monitor.new_events():
             if event.node != SUPERVISOR:
-                events.show(event)
+                self.failures.show(event)
         self._screen.update(self._view(monitor, now_s))
 
     def _view(self, monitor: BusMonitor, now_s: float) -> LiveView:

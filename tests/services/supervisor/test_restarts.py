@@ -21,7 +21,12 @@ from services.supervisor.failure_handler import (
 )
 from services.supervisor.parent_death import OrphanCleanup
 from services.supervisor.process_table import ProcessRow
+from services.supervisor.screen import Screen
 from tests.waiting import until
+
+
+class NoScreen(Screen):
+    """Screen that shows nothing."""
 
 
 class Nothing(msgspec.Struct):
@@ -42,7 +47,7 @@ def crew(tmp_path: Path) -> Iterator[ChildProcesses]:
 
 def failure_of(crew: ChildProcesses, *, restartable: bool, ready: bool, restarts: int = 0) -> RunFailed:
     """Return how the run ends when a process that ends at once is checked, after this number of restarts."""
-    handler = FailureHandler(crew)
+    handler = FailureHandler(crew, NoScreen())
     handler.all_ready = ready
     for _ in range(restarts):
         handler._budget.spend(time.monotonic())
