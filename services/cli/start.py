@@ -136,7 +136,7 @@ def sim(
 ) -> int:
     """Run a scenario as processes, or in lock step.
 
-    SCENARIO is a shipped name (demo, descent, hover) or a TOML file. Precedence: option, --set, file, default.
+    Precedence: option, --set, file, default.
     """
     if not lockstep:
         _interpret()

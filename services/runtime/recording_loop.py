@@ -20,10 +20,11 @@ from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.rate_limit import RateLimit
 from services.bus.roles import HISTORY
+from services.bus.sequence_check import FAR_AHEAD
 from services.bus.session import Reply, open_session
 from services.bus.wire import Header, WireError, crc, from_map, header_of, unpack
+from services.recording.acceptance import LATE, Acceptance
 from services.recording.history import read_query
-from services.recording.loss_accounting import LossAccounting
 from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
 from services.runtime.clock import monotonic_us
@@ -72,7 +73,7 @@ class RecordingLoop:
         self._time = PublicationTime(start_ns=start_ns, say=say)
         self._waiting: list[_Unpacked] = []
         self._unknown_keys = RateLimit()
-        self._losses = LossAccounting()
+        self._acceptance = Acceptance()
         self._publish_counts = PublishCounts()
         self.received = 0
         self.rejected = 0
@@ -82,7 +83,7 @@ class RecordingLoop:
     @property
     def dropped(self) -> int:
         """Number of published messages that are not in the file, as far as known."""
-        return self._losses.missing
+        return self._acceptance.losses.missing
 
     @property
     def missing(self) -> dict[str, int]:
@@ -159,7 +160,7 @@ class RecordingLoop:
         """Count and report the messages that the disk did not take."""
         for key, epoch in self._writer.refused():
             self.received -= 1
-            self._losses.mark_lost(key, epoch)
+            self._acceptance.losses.mark_lost(key, epoch)
             self._publish_counts.discount(epoch)
         for text in self._writer.news():
             self._say(text)
@@ -172,7 +173,7 @@ class RecordingLoop:
     def _account(self, unwritten: int) -> str:
         """Return the losses as a text; empty if there are none."""
         gaps = [f"{count} of {node}" for node, count in self.missing.items()]
-        gaps += [f"{count} on {key}" for key, count in self._losses.by_key().items()]
+        gaps += [f"{count} on {key}" for key, count in self._acceptance.losses.by_key().items()]
         gaps += [f"{unwritten} that still waited to be written"] if unwritten else []
         return f"lost: {', '.join(gaps)}" if gaps else ""
 
@@ -237,10 +238,11 @@ class RecordingLoop:
         # only a restarted recorder begins after the others.
         begins_late = self._writer.resumes or self._time.beside_vehicle
         if not self._publish_counts.count(header.epoch, late=begins_late and header.sequence > 0):
-            is_new = self._losses.start_at(frame.key, header.epoch, header.sequence)
+            is_new = self._acceptance.losses.start_at(frame.key, header.epoch, header.sequence)
             if is_new and kind is StepRecord and not self._writer.resumes:
                 self._say(BEGAN_BEFORE.format(plain_map.get("node")))
-        if not self._losses.add(frame.key, header.epoch, header.sequence):
+        refused = self._acceptance.count(frame.topic, frame.key, header, frame.received_monotonic_us)
+        if refused and refused is not LATE and not refused.startswith(FAR_AHEAD):
             self._publish_counts.discount(header.epoch)
         self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
         if isinstance(message, NodeStatus) and message.finished:

@@ -26,6 +26,7 @@ from ltv_mpc.messages import (
 )
 from services.bus.latest_cache import LatestCache
 from services.bus.mailbox import Mailbox
+from services.bus.message_validation import message_at
 from services.bus.roles import ROUTER
 from services.bus.session import Session
 from services.bus.topics import BY_TYPE, Topic, expression
@@ -92,7 +93,7 @@ class BusMonitor:
         payload, message = self._decoded.get(frame_key, (b"", None))
         if payload is not frame.payload:
             try:
-                message = decode(kind, frame.payload)[0]
+                message = message_at(frame.topic, frame_key, unpack(frame.payload))[0]
             except WireError:  # counted by the processes that read it
                 message = None
             self._decoded[frame_key] = frame.payload, message
@@ -165,4 +166,6 @@ def _taken(mailbox: Mailbox, kind: type[S]) -> Iterator[S]:
     """Yield the messages that wait in a mailbox; frames that are none are skipped."""
     while (frame := mailbox.take(0.0)) is not None:
         with contextlib.suppress(WireError):
-            yield decode(kind, frame.payload)[0]
+            message = message_at(BY_TYPE[kind], frame.key, unpack(frame.payload))[0]
+            if isinstance(message, kind):
+                yield message

@@ -24,6 +24,7 @@ from services.bus.outbox import Outbox
 from services.bus.roles import SUPERVISOR
 from services.bus.topics import STATES
 from services.bus.wire import Header, encode
+from services.recording.writer import ENDED
 from services.runtime.stopping import DONE
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
@@ -119,6 +120,11 @@ class FailureHandler:
         """True if every restarted process works again and all events are published."""
         return not self._recoveries and not self._pending
 
+    def end(self, why: str) -> None:
+        """Publish at once why the run ends early; the screen shows it as the outcome of the run."""
+        self._pending.append(RunEvent(t_ns=self._monitor.t_ns() or 0, node=SUPERVISOR, kind=ENDED, text=why))
+        self._publish()
+
     def show(self, event: RunEvent) -> None:
         """Print an event on the screen."""
         self._screen.say(f"{event.t_ns / 1e9:.1f} s  {event.node}: {event.text}")
@@ -158,9 +164,7 @@ class FailureHandler:
                 how = f"did not recover within {RECOVERY_TIMEOUT_S:.0f} s"
                 self._restart(ProcessFailure(name, how, failure.alive_s, now_s))
         if now_s >= self._publish_from_s and not self._recoveries.keys() & RECORDING_PROCESSES:
-            for event in self._pending:
-                self._outbox.publish(event)
-            self._pending.clear()
+            self._publish()
 
     def _find_failure(self, name: str, child: ManagedProcess, now_s: float) -> ProcessFailure | None:
         """Return the failure of a process that is dead, or that hangs and is killed here."""
@@ -201,6 +205,11 @@ class FailureHandler:
         event = RunEvent(t_ns=self._monitor.t_ns() or 0, node=SUPERVISOR, kind=kind, text=text)
         self.show(event)
         self._pending.append(event)
+
+    def _publish(self) -> None:
+        for event in self._pending:
+            self._outbox.publish(event)
+        self._pending.clear()
 
 
 def restore_state(node: str, monitor: BusMonitor) -> bytes:

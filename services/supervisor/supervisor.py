@@ -20,6 +20,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import msgspec
+
 from ltv_mpc.errors import format_value, one_line
 from ltv_mpc.messages import NodeStatus, RunEvent
 from services.bus.options import SECURE, BusOptions
@@ -29,7 +31,7 @@ from services.bus.session import Session, Stopped, open_session
 from services.recording import join
 from services.run.folder import DELETED, RunFolder
 from services.run.run_config import RunConfig
-from services.run.summary import summarise_recording
+from services.run.summary import STOPPED, summarise_recording
 from services.runtime.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
 from services.supervisor import jit_cache, loopback, process_table
 from services.supervisor.bus_monitor import BusMonitor
@@ -42,6 +44,8 @@ from services.supervisor.screen import LivePage, LiveView, Screen
 from sim.evaluation.summary import Summary
 
 TICK_S = 0.05
+LAST_LINES = "; its last lines:"
+"""End of a reason that the last lines of a log follow."""
 READY_TIMEOUT_S = 60.0
 """Longest time from a process's start to its first status. The slowest process needs 2 s on busy cores, or 30 s if it
 must compile."""
@@ -53,7 +57,7 @@ DRAWING_TIMEOUT_S = 5.0
 class Outcome:
     """Outcome of a run. ``why`` and the last log lines of the failed process are empty if the run completed.
 
-    ``summary`` is None if the controller has not done a cycle.
+    ``summary`` is None if nothing was recorded.
     """
 
     completed: bool
@@ -119,16 +123,21 @@ class Supervisor:
         """Join the segments of the recording and write the summary. Return the outcome with the summary."""
         for text in join.segments_of(self._folder.recording):
             self._screen.say(text)
+        why = outcome.why.removesuffix(LAST_LINES)
+        if why and self._page is not None:
+            self._page.show(f"failed: {one_line(why)}")
         recorder = None if self._monitor is None else self._monitor.newest(NodeStatus, "recorder")
         summary, water = summarise_recording(
             self._run_config,
             self._folder.recording,
             restarts=self.failures.restarts,
             unrecorded=0 if recorder is None else recorder.dropped,
+            why=why,
         )
         if summary.cycles == 0:
-            why = f"{self._folder.recording}: no cycle of the controller is recorded"
-            return replace(outcome, completed=False, exit_code=outcome.exit_code or FAILED, why=outcome.why or why)
+            why = outcome.why or f"{self._folder.recording}: no cycle of the controller is recorded"
+            outcome = replace(outcome, completed=False, exit_code=outcome.exit_code or FAILED, why=why)
+            summary = msgspec.structs.replace(summary, completed=False, why=why.removesuffix(LAST_LINES))
         outcome = replace(outcome, summary=summary)
         try:
             self._folder.write_result(summary, water)
@@ -158,16 +167,19 @@ class Supervisor:
                 return Outcome(completed=False, exit_code=FAILED, why=str(error))
             except RunFailed as failure:
                 in_order = failure.in_order
-                return Outcome(completed=False, exit_code=FAILED, why=failure.why, last_lines=failure.last_lines)
+                return self._ended_early(failure.why, FAILED, failure.last_lines)
             except Stopped:
-                code = INTERRUPTED if self._request.interrupted else FAILED
-                return Outcome(
-                    completed=False, exit_code=code, why="stopped early; the messages recorded so far are kept"
-                )
+                return self._ended_early(STOPPED, INTERRUPTED if self._request.interrupted else FAILED)
             finally:
                 killed = self.children.stop(in_order=in_order, close_session=sessions.close)
                 self._cleanup.close()
         return self._final_check(killed)
+
+    def _ended_early(self, why: str, code: int, lines: tuple[str, ...] = ()) -> Outcome:
+        """Say in the recording why the run ends before its end."""
+        if self._monitor is not None:
+            self.failures.end(why.removesuffix(LAST_LINES))
+        return Outcome(completed=False, exit_code=code, why=why, last_lines=lines)
 
     def _final_check(self, killed: Sequence[str]) -> Outcome:
         """Check that every process ended by itself and without an error, now that the run is complete."""

@@ -27,6 +27,7 @@ from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import OPERATOR
+from services.recording import info
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.replay import replay
@@ -375,6 +376,11 @@ def test_a_failed_simulation_process_ends_the_run_with_its_last_lines(tmp_path: 
     assert any("sensors: waiting for" in line for line in outcome.last_lines)
     assert outcome.why in screen.said
     assert not children_of(os.getpid())
+    why = "sensors was ended by SIGKILL"
+    summary = folder.read_summary(run.recording)
+    assert summary["completed"] is False
+    assert summary["why"].startswith(why)
+    assert info.read([run.recording]).why == summary["why"]
     recording, count, _ = recorded(run.recording)
     assert not recording.cut
     assert count["world/truth"] > 0
