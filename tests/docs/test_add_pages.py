@@ -145,7 +145,7 @@ assert run(["horizon", "no-such-vehicle"]) == 2
 from matplotlib.figure import Figure
 from msgspec.structs import replace
 from ltv_mpc import Estimate
-from services.reporting.figures.renderer import Run, draw
+from benchmarks.paper.renderer import Run, draw
 from services.reporting.plots.catalogue import SPEED, PLOTS
 from services.reporting.plots.collector import Collector
 
