@@ -120,7 +120,7 @@ def one(job: Job) -> Solved:
         solved.origin.append(plan.origin)
         solved.iterations.append(plan.solve.iterations)
         if failures.failed is not None and job.keep is not None:
-            failures.failed.save(job.keep / f"{job.seed}-{cycle}.npz")
+            failures.failed.save(job.keep / f"{job.seed}-{cycle}.qp")
             failures.failed = None
         estimate = advance(vehicle, estimate, plan, duration_s=config.period_s)
     return solved

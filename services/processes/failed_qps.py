@@ -28,7 +28,7 @@ class FailedQps:
         if failed is None or failed is self._seen or self.written >= self._max_files:
             return
         self._seen = failed
-        path = self._folder / f"qp-{status.t_ns}.npz"
+        path = self._folder / f"qp-{status.t_ns}.qp"
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             failed.save(path)

@@ -17,7 +17,7 @@ from services.recording.writer import RunWriter
 from services.run.folder import DELETED, RunFolder
 from services.run.nodes import make_nodes
 from services.run.run_config import RunConfig
-from services.run.summary import LOCKSTEP, summarise
+from services.run.summary import LOCKSTEP, STOPPED, summarise
 from services.run.water import EstimatedCurrent
 from sim.evaluation.metrics import RunMetrics
 from sim.evaluation.summary import Messages, Summary
@@ -103,6 +103,7 @@ def simulate(
         make_rejection=rejected_message,
     )
     failure: OSError | None = None
+    done = False
     try:
         for t_ns in (*range(scenario.start_ns, scenario.end_ns, PROGRESS_NS), scenario.end_ns):
             if stop():
@@ -110,11 +111,14 @@ def simulate(
             lockstep.advance(t_ns)
             if progress is not None:
                 progress(t_ns)
+        else:
+            done = True
     except OSError as error:
         failure = error
     records = sum(lockstep.steps.values()) if recorded else 0
     messages = Messages(published=lockstep.published + records, dropped=0, rejected=log.rejected_count)
-    summary = summarise(run_config, log.metrics, mode=LOCKSTEP, messages=messages)
+    why = f"the run cannot be stored: {failure.strerror}" if failure else "" if done else STOPPED
+    summary = summarise(run_config, log.metrics, mode=LOCKSTEP, messages=messages, why=why)
     if failure is not None:
         raise NotStored(failure, summary)
     return summary

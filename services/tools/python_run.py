@@ -225,17 +225,14 @@ def summary_of(recording: Path) -> dict[str, Any]:
 
     It is empty for the recording of a real vehicle: without a truth there are no errors to summarise.
     """
-    try:
-        found = json.loads(recording.with_name("summary.json").read_text(encoding="utf-8"))
-        return found if isinstance(found, dict) else {}
-    except (OSError, ValueError):
-        pass
+    if found := folder.read_summary(recording):
+        return found
     try:
         run_config = resolve(str(recording.with_name("scenario.toml")))
     except ConfigError:
         return {}
     graded = summarise_recording(run_config, recording)[0]
-    plain: dict[str, Any] = msgspec.to_builtins(graded) if graded.cycles else {}
+    plain: dict[str, Any] = msgspec.to_builtins(graded) if graded.cycles or graded.why else {}
     return {key: value for key, value in plain.items() if key not in ("mode", "speed")}  # taken from the recording
 
 

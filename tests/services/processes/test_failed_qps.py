@@ -47,7 +47,7 @@ def test_each_failure_is_written_once_and_announced(failure, tmp_path):
     shown(writer, 2)
     shown(writer, 3)
     (path,) = (tmp_path / "failed").iterdir()
-    assert path.name == "qp-2.npz"
+    assert path.name == "qp-2.qp"
     assert lines == [f"a QP was not solved (slew of port in stage 2 violated by 3 N); saved: ltv-mpc qp show {path}"]
     np.testing.assert_array_equal(NamedQp.load(path).qp.q, recorder.failed.qp.q)
 
@@ -70,8 +70,8 @@ def test_a_folder_that_cannot_be_written_is_reported(failure, tmp_path):
 
 def test_qp_show_solves_it_again_and_lists_the_active_rows(failure, tmp_path, capsys):
     failed = failure()
-    failed.save(tmp_path / "one.npz")
-    assert run(["qp", "show", str(tmp_path / "one.npz"), "--json"]) == 0
+    failed.save(tmp_path / "one.qp")
+    assert run(["qp", "show", str(tmp_path / "one.qp"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["rows"] == len(failed.rows)
     assert printed["failed"]["iterations"] == 400
@@ -79,12 +79,12 @@ def test_qp_show_solves_it_again_and_lists_the_active_rows(failure, tmp_path, ca
     assert printed["solved_again"]["stationarity"] < 1e-4
     slew = [name for name in printed["solved_again"]["active"] if name.startswith("slew of")]
     assert slew
-    assert run(["qp", "show", str(tmp_path / "one.npz")]) == 0
+    assert run(["qp", "show", str(tmp_path / "one.qp")]) == 0
     text = capsys.readouterr().out
     assert "slew of port in stage 2 violated by 3 N" in text
     assert "active    slew of" in text
 
 
 def test_a_missing_file_is_rejected(tmp_path, capsys):
-    assert run(["qp", "show", str(tmp_path / "none.npz")]) == 2
+    assert run(["qp", "show", str(tmp_path / "none.qp")]) == 2
     assert "no such file" in capsys.readouterr().err
