@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import msgspec
 
+from sim.evaluation.further import Further
+
 
 class Spread(msgspec.Struct, frozen=True, kw_only=True):
     """Statistics of an error over time (m)."""
@@ -77,6 +79,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     true_error_m: Spread  # truth to reference
     localisation_error_m: Spread  # estimate to truth: the estimator's part
     localisation_error_absolute_m: Spread  # including the error at t = 0
+    further: Further
     thrust: Thrust
     fence: tuple[ZoneFigures, ...]  # zones of all fences that were in force
     arrived_s: float | None  # vehicle time of the first arrival at the end of a reference; null: none
