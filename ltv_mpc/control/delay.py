@@ -10,7 +10,7 @@ so that a plan is rarely late, and a delay that never varies is expected as it i
 delays that are much longer than the usual ones: the actuators start such a plan where it is due, and to expect them
 costs every cycle a longer prediction, with the errors of the model. A receipt after the end of the plan is not counted:
 the actuators do not follow such a plan, so a stamp is wrong. After ``LONGER`` measurements in a row above the expected
-delay, or ``SHORTER`` below the median, the delay has changed, and older ones are dropped (docs/notes/late-plans.md).
+delay, or ``SHORTER`` below the median, the delay has changed, and older ones are dropped (docs/notes/control-studies.md).
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ class Delay:
         min_ns : lower bound of what is expected (ns).
         plan_ns : time for which a plan is followed (ns); a longer delay until a receipt is not counted.
         """
-        self._expected_ns = max(first_ns, min_ns)
+        self.expected_ns = max(first_ns, min_ns)
+        """Expected time from the start of a cycle to its plan's arrival (ns)."""
         self._quantile = quantile
         self._min_ns = min_ns
         self._plan_ns = plan_ns
@@ -64,7 +65,7 @@ class Delay:
         receipts : delays until the plans' arrival (ns).
         computing : computing times (ns).
         """
-        self._expected_ns = max(first_ns, self._min_ns)
+        self.expected_ns = max(first_ns, self._min_ns)
         self._receipts = deque(receipts, WINDOW_CYCLES)
         self._computing = deque(computing, WINDOW_CYCLES)
         self._last_receipt = None
@@ -94,10 +95,6 @@ class Delay:
         """
         self._add(self._computing, timing.compute_ns)
 
-    def expected_ns(self) -> int:
-        """Return the expected time from the start of a cycle to its plan's arrival (ns)."""
-        return self._expected_ns
-
     def _add(self, measured: deque[int], took_ns: int) -> None:
         """Add a measurement, and drop the ones before it if the delay has changed."""
         measured.append(took_ns)
@@ -118,4 +115,4 @@ class Delay:
         )
         self._median_ns = median
         self._usual_ns = min(high + (high - median), median + FARTHEST * (usual - median))
-        self._expected_ns = max(round(self._usual_ns), self._min_ns)
+        self.expected_ns = max(round(self._usual_ns), self._min_ns)

@@ -52,7 +52,7 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
 
 
 class PrintedStream:
-    """Standard stream that escapes the control characters of all that is printed (``printable``).
+    """Standard stream that escapes the control characters of what is printed (``printable``).
 
     What draws with control characters, as rich and a status line do, escapes its texts and writes to ``drawn(stream)``.
     """

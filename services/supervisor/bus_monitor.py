@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple, TypeVar
 
 from ltv_mpc.messages import (
@@ -25,6 +26,7 @@ from ltv_mpc.messages import (
 )
 from services.bus.latest_cache import LatestCache
 from services.bus.mailbox import Mailbox
+from services.bus.message_validation import message_at
 from services.bus.roles import ROUTER
 from services.bus.session import Session
 from services.bus.topics import BY_TYPE, Topic, expression
@@ -91,7 +93,7 @@ class BusMonitor:
         payload, message = self._decoded.get(frame_key, (b"", None))
         if payload is not frame.payload:
             try:
-                message = decode(kind, frame.payload)[0]
+                message = message_at(frame.topic, frame_key, unpack(frame.payload))[0]
             except WireError:  # counted by the processes that read it
                 message = None
             self._decoded[frame_key] = frame.payload, message
@@ -144,23 +146,11 @@ class BusMonitor:
 
     def kill_requests(self) -> list[str]:
         """Return the processes that an operator has asked to kill since the last call."""
-        nodes = []
-        while (frame := self._kills.take(0.0)) is not None:
-            try:
-                nodes.append(decode(Kill, frame.payload)[0].node)
-            except WireError:
-                continue
-        return nodes
+        return [request.node for request in _taken(self._kills, Kill)]
 
     def new_events(self) -> list[RunEvent]:
         """Return the run events since the last call."""
-        events = []
-        while (frame := self._events.take(0.0)) is not None:
-            try:
-                events.append(decode(RunEvent, frame.payload)[0])
-            except WireError:
-                continue
-        return events
+        return list(_taken(self._events, RunEvent))
 
     def t_ns(self) -> int | None:
         """Return the vehicle time; None while it is not known."""
@@ -170,3 +160,12 @@ class BusMonitor:
             except ClockError:
                 return None
         return self._clock.read(monotonic_us())
+
+
+def _taken(mailbox: Mailbox, kind: type[S]) -> Iterator[S]:
+    """Yield the messages that wait in a mailbox; frames that are none are skipped."""
+    while (frame := mailbox.take(0.0)) is not None:
+        with contextlib.suppress(WireError):
+            message = message_at(BY_TYPE[kind], frame.key, unpack(frame.payload))[0]
+            if isinstance(message, kind):
+                yield message
