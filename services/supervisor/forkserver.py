@@ -31,7 +31,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -49,9 +49,10 @@ PROGRAM = ("-m", "services.supervisor.forkserver")
 NAME = "ltv-forkserver"
 MAX_REQUEST_BYTES = 65_536
 DESCRIPTORS = 2
-REPLY_TIMEOUT_S, LOADING_REPLY_TIMEOUT_S = 2.0, 5.0
-"""A fork takes about 10 ms, about 100 ms on a busy machine; of a server that loads, up to a second. A server that does
-not reply in time is killed."""
+REPLY_TIMEOUT_S, LOADING_REPLY_TIMEOUT_S = 2.0, 20.0
+"""A fork takes about 10 ms, about 100 ms on a busy machine; of a server that starts or loads, up to some seconds there.
+A server that does not reply in time is killed."""
+POLL_S = 0.1
 
 ADOPTION_TIMEOUT_S = 2.0  # a child waits at most this long for its new parent, which may have died
 PIPE_BYTES = 1 << 20  # a state fits into the pipe, so that a stopped child does not block the supervisor
@@ -80,11 +81,12 @@ class ForkServer:
     """Handle of the fork server; one that dies or does not answer is replaced.
 
     Construct it in the main thread: the server and its children end with that thread (parent_death.py). ``group`` is
-    the process group of all of them.
+    the process group of all of them; ``stop`` ends a wait for a reply.
     """
 
-    def __init__(self, scenario: Path, log: Path, group: int) -> None:
+    def __init__(self, scenario: Path, log: Path, group: int, stop: Callable[[], bool] = lambda: False) -> None:
         self.log = log
+        self._stop = stop
         self._scenario = scenario
         self._group = group
         self._loads = False
@@ -135,7 +137,9 @@ class ForkServer:
                 self.load()
 
     def fork(self, module: str, config: Path, log: Path) -> Forked:
-        """Fork a child. Raises ``ChildProcessError`` if neither this server nor another one replies in time."""
+        """Fork a child. Raises ``ChildProcessError`` if neither this server nor another one replies in time, and
+        ``InterruptedError`` after a stop request.
+        """
         request = msgspec.json.encode(Request(module, str(config), str(log)))
         for _ in range(2):
             stdin, into_stdin = os.pipe()
@@ -150,6 +154,8 @@ class ForkServer:
                 return Forked(pid, into_stdin, heartbeats)
             os.close(into_stdin)  # a child that was forked too late ends at the end of its input
             os.close(heartbeats)
+            if self._stop():
+                raise InterruptedError
             self._process.kill()
             self._process.wait()
             self.replace_if_dead()
@@ -166,18 +172,23 @@ class ForkServer:
         self._process.wait()
 
     def _request_fork(self, request: bytes, descriptors: tuple[int, int]) -> int | None:
-        with contextlib.suppress(OSError):
+        """Return the pid of the child; None if the server does not reply in time, or a stop is requested."""
+        with contextlib.suppress(ConnectionError):  # the server has died
             socket.send_fds(self._requests, [request], descriptors)
-            timeout_s = REPLY_TIMEOUT_S if self._loaded else LOADING_REPLY_TIMEOUT_S
-            while select.select([self._requests], [], [], timeout_s)[0]:
-                if (pid := self._reply()) != LOADED:
-                    return pid
-                self._loaded = True
+            until = time.monotonic() + (REPLY_TIMEOUT_S if self._loaded else LOADING_REPLY_TIMEOUT_S)
+            while time.monotonic() < until and not self._stop():
+                if select.select([self._requests], [], [], POLL_S)[0]:
+                    if (pid := self._reply()) != LOADED:
+                        return pid
+                    self._loaded = True
         return None
 
     def _reply(self) -> int | None:
-        data = self._requests.recv(PID.size)
-        return int(PID.unpack(data)[0]) if data else None
+        """Return the next reply; None if the server has died."""
+        with contextlib.suppress(ConnectionError):
+            if data := self._requests.recv(PID.size):
+                return int(PID.unpack(data)[0])
+        return None
 
 
 def _set_subreaper(on: bool) -> None:

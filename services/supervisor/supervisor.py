@@ -154,7 +154,7 @@ class Supervisor:
         in_order = False
         with ExitStack() as sessions:
             self._cleanup = OrphanCleanup()
-            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group)
+            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group, self._request)
             self.failures = FailureHandler(self.children, self._screen)
             try:
                 context = self._open_bus(certs)
@@ -164,11 +164,11 @@ class Supervisor:
                 self._wait_until(lambda: self.children.run_complete, None, "")
                 in_order = True
             except ChildProcessError as error:
-                return Outcome(completed=False, exit_code=FAILED, why=str(error))
+                return self._ended_early(str(error), FAILED)
             except RunFailed as failure:
                 in_order = failure.in_order
                 return self._ended_early(failure.why, FAILED, failure.last_lines)
-            except Stopped:
+            except (Stopped, InterruptedError):
                 return self._ended_early(STOPPED, INTERRUPTED if self._request.interrupted else FAILED)
             finally:
                 killed = self.children.stop(in_order=in_order, close_session=sessions.close)

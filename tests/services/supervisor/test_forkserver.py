@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -131,6 +132,16 @@ def test_a_stopped_fork_server_is_replaced_and_what_it_forks_too_late_ends(
     child.close()
     assert child.exit_code() == 7
     until(lambda: set(own_children()) <= (before - {first}) | {server.pid})
+
+
+def test_a_stop_request_ends_the_wait_for_a_stopped_fork_server(tmp_path: Path, group: int) -> None:
+    stop = threading.Event()
+    server = ForkServer(tmp_path / "scenario.toml", tmp_path / "forkserver.log", group, stop.is_set)
+    os.kill(server.pid, signal.SIGSTOP)
+    threading.Timer(0.1, stop.set).start()
+    with pytest.raises(InterruptedError):
+        forked(server, tmp_path / "log", "plant", "sleeps")
+    server.close()
 
 
 def own_children() -> Iterator[int]:
