@@ -246,15 +246,15 @@ class Supervisor:
             self._tick()
 
     def _start(self, sessions: ExitStack, context: process_table.RunContext) -> None:
-        """Start the processes in the order of the table, each after those that it needs are ready."""
+        """Start the processes in the order of the table, the recorder first."""
         rows = process_table.processes(self._run_config.scenario)
         session = open_session(bus_options(context), stop=self._request, say=self._screen.say)
         sessions.enter_context(session)
         self._connect(session, rows)
         others = rows[1:]  # the router runs
         for row in others:
-            for name in row.needs:
-                self._wait_until_ready(name)
+            if row is others[1]:
+                self._wait_until_ready(others[0].name)  # the recorder: it records the first message of all others
             if row is others[-1]:
                 self._wait_for_drawing()  # the clock starts when the last process is ready
             self._start_process(row, context)

@@ -190,7 +190,7 @@ def crew(tmp_path: Path, group: int) -> Iterator[ChildProcesses]:
 def test_a_dead_fork_server_kills_no_child_and_is_replaced(crew: ChildProcesses) -> None:
     first = crew.forks.pid
     for name in ("plant", "sensors"):
-        crew.start(ProcessRow(name, "quick", True, ()), Quick("sleeps"))
+        crew.start(ProcessRow(name, "quick", True), Quick("sleeps"))
     until(lambda: all(child.last_lines() for child in crew.by_name.values()))
     os.kill(first, signal.SIGKILL)
     crew.by_name["plant"].kill()
