@@ -123,18 +123,17 @@ class ForkServer:
             self._requests.send(msgspec.json.encode(Request()))
 
     def is_loaded(self) -> bool:
-        """Return True if the server has loaded."""
+        """Return True if the server has loaded. One that is stopped is replaced."""
+        if self._is_stopped():
+            self._replace()
         if not self._loaded and select.select([self._requests], [], [], 0.0)[0]:
             self._loaded = self._reply() == LOADED
         return self._loaded
 
     def replace_if_dead(self) -> None:
-        """Start another server if this one is dead."""
-        if self.exit_code() is not None:
-            self._end()
-            self._start()
-            if self._loads:
-                self.load()
+        """Start another server if this one is dead or stopped."""
+        if self.exit_code() is not None or self._is_stopped():
+            self._replace()
 
     def fork(self, module: str, config: Path, log: Path) -> Forked:
         """Fork a child. Raises ``ChildProcessError`` if neither this server nor another one replies in time, and
@@ -156,9 +155,7 @@ class ForkServer:
             os.close(heartbeats)
             if self._stop():
                 raise InterruptedError
-            self._process.kill()
-            self._process.wait()
-            self.replace_if_dead()
+            self._replace()
         raise ChildProcessError(f"{module} is not started: the fork server does not answer")
 
     def close(self) -> None:
@@ -166,17 +163,29 @@ class ForkServer:
         self._end()
         _set_subreaper(False)
 
+    def _replace(self) -> None:
+        self._end()
+        self._start()
+        if self._loads:
+            self.load()
+
+    def _is_stopped(self) -> bool:
+        try:
+            return Path(f"/proc/{self.pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0] == "T"
+        except OSError:
+            return False
+
     def _end(self) -> None:
         self._requests.close()
         self._process.kill()
         self._process.wait()
 
     def _request_fork(self, request: bytes, descriptors: tuple[int, int]) -> int | None:
-        """Return the pid of the child; None if the server does not reply in time, or a stop is requested."""
+        """Return the pid of the child; None if the server does not reply in time or is stopped, or after a request."""
         with contextlib.suppress(ConnectionError):  # the server has died
             socket.send_fds(self._requests, [request], descriptors)
             until = time.monotonic() + (REPLY_TIMEOUT_S if self._loaded else LOADING_REPLY_TIMEOUT_S)
-            while time.monotonic() < until and not self._stop():
+            while time.monotonic() < until and not self._stop() and not self._is_stopped():
                 if select.select([self._requests], [], [], POLL_S)[0]:
                     if (pid := self._reply()) != LOADED:
                         return pid
