@@ -6,7 +6,7 @@ import math
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 from zipfile import BadZipFile, ZipFile
 
 import msgspec
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.lib import format as npy
 from scipy.sparse import csc_array
 
+from ltv_mpc.config import open_file
 from ltv_mpc.control.ocp import limits
 from ltv_mpc.control.qp import QP
 from ltv_mpc.control.solvers.sparse import DYNAMICS, EXCESS, LOWER, UPPER, SparseLayout
@@ -107,9 +108,10 @@ class FailedQp:
         ConfigError : the file is missing or unreadable, or ``save`` did not write it.
         """
         try:
-            parts = _parts(path)
-        except FileNotFoundError:
-            raise ConfigError(f"{FILE} {path}", "", "no such file") from None
+            with open_file(path, what=FILE) as file:
+                parts = _parts(file)
+        except ConfigError:
+            raise
         except UNREADABLE as error:
             raise ConfigError(f"{FILE} {path}", "", f"cannot be read: {str(error)[:200]}") from None
         try:
@@ -174,9 +176,9 @@ UNREADABLE = (
 """Exceptions of zipfile, zlib and numpy for bytes that are no npz file."""
 
 
-def _parts(path: Path) -> dict[str, Any]:
+def _parts(npz: BinaryIO) -> dict[str, Any]:
     """Return the arrays of an npz file by name. Raises ``UNREADABLE``, also if a size contradicts another."""
-    with ZipFile(path) as archive:
+    with ZipFile(npz) as archive:
         entries = archive.infolist()
         if sum(entry.file_size for entry in entries) > MAX_BYTES:
             raise ValueError(f"more than {MAX_BYTES} bytes unpacked")
@@ -187,7 +189,8 @@ def _parts(path: Path) -> dict[str, Any]:
                 shape, _, dtype = head(file)
             if not 0 <= math.prod(shape) * dtype.itemsize <= entry.file_size:
                 raise ValueError(f"{entry.filename}: shape {shape} of {entry.file_size} bytes")
-    with np.load(path, allow_pickle=False) as archive:
+    npz.seek(0)
+    with np.load(npz, allow_pickle=False) as archive:
         return {name: archive[name] for name in archive.files}
 
 

@@ -137,12 +137,11 @@ def read_segments(
 
     ``progress`` receives values from the first to the second number of ``share``.
     """
-    sizes = [path.stat().st_size for path in parts]
-    before, total = 0, max(1, sum(sizes))
-    for path, size in zip(parts, sizes, strict=True):
+    for number, path in enumerate(parts):
         recording = Recording(path, past_losses=True)
+        records = recording.records
         for count, stored in enumerate(recording.stored()):
             if count % PROGRESS_INTERVAL == 0:
-                progress(share[0] + (share[1] - share[0]) * (before + recording.records.position) / total)
+                done = (number + records.position / records.size) / len(parts)
+                progress(share[0] + (share[1] - share[0]) * done)
             yield stored
-        before += size

@@ -152,7 +152,7 @@ def test_a_damaged_chunk_ends_the_reading_and_is_not_believed(path: Path) -> Non
     assert got == [wire.to_map(depth(i), header(i)) for i in range(len(got))]
 
 
-@pytest.mark.parametrize("message", [b"[1]", b"null", b"{", b'{"x":"\xff"}', b"[" * 100_000])
+@pytest.mark.parametrize("message", [b"[1]", b"null", b"{", b'{"x":"\xff"}', b"[" * 10_000])
 def test_an_impossible_message_ends_the_reading(path: Path, message: bytes) -> None:
     recording = Recording(foreign(path, "sensor/depth", b'{"epoch":1}', message, b'{"epoch":2}', start_ns="7"))
     assert [(found.t_ns, found.plain) for found in recording] == [(7, {"epoch": 1})]
