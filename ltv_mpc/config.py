@@ -223,8 +223,11 @@ def number_or_text(text: str) -> int | float | str:
 
 
 def is_path(name: str) -> bool:
-    """Return True if NAME|FILE is a path: it has a suffix or a slash. A bare name means a shipped file."""
-    return "/" in name or "\\" in name or PurePath(name).suffix != ""
+    """Return True if NAME|FILE is a path: it has a suffix or a slash. A bare name means a shipped file.
+
+    A suffix begins with a letter: ``paper-2.5s`` has none.
+    """
+    return "/" in name or "\\" in name or PurePath(name).suffix[1:2].isalpha()
 
 
 def find(name: str, *, what: str, package: str | None, suffix: str = ".toml") -> Path:

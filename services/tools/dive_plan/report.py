@@ -95,7 +95,7 @@ def draw(of: DivePlan, out: Path) -> None:
     """Write the picture: drift over time, error budget, and drift after each change."""
     from matplotlib.figure import Figure
 
-    from services.reporting.figures import sheet
+    from services.reporting import sheet
 
     with sheet.style(page=True):
         figure = Figure(figsize=(sheet.PAGE_IN, 7.4), layout="constrained")

@@ -190,7 +190,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
     page = Page(drawn_s=1.0)
 
     def disturb() -> None:
-        (pid,) = (pid for pid, words in children_of(os.getpid()).items() if "orphan_cleanup.py" in words)
+        (pid,) = (pid for pid, words in children_of(os.getpid()).items() if "killpg" in words)
         os.kill(pid, signal.SIGKILL)
         with open_session(structs.replace(page.bus[0], role=OPERATOR), stop=StopRequest(), say=print) as session:
             Outbox(session, node=OPERATOR, epoch=1, kinds=(Kill,)).publish(Kill(node="nobody\n"))
@@ -406,7 +406,7 @@ class Mischief:
             name, number = self._harm.pop(0)
             self._harmed += 1
             os.kill(pid_of(name, os.getpid()), number)
-        elif not self._harm and back and self.supervisor.recovered and not self._over:
+        elif not self._harm and back and self.supervisor.failures.settled and not self._over:
             self._over = True
             self.supervisor.children.by_name["plant"].terminate()
 
