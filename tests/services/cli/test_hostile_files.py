@@ -17,7 +17,7 @@ from mcap.records import Chunk
 from ltv_mpc import references
 from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.failed_qp import FailedQp
+from ltv_mpc.control.failed_qp import NamedQp
 from ltv_mpc.currents import read_prior, read_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.geofence.fence import Fence
@@ -98,7 +98,7 @@ TEXTS: dict[str, Callable[[Path], Any]] = {
     ".csv bathymetry": lambda path: Bathymetry.load(str(path), ORIGIN),
     ".json summary": of_folder(lambda folder: read_summary(folder / "run.mcap"), "summary.json"),
     ".pd0 dive": pd0.read,
-    ".npz QP": FailedQp.load,
+    ".qp QP": NamedQp.load,
     ".bin log": lambda path: autopilot_log.read(path, VEHICLE),
     ".tlog log": lambda path: autopilot_log.read(path, VEHICLE),
     ".jsonl results": lambda path: list(results_store.read(path)[1]),
