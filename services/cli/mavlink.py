@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltv_mpc.config import read_bytes
 from ltv_mpc.errors import ConfigError
 from services.cli.bus import with_bus
 
@@ -89,10 +90,7 @@ def _accuracy(text: str) -> Accuracy:
 
 def _key(path: Path) -> bytes:
     """Return the 32 bytes of a file. Raises ``ConfigError``."""
-    try:
-        key = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"option --signing-key {path}", "", f"cannot be read: {error.strerror}") from None
+    key = read_bytes(path, what="option --signing-key")
     if len(key) != 32:
         raise ConfigError(f"option --signing-key {path}", "", f"has {len(key)} bytes, must be 32")
     return key
