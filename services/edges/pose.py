@@ -10,10 +10,8 @@ The covariance of the estimate is J P J^T with P = diag(pose, twist).
 from __future__ import annotations
 
 import math
-from typing import cast
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ltv_mpc.frames import skew
 from ltv_mpc.messages import Array
@@ -28,7 +26,14 @@ def rotation(w: float, x: float, y: float, z: float) -> Array:
     length = math.sqrt(w * w + x * x + y * y + z * z)
     if not abs(length - 1.0) <= UNIT:  # also true for NaN
         raise Refused(f"orientation: a quaternion of length {length:.3g}, not 1")
-    return cast(Array, Rotation.from_quat((x, y, z, w)).as_matrix())
+    w, x, y, z = w / length, x / length, y / length, z / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def covariance(R: Array, velocity: Array, rate: Array, pose: Array, twist: Array) -> Array:
