@@ -36,7 +36,8 @@ class Delay:
         min_ns : lower bound of what is expected (ns).
         plan_ns : time for which a plan is followed (ns); a longer delay until a receipt is not counted.
         """
-        self._expected_ns = max(first_ns, min_ns)
+        self.expected_ns = max(first_ns, min_ns)
+        """Expected time from the start of a cycle to its plan's arrival (ns)."""
         self._quantile = quantile
         self._min_ns = min_ns
         self._plan_ns = plan_ns
@@ -57,7 +58,7 @@ class Delay:
         receipts : delays until the plans' arrival (ns).
         computing : computing times (ns).
         """
-        self._expected_ns = max(first_ns, self._min_ns)
+        self.expected_ns = max(first_ns, self._min_ns)
         self._receipts = deque(receipts, WINDOW_CYCLES)
         self._computing = deque(computing, WINDOW_CYCLES)
         self._last_receipt = None
@@ -89,12 +90,8 @@ class Delay:
         self._computing.append(timing.compute_ns)
         self._update()
 
-    def expected_ns(self) -> int:
-        """Return the expected time from the start of a cycle to its plan's arrival (ns)."""
-        return self._expected_ns
-
     def _update(self) -> None:
         """Compute the expected delay from all measurements; it is called between cycles, not within one."""
         in_order = sorted(self._receipts or self._computing)
         median, high = (in_order[math.ceil(share * (len(in_order) - 1))] for share in (0.5, self._quantile))
-        self._expected_ns = max(high + (high - median), self._min_ns)
+        self.expected_ns = max(high + (high - median), self._min_ns)

@@ -28,8 +28,8 @@ from services.bus.topics import OPERATOR
 from services.bus.wire import WireError
 from services.runtime.clock import monotonic_us
 from services.runtime.node_io import NodeIO
+from services.runtime.node_status import Reporters
 from services.runtime.process_time import ProcessTime, step_text
-from services.runtime.reporters import Reporters
 
 NO_TIME = "no estimate received yet, so there is no vehicle time: retry when the status shows estimates"
 """Rejection reason of a command before there is a time: its age is unknown when it is carried out.

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, TextIO, TypeAlias, TypeVar
 
+from services.runtime.console import PrintedStream, drawn
+
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 
 T = TypeVar("T")
@@ -116,7 +118,7 @@ class HangUpStream:
 def hang_up_with_stderr() -> Iterator[None]:
     """Make the end of standard error's reader a SIGHUP within the context."""
     stderr = sys.stderr
-    sys.stderr = HangUpStream(stderr)
+    sys.stderr = PrintedStream(HangUpStream(drawn(stderr)))  # type: ignore[arg-type]
     try:
         yield
     finally:

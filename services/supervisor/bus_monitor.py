@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import deque
-from collections.abc import Iterable
-from typing import NamedTuple, TypeVar, cast
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple, TypeVar
 
 from ltv_mpc.messages import (
     Applied,
@@ -145,24 +146,11 @@ class BusMonitor:
 
     def kill_requests(self) -> list[str]:
         """Return the processes that an operator has asked to kill since the last call."""
-        nodes = []
-        while (frame := self._kills.take(0.0)) is not None:
-            try:
-                nodes.append(decode(Kill, frame.payload)[0].node)
-            except WireError:
-                continue
-        return nodes
+        return [request.node for request in _taken(self._kills, Kill)]
 
     def new_events(self) -> list[RunEvent]:
         """Return the run events since the last call."""
-        events = []
-        while (frame := self._events.take(0.0)) is not None:
-            try:
-                message = message_at(BY_TYPE[RunEvent], frame.key, unpack(frame.payload))[0]
-                events.append(cast(RunEvent, message))
-            except WireError:
-                continue
-        return events
+        return list(_taken(self._events, RunEvent))
 
     def t_ns(self) -> int | None:
         """Return the vehicle time; None while it is not known."""
@@ -172,3 +160,12 @@ class BusMonitor:
             except ClockError:
                 return None
         return self._clock.read(monotonic_us())
+
+
+def _taken(mailbox: Mailbox, kind: type[S]) -> Iterator[S]:
+    """Yield the messages that wait in a mailbox; frames that are none are skipped."""
+    while (frame := mailbox.take(0.0)) is not None:
+        with contextlib.suppress(WireError):
+            message = message_at(BY_TYPE[kind], frame.key, unpack(frame.payload))[0]
+            if isinstance(message, kind):
+                yield message

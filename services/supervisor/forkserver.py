@@ -31,7 +31,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -195,11 +195,13 @@ def main() -> None:
     with contextlib.suppress(OSError):  # the orphan cleanup has died before any child was started
         os.setpgid(0, int(group))
     entry_point.name_process(NAME)
-    steps: list[Callable[[str], object]] = []
+    loading: Iterator[None] | None = None
     with socket.socket(fileno=int(channel)) as requests:
         while True:
-            if steps and not select.select([requests], [], [], 0.0)[0]:
-                steps.pop(0)(scenario)
+            if loading is not None and not select.select([requests], [], [], 0.0)[0]:
+                if next(loading, LOADED) == LOADED:
+                    loading = None
+                    requests.send(PID.pack(LOADED))
                 continue
             data, descriptors, _, _ = socket.recv_fds(requests, MAX_REQUEST_BYTES, DESCRIPTORS)
             if not data:
@@ -208,33 +210,25 @@ def main() -> None:
             if request.module:
                 requests.send(PID.pack(_fork(int(parent), request, descriptors, requests)))
             else:
-                steps = [*LOADING, lambda _: requests.send(PID.pack(LOADED))]
+                loading = load(scenario)
 
 
-def import_processes(_scenario: str) -> None:
-    """Import the processes that a run's nodes do not warm up."""
+def load(scenario: str) -> Iterator[None]:
+    """Import what the processes of this scenario use, and warm up its nodes; at each step the server may fork."""
     import services.processes.recorder
     import services.processes.router  # noqa: F401
 
-
-def warm_up_controller(scenario: str) -> None:
-    """Import and load what the controller uses."""
+    yield
+    from services.run.run_config import resolve
     from services.supervisor import jit_cache
 
-    jit_cache.warm_up_controller(scenario)
-
-
-def warm_up_others(scenario: str) -> None:
-    """Import and load what plant, sensors and estimator use."""
-    from services.supervisor import jit_cache
-
-    jit_cache.warm_up_others(scenario)
+    run_config = resolve(scenario)
+    yield
+    jit_cache.warm_up_controller(run_config)
+    yield
+    jit_cache.warm_up_others(run_config)
     gc.collect()
     gc.freeze()  # so that a child's garbage collection does not copy the shared pages
-
-
-LOADING: list[Callable[[str], object]] = [import_processes, warm_up_controller, warm_up_others]
-"""Steps of the loading; between two of them the server answers requests."""
 
 
 def _fork(parent: int, request: Request, descriptors: list[int], requests: socket.socket) -> int:

@@ -3,7 +3,7 @@
     prepare  router and live page, then compiled code if it is missing                   ``jit_cache.py``
     start    the recorder, then the others; each must report ready                       ``process_table.py``
     watch    heartbeats, failures, restarts, screen, until the plant's last step         ``failure_handler.py``
-    stop     nodes, then the recorder, which records all last messages, then the router  ``shutdown.py``
+    stop     nodes, then the recorder, which records all last messages, then the router  ``child_processes.py``
 
 Estimator, controller, recorder and router are restarted if they die or hang. Plant and sensors are the simulated world:
 if one of them fails, the run ends. Ctrl-C ends all processes within two seconds. No process outlives the supervisor
@@ -33,14 +33,13 @@ from services.run.folder import DELETED, RunFolder
 from services.run.run_config import RunConfig
 from services.run.summary import STOPPED, summarise_recording
 from services.runtime.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
-from services.supervisor import jit_cache, loopback, process_table, shutdown
+from services.supervisor import jit_cache, loopback, process_table
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.failure_handler import FailureHandler, RunFailed
 from services.supervisor.live_view import live_view
 from services.supervisor.managed_process import describe_exit, last_lines
 from services.supervisor.parent_death import OrphanCleanup
-from services.supervisor.run_events import RunEvents
 from services.supervisor.screen import LivePage, LiveView, Screen
 from sim.evaluation.summary import Summary
 
@@ -113,7 +112,6 @@ class Supervisor:
         self.children: ChildProcesses
         self.failures: FailureHandler
         self._monitor: BusMonitor | None = None  # None before the connection to the bus
-        self._events: RunEvents | None = None
 
     def run(self, certs: Path | None = None) -> Outcome:
         """Run from the first process to the last and write the summary, also of a run that was interrupted."""
@@ -152,17 +150,12 @@ class Supervisor:
     def _logs(self) -> Path:
         return self._folder.path / "logs"
 
-    @property
-    def recovered(self) -> bool:
-        """True if every restarted process works again and all events are published."""
-        return not self.failures.recovering and not (self._events is not None and self._events.pending)
-
     def _supervise(self, certs: Path | None) -> Outcome:
         in_order = False
         with ExitStack() as sessions:
             self._cleanup = OrphanCleanup()
             self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group)
-            self.failures = FailureHandler(self.children)
+            self.failures = FailureHandler(self.children, self._screen)
             try:
                 context = self._open_bus(certs)
                 self._fill_jit_cache()
@@ -178,15 +171,14 @@ class Supervisor:
             except Stopped:
                 return self._ended_early(STOPPED, INTERRUPTED if self._request.interrupted else FAILED)
             finally:
-                self.children.forks.close()
-                killed = shutdown.stop(self.children.by_name, in_order=in_order, close_session=sessions.close)
+                killed = self.children.stop(in_order=in_order, close_session=sessions.close)
                 self._cleanup.close()
         return self._final_check(killed)
 
     def _ended_early(self, why: str, code: int, lines: tuple[str, ...] = ()) -> Outcome:
         """Say in the recording why the run ends before its end."""
-        if self._events is not None:
-            self._events.end(why.removesuffix(LAST_LINES))
+        if self._monitor is not None:
+            self.failures.end(why.removesuffix(LAST_LINES))
         return Outcome(completed=False, exit_code=code, why=why, last_lines=lines)
 
     def _final_check(self, killed: Sequence[str]) -> Outcome:
@@ -282,8 +274,7 @@ class Supervisor:
     def _connect(self, session: Session, rows: Sequence[process_table.ProcessRow]) -> None:
         outbox = Outbox(session, node=SUPERVISOR, epoch=new_epoch(), kinds=(RunEvent,))
         self._monitor = BusMonitor(session, [row.name for row in rows])
-        self._events = RunEvents(outbox, self._monitor, self._screen)
-        self.failures.connect(self._monitor, self._events)
+        self.failures.connect(self._monitor, outbox)
 
     # --- watching ----------------------------------------------------------------------------------------------------
 
@@ -310,8 +301,7 @@ class Supervisor:
             raise RunFailed(f"{self._folder.path}: {DELETED}")
         now_s = time.monotonic()
         self.failures.check(now_s)
-        monitor, events = self._monitor, self._events
-        if monitor is None or events is None:
+        if (monitor := self._monitor) is None:
             return
         for name in monitor.kill_requests():
             if name in self.children.by_name:  # handled as any other failure
@@ -323,7 +313,7 @@ class Supervisor:
             self.children.forks.replace_if_dead()
         for event in monitor.new_events():
             if event.node != SUPERVISOR:
-                events.show(event)
+                self.failures.show(event)
         self._screen.update(self._view(monitor, now_s))
 
     def _view(self, monitor: BusMonitor, now_s: float) -> LiveView:
