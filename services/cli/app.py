@@ -16,7 +16,6 @@ import typer
 from typer.core import TyperOption
 from typer.main import get_command
 
-from ltv_mpc.errors import ConfigError
 from services.cli import measure, processes, start, vehicle
 from services.cli.certs import certs
 from services.cli.completion import completion
@@ -31,7 +30,7 @@ from services.cli.replay import replay
 from services.cli.report import report
 from services.cli.ros2 import ros2
 from services.cli.watch import watch
-from services.runtime.console import escape_output, fold
+from services.runtime.printed_stream import escape_output
 
 HELP = ((), ("--help",), ("-h",))
 COMPLETION = "_LTV_MPC_COMPLETE"
@@ -115,7 +114,9 @@ def run(arguments: Sequence[str]) -> int:
         from services.cli.usage_errors import usage_error
 
         return _refuse(f"ltv-mpc: {usage_error(error, _tree(), arguments)}")
-    except ConfigError as error:
+    except ValueError as error:
+        if not _is_config_error(error):
+            raise
         return _refuse(f"ltv-mpc: {error}")
     except BrokenPipeError:  # the reader of the output has ended: `ltv-mpc topics | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -145,9 +146,17 @@ def _hide_completion_options(parameters: Iterable[object]) -> None:
             parameter.hidden = True
 
 
+def _is_config_error(error: ValueError) -> bool:
+    from ltv_mpc.errors import ConfigError
+
+    return isinstance(error, ConfigError)
+
+
 def _refuse(text: str, code: int = BAD_INPUT) -> int:
     line = " ".join(text.split())
     if sys.stderr.isatty():
+        from services.runtime.console import fold
+
         line = fold(line, shutil.get_terminal_size().columns)
     typer.echo(line, err=True)
     return code

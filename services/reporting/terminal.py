@@ -79,11 +79,11 @@ class LiveScreen:
         """Show a progress bar with the time left in place of the screen."""
         if self._waiting is None:
             self._waiting = Progress(*_columns(), console=self._live.console)
-            self._waiting.add_task(escape(one_line(what)), total=1.0)
+            self._waiting.add_task("", total=1.0)
         now = time.monotonic()
         if now >= self._next:
             self._next = now + REDRAW_S
-            self._waiting.update(self._waiting.task_ids[0], completed=share, description=escape(what))
+            self._waiting.update(self._waiting.task_ids[0], completed=share, description=escape(one_line(what)))
             self._live.update(self._waiting.get_renderable(), refresh=True)
 
     def say(self, text: str) -> None:
