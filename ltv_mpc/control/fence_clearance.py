@@ -276,13 +276,15 @@ def entry_s(X: Array, t_s: Array, scene: Scene, hull_m: float) -> float:
     """
     step_m = np.hypot(np.diff(X[:, 0]), np.diff(X[:, 1])).max()
     free = _clearances(X, t_s, scene, hull_m + step_m)[0] - hull_m
-    if (free[0] < 0.0).any():
+    if free.min(initial=0.0) >= 0.0:
+        return math.inf
+    if free[0].min() < 0.0:
         return 0.0
-    zones = np.flatnonzero((free < 0.0).any(axis=0))
+    zones = np.flatnonzero(free.min(axis=0) < 0.0)
     k = (free[:, zones] < 0.0).argmax(axis=0)
     before, after = free[k - 1, zones], free[k, zones]
     entries = t_s[k - 1] + before / (before - after) * (t_s[k] - t_s[k - 1])
-    return float(entries.min(initial=math.inf))
+    return float(entries.min())
 
 
 def clearance_table(X: Array, t_s: Array, scene: Scene, hull_m: float) -> tuple[Array, float]:
