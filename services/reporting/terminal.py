@@ -83,7 +83,7 @@ class LiveScreen:
         now = time.monotonic()
         if now >= self._next:
             self._next = now + REDRAW_S
-            self._waiting.update(self._waiting.task_ids[0], completed=share)
+            self._waiting.update(self._waiting.task_ids[0], completed=share, description=escape(what))
             self._live.update(self._waiting.get_renderable(), refresh=True)
 
     def say(self, text: str) -> None:

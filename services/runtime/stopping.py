@@ -30,6 +30,7 @@ class StopRequest:
     def __init__(self) -> None:
         self.requested = False
         self.interrupted = False
+        self.signals = 0
         self._wakeups: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._wake: Callable[[], None] = lambda: None
 
@@ -55,6 +56,7 @@ class StopRequest:
     def receive(self, number: int, _frame: FrameType | None) -> None:
         """Request a stop, as a signal handler."""
         self.interrupted = number == signal.SIGINT
+        self.signals += 1
         self.request()
 
     def wait(self, timeout_s: float | None = None) -> bool:

@@ -22,13 +22,14 @@ from pathlib import Path
 
 import msgspec
 
-from ltv_mpc.errors import format_value, one_line
+from ltv_mpc.errors import ConfigError, format_value, one_line
 from ltv_mpc.messages import NodeStatus, RunEvent
 from services.bus.options import SECURE, BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import ROUTER, SUPERVISOR
 from services.bus.session import Session, Stopped, open_session
 from services.recording import join
+from services.recording.records import report_progress
 from services.run.folder import DELETED, RunFolder
 from services.run.run_config import RunConfig
 from services.run.summary import STOPPED, summarise_recording
@@ -49,6 +50,9 @@ LAST_LINES = "; its last lines:"
 READY_TIMEOUT_S = 60.0
 """Longest time from a process's start to its first status. The slowest process needs 2 s on busy cores, or 30 s if it
 must compile."""
+QUICK_S = 1.0
+"""Time from which a summary shows its progress."""
+SKIPPED = "the summary was skipped; `ltv-mpc report` computes it from the recording"
 DRAWING_TIMEOUT_S = 5.0
 """Longest time for which the clock waits for the first drawing of a page that is open in a browser."""
 
@@ -120,6 +124,27 @@ class Supervisor:
             return self._summarised(outcome) if self._folder.recording.exists() else outcome
 
     def _summarised(self, outcome: Outcome) -> Outcome:
+        """Write the summary and show the progress of a long one. A signal, after Ctrl-C a second one, skips it."""
+        signals, begun_s = self._request.signals, time.monotonic()
+
+        def progress(share: float) -> None:
+            if self._request.signals > signals:
+                raise Stopped
+            if time.monotonic() - begun_s > QUICK_S:
+                self._screen.wait("summary", share)
+
+        try:
+            with report_progress(progress):
+                return self._with_summary(outcome)
+        except Stopped:
+            code, why = INTERRUPTED if self._request.interrupted else FAILED, SKIPPED
+        except (ConfigError, OSError) as error:
+            code, why = outcome.exit_code or FAILED, str(error)
+        if outcome.why:
+            self._screen.say(why)
+        return replace(outcome, completed=False, exit_code=code, why=outcome.why or why)
+
+    def _with_summary(self, outcome: Outcome) -> Outcome:
         """Join the segments of the recording and write the summary. Return the outcome with the summary."""
         for text in join.segments_of(self._folder.recording):
             self._screen.say(text)
@@ -154,7 +179,7 @@ class Supervisor:
         in_order = False
         with ExitStack() as sessions:
             self._cleanup = OrphanCleanup()
-            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group)
+            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group, self._request)
             self.failures = FailureHandler(self.children, self._screen)
             try:
                 context = self._open_bus(certs)
@@ -164,11 +189,11 @@ class Supervisor:
                 self._wait_until(lambda: self.children.run_complete, None, "")
                 in_order = True
             except ChildProcessError as error:
-                return Outcome(completed=False, exit_code=FAILED, why=str(error))
+                return self._ended_early(str(error), FAILED)
             except RunFailed as failure:
                 in_order = failure.in_order
                 return self._ended_early(failure.why, FAILED, failure.last_lines)
-            except Stopped:
+            except (Stopped, InterruptedError):
                 return self._ended_early(STOPPED, INTERRUPTED if self._request.interrupted else FAILED)
             finally:
                 killed = self.children.stop(in_order=in_order, close_session=sessions.close)
@@ -246,15 +271,15 @@ class Supervisor:
             self._tick()
 
     def _start(self, sessions: ExitStack, context: process_table.RunContext) -> None:
-        """Start the processes in the order of the table, each after those that it needs are ready."""
+        """Start the processes in the order of the table, the recorder first."""
         rows = process_table.processes(self._run_config.scenario)
         session = open_session(bus_options(context), stop=self._request, say=self._screen.say)
         sessions.enter_context(session)
         self._connect(session, rows)
         others = rows[1:]  # the router runs
         for row in others:
-            for name in row.needs:
-                self._wait_until_ready(name)
+            if row is others[1]:
+                self._wait_until_ready(others[0].name)  # the recorder: it records the first message of all others
             if row is others[-1]:
                 self._wait_for_drawing()  # the clock starts when the last process is ready
             self._start_process(row, context)

@@ -31,7 +31,7 @@ from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, encode, to_map
-from services.recording.reader import RecordedMessage, Recording
+from services.recording.reader import Recording, StoredMessage
 from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 from services.runtime import recording_loop
@@ -75,7 +75,7 @@ def record(
     start_ns: int | None = -S,
     said: Callable[[str], None] = print,
     timed: bool = True,
-) -> list[RecordedMessage]:
+) -> list[StoredMessage]:
     """Return the recording of what ``say`` publishes, as messages and as bytes on the key of depths.
 
     ``overflowed`` is the number of messages that found no room in the recorder's mailbox. ``start_ns``: None beside a
