@@ -13,7 +13,7 @@ from ltv_mpc.settings_schema import suggestion
 from services.bus.protocol import unit, words
 from services.bus.schema import message, schema
 from services.bus.topics import TOPICS, Topic
-from services.runtime.console import WIDTH
+from services.runtime.console import WIDTH, columns
 
 
 def text(key: str | None, *, as_json: bool) -> str:
@@ -28,7 +28,8 @@ def text(key: str | None, *, as_json: bool) -> str:
     paragraphs = cleandoc(topic.message_type.__doc__ or "").replace("``", "").split("\n\n")
     about = "\n\n".join(textwrap.fill(paragraph, WIDTH) for paragraph in paragraphs)
     return (
-        "\n".join([f"{key}: {topic.message_type.__name__}", about, "", *_columns(_fields(topic.message_type))]) + "\n"
+        "\n".join([f"{key}: {topic.message_type.__name__}", about, "", *columns(_fields(topic.message_type), left=4)])
+        + "\n"
     )
 
 
@@ -71,7 +72,7 @@ def _table(rows: list[dict[str, Any]]) -> str:
         )
         for row in rows
     ]
-    return "\n".join(_columns([header, *cells])) + "\n"
+    return "\n".join(columns([header, *cells], left=6)) + "\n"
 
 
 def _period(period_ns: int) -> str:
@@ -84,8 +85,3 @@ def _fields(message_type: type[Message]) -> list[tuple[str, ...]]:
         (name, words(field.value), "" if field.required else "optional", unit(field))
         for name, field in message(message_type).items()
     ]
-
-
-def _columns(rows: list[tuple[str, ...]]) -> list[str]:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]

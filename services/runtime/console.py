@@ -18,6 +18,7 @@ import re
 import shutil
 import sys
 import textwrap
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any, Protocol, TextIO, cast
 
@@ -148,6 +149,18 @@ class Console:
         with contextlib.suppress(OSError):
             self._out.write(text)
             self._out.flush()
+
+
+def columns(rows: Sequence[Sequence[str]], *, left: int = 1) -> list[str]:
+    """Return the lines of a table: its first ``left`` columns are aligned to the left, all others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if i < left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 def tenfold(count: int) -> int:
