@@ -1,4 +1,4 @@
-"""Panel Measure: the command ``profile``; the other commands of the panel have their own files."""
+"""Command ``profile``: measure the time of a control cycle."""
 
 from __future__ import annotations
 
@@ -7,47 +7,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.campaign import campaign
-from services.cli.options import Force, Json
-from services.cli.qp import qp
+from services.cli.options import Force, Json, option, show
 
 if TYPE_CHECKING:
     from services.tools.profile.run import Measured
 
 
-def register(app: typer.Typer, panel: str) -> None:
-    """Add the commands to their panel."""
-    app.command(rich_help_panel=panel)(profile)
-    app.command(rich_help_panel=panel)(campaign)
-    app.add_typer(qp, name="qp", rich_help_panel=panel)
-
-
 def profile(
     horizons: Annotated[
-        str,
-        typer.Option("--horizons", metavar="STAGES,...", help="Stages of 0.3 s (17: 5.1 s); default: the vehicle's."),
+        str, option("STAGES,...", "Stages of 0.3 s (17: 5.1 s); default: the vehicle's.")
     ] = "default,17",
-    solvers: Annotated[
-        str, typer.Option("--solvers", metavar="NAME,...", help="Installed solvers. PIQP is always measured too.")
-    ] = "osqp,riccati",
-    cycles: Annotated[
-        int, typer.Option("--cycles", metavar="N", help="Number of cycles per horizon.", min=10, max=100_000)
-    ] = 600,
+    solvers: Annotated[str, option("NAME,...", "Installed solvers. PIQP is always measured too.")] = "osqp,riccati",
+    cycles: Annotated[int, option("N", "Number of cycles per horizon.", min=10, max=100000)] = 600,
     run: Annotated[
-        str | None,
-        typer.Option(
-            "--run", metavar="RUN", help="Use the problems of a recorded run: its folder, its run.mcap, or latest."
-        ),
+        str | None, option("RUN", "Use the problems of a recorded run: its folder, its run.mcap, or latest.")
     ] = None,
-    seed: Annotated[
-        int,
-        typer.Option("--seed", metavar="N", help="Seed of the closed loops and of the order.", min=0, max=2**53 - 1),
-    ] = 0,
+    seed: Annotated[int, option("N", "Seed of the closed loops and of the order.", min=0, max=2**53 - 1)] = 0,
     as_json: Json = False,
     force: Force = False,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Also write profile.json and .png into this folder.")
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Also write profile.json and .png into this folder.")] = None,
 ) -> int:
     """Measure the time of a control cycle by solver and horizon.
 
@@ -85,12 +63,9 @@ def profile(
 
 
 def _print(measured: Measured, folder: Path | None, as_json: bool) -> None:
-    import msgspec
-
     from services.tools.profile import table
 
-    plain = msgspec.json.format(msgspec.json.encode(measured.profile), indent=2).decode()
-    typer.echo(plain if as_json else table.text(measured.profile))
+    plain = show(measured.profile, lambda: table.text(measured.profile), as_json=as_json)
     if folder is not None:
         (folder / "profile.json").write_text(plain + "\n", encoding="utf-8")
         _draw(measured, folder / "profile.png")
