@@ -71,10 +71,9 @@ def _accuracy(text: str) -> Accuracy:
 
 def _key(path: Path) -> bytes:
     """Return the 32 bytes of a file. Raises ``ConfigError``."""
-    try:
-        key = path.read_bytes()
-    except OSError as error:
-        raise invalid(f"option --signing-key {path}", f"cannot be read: {error.strerror}") from None
+    from ltv_mpc.config import read_bytes
+
+    key = read_bytes(path, what="option --signing-key")
     if len(key) != 32:
         raise invalid(f"option --signing-key {path}", f"has {len(key)} bytes, must be 32")
     return key

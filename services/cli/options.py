@@ -10,6 +10,8 @@ from typing import Annotated, Any, TypeAlias, get_type_hints
 
 import typer
 
+from ltv_mpc.errors import ConfigError
+
 
 def option(metavar: str, help_: str, *names: str, **more: Any) -> Any:
     """Return an option with a value; its name is that of the parameter, if none is given. ``more``: min, max."""
@@ -59,10 +61,8 @@ LogJson: TypeAlias = Annotated[
 Json: TypeAlias = Annotated[bool, flag("--json", "Print only the result, as JSON, on stdout.")]
 
 
-def invalid(source: str, problem: str, *, value: object = None) -> Exception:
+def invalid(source: str, problem: str, *, value: object = None) -> ConfigError:
     """Return the error of an option or argument, for which the command ends with exit code 2."""
-    from ltv_mpc.errors import ConfigError
-
     return ConfigError(source, "", problem, value=value)
 
 

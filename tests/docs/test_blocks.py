@@ -59,6 +59,7 @@ NOT_RUN = (
         r"python3 -m venv|pip (?:install|download)|\. \S+/activate|git (?:clone|worktree)|cd ",
         "makes environments; `make package` does it for real",
     ),
+    (r"jupytext ", "needs the extra notebook; tests/examples runs it where it is installed"),
     (r"dask |zenoh-bridge-ros2dds |scp |sudo |systemctl ", ELSEWHERE),
 )
 

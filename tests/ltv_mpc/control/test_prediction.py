@@ -248,6 +248,37 @@ def test_measurements_outside_the_window_are_dropped():
     assert delay.expected_ns == 7
 
 
+@pytest.mark.parametrize("share", [0.02, 0.05])
+def test_rare_delays_that_are_much_longer_are_not_expected(share):
+    draws = np.random.default_rng(1)
+    usual_ns = draws.normal(50e6, 5e6, size=2000)
+    late = draws.random(2000) < share
+    delay, expected = Delay(50_000_000, 0.98), []
+    for took_ns in usual_ns + 1e9 * late:
+        delay.add_timing(timing(round(took_ns)))
+        expected.append(delay.expected_ns)
+    settled = np.array(expected[20:])
+    assert settled.max() < 120_000_000
+    punctual = usual_ns[21:][~late[21:]] <= settled[:-1][~late[21:]]
+    assert punctual.mean() > 0.999
+
+
+def test_a_change_of_the_delay_is_followed_after_five_longer_or_twenty_shorter_ones():
+    draws = np.random.default_rng(2)
+    delay = Delay(50_000_000, 0.98)
+
+    def measure(count, mean_ns):
+        for took_ns in draws.normal(mean_ns, 2e6, size=count):
+            delay.add_timing(timing(round(took_ns)))
+        return delay.expected_ns
+
+    measure(100, 50e6)
+    assert measure(4, 400e6) < 100_000_000
+    assert 400_000_000 < measure(1, 400e6) < 420_000_000
+    assert 400_000_000 < measure(95, 400e6) < 420_000_000
+    assert measure(20, 50e6) < 70_000_000
+
+
 @pytest.mark.parametrize("sequence", [-1])
 def test_a_report_without_an_accepted_plan_is_no_receipt(sequence):
     delay = Delay(5, 1.0)
