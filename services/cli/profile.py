@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from services.cli.options import Force, Json, option, show
-
-if TYPE_CHECKING:
-    from services.tools.profile.run import Measured
 
 
 def profile(
@@ -25,7 +22,7 @@ def profile(
     seed: Annotated[int, option("N", "Seed of the closed loops and of the order.", min=0, max=2**53 - 1)] = 0,
     as_json: Json = False,
     force: Force = False,
-    out: Annotated[Path | None, option("DIR", "Also write profile.json and .png into this folder.")] = None,
+    out: Annotated[Path | None, option("DIR", "Also write profile.json into this folder.")] = None,
 ) -> int:
     """Measure the time of a control cycle by solver and horizon.
 
@@ -58,24 +55,8 @@ def profile(
             progress=lambda: progress.advance(task),
             on_rows=lambda rows: console.out(*map(table.short, rows), sep="\n", highlight=False),
         )
-    _print(measured, written, as_json)
+    plain = show(measured, lambda: table.text(measured), as_json=as_json)
+    if written is not None:
+        (written / "profile.json").write_text(plain + "\n", encoding="utf-8")
+        typer.echo(str(written), err=as_json)
     return 0
-
-
-def _print(measured: Measured, folder: Path | None, as_json: bool) -> None:
-    from services.tools.profile import table
-
-    plain = show(measured.profile, lambda: table.text(measured.profile), as_json=as_json)
-    if folder is not None:
-        (folder / "profile.json").write_text(plain + "\n", encoding="utf-8")
-        _draw(measured, folder / "profile.png")
-        typer.echo(str(folder), err=as_json)
-
-
-def _draw(measured: Measured, path: Path) -> None:
-    try:
-        from services.tools.profile import plot
-    except ImportError:
-        typer.echo("no plot: matplotlib is not installed: pip install matplotlib (extra viz)", err=True)
-    else:
-        plot.draw(measured, path)
