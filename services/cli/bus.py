@@ -30,8 +30,7 @@ def _block(
         ),
     ] = None,
     listen: Annotated[
-        list[str] | None,
-        bus_option("ENDPOINT", "Listen on this endpoint as the router; repeatable.", "--listen", "-l"),
+        list[str] | None, bus_option("ENDPOINT", "Listen on this endpoint as the router; repeatable.", "--listen", "-l")
     ] = None,
     mode: Annotated[str | None, bus_option("MODE", "client, peer or router.", "--mode", "-m")] = None,
     config: Annotated[

@@ -10,8 +10,7 @@ from services.cli.options import flag
 
 
 def completion(
-    context: typer.Context,
-    install: Annotated[bool, flag("--install", "Add it to the shell's start-up file.")] = False,
+    context: typer.Context, install: Annotated[bool, flag("--install", "Add it to the shell's start-up file.")] = False
 ) -> None:
     """Print or install the completion script of your shell.
 

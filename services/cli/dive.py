@@ -69,11 +69,7 @@ def plan_(
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"dives with {sensors} sensors", total=plan.count_of_results(numbers, runs))
         result = plan.plan(
-            wanted,
-            fixes=numbers,
-            runs=runs,
-            limit_m=limit_m,
-            progress=lambda count: progress.advance(task, count),
+            wanted, fixes=numbers, runs=runs, limit_m=limit_m, progress=lambda count: progress.advance(task, count)
         )
     result = msgspec.structs.replace(result, against=recorded)
     plain = show(result, lambda: report.text(result), as_json=as_json)

@@ -46,12 +46,7 @@ def mavlink(
         problem = f"[thruster.{missing[0]}] has no pwm_us and pwm_N: the vehicle bluerobotics-boat has them"
         raise invalid(f"vehicle {vehicle}", problem)
     key = None if signing_key is None else _key(signing_key)
-    edge = Settings(
-        vehicle=of,
-        ground_station=gcs_sysid,
-        accuracy=_accuracy(sd),
-        follow_mission=not no_mission,
-    )
+    edge = Settings(vehicle=of, ground_station=gcs_sysid, accuracy=_accuracy(sd), follow_mission=not no_mission)
     config = process.Config(bus=bus, host=host, port=port, listens=listens, edge=edge, signing_key=key)
     return process.main(config)
 

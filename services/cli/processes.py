@@ -24,11 +24,7 @@ if TYPE_CHECKING:
 
 
 @with_bus("router")
-def router(
-    log_json: LogJson = False,
-    *,
-    bus: BusOptions,
-) -> int:
+def router(log_json: LogJson = False, *, bus: BusOptions) -> int:
     """Run the router to which all other processes connect.
 
     Without --listen it listens at tcp/127.0.0.1:7447, with --certs at tls/127.0.0.1:7447.
@@ -58,12 +54,7 @@ def plant(
 
 
 @with_bus("sensors")
-def sensors(
-    scenario: ScenarioName = "descent",
-    log_json: LogJson = False,
-    *,
-    bus: BusOptions,
-) -> int:
+def sensors(scenario: ScenarioName = "descent", log_json: LogJson = False, *, bus: BusOptions) -> int:
     """Run the simulated sensors.
 
     Reads world/truth; writes sensor/*.

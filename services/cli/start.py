@@ -78,8 +78,7 @@ def sim(
         bool, flag("--lockstep", "Run in one process on a simulated clock, as fast as the machine allows.")
     ] = False,
     set_: Annotated[
-        list[str] | None,
-        option("KEY=VALUE", "Set any key of the scenario; repeatable.", "--set", show_default=False),
+        list[str] | None, option("KEY=VALUE", "Set any key of the scenario; repeatable.", "--set", show_default=False)
     ] = None,
     dashboard: Annotated[
         bool | None,

@@ -35,8 +35,7 @@ class KnownYaw(StrEnum):
 
 @vehicle.command()
 def new(
-    file: Annotated[Path, argument("FILE", "File to write.")] = Path("vehicle.toml"),
-    force: Overwrite = False,
+    file: Annotated[Path, argument("FILE", "File to write.")] = Path("vehicle.toml"), force: Overwrite = False
 ) -> None:
     """Write a commented vehicle file to fill in. It loads as it is."""
     from importlib import resources
