@@ -510,7 +510,7 @@ def test_a_fence_set_or_removed_under_way_keeps_the_progress() -> None:
     assert np.diff(progress).max() < 0.01
 
 
-@pytest.mark.parametrize("water", [(0.0, 0.0), (0.1, 0.05), (-0.1, 0.05)], ids=["still", "onwards", "back"])
+@pytest.mark.parametrize("water", [(0.0, 0.0), (-0.1, 0.05)], ids=["still", "back"])
 def test_before_a_target_without_a_way_to_it_the_vehicle_rests(water: Pair) -> None:
     """In the last 30 s it stays where it is, with no more thrust than the current needs and a tenth."""
     closed = [

@@ -153,17 +153,16 @@ class Release:
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("current", "settings"),
     [
-        {},
-        {"names_plans": False},
-        {"config": ControllerConfig(horizon_s=2.7)},
-        {"config": ControllerConfig(period_s=0.1)},
-        {"plan_delay_s": 0.6},
+        (CURRENTS[0], {}),
+        (CURRENTS[0], {"config": ControllerConfig(horizon_s=2.7)}),
+        (CURRENTS[1], {"names_plans": False}),
+        (CURRENTS[1], {"config": ControllerConfig(period_s=0.1)}),
+        (CURRENTS[1], {"plan_delay_s": 0.6}),
     ],
     ids=str,
 )
-@pytest.mark.parametrize("current", CURRENTS)
 def test_released_thrusters_are_noticed_and_teach_no_current(current, settings):
     release = Release()
     cycles = Loop(current, release, **settings).run(140.0)
@@ -236,8 +235,7 @@ LEGAL = (
 )
 
 
-@pytest.mark.parametrize("settings", LEGAL, ids=str)
-@pytest.mark.parametrize("reference", [POINT, LINE], ids=["point", "line"])
+@pytest.mark.parametrize(("settings", "reference"), [*zip(LEGAL, 4 * (LINE, POINT), strict=True)], ids=str)
 def test_late_reports_and_late_plans_are_no_contradiction(settings, reference):
     assert degraded_s(Loop(CURRENTS[1], start_m=(15.0, 3.0), reference=reference, **settings).run(60.0)) == []
 
