@@ -1,6 +1,6 @@
 """Fence and obstacles of a controller: what is in force, and the report of what a plan keeps from it.
 
-Rows of the QP (ocp/limits/fence.py) keep the vehicle out. The reference only leads round what stands in the way
+Rows of the QP (ocp/fence.py) keep the vehicle out. The reference only leads round what stands in the way
 (``geofence/routes.py``): a point by the targets of the horizon (target_placement.py), a path by its schedule.
 
 What a zone asks for, and what it asks for where another zone is too near, is in ``geofence/required_clearance.py``. The
@@ -15,7 +15,7 @@ import numpy as np
 
 from ltv_mpc.control.fence_clearance import ACTIVE_M, NO_PATH, Scene, clearance_table, entry_s
 from ltv_mpc.control.nominal import coasting_entry_s
-from ltv_mpc.control.ocp.limits.fence import CORRIDOR_ROWS
+from ltv_mpc.control.ocp.fence import CORRIDOR_ROWS
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.target_placement import bring_near, lead_round

@@ -20,7 +20,7 @@ from ltv_mpc.control.horizon_limits import command_bounds
 from ltv_mpc.control.problem_data import Objective, stage_length, unpack_constants
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
-from ltv_mpc.vehicle.flow import STATES, advance_by, lag_table
+from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.resistance import steady_speed
 
 APPROACH_S = 4.0
@@ -96,4 +96,4 @@ def steering_guess(packed: Array, start: Array, target: Array, astern: bool, C: 
         for i in range(2):
             low, high = command_bounds(U[0, i], o.t[k + 1] * o.max_change[i], o.low[i], o.high[i])
             U[k + 1, i] = min(max(F[i], low, U[k, i] - g * o.max_change[i]), high, U[k, i] + g * o.max_change[i])
-        advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])
+        advance_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])

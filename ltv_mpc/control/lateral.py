@@ -36,7 +36,7 @@ from ltv_mpc.control.linearisation import describe_non_finite
 from ltv_mpc.control.ocp.cycle import Cycle
 from ltv_mpc.control.ocp.extension import Limit, Term
 from ltv_mpc.control.ocp.problem import Problem, is_finite
-from ltv_mpc.control.prediction import Start, fill_currents, profile_of
+from ltv_mpc.control.prediction import Start, currents_at_depths
 from ltv_mpc.control.problem_data import coefficients_of, pack_constants
 from ltv_mpc.control.solvers import Result, Solver, SolverFactory
 from ltv_mpc.control.target_placement import bring_within
@@ -102,7 +102,7 @@ class LateralPlanner:
 
     @property
     def target(self) -> Array:
-        """Target at the knots (``ocp/terms``)."""
+        """Target at the knots (``ocp/terms.py``)."""
         return self._cycle.target
 
     def set_current(self, estimate: Estimate, depth_m: Array) -> None:
@@ -115,8 +115,7 @@ class LateralPlanner:
         """
         if self._cycle.set_fence_rows(self.fencing.rows):
             self._rows_bind = True  # the solver of this pattern is set up now
-        profile = profile_of(estimate)
-        fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._cycle.lin.C)
+        self._cycle.lin.C[:] = currents_at_depths(estimate.current, depth_m)
 
     def bend_target(self, start: Start) -> None:
         """Lead the targets round the zones, where the line through them is blocked, and bring far ones nearer.

@@ -8,7 +8,7 @@ Arguments of the functions in this file:
     packed   packed constants (problem_data.py)
     start    (10,) state n, e, u, v, psi, r, F1, F2 at the first knot, then the commands of port and starboard there
     goal     (N+1, 2) commands to follow as far as box and slew allow (N); the first row does not count
-    target   (N+1, 3) as in ``ocp/terms``
+    target   (N+1, 3) as in ``ocp/terms.py``
     C        (N+1, 2) current at the knots, north and east (m/s)
     X, U     (N+1, 8) states and (N+1, 2) commands (N) at the knots
 

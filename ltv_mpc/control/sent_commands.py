@@ -9,11 +9,12 @@ the commands approach the plan at the slew limit.
 
 from __future__ import annotations
 
+import math
 from typing import TypeAlias
 
 import numpy as np
 
-from ltv_mpc.jit import copy_to, count_up_to, jit
+from ltv_mpc.jit import count_up_to, jit
 from ltv_mpc.messages import Array, Plan, Times, Triple
 from ltv_mpc.safety.health import plan_end_ns
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -54,7 +55,7 @@ class SentCommands:
         period_ns : period of the plans (ns).
         """
         self._slew = np.array([t.slew_N_per_s for t in vehicle.thrusters])
-        self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
+        self._rest = 0.0, 0.0, vehicle.failsafe_vertical_N
         self._history_ns = max(HISTORY_NS, round(HISTORY_LAGS * 1e9 * max(t.lag_s for t in vehicle.thrusters)))
         self._period_ns, self._timeout_s = period_ns, vehicle.plan_timeout_s
         self.knots: Commands = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
@@ -68,14 +69,35 @@ class SentCommands:
         plan : is in force from its first knot on.
         before_N : commands until then, if it is the first plan (N); by default the thrusters are at rest.
         """
-        t, thrust = self.knots
-        start_ns = int(plan.t_ns[0])
+        (t, thrust), start_ns = self.knots, int(plan.t_ns[0])
         if len(t) == 0:
             t, thrust = np.array([start_ns - 1]), np.array([before_N])
         estimate_ns = max(plan.estimate_t_ns - BEFORE_ESTIMATE_NS, start_ns - MAX_HISTORY_NS)
-        since_ns = min(start_ns - self._history_ns, estimate_ns)
+        past = slice(t.searchsorted(min(start_ns - self._history_ns, estimate_ns), "right"), t.searchsorted(start_ns))
         end_ns = plan_end_ns(plan.t_ns, self._period_ns, self._timeout_s)
-        self.knots = supersede(t, thrust, since_ns, plan.t_ns, plan.thrust_N, end_ns, self._slew, self._rest)
+        k = int(plan.t_ns.searchsorted(end_ns))
+        (t0, t1), (first_N, next_N) = plan.t_ns[[k - 1, k]].tolist(), plan.thrust_N[[k - 1, k]]
+        last_N = first_N + (end_ns - t0) / (t1 - t0) * (next_N - first_N) if k > 0 else next_N
+        ramp_t, ramp = self._ramp_to_rest(last_N.tolist())
+        self.knots = (
+            np.concatenate([t[past], plan.t_ns[:k], [end_ns + ns for ns in ramp_t]]),
+            np.concatenate([thrust[past], plan.thrust_N[:k], ramp]),
+        )
+
+    def _ramp_to_rest(self, last_N: list[float]) -> tuple[list[int], list[list[float]]]:
+        """Return times after the end of a plan (ns) and commands (N): one where each thruster comes to rest."""
+        ways = [last - rest for last, rest in zip(last_N, self._rest, strict=True)]
+        seconds = [abs(way) / slew for way, slew in zip(ways, self._slew.tolist(), strict=True)]
+        corners = {math.ceil(s * 1e9): s for s in sorted(seconds, reverse=True)}  # two in one nanosecond share it
+        ramp = {0: last_N} | {
+            ns: [
+                r + w * (1.0 - min(s / own, 1.0)) if own else r
+                for r, w, own in zip(self._rest, ways, seconds, strict=True)
+            ]
+            for ns, s in sorted(corners.items())
+            if ns
+        }
+        return list(ramp), list(ramp.values())
 
     @property
     def oldest(self) -> tuple[int, Array]:
@@ -92,10 +114,10 @@ class SentCommands:
         command_N : commands of port, starboard and vertical in force at ``t_ns`` (N).
         """
         t, thrust = self.knots
-        if _max_difference(t, thrust, t_ns, *command_N) <= TOLERANCE_N:
-            return
         times, commands = [t_ns], [np.array(command_N)]
         target = self.at(np.array(times, dtype=np.int64))[0]
+        if np.abs(target - commands[0]).max() <= TOLERANCE_N:
+            return
         while np.abs(target - commands[-1]).max() > TOLERANCE_N and times[-1] < t_ns + HISTORY_NS:
             times.append(times[-1] + CATCH_UP_STEP_NS)
             target = self.at(np.array(times[-1:], dtype=np.int64))[0]
@@ -118,7 +140,7 @@ class SentCommands:
         -------
         (M, 3) commands of port, starboard and vertical (N); zero if nothing was sent.
         """
-        return _commands_at(*self.knots, t_ns)
+        return commands_at(self.knots, t_ns)
 
     def between(self, from_ns: int, until_ns: int) -> Times:
         """Return both times and the knots between them: the commands are linear between neighbours.
@@ -132,61 +154,20 @@ class SentCommands:
         return np.concatenate([[from_ns], inner, [until_ns]]).astype(np.int64)
 
 
-@jit
-def supersede(
-    t: Times, thrust: Array, since: int, plan_t: Times, plan_thrust: Array, end: int, slew: Array, rest: Array
-) -> tuple[Times, Array]:
-    """Return the commands until the plan begins, then the plan to its end, then a ramp to rest at the slew limit.
+def commands_at(commands: Commands, t_ns: Times) -> Array:
+    """Return the commands (M, 3) at several times (N).
 
     Parameters
     ----------
-    t, thrust : (M,), (M, 3) commands before the plan (ns, N).
-    since : time (ns) up to which older commands are dropped.
-    plan_t, plan_thrust : (N+1,), (N+1, 3) the plan (ns, N).
-    end : time (ns) until which the plan is followed, after its first and at most at its last knot.
-    slew : (3,) slew limits (N/s).
-    rest : (3,) commands at rest (N).
-
-    Returns
-    -------
-    Knots (K,) in ns and commands (K, 3) in N.
+    commands : by time.
+    t_ns : (M,) times (ns).
     """
-    first = count_up_to(t, since)
-    until = count_up_to(t, plan_t[0] - 1)
-    # One knot where each thruster comes to rest, in the order of time; two in one nanosecond share it.
-    last, seconds, corners, count, latest = np.empty(3), np.empty(3), np.empty(3), 0, 0.0
-    for j in range(3):
-        last[j] = command_at(plan_t, plan_thrust, end, j)
-        seconds[j] = abs(last[j] - rest[j]) / slew[j]
-    while True:
-        soonest = np.inf
-        for j in range(3):
-            if np.ceil(latest * 1e9) < np.ceil(seconds[j] * 1e9) and seconds[j] < soonest:
-                soonest = seconds[j]
-        if soonest == np.inf:
-            break
-        corners[count] = latest = soonest
-        count += 1
-    past, ahead = max(until - first, 0), count_up_to(plan_t, end - 1) + 1  # with a knot at the end
-    out_t = np.empty(past + ahead + count, dtype=np.int64)
-    out = np.empty((len(out_t), 3))
-    for i in range(past):
-        out_t[i] = t[first + i]
-        for j in range(3):
-            out[i, j] = thrust[first + i, j]
-    for i in range(ahead - 1):
-        out_t[past + i] = plan_t[i]
-        for j in range(3):
-            out[past + i, j] = plan_thrust[i, j]
-    out_t[past + ahead - 1] = end
-    copy_to(out[past + ahead - 1], last)
-    for i in range(count):
-        at = past + ahead + i
-        out_t[at] = end + np.int64(np.ceil(corners[i] * 1e9))
-        for j in range(3):
-            left = 1.0 - min(corners[i] / seconds[j], 1.0) if seconds[j] > 0.0 else 1.0
-            out[at, j] = rest[j] + left * (last[j] - rest[j])
-    return out_t, out
+    (t, thrust), out = commands, np.zeros((len(t_ns), 3))
+    if len(t):
+        at, knots = (t_ns - t[0]).astype(np.float64), (t - t[0]).astype(np.float64)
+        for i in range(3):
+            out[:, i] = np.interp(at, knots, thrust[:, i])
+    return out
 
 
 @jit
@@ -209,23 +190,3 @@ def command_at(t: Times, thrust: Array, at: int, i: int) -> float:
     # Differences of times are exact in float64 and keep their nanoseconds.
     part = float(at - t[k - 1]) / float(t[k] - t[k - 1])
     return float(thrust[k - 1, i] + part * (thrust[k, i] - thrust[k - 1, i]))
-
-
-@jit
-def _commands_at(t: Times, thrust: Array, at: Times) -> Array:
-    """Return the commands (K, 3) at several times (K,); t and thrust as in ``command_at``."""
-    out = np.empty((len(at), 3))
-    for k in range(len(at)):
-        for i in range(3):
-            out[k, i] = command_at(t, thrust, at[k], i)
-    return out
-
-
-@jit
-def _max_difference(t: Times, thrust: Array, at: int, port: float, starboard: float, vertical: float) -> float:
-    """Return the largest difference of three commands from those at one time; t and thrust as in ``command_at``."""
-    return max(
-        abs(command_at(t, thrust, at, 0) - port),
-        abs(command_at(t, thrust, at, 1) - starboard),
-        abs(command_at(t, thrust, at, 2) - vertical),
-    )

@@ -84,7 +84,7 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
     ----------
     X : (N+1, 8) states at the knots.
     C : (N+1, 2) current at the knots, north and east (m/s).
-    target : (N+1, 3) as in ``ocp/terms``.
+    target : (N+1, 3) as in ``ocp/terms.py``.
     c : constants of the controller.
 
     Returns

@@ -15,7 +15,7 @@ import numpy as np
 
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import rates
-from ltv_mpc.vehicle.flow import STATES, advance_stage
+from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STEP_S = 0.05
@@ -252,7 +252,7 @@ class _StillWaterMotion:
         """
         U = self.U + np.clip(F - self.U, -self._change, self._change)
         out = np.empty(STATES)
-        advance_stage(self.X, self.U, U, STILL, STILL, STEP_S, self._p, out)
+        advance_stage(self.X, self.U, U, STILL, STILL, STEP_S, self._p, lag_table(STEP_S, self._p), out)
         self.X, self.U = out, U
         self.t_s += STEP_S
 

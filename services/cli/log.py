@@ -35,6 +35,8 @@ def info(run: Run = "latest", as_json: Json = False) -> int:
 
     Exit code 1 if the recording is incomplete.
     """
+    import msgspec
+
     from services.recording import info as figures
     from services.recording.recover import segments
     from services.reporting.terminal import reading_progress
@@ -43,9 +45,9 @@ def info(run: Run = "latest", as_json: Json = False) -> int:
     recording = folder.find(run)
     with reading_progress(recording):
         found = figures.read(segments(recording))
+    if not found.why and isinstance(why := folder.read_summary(recording).get("why"), str):
+        found = msgspec.structs.replace(found, why=why)
     if as_json:
-        import msgspec
-
         typer.echo(msgspec.json.encode(found).decode())
     else:
         from services.reporting import log_text

@@ -28,7 +28,11 @@ ReferenceFile: TypeAlias = Annotated[
     str, typer.Option("--reference", metavar="NAME|FILE", help="Path or point to follow, docs/references.md.")
 ]
 ScenarioName: TypeAlias = Annotated[
-    str, typer.Argument(metavar="SCENARIO", help="Scenario: a shipped name (demo, descent, hover) or a TOML file.")
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="Shipped name (demo, descent, hover, paper-5s, paper-2.5s, paper-no-control) or a TOML file.",
+    ),
 ]
 FenceFile: TypeAlias = Annotated[
     str | None,

@@ -28,11 +28,11 @@ def show(
     as_json: Json = False,
 ) -> None:
     """Show a QP that was not solved: its errors, and the result of another solver."""
-    from ltv_mpc.control.failed_qp import FailedQp
+    from ltv_mpc.control.failed_qp import NamedQp
     from ltv_mpc.control.solvers import solve_qp
     from services.reporting import qp_text
 
-    failed = FailedQp.load(file)
+    failed = NamedQp.load(file)
     shown = qp_text.figures(failed, solver, solve_qp(failed.qp, solver))
     if as_json:
         import msgspec

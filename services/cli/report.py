@@ -108,32 +108,9 @@ def after_run(recording: Path, summary: dict[str, Any]) -> str:
 
 def _run(recording: Path, name: str) -> Run:
     from services.reporting.report import Run
+    from services.tools.python_run import summary_of
 
-    return Run(name=name, recording=recording, summary=_summary(recording))
-
-
-def _summary(recording: Path) -> dict[str, Any]:
-    """Return the contents of summary.json; if there is none, a summary computed from the recording."""
-    import json
-
-    try:
-        found = json.loads(recording.with_name("summary.json").read_text(encoding="utf-8"))
-        return found if isinstance(found, dict) else {}
-    except (OSError, ValueError):
-        pass
-    import msgspec
-
-    from ltv_mpc.errors import ConfigError
-    from services.run.run_config import resolve
-    from services.run.summary import summarise_recording
-
-    try:
-        run_config = resolve(str(recording.with_name("scenario.toml")))
-    except ConfigError:  # the recording of a real vehicle: without a truth there are no errors to summarise
-        return {}
-    graded = summarise_recording(run_config, recording)[0]
-    plain: dict[str, Any] = msgspec.to_builtins(graded) if graded.cycles else {}
-    return {key: value for key, value in plain.items() if key not in ("mode", "speed")}  # taken from the recording
+    return Run(name=name, recording=recording, summary=summary_of(recording))
 
 
 def _names(recordings: Sequence[Path]) -> list[str]:

@@ -136,7 +136,7 @@ def sim(
 ) -> int:
     """Run a scenario as processes, or in lock step.
 
-    SCENARIO is a shipped name (demo, descent, hover) or a TOML file. Precedence: option, --set, file, default.
+    Precedence: option, --set, file, default.
     """
     if not lockstep:
         _interpret()
@@ -288,7 +288,7 @@ def _compile(folder: RunFolder, request: StopRequest) -> int | None:
                     raise InterruptedError
 
             log = folder.path / "compiling.log"
-            code = jit_cache.fill(folder.scenario, log, cleanup, wait)
+            code = jit_cache.fill(folder.scenario, log, cleanup.group, wait)
     except InterruptedError:
         typer.echo("stopped while compiling", err=True)
         return INTERRUPTED if request.interrupted else FAILED

@@ -31,10 +31,11 @@ from ltv_mpc.messages import (
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.latest_cache import LatestCache, LatestFrame
 from services.bus.mailbox import Mailbox
+from services.bus.message_validation import message_at
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import Session
-from services.bus.topics import BY_TYPE, OPERATOR, expression
-from services.bus.wire import Header, WireError, decode
+from services.bus.topics import BY_TYPE, OPERATOR, Topic, expression
+from services.bus.wire import Header, WireError, unpack
 from services.dashboard.late_joining import HistoryQuery
 from services.reporting.plots.collector import Collector
 from services.reporting.safety import process_state
@@ -134,11 +135,11 @@ class BusFeed:
             if self._seen.get(key) is newest.payload:
                 continue
             self._seen[key] = newest.payload
-            decoded = _decoded(newest.topic.message_type, newest.payload)
+            decoded = _decoded(newest.topic, key, newest.payload)
             if decoded is not None:
                 self._receive(*decoded, newest.arrived_s)
         while (frame := self._every.take(0.0)) is not None:
-            decoded = None if frame.topic is None else _decoded(frame.topic.message_type, frame.payload)
+            decoded = _decoded(frame.topic, frame.key, frame.payload)
             if decoded is not None and not self._history.had(*decoded):
                 self._receive(*decoded, 0.0)
         if "since_s" in self.collector.values:
@@ -241,9 +242,9 @@ def _clock_first(item: tuple[str, LatestFrame]) -> tuple[bool, bool]:
     return kind is not Clock, kind is not Truth
 
 
-def _decoded(kind: type[Message], payload: bytes) -> tuple[Message, Header] | None:
+def _decoded(topic: Topic | None, key: str, payload: bytes) -> tuple[Message, Header] | None:
     try:
-        return decode(kind, payload)
+        return None if topic is None else message_at(topic, key, unpack(payload))
     except WireError:  # the readers of the topic count it
         return None
 

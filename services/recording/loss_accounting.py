@@ -46,6 +46,11 @@ class LossAccounting:
             self._drop_oldest()
         return source.add(sequence)
 
+    def fill(self, key: str, epoch: int, sequence: int) -> bool:
+        """Count a message that was refused as no longer missing. Return True if it was missing."""
+        source = self._sources.get((key, epoch))
+        return source is not None and source.fill(sequence)
+
     def start_at(self, key: str, epoch: int, sequence: int) -> bool:
         """Count a new source from this message on, because its earlier messages could not be received.
 

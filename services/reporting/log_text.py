@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from ltv_mpc.errors import one_line
 from services.bus.topics import topic_at
 from services.recording.export import ExportResult
 from services.recording.info import Info, Key, Segment
@@ -23,6 +24,8 @@ def text(info: Info) -> str:
     vehicle = info.mode == VEHICLE_MODE
     since_s = info.start_s if vehicle else 0.0
     lines = [fold(f"{info.recording}: {f'vehicle {info.vehicle}' if vehicle else info.scenario}")]
+    if info.why:
+        lines.append(fold(one_line(f"The run failed: {info.why}")))
     versions = info.made_by
     packages = ("ltv_mpc", "python", "numpy", "osqp", "numba")
     by = ", ".join(f"{name} {versions[name]}" for name in packages if name in versions)

@@ -20,9 +20,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
+from ltv_mpc.config import read_json
 from ltv_mpc.currents import WaterPrior, write_profile
 from ltv_mpc.errors import ConfigError
 
@@ -168,6 +170,15 @@ def find(text: str) -> Path:
     if path.name == RECORDING and path.parent.is_dir():
         raise ConfigError(source, "", f"there is no {RECORDING} in this folder: name the folder of a recorded run")
     raise ConfigError(source, "", f"no such folder or file: a run's folder, its {RECORDING}, or {LATEST}")
+
+
+def read_summary(recording: Path) -> dict[str, Any]:
+    """Return the contents of summary.json beside a recording; empty if there is none.
+
+    Raises ``ConfigError`` if it cannot be read: its figures are not replaced by others in silence.
+    """
+    path = recording.with_name("summary.json")
+    return read_json(path, what="summary") if path.exists() else {}
 
 
 def _newest() -> Path | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar, cast
 
 from ltv_mpc.messages import (
     Applied,
@@ -25,6 +25,7 @@ from ltv_mpc.messages import (
 )
 from services.bus.latest_cache import LatestCache
 from services.bus.mailbox import Mailbox
+from services.bus.message_validation import message_at
 from services.bus.roles import ROUTER
 from services.bus.session import Session
 from services.bus.topics import BY_TYPE, Topic, expression
@@ -91,7 +92,7 @@ class BusMonitor:
         payload, message = self._decoded.get(frame_key, (b"", None))
         if payload is not frame.payload:
             try:
-                message = decode(kind, frame.payload)[0]
+                message = message_at(frame.topic, frame_key, unpack(frame.payload))[0]
             except WireError:  # counted by the processes that read it
                 message = None
             self._decoded[frame_key] = frame.payload, message
@@ -157,7 +158,8 @@ class BusMonitor:
         events = []
         while (frame := self._events.take(0.0)) is not None:
             try:
-                events.append(decode(RunEvent, frame.payload)[0])
+                message = message_at(BY_TYPE[RunEvent], frame.key, unpack(frame.payload))[0]
+                events.append(cast(RunEvent, message))
             except WireError:
                 continue
         return events

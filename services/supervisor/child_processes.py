@@ -10,12 +10,11 @@ from pathlib import Path
 import msgspec
 
 from services.runtime.stopping import DONE
-from services.supervisor import forkserver, process_table
+from services.supervisor import process_table
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
 from services.supervisor.hang_detector import HANG_TIMEOUT_S
 from services.supervisor.managed_process import ManagedProcess, Program
-from services.supervisor.parent_death import OrphanCleanup
 
 SIMULATION_HANG_TIMEOUT_S = 10.0
 """Hang timeout of plant and sensors. They are not restarted, so a busy machine must not end the run too early."""
@@ -24,27 +23,14 @@ SIMULATION_HANG_TIMEOUT_S = 10.0
 class ChildProcesses:
     """Current child processes. A restarted process replaces the failed one under the same name."""
 
-    def __init__(self, scenario: Path, logs: Path, cleanup: OrphanCleanup) -> None:
+    def __init__(self, scenario: Path, logs: Path, group: int) -> None:
+        """Start the fork server; ``group`` is the process group of all processes."""
         self.by_name: dict[str, ManagedProcess] = {}
         """Child processes in the order of their start."""
-        self.forks: ForkServer | None = None
-        """Fork server; None if the system does not support one: children are then spawned."""
-        self._scenario = scenario
+        self.forks = ForkServer(scenario, logs / "forkserver.log", group)
         self._logs = logs
-        self._cleanup = cleanup
         self._rows: dict[str, process_table.ProcessRow] = {}
         self._starts: dict[str, int] = {}
-
-    def start_fork_server(self) -> None:
-        """Start the fork server, which begins to load what all processes need."""
-        if forkserver.is_supported():
-            self.forks = ForkServer(self._scenario, self._log("forkserver"), self._cleanup)
-
-    def replace_dead_fork_server(self) -> None:
-        """Start another fork server if the current one is dead. Until it has loaded, children are spawned."""
-        if self.forks is not None and self.forks.exit_code() is not None:
-            self.forks.close()
-            self.start_fork_server()
 
     def start(self, row: process_table.ProcessRow, config: msgspec.Struct) -> None:
         """Write the config of a process and start it."""
@@ -67,12 +53,6 @@ class ChildProcesses:
         plant = self.by_name.get("plant")
         return plant is not None and plant.exit_code() == DONE
 
-    def close(self) -> None:
-        """Close the fork server: no more processes are started."""
-        if self.forks is not None:
-            self.forks.close()
-            self.forks = None
-
     def wait(self, timeout_s: float, stop: Callable[[], bool]) -> None:
         """Read heartbeats for ``timeout_s``. Return earlier if a child has ended or a stop is requested."""
         until = time.monotonic() + timeout_s
@@ -90,8 +70,7 @@ class ChildProcesses:
         row = self._rows[name]
         return ManagedProcess(
             Program(name, row.module, self._config(name), self._log(name)),
-            cleanup=self._cleanup,
-            forks=self.forks,
+            self.forks,
             state=state,
             hang_timeout_s=HANG_TIMEOUT_S if row.restartable else SIMULATION_HANG_TIMEOUT_S,
         )

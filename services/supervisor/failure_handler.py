@@ -63,14 +63,12 @@ class FailureHandler:
         recovery = self._recoveries.get(name)
         return None if recovery is None else recovery.failure
 
-    def check(self, now_s: float, *, excuse: bool) -> None:
-        """Find failed processes and restart them. ``excuse``: the supervisor was late, so silence is no hang.
+    def check(self, now_s: float) -> None:
+        """Find failed processes and restart them.
 
         Raises ``RunFailed`` if a process may not be restarted.
         """
         for name, child in tuple(self._children.by_name.items()):
-            if excuse:
-                child.hang_detector.excuse(now_s)
             failure = self._find_failure(name, child, now_s)
             if failure is not None:
                 self._restart(failure)
@@ -100,9 +98,7 @@ class FailureHandler:
         alive_s = child.hang_detector.last_s or now_s
         code = child.exit_code()
         if code is None:
-            if self._children.run_complete or not child.hang_detector.hung(now_s, child.cpu_wait_s):
-                return None
-            if child.in_uninterruptible_sleep():
+            if self._children.run_complete or not child.hang_detector.hung(now_s):
                 return None
             child.kill()
             return ProcessFailure(name, f"hung: no heartbeat for {now_s - alive_s:.2f} s", alive_s, now_s)

@@ -22,7 +22,7 @@ import msgspec
 import ltv_mpc
 import sim
 from ltv_mpc.jit import CACHE, share_compilation
-from services.supervisor.parent_death import OrphanCleanup, die_with_parent
+from services.supervisor.parent_death import die_with_parent
 
 NOTE = "compiling, once after a change of the sources: a minute or two"
 """Line that announces a compilation."""
@@ -55,8 +55,8 @@ def command(scenario: str) -> list[str]:
     return [sys.executable, "-P", "-m", "services.supervisor.jit_cache", scenario]
 
 
-def fill(scenario: Path, log: Path, cleanup: OrphanCleanup, wait: Callable[[float], None]) -> int:
-    """Run ``command`` with its output in ``log``, and return its exit code.
+def fill(scenario: Path, log: Path, group: int, wait: Callable[[float], None]) -> int:
+    """Run ``command`` in a process group, with its output in ``log``, and return its exit code.
 
     ``wait`` is called again and again with the share that is compiled, approximately. An exception of it ends the
     compilation.
@@ -67,9 +67,8 @@ def fill(scenario: Path, log: Path, cleanup: OrphanCleanup, wait: Callable[[floa
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
-            start_new_session=True,
+            process_group=group,
         )
-    cleanup.add(process.pid)
     before = stored_bytes()
     try:
         while process.poll() is None:
@@ -77,7 +76,6 @@ def fill(scenario: Path, log: Path, cleanup: OrphanCleanup, wait: Callable[[floa
     finally:
         process.kill()  # its own children end with it
         code = process.wait()
-        cleanup.remove(process.pid)
     return code
 
 
@@ -89,12 +87,6 @@ def share(before: int) -> float:
 def stored_bytes() -> int:
     """Return the size of the machine code in the cache, also that of other versions of the sources."""
     return sum(path.stat().st_size for path in CACHE.glob("*/*.nbc"))
-
-
-def warm_up(scenario: str) -> None:
-    """Run all nodes of a scenario briefly: all their compiled code and solvers are then loaded."""
-    warm_up_controller(scenario)
-    warm_up_others(scenario)
 
 
 def warm_up_controller(scenario: str) -> None:

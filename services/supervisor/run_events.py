@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 from ltv_mpc.messages import RunEvent
 from services.bus.outbox import Outbox
 from services.bus.roles import SUPERVISOR
+from services.recording.writer import ENDED
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.screen import Screen
 
@@ -35,6 +38,11 @@ class RunEvents:
         event = RunEvent(t_ns=self._monitor.t_ns() or 0, node=SUPERVISOR, kind=kind, text=text)
         self.show(event)
         self._pending.append(event)
+
+    def end(self, why: str) -> None:
+        """Publish at once why the run ends early; the screen shows it as the outcome of the run."""
+        self._pending.append(RunEvent(t_ns=self._monitor.t_ns() or 0, node=SUPERVISOR, kind=ENDED, text=why))
+        self.publish_pending(math.inf)
 
     def show(self, event: RunEvent) -> None:
         """Print an event on the screen."""

@@ -20,6 +20,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import msgspec
+
 from ltv_mpc.errors import format_value, one_line
 from ltv_mpc.messages import NodeStatus, RunEvent
 from services.bus.options import SECURE, BusOptions
@@ -29,13 +31,12 @@ from services.bus.session import Session, Stopped, open_session
 from services.recording import join
 from services.run.folder import DELETED, RunFolder
 from services.run.run_config import RunConfig
-from services.run.summary import summarise_recording
+from services.run.summary import STOPPED, summarise_recording
 from services.runtime.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
 from services.supervisor import jit_cache, loopback, process_table, shutdown
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.failure_handler import FailureHandler, RunFailed
-from services.supervisor.hang_detector import LATE_S
 from services.supervisor.live_view import live_view
 from services.supervisor.managed_process import describe_exit, last_lines
 from services.supervisor.parent_death import OrphanCleanup
@@ -44,6 +45,8 @@ from services.supervisor.screen import LivePage, LiveView, Screen
 from sim.evaluation.summary import Summary
 
 TICK_S = 0.05
+LAST_LINES = "; its last lines:"
+"""End of a reason that the last lines of a log follow."""
 READY_TIMEOUT_S = 60.0
 """Longest time from a process's start to its first status. The slowest process needs 2 s on busy cores, or 30 s if it
 must compile."""
@@ -55,7 +58,7 @@ DRAWING_TIMEOUT_S = 5.0
 class Outcome:
     """Outcome of a run. ``why`` and the last log lines of the failed process are empty if the run completed.
 
-    ``summary`` is None if the controller has not done a cycle.
+    ``summary`` is None if nothing was recorded.
     """
 
     completed: bool
@@ -104,7 +107,7 @@ class Supervisor:
         self._screen = screen
         self._page = page
         self._logs.mkdir(exist_ok=True)
-        self._started_s = self._ticked_s = time.monotonic()
+        self._started_s = time.monotonic()
         self._cleanup: OrphanCleanup
         self._request: StopRequest
         self.children: ChildProcesses
@@ -122,16 +125,21 @@ class Supervisor:
         """Join the segments of the recording and write the summary. Return the outcome with the summary."""
         for text in join.segments_of(self._folder.recording):
             self._screen.say(text)
+        why = outcome.why.removesuffix(LAST_LINES)
+        if why and self._page is not None:
+            self._page.show(f"failed: {one_line(why)}")
         recorder = None if self._monitor is None else self._monitor.newest(NodeStatus, "recorder")
         summary, water = summarise_recording(
             self._run_config,
             self._folder.recording,
             restarts=self.failures.restarts,
             unrecorded=0 if recorder is None else recorder.dropped,
+            why=why,
         )
         if summary.cycles == 0:
-            why = f"{self._folder.recording}: no cycle of the controller is recorded"
-            return replace(outcome, completed=False, exit_code=outcome.exit_code or FAILED, why=outcome.why or why)
+            why = outcome.why or f"{self._folder.recording}: no cycle of the controller is recorded"
+            outcome = replace(outcome, completed=False, exit_code=outcome.exit_code or FAILED, why=why)
+            summary = msgspec.structs.replace(summary, completed=False, why=why.removesuffix(LAST_LINES))
         outcome = replace(outcome, summary=summary)
         try:
             self._folder.write_result(summary, water)
@@ -153,7 +161,7 @@ class Supervisor:
         in_order = False
         with ExitStack() as sessions:
             self._cleanup = OrphanCleanup()
-            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup)
+            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group)
             self.failures = FailureHandler(self.children)
             try:
                 context = self._open_bus(certs)
@@ -162,19 +170,24 @@ class Supervisor:
                 self._start(sessions, context)
                 self._wait_until(lambda: self.children.run_complete, None, "")
                 in_order = True
+            except ChildProcessError as error:
+                return Outcome(completed=False, exit_code=FAILED, why=str(error))
             except RunFailed as failure:
                 in_order = failure.in_order
-                return Outcome(completed=False, exit_code=FAILED, why=failure.why, last_lines=failure.last_lines)
+                return self._ended_early(failure.why, FAILED, failure.last_lines)
             except Stopped:
-                code = INTERRUPTED if self._request.interrupted else FAILED
-                return Outcome(
-                    completed=False, exit_code=code, why="stopped early; the messages recorded so far are kept"
-                )
+                return self._ended_early(STOPPED, INTERRUPTED if self._request.interrupted else FAILED)
             finally:
-                self.children.close()
+                self.children.forks.close()
                 killed = shutdown.stop(self.children.by_name, in_order=in_order, close_session=sessions.close)
                 self._cleanup.close()
         return self._final_check(killed)
+
+    def _ended_early(self, why: str, code: int, lines: tuple[str, ...] = ()) -> Outcome:
+        """Say in the recording why the run ends before its end."""
+        if self._events is not None:
+            self._events.end(why.removesuffix(LAST_LINES))
+        return Outcome(completed=False, exit_code=code, why=why, last_lines=lines)
 
     def _final_check(self, killed: Sequence[str]) -> Outcome:
         """Check that every process ended by itself and without an error, now that the run is complete."""
@@ -221,22 +234,23 @@ class Supervisor:
             if self._page is not None:
                 self._page.show(f"{jit_cache.NOTE}; {share:.0%} after {time.monotonic() - begun_s:.0f} s")
 
-        code = jit_cache.fill(self._folder.scenario, log, self._cleanup, wait)
+        code = jit_cache.fill(self._folder.scenario, log, self._cleanup.group, wait)
         if code != DONE:
             raise RunFailed(f"compiling {describe_exit(code)}; its last lines:", last_lines(log))
 
     def _load(self) -> None:
-        """Start the fork server and wait until it has loaded."""
+        """Wait until the fork server has loaded."""
         if self._page is not None:
             self._page.show("starting the processes")
-        self.children.start_fork_server()
+        forks, until = self.children.forks, time.monotonic() + READY_TIMEOUT_S
+        forks.load()
         for row in process_table.processes(self._run_config.scenario):
             importlib.import_module(row.module)  # for its config, while the fork server loads the same
-        if (forks := self.children.forks) is None:
-            return
         while not forks.is_loaded():
-            if (code := forks.exit_code()) is not None:
-                raise RunFailed(f"loading {describe_exit(code)}; its last lines:", last_lines(forks.log))
+            code = forks.exit_code()
+            if code is not None or time.monotonic() > until:
+                how = f"is not done within {READY_TIMEOUT_S:.0f} s" if code is None else describe_exit(code)
+                raise RunFailed(f"loading {how}; its last lines:", last_lines(forks.log))
             self._tick()
 
     def _start(self, sessions: ExitStack, context: process_table.RunContext) -> None:
@@ -295,8 +309,7 @@ class Supervisor:
         if self._folder.deleted:
             raise RunFailed(f"{self._folder.path}: {DELETED}")
         now_s = time.monotonic()
-        late, self._ticked_s = now_s - self._ticked_s > LATE_S, now_s
-        self.failures.check(now_s, excuse=late)
+        self.failures.check(now_s)
         monitor, events = self._monitor, self._events
         if monitor is None or events is None:
             return
@@ -307,7 +320,7 @@ class Supervisor:
                 self._screen.say(one_line(f"kill refused: no process {format_value(name)} in this run"))
         self.failures.check_recoveries(now_s)
         if not self.failures.recovering:  # a restarted process needs the processor more
-            self.children.replace_dead_fork_server()
+            self.children.forks.replace_if_dead()
         for event in monitor.new_events():
             if event.node != SUPERVISOR:
                 events.show(event)

@@ -66,6 +66,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 
     scenario: str
     mode: str  # "services" or "lockstep"
+    completed: bool  # the run came to its end, and all its processes with it
+    why: str  # why it did not; empty if it did
     seed: int
     speed: float | None  # requested speed relative to real time; null in lock step
     speed_reached: float | None  # speed reached, pauses included

@@ -15,9 +15,8 @@ import numpy as np
 from ltv_mpc.control.fence_clearance import Scene
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.ocp import assembly, limits
+from ltv_mpc.control.ocp import assembly, fence, limits
 from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
-from ltv_mpc.control.ocp.limits import fence
 from ltv_mpc.control.ocp.problem import Problem, least_surplus
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS, bow_first
 from ltv_mpc.messages import Array
@@ -56,7 +55,7 @@ class Cycle:
         self.packed, self.scene, self.knots = packed, scene, knots
         self._scales = assembly.scales(scales)
         self.target = np.zeros((stages + 1, 3))
-        """Target at the knots (``ocp/terms``)."""
+        """Target at the knots (``ocp/terms.py``)."""
         self.lin = Linearisation.empty(stages)
         """The motion along the nominal trajectory."""
         self.start = np.zeros(CHANGES)

@@ -115,7 +115,7 @@ class Extensions:
         terms : in any order.
         lengths : (N,) of the stages.
         scale : (10,) what is 1 in the states of the problem.
-        target : (N+1, 3) as in ``ocp/terms``; each cycle overwrites it.
+        target : (N+1, 3) as in ``ocp/terms.py``; each cycle overwrites it.
         """
         self._terms = [term for term in terms if isinstance(term, Term)]
         self._limits = [term for term in terms if isinstance(term, Limit)]

@@ -67,23 +67,6 @@ def is_finite(p: Problem) -> bool:
 
 
 @jit
-def clear(p: Problem) -> None:
-    """Remove dynamics, cost and limits from a problem.
-
-    Parameters
-    ----------
-    p : is overwritten.
-    """
-    for part in (p.F, p.H, p.G):
-        part[:, :, :] = 0.0
-    for part in (p.f, p.h):
-        part[:, :] = 0.0
-    for i in range(p.low.size):
-        p.low.flat[i] = -np.inf
-        p.high.flat[i] = p.penalty.flat[i] = np.inf
-
-
-@jit
 def roll_out(p: Problem, z: Array) -> None:
     """Compute the states that inputs lead to.
 
@@ -197,7 +180,6 @@ def optimality_error(p: Problem, z: Array, y: Array) -> float:
     return worst if np.isfinite(total) else np.inf
 
 
-@jit
 def least_surplus(p: Problem, z: Array, first: int) -> float:
     """Return by how much the rows from a number on are kept; negative: not all are.
 
@@ -207,10 +189,7 @@ def least_surplus(p: Problem, z: Array, first: int) -> float:
     z : (N+1, n+m) inputs; the states follow from them.
     first : number of the first row that counts.
     """
-    own, g, least = z.copy(), p.low.copy(), np.inf
+    own = z.copy()
     roll_out(p, own)
-    row_values(p, own, g)
-    for k in range(g.shape[0]):
-        for i in range(first, g.shape[1]):
-            least = min(least, g[k, i] - p.low[k, i], p.high[k, i] - g[k, i])
-    return float(least)
+    g = np.einsum("kri,ki->kr", p.G[:, first:], own)
+    return float(min((g - p.low[:, first:]).min(), (p.high[:, first:] - g).min()))

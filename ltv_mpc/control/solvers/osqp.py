@@ -28,6 +28,7 @@ import numpy as np
 from osqp import SolverStatus, ext_builtin
 from scipy.sparse import csc_array, csc_matrix
 
+from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.ocp.problem import Problem, costates, is_finite, roll_out, row_values
 from ltv_mpc.control.solvers import riccati
@@ -307,7 +308,7 @@ def prepare(
     if not fits(p, masks):
         return MISFIT, 0.0
     fill(p, places, at.numbers)
-    riccati.shift_duals(duals, t, shift)
+    shooting_grid.shift(duals, t, shift)
     for i in range(duals.size):
         if abs(duals.flat[i]) <= NOT_ACTIVE:
             duals.flat[i] = 0.0

@@ -14,7 +14,7 @@ from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import make
 from ltv_mpc.control.solvers.osqp import OsqpSolver
-from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
+from ltv_mpc.control.solvers.recorder import QpRecorder, RecordingSolver
 from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.messages import Health, Solve
@@ -194,7 +194,7 @@ def test_a_cycle_in_which_a_part_raises_has_a_plan_and_the_next_one_is_solved(pa
     controller, solver = Controller(SURFACES, POINT), None
     if part is SparseLayout:  # built by the recorder of a failed QP
         solver = Faulty()
-        controller = Controller(SURFACES, POINT, make_solver=FailureRecorder(solver))
+        controller = Controller(SURFACES, POINT, make_solver=QpRecorder(solver))
     estimate, before = fly(controller, moving(), 5)
 
     def raises(*_, **__):
@@ -220,7 +220,7 @@ def test_a_failed_qp_with_a_fence_is_recorded_with_its_half_planes():
     wreck = Disc(name="wreck", centre=references.Place(north_m=2.5, east_m=0.0), radius_m=1.0)
     solver = Faulty()
     solver.fault = "infeasible"
-    recorder = FailureRecorder(solver)
+    recorder = QpRecorder(solver)
     controller = Controller(SURFACES, POINT, make_solver=recorder)
     controller.set_fence(Fence(margin_m=0.1, keep_out_disc=(wreck,)))
     controller.plan(moving())

@@ -21,7 +21,7 @@ import numpy as np
 from ltv_mpc.control.fence_clearance import CORRIDOR_PENALTY, PENALTY, Scene, cross_track, disc_at, sag_m, stage_lack
 from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import stage_length, unpack_constants
-from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, allocate, half_planes, insert_row
+from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, half_planes, insert_row
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
@@ -58,8 +58,7 @@ def fill(packed: Array, X: Array, scene: Scene, rows: int, p: Problem) -> None:
         sag = sag_m(X, k, g * scene.stage_s) if at[k - 1] < 1.0 else 0.0
         for z in range(Z):
             required[k - 1, z] = scene.need[z] + sag
-    found = allocate(stages)
-    half_planes(scene.zones, points, required, scene.exits, reach, found)
+    found = half_planes(scene.zones, points, required, scene.exits, reach)
     for k in range(1, stages + 1):
         for i in range(len(scene.discs)):
             _insert_disc(scene, i, times[k - 1], k - 1, points, reach[k - 1], found)
