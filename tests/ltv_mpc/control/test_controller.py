@@ -110,7 +110,7 @@ def test_a_second_qp_a_cycle_holds_the_line_better(closed_loop):
 
     def mean_error(sqp_iterations: int) -> float:
         config = ControllerConfig(sqp_iterations=sqp_iterations, horizon_s=5.1, effort="high")
-        descents = [closed_loop(seed, 300, config)[0] for seed in (5, 8, 11, 14)]
+        descents = [closed_loop(seed, 300, config)[0] for seed in (5, 8)]
         return float(np.mean([distance(e) for estimates in descents for e in estimates[30:]]))
 
     assert mean_error(2) < 0.95 * mean_error(1)
