@@ -118,19 +118,17 @@ class Loop:
 
     def _report(self, t_ns, command_N) -> Applied:
         named = self.names_plans and self.accepted is not None
-        return Applied(
-            t_ns=t_ns,
-            thrust_N=tuple(self.delivered_N.tolist()),
-            command_N=tuple(command_N.tolist()),
-            command_slew_N_per_s=(0.0, 0.0, 0.0),
-            plan_epoch=1 if named else 0,
-            plan_sequence=self.sequence - 1 if named else -1,
-            plan_cycle_t_ns=self.accepted.cycle_t_ns if named else 0,
-            plan_received_t_ns=self.received_ns if named else 0,
-            plan_late=False,
-            plans_late=self.gate.plans_late,
-            plans_rejected=0,
+        follows = (
+            {}
+            if not named
+            else {
+                "plan_epoch": 1,
+                "plan_sequence": self.sequence - 1,
+                "plan_cycle_t_ns": self.accepted.cycle_t_ns,
+                "plan_received_t_ns": self.received_ns,
+            }
         )
+        return report(t_ns, self.delivered_N, command_N, plans_late=self.gate.plans_late, **follows)
 
 
 def degraded_s(cycles):
