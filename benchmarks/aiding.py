@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ltv_mpc.messages import Array, Estimate, Truth
-from services.reporting.figures import sheet
+from services.reporting import sheet
 from services.reporting.plots import palette
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run

@@ -34,7 +34,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE
 from ltv_mpc.messages import ImuSample, ImuSamples
 from ltv_mpc.node import Inbox
-from services.reporting.figures import sheet
+from services.reporting import sheet
 from services.reporting.plots import palette
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run

@@ -23,7 +23,7 @@ T = TypeVar("T")
 MAX_FILE_BYTES = 1 << 20
 """Largest size of a settings file."""
 
-MAX_NESTING = 20
+MAX_NESTING = 10
 """Largest depth of nested tables and lists. No settings file needs more, and their traversal is recursive."""
 
 
@@ -139,13 +139,13 @@ def open_file(path: Path, *, what: str, max_bytes: int | None = None) -> BinaryI
     """
     source = f"{what} {path}"
     try:
-        file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb")
+        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except FileNotFoundError:
         raise ConfigError(source, "", missing_file_hint(path)) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         why = getattr(error, "strerror", None) or str(error)
         raise ConfigError(source, "", f"cannot be read: {why}") from None
-    status = os.fstat(file.fileno())
+    status = os.fstat(number)
     problem = ""
     if stat.S_ISDIR(status.st_mode):
         problem = f"is a folder: give the {what} file itself"
@@ -154,9 +154,9 @@ def open_file(path: Path, *, what: str, max_bytes: int | None = None) -> BinaryI
     elif max_bytes is not None and status.st_size > max_bytes:
         problem = f"has {status.st_size} bytes: at most {max_bytes}; check the file name"
     if problem:
-        file.close()
+        os.close(number)
         raise ConfigError(source, "", problem)
-    return file
+    return os.fdopen(number, "rb")
 
 
 def read_bytes(path: Path, *, what: str, max_bytes: int = MAX_FILE_BYTES) -> bytes:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 
 from benchmarks.page_tables import Table
-from benchmarks.paper.settings import AVERAGED, COMPUTING_S, RECORDED
+from benchmarks.paper.settings import COMPUTING_S, RECORDED
+from benchmarks.paper.sheets import NONE
 from benchmarks.paper.timing import Timed
 from benchmarks.paper.water import Profile, rms_difference_mps
-from services.reporting.figures.paper import NONE
 from sim.evaluation.summary import Summary
 
 LAGS_M = (8.0, 24.0)
@@ -35,37 +35,13 @@ def descents(summaries: Mapping[str, Summary]) -> Table:
         rows=tuple(
             (
                 name,
-                *_setting(key, [summaries[key]]),
+                *_setting(key, summaries[key]),
                 summaries[key].tracking_error_m.mean,
                 summaries[key].localisation_error_m.mean,
                 summaries[key].true_error_m.mean,
-                *_effort([summaries[key]]),
-            )
-            for key, name, _ in RECORDED
-        ),
-    )
-
-
-def seeds(summaries: Mapping[str, Sequence[Summary]]) -> Table:
-    """Tabulate the mean over many seeds with the state known: the performance of the controller alone."""
-    none = [_error(summary) for summary in summaries[NONE]]
-    return Table(
-        name="seeds",
-        head=(
-            *(f"mean of seeds 0 to {len(none) - 1}, state known", "horizon (s)", "delay (s)", "error (m)"),
-            *("of the worst seed (m)", "seeds better than no control", "mean abs F (N)", "saturated (%)"),
-        ),
-        digits=(0, 1, 2, 3, 3, 0, 1, 1),
-        rows=tuple(
-            (
-                name,
-                *_setting(key, summaries[key]),
-                statistics.fmean(errors := [_error(summary) for summary in summaries[key]]),
-                max(errors),
-                None if key == NONE else float(sum(a < b for a, b in zip(errors, none, strict=True))),
                 *_effort(summaries[key]),
             )
-            for key, name, _ in AVERAGED
+            for key, name, *_ in RECORDED
         ),
     )
 
@@ -138,25 +114,14 @@ def _root_mean(squares: Sequence[float]) -> float:
     return 100.0 * math.sqrt(statistics.fmean(squares))
 
 
-def _setting(key: str, summaries: Sequence[Summary]) -> tuple[float | None, float | None]:
+def _setting(key: str, summary: Summary) -> tuple[float | None, float | None]:
     """Return horizon and delay; None for both without control."""
-    if key == NONE:
-        return None, None
-    return summaries[0].horizon_s, summaries[0].compute_delay_s.median
+    return (None, None) if key == NONE else (summary.horizon_s, summary.compute_delay_s.median)
 
 
-def _effort(summaries: Sequence[Summary]) -> tuple[float, float]:
+def _effort(summary: Summary) -> tuple[float | None, float]:
     """Return mean |F| (N), and the share of the time at a limit in per cent."""
-    mean = _mean(summaries, lambda summary: summary.thrust.mean_abs_N)
-    return mean, 100.0 * _mean(summaries, lambda summary: summary.thrust.saturated_fraction)
-
-
-def _error(summary: Summary) -> float:
-    return summary.true_error_m.mean or 0.0
-
-
-def _mean(summaries: Sequence[Summary], of: Callable[[Summary], float | None]) -> float:
-    return statistics.fmean(of(summary) or 0.0 for summary in summaries)
+    return summary.thrust.mean_abs_N, 100.0 * (summary.thrust.saturated_fraction or 0.0)
 
 
 # --- where they stand ------------------------------------------------------------------------------------------------

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.paper.renderer import Run
+from benchmarks.paper.structure import LAG, MEAN_SQUARE, SYNTHETIC
 from ltv_mpc.currents import read_profile
 from ltv_mpc.messages import Array
-from services.reporting.figures.renderer import Run
-from services.reporting.figures.water import LAG, MEAN_SQUARE, SYNTHETIC
 from services.reporting.plots.table import Columns, short
 from sim.scenario import Water
 from sim.water import make

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from ltv_mpc.array_encoding import to_wire
+from ltv_mpc.config import read_bytes
 from ltv_mpc.control.ocp import limits
 from ltv_mpc.control.qp import QP
 from ltv_mpc.control.solvers.sparse import DYNAMICS, EXCESS, LOWER, UPPER, SparseLayout
@@ -19,6 +20,8 @@ from ltv_mpc.messages import Array, Solve
 
 FORMAT: Literal["ltv-mpc qp 2"] = "ltv-mpc qp 2"
 FILE = "QP file"
+MAX_BYTES = 1 << 26
+"""Largest size of a file: the QP of the longest horizon has a hundredth of it."""
 
 STATES = (
     *(("north", "m"), ("east", "m"), ("surge", "m/s"), ("sway", "m/s"), ("heading", "rad"), ("yaw rate", "rad/s")),
@@ -131,17 +134,15 @@ class NamedQp:
         ConfigError : the file is missing or unreadable, or ``save`` did not write it.
         """
         try:
-            of = msgspec.msgpack.decode(path.read_bytes(), type=_File)
+            of = msgspec.msgpack.decode(read_bytes(path, what=FILE, max_bytes=MAX_BYTES), type=_File)
             n, m = len(of.q), len(of.l)
             if not len(of.rows) == len(of.u) == m:
                 raise ValueError(f"{m} lower bounds, {len(of.u)} upper, {len(of.rows)} rows: must be equal numbers")
             q, l, u = (np.array(part, dtype=np.float64) for part in (of.q, of.l, of.u))  # noqa: E741
             return cls(QP(of.P.array(n, n), q, of.A.array(m, n), l, u), of.rows, of.solve)
-        except FileNotFoundError:
-            raise ConfigError(f"{FILE} {path}", "", "no such file") from None
-        except OSError as error:
-            raise ConfigError(f"{FILE} {path}", "", f"cannot be read: {error.strerror}") from None
-        except (msgspec.MsgspecError, ValueError, ArithmeticError) as error:
+        except ConfigError:
+            raise
+        except (ValueError, ArithmeticError, RecursionError) as error:
             problem = f"is not a QP saved by this program: {str(error)[:200]}"
             raise ConfigError(f"{FILE} {path}", "", problem) from None
 

@@ -9,7 +9,6 @@ the commands approach the plan at the slew limit.
 
 from __future__ import annotations
 
-import math
 from typing import TypeAlias
 
 import numpy as np
@@ -55,7 +54,7 @@ class SentCommands:
         period_ns : period of the plans (ns).
         """
         self._slew = np.array([t.slew_N_per_s for t in vehicle.thrusters])
-        self._rest = 0.0, 0.0, vehicle.failsafe_vertical_N
+        self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
         self._history_ns = max(HISTORY_NS, round(HISTORY_LAGS * 1e9 * max(t.lag_s for t in vehicle.thrusters)))
         self._period_ns, self._timeout_s = period_ns, vehicle.plan_timeout_s
         self.knots: Commands = (np.empty(0, dtype=np.int64), np.empty((0, 3)))
@@ -76,28 +75,19 @@ class SentCommands:
         past = slice(t.searchsorted(min(start_ns - self._history_ns, estimate_ns), "right"), t.searchsorted(start_ns))
         end_ns = plan_end_ns(plan.t_ns, self._period_ns, self._timeout_s)
         k = int(plan.t_ns.searchsorted(end_ns))
-        (t0, t1), (first_N, next_N) = plan.t_ns[[k - 1, k]].tolist(), plan.thrust_N[[k - 1, k]]
-        last_N = first_N + (end_ns - t0) / (t1 - t0) * (next_N - first_N) if k > 0 else next_N
-        ramp_t, ramp = self._ramp_to_rest(last_N.tolist())
+        last_N, before_ns = plan.thrust_N[k], int(plan.t_ns[k - 1])
+        if k > 0:
+            part = (end_ns - before_ns) / (int(plan.t_ns[k]) - before_ns)
+            last_N = plan.thrust_N[k - 1] + part * (last_N - plan.thrust_N[k - 1])
+        # One knot where each thruster comes to rest, in the order of time; two in one nanosecond share it.
+        way_N = last_N - self._rest
+        own_ns = np.ceil(np.abs(way_N) / self._slew * 1e9)
+        ramp_ns = np.array(sorted({0.0, *own_ns.tolist()}))
+        left = 1.0 - np.minimum(ramp_ns[:, None] / np.maximum(own_ns, 1.0), 1.0)
         self.knots = (
-            np.concatenate([t[past], plan.t_ns[:k], [end_ns + ns for ns in ramp_t]]),
-            np.concatenate([thrust[past], plan.thrust_N[:k], ramp]),
+            np.concatenate([t[past], plan.t_ns[:k], end_ns + ramp_ns.astype(np.int64)]),
+            np.concatenate([thrust[past], plan.thrust_N[:k], self._rest + left * way_N]),
         )
-
-    def _ramp_to_rest(self, last_N: list[float]) -> tuple[list[int], list[list[float]]]:
-        """Return times after the end of a plan (ns) and commands (N): one where each thruster comes to rest."""
-        ways = [last - rest for last, rest in zip(last_N, self._rest, strict=True)]
-        seconds = [abs(way) / slew for way, slew in zip(ways, self._slew.tolist(), strict=True)]
-        corners = {math.ceil(s * 1e9): s for s in sorted(seconds, reverse=True)}  # two in one nanosecond share it
-        ramp = {0: last_N} | {
-            ns: [
-                r + w * (1.0 - min(s / own, 1.0)) if own else r
-                for r, w, own in zip(self._rest, ways, seconds, strict=True)
-            ]
-            for ns, s in sorted(corners.items())
-            if ns
-        }
-        return list(ramp), list(ramp.values())
 
     @property
     def oldest(self) -> tuple[int, Array]:

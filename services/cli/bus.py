@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 
 import typer
 
+from ltv_mpc.errors import ConfigError
+
 if TYPE_CHECKING:
     from services.bus.options import BusOptions
 
@@ -117,7 +119,6 @@ def with_bus(role: str = "") -> Callable[[Callable[..., int]], Callable[..., int
 
 def check_endpoint(option: str, endpoint: str, certs: Path | None) -> None:
     """Raise ``ConfigError`` if Zenoh cannot use the endpoint, or if it is not secure although certificates are used."""
-    from ltv_mpc.errors import ConfigError
     from services.bus.options import SECURE, endpoint_error
 
     if problem := endpoint_error(endpoint):
@@ -128,8 +129,6 @@ def check_endpoint(option: str, endpoint: str, certs: Path | None) -> None:
 
 def check_namespace(namespace: str, option: str = "--namespace") -> None:
     """Raise ``ConfigError`` if the namespace cannot be the prefix of a key."""
-    from ltv_mpc.errors import ConfigError
-
     if (namespace and not all(namespace.split("/"))) or set(namespace) & set("*$#? "):
         problem = "must be names joined by /, without * $ # ? or spaces"
         raise ConfigError(f"option {option}", "", problem, value=namespace)

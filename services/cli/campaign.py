@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.options import CampaignFolder, Force, Json
+from services.runtime.console import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,7 +43,6 @@ def campaign(
 
     _check_packages(cluster, workers)
     from services.run import folder
-    from services.runtime.console import counted
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.tools.campaign import file as files
     from services.tools.campaign import table, text
@@ -70,8 +71,6 @@ def campaign(
 
 def _check_packages(cluster: str | None, workers: int | None) -> None:
     import importlib.util
-
-    from ltv_mpc.errors import ConfigError
 
     if importlib.util.find_spec("pyarrow") is None:
         problem = "needs the package pyarrow: pip install pyarrow (extra campaign)"

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.options import Force
 
 SOURCE_NAME = "must be 1 to 32 of a-z, 0-9, _ and -, begin with a letter or digit, and not be `default`"
@@ -52,7 +53,6 @@ def new(
     """
     import re
 
-    from ltv_mpc.errors import ConfigError
     from services.bus.roles import ROLES, ROS_PREFIX, SOURCE_PREFIX
     from services.bus.topics import is_source_name
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ltv_mpc.errors import ConfigError, format_value
 from services.cli.bus import with_bus
 
 if TYPE_CHECKING:
@@ -50,7 +51,6 @@ def ctl(
     """
     from ltv_mpc import references
     from ltv_mpc.config import to_toml
-    from ltv_mpc.errors import ConfigError, format_value
     from ltv_mpc.geofence.fence import Fence
     from ltv_mpc.messages import Action
     from ltv_mpc.node import DEFAULT_SOURCE

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.bus import with_bus
 from services.cli.options import ShownVehicle
 
@@ -34,8 +35,6 @@ def dashboard(
 
     Prints the address of the page with the token for its buttons; without the token the page is read-only.
     """
-    from ltv_mpc.errors import ConfigError
-
     try:
         address = ipaddress.ip_address(host)
     except ValueError:

@@ -7,6 +7,7 @@ from typing import Annotated, TypeAlias
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.options import Force, Json, SensorsFile
 
 dive = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
@@ -83,7 +84,6 @@ def plan_(
     from rich.console import Console
     from rich.progress import Progress
 
-    from ltv_mpc.errors import ConfigError
     from services.recording.reader import Recording
     from services.run import folder
     from services.tools.dive_plan import plan, report
@@ -119,8 +119,6 @@ def plan_(
 
 def _numbers(text: str) -> list[int]:
     """Return the numbers of fixes. Raises ``ConfigError``."""
-    from ltv_mpc.errors import ConfigError
-
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() and 1 <= int(part) <= MAX_FIXES for part in parts) or len(parts) > MAX_LISTED:
         problem = f"must be at most {MAX_LISTED} whole numbers from 1 to {MAX_FIXES}, as in 1,10,30"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from services.cli.options import Json
+from services.runtime.console import fold
 
 INDENT = 25
 """Columns before what was found: severity and check."""
@@ -18,7 +19,6 @@ def doctor(as_json: Json = False) -> int:
     import json
     from dataclasses import asdict
 
-    from services.runtime.console import fold
     from services.tools.doctor import Level, examine
 
     found = examine()

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.options import Force, Json
 
 
@@ -51,7 +52,6 @@ def localise(
     """
     import msgspec
 
-    from ltv_mpc.errors import ConfigError
     from services.reporting.terminal import progress_bar
     from services.run import folder
     from services.tools.localise import dive_localisation as dive

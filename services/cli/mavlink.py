@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltv_mpc.config import read_bytes
+from ltv_mpc.errors import ConfigError
 from services.cli.bus import with_bus
 
 if TYPE_CHECKING:
@@ -48,7 +50,6 @@ def mavlink(
 
     Reads plan and controller/status; writes estimate, command and applied. It replaces the estimator.
     """
-    from ltv_mpc.errors import ConfigError
     from ltv_mpc.vehicle.parameters import Vehicle
 
     try:
@@ -76,7 +77,6 @@ def mavlink(
 
 def _accuracy(text: str) -> Accuracy:
     """Return the standard deviations of a text. Raises ``ConfigError``."""
-    from ltv_mpc.errors import ConfigError
     from services.edges.mavlink.navigation import Accuracy
 
     try:
@@ -90,12 +90,7 @@ def _accuracy(text: str) -> Accuracy:
 
 def _key(path: Path) -> bytes:
     """Return the 32 bytes of a file. Raises ``ConfigError``."""
-    from ltv_mpc.errors import ConfigError
-
-    try:
-        key = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"option --signing-key {path}", "", f"cannot be read: {error.strerror}") from None
+    key = read_bytes(path, what="option --signing-key")
     if len(key) != 32:
         raise ConfigError(f"option --signing-key {path}", "", f"has {len(key)} bytes, must be 32")
     return key
@@ -103,8 +98,6 @@ def _key(path: Path) -> bytes:
 
 def _address(text: str) -> tuple[str, int, bool]:
     """Return host, port, and whether the edge listens there. Raises ``ConfigError``."""
-    from ltv_mpc.errors import ConfigError
-
     found = re.fullmatch("(udpin|udpout):(.+):([0-9]{1,5})", text)
     if found is None or not 1 <= int(found[3]) <= 65_535:
         problem = "must be udpin:HOST:PORT or udpout:HOST:PORT, as in udpin:127.0.0.1:14550"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.bus import with_bus
 from services.cli.options import Force, LogJson, Out, ScenarioName, SensorsFile, VehicleFile
 
@@ -88,7 +89,6 @@ def estimator(
 
     Reads sensor/*; writes estimate.
     """
-    from ltv_mpc.errors import ConfigError
     from ltv_mpc.localisation.config import EstimatorConfig
     from ltv_mpc.vehicle.parameters import Vehicle
     from services.processes import estimator as process
@@ -138,8 +138,6 @@ def recorder(
     from services.run import folder
 
     if goes_on and (out is None or not _is_scenario_of(out, scenario)):
-        from ltv_mpc.errors import ConfigError
-
         problem = "needs --out DIR, the folder of a recording; that of a simulation with its DIR/scenario.toml"
         raise ConfigError("option --continue", "", problem)
     config = process.Config(bus=bus, folder=Path(), metadata={"mode": VEHICLE_MODE}, log_json=log_json)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.bus import check_namespace, with_bus
 
 if TYPE_CHECKING:
@@ -59,7 +60,6 @@ def ros2(
     """
     from msgspec import structs
 
-    from ltv_mpc.errors import ConfigError
     from ltv_mpc.vehicle.parameters import Vehicle
     from services.bus.session import configuration
 
@@ -87,8 +87,6 @@ def ros2(
 
 def _check(middleware: str, bus: BusOptions) -> None:
     """Raise ``ConfigError`` for an unknown middleware, or one that cannot use certificates."""
-    from ltv_mpc.errors import ConfigError
-
     if middleware not in (DDS, RMW_ZENOH):
         raise ConfigError("option --middleware", "", f"must be {DDS} or {RMW_ZENOH}", value=middleware)
     if bus.certs is not None and middleware == DDS:
@@ -100,7 +98,6 @@ def _rows(topics: Iterable[str], array: str, scale: float) -> tuple[Row, ...]:
     """Return the rows in use, with the topics of --topic. Raises ``ConfigError``."""
     import math
 
-    from ltv_mpc.errors import ConfigError
     from services.edges.ros2.middleware import is_topic
     from services.edges.ros2.topics import BY_NAME, rows
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.bus import Certs
 from services.cli.options import Force, Json, Out, ScenarioName, short
 
@@ -199,8 +200,6 @@ def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequenc
 
 
 def _refuse_speed(overrides: Sequence[Override]) -> None:
-    from ltv_mpc.errors import ConfigError
-
     for source, assignments in overrides:
         if any(text.partition("=")[0].strip() == KEYS["--speed"] for text in assignments):
             problem = (
@@ -210,15 +209,11 @@ def _refuse_speed(overrides: Sequence[Override]) -> None:
 
 
 def _refuse_prior() -> NoReturn:
-    from ltv_mpc.errors import ConfigError
-
     problem = "cannot act together with --perfect-state: nothing is estimated"
     raise ConfigError("option --water-prior", "", problem)
 
 
 def _refuse_page(dashboard: bool | None, open_: bool) -> None:
-    from ltv_mpc.errors import ConfigError
-
     if dashboard or open_:
         problem = (
             "cannot act together with --lockstep, which publishes no messages: report.html shows the run afterwards"
@@ -228,7 +223,6 @@ def _refuse_page(dashboard: bool | None, open_: bool) -> None:
 
 def _check_certs(certs: Path, run_config: RunConfig, *, lockstep: bool) -> None:
     """Check that each process of the run has its own certificate. Raises ``ConfigError``."""
-    from ltv_mpc.errors import ConfigError
     from services.bus.roles import SUPERVISOR
     from services.bus.security import credentials
     from services.supervisor import process_table

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.options import Json
 
 
@@ -26,8 +27,6 @@ def topics(
 
     The list has key, message type, period, delivery, the only writer, and the readers.
     """
-    from ltv_mpc.errors import ConfigError
-
     if write is not None and (topic is not None or schema or as_json):
         raise ConfigError(
             "option --write", "", "cannot act together with TOPIC, --schema or --json: it writes every topic"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.bus import with_bus
 from services.cli.localise import localise
 from services.cli.options import BathymetryFile, ControllerSettings, FenceFile, LogJson, ReferenceFile, VehicleFile
@@ -103,7 +104,6 @@ def controller(
     from ltv_mpc import references
     from ltv_mpc.control.config import ControllerConfig
     from ltv_mpc.control.resolution import settled
-    from ltv_mpc.errors import ConfigError
     from ltv_mpc.geofence.fence import fence_for
     from ltv_mpc.vehicle.parameters import Vehicle
 

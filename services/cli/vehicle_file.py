@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.options import ControllerSettings, FenceFile, Json
 
 if TYPE_CHECKING:
@@ -80,7 +81,6 @@ def check(
     """
     from msgspec.structs import replace
 
-    from ltv_mpc.errors import ConfigError
     from ltv_mpc.vehicle.parameters import Vehicle
 
     needing = {"--fence": fence, "--start": start, "--current": current, "--bottom": bottom, "--settings": settings}
@@ -154,7 +154,6 @@ def identify(
 def _bottom(text: str, origin: Origin | None) -> float | Bathymetry:
     """Return the depth (m) or the soundings of the option --bottom."""
     from ltv_mpc.bathymetry import Bathymetry
-    from ltv_mpc.errors import ConfigError
 
     try:
         depth_m = float(text)
@@ -168,8 +167,6 @@ def _bottom(text: str, origin: Origin | None) -> float | Bathymetry:
 def _place(text: str) -> tuple[float, float]:
     """Return north and east (m) of the option --start."""
     import math
-
-    from ltv_mpc.errors import ConfigError
 
     try:
         north, east = (float(part) for part in text.split(","))
@@ -187,16 +184,12 @@ def _json(result: object) -> str:
 
 
 def _free(file: Path, *, force: bool) -> None:
-    from ltv_mpc.errors import ConfigError
-
     if file.exists() and not force:
         raise ConfigError("vehicle file", "", "exists already: name another, or add --force", value=str(file))
 
 
 def _write(file: Path, text: str, *, force: bool, quiet: bool = False) -> None:
     """Write the file and print its name as the last line."""
-    from ltv_mpc.errors import ConfigError
-
     _free(file, force=force)
     try:
         file.write_text(text, encoding="utf-8")

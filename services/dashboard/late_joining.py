@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import threading
 import time
-from contextlib import suppress
 from itertools import chain
 from typing import NamedTuple
 
 from ltv_mpc.messages import ControllerStatus, Estimate, Message, Truth
+from services.bus.message_validation import valid_message
 from services.bus.roles import HISTORY
 from services.bus.session import Session
 from services.bus.topics import topic_at
-from services.bus.wire import Header, WireError, decode
+from services.bus.wire import Header, WireError
 from services.recording.history import TIMES, query_of, read_reply
 
 TIMEOUT_S = 2.0
@@ -72,10 +72,8 @@ class HistoryQuery:
         """Return the messages in order, without invalid ones and without estimates of a source that is not in use."""
         found: list[Past] = []
         for key, payload in chain.from_iterable(list(self._parts)):
-            topic = topic_at(key)
-            if topic is not None:
-                with suppress(WireError):
-                    found.append(Past(*decode(topic.message_type, payload)))
+            if (past := valid_message(topic_at(key), key, payload)) is not None:
+                found.append(Past(*past))
         sources = {past.message.source_epoch for past in found if isinstance(past.message, ControllerStatus)} - {0}
         if sources:
             found = [past for past in found if not isinstance(past.message, Estimate) or past.header.epoch in sources]

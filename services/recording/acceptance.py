@@ -11,10 +11,8 @@ Recorder, summary and report count by it, so that a frame of a stranger changes 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
-from typing import Any, NamedTuple
-
-import msgspec
+from collections.abc import Callable, Collection, Iterable, Iterator
+from typing import NamedTuple
 
 from ltv_mpc.messages import Applied, Clock, ControllerStatus, Estimate, Message, NodeStatus, Plan
 from ltv_mpc.safety.estimate_gate import EstimateGate
@@ -36,8 +34,6 @@ LATE = "late"
 
 MANY_SOURCES = ("*", OPERATOR)
 """Writers of the table that stand for several sources."""
-
-_map = msgspec.json.Decoder(dict[str, Any]).decode
 
 
 class Accepted(NamedTuple):
@@ -108,7 +104,7 @@ class Acceptance:
                 raise WireError("unknown key")
             header = stored.header() if wanted is not None or topic.message_type not in kinds else None
             if topic.message_type in kinds and (header is None or wanted is None or wanted(stored, header)):
-                message, header = message_at(topic, stored.key, _plain(stored.data))
+                message, header = message_at(topic, stored.key, stored.plain)
             assert header is not None
         except WireError:
             self.rejected += 1
@@ -170,8 +166,9 @@ class Acceptance:
         return self._gate is None or not self._gate.check(estimate)
 
 
-def _plain(data: bytes) -> dict[str, Any]:
-    try:
-        return _map(data)
-    except (ValueError, RecursionError) as error:  # not written by a recorder
-        raise WireError(str(error)) from None
+def accepted(recording: Iterable[StoredMessage], kinds: Collection[type[Message]]) -> Iterator[Accepted]:
+    """Yield the accepted messages of these types."""
+    acceptance = Acceptance()
+    deciding: set[type[Message]] = {*kinds, Applied, Clock, ControllerStatus}
+    for stored in recording:
+        yield from (one for one in acceptance.take(stored, deciding) if type(one.message) in kinds)

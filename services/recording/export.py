@@ -141,14 +141,13 @@ def _rows(
     for raw in read_segments(parts, progress, share):
         try:
             plain = decode(raw.data)
-        except (msgspec.DecodeError, ValueError, RecursionError):
-            plain = None
-        if not isinstance(plain, dict):
+            samples = plain.pop("samples", [{}]) if raw.kind is ImuSamples else [{}]
+            rows = [dict(_leaves(plain | sample, "")) for sample in samples]
+        except (ValueError, TypeError, AttributeError, RecursionError):  # no map, or one that no recorder wrote
             yield raw, None
             continue
-        samples = plain.pop("samples", [{}]) if raw.kind is ImuSamples else [{}]
-        for sample in samples if isinstance(samples, list) else [None]:
-            yield raw, dict(_leaves(plain | sample, "")) if isinstance(sample, dict) else None
+        for row in rows:
+            yield raw, row
 
 
 def _leaves(table: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:

@@ -28,6 +28,8 @@ from services.recording.writer import ENDED, VEHICLE_MODE
 SUPERVISOR_EVENTS = topics.key_of(RunEvent, SUPERVISOR)
 MAX_EVENTS = 1000
 """Events that are listed; all are counted."""
+MAX_SOURCES = 1_000
+"""Sources of a key that are listed; messages of others count as unreadable."""
 MAX_GAPS = 20
 """Gaps that are listed of each source."""
 FIRST_DATE_S, LAST_DATE_S = 946_684_800.0, 4_102_444_800.0
@@ -134,6 +136,8 @@ class _KeyStatistics:
         self.bytes += len(raw.data)
         source = self.sources.get(header.epoch)
         if source is None:
+            if len(self.sources) >= MAX_SOURCES:
+                raise WireError("too many sources")
             begins = header.sequence if from_first else 0
             source = self.sources[header.epoch] = _SourceStatistics(SequenceGaps(begins), raw.t_ns, raw.t_ns)
         source.gaps.add(header.sequence)
@@ -153,10 +157,10 @@ class _Collector:
         """Add a message; ``from_first`` as in ``_KeyStatistics.add``."""
         try:
             header = stored.header()
+            self.keys.setdefault(stored.key, _KeyStatistics()).add(stored, header, from_first=from_first)
         except WireError:
             self.unreadable += 1
             return
-        self.keys.setdefault(stored.key, _KeyStatistics()).add(stored, header, from_first=from_first)
         self.events_total += stored.kind is RunEvent
         if stored.kind not in (NodeSettings, RunEvent):
             return

@@ -56,9 +56,10 @@ class LossAccounting:
 
         Return True if the source is new.
         """
-        is_new = (key, epoch) not in self._sources
-        self._sources.setdefault((key, epoch), SequenceGaps(sequence))
-        return is_new
+        if (key, epoch) in self._sources:
+            return False
+        self._sources[key, epoch] = SequenceGaps(sequence)
+        return True
 
     def mark_lost(self, key: str, epoch: int) -> None:
         """Count a message that was added as missing after all."""

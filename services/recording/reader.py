@@ -20,26 +20,11 @@ from services.recording.records import Records, start_of
 from services.recording.writer import RUN
 
 
-class RecordedMessage(msgspec.Struct, frozen=True):
-    """Decoded message of a recording. ``plain`` is its map, including the header fields.
+class StoredMessage(NamedTuple):
+    """Message as stored in the file: ``data`` is its JSON, ``crc`` the CRC-32 of the frame as it was received.
 
     ``t_ns`` is the vehicle time of publication. ``kind`` is None if the table of topics has no such key.
     """
-
-    key: str
-    kind: type[Message] | None
-    t_ns: int
-    plain: dict[str, Any]
-
-    def typed(self) -> tuple[Message, wire.Header]:
-        """Return the typed message and its header. Raises ``WireError`` if it is not a valid message of its type."""
-        if self.kind is None:
-            raise wire.WireError(f"no topic has the key {self.key}")
-        return wire.from_map(self.kind, self.plain)
-
-
-class StoredMessage(NamedTuple):
-    """Message as stored in the file: ``data`` is its JSON, ``crc`` the CRC-32 of the frame as it was received."""
 
     key: str
     kind: type[Message] | None
@@ -51,14 +36,28 @@ class StoredMessage(NamedTuple):
         """Return the header. Raises ``WireError``."""
         return _decoded(_header, self.data)
 
+    @property
+    def plain(self) -> dict[str, Any]:
+        """Map of the message, including the fields of its header. Raises ``WireError``."""
+        return _decoded(_map, self.data)
+
     def message(self) -> Message:
         """Return the message, as it was accepted when it was recorded. Raises ``WireError``."""
+        return wire.from_validated_map(self._known_kind, self.plain)
+
+    def typed(self) -> tuple[Message, wire.Header]:
+        """Return the message and its header. Raises ``WireError`` if it is not a valid message of its type."""
+        return wire.from_map(self._known_kind, self.plain)
+
+    @property
+    def _known_kind(self) -> type[Message]:
         if self.kind is None:
-            raise wire.WireError(f"{self.key}: no topic has this key")
-        return wire.from_validated_map(self.kind, _decoded(msgspec.json.decode, self.data))
+            raise wire.WireError(f"no topic has the key {self.key}")
+        return self.kind
 
 
 _header = msgspec.json.Decoder(wire.Header).decode
+_map = msgspec.json.Decoder(dict[str, Any]).decode
 _T = TypeVar("_T")
 
 
@@ -85,15 +84,8 @@ class Recording:
         self.cut = False
         self._past_losses = past_losses
 
-    def __iter__(self) -> Iterator[RecordedMessage]:
-        decode = msgspec.json.Decoder(dict[str, Any]).decode
-        for key, kind, t_ns, _, data in self.stored():
-            try:
-                plain = decode(data)
-            except (msgspec.DecodeError, ValueError, RecursionError):  # not written by a recorder
-                self.cut = True
-                return
-            yield RecordedMessage(key, kind, t_ns, plain)
+    def __iter__(self) -> Iterator[StoredMessage]:
+        return self.stored()
 
     def stored(self, keys: Container[str] | None = None) -> Iterator[StoredMessage]:
         """Yield the messages without decoding them; ``keys`` selects them, None: all."""
@@ -137,12 +129,11 @@ def read_segments(
 
     ``progress`` receives values from the first to the second number of ``share``.
     """
-    sizes = [path.stat().st_size for path in parts]
-    before, total = 0, max(1, sum(sizes))
-    for path, size in zip(parts, sizes, strict=True):
+    for number, path in enumerate(parts):
         recording = Recording(path, past_losses=True)
+        records = recording.records
         for count, stored in enumerate(recording.stored()):
             if count % PROGRESS_INTERVAL == 0:
-                progress(share[0] + (share[1] - share[0]) * (before + recording.records.position) / total)
+                done = (number + records.position / records.size) / len(parts)
+                progress(share[0] + (share[1] - share[0]) * done)
             yield stored
-        before += size

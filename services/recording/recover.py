@@ -79,6 +79,8 @@ def recover(parts: Sequence[Path], out: Path) -> Recovery:
         file = out.open("xb")
     except FileExistsError:
         raise ConfigError(f"recovery {out}", "", "exists: name another with --out") from None
+    except ValueError as error:  # a NUL in the name
+        raise ConfigError(f"recovery {out}", "", str(error)) from None
     try:
         with file:
             recovery = _Copy(file).run(parts, out)

@@ -58,7 +58,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 def rows(summaries: Sequence[Mapping[str, Any]]) -> list[Row]:
     """Return a row for each figure that at least one run has."""
-    table = (_row(figure, summaries) for figure in FIGURES)
+    further = dict.fromkeys(name for summary in summaries for name in summary.get("further", {}))
+    named = (Figure(name, "", ("further", name), 3) for name in further)
+    table = (_row(figure, summaries) for figure in (*FIGURES, *named))
     return [row for row in table if any(value is not None for value in row.values)]
 
 

@@ -218,7 +218,7 @@ def _try_make(path: Path) -> bool:
         path.mkdir(parents=True)
     except FileExistsError:
         return False
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise _refusal(path, error) from None
     return True
 
@@ -233,10 +233,14 @@ def open_folder(path: Path, *, force: bool) -> Path:
         if any(path.iterdir()) and not force:
             problem = "is not empty: name another folder, or add --force"
             raise ConfigError("option --out", "", problem, value=str(path))
-    except OSError as error:
+    except ConfigError:
+        raise
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise _refusal(path, error) from None
     return path
 
 
-def _refusal(path: Path, error: OSError) -> ConfigError:
-    return ConfigError("option --out", "", f"cannot be written ({error.strerror})", value=str(path))
+def _refusal(path: Path, error: OSError | ValueError) -> ConfigError:
+    return ConfigError(
+        "option --out", "", f"cannot be written ({getattr(error, 'strerror', None) or error})", value=str(path)
+    )

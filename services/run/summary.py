@@ -51,6 +51,7 @@ def summarise(
         true_error_m=true,
         localisation_error_m=localisation,
         localisation_error_absolute_m=absolute,
+        further=metrics.further(),
         thrust=metrics.thrust(),
         fence=metrics.fence(),
         arrived_s=metrics.arrived_s(),

@@ -66,12 +66,10 @@ class RecordingLoop:
     ``start_ns``: vehicle time of the start of a simulation; None beside a vehicle.
     """
 
-    def __init__(self, writer: SegmentWriter, *, start_ns: int | None, stop: StopRequest, say: Say) -> None:
+    def __init__(self, writer: SegmentWriter, *, start_ns: int | None, say: Say) -> None:
         self._writer = writer
-        self._stop = stop
         self._say = say
         self.mailbox = Mailbox()
-        stop.on_request(self.mailbox.wake)
         self._time = PublicationTime(start_ns=start_ns, say=say)
         self._waiting: list[_Unpacked] = []
         self._unknown_keys = RateLimit()
@@ -92,9 +90,10 @@ class RecordingLoop:
         """Published minus recorded messages, by process, where the difference is not 0."""
         return self._publish_counts.missing
 
-    def serve(self, bus: BusOptions) -> None:
+    def serve(self, bus: BusOptions, stop: StopRequest) -> None:
         """Connect, subscribe to every key, record until a stop is requested, publish the last status, disconnect."""
-        with open_session(bus, stop=self._stop, say=self._say) as session:
+        stop.on_request(self.mailbox.wake)
+        with open_session(bus, stop=stop, say=self._say) as session:
             self._out = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(NodeStatus, RunEvent, RejectedFrame))
             self._status = NodeStatusReporter(
                 NAME,
@@ -109,7 +108,7 @@ class RecordingLoop:
             deadlines = DeadlineQueue()
             deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
             deadlines.add(lambda: self._status.due_us, self._status.publish)
-            while not self._stop():
+            while not stop():
                 now_us = monotonic_us()
                 deadlines.run_due(now_us)
                 self._gather((deadlines.next_us() - now_us) / 1e6)

@@ -47,10 +47,12 @@ def run(parent: str, module: str, config: str, heartbeat: str = "") -> int:
     name_process(f"ltv-{name}")
 
     from ltv_mpc.errors import ConfigError
+    from services.runtime.console import escape_output
     from services.runtime.supervisor_link import SUPERVISOR_LINK
 
     if heartbeat:
         SUPERVISOR_LINK.connect(int(heartbeat))
+    escape_output()
     node = importlib.import_module(module)
     try:
         code: int = node.main(read_config(Path(config), node.Config))

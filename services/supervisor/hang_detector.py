@@ -6,7 +6,7 @@
 ``tick`` is the time since the check before. ``lacked`` is the part of it in which a thread of the process was ready to
 run but waited for a processor that other processes had, or waited for a disk; a restart would not help it. All threads
 count, because the loop may wait for one of them. A stopped or blocked process does not wait for a processor, and a loop
-that spins has one: both are detected. If the supervisor itself was late, the time begins anew: the whole machine may
+that spins has one: both are detected. If the supervisor itself was late, the time begins again: the whole machine may
 have been suspended. Times are seconds of one monotonic clock.
 """
 

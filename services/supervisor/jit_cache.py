@@ -22,6 +22,7 @@ import msgspec
 import ltv_mpc
 import sim
 from ltv_mpc.jit import CACHE, share_compilation
+from services.run.run_config import RunConfig, resolve
 from services.supervisor.parent_death import die_with_parent
 
 NOTE = "compiling, once after a change of the sources: a minute or two"
@@ -89,46 +90,38 @@ def stored_bytes() -> int:
     return sum(path.stat().st_size for path in CACHE.glob("*/*.nbc"))
 
 
-def warm_up_controller(scenario: str) -> None:
+def warm_up_controller(run_config: RunConfig) -> None:
     """Run the controller of a scenario briefly."""
     from services.processes import controller
-    from services.run.run_config import resolve
 
-    run_config = resolve(scenario)
     controller.warm_up(run_config.vehicle, run_config.reference, run_config.controller)
 
 
-def compile_controller(scenario: str) -> None:
+def compile_controller(run_config: RunConfig) -> None:
     """Compile what ``warm_up_controller`` runs, and the proposal of a horizon, which the next run may need."""
     from ltv_mpc.control.resolution import settled
-    from services.run.run_config import resolve
 
-    run_config = resolve(scenario)
     settled(msgspec.structs.replace(run_config.scenario.controller, horizon_s=None), run_config.vehicle)
-    warm_up_controller(scenario)
+    warm_up_controller(run_config)
 
 
-def warm_up_solver(scenario: str) -> None:
+def warm_up_solver(run_config: RunConfig) -> None:
     """Run the part of the controller that a cycle reaches last."""
     from services.processes import controller
-    from services.run.run_config import resolve
 
-    run_config = resolve(scenario)
     controller.warm_up_solver(run_config.vehicle, run_config.controller)
 
 
-def warm_up_others(scenario: str) -> None:
+def warm_up_others(run_config: RunConfig) -> None:
     """Run plant, sensors and estimator of a scenario briefly."""
     from services.processes import estimator, plant, sensors
-    from services.run.run_config import resolve
 
-    run_config = resolve(scenario)
     plant.warm_up(run_config)
     sensors.warm_up(run_config)
     estimator.warm_up(run_config.sensor_config, run_config.scenario.estimator)
 
 
-PARTS: dict[str, Callable[[str], None]] = {
+PARTS: dict[str, Callable[[RunConfig], None]] = {
     "solver": warm_up_solver,
     "controller": compile_controller,
     "others": warm_up_others,
@@ -148,7 +141,7 @@ def main(arguments: Sequence[str]) -> int:
         os.nice(NICENESS[name])
         share_compilation()
         gc.disable()  # a compiler frees next to nothing: collection would take a twelfth of the time
-        PARTS[name](scenario)
+        PARTS[name](resolve(scenario))
         return 0
     children = [
         subprocess.Popen([*command(scenario), name, str(os.getpid())], stdin=subprocess.DEVNULL) for name in PARTS

@@ -135,11 +135,23 @@ assert run(["--help"]) == 0
 assert run(["horizon", "paper"]) == 0
 assert run(["horizon", "no-such-vehicle"]) == 2
 """,
+    "docs/add-metric.md": """
+import numpy as np
+from services.tools.campaign.file import metrics
+from sim.evaluation.further import Positions, further
+from services.reporting.differences import rows
+
+at = np.zeros((4, 2))
+found = further(Positions(np.arange(4.0), at, np.array([[0.0, 0.0], [0.05, 0.05], [0.3, 0.0], [0.0, 0.2]]), at))
+assert found.within_10_cm_share == 0.5 and found.tracking_rms_m == 0.0
+assert "further.within_10_cm_share" in metrics()
+assert [row.values for row in rows([{"further": {"within_10_cm_share": 0.5}}])] == [(0.5,)]
+""",
     "docs/add-plot.md": """
 from matplotlib.figure import Figure
 from msgspec.structs import replace
 from ltv_mpc import Estimate
-from services.reporting.figures.renderer import Run, draw
+from benchmarks.paper.renderer import Run, draw
 from services.reporting.plots.catalogue import SPEED, PLOTS
 from services.reporting.plots.collector import Collector
 

@@ -17,9 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import pyarrow
 import pytest
-from pyarrow import parquet
 from typer.core import TyperGroup
 from typer.main import get_command
 
@@ -61,6 +59,7 @@ NOT_RUN = (
         r"python3 -m venv|pip (?:install|download)|\. \S+/activate|git (?:clone|worktree)|cd ",
         "makes environments; `make package` does it for real",
     ),
+    (r"jupytext ", "needs the extra notebook; tests/examples runs it where it is installed"),
     (r"dask |zenoh-bridge-ros2dds |scp |sudo |systemctl ", ELSEWHERE),
 )
 
@@ -154,8 +153,6 @@ def session(recorded: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         shutil.copytree(recorded.path, tmp_path / "runs" / name)
     (tmp_path / "runs" / "latest").symlink_to(RUNS[-1])
     (tmp_path / "runs" / "latest" / "scenario.toml").touch()
-    (tmp_path / "runs" / "horizon").mkdir()
-    parquet.write_table(pyarrow.table({"point": [0], "seed": [0]}), tmp_path / "runs" / "horizon" / "results.parquet")
     for name, text in FILES.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text(), encoding="utf-8")

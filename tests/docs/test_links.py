@@ -36,4 +36,4 @@ def test_every_link_inside_the_project_leads_somewhere() -> None:
 def test_the_reference_has_every_public_name() -> None:
     (names,) = (block.text for block in blocks("docs/python.md") if block.language == "{eval-rst}")
     documented = set(re.findall(r"^\.\. auto\w+:: +(?:ltv_mpc\.)?(\w+)$", names, re.MULTILINE))
-    assert set(ltv_mpc.__all__) <= documented
+    assert set(ltv_mpc.__all__) - {"__version__"} <= documented

@@ -31,6 +31,7 @@ class RecordingSolver:
         self.shift_warm_start = solver.shift_warm_start
         self.reset_warm_start = solver.reset_warm_start
         self.update = solver.update
+        self.draft = getattr(solver, "draft", None)
 
     def build(self, problem: Problem) -> None:
         """Keep the problem.

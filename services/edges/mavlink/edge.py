@@ -8,6 +8,7 @@ from zlib import crc32
 
 import msgspec
 
+from ltv_mpc.errors import one_line
 from ltv_mpc.messages import (
     Acknowledgement,
     Applied,
@@ -211,7 +212,7 @@ class MavlinkEdge(Edge):
 
     def _text(self, severity: int, text: str) -> Iterator[Outgoing]:
         """Yield a text for the ground station, in pieces of 50 characters."""
-        line = f"LTV-MPC: {text}".encode("ascii", "replace")[: TEXT_BYTES * MAX_PIECES]
+        line = f"LTV-MPC: {one_line(text)}".encode("ascii", "replace")[: TEXT_BYTES * MAX_PIECES]
         identity = 1 + crc32(line) % 65_535 if len(line) > TEXT_BYTES else 0
         for number, at in enumerate(range(0, len(line), TEXT_BYTES)):
             piece = line[at : at + TEXT_BYTES]

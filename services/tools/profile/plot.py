@@ -12,7 +12,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
-from services.reporting.figures import sheet
+from services.reporting import sheet
 from services.reporting.plots import palette
 from services.tools.profile import machine_description
 from services.tools.profile.measure import Samples

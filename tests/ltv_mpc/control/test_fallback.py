@@ -71,7 +71,7 @@ class FaultySolver(RecordingSolver):
 
     def __init__(self, solver, factory: Faulty) -> None:
         super().__init__(solver)
-        self.factory = factory
+        self.factory, self.draft = factory, None  # the fault is one of every QP
 
     def solve(self):
         result = super().solve()

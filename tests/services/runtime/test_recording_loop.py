@@ -31,7 +31,7 @@ from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, encode, to_map
-from services.recording.reader import RecordedMessage, Recording
+from services.recording.reader import Recording, StoredMessage
 from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 from services.runtime import recording_loop
@@ -75,7 +75,7 @@ def record(
     start_ns: int | None = -S,
     said: Callable[[str], None] = print,
     timed: bool = True,
-) -> list[RecordedMessage]:
+) -> list[StoredMessage]:
     """Return the recording of what ``say`` publishes, as messages and as bytes on the key of depths.
 
     ``overflowed`` is the number of messages that found no room in the recorder's mailbox. ``start_ns``: None beside a
@@ -88,9 +88,9 @@ def record(
         open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print) as session,
         Listening(path, start_ns or 0) as writer,
     ):
-        loop = RecordingLoop(writer, start_ns=start_ns, stop=stop, say=said)
+        loop = RecordingLoop(writer, start_ns=start_ns, say=said)
         loop.mailbox.overflowed = overflowed
-        thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"),))
+        thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"), stop))
         thread.start()
         out = Outbox(session, node="plant", epoch=EPOCH, kinds=(Clock, NodeStatus, Estimate, StepRecord))
         deadline = time.monotonic() + 60
@@ -290,11 +290,11 @@ def test_a_flood_neither_stops_the_heartbeats_nor_the_recorder_and_is_answered_w
         open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
         Listening(tmp_path / "run.mcap") as writer,
     ):
-        link.loop = RecordingLoop(writer, start_ns=-S, stop=stop, say=said.append)
+        link.loop = RecordingLoop(writer, start_ns=-S, say=said.append)
         for _ in range(10_000):
             link.loop.mailbox.offer(None, UNREAD, b"")
         threads = [
-            threading.Thread(target=link.loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"),)),
+            threading.Thread(target=link.loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"), stop)),
             threading.Thread(target=pour),
         ]
         for thread in threads:

@@ -49,7 +49,7 @@ def main(config):
             re.match("(a+)+$", "a" * 60 + "b")
 
 sys.modules["quick"] = types.SimpleNamespace(Config=Config, main=main)
-forkserver.LOADING.clear()
+forkserver.load = lambda scenario: iter(())
 forkserver.main()
 """
 """Program of a fork server that loads nothing, with children that do little."""
@@ -118,11 +118,8 @@ def test_a_forked_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_c
     assert child.exit_code() == -signal.SIGKILL
 
 
-def test_a_stopped_fork_server_is_replaced_and_what_it_forks_too_late_ends(
-    server: ForkServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stopped_fork_server_is_replaced_and_what_it_forks_too_late_ends(server: ForkServer, tmp_path: Path) -> None:
     """The other one forks before it has loaded."""
-    monkeypatch.setattr(forkserver, "REPLY_TIMEOUT_S", 0.05)
     first, before = server.pid, set(own_children())
     os.kill(first, signal.SIGSTOP)
     child = forked(server, tmp_path / "log", "plant", "exits", 7)
@@ -131,6 +128,13 @@ def test_a_stopped_fork_server_is_replaced_and_what_it_forks_too_late_ends(
     child.close()
     assert child.exit_code() == 7
     until(lambda: set(own_children()) <= (before - {first}) | {server.pid})
+
+
+def test_a_stop_request_ends_the_wait_for_the_fork_server(tmp_path: Path, group: int) -> None:
+    server = ForkServer(tmp_path / "scenario.toml", tmp_path / "forkserver.log", group, stop=lambda: True)
+    with pytest.raises(InterruptedError):
+        forked(server, tmp_path / "log", "plant", "sleeps")
+    server.close()
 
 
 def own_children() -> Iterator[int]:
@@ -179,7 +183,7 @@ def crew(tmp_path: Path, group: int) -> Iterator[ChildProcesses]:
 def test_a_dead_fork_server_kills_no_child_and_is_replaced(crew: ChildProcesses) -> None:
     first = crew.forks.pid
     for name in ("plant", "sensors"):
-        crew.start(ProcessRow(name, "quick", True, ()), Quick("sleeps"))
+        crew.start(ProcessRow(name, "quick", True), Quick("sleeps"))
     until(lambda: all(child.last_lines() for child in crew.by_name.values()))
     os.kill(first, signal.SIGKILL)
     crew.by_name["plant"].kill()

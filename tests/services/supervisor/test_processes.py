@@ -406,7 +406,7 @@ class Mischief:
             name, number = self._harm.pop(0)
             self._harmed += 1
             os.kill(pid_of(name, os.getpid()), number)
-        elif not self._harm and back and self.supervisor.recovered and not self._over:
+        elif not self._harm and back and self.supervisor.failures.settled and not self._over:
             self._over = True
             self.supervisor.children.by_name["plant"].terminate()
 

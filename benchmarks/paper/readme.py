@@ -8,12 +8,13 @@ from pathlib import Path
 import msgspec
 from matplotlib.figure import Figure
 
-from services.reporting.figures import paper, renderer, sheet
-from services.reporting.figures.renderer import Run
+from benchmarks.paper import renderer, sheets
+from benchmarks.paper.renderer import Run
+from services.reporting import sheet
 from services.reporting.plots import catalogue
 
 CONTROL_ERROR = msgspec.structs.replace(
-    paper.DISTANCE, series=tuple(one for one in paper.DISTANCE.series if one.table == "distance")
+    sheets.DISTANCE, series=tuple(one for one in sheets.DISTANCE.series if one.table == "distance")
 )
 """Distance of the estimate from the reference, on a logarithmic axis: the drift of the estimate is not in it."""
 

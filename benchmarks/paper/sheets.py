@@ -7,19 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 from matplotlib.figure import Figure
 
-from services.reporting.figures import renderer, sheet
-from services.reporting.figures.renderer import Run
-from services.reporting.figures.water import structure
+from benchmarks.paper import renderer
+from benchmarks.paper.renderer import Run
+from benchmarks.paper.structure import structure
+from services.reporting import sheet
 from services.reporting.plots import catalogue
 from services.reporting.plots.delays import CYCLE, STAGES
 from services.reporting.plots.description import Axis, Plot
 
-NONE, PAPER_SHORT, PAPER_LONG = "none", "paper-2.5s", "paper-5s"
+NONE, PAPER_SHORT, PAPER_LONG = "paper-no-control", "paper-2.5s", "paper-5s"
 OURS_SHORT, OURS_LONG, DEFAULT = "ours-2.5s", "ours-5s", "default"
 """Groups of runs with one recorded run each."""
 
@@ -31,8 +32,24 @@ STRUCTURE, TIMING = "structure", "timing"
 
 THE_PAPER, OURS = "the paper's cost and delays", "this project's"
 
+CASES = (NONE, PAPER_SHORT, PAPER_LONG), (NONE, OURS_SHORT, OURS_LONG)
+"""The paper's three cases, and the same with this project's cost and without delay."""
+
 DISTANCE = msgspec.structs.replace(catalogue.TRACKING, y=Axis(label="distance (m)", log=True))
 """Tracking error on a logarithmic axis, from 1 cm to 10 m."""
+
+
+def only(plot: Plot, *labels: str, **changes: Any) -> Plot:
+    """Return a plot with some of its series alone."""
+    series = tuple(one for one in plot.series if one.label in labels)
+    return msgspec.structs.replace(plot, series=series, **changes)
+
+
+TRACKING = only(DISTANCE, "estimate")
+ESTIMATED = only(catalogue.NORTH, "estimate"), only(catalogue.EAST, "estimate")
+TRUE = only(catalogue.NORTH, "true"), only(catalogue.EAST, "true")
+TRUE_CURRENT = only(catalogue.CURRENT, "true north", "true east", note="")
+CURRENT_ERROR = tuple(one for one in catalogue.REVIEW if one.name.startswith("current_error"))
 
 PROFILES = msgspec.structs.replace(catalogue.CURRENT, empty="no measured profiles")
 
@@ -73,13 +90,17 @@ def sheets(measured: Sequence[str]) -> tuple[Sheet, ...]:
             ),
         ),
         Sheet("fig03-structure", 2.6, (Panel("", structure(measured), (STRUCTURE,)),)),
-        Sheet("track", 4.6, _both(catalogue.TRACK, (NONE, PAPER_SHORT, PAPER_LONG), (NONE, OURS_SHORT, OURS_LONG))),
-        Sheet("distance", 4.4, _both(DISTANCE, (NONE, PAPER_SHORT, PAPER_LONG), (NONE, OURS_SHORT, OURS_LONG))),
-        Sheet("thrust-2.5s", 3.6, _both(catalogue.THRUST, (PAPER_SHORT,), (OURS_SHORT,))),
-        Sheet("thrust-5s", 3.6, _both(catalogue.THRUST, (PAPER_LONG,), (OURS_LONG,))),
-        Sheet("localisation", 3.6, _both(catalogue.ERRORS, (PAPER_LONG,), (OURS_LONG,))),
-        Sheet("current", 2.8, (Panel("estimated at the end, with 2 sigma", catalogue.CURRENT, (OURS_LONG,)),)),
-        Sheet("depth", 2.0, (Panel("", catalogue.DEPTH, (OURS_LONG,)),)),
+        Sheet("fig04-current", 2.6, (Panel("", TRUE_CURRENT, (OURS_LONG,)),)),
+        Sheet("fig06-estimate", 8.0, (*_both(ESTIMATED[0], *CASES), *_both(ESTIMATED[1], *CASES))),
+        Sheet("fig07-tracking", 4.4, _both(TRACKING, *CASES)),
+        Sheet("fig08-thrust-2.5s", 3.6, _both(catalogue.THRUST, (PAPER_SHORT,), (OURS_SHORT,))),
+        Sheet("fig09-thrust-5s", 3.6, _both(catalogue.THRUST, (PAPER_LONG,), (OURS_LONG,))),
+        Sheet("fig10-true", 8.0, (*_both(TRUE[0], *CASES), *_both(TRUE[1], *CASES))),
+        Sheet(
+            "fig11-current-error",
+            4.4,
+            _both(CURRENT_ERROR[0], (PAPER_LONG,), (OURS_LONG,)) + _both(CURRENT_ERROR[1], (PAPER_LONG,), (OURS_LONG,)),
+        ),
         Sheet("timing", 2.4, (Panel("cycles of this project, 5.1 s of horizon", TIMES, (TIMING,)),)),
     )
 
