@@ -10,7 +10,8 @@ so that a plan is rarely late, and a delay that never varies is expected as it i
 delays that are much longer than the usual ones: the actuators start such a plan where it is due, and to expect them
 costs every cycle a longer prediction, with the errors of the model. A receipt after the end of the plan is not counted:
 the actuators do not follow such a plan, so a stamp is wrong. After ``LONGER`` measurements in a row above the expected
-delay, or ``SHORTER`` below the median, the delay has changed, and older ones are dropped (docs/notes/control-studies.md).
+delay, or ``SHORTER`` below the median, the delay has changed, and older ones are dropped
+(docs/notes/control-studies.md).
 """
 
 from __future__ import annotations

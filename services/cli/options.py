@@ -6,7 +6,7 @@ Short options are read as text and checked by the type of their key, so that opt
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 import typer
 
@@ -55,8 +55,3 @@ LogJson: TypeAlias = Annotated[
     bool, typer.Option("--log-json", help="Print each line on stderr as a JSON object, for a log collector.")
 ]
 Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print only the result, as JSON, on stdout.")]
-
-
-def short(name: str, key: str, metavar: str, help_: str) -> Any:
-    """Return an option that sets a scenario key; its help names the key."""
-    return typer.Option(name, metavar=metavar, help=f"{help_} Key {key}.", rich_help_panel="Scenario keys")

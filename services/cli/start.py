@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import json
 import os
 import shlex
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn, TypeAlias
 
 import typer
 
 from ltv_mpc.errors import ConfigError
 from services.cli.bus import Certs
-from services.cli.options import Force, Json, Out, ScenarioName, short
+from services.cli.options import Force, Json, Out, ScenarioName
 
 if TYPE_CHECKING:
     from services.run.folder import RunFolder
@@ -25,57 +27,46 @@ if TYPE_CHECKING:
 
 NO_JIT = "NUMBA_DISABLE_JIT"
 
-KEYS = {
-    "--speed": "run.speed",
-    "--seed": "run.seed",
-    "--duration-s": "run.duration_s",
-    "--surface-time-s": "run.surface_time_s",
-    "--compute-delay-s": "run.compute_delay_s",
-    "--horizon-s": "controller.horizon_s",
-    "--currents": "water.file",
-    "--water-prior": "estimator.water_prior",
-    "--sensors": "sensors",
-    "--vehicle": "vehicle",
-    "--reference": "reference",
-}
 
-Speed: TypeAlias = Annotated[str | None, short("--speed", KEYS["--speed"], "X", "Vehicle time per real time.")]
-Seed: TypeAlias = Annotated[str | None, short("--seed", KEYS["--seed"], "N", "Seed of all random draws.")]
-Duration: TypeAlias = Annotated[
-    str | None, short("--duration-s", KEYS["--duration-s"], "T", "Duration after the surface phase.")
-]
-SurfaceTime: TypeAlias = Annotated[
-    str | None, short("--surface-time-s", KEYS["--surface-time-s"], "S", "Time at the surface before the descent.")
-]
-ComputeDelay: TypeAlias = Annotated[
-    str | None, short("--compute-delay-s", KEYS["--compute-delay-s"], "D", "Delay added to that of the controller.")
-]
-Horizon: TypeAlias = Annotated[
-    str | None,
-    short(
-        "--horizon-s",
-        KEYS["--horizon-s"],
-        "H",
-        "Prediction horizon of the controller; default: proposed by `vehicle check`.",
-    ),
-]
-Currents: TypeAlias = Annotated[
-    str | None,
-    short("--currents", KEYS["--currents"], "FILE.csv", "Measured current profile (depth_m, v_north_mps, u_east_mps)."),
-]
-WaterPrior: TypeAlias = Annotated[
-    str | None,
-    short("--water-prior", KEYS["--water-prior"], "FILE.csv", "Current known to the estimator: a run's currents.csv."),
-]
-Sensors: TypeAlias = Annotated[
-    str | None, short("--sensors", KEYS["--sensors"], "NAME|FILE", "Sensors: paper, realistic, or a TOML file.")
-]
-Vehicle: TypeAlias = Annotated[
-    str | None, short("--vehicle", KEYS["--vehicle"], "NAME|FILE", "Vehicle: paper, or a TOML file.")
-]
-Reference: TypeAlias = Annotated[
-    str | None, short("--reference", KEYS["--reference"], "NAME|FILE", "Reference: a shipped name or a TOML file.")
-]
+class KeyOption(NamedTuple):
+    """Option that sets one key of the scenario; it is read as text, which is checked as that of --set is."""
+
+    name: str
+    key: str
+    metavar: str
+    help: str
+
+    @property
+    def parameter(self) -> inspect.Parameter:
+        """Parameter of the command."""
+        option = typer.Option(
+            self.name, metavar=self.metavar, help=f"{self.help} Key {self.key}.", rich_help_panel="Scenario keys"
+        )
+        kind, name = inspect.Parameter.KEYWORD_ONLY, self.name.lstrip("-").replace("-", "_")
+        return inspect.Parameter(name, kind, default=None, annotation=Annotated[str | None, option])
+
+
+SPEED = KeyOption("--speed", "run.speed", "X", "Vehicle time per real time.")
+CURRENTS = KeyOption(
+    "--currents", "water.file", "FILE.csv", "Measured current profile (depth_m, v_north_mps, u_east_mps)."
+)
+WATER_PRIOR = KeyOption(
+    "--water-prior", "estimator.water_prior", "FILE.csv", "Current known to the estimator: a run's currents.csv."
+)
+OPTIONS = (
+    SPEED,
+    KeyOption("--seed", "run.seed", "N", "Seed of all random draws."),
+    KeyOption("--duration-s", "run.duration_s", "T", "Duration after the surface phase."),
+    KeyOption("--horizon-s", "controller.horizon_s", "H", "Horizon; default: proposed by `vehicle check`."),
+    KeyOption("--compute-delay-s", "run.compute_delay_s", "D", "Delay added to that of the controller."),
+    CURRENTS,
+    WATER_PRIOR,
+    KeyOption("--sensors", "sensors", "NAME|FILE", "Sensors: paper, realistic, or a TOML file."),
+    KeyOption("--vehicle", "vehicle", "NAME|FILE", "Vehicle: paper, or a TOML file."),
+    KeyOption("--reference", "reference", "NAME|FILE", "Reference: a shipped name or a TOML file."),
+    KeyOption("--surface-time-s", "run.surface_time_s", "S", "Time at the surface before the descent."),
+)
+
 Lockstep: TypeAlias = Annotated[
     bool, typer.Option("--lockstep", help="Run in one process on a simulated clock, as fast as the machine allows.")
 ]
@@ -108,23 +99,29 @@ Open: TypeAlias = Annotated[bool, typer.Option("--open", help="Open the live pag
 
 def register(app: typer.Typer, panel: str) -> None:
     """Add the commands to their panel."""
-    app.command(rich_help_panel=panel)(sim)
+    app.command(rich_help_panel=panel)(_with_key_options(sim))
+
+
+def _with_key_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Return the command with the options of ``OPTIONS``, which it receives as ``given``, those that were typed."""
+    added = {one: one.parameter for one in OPTIONS}
+    own = [one for one in inspect.signature(command, eval_str=True).parameters.values() if one.name != "given"]
+
+    @functools.wraps(command)
+    def run(**values: Any) -> int:
+        texts = {one: values.pop(parameter.name) for one, parameter in added.items()}
+        return command({one: text for one, text in texts.items() if text is not None}, **values)
+
+    parameters = [*(one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in own), *added.values()]
+    run.__signature__ = inspect.Signature(parameters, return_annotation=int)  # type: ignore[attr-defined]
+    run.__annotations__ = {one.name: one.annotation for one in parameters}
+    return run
 
 
 def sim(
+    given: dict[KeyOption, str],
     scenario: ScenarioName = "demo",
-    speed: Speed = None,
     lockstep: Lockstep = False,
-    seed: Seed = None,
-    duration_s: Duration = None,
-    horizon_s: Horizon = None,
-    compute_delay_s: ComputeDelay = None,
-    currents: Currents = None,
-    water_prior: WaterPrior = None,
-    sensors: Sensors = None,
-    vehicle: Vehicle = None,
-    reference: Reference = None,
-    surface_time_s: SurfaceTime = None,
     set_: Assignments = None,
     perfect_state: PerfectState = False,
     no_control: NoControl = False,
@@ -146,17 +143,12 @@ def sim(
     from services.run.run_config import resolve
     from services.runtime.stopping import hang_up_with_stderr
 
-    texts = (
-        *(speed, seed, duration_s, surface_time_s, compute_delay_s, horizon_s),
-        *(currents, water_prior, sensors, vehicle, reference),
-    )
-    given = {name: text for name, text in zip(KEYS, texts, strict=True) if text is not None}
     flags = {"--perfect-state": perfect_state, "--no-control": no_control}
     overrides = _overrides(set_ or (), given, [name for name, on in flags.items() if on])
     if lockstep:
         _refuse_speed(overrides)
         _refuse_page(dashboard, open_)
-    if perfect_state and water_prior is not None:
+    if perfect_state and WATER_PRIOR in given:
         _refuse_prior()
     run_config = resolve(scenario, overrides)
     if certs is not None:
@@ -186,14 +178,14 @@ def _interpret() -> None:
         os.environ[NO_JIT] = before
 
 
-def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequence[str]) -> list[Override]:
+def _overrides(assignments: Sequence[str], given: Mapping[KeyOption, str], flags: Sequence[str]) -> list[Override]:
     """Return the overrides in the order of their precedence, the last one wins: --set, then the options."""
     from services.run.run_config import Override
 
     overrides = [Override("option --set", assignments)] if assignments else []
-    for name, text in given.items():
-        kind = ["water.kind=measured"] if name == "--currents" else []
-        overrides.append(Override(f"option {name}", [*kind, f"{KEYS[name]}={text}"]))
+    for option, text in given.items():
+        kind = ["water.kind=measured"] if option is CURRENTS else []
+        overrides.append(Override(f"option {option.name}", [*kind, f"{option.key}={text}"]))
     spelled = {"--perfect-state": "run.perfect_state=true", "--no-control": "controller.lateral=false"}
     overrides += [Override(f"option {name}", [spelled[name]]) for name in flags]
     return overrides
@@ -201,11 +193,11 @@ def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequenc
 
 def _refuse_speed(overrides: Sequence[Override]) -> None:
     for source, assignments in overrides:
-        if any(text.partition("=")[0].strip() == KEYS["--speed"] for text in assignments):
+        if any(text.partition("=")[0].strip() == SPEED.key for text in assignments):
             problem = (
                 "cannot act together with --lockstep, which runs as fast as the machine allows: leave one of them out"
             )
-            raise ConfigError(source, KEYS["--speed"] if source == "option --set" else "", problem)
+            raise ConfigError(source, SPEED.key if source == "option --set" else "", problem)
 
 
 def _refuse_prior() -> NoReturn:

@@ -7,6 +7,8 @@ from typing import Any
 
 import msgspec
 
+from services.runtime.console import columns
+
 
 class Figure(msgspec.Struct, frozen=True):
     """Definition of a table row: ``path`` into summary.json and ``scale`` from its unit to ``unit``."""
@@ -92,12 +94,4 @@ def text(names: Sequence[str], table: Sequence[Row]) -> str:
         + ["-" if value is None else f"{value:+.{row.digits}f}" for value in row.differences]
         for row in table
     ]
-    lines = [head, *body]
-    widths = [max(len(cells[i]) for cells in lines) for i in range(len(head))]
-    return "\n".join(
-        "  ".join(
-            cell.rjust(width) if i else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(cells, widths, strict=True))
-        )
-        for cells in lines
-    )
+    return "\n".join(columns([head, *body], numbers=True))

@@ -18,6 +18,7 @@ import re
 import shutil
 import sys
 import textwrap
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any, Protocol, TextIO, cast
 
@@ -49,6 +50,18 @@ def fold(text: str, width: int = WIDTH, *, indent: int = 4) -> str:
 def counted(number: int, noun: str, plural: str | None = None) -> str:
     """Format a number of things: ``1 run``, ``2 runs``."""
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def columns(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> list[str]:
+    """Align cells in columns, to the left; with ``numbers`` all but the first column to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.rjust(width) if numbers and i else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 class PrintedStream:
