@@ -20,10 +20,9 @@ import sys
 import textwrap
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Protocol, TextIO, cast
+from typing import Any, Protocol, TextIO, cast
 
 from ltv_mpc.errors import one_line, printable
-from services.runtime.printed_stream import drawn
 
 ERASE = "\r\x1b[2K"
 
@@ -63,6 +62,35 @@ def columns(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> list[str
         ).rstrip()
         for row in rows
     ]
+
+
+class PrintedStream:
+    """Standard stream that escapes the control characters of what is printed (``printable``).
+
+    What draws with control characters, as rich and a status line do, escapes its texts and writes to ``drawn(stream)``.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self.rich_proxied_file = stream  # by this name rich finds it
+
+    def write(self, text: str) -> int:
+        """Write a text; return its length."""
+        self.rich_proxied_file.write(printable(text))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rich_proxied_file, name)
+
+
+def drawn(stream: Any) -> Any:
+    """Return the stream behind a ``PrintedStream``."""
+    return getattr(stream, "rich_proxied_file", stream)
+
+
+def escape_output() -> None:
+    """Make a ``PrintedStream`` of standard output and standard error."""
+    for name in ("stdout", "stderr"):
+        setattr(sys, name, PrintedStream(drawn(getattr(sys, name))))
 
 
 class Level(enum.StrEnum):

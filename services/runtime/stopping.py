@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, TextIO, TypeAlias, TypeVar
 
-from services.runtime.printed_stream import PrintedStream, drawn
+from services.runtime.console import PrintedStream, drawn
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 

@@ -47,7 +47,7 @@ def run(parent: str, module: str, config: str, heartbeat: str = "") -> int:
     name_process(f"ltv-{name}")
 
     from ltv_mpc.errors import ConfigError
-    from services.runtime.printed_stream import escape_output
+    from services.runtime.console import escape_output
     from services.runtime.supervisor_link import SUPERVISOR_LINK
 
     if heartbeat:

@@ -17,8 +17,7 @@ from rich.console import Console as RichConsole
 from ltv_mpc.errors import printable
 from services.cli.app import run
 from services.reporting.terminal import screen_for
-from services.runtime.console import Console
-from services.runtime.printed_stream import PrintedStream
+from services.runtime.console import Console, PrintedStream
 from tests.services.reporting.test_terminal import CONTROLLER, FULL, LOCALISATION
 from tests.services.runtime.test_console import Terminal
 from tests.services.words import status
@@ -109,8 +108,7 @@ def test_a_screen_shows_no_control_character_and_no_markup_of_a_message(
 
 
 def test_a_process_that_fails_prints_no_control_character() -> None:
-    module = "services.runtime.printed_stream"
-    code = f"from {module} import escape_output\nescape_output()\nraise RuntimeError('a\\x1b[2J\\x9b')"
+    code = "from services.runtime.console import escape_output\nescape_output()\nraise RuntimeError('a\\x1b[2J\\x9b')"
     failed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "\\u001b[2J\\u009b" in failed.stderr
     assert is_safe(failed.stderr)
