@@ -25,7 +25,7 @@ from services.reporting.terminal import progress_bar
 from services.run import folder
 from services.tools.profile import machine_description
 
-TABLES = ("claims", "descents", "timing", "water")
+TABLES = ("claims", "descents", "timing")
 FIGURES = "figures.json"
 
 
@@ -130,7 +130,6 @@ def make(options: Options) -> tables.Figures:
             claims.table(claimed),
             tables.descents({variant.key: recorded[variant.key][1] for variant in RECORDED}),
             tables.timing(timed),
-            tables.water(synthetic, profiles),
         ),
     )
     figures.write(options.out / FIGURES)

@@ -72,4 +72,16 @@ def plotted_run(descent: RecordedDescent, summary: Summary) -> Run:
     plotted = read(descent.out / folder.RECORDING)
     name = f"horizon {summary.horizon_s:.1f} s" if descent.variant.lateral else descent.variant.name
     past = {table: columns for table, columns in plotted.tables.items() if table not in FUTURE_TABLES}
-    return Run(name, past, plotted.values, plotted.marks)
+    return from_line(Run(name, past, plotted.values, plotted.marks))
+
+
+def from_line(run: Run) -> Run:
+    """Return the run with north and east from the line, which begins at the estimate at t = 0."""
+    tables = dict(run.tables)
+    track = tables["track"]
+    first = next(i for i, t in enumerate(track["t_s"]) if t is not None and t >= 0.0)
+    start = {name: track[name][first] or 0.0 for name in ("north_m", "east_m")}
+    for table in ("track", "truth", "reference"):
+        moved = {name: [None if x is None else x - at for x in tables[table][name]] for name, at in start.items()}
+        tables[table] = tables[table] | moved
+    return run._replace(tables=tables)

@@ -98,7 +98,7 @@ def sheets(measured: Sequence[str]) -> tuple[Sheet, ...]:
         Sheet("fig10-true", 8.0, (*_both(TRUE[0], *CASES), *_both(TRUE[1], *CASES))),
         Sheet(
             "fig11-current-error",
-            4.4,
+            8.0,
             _both(CURRENT_ERROR[0], (PAPER_LONG,), (OURS_LONG,)) + _both(CURRENT_ERROR[1], (PAPER_LONG,), (OURS_LONG,)),
         ),
         Sheet("timing", 2.4, (Panel("cycles of this project, 5.1 s of horizon", TIMES, (TIMING,)),)),

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -13,12 +11,7 @@ from benchmarks.page_tables import Table
 from benchmarks.paper.settings import COMPUTING_S, RECORDED
 from benchmarks.paper.sheets import NONE
 from benchmarks.paper.timing import Timed
-from benchmarks.paper.water import Profile, rms_difference_mps
 from sim.evaluation.summary import Summary
-
-LAGS_M = (8.0, 24.0)
-"""Lags at which every profile has differences; the coarsest one has cells of 8 m."""
-
 
 # --- what stands in them ---------------------------------------------------------------------------------------------
 
@@ -77,41 +70,6 @@ def _load(timed: Timed) -> str:
     """Return the load of the machine before and after the measurement (mean of one minute)."""
     loads = [timed.machine[when] for when in ("load_before", "load_after")]
     return "load " + " to ".join(f"{load[0]:.1f}" for load in loads if isinstance(load, list))
-
-
-def water(synthetic: Sequence[Profile], measured: Sequence[Profile]) -> Table:
-    """Tabulate the strength of the currents and their difference between two depths; one axis, cm/s."""
-    return Table(
-        name="water",
-        head=(
-            *("current", "depths (m)", "rms (cm/s)", "about its mean (cm/s)"),
-            *(f"rms difference over {lag:g} m (cm/s)" for lag in LAGS_M),
-        ),
-        digits=(0, 0, 1, 1, 1, 1),
-        rows=(
-            _strength(f"synthetic, {len(synthetic)} seeds", synthetic),
-            *(_strength(one.name, [one]) for one in measured),
-        ),
-    )
-
-
-def _strength(name: str, profiles: Sequence[Profile]) -> tuple[str | float | None, ...]:
-    """Return a row of the table: root mean squares over the profiles."""
-    depth = profiles[0].depth_m
-    rms = _root_mean([float((one.velocity_mps**2).mean()) for one in profiles])
-    spread = _root_mean([float(one.velocity_mps.var(axis=0).mean()) for one in profiles])
-    differences = [_differences(profiles, lag) for lag in LAGS_M]
-    return name, f"{depth[0]:g} to {depth[-1]:g}", rms, spread, *differences
-
-
-def _differences(profiles: Sequence[Profile], lag_m: float) -> float | None:
-    known = [rms for one in profiles if (rms := rms_difference_mps(one, lag_m)) is not None]
-    return _root_mean([rms**2 for rms in known]) if known else None
-
-
-def _root_mean(squares: Sequence[float]) -> float:
-    """Return the root of the mean of squares ((m/s)^2) in cm/s."""
-    return 100.0 * math.sqrt(statistics.fmean(squares))
 
 
 def _setting(key: str, summary: Summary) -> tuple[float | None, float | None]:

@@ -77,11 +77,25 @@ class _Matrix(msgspec.Struct):
 
     @classmethod
     def of(cls, matrix: csc_array) -> _Matrix:
-        """Return a matrix as it is stored."""
+        """Return a matrix as it is stored.
+
+        Parameters
+        ----------
+        matrix : by columns.
+        """
         return cls(matrix.data.tolist(), matrix.indices.tolist(), matrix.indptr.tolist())
 
     def array(self, rows: int, columns: int) -> csc_array:
-        """Return the matrix. Raises ValueError if the parts do not fit."""
+        """Return the matrix.
+
+        Parameters
+        ----------
+        rows, columns : its shape.
+
+        Raises
+        ------
+        ValueError : the parts do not fit.
+        """
         parts = np.array(self.data), np.array(self.indices, np.int32), np.array(self.indptr, np.int32)
         array = csc_array(parts, shape=(rows, columns))
         array.check_format()

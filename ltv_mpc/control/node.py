@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import msgspec
 
-from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import SAVE_PERIOD_NS, Controller
 from ltv_mpc.control.estimate_sources import EstimateSources
@@ -97,7 +96,6 @@ class ControllerNode:
         config: ControllerConfig,
         *,
         fence: Fence | None = None,
-        bathymetry: Bathymetry | None = None,
         terms: Sequence[Term | Limit] = (),
         make_solver: SolverFactory = make,
         stopwatch: Stopwatch = no_stopwatch,
@@ -108,15 +106,12 @@ class ControllerNode:
         ----------
         vehicle, reference, config, terms, make_solver, stopwatch : as ``Controller`` takes them.
         fence : as ``Controller.set_fence`` takes it.
-        bathymetry : as ``Controller.set_bathymetry`` takes it; None: none.
         """
         self.schedule = Cycle(config.period_ns)
         self.controller = Controller(
             vehicle, reference, config, terms=terms, make_solver=make_solver, stopwatch=stopwatch
         )
         self.controller.set_fence(fence)
-        if bathymetry is not None:
-            self.controller.set_bathymetry(bathymetry)
         self.arbiter = CommandArbiter(vehicle)
         self.sources = EstimateSources(self.controller, config.sources)
         """Sources of the estimates: the active one and the rejected ones."""

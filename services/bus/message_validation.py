@@ -7,6 +7,7 @@ checked separately. On all other keys one source publishes at a time.
 from __future__ import annotations
 
 import base64
+import contextlib
 import re
 from collections import Counter
 from typing import Any
@@ -45,6 +46,13 @@ def message_at(topic: Topic, key: str, plain_map: dict[str, Any]) -> tuple[Messa
     if topic.written_by == "*" and (named := getattr(message, "node", node)) != node:
         raise WireError(f"node = {format_value(named)}: published on the key of {node}")
     return message, header
+
+
+def valid_message(topic: Topic | None, key: str, payload: bytes) -> tuple[Message, Header] | None:
+    """Return message and header of a frame, for an occasional reader; None if it is invalid, which others count."""
+    with contextlib.suppress(WireError):
+        return None if topic is None else message_at(topic, key, unpack(payload))
+    return None
 
 
 class MessageValidator:

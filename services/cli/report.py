@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.options import Force, Json
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ def report(
 
     report.html is one file and needs no network. Recordings that were cut off are accepted.
     """
-    from ltv_mpc.errors import ConfigError
     from services.reporting import report as page
     from services.reporting.static_files import NoPlotly
     from services.reporting.terminal import reading_progress
@@ -89,7 +89,6 @@ def after_run(recording: Path, summary: dict[str, Any]) -> str:
 
     A failure here does not change the exit code of the run.
     """
-    from ltv_mpc.errors import ConfigError
     from services.reporting import report as page
     from services.reporting.static_files import NoPlotly
     from services.reporting.terminal import reading_progress
@@ -122,7 +121,6 @@ def _names(recordings: Sequence[Path]) -> list[str]:
 def _target(recordings: Sequence[Path], out: Path | None, *, force: bool) -> Path:
     from datetime import UTC, datetime
 
-    from ltv_mpc.errors import ConfigError
     from services.run import folder
 
     if out is None and len(recordings) == 1:

@@ -103,9 +103,9 @@ def main(config: Config) -> int:
         published = node_settings(ControllerNode.name, files)
         recorder = QpRecorder()
         make_solver = make if config.failed_qps is None else recorder
-        node = ControllerNode(
-            vehicle, reference, settings, fence=fence, bathymetry=bottom, make_solver=make_solver, stopwatch=node_stages
-        )
+        node = ControllerNode(vehicle, reference, settings, fence=fence, make_solver=make_solver, stopwatch=node_stages)
+        if bottom is not None:
+            node.controller.set_bathymetry(bottom)
         stack.callback(console.close)
 
         def show(status: ControllerStatus, _now_us: int) -> None:

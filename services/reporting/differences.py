@@ -94,4 +94,4 @@ def text(names: Sequence[str], table: Sequence[Row]) -> str:
         + ["-" if value is None else f"{value:+.{row.digits}f}" for value in row.differences]
         for row in table
     ]
-    return "\n".join(columns([head, *body]))
+    return "\n".join(columns([head, *body], numbers=True))

@@ -33,7 +33,7 @@ def text(info: Info) -> str:
     lines.append(fold(f"{how}, {info.duration_s:.1f} s{'; ' if by else ''}{by}"))
     lines += [_segment(segment, since_s) for segment in info.segments]
     lines.append(f"{counted(info.messages, 'message')}, {info.missing or 'none'} missing{_unreadable(info)}")
-    lines += ["", *columns([_HEAD, *(_row(key, since_s) for key in info.keys)])]
+    lines += ["", *columns([_HEAD, *(_row(key, since_s) for key in info.keys)], numbers=True)]
     if sources := [line for key in info.keys for line in _sources(key, since_s)]:
         lines += ["", "keys with several sources", *sources]
     if silences := [line for key in info.keys for line in _silences(key, since_s)]:
@@ -67,7 +67,7 @@ def recovered(recovery: Recovery) -> str:
 def exported(result: ExportResult) -> str:
     """Format the result of an export: files and the number of their rows."""
     rows = [(file.file, str(file.rows), str(file.columns)) for file in result.files]
-    lines = columns([("file", "rows", "columns"), *rows])
+    lines = columns([("file", "rows", "columns"), *rows], numbers=True)
     if result.unreadable:
         lines.append(f"{counted(result.unreadable, 'message')} left out: their content does not match their key")
     return "\n".join(lines)

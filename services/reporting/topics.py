@@ -27,10 +27,7 @@ def text(key: str | None, *, as_json: bool) -> str:
         return json.dumps(_row(topic) | {"fields": fields}, indent=2) + "\n"
     paragraphs = cleandoc(topic.message_type.__doc__ or "").replace("``", "").split("\n\n")
     about = "\n\n".join(textwrap.fill(paragraph, WIDTH) for paragraph in paragraphs)
-    return (
-        "\n".join([f"{key}: {topic.message_type.__name__}", about, "", *columns(_fields(topic.message_type), left=4)])
-        + "\n"
-    )
+    return "\n".join([f"{key}: {topic.message_type.__name__}", about, "", *columns(_fields(topic.message_type))]) + "\n"
 
 
 def schemas(key: str | None) -> str:
@@ -72,7 +69,7 @@ def _table(rows: list[dict[str, Any]]) -> str:
         )
         for row in rows
     ]
-    return "\n".join(columns([header, *cells], left=6)) + "\n"
+    return "\n".join(columns([header, *cells])) + "\n"
 
 
 def _period(period_ns: int) -> str:

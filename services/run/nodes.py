@@ -28,17 +28,17 @@ def make_nodes(
     """
     scenario = run_config.scenario
     plant = Plant(scenario, run_config.vehicle, run_config.water)
-    aboard: list[Node] = [
-        ControllerNode(
-            run_config.vehicle,
-            run_config.reference,
-            run_config.controller,
-            fence=run_config.fence,
-            bathymetry=run_config.bathymetry,
-            terms=terms,
-            make_solver=make_solver,
-        )
-    ]
+    controller = ControllerNode(
+        run_config.vehicle,
+        run_config.reference,
+        run_config.controller,
+        fence=run_config.fence,
+        terms=terms,
+        make_solver=make_solver,
+    )
+    if run_config.bathymetry is not None:
+        controller.controller.set_bathymetry(run_config.bathymetry)
+    aboard: list[Node] = [controller]
     if not scenario.run.perfect_state:  # else the sensors themselves write the estimate
         aboard.insert(0, Estimator(run_config.sensor_config, scenario.estimator, run_config.prior))
     needed_types = None if publish_unread_topics else frozenset(kind for node in aboard for kind in node.reads)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.messages import ControllerStatus, Estimate, Message, NodeStatus, RejectedFrame, RunEvent
 from services.bus.roles import RECORDER, ROUTER, SUPERVISOR
@@ -70,6 +72,7 @@ def summarise(
         messages=messages,
         stages=run_config.controller.stages,
         horizon_s=run_config.controller.reach_s,
+        proposed_horizon_s=settled(ControllerConfig(), run_config.vehicle).horizon_s,
         effort=scenario.controller.effort,
         perfect_state=scenario.run.perfect_state,
     )

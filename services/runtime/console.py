@@ -52,8 +52,20 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
 
 
+def columns(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> list[str]:
+    """Align cells in columns, to the left; with ``numbers`` all but the first column to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.rjust(width) if numbers and i else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
 class PrintedStream:
-    """Standard stream that escapes the control characters of what is printed (``printable``), whoever wrote it.
+    """Standard stream that escapes the control characters of what is printed (``printable``).
 
     What draws with control characters, as rich and a status line do, escapes its texts and writes to ``drawn(stream)``.
     """
@@ -149,18 +161,6 @@ class Console:
         with contextlib.suppress(OSError):
             self._out.write(text)
             self._out.flush()
-
-
-def columns(rows: Sequence[Sequence[str]], *, left: int = 1) -> list[str]:
-    """Return the lines of a table: its first ``left`` columns are aligned to the left, all others to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            cell.ljust(width) if i < left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
 
 
 def tenfold(count: int) -> int:

@@ -114,7 +114,7 @@ class Runner:
         return self._time.schedule.finished
 
     @property
-    def clock_sync(self) -> ClockSync | None:
+    def clock_sync(self) -> ClockSync:
         """Synchronisation with the other side's clock, for a process that may take the time from its inputs."""
         return self._time.sync
 
@@ -160,7 +160,7 @@ class Runner:
         waiting = WaitingFor(
             time.clock,
             inputs,
-            clock_source=CLOCK_OR_ESTIMATE if time.sync else CLOCK_MESSAGE,
+            clock_source=CLOCK_OR_ESTIMATE if time.syncs else CLOCK_MESSAGE,
             node_waits=(lambda: node.waiting_for) if isinstance(node, WaitingNode) else None,
         )
         status = NodeStatusReporter(

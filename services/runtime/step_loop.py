@@ -108,7 +108,7 @@ class StepLoop:
             time, io = self._time, self._io
 
             def publish(now_us: int) -> None:
-                io.publish(report.status(now_us, time.now_ns(now_us), validator, time.offset(now_us)))
+                io.publish(report.status(now_us, time.now_ns(now_us), validator, time.sync.offset(now_us)))
 
             self._deadlines.add(lambda: report.due_us, publish)
 
@@ -177,9 +177,9 @@ class StepLoop:
             settings.due_us = 0  # a recorder that receives the first step can replay the node
         if self._navigated is not None:
             self._follow_source(self._navigated.active_source, t_ns)
-        self._io.shift_ns = self._time.published_shift_ns
+        self._io.shift_ns = self._time.sync.published_shift_ns
         if status.steps == 0:
-            own_clock = self._time.offset(due_us).mode is not ClockMode.SHARED
+            own_clock = self._time.sync.offset(due_us).mode is not ClockMode.SHARED
             self._io.restore_state(t_ns, due_us, own_clock=own_clock)
         inbox = self._io.take_inbox(t_ns, cause)
         # Stage "read": reading the inbox. The controller uses the same recorded name for reading the QP's solution out,
@@ -212,12 +212,10 @@ class StepLoop:
             self._io.publish(RunEvent(t_ns=t_ns, node=self._node.name, kind="source", text=text))
 
     def _publish(self, outputs: Sequence[Message]) -> None:
-        now_us, sync = monotonic_us(), self._time.sync
-        sent = self._io.publish_outputs(outputs)
-        if sync is not None:
-            for message, frame in zip(outputs, sent, strict=True):
-                if isinstance(message, Plan):
-                    sync.on_plan_sent(frame.sequence, now_us)
+        now_us = monotonic_us()
+        for message, frame in zip(outputs, self._io.publish_outputs(outputs), strict=True):
+            if isinstance(message, Plan):
+                self._time.sync.on_plan_sent(frame.sequence, now_us)
 
     def _hold(self, delay_ns: int) -> None:
         """Wait on the vehicle's clock before the plan is published: the computing time of a slower machine."""

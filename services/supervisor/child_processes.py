@@ -14,7 +14,7 @@ from services.supervisor import process_table
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
 from services.supervisor.hang_detector import HANG_TIMEOUT_S
-from services.supervisor.managed_process import ManagedProcess, Program
+from services.supervisor.managed_process import ManagedProcess
 
 ORDERLY_S = 2.0  # for one node, after a complete run
 ORDERLY_RECORDER_S = 10.0  # a slow disk
@@ -29,11 +29,11 @@ SIMULATION_HANG_TIMEOUT_S = 10.0
 class ChildProcesses:
     """Current child processes. A restarted process replaces the failed one under the same name."""
 
-    def __init__(self, scenario: Path, logs: Path, group: int) -> None:
-        """Start the fork server; ``group`` is the process group of all processes."""
+    def __init__(self, scenario: Path, logs: Path, group: int, stop: Callable[[], bool] = lambda: False) -> None:
+        """Start the fork server; ``group`` is the process group of all processes, ``stop`` ends its waits."""
         self.by_name: dict[str, ManagedProcess] = {}
         """Child processes in the order of their start."""
-        self.forks = ForkServer(scenario, logs / "forkserver.log", group)
+        self.forks = ForkServer(scenario, logs / "forkserver.log", group, stop)
         self._logs = logs
         self._rows: dict[str, process_table.ProcessRow] = {}
         self._starts: dict[str, int] = {}
@@ -103,8 +103,10 @@ class ChildProcesses:
     def _start(self, name: str, state: bytes) -> ManagedProcess:
         row = self._rows[name]
         return ManagedProcess(
-            Program(name, row.module, self._config(name), self._log(name)),
             self.forks,
+            row.module,
+            self._config(name),
+            self._log(name),
             state=state,
             hang_timeout_s=HANG_TIMEOUT_S if row.restartable else SIMULATION_HANG_TIMEOUT_S,
         )

@@ -31,7 +31,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -49,9 +49,10 @@ PROGRAM = ("-m", "services.supervisor.forkserver")
 NAME = "ltv-forkserver"
 MAX_REQUEST_BYTES = 65_536
 DESCRIPTORS = 2
-REPLY_TIMEOUT_S, LOADING_REPLY_TIMEOUT_S = 2.0, 5.0
-"""A fork takes about 10 ms, about 100 ms on a busy machine; of a server that loads, up to a second. A server that does
-not reply in time is killed."""
+REPLY_TIMEOUT_S, LOADING_REPLY_TIMEOUT_S = 2.0, 20.0
+"""A fork takes about 10 ms, about 100 ms on a busy machine; of a server that starts or loads, up to some seconds there.
+A server that does not reply in time is killed."""
+POLL_S = 0.1
 
 ADOPTION_TIMEOUT_S = 2.0  # a child waits at most this long for its new parent, which may have died
 PIPE_BYTES = 1 << 20  # a state fits into the pipe, so that a stopped child does not block the supervisor
@@ -80,11 +81,12 @@ class ForkServer:
     """Handle of the fork server; one that dies or does not answer is replaced.
 
     Construct it in the main thread: the server and its children end with that thread (parent_death.py). ``group`` is
-    the process group of all of them.
+    the process group of all of them; ``stop`` ends a wait for a reply.
     """
 
-    def __init__(self, scenario: Path, log: Path, group: int) -> None:
+    def __init__(self, scenario: Path, log: Path, group: int, stop: Callable[[], bool] = lambda: False) -> None:
         self.log = log
+        self._stop = stop
         self._scenario = scenario
         self._group = group
         self._loads = False
@@ -121,21 +123,22 @@ class ForkServer:
             self._requests.send(msgspec.json.encode(Request()))
 
     def is_loaded(self) -> bool:
-        """Return True if the server has loaded."""
+        """Return True if the server has loaded. One that is stopped is replaced."""
+        if self._is_stopped():
+            self._replace()
         if not self._loaded and select.select([self._requests], [], [], 0.0)[0]:
             self._loaded = self._reply() == LOADED
         return self._loaded
 
     def replace_if_dead(self) -> None:
-        """Start another server if this one is dead."""
-        if self.exit_code() is not None:
-            self._end()
-            self._start()
-            if self._loads:
-                self.load()
+        """Start another server if this one is dead or stopped."""
+        if self.exit_code() is not None or self._is_stopped():
+            self._replace()
 
     def fork(self, module: str, config: Path, log: Path) -> Forked:
-        """Fork a child. Raises ``ChildProcessError`` if neither this server nor another one replies in time."""
+        """Fork a child. Raises ``ChildProcessError`` if neither this server nor another one replies in time, and
+        ``InterruptedError`` after a stop request.
+        """
         request = msgspec.json.encode(Request(module, str(config), str(log)))
         for _ in range(2):
             stdin, into_stdin = os.pipe()
@@ -150,9 +153,9 @@ class ForkServer:
                 return Forked(pid, into_stdin, heartbeats)
             os.close(into_stdin)  # a child that was forked too late ends at the end of its input
             os.close(heartbeats)
-            self._process.kill()
-            self._process.wait()
-            self.replace_if_dead()
+            if self._stop():
+                raise InterruptedError
+            self._replace()
         raise ChildProcessError(f"{module} is not started: the fork server does not answer")
 
     def close(self) -> None:
@@ -160,24 +163,41 @@ class ForkServer:
         self._end()
         _set_subreaper(False)
 
+    def _replace(self) -> None:
+        self._end()
+        self._start()
+        if self._loads:
+            self.load()
+
+    def _is_stopped(self) -> bool:
+        try:
+            return Path(f"/proc/{self.pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0] == "T"
+        except OSError:
+            return False
+
     def _end(self) -> None:
         self._requests.close()
         self._process.kill()
         self._process.wait()
 
     def _request_fork(self, request: bytes, descriptors: tuple[int, int]) -> int | None:
-        with contextlib.suppress(OSError):
+        """Return the pid of the child; None if the server does not reply in time or is stopped, or after a request."""
+        with contextlib.suppress(ConnectionError):  # the server has died
             socket.send_fds(self._requests, [request], descriptors)
-            timeout_s = REPLY_TIMEOUT_S if self._loaded else LOADING_REPLY_TIMEOUT_S
-            while select.select([self._requests], [], [], timeout_s)[0]:
-                if (pid := self._reply()) != LOADED:
-                    return pid
-                self._loaded = True
+            until = time.monotonic() + (REPLY_TIMEOUT_S if self._loaded else LOADING_REPLY_TIMEOUT_S)
+            while time.monotonic() < until and not self._stop() and not self._is_stopped():
+                if select.select([self._requests], [], [], POLL_S)[0]:
+                    if (pid := self._reply()) != LOADED:
+                        return pid
+                    self._loaded = True
         return None
 
     def _reply(self) -> int | None:
-        data = self._requests.recv(PID.size)
-        return int(PID.unpack(data)[0]) if data else None
+        """Return the next reply; None if the server has died."""
+        with contextlib.suppress(ConnectionError):
+            if data := self._requests.recv(PID.size):
+                return int(PID.unpack(data)[0])
+        return None
 
 
 def _set_subreaper(on: bool) -> None:

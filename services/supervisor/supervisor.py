@@ -179,7 +179,7 @@ class Supervisor:
         in_order = False
         with ExitStack() as sessions:
             self._cleanup = OrphanCleanup()
-            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group)
+            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group, self._request)
             self.failures = FailureHandler(self.children, self._screen)
             try:
                 context = self._open_bus(certs)
@@ -189,11 +189,11 @@ class Supervisor:
                 self._wait_until(lambda: self.children.run_complete, None, "")
                 in_order = True
             except ChildProcessError as error:
-                return Outcome(completed=False, exit_code=FAILED, why=str(error))
+                return self._ended_early(str(error), FAILED)
             except RunFailed as failure:
                 in_order = failure.in_order
                 return self._ended_early(failure.why, FAILED, failure.last_lines)
-            except Stopped:
+            except (Stopped, InterruptedError):
                 return self._ended_early(STOPPED, INTERRUPTED if self._request.interrupted else FAILED)
             finally:
                 killed = self.children.stop(in_order=in_order, close_session=sessions.close)
@@ -271,15 +271,15 @@ class Supervisor:
             self._tick()
 
     def _start(self, sessions: ExitStack, context: process_table.RunContext) -> None:
-        """Start the processes in the order of the table, each after those that it needs are ready."""
+        """Start the processes in the order of the table, the recorder first."""
         rows = process_table.processes(self._run_config.scenario)
         session = open_session(bus_options(context), stop=self._request, say=self._screen.say)
         sessions.enter_context(session)
         self._connect(session, rows)
         others = rows[1:]  # the router runs
         for row in others:
-            for name in row.needs:
-                self._wait_until_ready(name)
+            if row is others[1]:
+                self._wait_until_ready(others[0].name)  # the recorder: it records the first message of all others
             if row is others[-1]:
                 self._wait_for_drawing()  # the clock starts when the last process is ready
             self._start_process(row, context)

@@ -98,5 +98,6 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     messages: Messages
     stages: int  # N of the horizon
     horizon_s: float  # length of the horizon
+    proposed_horizon_s: float  # what `vehicle check` proposes for the vehicle
     effort: str  # low, normal or high: the weights of thrust
     perfect_state: bool = False  # the controller was given the true state

@@ -74,7 +74,12 @@ class QpRecorder:
         return None if self._newest is None else self._newest.named()
 
     def add(self, solver: _NamingSolver) -> None:
-        """Note the solver of the newest QP, and the QP if it was not solved."""
+        """Note the solver of the newest QP, and the QP if it was not solved.
+
+        Parameters
+        ----------
+        solver : wrapped solver that has just solved it, or has failed.
+        """
         self._newest = solver
         if solver.result.solve.status is not SolveStatus.SOLVED:
             with contextlib.suppress(Exception):  # a problem that cannot be laid out must not cost the cycle

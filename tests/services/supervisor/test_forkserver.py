@@ -16,7 +16,7 @@ from services.supervisor import forkserver
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
-from services.supervisor.managed_process import ManagedProcess, Program
+from services.supervisor.managed_process import ManagedProcess
 from services.supervisor.parent_death import OrphanCleanup
 from services.supervisor.process_table import ProcessRow
 from tests.waiting import until
@@ -86,7 +86,7 @@ def server(tmp_path: Path, group: int) -> Iterator[ForkServer]:
 def forked(server: ForkServer, log: Path, name: str, task: str, code: int = 0) -> ManagedProcess:
     config = log.with_name(f"{name}.json")
     write_config(config, Quick(task, code))
-    return ManagedProcess(Program(name, "quick", config, log), server)
+    return ManagedProcess(server, "quick", config, log)
 
 
 def stat(pid: int) -> list[str]:
@@ -118,11 +118,8 @@ def test_a_forked_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_c
     assert child.exit_code() == -signal.SIGKILL
 
 
-def test_a_stopped_fork_server_is_replaced_and_what_it_forks_too_late_ends(
-    server: ForkServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stopped_fork_server_is_replaced_and_what_it_forks_too_late_ends(server: ForkServer, tmp_path: Path) -> None:
     """The other one forks before it has loaded."""
-    monkeypatch.setattr(forkserver, "REPLY_TIMEOUT_S", 0.05)
     first, before = server.pid, set(own_children())
     os.kill(first, signal.SIGSTOP)
     child = forked(server, tmp_path / "log", "plant", "exits", 7)
@@ -131,6 +128,13 @@ def test_a_stopped_fork_server_is_replaced_and_what_it_forks_too_late_ends(
     child.close()
     assert child.exit_code() == 7
     until(lambda: set(own_children()) <= (before - {first}) | {server.pid})
+
+
+def test_a_stop_request_ends_the_wait_for_the_fork_server(tmp_path: Path, group: int) -> None:
+    server = ForkServer(tmp_path / "scenario.toml", tmp_path / "forkserver.log", group, stop=lambda: True)
+    with pytest.raises(InterruptedError):
+        forked(server, tmp_path / "log", "plant", "sleeps")
+    server.close()
 
 
 def own_children() -> Iterator[int]:
@@ -179,7 +183,7 @@ def crew(tmp_path: Path, group: int) -> Iterator[ChildProcesses]:
 def test_a_dead_fork_server_kills_no_child_and_is_replaced(crew: ChildProcesses) -> None:
     first = crew.forks.pid
     for name in ("plant", "sensors"):
-        crew.start(ProcessRow(name, "quick", True, ()), Quick("sleeps"))
+        crew.start(ProcessRow(name, "quick", True), Quick("sleeps"))
     until(lambda: all(child.last_lines() for child in crew.by_name.values()))
     os.kill(first, signal.SIGKILL)
     crew.by_name["plant"].kill()
@@ -200,7 +204,7 @@ import sys, time
 from pathlib import Path
 import msgspec
 from services.supervisor import forkserver
-from services.supervisor.managed_process import ManagedProcess, Program
+from services.supervisor.managed_process import ManagedProcess
 from services.supervisor.parent_death import OrphanCleanup
 forkserver.PROGRAM = ("-c", {QUICK!r})
 folder, cleanup = Path(sys.argv[1]), OrphanCleanup()
@@ -210,7 +214,7 @@ print(server.pid, flush=True)
 for k, (name, task) in enumerate([("plant", "sleeps"), ("controller", "holds the GIL"), ("recorder", "holds the GIL")]):
     config = folder / f"{{name}}.json"
     config.write_bytes(msgspec.json.encode({{"task": task, "code": 0}}))
-    child = ManagedProcess(Program(name, "quick", config, folder / f"{{k}}.log"), server)
+    child = ManagedProcess(server, "quick", config, folder / f"{{k}}.log")
     while not child.last_lines() or child.hang_detector.last_s is None:
         child.read_heartbeats()
     print(child.pid, flush=True)

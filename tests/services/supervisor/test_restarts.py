@@ -51,7 +51,7 @@ def failure_of(crew: ChildProcesses, *, restartable: bool, ready: bool, restarts
     handler.all_ready = ready
     for _ in range(restarts):
         handler._budget.spend(time.monotonic())
-    crew.start(ProcessRow("estimator", "no.such.module", restartable, ()), Nothing())
+    crew.start(ProcessRow("estimator", "no.such.module", restartable), Nothing())
     until(lambda: crew.by_name["estimator"].exit_code() is not None)
     with pytest.raises(RunFailed) as failed:
         handler.check(time.monotonic())
