@@ -142,14 +142,14 @@ def open_file(path: Path, *, what: str, max_bytes: int | None = None) -> BinaryI
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except FileNotFoundError:
         raise ConfigError(source, "", missing_file_hint(path)) from None
-    except IsADirectoryError:
-        raise ConfigError(source, "", f"is a folder: give the {what} file itself") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         why = getattr(error, "strerror", None) or str(error)
         raise ConfigError(source, "", f"cannot be read: {why}") from None
     status = os.fstat(number)
     problem = ""
-    if not stat.S_ISREG(status.st_mode):
+    if stat.S_ISDIR(status.st_mode):
+        problem = f"is a folder: give the {what} file itself"
+    elif not stat.S_ISREG(status.st_mode):
         problem = "is not a regular file"
     elif max_bytes is not None and status.st_size > max_bytes:
         problem = f"has {status.st_size} bytes: at most {max_bytes}; check the file name"
