@@ -8,6 +8,9 @@ from __future__ import annotations
 MAX_EPOCHS = 1_000
 """Process starts that are counted separately. A run has eight, and one more for each restart."""
 
+MAX_LOST = 1_000_000
+"""Largest number of messages that one process may have lost; a status that gives a larger one is false."""
+
 
 class _Account:
     __slots__ = ("count", "node", "published")
@@ -52,7 +55,7 @@ class PublishCounts:
     def set_published(self, epoch: int, node: str, published: int) -> None:
         """Set the number of messages that a process has published, by its last status, which is included."""
         account = self._accounts.get(epoch)
-        if account is not None:
+        if account is not None and published - (account.count or 0) <= MAX_LOST:
             account.node, account.published = node, published
 
     def unfinished(self, own: int) -> bool:

@@ -245,5 +245,5 @@ class RecordingLoop:
         if refused and refused is not LATE and not refused.startswith(FAR_AHEAD):
             self._publish_counts.discount(header.epoch)
         self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
-        if isinstance(message, NodeStatus) and message.finished:
+        if isinstance(message, NodeStatus) and message.finished and not refused:
             self._publish_counts.set_published(header.epoch, message.node, message.published)

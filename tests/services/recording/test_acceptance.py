@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from ltv_mpc.messages import Applied, Message, NodeStatus, Plan, RejectedFrame, RunEvent
 from services.bus import topics, wire
 from services.bus.wire import Header
+from services.recording import info
 from services.recording.writer import RunWriter
 from services.reporting import report
 from services.reporting.plots import recorded
@@ -139,5 +140,6 @@ def test_a_run_that_ended_early_says_so_in_summary_and_report(tmp_path) -> None:
         writer.write("supervisor", ended, Header(epoch=1, sequence=0), 0)
     summary = summary_of(path)
     assert (summary.completed, summary.why) == (False, "plant failed <twice>")
+    assert info.read([path]).why == summary.why
     lines = report._lines([report.Run(name="x", recording=path, summary={"why": summary.why})], [recorded.read(path)])
     assert lines[0] == '<p class="bad">The run failed: plant failed &lt;twice&gt;</p>'

@@ -63,6 +63,7 @@ def test_duplicates_do_not_replace_missing_messages() -> None:
         if again:
             kept.discount(7)
     kept.set_published(7, "controller", 3)
+    kept.set_published(7, "controller", 2**50)
     assert kept.missing == {"controller": 1}
 
 
