@@ -27,6 +27,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import Progress
 
+from benchmarks.lockstep_job import Job
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
@@ -38,7 +39,6 @@ from services.reporting import sheet
 from services.reporting.plots import palette
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run
-from services.tools.batch.job import Job
 from sim.scheduler import LockStep, Observation, Step
 
 CELLS = (25, 50, 70, 140, 280, 500)

@@ -16,7 +16,7 @@ def doctor(as_json: Json = False) -> int:
 
     Exit code 1 if there is a problem; a warning is not a problem.
     """
-    import json
+    import json  # not msgspec, which may be the package that is missing
     from dataclasses import asdict
 
     from services.tools.doctor import Level, examine
