@@ -7,12 +7,14 @@ from functools import cache
 from tests.foreign_plant.flight import Figure, Flight, distance_m
 
 STEPS_S = (-86_400.0, -5.0, -0.05, 0.05, 5.0, 86_400.0)
+TWO_WAY_STEPS_S = STEPS_S[::2]
+"""Each size once: two-way the sign makes no difference."""
 
 
 def run() -> list[Figure]:
     """Return the largest drift of all steps."""
     return [
-        Figure("drift, two-way", max(drift_m(flown(s, reports=True)) for s in STEPS_S), 0.3, "m"),
+        Figure("drift, two-way", max(drift_m(flown(s, reports=True)) for s in TWO_WAY_STEPS_S), 0.3, "m"),
         Figure("drift, one-way", max(drift_m(flown(s, reports=False)) for s in STEPS_S), 1.0, "m"),
     ]
 
