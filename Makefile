@@ -2,7 +2,7 @@
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup sim sim-secure check test figures docs package release bench map fuzz protocol link mutants clean
+.PHONY: help setup lock sim sim-secure check test figures docs package release bench map fuzz protocol link mutants clean
 
 # Passed through to `ltv-mpc sim`; empty: the scenario's own value.
 SCENARIO =
@@ -92,6 +92,10 @@ release: setup  ## check VERSION and changelog, run test, docs and package, and 
 	SETUPTOOLS_SCM_PRETEND_VERSION='$(VERSION)' $(MAKE) package
 	$(BIN)/python -P .ci/release.py tag '$(VERSION)'
 
+lock: .venv/made  ## requirements.lock: the newest versions that pyproject.toml allows, with the hashes of their files
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check 'uv>=0.9'
+	@$(BIN)/python .ci/install.py --lock
+
 protocol: setup  ## docs/protocol.md, docs/schemas/ and the drawings of docs/architecture.md, from the code
 	$(BIN)/ltv-mpc topics --write docs
 	PYTHONPATH=. $(BIN)/python -P docs/extensions/drawings.py
@@ -122,7 +126,7 @@ clean:  ## remove .venv and caches; runs/ stays
 	done; \
 	echo "On Debian and Ubuntu: apt-get install python3 python3-venv" >&2; exit 1
 
-.venv/runnable: .venv/made pyproject.toml
+.venv/runnable: .venv/made pyproject.toml requirements.lock
 	@$(BIN)/python .ci/install.py viz
 	@touch $@
 

@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks.lockstep_job import Job
 from ltv_mpc.messages import Array, Estimate, Truth
-from services.reporting.figures import sheet
+from services.reporting import sheet
 from services.reporting.plots import palette
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run
 from services.tools.batch.executor import run_each
-from services.tools.batch.job import Job
 from sim.scheduler import LockStep, Observation
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "sensors"

@@ -43,9 +43,9 @@ def is_at(lin: Linearisation, target: Array) -> None:
 class _Planner(LateralPlanner):
     """The controller's planner."""
 
-    def _run_solver(self, problem: Problem, shift: float) -> Result:
+    def _run_solver(self, problem: Problem, shift: float, *, last: bool) -> Result:
         is_at(self._cycle.lin, self._cycle.target)
-        return super()._run_solver(problem, shift)
+        return super()._run_solver(problem, shift, last=last)
 
 
 controller.LateralPlanner = _Planner  # type: ignore[misc]

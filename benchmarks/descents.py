@@ -16,8 +16,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
+from benchmarks.lockstep_job import Job
 from services.tools.batch.executor import run_each
-from services.tools.batch.job import Job
 from sim.evaluation.summary import Summary
 
 KNOWN = ("run.perfect_state=true",)

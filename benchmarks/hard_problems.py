@@ -28,7 +28,7 @@ from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.nominal_model import advance
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.solvers.recorder import FailureRecorder
+from ltv_mpc.control.solvers.recorder import QpRecorder
 from ltv_mpc.messages import CurrentProfile, Estimate, PlanOrigin, SolveStatus
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -108,7 +108,7 @@ def one(job: Job) -> Solved:
     name = VEHICLES[job.seed % len(VEHICLES)]
     config, estimate = draw(job.seed, name)
     vehicle, _, _ = craft(name)
-    failures = FailureRecorder()
+    failures = QpRecorder()
     config = msgspec.structs.replace(config, solver=job.solver)
     controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), config, make_solver=failures)
     solved = Solved(name, [], [], [], [])
@@ -120,7 +120,7 @@ def one(job: Job) -> Solved:
         solved.origin.append(plan.origin)
         solved.iterations.append(plan.solve.iterations)
         if failures.failed is not None and job.keep is not None:
-            failures.failed.save(job.keep / f"{job.seed}-{cycle}.npz")
+            failures.failed.save(job.keep / f"{job.seed}-{cycle}.qp")
             failures.failed = None
         estimate = advance(vehicle, estimate, plan, duration_s=config.period_s)
     return solved

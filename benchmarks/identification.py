@@ -25,7 +25,7 @@ from ltv_mpc import references
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Array, CurrentProfile, Estimate
-from ltv_mpc.vehicle.flow import advance_stage
+from ltv_mpc.vehicle.flow import advance_stage, lag_table
 from ltv_mpc.vehicle.identification import Identification, identify
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.shooting_fit import REFERENCE_POINT, Motion, theta_scale
@@ -68,7 +68,7 @@ class _Boat:
         """Integrate one step with the thruster lag of the controller's model."""
         X, out = np.concatenate([self._state[:6], self._factor * self._thrust[:2]]), np.empty(8)
         c, k = self._current, self._factor
-        advance_stage(X, k * u0, k * u1, c, c, STEP_NS * 1e-9, self._p, out)
+        advance_stage(X, k * u0, k * u1, c, c, STEP_NS * 1e-9, self._p, lag_table(STEP_NS * 1e-9, self._p), out)
         self._state[:6], self._thrust[:2] = out[:6], out[6:] / k
 
     @property

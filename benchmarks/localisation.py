@@ -27,6 +27,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import Progress
 
+from benchmarks.lockstep_job import Job
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
@@ -34,11 +35,10 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE
 from ltv_mpc.messages import ImuSample, ImuSamples
 from ltv_mpc.node import Inbox
-from services.reporting.figures import sheet
+from services.reporting import sheet
 from services.reporting.plots import palette
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run
-from services.tools.batch.job import Job
 from sim.scheduler import LockStep, Observation, Step
 
 CELLS = (25, 50, 70, 140, 280, 500)

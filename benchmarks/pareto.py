@@ -27,7 +27,7 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import THRUST_WEIGHT_FACTOR
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.reporting.figures import sheet
+from services.reporting import sheet
 from services.reporting.plots import palette
 from services.tools.batch.executor import run_each
 

@@ -34,7 +34,7 @@ class Started:
         for process in self._processes:
             process.kill()
             with process:  # closes its pipes, and waits
-                self._cleanup.remove(process.pid)
+                pass
         self._cleanup.close()
 
     def start(
@@ -46,8 +46,8 @@ class Started:
     ) -> Process:
         """Start ``python -m WORDS``; an interrupt from the terminal does not reach it."""
         command = [sys.executable, "-m", *words]
-        process = subprocess.Popen(command, stdin=stdin, stdout=stdout, stderr=stderr, start_new_session=True)
-        self._cleanup.add(process.pid)
+        group = self._cleanup.group
+        process = subprocess.Popen(command, stdin=stdin, stdout=stdout, stderr=stderr, process_group=group)
         self._processes.append(process)
         return process
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import stat
 import tomllib
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path, PurePath
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import msgspec
 import tomli_w
@@ -22,7 +23,7 @@ T = TypeVar("T")
 MAX_FILE_BYTES = 1 << 20
 """Largest size of a settings file."""
 
-MAX_NESTING = 20
+MAX_NESTING = 10
 """Largest depth of nested tables and lists. No settings file needs more, and their traversal is recursive."""
 
 
@@ -108,21 +109,7 @@ def read_text(path: Path, *, what: str) -> str:
         If the file is missing, no regular file, too large, empty, or no UTF-8 text. The error says what to do.
     """
     source = f"{what} {path}"
-    try:
-        status = path.stat()
-        regular = stat.S_ISREG(status.st_mode)
-        content = path.read_bytes() if regular and status.st_size <= MAX_FILE_BYTES else b""
-    except FileNotFoundError:
-        raise ConfigError(source, "", missing_file_hint(path)) from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        why = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(source, "", f"cannot be read: {why}") from None
-    if stat.S_ISDIR(status.st_mode):
-        raise ConfigError(source, "", f"is a folder: give the {what} file itself")
-    if not regular:
-        raise ConfigError(source, "", "is not a regular file")
-    if status.st_size > MAX_FILE_BYTES:
-        raise ConfigError(source, "", f"has {status.st_size} bytes: at most {MAX_FILE_BYTES}; check the file name")
+    content = read_bytes(path, what=what)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -134,6 +121,78 @@ def read_text(path: Path, *, what: str) -> str:
     if "\0" in text:
         raise ConfigError(source, "", "holds binary data, not text: check that it is the right file")
     return text
+
+
+def open_file(path: Path, *, what: str, max_bytes: int | None = None) -> BinaryIO:
+    """Open a regular file. Every reader of a file that a user names uses this: a fifo or a device cannot stop it.
+
+    Parameters
+    ----------
+    path : file.
+    what : kind of file for errors.
+    max_bytes : largest size (bytes); None: any.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, no regular file, or too large. The error says what to do.
+    """
+    source = f"{what} {path}"
+    try:
+        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except FileNotFoundError:
+        raise ConfigError(source, "", missing_file_hint(path)) from None
+    except IsADirectoryError:
+        raise ConfigError(source, "", f"is a folder: give the {what} file itself") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        why = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(source, "", f"cannot be read: {why}") from None
+    status = os.fstat(number)
+    problem = ""
+    if not stat.S_ISREG(status.st_mode):
+        problem = "is not a regular file"
+    elif max_bytes is not None and status.st_size > max_bytes:
+        problem = f"has {status.st_size} bytes: at most {max_bytes}; check the file name"
+    if problem:
+        os.close(number)
+        raise ConfigError(source, "", problem)
+    return os.fdopen(number, "rb")
+
+
+def read_bytes(path: Path, *, what: str, max_bytes: int = MAX_FILE_BYTES) -> bytes:
+    """Read a regular file of limited size: ``open_file``.
+
+    Parameters
+    ----------
+    path : file.
+    what : kind of file for errors.
+    max_bytes : largest size (bytes).
+    """
+    with open_file(path, what=what, max_bytes=max_bytes) as file:
+        try:
+            return file.read(max_bytes)  # a file of /proc has no size
+        except OSError as error:
+            raise ConfigError(f"{what} {path}", "", f"cannot be read: {error.strerror}") from None
+
+
+def read_json(path: Path, *, what: str) -> dict[str, Any]:
+    """Read a file that holds a JSON object.
+
+    Parameters
+    ----------
+    path : file.
+    what : kind of file for errors.
+
+    Raises
+    ------
+    ConfigError
+        As ``read_text``, or if it is no JSON object.
+    """
+    text = read_text(path, what=what)
+    try:
+        return msgspec.json.decode(text, type=dict[str, Any])
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{what} {path}", "", f"is not a JSON object: {error}") from None
 
 
 def missing_file_hint(path: Path) -> str:
@@ -164,8 +223,11 @@ def number_or_text(text: str) -> int | float | str:
 
 
 def is_path(name: str) -> bool:
-    """Return True if NAME|FILE is a path: it has a suffix or a slash. A bare name means a shipped file."""
-    return "/" in name or "\\" in name or PurePath(name).suffix != ""
+    """Return True if NAME|FILE is a path: it has a suffix or a slash. A bare name means a shipped file.
+
+    A suffix begins with a letter: ``paper-2.5s`` has none.
+    """
+    return "/" in name or "\\" in name or PurePath(name).suffix[1:2].isalpha()
 
 
 def find(name: str, *, what: str, package: str | None, suffix: str = ".toml") -> Path:

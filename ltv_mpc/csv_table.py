@@ -35,6 +35,8 @@ BOUNDS = {
 }
 """Smallest and largest number of each column, and its unit in errors."""
 
+MAX_LINE = 100_000
+"""Largest length of a line (characters). The module csv takes no longer cells."""
 _WORD = re.compile(r"[\w.]+")
 
 
@@ -67,6 +69,9 @@ def read_table(
         If the file cannot be read or a row is not valid; with line, column, value and bound.
     """
     lines = config.read_text(path, what=what).splitlines()
+    for k, text in enumerate(lines, start=1):
+        if len(text) > MAX_LINE:
+            raise ConfigError(source, f"line {k}", f"has {len(text)} characters: at most {MAX_LINE}")
     names, line, separator = _header(lines, alternatives, source)
     needed = max(alternatives, key=lambda names_: sum(name in names for name in names_))
     for name in needed:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+from unicodedata import category
 
 MAX_VALUE_LENGTH = 60
 """Largest number of characters of a value in an error."""
+
+UNPRINTABLE = frozenset(("Cc", "Cf", "Cn", "Co", "Cs", "Zl", "Zp"))
+"""Categories of characters that ``printable`` escapes: control, format, unassigned, private, surrogate, separators."""
 
 
 class ConfigError(ValueError):
@@ -50,3 +54,18 @@ def format_value(value: object) -> str:
 def one_line(text: str) -> str:
     """Escape line breaks and control characters in text from outside, such as names of files and keys."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def printable(text: str) -> str:
+    """Escape control characters and marks that change the direction of text, but no line break or tab.
+
+    A terminal obeys them. The escapes are those of JSON, so that a document in JSON has the same meaning.
+    """
+    if text.replace("\n", "").isprintable():
+        return text
+    return "".join(_escape(c) if category(c) in UNPRINTABLE and c not in "\n\t" else c for c in text)
+
+
+def _escape(character: str) -> str:
+    units = character.encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{units[at : at + 4]}" for at in range(0, len(units), 4))

@@ -44,7 +44,6 @@ def wrap_angle(angle: float) -> float:
     return wrapped if wrapped > -math.pi else math.pi
 
 
-@jit
 def rotation(roll: float, pitch: float, heading: float) -> Array:
     """Return R = Rz(heading) Ry(pitch) Rx(roll), body to world, (3, 3).
 
@@ -52,39 +51,26 @@ def rotation(roll: float, pitch: float, heading: float) -> Array:
     ----------
     roll, pitch, heading : Euler angles (rad).
     """
-    R = np.empty((3, 3))
-    so3.write(so3.from_angles(roll, pitch, heading), R)
-    return R
+    return np.array(so3.from_angles(roll, pitch, heading)).reshape(3, 3)
 
 
-@jit
 def roll_pitch_heading(R: Array) -> Triple:
     """Return roll and heading in (-pi, pi] and pitch in [-pi/2, pi/2] (rad) of R (3, 3): inverse of ``rotation``."""
-    pitch = math.atan2(-R[2, 0], math.hypot(R[2, 1], R[2, 2]))
-    return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
+    (ahead, _, _), (aside, _, _), (r31, r32, r33) = R.tolist()
+    return math.atan2(r32, r33), math.atan2(-r31, math.hypot(r32, r33)), math.atan2(aside, ahead)
 
 
-@jit
 def skew(a: Array) -> Array:
     """Return the skew-symmetric matrix a^ of a (3,), with a^ b = a x b, (3, 3)."""
-    S = np.zeros((3, 3))
-    S[0, 1], S[0, 2] = -a[2], a[1]
-    S[1, 0], S[1, 2] = a[2], -a[0]
-    S[2, 0], S[2, 1] = -a[1], a[0]
-    return S
+    x, y, z = a.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-@jit
 def rotation_exp(phi: Array) -> Array:
     """Return the rotation matrix exp(phi^) of a rotation vector phi (3,), (3, 3)."""
-    R = np.empty((3, 3))
-    so3.write(so3.exp(phi[0], phi[1], phi[2]), R)
-    return R
+    return np.array(so3.exp(phi[0], phi[1], phi[2])).reshape(3, 3)
 
 
-@jit
 def rotation_log(R: Array) -> Array:
     """Return the rotation vector phi of R (3, 3) with |phi| <= pi (rad), (3,)."""
-    phi = np.empty(3)
-    phi[0], phi[1], phi[2] = so3.log(so3.read(R))
-    return phi
+    return np.array(so3.log(so3.read(R)))

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.fences.scenes import Scene
+from benchmarks.lockstep_job import Job
 from ltv_mpc.config import to_toml
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.currents import write_profile
@@ -22,7 +23,6 @@ from ltv_mpc.references import Point
 from services.run.nodes import make_nodes
 from services.run.run_config import RunConfig
 from services.tools import lockstep_run
-from services.tools.batch.job import Job
 from sim.scheduler import LockStep, Observation
 
 DIVING = ("paper", "low-yaw", "weak-reverse")

@@ -21,9 +21,9 @@ from benchmarks.localisation_check.judgement import (
     p_of_share,
 )
 from benchmarks.localisation_check.probe import Record, Squares, descend
+from benchmarks.lockstep_job import Job
 from ltv_mpc.messages import Array
 from services.tools.batch.executor import run_each
-from services.tools.batch.job import Job
 from services.tools.batch.results_store import ResultsStore, decode
 from sim.evaluation.consistency import Consistency, band, consistency
 

@@ -17,16 +17,15 @@ from typing import NamedTuple
 import typer
 
 from benchmarks import page_tables
-from benchmarks.paper import descents, tables, timing, water
+from benchmarks.paper import claims, descents, readme, sheets, tables, timing, water
+from benchmarks.paper.renderer import Run
 from benchmarks.paper.settings import README, RECORDED
 from ltv_mpc.errors import ConfigError
-from services.reporting.figures import paper, readme
-from services.reporting.figures.renderer import Run
 from services.reporting.terminal import progress_bar
 from services.run import folder
 from services.tools.profile import machine_description
 
-TABLES = ("descents", "seeds", "timing", "water")
+TABLES = ("claims", "descents", "timing")
 FIGURES = "figures.json"
 
 
@@ -41,7 +40,6 @@ class Options(NamedTuple):
     seeds: int = 10
     cycles: int = 600  # timed at each horizon
     duration_s: float = 200.0
-    surface_s: float = descents.SURFACE_S
     workers: int | None = None
 
 
@@ -84,9 +82,6 @@ def parsed(arguments: Sequence[str] | None) -> Options:
     parser.add_argument(
         "--duration-s", type=float, metavar="T", help=f"duration of a descent; default {default.duration_s:g}"
     )
-    parser.add_argument(
-        "--surface-s", type=float, metavar="T", help=f"time at the surface before it; default {default.surface_s:g}"
-    )
     given = {name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None}
     return default._replace(**given)
 
@@ -104,7 +99,7 @@ def checked(options: Options) -> str:
     for name in TABLES:
         page_tables.table_text(page, name)
     for variant in (*RECORDED, *README):
-        descents.RecordedDescent(variant, options.runs, options.duration_s, options.surface_s).run_config()
+        descents.RecordedDescent(variant, options.runs, options.duration_s).run_config()
     for path in (options.out, options.runs, options.readme.parent):
         folder.open_folder(path, force=True)
     return page
@@ -115,30 +110,26 @@ def make(options: Options) -> tables.Figures:
     profiles, missing = water.measured(options.measured)
     for path in missing:
         typer.echo(f"Fig 3 is drawn without {path}: no such file", err=True)
-    with _steps("descents", descents.count(options.seeds)) as step:
-        recorded = descents.recorded(
-            options.runs, options.duration_s, options.surface_s, workers=options.workers, progress=step
-        )
-        averaged = descents.averaged(options.seeds, options.duration_s, workers=options.workers, progress=step)
+    with _steps("descents", len((*RECORDED, *README)) + claims.count(options.seeds)) as step:
+        recorded = descents.recorded(options.runs, options.duration_s, workers=options.workers, progress=step)
+        claimed = claims.over_seeds(options.seeds, options.duration_s, workers=options.workers, progress=step)
     with _steps("cycles, timed", 2 * options.cycles) as step:
         timed = timing.timed(options.cycles, progress=step)
     synthetic = [water.synthetic(seed) for seed in range(water.SEEDS)]
     runs: dict[str, list[Run]] = {key: [run] for key, (run, _) in recorded.items()} | {
-        paper.SYNTHETIC: [water.profile_run(one) for one in synthetic[: water.SHOWN_SEEDS]],
-        paper.MEASURED: [water.profile_run(one) for one in profiles],
-        paper.STRUCTURE: [water.structure_run(synthetic, profiles)],
-        paper.TIMING: [timing.run(timed)],
+        sheets.SYNTHETIC: [water.profile_run(one) for one in synthetic[: water.SHOWN_SEEDS]],
+        sheets.MEASURED: [water.profile_run(one) for one in profiles],
+        sheets.STRUCTURE: [water.structure_run(synthetic, profiles)],
+        sheets.TIMING: [timing.run(timed)],
     }
     draw(options, runs, [one.name for one in profiles])
     figures = tables.Figures(
-        made_with=f"seed {descents.SEED} recorded, seeds 0 to {options.seeds - 1} averaged,"
-        f" {options.duration_s:g} s after {options.surface_s:g} s afloat",
+        made_with=f"seed {descents.SEED} recorded, seeds 0 to {options.seeds - 1} averaged, {options.duration_s:g} s",
         machine=machine_description.line(timed.machine),
         tables=(
+            claims.table(claimed),
             tables.descents({variant.key: recorded[variant.key][1] for variant in RECORDED}),
-            tables.seeds(averaged),
             tables.timing(timed),
-            tables.water(synthetic, profiles),
         ),
     )
     figures.write(options.out / FIGURES)
@@ -147,8 +138,8 @@ def make(options: Options) -> tables.Figures:
 
 def draw(options: Options, runs: Mapping[str, Sequence[Run]], measured: Sequence[str]) -> None:
     """Draw every figure as PNG and SVG, and the README's picture."""
-    for sheet in paper.sheets(measured):
-        paper.write(sheet, runs, [options.out / f"{sheet.name}.png", options.runs / f"{sheet.name}.svg"])
+    for sheet in sheets.sheets(measured):
+        sheets.write(sheet, runs, [options.out / f"{sheet.name}.png", options.runs / f"{sheet.name}.svg"])
     readme.write([run for variant in README for run in runs[variant.key]], options.readme)
 
 

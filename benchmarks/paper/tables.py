@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import math
-import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
 
 from benchmarks.page_tables import Table
-from benchmarks.paper.settings import AVERAGED, COMPUTING_S, RECORDED
+from benchmarks.paper.settings import COMPUTING_S, RECORDED
+from benchmarks.paper.sheets import NONE
 from benchmarks.paper.timing import Timed
-from benchmarks.paper.water import Profile, rms_difference_mps
-from services.reporting.figures.paper import NONE
 from sim.evaluation.summary import Summary
-
-LAGS_M = (8.0, 24.0)
-"""Lags at which every profile has differences; the coarsest one has cells of 8 m."""
-
 
 # --- what stands in them ---------------------------------------------------------------------------------------------
 
@@ -35,37 +28,13 @@ def descents(summaries: Mapping[str, Summary]) -> Table:
         rows=tuple(
             (
                 name,
-                *_setting(key, [summaries[key]]),
+                *_setting(key, summaries[key]),
                 summaries[key].tracking_error_m.mean,
                 summaries[key].localisation_error_m.mean,
                 summaries[key].true_error_m.mean,
-                *_effort([summaries[key]]),
-            )
-            for key, name, _ in RECORDED
-        ),
-    )
-
-
-def seeds(summaries: Mapping[str, Sequence[Summary]]) -> Table:
-    """Tabulate the mean over many seeds with the state known: the performance of the controller alone."""
-    none = [_error(summary) for summary in summaries[NONE]]
-    return Table(
-        name="seeds",
-        head=(
-            *(f"mean of seeds 0 to {len(none) - 1}, state known", "horizon (s)", "delay (s)", "error (m)"),
-            *("of the worst seed (m)", "seeds better than no control", "mean abs F (N)", "saturated (%)"),
-        ),
-        digits=(0, 1, 2, 3, 3, 0, 1, 1),
-        rows=tuple(
-            (
-                name,
-                *_setting(key, summaries[key]),
-                statistics.fmean(errors := [_error(summary) for summary in summaries[key]]),
-                max(errors),
-                None if key == NONE else float(sum(a < b for a, b in zip(errors, none, strict=True))),
                 *_effort(summaries[key]),
             )
-            for key, name, _ in AVERAGED
+            for key, name, *_ in RECORDED
         ),
     )
 
@@ -103,60 +72,14 @@ def _load(timed: Timed) -> str:
     return "load " + " to ".join(f"{load[0]:.1f}" for load in loads if isinstance(load, list))
 
 
-def water(synthetic: Sequence[Profile], measured: Sequence[Profile]) -> Table:
-    """Tabulate the strength of the currents and their difference between two depths; one axis, cm/s."""
-    return Table(
-        name="water",
-        head=(
-            *("current", "depths (m)", "rms (cm/s)", "about its mean (cm/s)"),
-            *(f"rms difference over {lag:g} m (cm/s)" for lag in LAGS_M),
-        ),
-        digits=(0, 0, 1, 1, 1, 1),
-        rows=(
-            _strength(f"synthetic, {len(synthetic)} seeds", synthetic),
-            *(_strength(one.name, [one]) for one in measured),
-        ),
-    )
-
-
-def _strength(name: str, profiles: Sequence[Profile]) -> tuple[str | float | None, ...]:
-    """Return a row of the table: root mean squares over the profiles."""
-    depth = profiles[0].depth_m
-    rms = _root_mean([float((one.velocity_mps**2).mean()) for one in profiles])
-    spread = _root_mean([float(one.velocity_mps.var(axis=0).mean()) for one in profiles])
-    differences = [_differences(profiles, lag) for lag in LAGS_M]
-    return name, f"{depth[0]:g} to {depth[-1]:g}", rms, spread, *differences
-
-
-def _differences(profiles: Sequence[Profile], lag_m: float) -> float | None:
-    known = [rms for one in profiles if (rms := rms_difference_mps(one, lag_m)) is not None]
-    return _root_mean([rms**2 for rms in known]) if known else None
-
-
-def _root_mean(squares: Sequence[float]) -> float:
-    """Return the root of the mean of squares ((m/s)^2) in cm/s."""
-    return 100.0 * math.sqrt(statistics.fmean(squares))
-
-
-def _setting(key: str, summaries: Sequence[Summary]) -> tuple[float | None, float | None]:
+def _setting(key: str, summary: Summary) -> tuple[float | None, float | None]:
     """Return horizon and delay; None for both without control."""
-    if key == NONE:
-        return None, None
-    return summaries[0].horizon_s, summaries[0].compute_delay_s.median
+    return (None, None) if key == NONE else (summary.horizon_s, summary.compute_delay_s.median)
 
 
-def _effort(summaries: Sequence[Summary]) -> tuple[float, float]:
+def _effort(summary: Summary) -> tuple[float | None, float]:
     """Return mean |F| (N), and the share of the time at a limit in per cent."""
-    mean = _mean(summaries, lambda summary: summary.thrust.mean_abs_N)
-    return mean, 100.0 * _mean(summaries, lambda summary: summary.thrust.saturated_fraction)
-
-
-def _error(summary: Summary) -> float:
-    return summary.true_error_m.mean or 0.0
-
-
-def _mean(summaries: Sequence[Summary], of: Callable[[Summary], float | None]) -> float:
-    return statistics.fmean(of(summary) or 0.0 for summary in summaries)
+    return summary.thrust.mean_abs_N, 100.0 * (summary.thrust.saturated_fraction or 0.0)
 
 
 # --- where they stand ------------------------------------------------------------------------------------------------

@@ -6,11 +6,11 @@ import random
 from collections.abc import Callable
 from typing import NamedTuple
 
+from benchmarks.paper.renderer import Run
 from benchmarks.paper.settings import COMPUTING_S, LONG_S
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.reporting.figures.renderer import Run
 from services.reporting.plots.delays import CYCLE, PARTS, percentile_rows
 from services.reporting.plots.percentiles import Percentiles
 from services.tools.profile import problems

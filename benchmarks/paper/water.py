@@ -6,17 +6,16 @@ first-order Gauss-Markov process D(h) = 2 sd^2 (1 - exp(-h / L)), from which the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.paper.renderer import Run
+from benchmarks.paper.structure import LAG, MEAN_SQUARE, SYNTHETIC
 from ltv_mpc.currents import read_profile
 from ltv_mpc.messages import Array
-from services.reporting.figures.renderer import Run
-from services.reporting.figures.water import LAG, MEAN_SQUARE, SYNTHETIC
 from services.reporting.plots.table import Columns, short
 from sim.scenario import Water
 from sim.water import make
@@ -120,13 +119,6 @@ def structure_run(drawn_up: Sequence[Profile], profiles: Sequence[Profile]) -> R
         at, D = structure(profile)
         tables[profile.name] = {LAG: at.tolist(), MEAN_SQUARE: D.tolist()}
     return Run("structure", tables)
-
-
-def rms_difference_mps(profile: Profile, lag_m: float) -> float | None:
-    """Return sqrt(D(h)) of one axis; None if the profile does not have that lag."""
-    at, D = structure(profile)
-    (here,) = np.nonzero(np.isclose(at, lag_m))
-    return math.sqrt(D[here[0]]) if len(here) else None
 
 
 def _cells(column: Array) -> list[float | None]:

@@ -16,7 +16,6 @@ from benchmarks.robustness.laws import DEFAULT, LAWS, RIVALS
 from benchmarks.strangers.flight import SHIPPED
 from benchmarks.strangers.tasks import Figures
 
-MOST_ROWS = 40
 VEHICLES = ("ellipsoid", "light_boat", *SHIPPED)
 PAGE = Path("docs/notes/robustness-table.md")
 Found = dict[Row, dict[str, Figures]]
@@ -29,26 +28,29 @@ def lead_m(of: dict[str, Figures]) -> float:
     return of[DEFAULT].mean_m - min(of[law].mean_m for law in RIVALS if law in of)
 
 
-def table(found: Found, most: int | None = None) -> str:
-    """Return the rows, or the first of them, those first in which the controller is most behind the better rival."""
+def _is_behind(of: dict[str, Figures]) -> bool:
+    return lead_m(of) > ROUNDING_M
+
+
+def table(found: Found) -> str:
+    """Return the rows, those first in which the controller is most behind the better rival."""
     laws = [law for law in LAWS if law in next(iter(found.values()))]
     lines = ["| | vehicle | task | case | " + " | ".join(laws) + " |", "|---" * (4 + len(laws)) + "|"]
-    for row in sorted(found, key=lambda row: -lead_m(found[row]))[:most]:
+    for row in sorted(found, key=lambda row: -lead_m(found[row])):
         cells = " | ".join(_cell(found[row][law]) for law in laws)
-        mark = "worse" if lead_m(found[row]) > ROUNDING_M else ""
+        mark = "worse" if _is_behind(found[row]) else ""
         lines.append(f"| {mark} | {row.vehicle} | {row.task} | {row.case} | {cells} |")
     return "\n".join(lines)
 
 
 def cases_table(found: Found) -> str:
-    """Return the median of the mean errors over vehicles and tasks, by case and law."""
+    """Return by case the median of the mean errors over vehicles and tasks, and the rows with a better rival."""
     laws = list(next(iter(found.values())))
-    lines = ["| case | " + " | ".join(laws) + " |", "|---" * (1 + len(laws)) + "|"]
+    lines = ["| case | " + " | ".join(laws) + " | rival better |", "|---" * (2 + len(laws)) + "|"]
     for case in dict.fromkeys(row.case for row in found):
         of = [found[row] for row in found if row.case == case]
-        lines.append(
-            f"| {case} | " + " | ".join(f"{np.median([x[law].mean_m for x in of]):.3f}" for law in laws) + " |"
-        )
+        medians = " | ".join(f"{np.median([x[law].mean_m for x in of]):.3f}" for law in laws)
+        lines.append(f"| {case} | {medians} | {sum(map(_is_behind, of))}/{len(of)} |")
     return "\n".join(lines)
 
 
@@ -58,7 +60,7 @@ def _cell(figures: Figures) -> str:
 
 def summary(found: Found) -> str:
     """Return the number of rows in which the default is behind, and the median of the means by law."""
-    behind = sum(lead_m(of) > ROUNDING_M for of in found.values())
+    behind = sum(map(_is_behind, found.values()))
     laws = list(next(iter(found.values())))
     medians = ", ".join(f"{law} {np.median([of[law].mean_m for of in found.values()]):.3f}" for law in laws)
     late = ", ".join(f"{law} {sum(not np.isfinite(of[law].arrival_s) for of in found.values())}" for law in laws)
@@ -107,28 +109,20 @@ def text(found: Found, starts: int, commit: str) -> str:
     vehicles = ", ".join(f"`{name}`" for name in dict.fromkeys(row.vehicle for row in found))
     return f"""# Robustness table
 
-**Question.** How well does the controller keep its station and its path when the vehicle, its thrusters, its navigation
-and the sea are not those of the vehicle file, and how does it compare with a tuned PID and a tuned LQR?
+**Question.** How well does the controller keep station and path when vehicle, thrusters, navigation and sea are not
+those of the vehicle file, beside a tuned PID and LQR?
 
-**Method.** `python -m benchmarks.robustness --write`. Each row is a vehicle, a task and a case. The loop and the hulls
-are those of the [strangers](strangers.md). The tasks are a point 5 m away and a square of 20 m, in a steady current of
-a fifth of the top speed that no estimate contains. A case multiplies values of the true vehicle: `drag=0.5` has half of
-the drag that the file says. `benchmarks/robustness/cases.py` explains the keys. PID with line of sight and LQR are
-tuned once a vehicle, on the right file and with the same search. LQR alone is given the steady current. Flown here:
-{vehicles}; {_cases_flown(found)}.
+**Method.** `python -m benchmarks.robustness --write`: the loop and the hulls of the [strangers](strangers.md), a point
+5 m away and a square of 20 m, in a current of a fifth of the top speed that no estimate contains. `drag=0.5`: the
+true vehicle has half of the file's drag (`benchmarks/robustness/cases.py`). PID and LQR are tuned once a vehicle, on
+the right file; LQR alone is given the current. Starts a row: {starts}. Flown: {vehicles}; {_cases_flown(found)}.
 
 **Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {commit[:8]}.
 
 **Result.** {summary(found)}
 
-Mean and largest error (m), starts a row: {starts}. It is the distance from the point, 15 s after the arrival, or from
-the path, from 15 s until the arrival. The rows stand in the order of the difference between the controller's default
-and the better rival, and the first {min(MOST_ROWS, len(found))} of {len(found)} are here. `worse` marks those in which
-the rival's mean is smaller, and `!` a flight that did not arrive.
-
-{table(found, MOST_ROWS)}
-
-Median of the mean errors (m) over all vehicles and tasks, by case:
+Median over vehicles and tasks of the mean distance (m): from the point 15 s after the arrival, or from the path from
+15 s until the arrival. The command prints all rows.
 
 {cases_table(found)}
 

@@ -57,45 +57,29 @@ def run(*, starts: int = STARTS, jobs: int | None = None) -> dict[Cell, Figures]
     return {cell: mean_figures(of) for cell, of in flights.items()}
 
 
-def errors_table(found: dict[Cell, Figures]) -> str:
-    """Return the mean and the largest error of each cell, the rival's after a stroke."""
-    lines = ["| hull | condition | " + " | ".join(TASKS) + " |", "|---" * (2 + len(TASKS)) + "|"]
-    for hull in FOREIGN:
-        for condition in CONDITIONS:
-            texts = [_errors(found, Cell(hull, condition, task, True)) for task in TASKS]
-            lines.append(f"| {hull} | {condition} | " + " | ".join(texts) + " |")
-    return "\n".join(lines)
-
-
-def _errors(found: dict[Cell, Figures], cell: Cell) -> str:
-    texts = []
-    for ours in (True, False):
-        figures = found.get(cell._replace(ours=ours))
-        if figures is not None:
-            late = "" if np.isfinite(figures.arrival_s) else "!"
-            texts.append(f"{figures.mean_m:.2f} ({figures.max_m:.1f}){late}")
-    return " / ".join(texts)
-
-
-def effort_table(found: dict[Cell, Figures]) -> str:
-    """Return arrivals, thrust and wrong health by condition, over all hulls and tasks; the rival's after a stroke."""
-    lines = [
-        "| condition | arrived | time to arrive (s) | mean F (%) | wrongly nominal (%) |",
-        "|---|---|---|---|---|",
-    ]
+def table(found: dict[Cell, Figures]) -> str:
+    """Return largest errors over the tasks by condition and hull, and late cells, thrust and wrong health of all."""
+    columns = (*FOREIGN, "not arrived", "mean F (%)", "wrongly nominal (%)")
+    lines = ["| condition | " + " | ".join(columns) + " |", "|---" * (1 + len(columns)) + "|"]
     for condition in CONDITIONS:
-        columns: list[list[str]] = [[], [], []]
-        for ours in (True, False):
-            of = [figures for cell, figures in found.items() if (cell.condition, cell.ours) == (condition, ours)]
-            if of:
-                arrivals = [figures.arrival_s for figures in of if np.isfinite(figures.arrival_s)]
-                columns[0].append(f"{len(arrivals)} of {len(of)}")
-                columns[1].append(f"{np.median(arrivals):.0f}" if arrivals else "-")
-                columns[2].append(f"{100 * np.mean([figures.force for figures in of]):.0f}")
-        mine = [figures.wrongly_nominal for cell, figures in found.items() if cell[1] == condition and cell.ours]
-        wrong = f"{100 * np.mean(mine):.1f}"
-        lines.append(f"| {condition} | " + " | ".join(" / ".join(column) for column in columns) + f" | {wrong} |")
+        of = [(cell, figures) for cell, figures in found.items() if cell.condition == condition]
+        by_side = [[(cell.hull, figures) for cell, figures in of if cell.ours == ours] for ours in (True, False)]
+        sides = [_side(each) for each in by_side if each]
+        wrong = f"{100 * np.mean([figures.wrongly_nominal for _, figures in by_side[0]]):.1f}"
+        lines.append("| " + " | ".join((condition, *map("; ".join, zip(*sides, strict=True)), wrong)) + " |")
     return "\n".join(lines)
+
+
+def _side(of: Sequence[tuple[str, Figures]]) -> list[str]:
+    """Return the cells of one condition, of the controller or of the rival."""
+    texts = []
+    for hull in FOREIGN:
+        figures = [each for name, each in of if name == hull]
+        mark = "" if all(np.isfinite(each.arrival_s) for each in figures) else "!"
+        texts.append(f"{max(x.mean_m for x in figures):.2f} ({max(x.max_m for x in figures):.1f}){mark}")
+    late = sum(not np.isfinite(figures.arrival_s) for _, figures in of)
+    force = f"{100 * np.mean([figures.force for _, figures in of]):.0f}"
+    return [*texts, str(late), force]
 
 
 def worse_cells(found: dict[Cell, Figures]) -> Sequence[Cell]:
@@ -121,45 +105,26 @@ def text(found: dict[Cell, Figures], starts: int = STARTS) -> str:
         names = "; ".join(f"{cell.hull}, {cell.condition}, {cell.task}" for cell in worse) or "none"
     return f"""# A fleet of strangers
 
-**Question.** Does the controller steer hulls of another structure than its model, and how does it compare with what
-most vehicles have?
+**Question.** Does the controller steer hulls of another structure than its model, and how well beside a usual one?
 
-**Method.** `python -m benchmarks.strangers --write` flies three hulls that share no equation with the model, each with
-the vehicle file that its owner would write from the data sheet. The sources of their numbers stand at the head of the
-files in `benchmarks/strangers`.
-
-- `catamaran`: 80 kg, six degrees of freedom, linear drag, centre of gravity 0.14 m ahead of the geometric centre
-  (Fossen's Otter).
-- `ellipsoid`: 70 kg, added mass by Lamb, Munk moment, fins, cross-flow drag, propellers that lose thrust with speed.
-- `light_boat`: 28 kg, drag that couples surge, sway and yaw (Clearpath Heron).
-
-The rival is PID at a point and line-of-sight guidance with an integral along a path. Its gains are tuned once a hull,
-under nominal conditions, on the tasks `hold` and `line`. It reads no reports, so two conditions have no figure for it.
-
-The tasks are: hold a point 5 m away; a line of 20 m; a square of 20 m; a point 5 m astern; three points with a stay at
-each. The conditions are:
-
-- no reports, or reports that stop after 20 s: the controller does not know what the actuators deliver.
-- offset: the estimates are of a point 0.15 m ahead of the centre of gravity, and no file says so.
-- noise: white, on north and east of each estimate, without a covariance. 1 Hz and latency: of the estimates.
-- side force: a steady wind of a tenth of the full thrust. Released: the thrusters rest between 20 and 50 s.
+**Method.** `python -m benchmarks.strangers --write`: three hulls that share no equation with the model (80 kg catamaran
+with linear drag, 70 kg ellipsoid with a Munk moment, 28 kg boat with coupled drag; sources in `benchmarks/strangers`),
+each with the file of its data sheet. The rival (PID, line of sight with an integral) is tuned once a hull and reads no
+reports. Tasks ({starts} starts): a point 5 m away, a line and a square of 20 m, a point 5 m astern, three points with
+stays. Offset: estimates of an undeclared point 0.15 m ahead. Noise has no covariance. Side force: wind of a tenth of
+the thrust. Released: thrusters rest between 20 and 50 s.
 
 **Date.** {datetime.datetime.now(tz=datetime.UTC):%Y-%m}. **Version.** {provenance_table()["commit"][:8]}.
 
 **Result.** Of {both} cells with a rival, the controller is worse by more than 0.1 m, or alone does not arrive, in
 {len(worse)}: {names}.
 
-Mean error and, in brackets, the largest one (m), starts a cell: {starts}. It is the distance from the path until the
-arrival, or from the point, 15 s after the arrival. The controller stands first, the rival after the stroke; `!`: a
-flight did not arrive within 0.5 m.
+Largest mean error of the five tasks and, in brackets, largest error (m), controller; rival: distance from the path
+until the arrival, or from the point 15 s after it; `!`: a flight did not arrive within 0.5 m. *Wrongly nominal*: share
+of that time with an error above 1 m and nominal health.
 
-{errors_table(found)}
+{table(found)}
 
-Over all hulls and tasks, controller first. *Wrongly nominal* is the share of that time with an error above 1 m and a
-plan of nominal health.
-
-{effort_table(found)}
-
-**Decision.** The worst rows of station keeping (`python -m benchmarks.strangers hold`) and short flights of the hulls
-are tests: `tests/strangers`.
+**Decision.** The worst rows of station keeping (`python -m benchmarks.strangers hold`) and short flights are tests:
+`tests/strangers`.
 """

@@ -1,4 +1,4 @@
-"""Every key of a scenario and of a sensors file, with bounds, default and meaning, where a page has the marks."""
+"""Every key of a scenario, of a sensors file and of summary.json, with its meaning, where a page has the marks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ltv_mpc.settings_schema import expected
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
-MARK, SENSORS_MARK = "<!-- settings -->", "<!-- sensors -->"
+MARK, SENSORS_MARK, SUMMARY_MARK = "<!-- settings -->", "<!-- sensors -->", "<!-- summary -->"
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -33,6 +33,54 @@ def _fill(_app: Sphinx, _page: str, source: list[str]) -> None:
         from ltv_mpc.localisation.sensor_config import SensorConfig
 
         source[0] = source[0].replace(SENSORS_MARK, "\n".join(tables(SensorConfig, ())))
+    if SUMMARY_MARK in source[0]:
+        source[0] = source[0].replace(SUMMARY_MARK, "\n".join(results()))
+
+
+ENDINGS = {
+    "_N_per_s": "N/s",
+    "_us": "us",
+    "_m": "m",
+    "_s": "s",
+    "_N": "N",
+    "_J": "J",
+    "_fraction": "share",
+    "_power": "share",
+}
+"""Units by the ends of names."""
+
+
+def results() -> list[str]:
+    """Return the table of summary.json: name, type, unit and meaning of each figure."""
+    from sim.evaluation.summary import Summary
+
+    rows = ["| figure | type | unit | |", "|---|---|---|---|"]
+    for name, kind, meaning in _figures(Summary):
+        parts = (*reversed(name.split(".")), "")
+        unit = next((ENDINGS[end] for part in parts for end in ENDINGS if part.endswith(end)), "")
+        rows.append(f"| `{name}` | {markdown(kind)} | {unit} | {markdown(meaning)} |")
+    return rows
+
+
+def _figures(kind: type[msgspec.Struct]) -> Iterator[tuple[str, str, str]]:
+    """Yield dotted name, type and meaning of each figure; ``NAME`` stands for names that differ, ``[]`` for a list."""
+    from sim.evaluation.further import METRICS
+
+    info = struct.type_info(kind)
+    assert isinstance(info, struct.StructType)
+    said = {one.name: one.meaning for one in METRICS} if kind.__name__ == "Further" else comments(kind)
+    for field in info.fields:
+        inner, many = table(field.type), ""
+        if isinstance(field.type, struct.DictType):
+            inner, many = table(field.type.value_type), ".NAME"
+        elif isinstance(field.type, struct.VarTupleType):
+            inner, many = table(field.type.item_type), "[]"
+        meaning = said.get(field.name, "")
+        if inner is None:
+            yield f"{field.name}{many}", "integer" if many else expected(field.type), meaning
+            continue
+        for below, type_, own in _figures(inner):
+            yield f"{field.name}{many}.{below}", type_, "; ".join(filter(None, (meaning, own)))
 
 
 def tables(kind: type[msgspec.Struct], place: tuple[str, ...], *, optional: bool = False) -> Iterator[str]:

@@ -49,7 +49,7 @@ class WeightSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 class Weights(WeightSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All weights of the cost; the defaults are those of the paper's vehicle.
 
-    The cost is half of a sum (``ocp/terms``). Each stage adds position |p - ref|^2 + thrust |U / F|^2 + change |dU /
+    The cost is half of a sum (``ocp/terms.py``). Each stage adds position |p - ref|^2 + thrust |U / F|^2 + change |dU /
     F|^2, with U the commands and F the largest thrusts. The end of the horizon adds terminal position |p - ref|^2 +
     terminal velocity |p' - ref'|^2, where p' is the velocity over ground. The paper's cost is the first term alone. The
     weights of thrust and of its change are a point of the curve of error against power (docs/notes/pareto.md).
@@ -96,7 +96,7 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Limits of the motion, [controller.limits]; not set: no limit.
 
     Those of surge and yaw rate are soft (``horizon_limits.py``), that of the cross-track distance, too
-    (``ocp/limits/fence.py``). Those of depth bound the vertical thrust, but not in
+    (``ocp/fence.py``). Those of depth bound the vertical thrust, but not in
     failsafe and not by hand (``depth_limits.py``). The limits of thrust and slew rate are in the vehicle file.
     """
 

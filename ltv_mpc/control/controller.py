@@ -351,7 +351,7 @@ class Controller:
     def _cycle(self, newest: Estimate, now_ns: int, override: ThrustOverride | None, health: HealthState) -> Plan:
         """Return the plan of one cycle. May raise; ``plan`` catches it."""
         decision = self._decide(newest, now_ns, override, health)
-        delay_ns = self._delay.expected_ns()
+        delay_ns = self._delay.expected_ns
         start = self._prediction.state_at(decision.estimate, now_ns + delay_ns, self.sent_commands)
         self._estimates.motion_fit.add_thrust(start.t_ns, start.thrust_N, reported=False)
         knots = start.t_ns + self._knots_ns
@@ -578,7 +578,7 @@ class Controller:
         """
         self._lateral.discard_solvers()
         self._lateral.previous.clear()
-        delay_ns = self._delay.expected_ns()
+        delay_ns = self._delay.expected_ns
         knots = now_ns + delay_ns + self._knots_ns
         command = np.zeros(3)
         with contextlib.suppress(Exception):

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-import math
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
-from zipfile import BadZipFile, ZipFile
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.lib import format as npy
 from scipy.sparse import csc_array
 
+from ltv_mpc.array_encoding import to_wire
+from ltv_mpc.config import read_bytes
 from ltv_mpc.control.ocp import limits
 from ltv_mpc.control.qp import QP
 from ltv_mpc.control.solvers.sparse import DYNAMICS, EXCESS, LOWER, UPPER, SparseLayout
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Solve
 
-FORMAT = "ltv-mpc qp 1"
+FORMAT: Literal["ltv-mpc qp 2"] = "ltv-mpc qp 2"
 FILE = "QP file"
+MAX_BYTES = 1 << 26
+"""Largest size of a file: the QP of the longest horizon has a hundredth of it."""
 
 STATES = (
     *(("north", "m"), ("east", "m"), ("surge", "m/s"), ("sway", "m/s"), ("heading", "rad"), ("yaw rate", "rad/s")),
@@ -62,40 +62,81 @@ def row_names(layout: SparseLayout, scale: Array) -> tuple[ConstraintRow, ...]:
             name, of, unit = of_limits[row]
         else:
             name, of, unit = f"row {row - len(of_limits) + 1} of your limits and of the fence", float(scale[0]), "m"
-        place = f"in stage {knot + 1}" if name.startswith("slew") else f"at the end of stage {knot}"
-        named.append(ConstraintRow(f"{OF_KIND.get(kind, '')}{name} {place}", of, unit))
+            name += " at the end of stage {knot}"
+        name = name.format(knot=knot, stage=knot + 1)
+        named.append(ConstraintRow(OF_KIND.get(kind, "") + name, of, unit))
     return tuple(named)
 
 
+class _Matrix(msgspec.Struct):
+    """Sparse matrix by columns."""
+
+    data: list[float]
+    indices: list[int]
+    indptr: list[int]
+
+    @classmethod
+    def of(cls, matrix: csc_array) -> _Matrix:
+        """Return a matrix as it is stored.
+
+        Parameters
+        ----------
+        matrix : by columns.
+        """
+        return cls(matrix.data.tolist(), matrix.indices.tolist(), matrix.indptr.tolist())
+
+    def array(self, rows: int, columns: int) -> csc_array:
+        """Return the matrix.
+
+        Parameters
+        ----------
+        rows, columns : its shape.
+
+        Raises
+        ------
+        ValueError : the parts do not fit.
+        """
+        parts = np.array(self.data), np.array(self.indices, np.int32), np.array(self.indptr, np.int32)
+        array = csc_array(parts, shape=(rows, columns))
+        array.check_format()
+        return array
+
+
+class _File(msgspec.Struct):
+    """Content of a file."""
+
+    format: Literal["ltv-mpc qp 2"]
+    P: _Matrix
+    q: list[float]
+    A: _Matrix
+    l: list[float]  # noqa: E741
+    u: list[float]
+    rows: tuple[ConstraintRow, ...]
+    solve: Solve
+
+
 @dataclass(frozen=True)
-class FailedQp:
-    """QP that was not solved, the names of its rows, and the solver's report."""
+class NamedQp:
+    """QP of a cycle, the names of its rows, and the solver's report."""
 
     qp: QP
     rows: tuple[ConstraintRow, ...]
     solve: Solve
 
     def save(self, path: Path) -> None:
-        """Write the problem to one file in numpy's npz format.
+        """Write the problem to one file, a MessagePack map of ``_File``.
 
         Parameters
         ----------
-        path : name of the file; an existing one is replaced. numpy adds ``.npz`` to a name without it.
+        path : name of the file; an existing one is replaced.
         """
         qp = self.qp
-        parts: dict[str, Any] = {"format": FORMAT, "q": qp.q, "l": qp.l, "u": qp.u}
-        for name, matrix in (("P", qp.P), ("A", qp.A)):
-            parts |= {f"{name}_data": matrix.data, f"{name}_indices": matrix.indices, f"{name}_indptr": matrix.indptr}
-        parts |= {
-            "row_of": np.array([row.name for row in self.rows]),
-            "row_scale": np.array([row.scale for row in self.rows]),
-            "row_unit": np.array([row.unit for row in self.rows]),
-            "solve": msgspec.json.encode(self.solve).decode(),
-        }
-        np.savez_compressed(path, **parts)
+        q, l, u = qp.q.tolist(), qp.l.tolist(), qp.u.tolist()  # noqa: E741
+        content = _File(FORMAT, _Matrix.of(qp.P), q, _Matrix.of(qp.A), l, u, self.rows, self.solve)
+        path.write_bytes(msgspec.msgpack.encode(content, enc_hook=to_wire))
 
     @classmethod
-    def load(cls, path: Path) -> FailedQp:
+    def load(cls, path: Path) -> NamedQp:
         """Read a file that ``save`` wrote.
 
         Parameters
@@ -107,44 +148,17 @@ class FailedQp:
         ConfigError : the file is missing or unreadable, or ``save`` did not write it.
         """
         try:
-            parts = _parts(path)
-        except FileNotFoundError:
-            raise ConfigError(f"{FILE} {path}", "", "no such file") from None
-        except UNREADABLE as error:
-            raise ConfigError(f"{FILE} {path}", "", f"cannot be read: {str(error)[:200]}") from None
-        try:
-            return cls._from_parts(parts)
-        except (LookupError, ValueError, TypeError, ArithmeticError) as error:
+            of = msgspec.msgpack.decode(read_bytes(path, what=FILE, max_bytes=MAX_BYTES), type=_File)
+            n, m = len(of.q), len(of.l)
+            if not len(of.rows) == len(of.u) == m:
+                raise ValueError(f"{m} lower bounds, {len(of.u)} upper, {len(of.rows)} rows: must be equal numbers")
+            q, l, u = (np.array(part, dtype=np.float64) for part in (of.q, of.l, of.u))  # noqa: E741
+            return cls(QP(of.P.array(n, n), q, of.A.array(m, n), l, u), of.rows, of.solve)
+        except ConfigError:
+            raise
+        except (ValueError, ArithmeticError, RecursionError) as error:
             problem = f"is not a QP saved by this program: {str(error)[:200]}"
             raise ConfigError(f"{FILE} {path}", "", problem) from None
-
-    @classmethod
-    def _from_parts(cls, parts: dict[str, Any]) -> FailedQp:
-        """Return the problem from the arrays of its file. Raises an exception of any kind if they do not fit."""
-        if str(parts["format"]) != FORMAT:
-            raise ValueError(f"format {parts['format']}, must be {FORMAT}")
-        for name in ("q", "l", "u", "P_data", "A_data"):
-            _checked(parts, name, "f")
-        for name in ("P_indices", "P_indptr", "A_indices", "A_indptr"):
-            _checked(parts, name, "iu")
-        for name, kinds in (("row_of", "U"), ("row_scale", "f"), ("row_unit", "U")):
-            _checked(parts, name, kinds)
-        n, m = len(parts["q"]), len(parts["l"])
-
-        def matrix(name: str, rows: int) -> csc_array:
-            data, indices, indptr = (parts[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
-            checked = csc_array((data, indices, indptr), shape=(rows, n))
-            checked.check_format()
-            return checked
-
-        rows = tuple(
-            ConstraintRow(str(name), float(scale), str(unit))
-            for name, scale, unit in zip(parts["row_of"], parts["row_scale"], parts["row_unit"], strict=True)
-        )
-        if not len(rows) == len(parts["u"]) == m:
-            raise ValueError(f"{m} lower bounds, {len(parts['u'])} upper, {len(rows)} rows: must be equal numbers")
-        qp = QP(matrix("P", n), parts["q"], matrix("A", m), parts["l"], parts["u"])
-        return cls(qp, rows, msgspec.json.decode(str(parts["solve"]), type=Solve))
 
     def faults(self) -> list[str]:
         """Return descriptions of the errors in the problem: numbers that are not finite, contradictory bounds."""
@@ -162,40 +176,6 @@ class FailedQp:
                 f"{row.name}: lower bound above the upper one by {(qp.l[i] - qp.u[i]) * row.scale:.3g} {row.unit}"
             )
         return errors
-
-
-MAX_BYTES = 1 << 26
-"""Largest size of all parts: the QP of the longest horizon has a hundredth of it."""
-
-UNREADABLE = (
-    *(OSError, ValueError, TypeError, EOFError, LookupError, ArithmeticError, MemoryError),
-    *(NotImplementedError, RuntimeError, BadZipFile, zlib.error),
-)
-"""Exceptions of zipfile, zlib and numpy for bytes that are no npz file."""
-
-
-def _parts(path: Path) -> dict[str, Any]:
-    """Return the arrays of an npz file by name. Raises ``UNREADABLE``, also if a size contradicts another."""
-    with ZipFile(path) as archive:
-        entries = archive.infolist()
-        if sum(entry.file_size for entry in entries) > MAX_BYTES:
-            raise ValueError(f"more than {MAX_BYTES} bytes unpacked")
-        for entry in entries:
-            with archive.open(entry) as file:
-                version = npy.read_magic(file)
-                head = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-                shape, _, dtype = head(file)
-            if not 0 <= math.prod(shape) * dtype.itemsize <= entry.file_size:
-                raise ValueError(f"{entry.filename}: shape {shape} of {entry.file_size} bytes")
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
-
-
-def _checked(parts: dict[str, Any], name: str, kinds: str) -> None:
-    """Check that a part has one dimension and numbers of these kinds (numpy's letters)."""
-    part = parts[name]
-    if part.ndim != 1 or part.dtype.kind not in kinds:
-        raise ValueError(f"{name}: {part.dtype} {part.shape}")
 
 
 def worst_violation(qp: QP, x: Array, rows: tuple[ConstraintRow, ...]) -> str:

@@ -139,8 +139,8 @@ class Fallback:
         period_ns : of the plans (ns).
         """
         knots_ns = previous.knots_ns
-        self.end = int(np.searchsorted(knots_ns, plan_end_ns(knots_ns, period_ns, vehicle.plan_timeout_s), "right"))
-        """First knot after the end of a plan that no other one follows: the actuators ramp to zero."""
+        end_ns = plan_end_ns(knots_ns, period_ns, vehicle.plan_timeout_s)
+        self._end = int(np.searchsorted(knots_ns, end_ns, "right"))  # first knot after the end of a plan
         self._brake = int(np.searchsorted(knots_ns[:-1], round(REPLACEMENTS_MISSING * period_ns)))
         self._packed = packed
         self._previous = previous
@@ -226,8 +226,21 @@ class Fallback:
         goal, b = plan.U.copy(), self._brake
         thrust = self._stopping_gain @ plan.X[b, [2, 5]]
         goal[b + 1 :] = np.outer(self._decay[b + 1 :] / self._decay[b], thrust)
-        goal[self.end :] = 0.0
+        goal[self._end :] = 0.0
         return self._ramp_to(goal, start, C, plan.origin, plan.why)._replace(solve=plan.solve)
+
+    def coasting(self, start: Start, C: Array, plan: LateralPlan) -> LateralPlan:
+        """Return what a plan comes to if no other one follows it: the thrusters ramp to zero.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        C : (N+1, 2) current at the knots (m/s), finite.
+        plan : its commands.
+        """
+        goal = plan.U.copy()
+        goal[self._end :] = 0.0
+        return self._ramp_to(goal, start, C, plan.origin, plan.why)
 
     def _ramp_to(self, goal: Array, start: Start, C: Array, origin: PlanOrigin, why: str) -> LateralPlan:
         """Approach the goal (N+1, 2) in box and slew."""

@@ -19,6 +19,7 @@ next points are not looked at until the track is longer by that surplus.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -60,16 +61,6 @@ class Scene(NamedTuple):
 
 NO_PATH = np.empty((0, 2))
 """Path of a corridor that does not bound."""
-
-
-def bounds_track(scene: Scene) -> bool:
-    """Return True if a scene has a zone, an obstacle or a corridor.
-
-    Parameters
-    ----------
-    scene : of a cycle.
-    """
-    return len(scene.need) > 0 or len(scene.discs) > 0 or len(scene.path) > 1
 
 
 @jit
@@ -117,18 +108,6 @@ def disc_at(scene: Scene, i: int, t_s: float) -> tuple[float, float, float]:
     growth = GROWTH_MPS * (disc[6] + t_s)
     sd = np.sqrt(disc[5] + growth * growth)
     return disc[0] + t_s * disc[2], disc[1] + t_s * disc[3], disc[4] + SD_FACTOR * sd + scene.disc_need_m[0]
-
-
-@jit
-def sub_steps(t: Array, k: int) -> int:
-    """Return in how many points the stage that ends at knot k is looked at.
-
-    Parameters
-    ----------
-    t : (N+1,) knots in first stages.
-    k : knot.
-    """
-    return max(int(np.ceil(stage_length(t, k) - 1e-6)), 1)
 
 
 @jit
@@ -188,7 +167,8 @@ def stage_lack(scene: Scene, z: int, X: Array, k: int, t: Array, spare_m: float)
     Lack at the knot (m), largest lack between the knots (m), where that is as a share of the stage, and the length of
     ``spare_m`` from knot k on (m). A lack is 0 where there is none.
     """
-    g, steps = stage_length(t, k), sub_steps(t, k)
+    g = stage_length(t, k)
+    steps = max(int(np.ceil(g - 1e-6)), 1)  # points that are looked at
     dn, de = (X[k, 0] - X[k - 1, 0]) / steps, (X[k, 1] - X[k - 1, 1]) / steps
     moved_m, knot, between, part = np.hypot(dn, de), 0.0, 0.0, 1.0
     for j in range(1, steps + 1):
@@ -223,8 +203,8 @@ def fence_cost(X: Array, scene: Scene, t: Array, scale_m: float) -> float:
             total += factor * CORRIDOR_PENALTY * stage_length(t, k) * max(excess, 0.0)
     box = _box(X)
     for z in range(Z + len(scene.discs)):
-        if z < Z and _is_beyond(scene, z, box):
-            continue
+        if z < Z and scene.exits[z, 0] == 0.0 and _from_box(scene.zones, z, box) > scene.need[z]:
+            continue  # every point keeps its distance
         spare_m = 0.0
         for k in range(1, X.shape[0]):
             g = stage_length(t, k)
@@ -252,12 +232,6 @@ def _from_box(zones: Zones, z: int, box: tuple[float, float, float, float]) -> f
     return float(np.hypot(max(box[0] - n, n - box[2], 0.0), max(box[1] - e, e - box[3], 0.0)) - radius)
 
 
-@jit
-def _is_beyond(scene: Scene, z: int, box: tuple[float, float, float, float]) -> bool:
-    """Return True if every point of a box has the required clearance from zone z; False if that takes a closer look."""
-    return bool(scene.exits[z, 0] == 0.0 and _from_box(scene.zones, z, box) > scene.need[z])
-
-
 def is_near(X: Array, scene: Scene, t: Array, scale_m: float) -> bool:
     """Return True if a trajectory comes near to a zone, an obstacle or the edge of the corridor.
 
@@ -271,7 +245,27 @@ def is_near(X: Array, scene: Scene, t: Array, scale_m: float) -> bool:
     return bool(fence_cost(X, wide, t, scale_m) > 0.0)
 
 
-@jit
+@jit_outlined
+def _clearances(X: Array, t_s: Array, scene: Scene, near_m: float) -> tuple[Array, Array]:
+    """Return the clearances (K, Z + O) of points from all zones and obstacles, and the required ones (m).
+
+    Farther than ``near_m`` from the circle around a zone, the distance from the circle counts; the true one is larger.
+    """
+    Z, count = len(scene.need), len(scene.need) + len(scene.discs)
+    free, need = np.empty((len(t_s), count)), np.empty((len(t_s), count))
+    for k in range(len(t_s)):
+        n, e = X[k, 0], X[k, 1]
+        for z in range(Z):
+            free[k, z], need[k, z] = _from_box(scene.zones, z, (n, e, n, e)), scene.need[z]
+            if free[k, z] < near_m:
+                free[k, z] = nearest(scene.zones, z, n, e)[0]
+        for i in range(len(scene.discs)):
+            north, east, required = disc_at(scene, i, t_s[k])
+            free[k, Z + i] = np.hypot(n - north, e - east) - scene.discs[i, 4]
+            need[k, Z + i] = required - scene.discs[i, 4]
+    return free, need
+
+
 def entry_s(X: Array, t_s: Array, scene: Scene, hull_m: float) -> float:
     """Return when the hull enters a zone or an obstacle first (s after the first knot); infinite for never.
 
@@ -280,45 +274,19 @@ def entry_s(X: Array, t_s: Array, scene: Scene, hull_m: float) -> float:
     X, t_s, scene : as in ``clearance_table``.
     hull_m : radius of the hull (m).
     """
-    first, box, Z = np.inf, _box(X), len(scene.need)
-    for z in range(Z + len(scene.discs)):
-        if z < Z and _is_beyond(scene, z, box):
-            continue
-        spare_m = 0.0
-        for k in range(X.shape[0]):
-            spare_m -= _moved_m(X, k)
-            if spare_m > 0.0:
-                continue
-            free = _clearance(scene, z, X[k, 0], X[k, 1], t_s[k])[0] - hull_m
-            if free < 0.0:
-                entry = 0.0
-                if k > 0:
-                    before = _clearance(scene, z, X[k - 1, 0], X[k - 1, 1], t_s[k - 1])[0] - hull_m
-                    entry = t_s[k - 1] + before / (before - free) * (t_s[k] - t_s[k - 1])
-                first = min(first, entry)
-                break
-            spare_m = free if z < Z else 0.0
-    return float(first)
+    step_m = np.hypot(np.diff(X[:, 0]), np.diff(X[:, 1])).max()
+    free = _clearances(X, t_s, scene, hull_m + step_m)[0] - hull_m
+    if free.min(initial=0.0) >= 0.0:
+        return math.inf
+    if free[0].min() < 0.0:
+        return 0.0
+    zones = np.flatnonzero(free.min(axis=0) < 0.0)
+    k = (free[:, zones] < 0.0).argmax(axis=0)
+    before, after = free[k - 1, zones], free[k, zones]
+    entries = t_s[k - 1] + before / (before - after) * (t_s[k] - t_s[k - 1])
+    return float(entries.min())
 
 
-@jit
-def _moved_m(X: Array, k: int) -> float:
-    """Return the distance from the knot before; 0 at the first one."""
-    return float(np.hypot(X[k, 0] - X[k - 1, 0], X[k, 1] - X[k - 1, 1])) if k > 0 else 0.0
-
-
-@jit
-def _clearance(scene: Scene, z: int, n: float, e: float, t_s: float) -> tuple[float, float]:
-    """Return the clearance of a point from zone z, or from obstacle z - Z at a time, and the required one (m)."""
-    Z = len(scene.need)
-    if z < Z:
-        return nearest(scene.zones, z, n, e)[0], scene.need[z]
-    north, east, need = disc_at(scene, z - Z, t_s)
-    radius = scene.discs[z - Z, 4]
-    return float(np.hypot(n - north, e - east)) - radius, need - radius
-
-
-@jit
 def clearance_table(X: Array, t_s: Array, scene: Scene, hull_m: float) -> tuple[Array, float]:
     """Return what a plan keeps from each zone and each obstacle, and when the hull enters one first.
 
@@ -333,28 +301,11 @@ def clearance_table(X: Array, t_s: Array, scene: Scene, hull_m: float) -> tuple[
     -------
     (Z + O, 4) least clearance of the vehicle's origin (m), clearance at the first knot (m), smallest surplus over the
     required clearance (m), number of knots that lack more than 1 cm of it; and the time of ``entry_s``. Clearances that
-    make a zone neither active nor the nearest one may be infinite.
+    make a zone neither active nor the nearest one may be too small.
     """
-    Z, count, last = len(scene.need), len(scene.need) + len(scene.discs), X.shape[0] - 1
-    out = np.zeros((count, 4))
-    least, box = np.inf, _box(X)
-    for z in range(count):
-        out[z, 0] = out[z, 1] = out[z, 2] = np.inf
-        if z < Z and _from_box(scene.zones, z, box) > max(least, scene.need[z] + ACTIVE_M):
-            continue
-        spare_m = 0.0
-        for i in range(-1, last):  # the last knot first: it is often the nearest one
-            k = i if i >= 0 else last
-            spare_m -= _moved_m(X, k) if i >= 0 else 0.0
-            if spare_m > 0.0:
-                continue
-            distance, need = _clearance(scene, z, X[k, 0], X[k, 1], t_s[k])
-            if k == 0:
-                out[z, 1] = distance
-            out[z, 0], out[z, 2] = min(out[z, 0], distance), min(out[z, 2], distance - need)
-            if distance < need - 0.01:
-                out[z, 3] += 1.0
-            least = min(least, distance)
-            if i >= 0 and z < Z:
-                spare_m = distance - max(least, need + ACTIVE_M)
-    return out, entry_s(X, t_s, scene, hull_m) if least < hull_m else np.inf
+    now = _clearances(X[:1], t_s[:1], scene, math.inf)[0][0]
+    near_m = max(now.min(initial=math.inf), scene.need.max(initial=0.0) + ACTIVE_M)
+    free, need = _clearances(X, t_s, scene, near_m)
+    surplus, least = free - need, free.min(axis=0)
+    table = np.column_stack([least, now, surplus.min(axis=0), (surplus < -0.01).sum(axis=0)])
+    return table, entry_s(X, t_s, scene, hull_m) if least.min(initial=math.inf) < hull_m else math.inf

@@ -1,6 +1,6 @@
 """Fence and obstacles of a controller: what is in force, and the report of what a plan keeps from it.
 
-Rows of the QP (ocp/limits/fence.py) keep the vehicle out. The reference only leads round what stands in the way
+Rows of the QP (ocp/fence.py) keep the vehicle out. The reference only leads round what stands in the way
 (``geofence/routes.py``): a point by the targets of the horizon (target_placement.py), a path by its schedule.
 
 What a zone asks for, and what it asks for where another zone is too near, is in ``geofence/required_clearance.py``. The
@@ -14,8 +14,7 @@ import math
 import numpy as np
 
 from ltv_mpc.control.fence_clearance import ACTIVE_M, NO_PATH, Scene, clearance_table, entry_s
-from ltv_mpc.control.nominal import coasting_entry_s
-from ltv_mpc.control.ocp.limits.fence import CORRIDOR_ROWS
+from ltv_mpc.control.ocp.fence import CORRIDOR_ROWS
 from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.target_placement import bring_near, lead_round
@@ -225,18 +224,6 @@ class Fencing:
         """
         hull = self._vehicle.hull if self.is_active else None
         return math.inf if hull is None else float(entry_s(X, self._times_s, self.scene, hull.radius_m))
-
-    def coasting_enters_s(self, packed: Array, X: Array, U: Array, C: Array, end: int) -> float:
-        """Return when the hull enters a zone if the thrusters ramp to zero from a knot on (s); infinite for never.
-
-        Parameters
-        ----------
-        packed, X, U, C, end : as in ``coasting_entry_s`` (nominal.py).
-        """
-        hull = self._vehicle.hull if self.is_active else None
-        if hull is None:
-            return math.inf
-        return float(coasting_entry_s(packed, X, U, C, end, self._times_s, self.scene, hull.radius_m))
 
     def _drift_s(self, X: Array) -> float:
         """Return when the hull enters a zone or obstacle if it drifts on after the last of the states X (s)."""

@@ -9,7 +9,7 @@ A state may be required to stay within  low <= x[k] <= high,  k = 1 .. N. The pa
 limit is soft: an excess costs a penalty for each unit. A penalty proportional to the excess is exact (Fletcher 1987,
 section 12.3; Kerrigan & Maciejowski 2000): once it is larger than the dual of the limit, the solution is that of the
 hard limit wherever there is one. The duals grow with the distance of the target, so the penalty does too
-(``motion.excess_penalty``).
+(``limits.excess_penalty``).
 """
 
 from __future__ import annotations

@@ -17,10 +17,10 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.control.horizon_limits import command_bounds
-from ltv_mpc.control.problem_data import Objective, stage_length, unpack_constants
+from ltv_mpc.control.problem_data import stage_length, unpack_constants
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
-from ltv_mpc.vehicle.flow import STATES, advance_by, lag_table
+from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.resistance import steady_speed
 
 APPROACH_S = 4.0
@@ -33,21 +33,6 @@ TURN_RADPS = 0.5
 """w0: natural frequency of the heading law."""
 MAX_TURN_PER_STAGE = 0.5
 """Largest w0 times a stage's length (rad): commands are linear between knots, so they cannot follow a faster law."""
-
-
-@jit
-def _wanted_velocity(target: Array, k: int, o: Objective, stage_s: float) -> tuple[float, float]:
-    """Return ref' (m/s) over the stage from knot k: the difference of the targets at its ends.
-
-    The target at knot 0 is not known, so the first stage takes the difference of the second. With one stage, ref' is
-    the velocity wanted at the end.
-    """
-    N = len(target) - 1
-    if N == 1:
-        return target[1, 0], target[1, 1]
-    end = max(k, 1)
-    h = stage_length(o.t, end + 1) * stage_s
-    return (target[end, 0] - target[end - 1, 0]) / h, (target[end, 1] - target[end - 1, 1]) / h
 
 
 @jit
@@ -74,8 +59,13 @@ def steering_guess(packed: Array, start: Array, target: Array, astern: bool, C: 
         before, h = h, g * c.stage_s
         if h != before:
             lag = lag_table(h, p)
+        # ref' over the stage: the target at knot 0 is not known; with one stage it is the velocity wanted at the end
+        vn, ve = target[N, 0], target[N, 1]
+        if N > 1:
+            end = max(k, 1)
+            length = stage_length(o.t, end + 1) * c.stage_s
+            vn, ve = (target[end, 0] - target[end - 1, 0]) / length, (target[end, 1] - target[end - 1, 1]) / length
         # w = (ref - p) / T_p + ref' - c, limited
-        vn, ve = _wanted_velocity(target, k, o, c.stage_s)
         wn = (target[k, 0] - vn * h - x[0]) / (APPROACH_S * c.time_ratio) + vn - C[k, 0]
         we = (target[k, 1] - ve * h - x[1]) / (APPROACH_S * c.time_ratio) + ve - C[k, 1]
         size = np.sqrt(wn * wn + we * we)
@@ -96,4 +86,4 @@ def steering_guess(packed: Array, start: Array, target: Array, astern: bool, C: 
         for i in range(2):
             low, high = command_bounds(U[0, i], o.t[k + 1] * o.max_change[i], o.low[i], o.high[i])
             U[k + 1, i] = min(max(F[i], low, U[k, i] - g * o.max_change[i]), high, U[k, i] + g * o.max_change[i])
-        advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])
+        advance_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])

@@ -36,7 +36,7 @@ from ltv_mpc.control.linearisation import describe_non_finite
 from ltv_mpc.control.ocp.cycle import Cycle
 from ltv_mpc.control.ocp.extension import Limit, Term
 from ltv_mpc.control.ocp.problem import Problem, is_finite
-from ltv_mpc.control.prediction import Start, fill_currents, profile_of
+from ltv_mpc.control.prediction import Start, currents_at_depths
 from ltv_mpc.control.problem_data import coefficients_of, pack_constants
 from ltv_mpc.control.solvers import Result, Solver, SolverFactory
 from ltv_mpc.control.target_placement import bring_within
@@ -102,7 +102,7 @@ class LateralPlanner:
 
     @property
     def target(self) -> Array:
-        """Target at the knots (``ocp/terms``)."""
+        """Target at the knots (``ocp/terms.py``)."""
         return self._cycle.target
 
     def set_current(self, estimate: Estimate, depth_m: Array) -> None:
@@ -115,8 +115,7 @@ class LateralPlanner:
         """
         if self._cycle.set_fence_rows(self.fencing.rows):
             self._rows_bind = True  # the solver of this pattern is set up now
-        profile = profile_of(estimate)
-        fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, depth_m, self._cycle.lin.C)
+        self._cycle.lin.C[:] = currents_at_depths(estimate.current, depth_m)
 
     def bend_target(self, start: Start) -> None:
         """Lead the targets round the zones, where the line through them is blocked, and bring far ones nearer.
@@ -225,9 +224,7 @@ class LateralPlanner:
         """Return a plan with a braking tail, if the vehicle would enter a zone when no other plan follows it."""
         if plan.origin is PlanOrigin.ZERO or not self.fencing.is_active:
             return plan
-        enters_s = self.fencing.coasting_enters_s(
-            self._cycle.packed, plan.X, plan.U, self._cycle.lin.C, self._fallback.end
-        )
+        enters_s = self.fencing.enters_s(self._fallback.coasting(start, self._cycle.lin.C, plan).X)
         if math.isinf(enters_s):
             return plan
         braking = self._fallback.with_braking_tail(start, self._cycle.lin.C, plan)
@@ -250,7 +247,7 @@ class LateralPlanner:
         while left > 0:
             near = cycle.fenced is not None and (self._rows_bind or nominal.comes_near(cycle))
             self._stopwatch("linearise")
-            commands, solve = self._solve_qp(shift, near=near)
+            commands, solve = self._solve_qp(shift, near=near, last=left == 1)
             if solve.status is not SolveStatus.SOLVED:
                 if not is_usable(commands, solve):
                     return solve
@@ -270,21 +267,27 @@ class LateralPlanner:
                 nominal.linearise(cycle, U)
         return LateralPlan(X, U, PlanOrigin.SOLVED, solve, "")
 
-    def _solve_qp(self, shift: float, *, near: bool) -> tuple[Array, Solve]:
+    def _solve_qp(self, shift: float, *, near: bool, last: bool) -> tuple[Array, Solve]:
         """Return the commands of the QP and the solver's report; ``near``: with the fence's rows where they bind."""
         cycle, has_rows = self._cycle, near and self._rows_bind
         fenced = cycle.fill(cycle.fenced) if near and cycle.fenced is not None else None
-        result = self._run_solver(fenced if has_rows and fenced is not None else cycle.fill(cycle.plain), shift)
+        first = fenced if has_rows and fenced is not None else cycle.fill(cycle.plain)
+        result = self._run_solver(first, shift, last=last)
         surplus = cycle.surplus(result.z) if near else math.inf
         self._rows_bind = surplus < (BINDING if has_rows else 0.0)
         if self._rows_bind and not has_rows and fenced is not None:
-            result = self._run_solver(fenced, 0.0)
+            result = self._run_solver(fenced, 0.0, last=last)
         return cycle.commands(result.z), result.solve
 
-    def _run_solver(self, problem: Problem, shift: float) -> Result:
+    def _run_solver(self, problem: Problem, shift: float, *, last: bool) -> Result:
         solver = self._solver(problem, shift)
         solver.build(problem)
         self._stopwatch("build")
+        draft = None if last else getattr(solver, "draft", None)
+        drafted: Result | None = None if draft is None else draft()
+        if drafted is not None:
+            self._stopwatch("solve")
+            return drafted
         solver.update()
         self._stopwatch("update")
         result = solver.solve()
@@ -302,7 +305,7 @@ class LateralPlanner:
         problem : of that size.
         shift : by how many first stages the knots of the last QP lie earlier; NaN if it is not related to the next one.
         """
-        rows = problem.sizes[3]
+        rows = problem.low.shape[1]
         if rows not in self._solvers:
             self._solvers[rows] = self._make_solver()
             motion = nominal.any_motion(self._cycle)

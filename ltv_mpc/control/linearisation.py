@@ -17,7 +17,7 @@ import numpy as np
 
 from ltv_mpc.jit import copy_to, jit, jit_outlined
 from ltv_mpc.messages import Array
-from ltv_mpc.vehicle.flow import STATES, advance_by, lag_table
+from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.parameters import Coefficients
 from ltv_mpc.vehicle.sensitivity import SCRATCH, linearise_stage, thrust_gains
 
@@ -64,7 +64,7 @@ def propagate(X: Array, U: Array, C: Array, t: Array, stage_s: float, p: Coeffic
         before, h = h, (t[k + 1] - t[k]) * stage_s
         if h != before:
             lag = lag_table(h, p)
-        advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])
+        advance_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])
 
 
 def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
@@ -167,7 +167,7 @@ def describe_non_finite(lin: Linearisation, target: Array) -> str:
     Parameters
     ----------
     lin : linearisation.
-    target : (N+1, 3) as in ``ocp/terms``.
+    target : (N+1, 3) as in ``ocp/terms.py``.
 
     Returns
     -------

@@ -6,12 +6,14 @@ From that state and the plan in force another controller node can continue.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
-from ltv_mpc.bathymetry import Bathymetry
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import SAVE_PERIOD_NS, Controller
 from ltv_mpc.control.estimate_sources import EstimateSources
+from ltv_mpc.control.ocp.extension import Limit, Term
 from ltv_mpc.control.operator_commands import OperatorCommands
 from ltv_mpc.control.pre_arm import Failure, failures
 from ltv_mpc.control.solvers import SolverFactory, make
@@ -94,7 +96,7 @@ class ControllerNode:
         config: ControllerConfig,
         *,
         fence: Fence | None = None,
-        bathymetry: Bathymetry | None = None,
+        terms: Sequence[Term | Limit] = (),
         make_solver: SolverFactory = make,
         stopwatch: Stopwatch = no_stopwatch,
     ) -> None:
@@ -102,15 +104,14 @@ class ControllerNode:
 
         Parameters
         ----------
-        vehicle, reference, config, make_solver, stopwatch : as ``Controller`` takes them.
+        vehicle, reference, config, terms, make_solver, stopwatch : as ``Controller`` takes them.
         fence : as ``Controller.set_fence`` takes it.
-        bathymetry : as ``Controller.set_bathymetry`` takes it; None: none.
         """
         self.schedule = Cycle(config.period_ns)
-        self.controller = Controller(vehicle, reference, config, make_solver=make_solver, stopwatch=stopwatch)
+        self.controller = Controller(
+            vehicle, reference, config, terms=terms, make_solver=make_solver, stopwatch=stopwatch
+        )
         self.controller.set_fence(fence)
-        if bathymetry is not None:
-            self.controller.set_bathymetry(bathymetry)
         self.arbiter = CommandArbiter(vehicle)
         self.sources = EstimateSources(self.controller, config.sources)
         """Sources of the estimates: the active one and the rejected ones."""

@@ -8,7 +8,7 @@ Arguments of the functions in this file:
     packed   packed constants (problem_data.py)
     start    (10,) state n, e, u, v, psi, r, F1, F2 at the first knot, then the commands of port and starboard there
     goal     (N+1, 2) commands to follow as far as box and slew allow (N); the first row does not count
-    target   (N+1, 3) as in ``ocp/terms``
+    target   (N+1, 3) as in ``ocp/terms.py``
     C        (N+1, 2) current at the knots, north and east (m/s)
     X, U     (N+1, 8) states and (N+1, 2) commands (N) at the knots
 
@@ -22,7 +22,7 @@ import math
 import numpy as np
 
 from ltv_mpc.control import shooting_grid
-from ltv_mpc.control.fence_clearance import Scene, bounds_track, entry_s, fence_cost, is_near
+from ltv_mpc.control.fence_clearance import fence_cost, is_near
 from ltv_mpc.control.horizon_limits import clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
 from ltv_mpc.control.linearisation import Linearisation, linearise_along, propagate
@@ -96,9 +96,9 @@ def _score(cycle: Cycle, X: Array, U: Array, most: float = math.inf) -> Score:
     of_terms, stuck, tail = _measure(cycle.packed, X, U, cycle.lin.C, cycle.target)
     if of_terms > most:
         return UNKNOWN
-    scene = cycle.scene  # without zones a call with its arrays takes longer than the rest of the score
-    zones = fence_cost(X, scene, cycle.knots, cycle.position_scale_m) if bounds_track(scene) else 0.0
-    return Score(of_terms + cycle.further.cost(X, U), zones, stuck, tail)
+    further = 0.0 if cycle.further is None else cycle.further.cost(X, U)
+    zones = 0.0 if cycle.fenced is None else fence_cost(X, cycle.scene, cycle.knots, cycle.position_scale_m)
+    return Score(of_terms + further, zones, stuck, tail)
 
 
 def choose_nominal(cycle: Cycle, start: Array, old: Array, stages: float, *, was_clear: bool) -> int:
@@ -201,27 +201,3 @@ def line_search(cycle: Cycle, commands: Array, X: Array, U: Array) -> tuple[floa
             return part, enters
     X[...], U[...] = lin.X, lin.U
     return 0.0, enters
-
-
-def coasting_entry_s(
-    packed: Array, X: Array, U: Array, C: Array, end: int, t_s: Array, scene: Scene, hull_m: float
-) -> float:
-    """Return when the hull enters a zone if the lateral thrusters ramp to zero from a knot on; infinite for never.
-
-    Parameters
-    ----------
-    packed, C : as at the head of this file.
-    X, U : a motion and its commands, which are kept until knot ``end`` - 1.
-    end : first knot with the goal zero, at least 1.
-    t_s : (N+1,) times of the knots after the first one (s).
-    scene : zones and obstacles.
-    hull_m : radius of the hull (m).
-
-    Returns
-    -------
-    Time after the first knot (s).
-    """
-    goal, moved = U.copy(), np.empty_like(X)
-    goal[end:] = 0.0
-    ramp_to(packed, np.concatenate([X[0], U[0]]), goal, C, moved, np.empty_like(U))
-    return float(entry_s(moved, t_s, scene, hull_m))

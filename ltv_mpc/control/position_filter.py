@@ -18,9 +18,8 @@ import math
 from collections import deque
 
 import msgspec
-import numpy as np
 
-from ltv_mpc.messages import Array, Estimate
+from ltv_mpc.messages import Estimate, Pair
 
 WINDOW = 15
 """Number of innovations in the median: a noise shows after 8 estimates."""
@@ -43,7 +42,7 @@ class PositionFilter:
 
     def __init__(self) -> None:
         self._last: Estimate | None = None  # as it was given
-        self._filtered = self._position = np.zeros(2)
+        self._filtered: Pair | None = None  # None: as it was given
         self._variance = 0.0
         self._innovations: deque[float] = deque(maxlen=2 * WINDOW)  # both components of each
 
@@ -57,34 +56,30 @@ class PositionFilter:
         last, self._last = self._last, estimate
         if last is not None and estimate.t_ns == last.t_ns:
             return self._with_position(estimate)
-        position = np.array((estimate.north_m, estimate.east_m))
-        before, self._position = self._position, position
         if last is None or not 0 < estimate.t_ns - last.t_ns <= MAX_INTERVAL_NS or estimate.covariance is not None:
-            self._filtered, self._variance = position, 0.0
+            self._filtered, self._variance = None, 0.0
             self._innovations.clear()
             return estimate
         seconds = (estimate.t_ns - last.t_ns) * 1e-9
-        moved = 0.5 * seconds * (_velocity(last) + _velocity(estimate))
-        self._innovations.extend(np.abs(position - before - moved).tolist())
+        north_m = 0.5 * seconds * (last.velocity_north_mps + estimate.velocity_north_mps)
+        east_m = 0.5 * seconds * (last.velocity_east_mps + estimate.velocity_east_mps)
+        self._innovations.append(abs(estimate.north_m - last.north_m - north_m))
+        self._innovations.append(abs(estimate.east_m - last.east_m - east_m))
         # the difference of two positions has twice the variance of one
         middle = sorted(self._innovations)[len(self._innovations) // 2]  # numpy's median takes ten times as long
         noise_m = OF_MEDIAN * math.sqrt(0.5) * middle
         if len(self._innovations) < WINDOW or noise_m <= CLEAN_M:
-            self._filtered, self._variance = position, noise_m**2
+            self._filtered, self._variance = None, noise_m**2
             return estimate
         self._variance += VELOCITY_ERROR_M_PER_RTS**2 * seconds
         gain = self._variance / (self._variance + noise_m**2)
-        predicted = self._filtered + moved
-        self._filtered = predicted + gain * (position - predicted)
+        before = self._filtered or (last.north_m, last.east_m)
+        north_m, east_m = before[0] + north_m, before[1] + east_m  # predicted
+        self._filtered = north_m + gain * (estimate.north_m - north_m), east_m + gain * (estimate.east_m - east_m)
         self._variance *= 1.0 - gain
         return self._with_position(estimate)
 
     def _with_position(self, estimate: Estimate) -> Estimate:
-        if self._filtered is self._position:
+        if self._filtered is None:
             return estimate
-        north_m, east_m = self._filtered.tolist()
-        return msgspec.structs.replace(estimate, north_m=north_m, east_m=east_m)
-
-
-def _velocity(estimate: Estimate) -> Array:
-    return np.array((estimate.velocity_north_mps, estimate.velocity_east_mps))
+        return msgspec.structs.replace(estimate, north_m=self._filtered[0], east_m=self._filtered[1])

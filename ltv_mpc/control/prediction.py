@@ -18,7 +18,7 @@ from ltv_mpc.control.sent_commands import Commands, SentCommands, command_at
 from ltv_mpc.jit import copy_to, count_up_to, jit
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Triple
 from ltv_mpc.vehicle.dynamics import coefficients
-from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_weights
+from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_table, lag_weights
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STEP_NS = 100_000_000
@@ -94,10 +94,10 @@ def currents_at_depths(profile: CurrentProfile | None, depth_m: Array) -> Array:
     """
     if profile is None:
         return np.zeros((len(depth_m), 2))
-    return np.stack(
-        [np.interp(depth_m, profile.depth_m, profile.north_mps), np.interp(depth_m, profile.depth_m, profile.east_mps)],
-        axis=1,
-    )
+    currents = np.empty((len(depth_m), 2))
+    currents[:, 0] = np.interp(depth_m, profile.depth_m, profile.north_mps)
+    currents[:, 1] = np.interp(depth_m, profile.depth_m, profile.east_mps)
+    return currents
 
 
 class Prediction:
@@ -289,7 +289,7 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
             c1[0], c1[1] = current_at_depth(depth, north, east, z)
             for j in range(2):
                 u0[j], u1[j] = command_at(t, thrust, since, j), command_at(t, thrust, at, j)
-            advance_stage(X.copy(), u0, u1, c0, c1, h, p, X)
+            advance_stage(X.copy(), u0, u1, c0, c1, h, p, lag_table(h, p), X)
             copy_to(c0, c1)
             since = at
         knot += 1
@@ -297,17 +297,3 @@ def predict_state(vehicle: Array, measured: Measured, until: int, commands: Comm
         out[STATES + j] = command_at(t, thrust, until, j)
     out[11], out[12], out[13], out[14], out[15] = z, w, F3, c0[0], c0[1]
     return out
-
-
-@jit
-def fill_currents(depth: Array, north: Array, east: Array, at: Array, C: Array) -> None:
-    """Evaluate the current along the horizon.
-
-    Parameters
-    ----------
-    depth, north, east : (K,) profile as in ``current_at_depth``.
-    at : (N+1,) depths at the knots (m).
-    C : (N+1, 2) is overwritten with the current, north and east (m/s).
-    """
-    for k in range(len(at)):
-        C[k, 0], C[k, 1] = current_at_depth(depth, north, east, at[k])

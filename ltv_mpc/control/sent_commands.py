@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ltv_mpc.jit import copy_to, count_up_to, jit
+from ltv_mpc.jit import count_up_to, jit
 from ltv_mpc.messages import Array, Plan, Times, Triple
 from ltv_mpc.safety.health import plan_end_ns
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -68,14 +68,26 @@ class SentCommands:
         plan : is in force from its first knot on.
         before_N : commands until then, if it is the first plan (N); by default the thrusters are at rest.
         """
-        t, thrust = self.knots
-        start_ns = int(plan.t_ns[0])
+        (t, thrust), start_ns = self.knots, int(plan.t_ns[0])
         if len(t) == 0:
             t, thrust = np.array([start_ns - 1]), np.array([before_N])
         estimate_ns = max(plan.estimate_t_ns - BEFORE_ESTIMATE_NS, start_ns - MAX_HISTORY_NS)
-        since_ns = min(start_ns - self._history_ns, estimate_ns)
+        past = slice(t.searchsorted(min(start_ns - self._history_ns, estimate_ns), "right"), t.searchsorted(start_ns))
         end_ns = plan_end_ns(plan.t_ns, self._period_ns, self._timeout_s)
-        self.knots = supersede(t, thrust, since_ns, plan.t_ns, plan.thrust_N, end_ns, self._slew, self._rest)
+        k = int(plan.t_ns.searchsorted(end_ns))
+        last_N, before_ns = plan.thrust_N[k], int(plan.t_ns[k - 1])
+        if k > 0:
+            part = (end_ns - before_ns) / (int(plan.t_ns[k]) - before_ns)
+            last_N = plan.thrust_N[k - 1] + part * (last_N - plan.thrust_N[k - 1])
+        # One knot where each thruster comes to rest, in the order of time; two in one nanosecond share it.
+        way_N = last_N - self._rest
+        own_ns = np.ceil(np.abs(way_N) / self._slew * 1e9)
+        ramp_ns = np.array(sorted({0.0, *own_ns.tolist()}))
+        left = 1.0 - np.minimum(ramp_ns[:, None] / np.maximum(own_ns, 1.0), 1.0)
+        self.knots = (
+            np.concatenate([t[past], plan.t_ns[:k], end_ns + ramp_ns.astype(np.int64)]),
+            np.concatenate([thrust[past], plan.thrust_N[:k], self._rest + left * way_N]),
+        )
 
     @property
     def oldest(self) -> tuple[int, Array]:
@@ -92,10 +104,10 @@ class SentCommands:
         command_N : commands of port, starboard and vertical in force at ``t_ns`` (N).
         """
         t, thrust = self.knots
-        if _max_difference(t, thrust, t_ns, *command_N) <= TOLERANCE_N:
-            return
         times, commands = [t_ns], [np.array(command_N)]
         target = self.at(np.array(times, dtype=np.int64))[0]
+        if np.abs(target - commands[0]).max() <= TOLERANCE_N:
+            return
         while np.abs(target - commands[-1]).max() > TOLERANCE_N and times[-1] < t_ns + HISTORY_NS:
             times.append(times[-1] + CATCH_UP_STEP_NS)
             target = self.at(np.array(times[-1:], dtype=np.int64))[0]
@@ -118,7 +130,7 @@ class SentCommands:
         -------
         (M, 3) commands of port, starboard and vertical (N); zero if nothing was sent.
         """
-        return _commands_at(*self.knots, t_ns)
+        return commands_at(*self.knots, t_ns)
 
     def between(self, from_ns: int, until_ns: int) -> Times:
         """Return both times and the knots between them: the commands are linear between neighbours.
@@ -130,63 +142,6 @@ class SentCommands:
         t, _ = self.knots
         inner = t[(t > from_ns) & (t < until_ns)]
         return np.concatenate([[from_ns], inner, [until_ns]]).astype(np.int64)
-
-
-@jit
-def supersede(
-    t: Times, thrust: Array, since: int, plan_t: Times, plan_thrust: Array, end: int, slew: Array, rest: Array
-) -> tuple[Times, Array]:
-    """Return the commands until the plan begins, then the plan to its end, then a ramp to rest at the slew limit.
-
-    Parameters
-    ----------
-    t, thrust : (M,), (M, 3) commands before the plan (ns, N).
-    since : time (ns) up to which older commands are dropped.
-    plan_t, plan_thrust : (N+1,), (N+1, 3) the plan (ns, N).
-    end : time (ns) until which the plan is followed, after its first and at most at its last knot.
-    slew : (3,) slew limits (N/s).
-    rest : (3,) commands at rest (N).
-
-    Returns
-    -------
-    Knots (K,) in ns and commands (K, 3) in N.
-    """
-    first = count_up_to(t, since)
-    until = count_up_to(t, plan_t[0] - 1)
-    # One knot where each thruster comes to rest, in the order of time; two in one nanosecond share it.
-    last, seconds, corners, count, latest = np.empty(3), np.empty(3), np.empty(3), 0, 0.0
-    for j in range(3):
-        last[j] = command_at(plan_t, plan_thrust, end, j)
-        seconds[j] = abs(last[j] - rest[j]) / slew[j]
-    while True:
-        soonest = np.inf
-        for j in range(3):
-            if np.ceil(latest * 1e9) < np.ceil(seconds[j] * 1e9) and seconds[j] < soonest:
-                soonest = seconds[j]
-        if soonest == np.inf:
-            break
-        corners[count] = latest = soonest
-        count += 1
-    past, ahead = max(until - first, 0), count_up_to(plan_t, end - 1) + 1  # with a knot at the end
-    out_t = np.empty(past + ahead + count, dtype=np.int64)
-    out = np.empty((len(out_t), 3))
-    for i in range(past):
-        out_t[i] = t[first + i]
-        for j in range(3):
-            out[i, j] = thrust[first + i, j]
-    for i in range(ahead - 1):
-        out_t[past + i] = plan_t[i]
-        for j in range(3):
-            out[past + i, j] = plan_thrust[i, j]
-    out_t[past + ahead - 1] = end
-    copy_to(out[past + ahead - 1], last)
-    for i in range(count):
-        at = past + ahead + i
-        out_t[at] = end + np.int64(np.ceil(corners[i] * 1e9))
-        for j in range(3):
-            left = 1.0 - min(corners[i] / seconds[j], 1.0) if seconds[j] > 0.0 else 1.0
-            out[at, j] = rest[j] + left * (last[j] - rest[j])
-    return out_t, out
 
 
 @jit
@@ -212,20 +167,16 @@ def command_at(t: Times, thrust: Array, at: int, i: int) -> float:
 
 
 @jit
-def _commands_at(t: Times, thrust: Array, at: Times) -> Array:
-    """Return the commands (K, 3) at several times (K,); t and thrust as in ``command_at``."""
+def commands_at(t: Times, thrust: Array, at: Times) -> Array:
+    """Return the commands (K, 3) at several times.
+
+    Parameters
+    ----------
+    t, thrust : as in ``command_at``.
+    at : (K,) times (ns).
+    """
     out = np.empty((len(at), 3))
     for k in range(len(at)):
         for i in range(3):
             out[k, i] = command_at(t, thrust, at[k], i)
     return out
-
-
-@jit
-def _max_difference(t: Times, thrust: Array, at: int, port: float, starboard: float, vertical: float) -> float:
-    """Return the largest difference of three commands from those at one time; t and thrust as in ``command_at``."""
-    return max(
-        abs(command_at(t, thrust, at, 0) - port),
-        abs(command_at(t, thrust, at, 1) - starboard),
-        abs(command_at(t, thrust, at, 2) - vertical),
-    )

@@ -50,31 +50,13 @@ def shift(values: Array, t: Array, stages: float) -> None:
     ----------
     values : (N+1, M) a row for each of the knots, linear between them; overwritten.
     t : (N+1,) knots in first stages.
-    stages : by how many first stages the new knots lie later.
+    stages : by how many first stages the new knots lie later; NaN: the values become zero.
     """
-    low, old = 0, values.copy()
+    low, last, old = 0, len(t) - 2, values.copy()
     for k in range(len(t)):
-        low, part = locate(t, t[k] + stages, low)
+        at = t[k] + stages
+        while low < last and t[low + 1] <= at:
+            low += 1
+        part = min(max((at - t[low]) / (t[low + 1] - t[low]), 0.0), 1.0)
         for i in range(values.shape[1]):
-            values[k, i] = (1.0 - part) * old[low, i] + part * old[low + 1, i]
-
-
-@jit
-def locate(t: Array, at: float, near: int) -> tuple[int, float]:
-    """Return the stage that contains a time, and the position within it; a time beyond the knots is clamped.
-
-    Parameters
-    ----------
-    t : (N+1,) knots in first stages.
-    at : time in first stages.
-    near : stage from which the search starts; at or before the one searched for.
-
-    Returns
-    -------
-    Stage k with t[k] <= at < t[k+1], and the fraction of it before ``at``, 0 .. 1.
-    """
-    last = len(t) - 2
-    k = near
-    while k < last and t[k + 1] <= at:
-        k += 1
-    return k, min(max((at - t[k]) / (t[k + 1] - t[k]), 0.0), 1.0)
+            values[k, i] = 0.0 if np.isnan(stages) else (1.0 - part) * old[low, i] + part * old[low + 1, i]

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from ltv_mpc.control.scaling import Scales
-from ltv_mpc.control.shooting_grid import locate
+from ltv_mpc.control.shooting_grid import shift
 from ltv_mpc.control.terminal_check import closing_speed
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.jit import jit
@@ -34,7 +34,6 @@ FAR = 2.0
 """Distance of the farthest target, in ways that the vehicle can make within the horizon."""
 
 
-@jit
 def bring_near(position: Array, current: Array, target: Array, horizon_s: float, top_mps: float) -> None:
     """Bring targets that are out of reach nearer.
 
@@ -44,13 +43,11 @@ def bring_near(position: Array, current: Array, target: Array, horizon_s: float,
     horizon_s : length of the horizon (s).
     top_mps : top speed of the vehicle through the water (m/s).
     """
-    far = FAR * horizon_s * (top_mps + math.hypot(current[0], current[1]))
-    for k in range(len(target) - 1):
-        north, east = target[k, 0] - position[0], target[k, 1] - position[1]
-        distance = math.hypot(north, east)
-        if distance > far:
-            target[k, 0] = position[0] + north * far / distance
-            target[k, 1] = position[1] + east * far / distance
+    way = target[:-1, :2] - position
+    distance = np.hypot(way[:, 0], way[:, 1])
+    reach = FAR * horizon_s * (top_mps + math.hypot(current[0], current[1]))
+    if distance.max() > reach:
+        target[:-1, :2] = position + way * (reach / np.maximum(distance, reach))[:, None]
 
 
 @jit
@@ -64,15 +61,13 @@ def bring_within(states: Array, stages: float, t: Array, state: Array, radius_m:
     t : (N+1,) knots in first stages.
     state : of the vehicle at the first knot, from where the plan is continued: north and east first (m).
     radius_m : radius of the disc (m).
-    target : (N+1, 3) as in ``ocp/terms``; its positions are overwritten.
+    target : (N+1, 3) as in ``ocp/terms.py``; its positions are overwritten.
     """
-    low, part = locate(t, t[0] + stages, 0)
-    north = state[0] - (1.0 - part) * states[low, 0] - part * states[low + 1, 0]
-    east = state[1] - (1.0 - part) * states[low, 1] - part * states[low + 1, 1]
+    places = states[:, :2].copy()
+    shift(places, t, stages)
     for k in range(1, len(t)):
-        low, part = locate(t, t[k] + stages, low)
-        off_n = north + (1.0 - part) * states[low, 0] + part * states[low + 1, 0] - target[k - 1, 0]
-        off_e = east + (1.0 - part) * states[low, 1] + part * states[low + 1, 1] - target[k - 1, 1]
+        off_n = state[0] - places[0, 0] + places[k, 0] - target[k - 1, 0]
+        off_e = state[1] - places[0, 1] + places[k, 1] - target[k - 1, 1]
         share = min(radius_m / max(math.hypot(off_n, off_e), 1e-9), 1.0)
         target[k - 1, 0] += share * off_n
         target[k - 1, 1] += share * off_e
@@ -86,7 +81,7 @@ def lead_round(router: Router, position: Array, current: Array, target: Array, t
     router : shortest ways round the zones.
     position : (2,) of the vehicle at the first knot (m).
     current : (2,) velocity of the water there (m/s).
-    target : (N+1, 3) as in ``ocp/terms``; positions and velocity are overwritten.
+    target : (N+1, 3) as in ``ocp/terms.py``; positions and velocity are overwritten.
     times_s : (N+1,) times of the knots after the first one (s).
     scales : length and top speed of the vehicle.
 

@@ -84,7 +84,7 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
     ----------
     X : (N+1, 8) states at the knots.
     C : (N+1, 2) current at the knots, north and east (m/s).
-    target : (N+1, 3) as in ``ocp/terms``.
+    target : (N+1, 3) as in ``ocp/terms.py``.
     c : constants of the controller.
 
     Returns
@@ -92,11 +92,13 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
     Whether it is stuck, and its tail cost.
     """
     N, o, T = len(target) - 1, c.objective, TIME_S * c.time_ratio
-    ends_stuck, d, s = _closing(X[N], C[N], target[N - 1], target[N], c)
+    # on a path the course is given, and with it which end goes first
+    stands = bool(target[N, 0] == 0.0 and target[N, 1] == 0.0)
+    ends_stuck, d, s = _closing(X[N], C[N], target[N - 1], target[N], stands, c)
     if d == 0.0:
         return TerminalCheck(False, 0.0)
     k = min(BEGIN, N - 1)
-    begins_stuck = _stands(target[N]) and X[k, 6] + X[k, 7] < 0.0 and _closing(X[k], C[k], target[k], target[N], c)[0]
+    begins_stuck = stands and X[k, 6] + X[k, 7] < 0.0 and _closing(X[k], C[k], target[k], target[N], stands, c)[0]
     t = MAX_TAIL_TIMES * T
     if s * t > d:
         t = d / s
@@ -105,8 +107,13 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
 
 
 @jit
-def _closing(state: Array, current: Array, place: Array, pace: Array, c: Constants) -> tuple[bool, float, float]:
-    """Return whether a state is stuck, its distance (m), 0 if it is near, and its closing speed (m/s)."""
+def _closing(
+    state: Array, current: Array, place: Array, pace: Array, stands: bool, c: Constants
+) -> tuple[bool, float, float]:
+    """Return whether a state is stuck, its distance (m), 0 if it is near, and its closing speed (m/s).
+
+    ``stands``: the target does not move.
+    """
     o, p, T = c.objective, c.p, TIME_S * c.time_ratio
     dn, de = place[0] - state[0], place[1] - state[1]
     d = math.sqrt(dn * dn + de * de)
@@ -119,12 +126,6 @@ def _closing(state: Array, current: Array, place: Array, pace: Array, c: Constan
     if math.cos(state[4]) * (en * s + bn) + math.sin(state[4]) * (ee * s + be) >= 0.0:
         return s < SLOW_RATIO * ahead, d, s
     astern, bow_first = steady_speed(max(-o.low[0] - o.low[1], 0.0), p.linear_surge, p.quadratic_surge), s
-    s = closing_speed(en, ee, bn, be, STEERED * astern if astern < ahead and _stands(pace) else astern)
-    late = _stands(pace) and d * (bow_first - s) > TURN_TIMES * T * s * bow_first
+    s = closing_speed(en, ee, bn, be, STEERED * astern if astern < ahead and stands else astern)
+    late = stands and d * (bow_first - s) > TURN_TIMES * T * s * bow_first
     return s < SLOW_RATIO * ahead or late, d, s
-
-
-@jit
-def _stands(pace: Array) -> bool:
-    """Return True for a target that does not move: on a path the course is given, and with it which end goes first."""
-    return bool(pace[0] == 0.0 and pace[1] == 0.0)

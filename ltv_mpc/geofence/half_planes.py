@@ -34,19 +34,8 @@ class HalfPlanes(NamedTuple):
 
 
 @jit
-def allocate(points: int) -> HalfPlanes:
-    """Return room for the rows of a number of points."""
-    return HalfPlanes(
-        np.empty((points, ROWS, 2)),
-        np.empty((points, ROWS)),
-        np.empty((points, ROWS)),
-        np.empty((points, ROWS), np.int64),
-    )
-
-
-@jit
-def half_planes(zones: Zones, points: Array, required: Array, exits: Array, reach: Array, rows: HalfPlanes) -> None:
-    """Write the rows of every point.
+def half_planes(zones: Zones, points: Array, required: Array, exits: Array, reach: Array) -> HalfPlanes:
+    """Return the rows of every point.
 
     Parameters
     ----------
@@ -55,9 +44,10 @@ def half_planes(zones: Zones, points: Array, required: Array, exits: Array, reac
     required : (P, Z) required clearance (m).
     exits : (Z, 4) exit of each zone: 1 if it has one or 0, its half-plane's m north, m east and offset (m).
     reach : (P,) largest slack of a row that is taken (m).
-    rows : output.
     """
-    for k in range(len(points)):
+    P = len(points)
+    rows = HalfPlanes(np.empty((P, ROWS, 2)), np.empty((P, ROWS)), np.empty((P, ROWS)), np.empty((P, ROWS), np.int64))
+    for k in range(P):
         for i in range(ROWS):
             rows.zone[k, i] = -1
         north, east = points[k, 0], points[k, 1]
@@ -75,6 +65,7 @@ def half_planes(zones: Zones, points: Array, required: Array, exits: Array, reac
                     insert_row(rows, k, z, mn, me, mn * qn + me * qe + need, mn * north + me * east)
             else:
                 _insert_ring(zones, z, k, points, need + reach[k], need, rows)
+    return rows
 
 
 @jit

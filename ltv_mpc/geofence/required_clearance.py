@@ -16,8 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.geofence.obstacles import SD_FACTOR
-from ltv_mpc.geofence.zones import Zones, nearest
-from ltv_mpc.jit import jit
+from ltv_mpc.geofence.zones import Zones, clearances, nearest
 from ltv_mpc.messages import Array
 
 ROOM = 0.5
@@ -27,7 +26,6 @@ SLACK = 0.1
 """Clearance that such a zone asks for beyond what there is, in radii of the hull: rounding must not lower it."""
 
 
-@jit
 def update_required(
     zones: Zones, north: float, east: float, hull_m: float, sd_m: float, need: Array, exits: Array, error_m: float = 0.0
 ) -> int:
@@ -48,32 +46,18 @@ def update_required(
     -------
     Number of zones that ask for more than the vehicle has, before any asks for less.
     """
-    Z = len(zones.radius)
-    now = np.full(Z, np.inf)  # clearances, where they may be too small
-    lacking = lacking_margin = 0
-    for z in range(Z):
-        n, e, radius = zones.circle[z]
-        if np.hypot(north - n, east - e) - radius > _asked(zones, z, hull_m, sd_m, error_m):
-            exits[z, 0] = 0.0
-            continue
-        now[z], mn, me, qn, qe = nearest(zones, z, north, east)
-        if now[z] >= 0.0:
-            exits[z, 0] = 0.0
-        elif exits[z, 0] == 0.0:
-            exits[z, 0], exits[z, 1], exits[z, 2], exits[z, 3] = 1.0, mn, me, mn * qn + me * qe
-        lacking += now[z] < _asked(zones, z, hull_m, sd_m, error_m)
-        lacking_margin += now[z] < hull_m + zones.margin[z]
-    for z in range(Z):
-        asked = _asked(zones, z, hull_m, sd_m, error_m)
-        if lacking > 1 and now[z] < asked:
-            least = hull_m + zones.margin[z] if lacking_margin < 2 else hull_m * (1.0 + SLACK)
-            kept = min(max(need[z], now[z] - ROOM * hull_m), now[z] + SLACK * hull_m)
-            asked = min(asked, max(kept, least))
-        need[z] = asked
+    asked = hull_m + np.maximum(zones.margin, SD_FACTOR * sd_m) + error_m  # by each zone where it is alone
+    now = clearances(zones, np.array([[north, east]]))[0]
+    exits[now >= 0.0, 0] = 0.0
+    for z in np.flatnonzero((now < 0.0) & (exits[:, 0] == 0.0)).tolist():
+        _, mn, me, qn, qe = nearest(zones, z, north, east)
+        exits[z] = 1.0, mn, me, mn * qn + me * qe
+    lacks = now < asked
+    lacking = int(lacks.sum())
+    need_before, need[:] = need.copy(), asked
+    if lacking > 1:
+        margin_m = hull_m + zones.margin
+        least = margin_m if (now < margin_m).sum() < 2 else hull_m * (1.0 + SLACK)
+        kept = np.minimum(np.maximum(need_before, now - ROOM * hull_m), now + SLACK * hull_m)
+        need[lacks] = np.minimum(asked, np.maximum(kept, least))[lacks]
     return lacking
-
-
-@jit
-def _asked(zones: Zones, z: int, hull_m: float, sd_m: float, error_m: float) -> float:
-    """Return what a zone asks for where it is alone (m)."""
-    return float(hull_m + max(zones.margin[z], SD_FACTOR * sd_m) + error_m)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.geofence.zones import Zones, are_clear, clearance
+from ltv_mpc.geofence.zones import Zones, are_clear, nearest
 from ltv_mpc.jit import jit, jit_outlined
 from ltv_mpc.messages import Array
 
@@ -74,7 +74,7 @@ class Router:
         self._lengths = np.full((len(self.nodes), len(self.nodes)), np.nan)  # filled where a search needs them
         self._way = np.empty((0, 2))
         self._goal = np.full(2, np.nan)  # of the search that is kept, as a point keeps it for many cycles
-        self._from_goal = _begin(zones, self.need, self.nodes[:0], self._goal)
+        self._from_goal = Search(np.empty(0), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_))
 
     def serves(self, need: Array) -> bool:
         """Return True if the ways suit other required clearances: at most 5 cm too near, and not a quarter too far.
@@ -83,7 +83,7 @@ class Router:
         ----------
         need : (Z,) required clearance (m).
         """
-        return bool(_suits(self.need, need))
+        return bool(((0.8 * self.need <= need) & (need <= self.need + 0.05)).all())
 
     def is_blocked(self, start: Array, end: Array) -> bool:
         """Return True if the line between two points comes too near to a zone.
@@ -102,7 +102,10 @@ class Router:
         start : (2,) north and east (m).
         points : (K, 2) north and east (m), in order.
         """
-        return bool(_chain_is_blocked(self.zones, self.need, start, points))
+        chain = np.vstack([start, points])
+        moves = (chain[1:] != chain[:-1]).any(axis=1)
+        moves[:1] = True
+        return any(self.is_blocked(*chain[k : k + 2]) for k in np.flatnonzero(moves))
 
     def way(self, start: Array, goal: Array, *, remember: bool = True) -> Array:
         """Return the way from a point to another: the nodes on it and the goal, (K, 2) in m.
@@ -134,12 +137,12 @@ class Router:
             return start[None]
         if not np.array_equal(goal, self._goal):
             self._goal = goal.copy()
-            self._from_goal = _begin(self.zones, self.need, nodes, goal)
+            self._from_goal = self._begin(goal)
         k = _search(self.zones, self.need, self._lengths, nodes, self._from_goal, start)
         if k >= 0:
             return np.vstack([nodes[self._from_goal.chain(k)], goal])
         # No way: to the node that can be reached and is nearest to the goal.
-        from_start = _begin(self.zones, self.need, nodes, start)
+        from_start = self._begin(start)
         _search(self.zones, self.need, self._lengths, nodes, from_start, goal)  # to its end: the goal is not reached
         near = np.where(np.isfinite(from_start.length), np.hypot(*(nodes - goal).T), np.inf)
         k = int(np.argmin(near))
@@ -147,6 +150,11 @@ class Router:
             return start[None]
         way: Array = nodes[from_start.chain(k)[::-1]]
         return way
+
+    def _begin(self, point: Array) -> Search:
+        """Return a search from a point that has looked at the nodes which the point sees."""
+        length = _seen_from(self.zones, self.need, self.nodes, point)
+        return Search(length, np.full(len(length), -1), np.zeros(len(length), dtype=np.bool_))
 
     def _shortened(self, start: Array, goal: Array) -> Array | None:
         """Return the last way, from its farthest point that is seen from the start; None if it is no way any more."""
@@ -157,15 +165,6 @@ class Router:
             if not self.is_blocked(start, last[k]):
                 return np.vstack([last[k:], goal])
         return None
-
-
-@jit
-def _suits(own: Array, need: Array) -> bool:
-    """Return True if every required clearance (Z,) is near enough to a router's own."""
-    suits = True
-    for z in range(len(own)):
-        suits &= 0.8 * own[z] <= need[z] <= own[z] + 0.05
-    return suits
 
 
 def _length(start: Array, way: Array) -> float:
@@ -193,13 +192,6 @@ def _nodes(zones: Zones, need: Array):  # type: ignore[no-untyped-def]
                 angle = outward[i - 1] + turn * (j + 0.5) / count
                 size = reach / math.cos(0.5 * turn / count)
                 yield ring[i] + size * np.array([math.cos(angle), math.sin(angle)])
-
-
-@jit
-def _begin(zones: Zones, need: Array, nodes: Array, point: Array) -> Search:
-    """Return a search from a point that has looked at the nodes which the point sees."""
-    length = _seen_from(zones, need, nodes, point)
-    return Search(length, np.full(len(nodes), -1), np.zeros(len(nodes), dtype=np.bool_))
 
 
 @jit
@@ -245,19 +237,6 @@ def _search(zones: Zones, need: Array, lengths: Array, nodes: Array, of: Search,
                 of.length[i], of.before[i] = of.length[best] + lengths[best, i], best
 
 
-@jit
-def _chain_is_blocked(zones: Zones, need: Array, start: Array, points: Array) -> bool:
-    """Return True if the line from a point through others is blocked."""
-    n, e = start[0], start[1]
-    for k in range(len(points)):
-        if (k == 0 or n != points[k, 0] or e != points[k, 1]) and is_blocked(
-            zones, need, n, e, points[k, 0], points[k, 1]
-        ):
-            return True
-        n, e = points[k, 0], points[k, 1]
-    return False
-
-
 @jit_outlined
 def is_blocked(zones: Zones, need: Array, n0: float, e0: float, n1: float, e1: float) -> bool:
     """Return True if the line between two points comes nearer to a zone than the required clearance.
@@ -288,7 +267,7 @@ def is_blocked(zones: Zones, need: Array, n0: float, e0: float, n1: float, e1: f
             if max(across, across_j) < -reach or min(across, across_j) > reach:
                 continue
             if np.isnan(least):
-                least = min(need[z], clearance(zones, z, n0, e0), clearance(zones, z, n1, e1)) - SLACK_M
+                least = min(need[z], nearest(zones, z, n0, e0)[0], nearest(zones, z, n1, e1)[0]) - SLACK_M
                 if least <= -SLACK_M:
                     break
                 least = max(least, 0.0)
@@ -297,7 +276,11 @@ def is_blocked(zones: Zones, need: Array, n0: float, e0: float, n1: float, e1: f
             if end - begin > 1:
                 if _from_line(n0, e0, a, b, c, d) < least or _from_line(n1, e1, a, b, c, d) < least:
                     return True
-                if _crosses(a, b, c, d, n0, e0, n1, e1):
+                # the lines cross if the ends of each lie on both sides of the other
+                first, second = (c - a) * (e0 - b) - (d - b) * (n0 - a), (c - a) * (e1 - b) - (d - b) * (n1 - a)
+                third = (n1 - n0) * (b - e0) - (e1 - e0) * (a - n0)
+                fourth = (n1 - n0) * (d - e0) - (e1 - e0) * (c - n0)
+                if first * second < 0.0 and third * fourth < 0.0:
                     return True
     return False
 
@@ -309,13 +292,3 @@ def _from_line(n: float, e: float, n0: float, e0: float, n1: float, e1: float) -
     square = dn * dn + de * de
     part = min(max(((n - n0) * dn + (e - e0) * de) / square, 0.0), 1.0) if square > 0.0 else 0.0
     return float(np.hypot(n - n0 - part * dn, e - e0 - part * de))
-
-
-@jit
-def _crosses(a: float, b: float, c: float, d: float, n0: float, e0: float, n1: float, e1: float) -> bool:
-    """Return True if the line from (a, b) to (c, d) crosses that from (n0, e0) to (n1, e1)."""
-    first = (c - a) * (e0 - b) - (d - b) * (n0 - a)
-    second = (c - a) * (e1 - b) - (d - b) * (n1 - a)
-    third = (n1 - n0) * (b - e0) - (e1 - e0) * (a - n0)
-    fourth = (n1 - n0) * (d - e0) - (e1 - e0) * (c - n0)
-    return first * second < 0.0 and third * fourth < 0.0

@@ -114,19 +114,6 @@ def _edge_normal(zones: Zones, i: int, j: int) -> tuple[float, float, float, flo
 
 
 @jit
-def clearance(zones: Zones, z: int, north: float, east: float) -> float:
-    """Return the distance of a point from one zone (m): positive on the allowed side.
-
-    Parameters
-    ----------
-    zones : zones of the fence.
-    z : number of the zone.
-    north, east : point (m).
-    """
-    return nearest(zones, z, north, east)[0]
-
-
-@jit
 def clearances(zones: Zones, points: Array) -> Array:
     """Return the clearance (P, Z) in m of every point from every zone.
 
@@ -157,7 +144,7 @@ def are_clear(zones: Zones, need: Array, points: Array) -> npt.NDArray[np.bool_]
         n, e = points[k, 0], points[k, 1]
         for z in range(len(need)):
             from_circle = np.hypot(n - zones.circle[z, 0], e - zones.circle[z, 1]) - zones.circle[z, 2]
-            if from_circle < need[z] and clearance(zones, z, n, e) < need[z]:
+            if from_circle < need[z] and nearest(zones, z, n, e)[0] < need[z]:
                 clear[k] = False
                 break
     return clear

@@ -17,7 +17,7 @@ moment is left out: a lost thrust is one. If the thrusters deliver (1 - l_i) of 
 q and p are the noise of the change of velocity and yaw rate, and s^2 is the variance of the error of the estimated
 change of velocity (``velocity_change_variance``). The noise P_r of the yaw rate is new in each estimate and enters two
 successive e_n with opposite signs. So the sum of e_n over a window contains only the noise of its first and its last
-estimate (``thrust_loss_detector.whiten``).
+estimate (``thrust_loss_detector.whitened``).
 
 The alarm is raised at ``ALARM_NATS`` of evidence that l has grown, beyond what 10 % of mismatch and the behaviour so
 far explain (``thrust_loss_detector.py``). While the alarm is on, the behaviour so far is not updated.

@@ -41,16 +41,19 @@ class ThrustImpulse:
         t_ns : vehicle time (ns). What is not newer than the last is ignored.
         thrust_N : of port, starboard and vertical (N).
         """
-        if not len(self.rows):
+        rows = self.rows
+        if not len(rows):
             self._origin_ns = t_ns
-        t, row, rows = self.seconds(t_ns), np.zeros((1, 5)), self.rows
-        row[0, :3] = t, thrust_N[0], thrust_N[1]
+        t, port, starboard = self.seconds(t_ns), float(thrust_N[0]), float(thrust_N[1])
+        row = [t, port, starboard, 0.0, 0.0]
         if len(rows):
-            if t <= rows[-1, 0]:
+            t0, port0, starboard0, *impulse = rows[-1].tolist()
+            if t <= t0:
                 return
-            row[0, 3:] = rows[-1, 3:] + 0.5 * (t - rows[-1, 0]) * (rows[-1, 1:3] + row[0, 1:3])
-            rows = rows[max(int(np.searchsorted(rows[:, 0], t - self._kept_s, side="right")) - 1, 0) :]
-        self.rows = np.concatenate([rows, row])
+            row[3] = impulse[0] + 0.5 * (t - t0) * (port0 + port)
+            row[4] = impulse[1] + 0.5 * (t - t0) * (starboard0 + starboard)
+            rows = rows[max(int(rows[:, 0].searchsorted(t - self._kept_s, "right")) - 1, 0) :]
+        self.rows = np.concatenate([rows, [row]])
 
     def until(self, t_ns: int) -> Pair | None:
         """Return the impulses (N s) up to ``t_ns``; None before the oldest thrusts that are kept.

@@ -29,12 +29,11 @@ Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); here the unknowns are 
 
 from __future__ import annotations
 
-import math
 from typing import TypeAlias
 
 import numpy as np
 
-from ltv_mpc.jit import jit, jit_outlined
+from ltv_mpc.jit import jit_outlined
 from ltv_mpc.messages import Array, Pair
 
 MISMATCH = 0.1
@@ -168,29 +167,19 @@ class ThrustLossDetector:
         return recovery_gain(self._rows[0], self._past, np.array(loss))
 
 
-@jit_outlined
-def _clip_row(row: Array, axis: int, explained: float, out: Array) -> None:
-    """Write z and the five phi of one axis of a cycle's row (7, 2) into out (6,), with z limited.
+def _clipped(rows: Array, explained: float) -> Array:
+    """Return z and the five phi (n, 6, 2) of cycles (n, 7, 2), with z limited.
 
     z exceeds what mismatch and a loss of the share ``explained`` explain by at most ``MAX_SIGMAS``: one outlier of the
     estimate is no evidence, and a lasting loss shows in several cycles.
     """
-    reach = MAX_SIGMAS + explained * (abs(row[1, axis]) + abs(row[2, axis]))
-    for i in range(SIZE - 1):
-        out[1 + i] = row[1 + i, axis]
-        reach += abs(row[1 + i, axis]) * _MAX_MISMATCH[i]
-    out[0] = min(max(row[0, axis], -reach), reach)
+    share = _MAX_MISMATCH + explained * np.array([1.0, 1.0, 0.0, 0.0, 0.0])
+    reach = MAX_SIGMAS + np.einsum("i,nia->na", share, np.abs(rows[:, 1:SIZE]))
+    out: Array = rows[:, :SIZE].copy()
+    out[:, 0] = np.clip(out[:, 0], -reach, reach)
+    return out
 
 
-@jit_outlined
-def _add_products(y: Array, products: Array) -> None:
-    """Add y y' to the products (6, 6)."""
-    for i in range(SIZE):
-        for j in range(SIZE):
-            products[i, j] += y[i] * y[j]
-
-
-@jit
 def accumulate(past: Array, row: Array) -> None:
     """Add a cycle that leaves the longest window to the products of z and the five phi, in place.
 
@@ -199,51 +188,27 @@ def accumulate(past: Array, row: Array) -> None:
     past : (6, 6) products, which decay with ``MEMORY_CYCLES``.
     row : (7, 2) row of the cycle, as in ``evaluate``.
     """
-    out = np.empty(SIZE)
-    for i in range(SIZE):
-        for j in range(SIZE):
-            past[i, j] *= 1.0 - 1.0 / MEMORY_CYCLES
-    for axis in range(2):
-        _clip_row(row, axis, 0.0, out)
-        _add_products(out, past)
+    (y,) = _clipped(row[None], 0.0)
+    past *= 1.0 - 1.0 / MEMORY_CYCLES
+    past += y @ y.T
 
 
-@jit_outlined
-def _window_products(rows: Array, past: Array, explained: float) -> tuple[Array, Array, int]:
-    """Return the products (W, 6, 6) within each window, those before each, and the number of windows.
+def _quadratic_forms(rows: Array, past: Array, explained: float) -> Array:
+    """Return ``quadratic_form`` (W, 8, 8) of the windows that the cycles fill.
 
     Parameters
     ----------
     rows, past : as in ``evaluate``.
-    explained : as in ``_clip_row``.
+    explained : as in ``_clipped``.
     """
-    n = rows.shape[0]
-    surge, yaw = np.empty((n, SIZE)), np.empty((n, SIZE))
-    fresh = True
-    for k in range(n):
-        _clip_row(rows[k], 0, explained, surge[k])
-        _clip_row(rows[k], 1, explained, yaw[k])
-        fresh = fresh and rows[k, SIZE, 1] != 0.0
-    if fresh:
-        whiten(yaw)
-    within, before = np.empty((len(WINDOWS), SIZE, SIZE)), np.empty((len(WINDOWS), SIZE, SIZE))
-    total, products = past.copy(), np.zeros((SIZE, SIZE))
-    for k in range(n):
-        _add_products(surge[k], total)
-        _add_products(yaw[k], total)
-    windows = 0
-    for k in range(n):
-        _add_products(surge[k], products)
-        _add_products(yaw[k], products)
-        if k + 1 == WINDOWS[windows]:
-            for i in range(SIZE):
-                for j in range(SIZE):
-                    within[windows, i, j], before[windows, i, j] = products[i, j], total[i, j] - products[i, j]
-            windows += 1
-    return within, before, windows
+    y = _clipped(rows, explained)
+    if rows[:, SIZE, 1].all():
+        y[:, :, 1] = whitened(y[:, :, 1])
+    products = (y @ y.transpose(0, 2, 1)).reshape(-1, SIZE * SIZE)
+    within = np.tri(len(rows))[[length - 1 for length in WINDOWS if length <= len(rows)]] @ products
+    return quadratic_form(within, past.ravel() + products.sum(axis=0) - within)
 
 
-@jit
 def evaluate(rows: Array, past: Array) -> tuple[float, float, float]:
     """Return the evidence (nats), and the most likely lost shares of the thrust of port and starboard.
 
@@ -252,27 +217,19 @@ def evaluate(rows: Array, past: Array) -> tuple[float, float, float]:
     rows : (n, 7, 2) cycles (``Row``), the newest first.
     past : (6, 6) products of the cycles before, by ``accumulate``.
     """
-    within, before, windows = _window_products(rows, past, 0.0)
-    evidence, best = 0.0, -1
-    for k in range(windows):
-        F = quadratic_form(within[k], before[k])
-        gain = 0.5 * (smallest(F, 0.0, 0.0)[0] - smallest(F, 1.0, 1.0)[0])
-        if gain > evidence:
-            evidence, best = gain, k
-    if best < 0:
+    forms = _quadratic_forms(rows, past, 0.0)
+    gains = 0.5 * (smallest(forms, 0.0, 0.0) - smallest(forms, 1.0, 1.0))[:, 0]
+    evidence = float(gains.max(initial=0.0))
+    if not evidence > 0.0:
         return 0.0, 0.0, 0.0
-    within, before, windows = _window_products(rows, past, 1.0)  # a large loss is not an outlier
-    F = quadratic_form(within[best], before[best])
-    least, port, starboard = smallest(F, 1.0, 1.0)
-    least += 2.0 * ONE_THRUSTER_NATS
-    for i in range(2):
-        f, l1, l2 = smallest(F, 1.0 - i, float(i))
-        if f < least:
-            least, port, starboard = f, l1, l2
+    best = int(gains.argmax())
+    F = _quadratic_forms(rows, past, 1.0)[best : best + 1]  # a large loss is not an outlier
+    found = np.concatenate([smallest(F, 1.0, 1.0), smallest(F, 1.0, 0.0), smallest(F, 0.0, 1.0)])
+    found[0, 0] += 2.0 * ONE_THRUSTER_NATS
+    _, port, starboard = found[found[:, 0].argmin()].tolist()
     return evidence, port, starboard
 
 
-@jit
 def recovery_gain(row: Array, past: Array, loss: Array) -> float:
     """Return the log-likelihood ratio (nats) of no loss against a loss in one cycle, at most ``MAX_GAIN_NATS``.
 
@@ -284,67 +241,55 @@ def recovery_gain(row: Array, past: Array, loss: Array) -> float:
     past : (6, 6) products of the cycles before the loss.
     loss : (2,) lost shares of port and starboard.
     """
-    F = quadratic_form(past, np.zeros((SIZE, SIZE)))
-    x, low, high, y = np.zeros(7), np.zeros(7), np.zeros(7), np.empty(SIZE)
-    for i in range(5):
-        low[i], high[i] = LOWEST[i, MIDDLE], HIGHEST[i, MIDDLE]
-    constrained_minimum(F, low, high, x)
-    gain = 0.0
-    for axis in range(2):
-        _clip_row(row, axis, 1.0, y)
-        lost = loss[0] * y[1] + loss[1] * y[2]
-        residual = y[0] - (x[0] + x[1]) * y[1] - (x[0] - x[1]) * y[2] - x[2] * y[3] - x[3] * y[4] - x[4] * y[5]
-        gain += 0.5 * ((residual - lost) ** 2 - residual**2)
+    x, low, high = np.zeros((3, 7))
+    low[:5], high[:5] = LOWEST[:, MIDDLE], HIGHEST[:, MIDDLE]
+    constrained_minimum(quadratic_form(past.reshape(1, -1), np.zeros((1, SIZE * SIZE)))[0], low, high, x)
+    ((z, *phi),) = _clipped(row[None], 1.0)
+    residual = z - x[:5] @ _MIX[1:6, 1:] @ phi
+    gain = 0.5 * float(np.sum((residual - loss @ phi[:2]) ** 2 - residual**2))
     return min(gain, MAX_GAIN_NATS)
 
 
 @jit_outlined
-def smallest(F: Array, port_max: float, starboard_max: float) -> tuple[float, float, float]:
-    """Return the minimum of f over x and over d within bounds, and there the lost shares d of both thrusters.
+def smallest(forms: Array, port_max: float, starboard_max: float) -> Array:
+    """Return for each form the minimum of f over x and over d within bounds, and there the lost shares d (W, 3).
 
     Parameters
     ----------
-    F : (8, 8) quadratic form.
+    forms : (W, 8, 8) quadratic forms.
     port_max, starboard_max : upper bounds of d; the lower bounds are zero.
     """
-    x, low, high = np.zeros(7), np.zeros(7), np.empty(7)
-    high[5], high[6] = port_max, starboard_max
-    least, port, starboard = np.inf, 0.0, 0.0
-    for k in range(LOWEST.shape[1]):
-        for i in range(5):
-            low[i], high[i] = LOWEST[i, k], HIGHEST[i, k]
-        f = constrained_minimum(F, low, high, x)
-        if f < least:
-            least, port, starboard = f, x[5], x[6]
-    return least, port, starboard
+    out = np.empty((len(forms), 3))
+    for w in range(len(forms)):
+        x, low, high = np.zeros(7), np.zeros(7), np.empty(7)
+        high[5], high[6] = port_max, starboard_max
+        out[w, 0] = np.inf
+        for k in range(LOWEST.shape[1]):
+            for i in range(5):
+                low[i], high[i] = LOWEST[i, k], HIGHEST[i, k]
+            f = constrained_minimum(forms[w], low, high, x)
+            if f < out[w, 0]:
+                out[w, 0], out[w, 1], out[w, 2] = f, x[5], x[6]
+    return out
 
 
-@jit_outlined
+_WITHOUT_LOSS = _MIX * (np.arange(8.0) < 6.0)[:, None]
+_OF_WINDOW, _OF_PAST = np.kron(_MIX, _MIX).T, PAST_WEIGHT * np.kron(_WITHOUT_LOSS, _WITHOUT_LOSS).T
+"""Coefficients of the entries of F in the products within a window, and before it, where d does not act."""
+
+_PRIOR = np.diag([0.0] + 7 * [1.0 / (PRIOR_SD * PRIOR_SD)])
+
+
 def quadratic_form(window: Array, past: Array) -> Array:
-    """Return F (8, 8) with f = [1, -x]' F [1, -x], x = [c, s, b, g_1, g_2, d_1, d_2].
+    """Return F (W, 8, 8) with f = [1, -x]' F [1, -x], x = [c, s, b, g_1, g_2, d_1, d_2].
 
     Parameters
     ----------
-    window : (6, 6) products of z and the five phi within the window.
-    past : (6, 6) the same before it.
+    window : (W, 36) products (6, 6) of z and the five phi within each window.
+    past : (W, 36) the same before it.
     """
-    F = np.zeros((8, 8))
-    _add_mixed(F, window, 1.0, 8)
-    _add_mixed(F, past, PAST_WEIGHT, 6)
-    for i in range(1, 8):
-        F[i, i] += 1.0 / (PRIOR_SD * PRIOR_SD)
-    return F
-
-
-@jit_outlined
-def _add_mixed(F: Array, products: Array, weight: float, size: int) -> None:
-    """Add weight M products M' to the first rows and columns of F, with M the first rows of ``_MIX``."""
-    for i in range(size):
-        for a in range(SIZE):
-            if _MIX[i, a] != 0.0:
-                for j in range(size):
-                    for b in range(SIZE):
-                        F[i, j] += weight * _MIX[i, a] * products[a, b] * _MIX[j, b]
+    forms: Array = (window @ _OF_WINDOW + past @ _OF_PAST).reshape(-1, 8, 8) + _PRIOR
+    return forms
 
 
 @jit_outlined
@@ -380,21 +325,32 @@ def constrained_minimum(F: Array, low: Array, high: Array, x: Array) -> float:
     return float(f)
 
 
-@jit_outlined
-def whiten(y: Array) -> None:
-    """Turn rows (n, m) whose noise is w_k - w_(k+1), w white, into rows with white noise of unit variance, in place.
+def _whitening(n: int) -> Array:
+    """Return the inverse (n, n) of the Cholesky factor of the covariance of w_k - w_(k+1), w white.
 
-    It applies the inverse of the Cholesky factor of the covariance, L_kk = sqrt((k + 1) / 2 k), L_k(k-1) =
-    - sqrt((k - 1) / 2 k), k = 1 .. n. The first rows do not depend on the number of rows that follow.
+    L_kk = sqrt((k + 1) / 2 k), L_k(k-1) = - sqrt((k - 1) / 2 k), k = 1 .. n.
     """
-    for k in range(2, len(y) + 1):
-        for j in range(y.shape[1]):
-            y[k - 1, j] = (y[k - 1, j] + math.sqrt((k - 1) / (2 * k)) * y[k - 2, j]) / math.sqrt((k + 1) / (2 * k))
+    k = np.arange(1.0, n + 1.0)
+    inverse: Array = np.linalg.inv(
+        np.diag(np.sqrt((k + 1) / (2 * k))) - np.diag(np.sqrt((k[1:] - 1) / (2 * k[1:])), -1)
+    )
+    return inverse
+
+
+WHITENING = _whitening(WINDOWS[-1])
+
+
+def whitened(y: Array) -> Array:
+    """Turn rows (n, m) whose noise is w_k - w_(k+1), w white, into rows with white noise of unit variance.
+
+    The first rows do not depend on the number of rows that follow.
+    """
+    n = len(y)
+    return WHITENING[:n, :n] @ y
 
 
 def warm_up() -> None:
     """Compile the kernels."""
-    rows, past = np.zeros((2, SIZE + 1, 2)), np.zeros((SIZE, SIZE))
-    accumulate(past, rows[1])
-    evaluate(rows, past)
-    recovery_gain(rows[0], past, np.zeros(2))
+    forms = np.zeros((1, 8, 8)) + _PRIOR
+    smallest(forms, 1.0, 1.0)
+    constrained_minimum(forms[0], np.zeros(7), np.zeros(7), np.zeros(7))

@@ -68,6 +68,8 @@ class VehicleFileCheck:
         fit : what the motion says of reference point, model and stamps.
         bounded : the learned current is at its bound.
         """
+        if not bounded and not self._since_ns and not fit.certain.any():
+            return
         errors = dict(_errors(fit))
         if bounded:
             errors[BOUNDED] = f"{BOUNDED}: check estimates, thrusters and vehicle file"

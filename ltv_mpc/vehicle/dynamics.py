@@ -141,7 +141,6 @@ def slopes(u: float, v: float, psi: float, r: float, crn: float, cre: float, p: 
     )
 
 
-@jit
 def derivative(x: Array, F: Array, c: Array, cr: Array, p: Coefficients, dx: Array) -> None:
     """Write dx = f(x, F, c, cr).
 
@@ -156,7 +155,6 @@ def derivative(x: Array, F: Array, c: Array, cr: Array, p: Coefficients, dx: Arr
     dx[0], dx[1], dx[2], dx[3], dx[4], dx[5] = rates(x[2], x[3], x[4], x[5], F[0], F[1], c[0], c[1], cr[0], cr[1], p)
 
 
-@jit
 def jacobian(x: Array, cr: Array, p: Coefficients, J: Array) -> None:
     """Write J = df/dx. The columns of the position are zero.
 
@@ -177,7 +175,6 @@ def jacobian(x: Array, cr: Array, p: Coefficients, J: Array) -> None:
     J[R, U], J[R, V], J[R, R] = s.r_u, s.r_v, s.r_r
 
 
-@jit
 def thrust_gain(p: Coefficients, G: Array) -> None:
     """Write G = df/dF, which does not depend on the state.
 

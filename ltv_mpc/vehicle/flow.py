@@ -97,7 +97,9 @@ def delivered(lag: Array, m: int, X: Array, u0: Array, uh: Array) -> tuple[float
 
 
 @jit
-def advance_stage(X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float, p: Coefficients, out: Array) -> None:
+def advance_stage(
+    X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float, p: Coefficients, lag: Array, out: Array
+) -> None:
     """Write out = flow(X, u(0), u(h)) over one stage.
 
     Parameters
@@ -107,25 +109,7 @@ def advance_stage(X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float
     c0, ch : (2,) current at the start and the end, north and east (m/s).
     h : length of the stage (s).
     p : coefficients of the vehicle.
-    out : (8,) output, the state at the end.
-    """
-    advance_by(X, u0, uh, c0, ch, h, p, lag_table(h, p), out)
-
-
-@jit
-def advance_by(
-    X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float, p: Coefficients, lag: Array, out: Array
-) -> None:
-    """Write out = flow(X, u(0), u(h)) as ``advance_stage``, with a lag table that stages of one length share.
-
-    Parameters
-    ----------
-    X : (8,) state at the start.
-    u0, uh : (2,) commands at the start and the end (N).
-    c0, ch : (2,) current at the start and the end, north and east (m/s).
-    h : length of the stage (s).
-    p : coefficients of the vehicle.
-    lag : ``lag_table(h, p)``.
+    lag : ``lag_table(h, p)``, which stages of one length share.
     out : (8,) output, the state at the end.
     """
     steps = (len(lag) - 1) // 2

@@ -15,7 +15,7 @@ import numpy as np
 
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import rates
-from ltv_mpc.vehicle.flow import STATES, advance_stage
+from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STEP_S = 0.05
@@ -238,6 +238,7 @@ class _StillWaterMotion:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._p = vehicle.coefficients()
+        self._lag = lag_table(STEP_S, self._p)
         self._change = STEP_S * np.array([t.slew_N_per_s for t in vehicle.thrusters[:2]])
         self.X = np.zeros(STATES)
         self.U = np.zeros(2)
@@ -252,7 +253,7 @@ class _StillWaterMotion:
         """
         U = self.U + np.clip(F - self.U, -self._change, self._change)
         out = np.empty(STATES)
-        advance_stage(self.X, self.U, U, STILL, STILL, STEP_S, self._p, out)
+        advance_stage(self.X, self.U, U, STILL, STILL, STEP_S, self._p, self._lag, out)
         self.X, self.U = out, U
         self.t_s += STEP_S
 

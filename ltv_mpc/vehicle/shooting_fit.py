@@ -27,7 +27,7 @@ import numpy as np
 
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Times
-from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_weights
+from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table, lag_weights
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady_speed
 
@@ -336,7 +336,7 @@ def _shoot(p: Coefficients, scale: float, series: _Series, edges: Times, start: 
                 h = t[k + 1] - t[k]
                 X[4], X[6], X[7] = heading[k], F[k, 0], F[k, 1]
                 c1[0], c1[1] = h * shear[k, 0], h * shear[k, 1]
-                advance_stage(X, scale * command[k], scale * command[k + 1], c0, c1, h, p, out)
+                advance_stage(X, scale * command[k], scale * command[k + 1], c0, c1, h, p, lag_table(h, p), out)
                 X[:] = out
 
 

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import ItemsView
-from typing import NamedTuple
+from functools import cached_property
 
+from ltv_mpc.messages import Message
+from services.bus.message_validation import valid_message
 from services.bus.topics import Topic
+from services.bus.wire import Header
 
 
-class LatestFrame(NamedTuple):
-    """Received frame, not decoded yet."""
+class LatestFrame:
+    """Received frame."""
 
-    topic: Topic
-    payload: bytes
-    arrived_s: float  # monotonic
+    def __init__(self, topic: Topic, key: str, payload: bytes) -> None:
+        self.topic, self.key, self.payload = topic, key, payload
+        self.arrived_s = time.monotonic()
+
+    @cached_property
+    def decoded(self) -> tuple[Message, Header] | None:
+        """Message and header, decoded when they are first read; None if the frame is invalid."""
+        return valid_message(self.topic, self.key, self.payload)
 
 
 class LatestCache:
@@ -28,13 +35,13 @@ class LatestCache:
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
         """Replace the frame of a key; called on Zenoh's thread."""
         if topic is not None:
-            self.arrived_s = time.monotonic()
-            self._frames[key] = LatestFrame(topic, payload, self.arrived_s)
+            frame = self._frames[key] = LatestFrame(topic, key, payload)
+            self.arrived_s = frame.arrived_s
 
     def get(self, key: str) -> LatestFrame | None:
         """Return the newest frame of a key, or None."""
         return self._frames.get(key)
 
-    def items(self) -> ItemsView[str, LatestFrame]:
-        """Return the newest frames of all keys, as a copy."""
-        return self._frames.copy().items()
+    def frames(self) -> list[LatestFrame]:
+        """Return the newest frames of all keys."""
+        return list(self._frames.copy().values())

@@ -1,8 +1,8 @@
 """Generator of ``docs/protocol.md`` and of the schemas: prose from ``protocol.md`` here, tables from the code.
 
-A line ``{{name}}`` in the prose is replaced by a table: ``{{topics}}``, ``{{header}}``, ``{{fields KEY}}`` (the
-message on that key), ``{{part NAME}}`` (a struct inside a message), ``{{rest}}`` (all messages that the prose does
-not name). Three names stand for limits inside a sentence.
+A line ``{{name}}`` in the prose is replaced by a table: ``{{header}}``, ``{{fields KEY}}`` (the message on that key),
+``{{part NAME}}`` (a struct inside a message), ``{{topics}}`` (the topics that have a table of fields), ``{{rest}}``
+(all others: a line each, with the schema). ``{{most}}`` is a limit inside a sentence.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from services.bus.wire import MAX_PAYLOAD_BYTES, Header
 
 PAGE = "protocol.md"
 SCHEMAS = "schemas"
+HEAD = ("key", "period", "written by")
 BAR = "\\|"  # inside a cell
 
 
@@ -37,61 +38,47 @@ def page() -> str:
     """Return the protocol page."""
     prose = resources.files("services.bus").joinpath(PAGE).read_text(encoding="utf-8")
     named = re.findall(r"\{\{fields ([\w/]+)\}\}", prose)
-    rest = [topic for topic in TOPICS if topic.key not in named]
-    return re.sub(r"\{\{(\w+) ?([\w/]*)\}\}", lambda match: _table(match[1], match[2], rest), prose)
+    return re.sub(r"\{\{(\w+) ?([\w/]*)\}\}", lambda match: _table(match[1], match[2], named), prose)
 
 
-def _table(name: str, argument: str, rest: Iterable[Topic]) -> str:
+def _table(name: str, argument: str, named: Iterable[str]) -> str:
     match name:
-        case "rest":
-            return "\n\n".join(map(_message, rest))
         case "topics":
-            return _topics()
+            rows = [(*_row(t, f"#{_key(t)}"), _who(t.read_by), t.delivery.value) for t in TOPICS if t.key in named]
+            return _markdown((*HEAD, "read by", "delivery"), rows)
+        case "rest":
+            rest = [topic for topic in TOPICS if topic.key not in named]
+            return _markdown(
+                (*HEAD, "content"), [(*_row(t, _schema(t)), re.split(r"\.(?:\s|$)", _about(t))[0]) for t in rest]
+            )
         case "header":
             return _fields(fields(Header))
         case "fields":
-            return _message(BY_KEY[argument])
+            topic = BY_KEY[argument]
+            table = _fields(fields(topic.message_type))
+            return f"### `{_key(topic)}`\n\n{_about(topic)} [Schema]({_schema(topic)})\n\n{table}"
         case "part":
-            kind = getattr(messages, argument)
-            return f"{_about(kind)}\n\n{_fields(fields(kind))}"
+            return _fields(fields(getattr(messages, argument)))
         case "most":
             return f"{MAX_PAYLOAD_BYTES:,}"
     raise ValueError(f"{name}: no such table")
 
 
-def _topics() -> str:
-    rows = [
-        (
-            f"[`{_key(topic)}`](#{_anchor(topic)})",
-            _rate(topic),
-            topic.delivery.value,
-            _who((topic.written_by,)),
-            _who(topic.read_by),
-        )
-        for topic in TOPICS
-    ]
-    return _markdown(("key", "period", "delivery", "written by", "read by"), rows)
+def _row(topic: Topic, link: str) -> tuple[str, ...]:
+    return f"[`{_key(topic)}`]({link})", _rate(topic), _who((topic.written_by,))
 
 
-def _message(topic: Topic) -> str:
-    kind = topic.message_type
-    facts = f"{_rate(topic)}; {topic.delivery.value}; written by {_who((topic.written_by,))}"
-    read = f", read by {_who(topic.read_by)}" if topic.read_by else ""
-    link = f"[schema]({SCHEMAS}/{kind.__name__}.json)"
-    return f"#### `{_key(topic)}`\n\n{_about(kind)} *{facts}{read}.* {link}\n\n{_fields(fields(kind))}"
+def _schema(topic: Topic) -> str:
+    return f"{SCHEMAS}/{topic.message_type.__name__}.json"
 
 
-def _about(kind: type) -> str:
-    return cleandoc(kind.__doc__ or "").replace("``", "`").replace("\n", " ").replace("  ", "\n\n")
+def _about(topic: Topic) -> str:
+    first = cleandoc(topic.message_type.__doc__ or "").partition("\n\n")[0]
+    return first.replace("``", "`").replace("\n", " ")
 
 
 def _key(topic: Topic) -> str:
     return f"{topic.key}/<node>" if topic.written_by == "*" else topic.key
-
-
-def _anchor(topic: Topic) -> str:
-    """Return the anchor that GitHub derives from the heading."""
-    return re.sub(r"[^a-z0-9_ -]", "", _key(topic).lower())
 
 
 def _rate(topic: Topic) -> str:
@@ -109,28 +96,27 @@ def _fields(entries: Mapping[str, Field]) -> str:
     rows = [
         (
             f"`{name}`",
-            words(field.value),
-            "yes" if field.required else "",
-            unit(field),
+            "; ".join(filter(None, (words(field.value), unit(field), "" if field.required else "optional"))),
             field.value.get("description", ""),
         )
         for name, field in entries.items()
     ]
-    return _markdown(("field", "type", "needed", "unit, bounds", "meaning"), rows)
+    return _markdown(("field", "type; unit, bounds", "meaning"), rows)
 
 
 def unit(field: Field) -> str:
-    """Return unit and bounds, as in ``m, -1e+06 to 1e+06``; empty for a field without bounded numbers."""
+    """Return unit and bounds, as in ``m, +-1e+06`` or ``m, -100 to 12000``; empty without bounds."""
     if field.bounds is None:
         return ""
-    return f"{field.bounds.unit}, {_bound(field.bounds.low)} to {_bound(field.bounds.high)}"
+    low, high = field.bounds.low, field.bounds.high
+    return f"{field.bounds.unit}, " + (f"+-{_bound(high)}" if low == -high else f"{_bound(low)} to {_bound(high)}")
 
 
 def _bound(bound: float) -> str:
     """Format a bound; limits of integers are written as powers of two."""
     for power in (48, 53, 63):
         if abs(bound) == 2**power - 1:
-            return f"{'-' if bound < 0 else ''}(2^{power} - 1)"
+            return f"{'-' if bound < 0 else ''}(2^{power}-1)"
     return f"{bound:g}"
 
 

@@ -14,7 +14,10 @@ from services.bus.mailbox import Frame
 from services.bus.wire import epoch_of
 
 LIMITED: frozenset[type[Message]] = frozenset({Estimate, Applied})
-"""Types that are limited: those from which other vehicles' publishers drive a controller, ten times a second."""
+"""Types that are limited: those from which other vehicles' publishers drive a controller, ten times a second.
+
+Frames on unknown keys are limited, too.
+"""
 
 INTERVAL_US = 10_000
 BURST_US = 500_000
@@ -32,7 +35,7 @@ class RateLimit:
 
     def admits(self, frame: Frame) -> bool:
         """Return True if a frame is within the limit of its source."""
-        if frame.topic is None or frame.topic.message_type not in LIMITED:
+        if frame.topic is not None and frame.topic.message_type not in LIMITED:
             return True
         now_us, source = frame.received_monotonic_us, (frame.key, epoch_of(frame.payload))
         due_us = self._due_us.get(source)

@@ -11,6 +11,7 @@ import stat
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ltv_mpc.config import read_bytes
 from ltv_mpc.errors import ConfigError
 
 AUTHORITY = "ca.pem"
@@ -32,9 +33,10 @@ def credentials(folder: Path, role: str) -> Credentials:
     """
     files = Credentials(folder / AUTHORITY, folder / f"{role}.pem", folder / f"{role}.key")
     for file in files:
-        if not file.is_file():
+        if not file.exists():
             problem = f"no such file; `ltv-mpc certs new {folder}` makes certificates for every role"
             raise ConfigError(f"{OPTION} {file}", "", problem)
+        read_bytes(file, what=OPTION)
     if stat.S_IMODE(files.key.stat().st_mode) & (stat.S_IRWXG | stat.S_IRWXO):
         raise ConfigError(f"{OPTION} {files.key}", "", "others may read this key: chmod 600")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)

@@ -24,6 +24,12 @@ number below this limit costs that many frames."""
 MAX_APART = 10_000
 """Largest difference of the sequence numbers of two frames that confirm each other."""
 
+MAX_PER_S = 10_000
+"""Largest number of messages a second of one source: a sequence number farther ahead is never accepted."""
+
+FAR_AHEAD = "implausibly far ahead"
+"""Begin of the reason for which a frame is rejected that the next one may confirm."""
+
 MAX_FIRST = 10
 """Largest sequence number at which another epoch is accepted at once, as that of a source that has just started."""
 
@@ -80,9 +86,12 @@ class SequenceCheck:
             raise WireError(f"out of order: sequence {header.sequence} after {last}")
         if skipped > (MAX_FIRST if another else MAX_SKIPPED):
             first, source.unconfirmed = source.unconfirmed, header
+            possible = 2 * MAX_APART + max(0, received_us - source.received_us) * MAX_PER_S // 1_000_000
+            if not another and skipped > possible:
+                raise WireError(f"impossibly far ahead: sequence {header.sequence} after {last}")
             if first is None or first.epoch != header.epoch or not 0 < header.sequence - first.sequence <= MAX_APART:
                 raise WireError(
-                    f"implausibly far ahead: sequence {header.sequence} of epoch {header.epoch}; accepted if repeated"
+                    f"{FAR_AHEAD}: sequence {header.sequence} of epoch {header.epoch}; accepted if repeated"
                 )
             skipped -= 1  # the first of the two frames was rejected, and is counted there
         if another:

@@ -23,6 +23,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -213,7 +214,8 @@ class Session:
 
         def on_query(query: zenoh.Query) -> None:
             def reply(payload: bytes, attachment: bytes | None) -> None:
-                query.reply(query.key_expr, payload, attachment=attachment)
+                with contextlib.suppress(zenoh.ZError):  # of a client that has gone
+                    query.reply(query.key_expr, payload, attachment=attachment)
                 query.drop()  # type: ignore[no-untyped-call]
 
             receiver(_bytes(query.payload), _bytes(query.attachment), reply)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import enum
 import re
+from functools import lru_cache
 
 import msgspec
 
@@ -158,6 +159,7 @@ def expression(topic: Topic) -> str:
     return f"{topic.key}/*" if topic.written_by == "*" else topic.key
 
 
+@lru_cache(4096)
 def topic_at(key: str) -> Topic | None:
     """Return the row of a key as published, or None for an unknown key."""
     topic = BY_KEY.get(key)

@@ -16,20 +16,40 @@ import typer
 from typer.core import TyperOption
 from typer.main import get_command
 
-from services.cli import measure, processes, start, vehicle
+from ltv_mpc.errors import ConfigError
+from services.cli.campaign import campaign
 from services.cli.certs import certs
 from services.cli.completion import completion
 from services.cli.ctl import ctl
 from services.cli.dashboard import dashboard
 from services.cli.dive import dive
 from services.cli.doctor import doctor
+from services.cli.localise import localise
 from services.cli.log import log
 from services.cli.mavlink import mavlink
+from services.cli.options import flag
 from services.cli.overview import overview
+from services.cli.processes import estimator, plant, recorder, router, sensors
+from services.cli.profile import profile
+from services.cli.qp import qp
 from services.cli.replay import replay
 from services.cli.report import report
 from services.cli.ros2 import ros2
+from services.cli.start import sim
+from services.cli.topics import topics
+from services.cli.vehicle import controller
+from services.cli.vehicle_file import vehicle
 from services.cli.watch import watch
+from services.runtime.console import escape_output, fold
+
+PANELS: dict[str, tuple[Callable[..., object] | typer.Typer, ...]] = {
+    "Start here": (sim, dashboard, watch, doctor, completion),
+    "Your vehicle": (controller, vehicle, localise, topics, ctl, ros2, mavlink, dive, certs),
+    "A run": (report, replay, log),
+    "Measure": (profile, campaign, qp),
+    "One process each": (router, plant, sensors, estimator, recorder),
+}
+"""Commands by panel, in the order of help."""
 
 HELP = ((), ("--help",), ("-h",))
 COMPLETION = "_LTV_MPC_COMPLETE"
@@ -45,30 +65,18 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-start.register(app, "Start here")
-app.command(rich_help_panel="Start here")(dashboard)
-app.command(rich_help_panel="Start here")(watch)
-app.command(rich_help_panel="Start here")(doctor)
-app.command(rich_help_panel="Start here")(completion)
-vehicle.register(app, "Your vehicle")
-app.command(rich_help_panel="Your vehicle")(ctl)
-app.command(rich_help_panel="Your vehicle")(ros2)
-app.add_typer(dive, name="dive", rich_help_panel="Your vehicle")
-app.command(rich_help_panel="Your vehicle")(mavlink)
-app.add_typer(certs, name="certs", rich_help_panel="Your vehicle")
-app.command(rich_help_panel="A run")(report)
-app.command(rich_help_panel="A run")(replay)
-app.add_typer(log, name="log", rich_help_panel="A run")
-measure.register(app, "Measure")
-processes.register(app, "One process each")
+for _panel, _commands in PANELS.items():
+    for _command in _commands:
+        if isinstance(_command, typer.Typer):
+            app.add_typer(_command, rich_help_panel=_panel)
+        else:
+            app.command(rich_help_panel=_panel)(_command)
 
 
 @app.callback(invoke_without_command=True)
-def _commands(
+def _about(
     context: typer.Context,
-    version: Annotated[
-        bool, typer.Option("--version", help="Print the version, with the commit in a checkout.")
-    ] = False,
+    version: Annotated[bool, flag("--version", "Print the version, with the commit in a checkout.")] = False,
 ) -> None:
     """Model predictive control of an underactuated AUV in an estimated water current, over Zenoh."""
     if version:
@@ -99,8 +107,9 @@ def _open_missing_streams() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run a command line and return its exit code. Bad input gives one line on stderr and no traceback.
 
-    Typer itself converts Ctrl-C into 130.
+    Typer itself converts Ctrl-C into 130. Nothing that is printed has control characters.
     """
+    escape_output()
     if tuple(arguments) in HELP and COMPLETION not in os.environ:
         typer.echo(_overview())
         return 0
@@ -112,9 +121,7 @@ def run(arguments: Sequence[str]) -> int:
         from services.cli.usage_errors import usage_error
 
         return _refuse(f"ltv-mpc: {usage_error(error, _tree(), arguments)}")
-    except ValueError as error:
-        if not _is_config_error(error):
-            raise
+    except ConfigError as error:
         return _refuse(f"ltv-mpc: {error}")
     except BrokenPipeError:  # the reader of the output has ended: `ltv-mpc topics | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -126,7 +133,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _overview() -> str:
-    return overview(app, "ltv-mpc", _commands.__doc__ or "")
+    return overview(PANELS, "ltv-mpc", _about.__doc__ or "")
 
 
 @cache
@@ -144,17 +151,9 @@ def _hide_completion_options(parameters: Iterable[object]) -> None:
             parameter.hidden = True
 
 
-def _is_config_error(error: ValueError) -> bool:
-    from ltv_mpc.errors import ConfigError
-
-    return isinstance(error, ConfigError)
-
-
 def _refuse(text: str, code: int = BAD_INPUT) -> int:
     line = " ".join(text.split())
     if sys.stderr.isatty():
-        from services.runtime.console import fold
-
         line = fold(line, shutil.get_terminal_size().columns)
     typer.echo(line, err=True)
     return code

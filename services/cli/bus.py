@@ -2,75 +2,49 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-import typer
+from services.cli.options import invalid, option, parameters, with_options
 
 if TYPE_CHECKING:
     from services.bus.options import BusOptions
 
-PANEL = "Bus options (those of Zenoh)"
+bus_option = partial(option, rich_help_panel="Bus options (those of Zenoh)")
 
 Certs: TypeAlias = Annotated[
     Path | None,
-    typer.Option(
-        "--certs",
-        metavar="DIR",
-        help="Use mTLS with the certificates in this folder; `ltv-mpc certs new DIR` creates them.",
-        rich_help_panel=PANEL,
-    ),
-]
-
-
-Namespace: TypeAlias = Annotated[
-    str,
-    typer.Option(
-        "--namespace", metavar="NAME", help="Prefix of every key: one for each vehicle.", rich_help_panel=PANEL
-    ),
+    bus_option("DIR", "Use mTLS with the certificates in this folder; `ltv-mpc certs new DIR` creates them."),
 ]
 
 
 def _block(
     connect: Annotated[
         list[str] | None,
-        typer.Option(
-            "--connect",
-            "-e",
-            metavar="ENDPOINT",
-            help="Connect to this endpoint; repeatable. Default tcp/127.0.0.1:7447, with --certs tls/127.0.0.1:7447.",
-            rich_help_panel=PANEL,
+        bus_option(
+            "ENDPOINT",
+            "Connect to this endpoint; repeatable. Default tcp/127.0.0.1:7447, with --certs tls/127.0.0.1:7447.",
+            *("--connect", "-e"),
         ),
     ] = None,
     listen: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--listen",
-            "-l",
-            metavar="ENDPOINT",
-            help="Listen on this endpoint as the router; repeatable.",
-            rich_help_panel=PANEL,
-        ),
+        list[str] | None, bus_option("ENDPOINT", "Listen on this endpoint as the router; repeatable.", "--listen", "-l")
     ] = None,
-    mode: Annotated[
-        str | None, typer.Option("--mode", "-m", metavar="MODE", help="client, peer or router.", rich_help_panel=PANEL)
-    ] = None,
+    mode: Annotated[str | None, bus_option("MODE", "client, peer or router.", "--mode", "-m")] = None,
     config: Annotated[
         Path | None,
-        typer.Option(
-            "--config",
-            "-c",
-            metavar="FILE",
-            help="Zenoh configuration file (JSON5). Default: $ZENOH_CONFIG, if it is set.",
-            rich_help_panel=PANEL,
-        ),
+        bus_option("FILE", "Zenoh configuration file (JSON5). Default: $ZENOH_CONFIG, if it is set.", "--config", "-c"),
     ] = None,
-    namespace: Namespace = "",
+    namespace: Annotated[str, bus_option("NAME", "Prefix of every key: one for each vehicle.")] = "",
     certs: Certs = None,
-    *,
-    role: str = "",
+) -> None:
+    """Declare the bus options."""
+
+
+def _collect(
+    connect: list[str] | None, listen: list[str] | None, certs: Path | None, *, role: str, **more: Any
 ) -> BusOptions:
     """Check the bus options and return them as one. ``role`` selects the certificate. Raises ``ConfigError``."""
     from msgspec import structs
@@ -82,11 +56,10 @@ def _block(
     for name, endpoints in (("--connect", connect), ("--listen", listen)):
         for endpoint in endpoints or ():
             check_endpoint(name, endpoint, certs)
-    if config is not None:
+    if (config := more.pop("config")) is not None:
         read_text(config, what="Zenoh configuration")
-    check_namespace(namespace)
-    table = {"connect": connect or (), "listen": listen or (), "mode": mode, "namespace": namespace}
-    parsed = parse(table, BusOptions, source="option --mode")
+    check_namespace(more["namespace"])
+    parsed = parse({"connect": connect or (), "listen": listen or (), **more}, BusOptions, source="option --mode")
     options = structs.replace(parsed, config=config, certs=certs, role=role)
     configuration(options)  # Zenoh checks the options before any file is written or process started
     return options
@@ -97,48 +70,22 @@ def with_bus(role: str = "") -> Callable[[Callable[..., int]], Callable[..., int
 
     ``role`` selects the certificate that the command uses with --certs.
     """
-
-    def decorate(function: Callable[..., int]) -> Callable[..., int]:
-        block = [option for option in _parameters(_block) if option.name != "role"]
-
-        def command(**given: Any) -> int:
-            bus = _block(**{option.name: given.pop(option.name) for option in block}, role=role)
-            return function(**given, bus=bus)
-
-        parameters = [*(own for own in _parameters(function) if own.name != "bus"), *block]
-        command.__name__, command.__doc__ = function.__name__, function.__doc__
-        command.__module__ = function.__module__
-        command.__annotations__ = {option.name: option.annotation for option in parameters} | {"return": int}
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        return command
-
-    return decorate
+    block, collect = parameters(_block), partial(_collect, role=role)
+    return lambda function: with_options(function, block, "bus", collect)
 
 
 def check_endpoint(option: str, endpoint: str, certs: Path | None) -> None:
     """Raise ``ConfigError`` if Zenoh cannot use the endpoint, or if it is not secure although certificates are used."""
-    from ltv_mpc.errors import ConfigError
     from services.bus.options import SECURE, endpoint_error
 
     if problem := endpoint_error(endpoint):
-        raise ConfigError(f"option {option}", "", problem, value=endpoint)
+        raise invalid(f"option {option}", problem, value=endpoint)
     if certs is not None and not endpoint.startswith(f"{SECURE}/"):
-        raise ConfigError(f"option {option}", "", f"must be {SECURE}/HOST:PORT with --certs", value=endpoint)
+        raise invalid(f"option {option}", f"must be {SECURE}/HOST:PORT with --certs", value=endpoint)
 
 
 def check_namespace(namespace: str, option: str = "--namespace") -> None:
     """Raise ``ConfigError`` if the namespace cannot be the prefix of a key."""
-    from ltv_mpc.errors import ConfigError
-
     if (namespace and not all(namespace.split("/"))) or set(namespace) & set("*$#? "):
         problem = "must be names joined by /, without * $ # ? or spaces"
-        raise ConfigError(f"option {option}", "", problem, value=namespace)
-
-
-def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
-    """Return the parameters of a function with resolved annotations, without importing ``BusOptions``."""
-    types = get_type_hints(function, localns={"BusOptions": Any}, include_extras=True)
-    return [
-        one.replace(annotation=types[one.name], kind=inspect.Parameter.KEYWORD_ONLY)
-        for one in inspect.signature(function).parameters.values()
-    ]
+        raise invalid(f"option {option}", problem, value=namespace)

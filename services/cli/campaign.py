@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import CampaignFolder, Force, Json
+from services.cli.options import Force, Json, argument, invalid, option, show
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,20 +17,14 @@ if TYPE_CHECKING:
 
 
 def campaign(
-    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Design of the campaign: docs/campaigns.md.")],
-    cluster: Annotated[
-        str | None,
-        typer.Option("--cluster", metavar="tcp://HOST:PORT", help="Run on the workers of this Dask scheduler."),
-    ] = None,
+    file: Annotated[Path, argument("FILE.toml", "Design of the campaign: docs/campaigns.md.")],
+    cluster: Annotated[str | None, option("tcp://HOST:PORT", "Run on the workers of this Dask scheduler.")] = None,
     workers: Annotated[
-        int | None,
-        typer.Option(
-            "--workers", metavar="N", help="Number of processes. Default: one for each core.", min=1, max=1024
-        ),
+        int | None, option("N", "Number of processes. Default: one for each core.", min=1, max=1024)
     ] = None,
     as_json: Json = False,
     force: Force = False,
-    out: CampaignFolder = None,
+    out: Annotated[Path | None, option("DIR", "Folder of the campaign; an interrupted one in it is continued.")] = None,
 ) -> int:
     """Run a design of many runs on all cores or on Dask.
 
@@ -71,13 +65,11 @@ def campaign(
 def _check_packages(cluster: str | None, workers: int | None) -> None:
     import importlib.util
 
-    from ltv_mpc.errors import ConfigError
-
     if importlib.util.find_spec("pyarrow") is None:
         problem = "needs the package pyarrow: pip install pyarrow (extra campaign)"
-        raise ConfigError("campaign", "", problem)
+        raise invalid("campaign", problem)
     if cluster is not None and workers is not None:
-        raise ConfigError("option --workers", "", "cannot act together with --cluster, which has its own workers")
+        raise invalid("option --workers", "cannot act together with --cluster, which has its own workers")
 
 
 def _write_page(folder: Path) -> None:
@@ -93,24 +85,14 @@ def _write_page(folder: Path) -> None:
 def _print_result(
     place: Path, rows: Sequence[Row], best: list[Standing], *, runs: int, minimise: str, as_json: bool
 ) -> None:
-    import msgspec
     from rich.console import Console
 
     from services.tools.campaign import text
 
     failed = [row for row in rows if row["failed"] is not None]
-    if as_json:
-        result = {
-            "out": str(place),
-            "runs": runs,
-            "done": len(rows),
-            "failed": len(failed),
-            "minimise": minimise,
-            "best": best,
-        }
-        typer.echo(msgspec.json.format(msgspec.json.encode(result), indent=2).decode())
-        return
-    Console().print(text.standings(best, minimise))
-    for line in text.failures(failed):
-        typer.echo(line)
-    typer.echo(str(place))
+    counts = {"runs": runs, "done": len(rows), "failed": len(failed)}
+    console = Console()
+    with console.capture() as table:
+        console.print(text.standings(best, minimise))
+    lines = [table.get().rstrip("\n"), *text.failures(failed), str(place)]
+    show({"out": str(place), **counts, "minimise": minimise, "best": best}, lambda: "\n".join(lines), as_json=as_json)

@@ -7,42 +7,26 @@ from typing import Annotated
 
 import typer
 
-from services.cli.options import Force
+from services.cli.options import Force, argument, group, invalid, needs, option
 
 SOURCE_NAME = "must be 1 to 32 of a-z, 0-9, _ and -, begin with a letter or digit, and not be `default`"
 
-certs = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
-
-
-@certs.callback()
-def _about() -> None:
-    """Create keys and certificates for mTLS."""
+certs = group("certs", "Create keys and certificates for mTLS.")
 
 
 @certs.command()
 def new(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to create.")],
+    folder: Annotated[Path, argument("DIR", "Folder to create.")],
     host: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--host",
-            metavar="NAME",
-            help="Name or address of a router, in addition to loopback; repeatable.",
-        ),
+        list[str] | None, option("NAME", "Name or address of a router, in addition to loopback; repeatable.")
     ] = None,
     source: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--source",
-            metavar="NAME",
-            help="Source of estimates on estimate/NAME, role estimator-NAME; repeatable.",
-        ),
+        list[str] | None, option("NAME", "Source of estimates on estimate/NAME, role estimator-NAME; repeatable.")
     ] = None,
     ros_domain: Annotated[
-        list[int] | None,
-        typer.Option("--ros-domain", metavar="D", help="ROS 2 domain, role ros-D; repeatable.", min=0, max=232),
+        list[int] | None, option("D", "ROS 2 domain, role ros-D; repeatable.", min=0, max=232)
     ] = None,
-    days: Annotated[int, typer.Option("--days", metavar="N", help="Validity in days.", min=1, max=36_500)] = 365,
+    days: Annotated[int, option("N", "Validity in days.", min=1, max=36500)] = 365,
     force: Force = False,
 ) -> int:
     """Create a certificate authority, and a key and certificate for every role.
@@ -52,27 +36,21 @@ def new(
     """
     import re
 
-    from ltv_mpc.errors import ConfigError
     from services.bus.roles import ROLES, ROS_PREFIX, SOURCE_PREFIX
     from services.bus.topics import is_source_name
 
     for name in host or ():
         if not re.fullmatch(r"[A-Za-z0-9.:-]{1,253}", name):
-            raise ConfigError("option --host", "", "must be a host's name or address", value=name)
+            raise invalid("option --host", "must be a host's name or address", value=name)
     for name in source or ():
         if not is_source_name(name):
-            raise ConfigError("option --source", "", SOURCE_NAME, value=name)
+            raise invalid("option --source", SOURCE_NAME, value=name)
     if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"folder {folder}", "", "is a file")
+        raise invalid(f"folder {folder}", "is a file")
     if folder.is_dir() and any(folder.iterdir()) and not force:
-        raise ConfigError(f"folder {folder}", "", "is not empty; --force replaces the certificates in it")
-    try:
+        raise invalid(f"folder {folder}", "is not empty; --force replaces the certificates in it")
+    with needs("cryptography", "secure", "certs new"):
         from services.bus import certificates
-    except ModuleNotFoundError as error:
-        if error.name != "cryptography":
-            raise
-        problem = "needs the package cryptography: pip install cryptography (extra secure)"
-        raise ConfigError("ltv-mpc certs new", "", problem) from None
     named = (
         *(SOURCE_PREFIX + name for name in source or ()),
         *(f"{ROS_PREFIX}{domain}" for domain in ros_domain or ()),

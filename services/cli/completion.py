@@ -6,10 +6,11 @@ from typing import Annotated
 
 import typer
 
+from services.cli.options import flag
+
 
 def completion(
-    context: typer.Context,
-    install: Annotated[bool, typer.Option("--install", help="Add it to the shell's start-up file.")] = False,
+    context: typer.Context, install: Annotated[bool, flag("--install", "Add it to the shell's start-up file.")] = False
 ) -> None:
     """Print or install the completion script of your shell.
 

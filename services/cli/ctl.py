@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from services.cli.bus import with_bus
+from services.cli.options import argument, flag, invalid
 
 if TYPE_CHECKING:
     from services.bus.options import BusOptions
@@ -23,23 +22,18 @@ NEEDED = {"follow": "a reference, NAME or FILE,", "fence": f"a fence, FILE or `{
 def ctl(
     action: Annotated[
         str,
-        typer.Argument(
-            metavar="ACTION",
-            help="One of arm, disarm, stop, manual, release, follow, hold, fence, clear, source, heartbeat.",
-        ),
+        argument("ACTION", "One of arm, disarm, stop, manual, release, follow, hold, fence, clear, source, heartbeat."),
     ],
     file: Annotated[
         str | None,
-        typer.Argument(
-            metavar="NAME|FILE",
-            help="Reference for follow: a shipped name or a TOML file. Fence for fence: a TOML or GeoJSON file, or "
-            "`none`. Source of estimates for source: its name, "
-            "`default` for the plain key; without it, the order of the settings again.",
+        argument(
+            "NAME|FILE",
+            "Reference for follow: a shipped name or a TOML file. Fence for fence: a TOML or GeoJSON file, or `none`. "
+            "Source of estimates for source: its name, `default` for the plain key; without it, the order of the "
+            "settings again.",
         ),
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Arm although pre-arm checks fail; prints what it skips.")
-    ] = False,
+    force: Annotated[bool, flag("--force", "Arm although pre-arm checks fail; prints what it skips.")] = False,
     *,
     bus: BusOptions,
 ) -> int:
@@ -50,7 +44,7 @@ def ctl(
     """
     from ltv_mpc import references
     from ltv_mpc.config import to_toml
-    from ltv_mpc.errors import ConfigError, format_value
+    from ltv_mpc.errors import format_value
     from ltv_mpc.geofence.fence import Fence
     from ltv_mpc.messages import Action
     from ltv_mpc.node import DEFAULT_SOURCE
@@ -60,14 +54,14 @@ def ctl(
     if action not in known:
         meant = closest_name(action, known)
         near = f"; did you mean {format_value(meant)}?" if meant else ""
-        raise ConfigError("argument ACTION", "", f"must be one of {', '.join(known)}{near}", value=action)
+        raise invalid("argument ACTION", f"must be one of {', '.join(known)}{near}", value=action)
     if force and action != Action.ARM:
-        raise ConfigError("option --force", "", "only arm takes it", value=action)
+        raise invalid("option --force", "only arm takes it", value=action)
     if action in NEEDED and file is None:
-        raise ConfigError("argument ACTION", "", f"needs {NEEDED[action]} after it", value=action)
+        raise invalid("argument ACTION", f"needs {NEEDED[action]} after it", value=action)
     if action not in (*NEEDED, Action.SOURCE) and file is not None:
         problem = "takes no file or name: only follow, fence and source do"
-        raise ConfigError("argument ACTION", "", problem, value=action)
+        raise invalid("argument ACTION", problem, value=action)
     from services.processes import operator as node
 
     if action == HEARTBEAT:
@@ -81,6 +75,6 @@ def ctl(
         from services.bus.topics import is_source_name
 
         if file != DEFAULT_SOURCE and not is_source_name(file):
-            raise ConfigError("argument NAME", "", "must be 1 to 32 of a-z, 0-9, _ and -", value=file)
+            raise invalid("argument NAME", "must be 1 to 32 of a-z, 0-9, _ and -", value=file)
         fields["source"] = file
     return node.main(Action(action), fields, bus)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from services.cli.bus import with_bus
-from services.cli.options import ShownVehicle
+from services.cli.options import ShownVehicle, flag, invalid, option
 
 if TYPE_CHECKING:
     from services.bus.options import BusOptions
@@ -16,16 +16,11 @@ if TYPE_CHECKING:
 
 @with_bus("operator")
 def dashboard(
-    port: Annotated[
-        int, typer.Option("--port", metavar="P", help="TCP port of the page; 0 takes any free one.", min=0, max=65535)
-    ] = 0,
+    port: Annotated[int, option("P", "TCP port of the page; 0 takes any free one.", min=0, max=65535)] = 0,
     host: Annotated[
-        str,
-        typer.Option(
-            "--host", metavar="ADDRESS", help="Address of this machine; any but loopback opens the page to others."
-        ),
+        str, option("ADDRESS", "Address of this machine; any but loopback opens the page to others.")
     ] = "127.0.0.1",
-    open_: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
+    open_: Annotated[bool, flag("--open", "Open the page in a browser.")] = False,
     vehicle: ShownVehicle = None,
     *,
     bus: BusOptions,
@@ -34,15 +29,13 @@ def dashboard(
 
     Prints the address of the page with the token for its buttons; without the token the page is read-only.
     """
-    from ltv_mpc.errors import ConfigError
-
     try:
         address = ipaddress.ip_address(host)
     except ValueError:
-        raise ConfigError("option --host", "", "must be an IP address such as 127.0.0.1", value=host) from None
+        raise invalid("option --host", "must be an IP address such as 127.0.0.1", value=host) from None
     if address.is_unspecified:
-        raise ConfigError(
-            "option --host", "", "must be one address, not all of them: the page checks it in each request", value=host
+        raise invalid(
+            "option --host", "must be one address, not all of them: the page checks it in each request", value=host
         )
     try:
         from services.dashboard import serve

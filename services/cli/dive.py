@@ -7,72 +7,44 @@ from typing import Annotated, TypeAlias
 
 import typer
 
-from services.cli.options import Force, Json, SensorsFile
+from services.cli.options import Force, Json, SensorsFile, group, invalid, option, show
 
-dive = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
+dive = group("dive", "Plan a dive: expected drift and its error budget.")
 
 MAX_FIXES = 3600
 MAX_LISTED = 8
 """Largest number of fixes, and of different numbers of fixes in one plan."""
 
 
-Duration: TypeAlias = Annotated[
-    float | None,
-    typer.Option(
-        "--duration-s",
-        metavar="T",
-        help="Length of the dive (s). Default: 200 s; for a path until it is complete, at most 3600 s.",
-        min=10,
-        max=36_000,
-    ),
-]
 Depth: TypeAlias = Annotated[
     float | None,
     typer.Option("--depth-m", metavar="D", help="Depth at the end of a vertical descent (m). Default: 40.", min=1),
 ]
-PathFile: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--reference", metavar="NAME|FILE", help="Reference to follow instead of a vertical descent."),
-]
-Fixes: TypeAlias = Annotated[
-    str,
-    typer.Option("--fixes", metavar="N,...", help="Satellite fixes before the dive. The first is the plan."),
-]
-Limit: TypeAlias = Annotated[
-    float | None,
-    typer.Option("--limit-m", metavar="L", help="Drift of one axis (m) whose time is wanted.", min=0.001),
-]
-Against: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--against", metavar="RUN", help="Compare with a recorded run: its folder, run.mcap, or latest."),
-]
-Runs: TypeAlias = Annotated[
-    int,
-    typer.Option("--runs", metavar="N", help="Number of simulated dives per number of fixes.", min=1, max=100),
-]
-PlanFolder: TypeAlias = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Also write dive-plan.json and .png into this folder.")
-]
-
-
-@dive.callback()
-def _dive() -> None:
-    """Plan a dive: expected drift and its error budget."""
 
 
 @dive.command(name="plan")
 def plan_(
     sensors: SensorsFile = "paper",
-    duration_s: Duration = None,
+    duration_s: Annotated[
+        float | None,
+        option(
+            "T",
+            "Length of the dive (s). Default: 200 s; for a path until it is complete, at most 3600 s.",
+            min=10,
+            max=36000,
+        ),
+    ] = None,
     depth_m: Depth = None,
-    reference: PathFile = None,
-    fixes: Fixes = "1,10,30,120",
-    limit_m: Limit = None,
-    against: Against = None,
-    runs: Runs = 4,
+    reference: Annotated[str | None, option("NAME|FILE", "Reference to follow instead of a vertical descent.")] = None,
+    fixes: Annotated[str, option("N,...", "Satellite fixes before the dive. The first is the plan.")] = "1,10,30,120",
+    limit_m: Annotated[float | None, option("L", "Drift of one axis (m) whose time is wanted.", min=0.001)] = None,
+    against: Annotated[
+        str | None, option("RUN", "Compare with a recorded run: its folder, run.mcap, or latest.")
+    ] = None,
+    runs: Annotated[int, option("N", "Number of simulated dives per number of fixes.", min=1, max=100)] = 4,
     as_json: Json = False,
     force: Force = False,
-    out: PlanFolder = None,
+    out: Annotated[Path | None, option("DIR", "Also write dive-plan.json and .png into this folder.")] = None,
 ) -> int:
     """Plan a dive: expected drift over time, its error budget, and what would reduce it.
 
@@ -83,13 +55,12 @@ def plan_(
     from rich.console import Console
     from rich.progress import Progress
 
-    from ltv_mpc.errors import ConfigError
     from services.recording.reader import Recording
     from services.run import folder
     from services.tools.dive_plan import plan, report
 
     if reference is not None and depth_m is not None:
-        raise ConfigError("option --depth-m", "", "has no effect with --reference, which has a depth of its own")
+        raise invalid("option --depth-m", "has no effect with --reference, which has a depth of its own")
     numbers = _numbers(fixes)
     wanted = plan.Dive(sensors, reference, duration_s, 40.0 if depth_m is None else depth_m, max(numbers), 0)
     wanted.run_config()
@@ -98,15 +69,10 @@ def plan_(
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"dives with {sensors} sensors", total=plan.count_of_results(numbers, runs))
         result = plan.plan(
-            wanted,
-            fixes=numbers,
-            runs=runs,
-            limit_m=limit_m,
-            progress=lambda count: progress.advance(task, count),
+            wanted, fixes=numbers, runs=runs, limit_m=limit_m, progress=lambda count: progress.advance(task, count)
         )
     result = msgspec.structs.replace(result, against=recorded)
-    plain = msgspec.json.format(msgspec.json.encode(result), indent=2).decode()
-    typer.echo(plain if as_json else report.text(result))
+    plain = show(result, lambda: report.text(result), as_json=as_json)
     if written is not None:
         (written / "dive-plan.json").write_text(plain + "\n", encoding="utf-8")
         try:
@@ -119,10 +85,8 @@ def plan_(
 
 def _numbers(text: str) -> list[int]:
     """Return the numbers of fixes. Raises ``ConfigError``."""
-    from ltv_mpc.errors import ConfigError
-
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() and 1 <= int(part) <= MAX_FIXES for part in parts) or len(parts) > MAX_LISTED:
         problem = f"must be at most {MAX_LISTED} whole numbers from 1 to {MAX_FIXES}, as in 1,10,30"
-        raise ConfigError("option --fixes", "", problem, value=text)
+        raise invalid("option --fixes", problem, value=text)
     return [int(part) for part in parts]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from services.cli.options import Json
+from services.runtime.console import fold
 
 INDENT = 25
 """Columns before what was found: severity and check."""
@@ -15,10 +16,9 @@ def doctor(as_json: Json = False) -> int:
 
     Exit code 1 if there is a problem; a warning is not a problem.
     """
-    import json
+    import json  # not msgspec, which may be the package that is missing
     from dataclasses import asdict
 
-    from services.runtime.console import fold
     from services.tools.doctor import Level, examine
 
     found = examine()

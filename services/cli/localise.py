@@ -8,49 +8,27 @@ from typing import Annotated
 
 import typer
 
-from services.cli.options import Force, Json
+from services.cli.options import Force, Json, argument, option, show
 
 
 def localise(
-    file: Annotated[Path, typer.Argument(metavar="FILE.PD0", help="PD0 file of a Teledyne RDI instrument.")],
+    file: Annotated[Path, argument("FILE.PD0", "PD0 file of a Teledyne RDI instrument.")],
     surface_fixes: Annotated[
-        int,
-        typer.Option(
-            "--surface-fixes",
-            metavar="N",
-            help="Number of first ensembles whose bottom track is used.",
-            min=0,
-            max=100_000,
-        ),
+        int, option("N", "Number of first ensembles whose bottom track is used.", min=0, max=100000)
     ] = 10,
     start_depth_m: Annotated[
-        float | None,
-        typer.Option(
-            "--start-depth-m",
-            metavar="D",
-            help="Start at the first ensemble at or below this depth.",
-            min=0,
-            max=12_000,
-        ),
+        float | None, option("D", "Start at the first ensemble at or below this depth.", min=0, max=12000)
     ] = None,
-    head: Annotated[
-        str | None,
-        typer.Option("--head", metavar="up|down", help="Head to use, of two. Default: that with more ensembles."),
-    ] = None,
+    head: Annotated[str | None, option("up|down", "Head to use, of two. Default: that with more ensembles.")] = None,
     as_json: Json = False,
     force: Force = False,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Also write track, current profile, result and plot here."),
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Also write track, current profile, result and plot here.")] = None,
 ) -> int:
     """Localise a recorded ADCP dive that has no inertial unit.
 
     Bottom track replaces the fix at the surface during the first ensembles; later it is the reference with which the
     track is compared.
     """
-    import msgspec
-
     from ltv_mpc.errors import ConfigError
     from services.reporting.terminal import progress_bar
     from services.run import folder
@@ -66,8 +44,7 @@ def localise(
             with contextlib.suppress(OSError):  # it is not empty
                 written.rmdir()
         raise
-    plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2).decode()
-    typer.echo(plain if as_json else text.text(outcome.result))
+    show(outcome.result, lambda: text.text(outcome.result), as_json=as_json)
     if written is not None:
         if note := dive.write(outcome, written):
             typer.echo(note, err=True)

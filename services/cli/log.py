@@ -8,9 +8,9 @@ from typing import Annotated, TypeAlias
 
 import typer
 
-from services.cli.options import Force, Json
+from services.cli.options import Force, Json, group, option, show
 
-log = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
+log = group("log", "Inspect, recover or export the recording of a run.")
 
 Run: TypeAlias = Annotated[
     str, typer.Argument(metavar="RUN", help="Recorded run: its folder, its run.mcap, or latest.")
@@ -24,17 +24,14 @@ class Format(enum.StrEnum):
     PARQUET = "parquet"
 
 
-@log.callback()
-def _about() -> None:
-    """Inspect, recover or export the recording of a run."""
-
-
 @log.command()
 def info(run: Run = "latest", as_json: Json = False) -> int:
     """Show the contents: messages by key with rate, times and gaps; segments; events; completeness.
 
     Exit code 1 if the recording is incomplete.
     """
+    import msgspec
+
     from services.recording import info as figures
     from services.recording.recover import segments
     from services.reporting.terminal import reading_progress
@@ -43,14 +40,11 @@ def info(run: Run = "latest", as_json: Json = False) -> int:
     recording = folder.find(run)
     with reading_progress(recording):
         found = figures.read(segments(recording))
-    if as_json:
-        import msgspec
+    if not found.why and isinstance(why := folder.read_summary(recording).get("why"), str):
+        found = msgspec.structs.replace(found, why=why)
+    from services.reporting import log_text
 
-        typer.echo(msgspec.json.encode(found).decode())
-    else:
-        from services.reporting import log_text
-
-        typer.echo(log_text.text(found))
+    show(found, lambda: log_text.text(found), as_json=as_json)
     return 0 if found.whole else 1
 
 
@@ -58,8 +52,7 @@ def info(run: Run = "latest", as_json: Json = False) -> int:
 def recover(
     run: Run = "latest",
     out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FILE", help="File to write. Default run.recovered.mcap beside the recording."),
+        Path | None, option("FILE", "File to write. Default run.recovered.mcap beside the recording.")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -82,15 +75,9 @@ def recover(
 
     with reading_progress(recording):
         made = recovery.recover(parts, out or recovery.recovered_path(recording))
-    if as_json:
-        import msgspec
-
-        typer.echo(msgspec.json.encode(made).decode())
-        return
     from services.reporting import log_text
 
-    typer.echo(log_text.recovered(made))
-    typer.echo(made.file)
+    show(made, lambda: f"{log_text.recovered(made)}\n{made.file}", as_json=as_json)
 
 
 @log.command()
@@ -98,10 +85,7 @@ def export(
     run: Run = "latest",
     form: Annotated[Format, typer.Option("--format", help="Format of the tables.")] = Format.CSV,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", metavar="DIR", help="Folder to write. Default: a folder with the name of the format in RUN."
-        ),
+        Path | None, option("DIR", "Folder to write. Default: a folder with the name of the format in RUN.")
     ] = None,
     force: Force = False,
     as_json: Json = False,
@@ -117,14 +101,8 @@ def export(
         tables.need_pyarrow()
     place = folder.open_folder(out or recording.parent / form.value, force=force)
     from services.reporting import log_text
-    from services.reporting.terminal import progress_bar
+    from services.reporting.terminal import reading_progress
 
-    with progress_bar(f"{recording} as {form.value}") as told:
-        result = tables.export(parts, place, "csv" if form is Format.CSV else "parquet", progress=told)
-    if as_json:
-        import msgspec
-
-        typer.echo(msgspec.json.encode(result).decode())
-        return
-    typer.echo(log_text.exported(result))
-    typer.echo(str(place))
+    with reading_progress(f"{recording} as {form.value}, twice"):
+        result = tables.export(parts, place, "csv" if form is Format.CSV else "parquet")
+    show(result, lambda: f"{log_text.exported(result)}\n{place}", as_json=as_json)

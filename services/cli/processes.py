@@ -5,27 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from services.cli.bus import with_bus
-from services.cli.options import Force, LogJson, Out, ScenarioName, SensorsFile, VehicleFile
+from services.cli.options import (
+    Force,
+    LogJson,
+    Out,
+    ScenarioName,
+    SensorsFile,
+    VehicleFile,
+    argument,
+    flag,
+    invalid,
+    option,
+)
 
 if TYPE_CHECKING:
     from services.bus.options import BusOptions
 
 
-def register(app: typer.Typer, panel: str) -> None:
-    """Add the commands to their panel."""
-    for command in (router, plant, sensors, estimator, recorder):
-        app.command(rich_help_panel=panel)(command)
-
-
 @with_bus("router")
-def router(
-    log_json: LogJson = False,
-    *,
-    bus: BusOptions,
-) -> int:
+def router(log_json: LogJson = False, *, bus: BusOptions) -> int:
     """Run the router to which all other processes connect.
 
     Without --listen it listens at tcp/127.0.0.1:7447, with --certs at tls/127.0.0.1:7447.
@@ -39,10 +38,7 @@ def router(
 def plant(
     scenario: ScenarioName = "descent",
     expect: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--expect", metavar="NODE", help="Also wait until this node is ready, such as recorder; repeatable."
-        ),
+        list[str] | None, option("NODE", "Also wait until this node is ready, such as recorder; repeatable.")
     ] = None,
     log_json: LogJson = False,
     *,
@@ -58,12 +54,7 @@ def plant(
 
 
 @with_bus("sensors")
-def sensors(
-    scenario: ScenarioName = "descent",
-    log_json: LogJson = False,
-    *,
-    bus: BusOptions,
-) -> int:
+def sensors(scenario: ScenarioName = "descent", log_json: LogJson = False, *, bus: BusOptions) -> int:
     """Run the simulated sensors.
 
     Reads world/truth; writes sensor/*.
@@ -77,9 +68,7 @@ def sensors(
 def estimator(
     vehicle: VehicleFile = "paper",
     sensors: SensorsFile = "paper",
-    settings: Annotated[
-        Path | None, typer.Option("--settings", metavar="FILE", help="TOML file with keys of [estimator], no header.")
-    ] = None,
+    settings: Annotated[Path | None, option("FILE", "TOML file with keys of [estimator], no header.")] = None,
     log_json: LogJson = False,
     *,
     bus: BusOptions,
@@ -112,15 +101,12 @@ def estimator(
 @with_bus("recorder")
 def recorder(
     scenario: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SCENARIO", help="Simulated scenario, whose settings are recorded. None: a real vehicle."
-        ),
+        str | None, argument("SCENARIO", "Simulated scenario, whose settings are recorded. None: a real vehicle.")
     ] = None,
     out: Out = None,
     force: Force = False,
     goes_on: Annotated[
-        bool, typer.Option("--continue", help="Continue the recording in --out with the next segment, run.2.mcap.")
+        bool, flag("--continue", "Continue the recording in --out with the next segment, run.2.mcap.")
     ] = False,
     log_json: LogJson = False,
     *,
@@ -138,10 +124,8 @@ def recorder(
     from services.run import folder
 
     if goes_on and (out is None or not _is_scenario_of(out, scenario)):
-        from ltv_mpc.errors import ConfigError
-
         problem = "needs --out DIR, the folder of a recording; that of a simulation with its DIR/scenario.toml"
-        raise ConfigError("option --continue", "", problem)
+        raise invalid("option --continue", problem)
     config = process.Config(bus=bus, folder=Path(), metadata={"mode": VEHICLE_MODE}, log_json=log_json)
     if scenario is None:
         with folder.reserve("recording", {}, out=out, force=force, resume=goes_on) as made:

@@ -1,50 +1,34 @@
-"""Commands ``qp show`` and ``qp export-c``, on the panel Measure."""
+"""Commands ``qp show`` and ``qp export-c``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from services.cli.options import ControllerSettings, Force, Json, VehicleFile, argument, group, option, show
 
-from services.cli.options import ControllerSettings, Force, Json, VehicleFile
-
-qp = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
+qp = group("qp", "Show a QP that was not solved, or export the QP as C.")
 
 
-@qp.callback()
-def _about() -> None:
-    """Show a QP that was not solved, or export the QP as C."""
-
-
-@qp.command()
-def show(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A QP that the controller saved because it was not solved.")
-    ],
-    solver: Annotated[
-        str, typer.Option("--solver", metavar="NAME", help="Solver that solves it again, without a warm start.")
-    ] = "piqp",
+@qp.command("show")
+def show_(
+    file: Annotated[Path, argument("FILE", "A QP that the controller saved because it was not solved.")],
+    solver: Annotated[str, option("NAME", "Solver that solves it again, without a warm start.")] = "piqp",
     as_json: Json = False,
 ) -> None:
     """Show a QP that was not solved: its errors, and the result of another solver."""
-    from ltv_mpc.control.failed_qp import FailedQp
+    from ltv_mpc.control.failed_qp import NamedQp
     from ltv_mpc.control.solvers import solve_qp
     from services.reporting import qp_text
 
-    failed = FailedQp.load(file)
+    failed = NamedQp.load(file)
     shown = qp_text.figures(failed, solver, solve_qp(failed.qp, solver))
-    if as_json:
-        import msgspec
-
-        typer.echo(msgspec.json.encode(shown).decode())
-    else:
-        typer.echo(qp_text.text(shown))
+    show(shown, lambda: qp_text.text(shown), as_json=as_json)
 
 
 @qp.command()
 def export_c(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the code; it is created if missing.")],
+    folder: Annotated[Path, argument("DIR", "Folder for the code; it is created if missing.")],
     vehicle: VehicleFile = "paper",
     settings: ControllerSettings = None,
     force: Force = False,
@@ -66,11 +50,6 @@ def export_c(
     cycle = solved_cycle(loaded, config)
     place = folders.make("qp", {}, out=folder, force=force).path
     exported = export(place, cycle, loaded, config)
-    if as_json:
-        import msgspec
-
-        typer.echo(msgspec.json.encode({**exported._asdict(), "folder": str(place)}).decode())
-        return
-    typer.echo(f"{exported.stages} stages: {exported.variables} variables, {exported.rows} rows")
-    typer.echo(f"make -C {place} && {place}/emosqp")
-    typer.echo(str(place))
+    size = f"{exported.stages} stages: {exported.variables} variables, {exported.rows} rows"
+    text = f"{size}\nmake -C {place} && {place}/emosqp\n{place}"
+    show({**exported._asdict(), "folder": str(place)}, lambda: text, as_json=as_json)

@@ -6,22 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from services.cli.options import Json
+from services.cli.options import Json, argument, option, show
 
 
 def replay(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="Folder of a run, its run.mcap, or latest.")],
+    run: Annotated[str, argument("RUN", "Folder of a run, its run.mcap, or latest.")],
     with_: Annotated[
-        Path | None,
-        typer.Option(
-            "--with", metavar="FILE", help="Compare with other settings, a file such as RUN/config/controller.toml."
-        ),
+        Path | None, option("FILE", "Compare with other settings, a file such as RUN/config/controller.toml.", "--with")
     ] = None,
     node: Annotated[
-        str | None,
-        typer.Option("--node", metavar="NAME", help="Replay this node only: plant, sensors, estimator or controller."),
+        str | None, option("NAME", "Replay this node only: plant, sensors, estimator or controller.")
     ] = None,
     as_json: Json = False,
 ) -> int:
@@ -33,8 +27,6 @@ def replay(
     """
     from contextlib import ExitStack
     from functools import cache
-
-    import msgspec
 
     from services.replay import replay as nodes
     from services.reporting import replay_text
@@ -57,7 +49,7 @@ def replay(
         else:
             verdict = nodes.replay(made, only=node, progress=progress)
     if with_ is not None:
-        typer.echo(msgspec.json.encode(would).decode() if as_json else replay_text.what_if_text(would))
+        show(would, lambda: replay_text.what_if_text(would), as_json=as_json)
         return 0
-    typer.echo(msgspec.json.encode(verdict).decode() if as_json else replay_text.text(verdict))
+    show(verdict, lambda: replay_text.text(verdict), as_json=as_json)
     return 0 if verdict.identical else 1

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ltv_mpc.errors import ConfigError
 from services.cli.options import Force, Json
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ def report(
 
     report.html is one file and needs no network. Recordings that were cut off are accepted.
     """
-    from ltv_mpc.errors import ConfigError
     from services.reporting import report as page
     from services.reporting.static_files import NoPlotly
     from services.reporting.terminal import reading_progress
@@ -89,7 +89,6 @@ def after_run(recording: Path, summary: dict[str, Any]) -> str:
 
     A failure here does not change the exit code of the run.
     """
-    from ltv_mpc.errors import ConfigError
     from services.reporting import report as page
     from services.reporting.static_files import NoPlotly
     from services.reporting.terminal import reading_progress
@@ -108,32 +107,9 @@ def after_run(recording: Path, summary: dict[str, Any]) -> str:
 
 def _run(recording: Path, name: str) -> Run:
     from services.reporting.report import Run
+    from services.tools.python_run import summary_of
 
-    return Run(name=name, recording=recording, summary=_summary(recording))
-
-
-def _summary(recording: Path) -> dict[str, Any]:
-    """Return the contents of summary.json; if there is none, a summary computed from the recording."""
-    import json
-
-    try:
-        found = json.loads(recording.with_name("summary.json").read_text(encoding="utf-8"))
-        return found if isinstance(found, dict) else {}
-    except (OSError, ValueError):
-        pass
-    import msgspec
-
-    from ltv_mpc.errors import ConfigError
-    from services.run.run_config import resolve
-    from services.run.summary import summarise_recording
-
-    try:
-        run_config = resolve(str(recording.with_name("scenario.toml")))
-    except ConfigError:  # the recording of a real vehicle: without a truth there are no errors to summarise
-        return {}
-    graded = summarise_recording(run_config, recording)[0]
-    plain: dict[str, Any] = msgspec.to_builtins(graded) if graded.cycles else {}
-    return {key: value for key, value in plain.items() if key not in ("mode", "speed")}  # taken from the recording
+    return Run(name=name, recording=recording, summary=summary_of(recording))
 
 
 def _names(recordings: Sequence[Path]) -> list[str]:
@@ -145,7 +121,6 @@ def _names(recordings: Sequence[Path]) -> list[str]:
 def _target(recordings: Sequence[Path], out: Path | None, *, force: bool) -> Path:
     from datetime import UTC, datetime
 
-    from ltv_mpc.errors import ConfigError
     from services.run import folder
 
     if out is None and len(recordings) == 1:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
+import inspect
 import os
 import shlex
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from services.cli.bus import Certs
-from services.cli.options import Force, Json, Out, ScenarioName, short
+from services.cli.options import Force, Json, Out, ScenarioName, flag, invalid, option, show, with_options
 
 if TYPE_CHECKING:
     from services.run.folder import RunFolder
@@ -25,118 +25,76 @@ if TYPE_CHECKING:
 NO_JIT = "NUMBA_DISABLE_JIT"
 
 KEYS = {
-    "--speed": "run.speed",
-    "--seed": "run.seed",
-    "--duration-s": "run.duration_s",
-    "--surface-time-s": "run.surface_time_s",
-    "--compute-delay-s": "run.compute_delay_s",
-    "--horizon-s": "controller.horizon_s",
-    "--currents": "water.file",
-    "--water-prior": "estimator.water_prior",
-    "--sensors": "sensors",
-    "--vehicle": "vehicle",
-    "--reference": "reference",
-}
-
-Speed: TypeAlias = Annotated[str | None, short("--speed", KEYS["--speed"], "X", "Vehicle time per real time.")]
-Seed: TypeAlias = Annotated[str | None, short("--seed", KEYS["--seed"], "N", "Seed of all random draws.")]
-Duration: TypeAlias = Annotated[
-    str | None, short("--duration-s", KEYS["--duration-s"], "T", "Duration after the surface phase.")
-]
-SurfaceTime: TypeAlias = Annotated[
-    str | None, short("--surface-time-s", KEYS["--surface-time-s"], "S", "Time at the surface before the descent.")
-]
-ComputeDelay: TypeAlias = Annotated[
-    str | None, short("--compute-delay-s", KEYS["--compute-delay-s"], "D", "Delay added to that of the controller.")
-]
-Horizon: TypeAlias = Annotated[
-    str | None,
-    short(
-        "--horizon-s",
-        KEYS["--horizon-s"],
+    "speed": ("run.speed", "X", "Vehicle time per real time."),
+    "seed": ("run.seed", "N", "Seed of all random draws."),
+    "duration_s": ("run.duration_s", "T", "Duration after the surface phase."),
+    "horizon_s": (
+        "controller.horizon_s",
         "H",
         "Prediction horizon of the controller; default: proposed by `vehicle check`.",
     ),
-]
-Currents: TypeAlias = Annotated[
-    str | None,
-    short("--currents", KEYS["--currents"], "FILE.csv", "Measured current profile (depth_m, v_north_mps, u_east_mps)."),
-]
-WaterPrior: TypeAlias = Annotated[
-    str | None,
-    short("--water-prior", KEYS["--water-prior"], "FILE.csv", "Current known to the estimator: a run's currents.csv."),
-]
-Sensors: TypeAlias = Annotated[
-    str | None, short("--sensors", KEYS["--sensors"], "NAME|FILE", "Sensors: paper, realistic, or a TOML file.")
-]
-Vehicle: TypeAlias = Annotated[
-    str | None, short("--vehicle", KEYS["--vehicle"], "NAME|FILE", "Vehicle: paper, or a TOML file.")
-]
-Reference: TypeAlias = Annotated[
-    str | None, short("--reference", KEYS["--reference"], "NAME|FILE", "Reference: a shipped name or a TOML file.")
-]
-Lockstep: TypeAlias = Annotated[
-    bool, typer.Option("--lockstep", help="Run in one process on a simulated clock, as fast as the machine allows.")
-]
-Assignments: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Set any key of the scenario; repeatable.", show_default=False),
-]
-PerfectState: TypeAlias = Annotated[
-    bool,
-    typer.Option(
-        "--perfect-state",
-        help="Give the true state to the controller. Key run.perfect_state.",
-        rich_help_panel="Scenario keys",
-    ),
-]
-NoControl: TypeAlias = Annotated[
-    bool,
-    typer.Option(
-        "--no-control",
-        help="Keep the lateral thrusts at zero. Key controller.lateral.",
-        rich_help_panel="Scenario keys",
-    ),
-]
-Dashboard: TypeAlias = Annotated[
-    bool | None,
-    typer.Option("--dashboard/--no-dashboard", help="Serve a live page and print its address. Default: on a terminal."),
-]
-Open: TypeAlias = Annotated[bool, typer.Option("--open", help="Open the live page in a browser.")]
+    "compute_delay_s": ("run.compute_delay_s", "D", "Delay added to that of the controller."),
+    "currents": ("water.file", "FILE.csv", "Measured current profile (depth_m, v_north_mps, u_east_mps)."),
+    "water_prior": ("estimator.water_prior", "FILE.csv", "Current known to the estimator: a run's currents.csv."),
+    "sensors": ("sensors", "NAME|FILE", "Sensors: paper, realistic, or a TOML file."),
+    "vehicle": ("vehicle", "NAME|FILE", "Vehicle: paper, or a TOML file."),
+    "reference": ("reference", "NAME|FILE", "Reference: a shipped name or a TOML file."),
+    "surface_time_s": ("run.surface_time_s", "S", "Time at the surface before the descent."),
+    "perfect_state": ("run.perfect_state=true", "", "Give the true state to the controller."),
+    "no_control": ("controller.lateral=false", "", "Keep the lateral thrusts at zero."),
+}
+"""Options of scenario keys: key, value in help, help. Their values are read as text and checked by the type of the key,
+so that option, --set and file give the same error; an option without a value sets the one that is given here.
+"""
 
 
-def register(app: typer.Typer, panel: str) -> None:
-    """Add the commands to their panel."""
-    app.command(rich_help_panel=panel)(sim)
+def _key_options() -> list[inspect.Parameter]:
+    made = []
+    for name, (key, value, help_) in KEYS.items():
+        text, panel = f"{help_} Key {key.partition('=')[0]}.", {"rich_help_panel": "Scenario keys"}
+        kind: Any
+        if value:
+            kind = Annotated[str | None, option(value, text, **panel)]
+        else:
+            kind = Annotated[bool, flag(_option(name), text, **panel)]
+        default = None if value else False
+        made.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind))
+    return made
 
 
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def with_keys(function: Callable[..., int]) -> Callable[..., int]:
+    """Add the options of ``KEYS`` to a command, which receives them by name as its parameter ``given``."""
+    return with_options(function, _key_options(), "given", dict)
+
+
+@with_keys
 def sim(
     scenario: ScenarioName = "demo",
-    speed: Speed = None,
-    lockstep: Lockstep = False,
-    seed: Seed = None,
-    duration_s: Duration = None,
-    horizon_s: Horizon = None,
-    compute_delay_s: ComputeDelay = None,
-    currents: Currents = None,
-    water_prior: WaterPrior = None,
-    sensors: Sensors = None,
-    vehicle: Vehicle = None,
-    reference: Reference = None,
-    surface_time_s: SurfaceTime = None,
-    set_: Assignments = None,
-    perfect_state: PerfectState = False,
-    no_control: NoControl = False,
-    dashboard: Dashboard = None,
-    open_: Open = False,
+    lockstep: Annotated[
+        bool, flag("--lockstep", "Run in one process on a simulated clock, as fast as the machine allows.")
+    ] = False,
+    set_: Annotated[
+        list[str] | None, option("KEY=VALUE", "Set any key of the scenario; repeatable.", "--set", show_default=False)
+    ] = None,
+    dashboard: Annotated[
+        bool | None,
+        flag("--dashboard/--no-dashboard", "Serve a live page and print its address. Default: on a terminal."),
+    ] = None,
+    open_: Annotated[bool, flag("--open", "Open the live page in a browser.")] = False,
     certs: Certs = None,
     as_json: Json = False,
     force: Force = False,
     out: Out = None,
+    *,
+    given: Mapping[str, Any],
 ) -> int:
     """Run a scenario as processes, or in lock step.
 
-    SCENARIO is a shipped name (demo, descent, hover) or a TOML file. Precedence: option, --set, file, default.
+    Precedence: option, --set, file, default.
     """
     if not lockstep:
         _interpret()
@@ -145,21 +103,14 @@ def sim(
     from services.run.run_config import resolve
     from services.runtime.stopping import hang_up_with_stderr
 
-    texts = (
-        *(speed, seed, duration_s, surface_time_s, compute_delay_s, horizon_s),
-        *(currents, water_prior, sensors, vehicle, reference),
-    )
-    given = {name: text for name, text in zip(KEYS, texts, strict=True) if text is not None}
-    flags = {"--perfect-state": perfect_state, "--no-control": no_control}
-    overrides = _overrides(set_ or (), given, [name for name, on in flags.items() if on])
+    overrides = _overrides(set_ or (), given)
     if lockstep:
-        _refuse_speed(overrides)
-        _refuse_page(dashboard, open_)
-    if perfect_state and water_prior is not None:
-        _refuse_prior()
+        _refuse_beside_lockstep(overrides, {"--dashboard": dashboard, "--open": open_, "--certs": certs})
+    if given["perfect_state"] and given["water_prior"] is not None:
+        raise invalid("option --water-prior", "cannot act together with --perfect-state: nothing is estimated")
     run_config = resolve(scenario, overrides)
     if certs is not None:
-        _check_certs(certs, run_config, lockstep=lockstep)
+        _check_certs(certs, run_config)
     check_open_files()
     check_disk_space(out or folder.ROOT, run_config.scenario.run.surface_time_s + run_config.scenario.run.duration_s)
     with folder.reserve(run_config.name, run_config.files, out=out, force=force) as run_folder, hang_up_with_stderr():
@@ -185,59 +136,40 @@ def _interpret() -> None:
         os.environ[NO_JIT] = before
 
 
-def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequence[str]) -> list[Override]:
+def _overrides(assignments: Sequence[str], given: Mapping[str, Any]) -> list[Override]:
     """Return the overrides in the order of their precedence, the last one wins: --set, then the options."""
     from services.run.run_config import Override
 
     overrides = [Override("option --set", assignments)] if assignments else []
-    for name, text in given.items():
-        kind = ["water.kind=measured"] if name == "--currents" else []
-        overrides.append(Override(f"option {name}", [*kind, f"{KEYS[name]}={text}"]))
-    spelled = {"--perfect-state": "run.perfect_state=true", "--no-control": "controller.lateral=false"}
-    overrides += [Override(f"option {name}", [spelled[name]]) for name in flags]
+    for name, value in given.items():
+        if value is not None and value is not False:
+            key = KEYS[name][0]
+            kind = ["water.kind=measured"] if name == "currents" else []
+            overrides.append(Override(f"option {_option(name)}", [*kind, key if value is True else f"{key}={value}"]))
     return overrides
 
 
-def _refuse_speed(overrides: Sequence[Override]) -> None:
-    from ltv_mpc.errors import ConfigError
-
+def _refuse_beside_lockstep(overrides: Sequence[Override], others: Mapping[str, object]) -> None:
+    """Raise ``ConfigError`` for an option that has no effect in lock step."""
     for source, assignments in overrides:
-        if any(text.partition("=")[0].strip() == KEYS["--speed"] for text in assignments):
-            problem = (
-                "cannot act together with --lockstep, which runs as fast as the machine allows: leave one of them out"
-            )
-            raise ConfigError(source, KEYS["--speed"] if source == "option --set" else "", problem)
+        if any(text.partition("=")[0].strip() == KEYS["speed"][0] for text in assignments):
+            problem = "cannot act together with --lockstep, which runs as fast as the machine allows: leave one out"
+            raise invalid(f"{source}{': run.speed' if source == 'option --set' else ''}", problem)
+    for name, value in others.items():
+        if value:
+            problem = "cannot act together with --lockstep, which publishes no messages"
+            raise invalid(f"option {name}", f"{problem}: report.html shows the run afterwards")
 
 
-def _refuse_prior() -> NoReturn:
-    from ltv_mpc.errors import ConfigError
-
-    problem = "cannot act together with --perfect-state: nothing is estimated"
-    raise ConfigError("option --water-prior", "", problem)
-
-
-def _refuse_page(dashboard: bool | None, open_: bool) -> None:
-    from ltv_mpc.errors import ConfigError
-
-    if dashboard or open_:
-        problem = (
-            "cannot act together with --lockstep, which publishes no messages: report.html shows the run afterwards"
-        )
-        raise ConfigError(f"option {'--open' if open_ else '--dashboard'}", "", problem)
-
-
-def _check_certs(certs: Path, run_config: RunConfig, *, lockstep: bool) -> None:
+def _check_certs(certs: Path, run_config: RunConfig) -> None:
     """Check that each process of the run has its own certificate. Raises ``ConfigError``."""
-    from ltv_mpc.errors import ConfigError
     from services.bus.roles import SUPERVISOR
     from services.bus.security import credentials
     from services.supervisor import process_table
 
-    if lockstep:
-        raise ConfigError("option --certs", "", "cannot act together with --lockstep, which publishes no messages")
     if run_config.scenario.run.perfect_state:
         problem = "cannot act together with run.perfect_state, in which the sensors publish the estimate themselves"
-        raise ConfigError("option --certs", "", problem)
+        raise invalid("option --certs", problem)
     for role in (SUPERVISOR, *(row.name for row in process_table.processes(run_config.scenario))):
         credentials(certs, role)
 
@@ -288,7 +220,7 @@ def _compile(folder: RunFolder, request: StopRequest) -> int | None:
                     raise InterruptedError
 
             log = folder.path / "compiling.log"
-            code = jit_cache.fill(folder.scenario, log, cleanup, wait)
+            code = jit_cache.fill(folder.scenario, log, cleanup.group, wait)
     except InterruptedError:
         typer.echo("stopped while compiling", err=True)
         return INTERRUPTED if request.interrupted else FAILED
@@ -345,10 +277,7 @@ def _print_summary(summary: Summary, folder: RunFolder, as_json: bool) -> None:
 
     plain = msgspec.to_builtins(summary)
     typer.echo(after_run(folder.recording, plain), err=True)
-    if as_json:
-        typer.echo(json.dumps(plain, indent=2))
-        return
-    typer.echo(verdict(plain, folder.path, _next_commands(plain, folder)))
+    show(summary, lambda: verdict(plain, folder.path, _next_commands(plain, folder)), as_json=as_json)
 
 
 def _next_commands(summary: Mapping[str, Any], folder: RunFolder) -> list[str]:

@@ -7,33 +7,23 @@ from typing import Annotated
 
 import typer
 
-from services.cli.options import Json
+from services.cli.options import Json, argument, flag, invalid, option
 
 
 def topics(
-    topic: Annotated[
-        str | None, typer.Argument(metavar="TOPIC", help="Key of one topic: list its fields and types.")
-    ] = None,
+    topic: Annotated[str | None, argument("TOPIC", "Key of one topic: list its fields and types.")] = None,
     as_json: Json = False,
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON Schema of the topic, or of all by key.")
-    ] = False,
-    write: Annotated[
-        Path | None, typer.Option("--write", metavar="DIR", help="Write protocol.md and schemas/ into this folder.")
-    ] = None,
+    schema: Annotated[bool, flag("--schema", "Print the JSON Schema of the topic, or of all by key.")] = False,
+    write: Annotated[Path | None, option("DIR", "Write protocol.md and schemas/ into this folder.")] = None,
 ) -> int:
     """List the topics of the bus, or the fields of one topic.
 
     The list has key, message type, period, delivery, the only writer, and the readers.
     """
-    from ltv_mpc.errors import ConfigError
-
     if write is not None and (topic is not None or schema or as_json):
-        raise ConfigError(
-            "option --write", "", "cannot act together with TOPIC, --schema or --json: it writes every topic"
-        )
+        raise invalid("option --write", "cannot act together with TOPIC, --schema or --json: it writes every topic")
     if schema and as_json:
-        raise ConfigError("option --schema", "", "is JSON already: cannot act together with --json")
+        raise invalid("option --schema", "is JSON already: cannot act together with --json")
     if write is not None:
         return _write(write)
     from services.reporting import topics as view

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import ControllerSettings, FenceFile, Json
+from services.cli.options import ControllerSettings, FenceFile, Json, argument, group, invalid, option, show
 
 if TYPE_CHECKING:
     from ltv_mpc.bathymetry import Bathymetry
     from ltv_mpc.references import Origin
 
-vehicle = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
+vehicle = group("vehicle", "Create, check or identify a vehicle file.")
 
 Overwrite = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
 
@@ -33,15 +33,9 @@ class KnownYaw(StrEnum):
     INERTIA = "inertia"
 
 
-@vehicle.callback()
-def _about() -> None:
-    """Create, check or identify a vehicle file."""
-
-
 @vehicle.command()
 def new(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="File to write.")] = Path("vehicle.toml"),
-    force: Overwrite = False,
+    file: Annotated[Path, argument("FILE", "File to write.")] = Path("vehicle.toml"), force: Overwrite = False
 ) -> None:
     """Write a commented vehicle file to fill in. It loads as it is."""
     from importlib import resources
@@ -53,23 +47,16 @@ def new(
 
 @vehicle.command()
 def check(
-    file: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A shipped name or a TOML file.")],
+    file: Annotated[str, argument("NAME|FILE", "A shipped name or a TOML file.")],
     reference: Annotated[
-        str | None,
-        typer.Option("--reference", metavar="NAME|FILE", help="Check this mission too; exit code 1 if it cannot be."),
+        str | None, option("NAME|FILE", "Check this mission too; exit code 1 if it cannot be.")
     ] = None,
     fence: FenceFile = None,
     start: Annotated[
-        str | None,
-        typer.Option("--start", metavar="NORTH,EAST", help="Position of the vehicle (m). Default: the path's start."),
+        str | None, option("NORTH,EAST", "Position of the vehicle (m). Default: the path's start.")
     ] = None,
-    current: Annotated[
-        float, typer.Option("--current", metavar="V", help="Speed of the water, from any side (m/s).", min=0, max=5)
-    ] = 0.0,
-    bottom: Annotated[
-        str | None,
-        typer.Option("--bottom", metavar="D|FILE", help="Depth of the bottom (m), or a CSV of soundings."),
-    ] = None,
+    current: Annotated[float, option("V", "Speed of the water, from any side (m/s).", min=0, max=5)] = 0.0,
+    bottom: Annotated[str | None, option("D|FILE", "Depth of the bottom (m), or a CSV of soundings.")] = None,
     settings: ControllerSettings = None,
     as_json: Json = False,
 ) -> None:
@@ -80,13 +67,12 @@ def check(
     """
     from msgspec.structs import replace
 
-    from ltv_mpc.errors import ConfigError
     from ltv_mpc.vehicle.parameters import Vehicle
 
     needing = {"--fence": fence, "--start": start, "--current": current, "--bottom": bottom, "--settings": settings}
     for name, value in needing.items():
         if reference is None and value:
-            raise ConfigError(f"option {name}", "", "needs --reference NAME|FILE, the mission to check")
+            raise invalid(f"option {name}", "needs --reference NAME|FILE, the mission to check")
     loaded = Vehicle.load(file)
     from services.tools import mission_check, vehicle_check
 
@@ -110,19 +96,19 @@ def check(
             limits=None if settings is None else ControllerConfig.load(str(settings)).limits,
         )
         result = replace(result, mission=replace(mission, notes=[*notes, *mission.notes]))
-    typer.echo(_json(result) if as_json else vehicle_check.table(result))
-    if result.mission is not None and not as_json:
-        typer.echo(f"{mission_check.table(result.mission)}\n{picture}")
+    text = vehicle_check.table(result)
+    if result.mission is not None:
+        text += f"\n{mission_check.table(result.mission)}\n{picture}"
+    show(result, lambda: text, as_json=as_json)
     if result.mission is not None and result.mission.problems:
         raise typer.Exit(1)
 
 
 @vehicle.command()
 def identify(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="latest, a run's folder, its run.mcap, or .bin, .tlog.")],
+    run: Annotated[str, argument("RUN", "latest, a run's folder, its run.mcap, or .bin, .tlog.")],
     name: Annotated[
-        str | None,
-        typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle to start from. Default: that of the run."),
+        str | None, option("NAME|FILE", "Vehicle to start from. Default: that of the run.", "--vehicle")
     ] = None,
     known: Annotated[
         Known, typer.Option("--known", help="Mass and thrust are not separable: take this one from the file.")
@@ -130,7 +116,7 @@ def identify(
     known_yaw: Annotated[
         KnownYaw, typer.Option("--known-yaw", help="Inertia and arms are not separable: take this one from the file.")
     ] = KnownYaw.ARM,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the identified vehicle.")] = None,
+    out: Annotated[Path | None, option("FILE", "Write the identified vehicle.")] = None,
     force: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -145,7 +131,7 @@ def identify(
 
     with reading_progress(source if isinstance(source, Path) else source.recording):
         report, identification = vehicle_identify.identify_run(source, loaded, known.value, known_yaw.value)
-    typer.echo(_json(report) if as_json else vehicle_identify.format_text(report))
+    show(report, lambda: vehicle_identify.format_text(report), as_json=as_json)
     if out is not None:
         identified = vehicle_identify.identified_vehicle(source, loaded, identification)
         _write(out, vehicle_identify.format_toml(report, identified), force=force, quiet=as_json)
@@ -154,14 +140,13 @@ def identify(
 def _bottom(text: str, origin: Origin | None) -> float | Bathymetry:
     """Return the depth (m) or the soundings of the option --bottom."""
     from ltv_mpc.bathymetry import Bathymetry
-    from ltv_mpc.errors import ConfigError
 
     try:
         depth_m = float(text)
     except ValueError:
         return Bathymetry.load(text, origin)
     if not 0.0 <= depth_m <= 11_000.0:
-        raise ConfigError("option --bottom", "", "must be >= 0 and <= 11000 m, or a file of soundings", value=text)
+        raise invalid("option --bottom", "must be >= 0 and <= 11000 m, or a file of soundings", value=text)
     return depth_m
 
 
@@ -169,38 +154,27 @@ def _place(text: str) -> tuple[float, float]:
     """Return north and east (m) of the option --start."""
     import math
 
-    from ltv_mpc.errors import ConfigError
-
     try:
         north, east = (float(part) for part in text.split(","))
     except ValueError:
         north = east = math.nan
     if not (abs(north) <= 1e6 and abs(east) <= 1e6):
-        raise ConfigError("option --start", "", "must be NORTH,EAST in metres, for example 3.5,-2", value=text)
+        raise invalid("option --start", "must be NORTH,EAST in metres, for example 3.5,-2", value=text)
     return north, east
 
 
-def _json(result: object) -> str:
-    import msgspec
-
-    return msgspec.json.format(msgspec.json.encode(result), indent=2).decode()
-
-
 def _free(file: Path, *, force: bool) -> None:
-    from ltv_mpc.errors import ConfigError
 
     if file.exists() and not force:
-        raise ConfigError("vehicle file", "", "exists already: name another, or add --force", value=str(file))
+        raise invalid("vehicle file", "exists already: name another, or add --force", value=str(file))
 
 
 def _write(file: Path, text: str, *, force: bool, quiet: bool = False) -> None:
     """Write the file and print its name as the last line."""
-    from ltv_mpc.errors import ConfigError
-
     _free(file, force=force)
     try:
         file.write_text(text, encoding="utf-8")
     except OSError as error:
         problem = f"cannot be written ({error.strerror})"
-        raise ConfigError("vehicle file", "", problem, value=str(file)) from None
+        raise invalid("vehicle file", problem, value=str(file)) from None
     typer.echo(str(file), err=quiet)

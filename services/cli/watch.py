@@ -12,11 +12,7 @@ if TYPE_CHECKING:
 
 
 @with_bus("display")
-def watch(
-    vehicle: ShownVehicle = None,
-    *,
-    bus: BusOptions,
-) -> int:
+def watch(vehicle: ShownVehicle = None, *, bus: BusOptions) -> int:
     """Watch any run, or your own vehicle, in the terminal.
 
     Fits 80 x 24 characters, so that it works over ssh. It only reads. In a pipe it prints a line every 5 s.

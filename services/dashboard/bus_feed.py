@@ -31,10 +31,11 @@ from ltv_mpc.messages import (
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.latest_cache import LatestCache, LatestFrame
 from services.bus.mailbox import Mailbox
+from services.bus.message_validation import valid_message
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import Session
 from services.bus.topics import BY_TYPE, OPERATOR, expression
-from services.bus.wire import Header, WireError, decode
+from services.bus.wire import Header
 from services.dashboard.late_joining import HistoryQuery
 from services.reporting.plots.collector import Collector
 from services.reporting.safety import process_state
@@ -101,7 +102,7 @@ class BusFeed:
         """What a run prepares before it starts its processes; empty if unknown."""
         self._newest = LatestCache()
         self._every = Mailbox(WAITING)
-        self._seen: dict[str, bytes] = {}
+        self._seen: dict[str, LatestFrame] = {}
         self._newest_messages: dict[type[Message], Message] = {}
         self._processes: dict[str, tuple[NodeStatus, float]] = {}
         self._clock = VehicleClock()
@@ -130,15 +131,13 @@ class BusFeed:
             self._seen.clear()
         for message, header in past:
             self._receive(message, header, time.monotonic())
-        for key, newest in sorted(self._newest.items(), key=_clock_first):
-            if self._seen.get(key) is newest.payload:
-                continue
-            self._seen[key] = newest.payload
-            decoded = _decoded(newest.topic.message_type, newest.payload)
-            if decoded is not None:
-                self._receive(*decoded, newest.arrived_s)
+        for newest in sorted(self._newest.frames(), key=_clock_first):
+            if self._seen.get(newest.key) is not newest:
+                self._seen[newest.key] = newest
+                if newest.decoded is not None:
+                    self._receive(*newest.decoded, newest.arrived_s)
         while (frame := self._every.take(0.0)) is not None:
-            decoded = None if frame.topic is None else _decoded(frame.topic.message_type, frame.payload)
+            decoded = valid_message(frame.topic, frame.key, frame.payload)
             if decoded is not None and not self._history.had(*decoded):
                 self._receive(*decoded, 0.0)
         if "since_s" in self.collector.values:
@@ -235,17 +234,10 @@ class BusFeed:
         )
 
 
-def _clock_first(item: tuple[str, LatestFrame]) -> tuple[bool, bool]:
+def _clock_first(frame: LatestFrame) -> tuple[bool, bool, str]:
     """Return a sort key: clock, then truth, then the rest, so that the start error has a truth for its estimate."""
-    kind = item[1].topic.message_type
-    return kind is not Clock, kind is not Truth
-
-
-def _decoded(kind: type[Message], payload: bytes) -> tuple[Message, Header] | None:
-    try:
-        return decode(kind, payload)
-    except WireError:  # the readers of the topic count it
-        return None
+    kind = frame.topic.message_type
+    return kind is not Clock, kind is not Truth, frame.key
 
 
 def _age(t_ns: int | None, then_ns: int | None) -> float | None:

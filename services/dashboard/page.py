@@ -52,6 +52,9 @@ OnView = Callable[[View], object]
 """Is called with what browsers do with the page."""
 
 REQUEST = msgspec.json.Decoder(ButtonRequest)
+TOKEN_S = 5.0
+"""Longest wait for the token of a browser for which no other place is left."""
+
 MAX_COMMAND_BYTES = 1024
 """Largest command; the server closes the connection of a client that sends more."""
 
@@ -125,23 +128,30 @@ async def _live(socket: WebSocket, commands: _Commands, about: About) -> None:
     """Serve one browser until it disconnects."""
     await socket.accept()
     stream = commands.stream
-    if len(stream.readers) >= MAX_READERS:
-        await socket.close(1013, f"{MAX_READERS} pages are open already, which is the limit")
-        return
     reader = Reader()
     hello = {"kind": "hello", "about": about, "plots": PLOTS, "dark": palette.DARK}
     await socket.send_text(msgspec.json.encode(hello).decode())
-    stream.readers.add(reader)
-    both = _send(socket, reader), _obey(socket, reader, commands)
-    tasks = [asyncio.create_task(work) for work in both]
+    work = [_send(socket, reader), _obey(socket, reader, commands)]
+    if not stream.admit(reader):
+        work.append(_await_token(socket, reader))
+    tasks = [asyncio.create_task(one) for one in work]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        stream.readers.discard(reader)
+        stream.leave(reader)
         commands.look_at_readers()
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _await_token(socket: WebSocket, reader: Reader) -> None:
+    """Close the connection if the browser does not send the token soon: no place is left without it."""
+    with contextlib.suppress(TimeoutError):
+        await asyncio.wait_for(reader.evicted.wait(), TOKEN_S)
+    if reader.has_token:
+        await asyncio.Event().wait()
+    await socket.close(1013, f"{MAX_READERS} pages are open already, which is the limit without the token")
 
 
 async def _send(socket: WebSocket, reader: Reader) -> None:
@@ -165,6 +175,9 @@ async def _reply(text: str, reader: Reader, commands: _Commands) -> ButtonReply 
         request = REQUEST.decode(text)
     except ValueError as error:  # includes the errors of msgspec
         return ButtonReply(number=0, done=False, text=f"no such command: {error}")
+    if (has_token := commands.token.matches(request.token)) and not reader.has_token:
+        reader.has_token = True
+        commands.stream.admit(reader)
     if request.button is Button.HAS_REPORT:
         reader.has_report = True
         commands.look_at_readers()
@@ -173,7 +186,7 @@ async def _reply(text: str, reader: Reader, commands: _Commands) -> ButtonReply 
         if not reader.has_report:
             commands.on_view(View.DRAWN)
         return None
-    if not commands.token.matches(request.token):
+    if not has_token:
         return ButtonReply(
             number=request.number, done=False, text="read-only: open the printed address, which carries the token"
         )

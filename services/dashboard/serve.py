@@ -21,11 +21,14 @@ from services.dashboard import page
 from services.dashboard.access_guard import LOOPBACK, Token, hosts
 from services.dashboard.bus_feed import BusFeed
 from services.dashboard.config import Config, View
+from services.dashboard.connection import IDLE_S, Connection
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 
 GRACE_S = 1
+PING_S = IDLE_S / 2
+"""Time between pings of a WebSocket, and longest time to the answer, which every browser gives."""
 
 NICE = 10
 AUTOGROUP = Path("/proc/self/autogroup")
@@ -106,7 +109,10 @@ def configuration(app: Starlette) -> uvicorn.Config:
         app,
         log_level="error",
         access_log=False,
+        http=Connection,
         ws_max_size=page.MAX_COMMAND_BYTES,
+        ws_ping_interval=PING_S,
+        ws_ping_timeout=PING_S,
         ws_per_message_deflate=False,  # loopback has bandwidth; the other processes need the processor time
         timeout_graceful_shutdown=GRACE_S,
         server_header=False,

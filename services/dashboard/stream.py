@@ -11,6 +11,8 @@ text when it reads again, so that a slow browser neither fills the memory nor de
 from __future__ import annotations
 
 import asyncio
+import contextlib
+from collections import deque
 from typing import Any
 
 import msgspec
@@ -21,6 +23,9 @@ from services.reporting.plots.table import Columns
 PERIOD_S = 0.1
 MAX_BACKLOG = 20
 MAX_READERS = 32
+"""Largest number of readers without the token. Those with it have a place at any time."""
+
+MAX_WAITING = 100
 
 
 class Reader:
@@ -32,6 +37,9 @@ class Reader:
         """True if the next text must be the complete state."""
         self.has_report = False
         """True once the browser has said so."""
+        self.has_token = False
+        """True once a command of the browser had the token."""
+        self.evicted = asyncio.Event()
 
     @property
     def idle(self) -> bool:
@@ -58,9 +66,26 @@ class Stream:
     def __init__(self, feed: BusFeed) -> None:
         self._feed = feed
         self.readers: set[Reader] = set()
+        self._waiting: deque[Reader] = deque()
         self._run = -1
         self._sent: dict[str, tuple[int, int]] = {}  # by table: generation, rows
         self._marks = 0
+
+    def admit(self, reader: Reader) -> bool:
+        """Add a reader if it has the token or a place is left. Else it waits, in place of the first of too many."""
+        if reader.has_token or sum(not one.has_token for one in self.readers) < MAX_READERS:
+            self.readers.add(reader)
+            return True
+        if len(self._waiting) >= MAX_WAITING:
+            self._waiting.popleft().evicted.set()
+        self._waiting.append(reader)
+        return False
+
+    def leave(self, reader: Reader) -> None:
+        """Remove a reader."""
+        self.readers.discard(reader)
+        with contextlib.suppress(ValueError):
+            self._waiting.remove(reader)
 
     async def run(self) -> None:
         """Send updates every ``PERIOD_S`` until cancelled."""

@@ -24,6 +24,11 @@ from services.edges.plan_follower import PlanFollower
 
 WINDOW_US = 30_000_000
 MAX_ROUND_TRIP_US = 1_000_000
+MAX_STAMP_NS = 2_147_000_000 * 10**9
+"""Largest stamp: 2038, some days before the seconds of ROS 2, which have 32 bits, end."""
+
+MAX_AHEAD_NS, AHEAD_US = 2 * 10**9, 1_000_000
+"""A stamp further ahead of the clock is wrong, until stamps have stayed ahead for this time: the clock was set."""
 
 VALUES = re.compile(r"[:=(0-9]")
 """Start of the values in a reason. The text before it is the kind of reason, by which refusals are counted."""
@@ -67,10 +72,18 @@ class StampedClock:
     def __init__(self) -> None:
         self._best: deque[tuple[int, int]] = deque()  # arrival (us), stamp - arrival (ns); decreasing
         self._fastest_us = MAX_ROUND_TRIP_US
+        self._ahead_us: int | None = None  # since when stamps are ahead
 
     def update(self, stamp_ns: int, now_us: int) -> None:
-        """Add a message that arrived at ``now_us`` with this stamp."""
+        """Add a message that arrived at ``now_us`` with this stamp. Raises ``Refused`` for a stamp that is wrong."""
+        if not 0 <= stamp_ns <= MAX_STAMP_NS:
+            raise Refused(f"stamp = {stamp_ns / 1e9:.9g} s: must be from 0 to {MAX_STAMP_NS / 1e9:.0f}")
         offset_ns = stamp_ns - now_us * 1000
+        if self._best and (ahead_ns := offset_ns - self._best[0][1]) > MAX_AHEAD_NS:
+            self._ahead_us = now_us if self._ahead_us is None else self._ahead_us
+            if now_us < self._ahead_us + AHEAD_US:
+                raise Refused(f"stamp = {stamp_ns / 1e9:.9g} s: {ahead_ns / 1e9:.3g} s ahead of the stamps before it")
+        self._ahead_us = None
         while self._best and self._best[-1][1] <= offset_ns:
             self._best.pop()
         self._best.append((now_us, offset_ns))
@@ -91,6 +104,7 @@ class StampedClock:
     def reset(self) -> None:
         """Forget all stamps: the foreign clock has restarted."""
         self._best.clear()
+        self._ahead_us = None
 
 
 class Edge(abc.ABC):
@@ -126,18 +140,18 @@ class Edge(abc.ABC):
 
     def receive(self, frame: Received) -> list[Output]:
         """Convert a foreign frame. A frame that cannot be used is counted, and nothing is returned."""
+        outputs: list[Output] = []
         try:
-            outputs = list(self.convert(frame))
-            for output in outputs:
+            for output in self.convert(frame):
                 if not isinstance(output, Outgoing) and (reason := rejection_reason(output)) is not None:
                     raise Refused(reason)
+                if isinstance(output, Estimate):
+                    self.clock.update(output.t_ns, frame.now_us)
+                outputs.append(output)
         except Refused as refusal:
             self.refuse(refusal)
             return []
         self.accepted += 1
-        for output in outputs:
-            if isinstance(output, Estimate):
-                self.clock.update(output.t_ns, frame.now_us)
         return outputs
 
     def refuse(self, refusal: Refused) -> None:
@@ -160,7 +174,10 @@ class Edge(abc.ABC):
 
     @abc.abstractmethod
     def convert(self, frame: Received) -> Iterable[Output]:
-        """Convert a foreign frame. Raises ``Refused``, and nothing else."""
+        """Convert a foreign frame. Raises ``Refused``, and nothing else.
+
+        The validity of an output is checked when it is yielded: what follows a ``yield`` happens to accepted ones only.
+        """
 
     @abc.abstractmethod
     def step(self, now_us: int) -> Iterable[Output]:
@@ -203,6 +220,8 @@ class LossCounter:
         at = newest + step
         if abs(step) > self._limit:
             self._newest[sender] = at
+            self._given_up += len(missing)
+            missing.clear()
         elif step > 0:
             missing.update(range(newest + 1, at))
             self._newest[sender] = at

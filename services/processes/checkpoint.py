@@ -21,10 +21,11 @@ from pathlib import Path
 
 import msgspec
 
+from ltv_mpc.config import read_bytes
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Authority, ControllerState, ControllerStatus, Message
 from services.bus.time_shift import shifted
-from services.bus.wire import Header, WireError, decode, encode
+from services.bus.wire import MAX_PAYLOAD_BYTES, Header, decode, encode
 from services.runtime.clock import NO_BOOT_ID, boot_id
 from services.runtime.console import Console, Level
 
@@ -39,6 +40,9 @@ MAX_WAIT_S = 1.0
 
 CLOCK_SET_NS = 1_000_000_000
 """Difference of vehicle time and the host's clock beyond which the vehicle's clock was set between two processes."""
+
+MAX_BYTES = 2 * MAX_PAYLOAD_BYTES
+"""Largest size of a checkpoint: a frame, and its stamp."""
 
 
 class Stamp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -135,12 +139,12 @@ class Checkpoint:
 
     def _read(self) -> tuple[Stamp, ControllerState] | None:
         """Return the checkpoint in the folder, or None: there is none, it is damaged, or of another reference."""
-        try:
-            stamp, state = parse(self._path.read_bytes())
-        except FileNotFoundError:
+        if not self._path.exists():
             return None
-        except (OSError, Damaged) as error:
-            self._console.say(f"{self._path} is not used: {getattr(error, 'strerror', None) or error}")
+        try:
+            stamp, state = parse(read_bytes(self._path, what="checkpoint", max_bytes=MAX_BYTES))
+        except ValueError as error:  # ConfigError, Damaged
+            self._console.say(f"{self._path} is not used: {getattr(error, 'problem', error)}")
             return None
         if stamp.reference_crc != self._reference_crc:
             self._console.say(f"{self._path} is not used: it is of another --reference")
@@ -200,7 +204,7 @@ def parse(contents: bytes) -> tuple[Stamp, ControllerState]:
     stamp, _, payload = rest.partition(b"\n")
     try:
         return msgspec.json.decode(stamp, type=Stamp), decode(ControllerState, payload)[0]
-    except (msgspec.MsgspecError, WireError) as error:
+    except (ValueError, RecursionError) as error:
         raise Damaged(f"it cannot be read: {error}") from None
 
 

@@ -21,7 +21,7 @@ from ltv_mpc.control.ocp import assembly
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.solvers.interface import Result
-from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
+from ltv_mpc.control.solvers.recorder import QpRecorder, RecordingSolver
 from ltv_mpc.geofence.fence import fence_for
 from ltv_mpc.messages import (
     Action,
@@ -101,11 +101,11 @@ def main(config: Config) -> int:
         node_stages = StageTimer()
         files = controller_files(config.vehicle, config.reference, config.fence, config.bathymetry, settings)
         published = node_settings(ControllerNode.name, files)
-        recorder = FailureRecorder()
+        recorder = QpRecorder()
         make_solver = make if config.failed_qps is None else recorder
-        node = ControllerNode(
-            vehicle, reference, settings, fence=fence, bathymetry=bottom, make_solver=make_solver, stopwatch=node_stages
-        )
+        node = ControllerNode(vehicle, reference, settings, fence=fence, make_solver=make_solver, stopwatch=node_stages)
+        if bottom is not None:
+            node.controller.set_bathymetry(bottom)
         stack.callback(console.close)
 
         def show(status: ControllerStatus, _now_us: int) -> None:
@@ -190,7 +190,7 @@ def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) ->
     def make_failing(*settings: Any) -> Solver:
         return FailingSolver(make(*settings))
 
-    node = ControllerNode(vehicle, reference, config, make_solver=FailureRecorder(make_failing))
+    node = ControllerNode(vehicle, reference, config, make_solver=QpRecorder(make_failing))
     start_ns = 0 if reference.start_s is None else max(0, round(reference.start_s * 1e9))
     near = Estimate.at_rest(depth_m=0.0, heading_rad=1.0)
     far = Estimate.at_rest(depth_m=0.0, heading_rad=3.0, north_m=3.0, east_m=1.0)

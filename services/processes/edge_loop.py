@@ -5,6 +5,7 @@ The edge steps at its rate, and at once when a plan has come, so that thrusts do
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from typing import Protocol
 
@@ -15,7 +16,7 @@ from services.bus.outbox import Outbox
 from services.bus.session import Session
 from services.bus.topics import BY_TYPE, expression
 from services.bus.wire import WireError
-from services.edges.edge import Edge, Outgoing, Output, Received
+from services.edges.edge import Edge, Outgoing, Output, Received, Refused
 from services.runtime.clock import monotonic_us
 from services.runtime.console import tenfold
 from services.runtime.stopping import Say, StopRequest
@@ -31,6 +32,24 @@ class Link(Protocol):
         ...
 
 
+class SenderLimit:
+    """Limit of the frames that a link receives in a second: so many of each sender, and so many senders."""
+
+    def __init__(self, frames: int, senders: int) -> None:
+        self._frames, self._senders = frames, senders
+        self._second_s, self._counts = 0.0, dict[str, int]()
+
+    def admits(self, sender: str, now_s: float) -> bool:
+        """Return True if the sender has not used up its share of this second."""
+        if now_s >= self._second_s + 1.0:
+            self._second_s, self._counts = now_s, {}
+        count = self._counts.get(sender, 0)
+        if count >= self._frames or (count == 0 and len(self._counts) >= self._senders):
+            return False
+        self._counts[sender] = count + 1
+        return True
+
+
 class EdgeLoop:
     """Loop of one edge between a session of this bus and a link."""
 
@@ -44,32 +63,43 @@ class EdgeLoop:
             session.subscribe(expression(BY_TYPE[kind]), BY_TYPE[kind], mailbox)
 
     def run(self, link: Link, period_us: int, stop: StopRequest) -> None:
-        """Run until a stop is requested, then let the edge release the thrusters."""
+        """Run until a stop is requested. However it ends, the edge then releases the thrusters."""
         due_us = status_us = monotonic_us()
-        while not stop():
-            now_us = monotonic_us()
-            if now_us >= due_us:
-                self._put(self._edge.step(now_us), link)
-                due_us = max(due_us + period_us, now_us)
-            if now_us >= status_us:
-                self.publish_status()
-                status_us = now_us + STATUS_US
-            if (frame := self._mailbox.take((min(due_us, status_us) - now_us) / 1e6)) is not None:
-                self._put(self._outputs(frame), link)
-                if frame.topic is BY_TYPE[Plan]:
-                    due_us = now_us
-        self._put(self._edge.release(monotonic_us()), link)
-        self.publish_status(finished=True)
+        try:
+            while not stop():
+                now_us = monotonic_us()
+                if now_us >= due_us:
+                    self._put(self._edge.step(now_us), link)
+                    due_us = max(due_us + period_us, now_us)
+                if now_us >= status_us:
+                    self.publish_status()
+                    status_us = now_us + STATUS_US
+                if (frame := self._mailbox.take((min(due_us, status_us) - now_us) / 1e6)) is not None:
+                    self._put(self._outputs(frame), link)
+                    if frame.topic is BY_TYPE[Plan]:
+                        due_us = now_us
+        finally:
+            for output in self._edge.release(monotonic_us()):
+                with contextlib.suppress(Exception):  # one that cannot be sent must not keep back the others
+                    self._put((output,), link)
+            self.publish_status(finished=True)
 
     def _outputs(self, frame: Frame) -> Iterable[Output]:
+        """Return what a frame of either side gives. One that raises is refused: no input ends the edge."""
         at_us = frame.received_monotonic_us
-        if frame.topic is None:
-            return self._edge.receive(Received(frame.key, frame.payload, frame.attachment, at_us))
         try:
+            if frame.topic is None:
+                return self._edge.receive(Received(frame.key, frame.payload, frame.attachment, at_us))
             message, header = self._validator.validate(frame)
+            if header.epoch != self._epoch:
+                return tuple(self._edge.take(message, at_us, (header.epoch, header.sequence)))
         except WireError:  # counted by the validator
-            return ()
-        return () if header.epoch == self._epoch else self._edge.take(message, at_us, (header.epoch, header.sequence))
+            pass
+        except Refused as refusal:
+            self._edge.refuse(refusal)
+        except Exception as error:
+            self._edge.refuse(Refused(f"{type(error).__name__} of {frame.key}: {error}"))
+        return ()
 
     def _put(self, outputs: Iterable[Output], link: Link) -> None:
         for output in outputs:
@@ -96,7 +126,7 @@ class EdgeLoop:
                 steps=edge.accepted,
                 published=self._outbox.published + 1,  # this one included
                 received=edge.accepted + self._validator.received,
-                dropped=edge.lost + self._validator.dropped,
+                dropped=edge.lost + self._validator.dropped + self._mailbox.overflowed,
                 rejected=edge.refused + self._validator.rejected,
                 step_us=0.0,
                 finished=finished,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ltv_mpc.control.failed_qp import FailedQp
-from ltv_mpc.control.solvers.recorder import FailureRecorder
+from ltv_mpc.control.failed_qp import NamedQp
+from ltv_mpc.control.solvers.recorder import QpRecorder
 from ltv_mpc.messages import ControllerStatus
 from services.runtime.stopping import Say
 
@@ -16,10 +16,10 @@ MAX_FILES = 20
 class FailedQps:
     """Writer of failed QPs: between the cycles, at most one file each time the status is published."""
 
-    def __init__(self, recorder: FailureRecorder, folder: Path, say: Say, *, max_files: int = MAX_FILES) -> None:
+    def __init__(self, recorder: QpRecorder, folder: Path, say: Say, *, max_files: int = MAX_FILES) -> None:
         """Write into ``folder`` what ``recorder`` keeps; ``say`` prints a line for a person."""
         self._recorder, self._folder, self._say, self._max_files = recorder, folder, say, max_files
-        self._seen: FailedQp | None = None
+        self._seen: NamedQp | None = None
         self.written = 0
 
     def show(self, status: ControllerStatus, _now_us: int) -> None:
@@ -28,7 +28,7 @@ class FailedQps:
         if failed is None or failed is self._seen or self.written >= self._max_files:
             return
         self._seen = failed
-        path = self._folder / f"qp-{status.t_ns}.npz"
+        path = self._folder / f"qp-{status.t_ns}.qp"
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             failed.save(path)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
 import threading
 import time
+from collections.abc import Iterator
 
 import msgspec
 
@@ -14,15 +16,17 @@ from services.bus.options import BusOptions
 from services.bus.outbox import new_epoch
 from services.bus.session import BusError, open_session
 from services.edges.edge import Outgoing
-from services.edges.mavlink.codec import Codec
+from services.edges.mavlink.codec import MARKERS, Codec
 from services.edges.mavlink.edge import MavlinkEdge, Settings
-from services.processes.edge_loop import EdgeLoop
+from services.processes.edge_loop import EdgeLoop, SenderLimit
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 
 MAX_DATAGRAM = 65_536
 PERIOD_US = 50_000
+FROM_STRANGER, STRANGERS = 100, 20
+"""Datagrams a second of one sender, and senders, that are received: the autopilot is at first one of them."""
 SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01, from which the stamps of signatures count
 
 
@@ -62,20 +66,24 @@ def _run(config: Config, request: StopRequest, say: Say) -> None:
 
 
 class UdpLink:
-    """UDP socket to one peer: the given address, or for ``listens`` the newest sender."""
+    """UDP socket to the given address, or for ``listens`` to the sender that a frame names as its channel.
+
+    The sender that was answered last is the peer. It has a second socket at the same port, so that a flood by others
+    takes no room in its queue. Of each of ``STRANGERS`` others, ``FROM_STRANGER`` datagrams a second are received.
+    """
 
     def __init__(self, host: str, port: int, mailbox: Mailbox, *, listens: bool) -> None:
-        """Bind or connect. Raises ``BusError``."""
+        """Bind the port. Raises ``BusError``."""
         self._mailbox = mailbox
-        self._peer: tuple[str, int] | None = None if listens else (host, port)
-        self._listens = listens
+        self._given = None if listens else (host, port)
+        self._peer = ""
+        self._strangers = SenderLimit(FROM_STRANGER, STRANGERS)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, port) if listens else ("", 0))
         except OSError as error:
             self._socket.close()
             raise BusError(f"cannot listen at udp {host}:{port}: {error.strerror}") from None
-        self._socket.settimeout(0.2)
         self._open = True
         self._thread = threading.Thread(target=self._receive, name="udp", daemon=True)
 
@@ -90,16 +98,50 @@ class UdpLink:
 
     def send(self, frame: Outgoing) -> None:
         """Send a datagram; one that cannot be sent is dropped."""
-        if self._peer is not None:
+        self._peer = frame.channel
+        if self._given is not None or self._peer:
             with contextlib.suppress(OSError):
-                self._socket.sendto(frame.payload, self._peer)
+                self._socket.sendto(frame.payload, self._given or _address(self._peer))
 
     def _receive(self) -> None:
+        peer, sockets = "", [self._socket]
         while self._open:
-            try:
-                payload, peer = self._socket.recvfrom(MAX_DATAGRAM)
-            except OSError:  # a time-out, or an answer that nobody listens there
-                continue
-            if self._listens:
-                self._peer = peer
-            self._mailbox.offer(None, "", payload)
+            if self._peer != peer:
+                peer = self._peer
+                for old in sockets[1:]:
+                    old.close()
+                sockets[1:] = self._of(peer) if peer else ()
+            for one in select.select(sockets, (), (), 0.2)[0]:
+                with contextlib.suppress(OSError):  # an answer that nobody listens there
+                    self._offer(*one.recvfrom(MAX_DATAGRAM), peer)
+        for old in sockets[1:]:
+            old.close()
+
+    def _of(self, peer: str) -> Iterator[socket.socket]:
+        """Yield a socket to which the kernel gives what the peer sends; none where the system has no such thing."""
+        own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        both = self._socket, own
+        try:
+            for one in both:
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            own.bind(self._socket.getsockname())
+            own.connect(_address(peer))
+            yield own
+        except OSError:
+            own.close()
+        finally:  # another process must not share the port
+            for one in both:
+                with contextlib.suppress(OSError):
+                    one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+
+    def _offer(self, payload: bytes, address: tuple[str, int], peer: str) -> None:
+        sender = f"{address[0]}:{address[1]}"
+        if sender == peer or (payload[:1] in MARKERS and self._strangers.admits(sender, time.monotonic())):
+            self._mailbox.offer(None, sender, payload)
+        else:
+            self._mailbox.overflowed += 1
+
+
+def _address(sender: str) -> tuple[str, int]:
+    host, _, port = sender.rpartition(":")
+    return host, int(port)

@@ -9,11 +9,11 @@ from typing import Any
 
 from ltv_mpc.messages import Acknowledgement, Action, Command, Heartbeat, RejectedFrame
 from services.bus.mailbox import Mailbox
+from services.bus.message_validation import valid_message
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, Session, Stopped, open_session
 from services.bus.topics import BY_TYPE, OPERATOR
-from services.bus.wire import WireError, decode
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import DONE, FAILED, Say, StopRequest
@@ -72,12 +72,8 @@ def send_command(session: Session, action: Action, **fields: Any) -> Acknowledge
     until = time.monotonic() + TIMEOUT_S
     while (left := until - time.monotonic()) > 0:
         frame = box.take(left)
-        if frame is None or frame.topic is None:
-            continue
-        try:
-            message, _ = decode(frame.topic.message_type, frame.payload)
-        except WireError:
-            continue
+        found = None if frame is None else valid_message(frame.topic, frame.key, frame.payload)
+        message = None if found is None else found[0]
         if isinstance(message, Acknowledgement) and message.command_id == command.command_id:
             return message
         if isinstance(message, RejectedFrame) and (message.key, message.crc) == (sent.key, sent.crc):

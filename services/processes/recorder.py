@@ -42,6 +42,6 @@ def main(config: Config) -> int:
         SUPERVISOR_LINK.restored_state()
         recording = config.folder / "run.mcap"
         with SegmentWriter(recording, start_ns=config.start_ns or 0, metadata=config.metadata) as writer:
-            RecordingLoop(writer, start_ns=config.start_ns, stop=request, say=say).serve(config.bus)
+            RecordingLoop(writer, start_ns=config.start_ns, say=say).serve(config.bus, request)
 
     return run_until_stopped(Console(NAME, as_json=config.log_json), work, failures=(BusError, OSError))

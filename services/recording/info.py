@@ -17,15 +17,19 @@ import msgspec
 from ltv_mpc.config import loads
 from ltv_mpc.messages import NodeSettings, RunEvent
 from services.bus import topics
+from services.bus.roles import SUPERVISOR
 from services.bus.wire import Header, WireError
 from services.recording.node_settings import vehicle_name
 from services.recording.reader import Recording, StoredMessage
 from services.recording.recover import RECOVERY
 from services.recording.sequence_gaps import SequenceGaps
-from services.recording.writer import VEHICLE_MODE
+from services.recording.writer import ENDED, VEHICLE_MODE
 
+SUPERVISOR_EVENTS = topics.key_of(RunEvent, SUPERVISOR)
 MAX_EVENTS = 1000
 """Events that are listed; all are counted."""
+MAX_SOURCES = 1_000
+"""Sources of a key that are listed; messages of others count as unreadable."""
 MAX_GAPS = 20
 """Gaps that are listed of each source."""
 FIRST_DATE_S, LAST_DATE_S = 946_684_800.0, 4_102_444_800.0
@@ -100,6 +104,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     missing: int
     bytes: int
     unreadable: int  # messages without a header
+    why: str  # why the run ended early; empty if it did not, or nothing says so
     segments: tuple[Segment, ...]
     keys: tuple[Key, ...]
     events: tuple[Event, ...]
@@ -131,6 +136,8 @@ class _KeyStatistics:
         self.bytes += len(raw.data)
         source = self.sources.get(header.epoch)
         if source is None:
+            if len(self.sources) >= MAX_SOURCES:
+                raise WireError("too many sources")
             begins = header.sequence if from_first else 0
             source = self.sources[header.epoch] = _SourceStatistics(SequenceGaps(begins), raw.t_ns, raw.t_ns)
         source.gaps.add(header.sequence)
@@ -142,6 +149,7 @@ class _Collector:
         self.keys: dict[str, _KeyStatistics] = {}
         self.events: list[Event] = []
         self.events_total = 0
+        self.why = ""
         self.unreadable = 0
         self.settings: dict[str, NodeSettings] = {}  # newest, by key
 
@@ -149,10 +157,10 @@ class _Collector:
         """Add a message; ``from_first`` as in ``_KeyStatistics.add``."""
         try:
             header = stored.header()
+            self.keys.setdefault(stored.key, _KeyStatistics()).add(stored, header, from_first=from_first)
         except WireError:
             self.unreadable += 1
             return
-        self.keys.setdefault(stored.key, _KeyStatistics()).add(stored, header, from_first=from_first)
         self.events_total += stored.kind is RunEvent
         if stored.kind not in (NodeSettings, RunEvent):
             return
@@ -162,6 +170,8 @@ class _Collector:
                     self.settings[stored.key] = settings
                 case RunEvent(t_ns=t_ns, node=node, kind=kind, text=text) if len(self.events) < MAX_EVENTS:
                     self.events.append(Event(t_s=t_ns / 1e9, node=node, kind=kind, text=text))
+                    if kind == ENDED and stored.key == SUPERVISOR_EVENTS:
+                        self.why = text
 
 
 def read(parts: Sequence[Path]) -> Info:
@@ -197,6 +207,7 @@ def read(parts: Sequence[Path]) -> Info:
         missing=sum(key.missing for key in keys),
         bytes=sum(segment.bytes for segment in segments),
         unreadable=collector.unreadable,
+        why=collector.why,
         segments=tuple(segments),
         keys=keys,
         events=tuple(collector.events),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tomllib
 from collections.abc import Iterable, Mapping
 from itertools import chain
 from typing import TypeAlias
@@ -11,7 +10,6 @@ from typing import TypeAlias
 import msgspec
 
 from ltv_mpc.config import loads, parse
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import NodeSettings
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.topics import BY_TYPE
@@ -58,6 +56,6 @@ def vehicle_name(files: Mapping[str, str]) -> str:
 def vehicle_of(files: Mapping[str, str]) -> Vehicle | None:
     """Return the vehicle of these settings files; None if there is none, or one that another version wrote."""
     try:
-        return parse(tomllib.loads(files[VEHICLE]), Vehicle, source=VEHICLE) if VEHICLE in files else None
-    except (tomllib.TOMLDecodeError, ConfigError):
+        return parse(loads(files[VEHICLE]), Vehicle, source=VEHICLE) if VEHICLE in files else None
+    except (ValueError, RecursionError):
         return None

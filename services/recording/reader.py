@@ -7,8 +7,9 @@ of the file is not needed.
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 from mcap.records import Channel, Metadata
@@ -20,26 +21,11 @@ from services.recording.records import Records, start_of
 from services.recording.writer import RUN
 
 
-class RecordedMessage(msgspec.Struct, frozen=True):
-    """Decoded message of a recording. ``plain`` is its map, including the header fields.
+class StoredMessage(NamedTuple):
+    """Message as stored in the file: ``data`` is its JSON, ``crc`` the CRC-32 of the frame as it was received.
 
     ``t_ns`` is the vehicle time of publication. ``kind`` is None if the table of topics has no such key.
     """
-
-    key: str
-    kind: type[Message] | None
-    t_ns: int
-    plain: dict[str, Any]
-
-    def typed(self) -> tuple[Message, wire.Header]:
-        """Return the typed message and its header. Raises ``WireError`` if it is not a valid message of its type."""
-        if self.kind is None:
-            raise wire.WireError(f"no topic has the key {self.key}")
-        return wire.from_map(self.kind, self.plain)
-
-
-class StoredMessage(NamedTuple):
-    """Message as stored in the file: ``data`` is its JSON, ``crc`` the CRC-32 of the frame as it was received."""
 
     key: str
     kind: type[Message] | None
@@ -51,14 +37,28 @@ class StoredMessage(NamedTuple):
         """Return the header. Raises ``WireError``."""
         return _decoded(_header, self.data)
 
+    @property
+    def plain(self) -> dict[str, Any]:
+        """Map of the message, including the fields of its header. Raises ``WireError``."""
+        return _decoded(_map, self.data)
+
     def message(self) -> Message:
         """Return the message, as it was accepted when it was recorded. Raises ``WireError``."""
+        return wire.from_validated_map(self._known_kind, self.plain)
+
+    def typed(self) -> tuple[Message, wire.Header]:
+        """Return the message and its header. Raises ``WireError`` if it is not a valid message of its type."""
+        return wire.from_map(self._known_kind, self.plain)
+
+    @property
+    def _known_kind(self) -> type[Message]:
         if self.kind is None:
-            raise wire.WireError(f"{self.key}: no topic has this key")
-        return wire.from_validated_map(self.kind, _decoded(msgspec.json.decode, self.data))
+            raise wire.WireError(f"no topic has the key {self.key}")
+        return self.kind
 
 
 _header = msgspec.json.Decoder(wire.Header).decode
+_map = msgspec.json.Decoder(dict[str, Any]).decode
 _T = TypeVar("_T")
 
 
@@ -85,15 +85,8 @@ class Recording:
         self.cut = False
         self._past_losses = past_losses
 
-    def __iter__(self) -> Iterator[RecordedMessage]:
-        decode = msgspec.json.Decoder(dict[str, Any]).decode
-        for key, kind, t_ns, _, data in self.stored():
-            try:
-                plain = decode(data)
-            except (msgspec.DecodeError, ValueError, RecursionError):  # not written by a recorder
-                self.cut = True
-                return
-            yield RecordedMessage(key, kind, t_ns, plain)
+    def __iter__(self) -> Iterator[StoredMessage]:
+        return self.stored()
 
     def stored(self, keys: Container[str] | None = None) -> Iterator[StoredMessage]:
         """Yield the messages without decoding them; ``keys`` selects them, None: all."""
@@ -119,30 +112,6 @@ class Recording:
         self.cut = not records.whole
 
 
-Progress: TypeAlias = Callable[[float], None]
-"""Callback that receives the share of the work that is done, 0 to 1."""
-
-PROGRESS_INTERVAL = 1000
-"""Messages between two reports of progress."""
-
-
-def no_progress(share: float) -> None:
-    """Ignore the progress."""
-
-
-def read_segments(
-    parts: Sequence[Path], progress: Progress, share: tuple[float, float] = (0.0, 1.0)
-) -> Iterator[StoredMessage]:
-    """Yield every message that can be read of the segments, in their order.
-
-    ``progress`` receives values from the first to the second number of ``share``.
-    """
-    sizes = [path.stat().st_size for path in parts]
-    before, total = 0, max(1, sum(sizes))
-    for path, size in zip(parts, sizes, strict=True):
-        recording = Recording(path, past_losses=True)
-        for count, stored in enumerate(recording.stored()):
-            if count % PROGRESS_INTERVAL == 0:
-                progress(share[0] + (share[1] - share[0]) * (before + recording.records.position) / total)
-            yield stored
-        before += size
+def read_segments(parts: Sequence[Path]) -> Iterator[StoredMessage]:
+    """Yield every message that can be read of the segments, in their order."""
+    return chain.from_iterable(Recording(path, past_losses=True).stored() for path in parts)

@@ -30,11 +30,16 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Metadata, Schema
 
+from ltv_mpc.config import open_file
 from ltv_mpc.errors import ConfigError
 
 MAGIC = b"\x89MCAP0\r\n"
-MAX_CHUNK_BYTES = 1 << 27
+MAX_CHUNK_BYTES = 1 << 25
 """Limit of a decompressed chunk. Our own chunks have 1 MiB plus one message; other programs write larger ones."""
+MAX_RATIO, FREE_BYTES = 200, 1 << 14
+"""Limit of a chunk's compression, and size below which it does not hold: messages are compressed to a tenth."""
+MAX_TABLE = 10_000
+"""Number of channels and schemas of a file that are read."""
 
 ENCODING = "json"
 """Encoding of our messages."""
@@ -45,6 +50,8 @@ FOREIGN = (
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 MESSAGE = int(Opcode.MESSAGE)  # an int compares faster than an enum, and a file has some hundred thousand records
+
+IN_CHUNK = frozenset((MESSAGE, int(Opcode.CHANNEL), int(Opcode.SCHEMA)))
 
 DECODING_ERRORS = (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError)
 """Exceptions of mcap, zstd, lz4 and struct on damaged content; UnicodeDecodeError is a ValueError."""
@@ -110,7 +117,7 @@ class Records:
     def __iter__(self) -> Iterator[Record]:
         self.losses, self.orphans, self.finished = [], 0, False
         self._channels.clear()
-        with self.path.open("rb") as file:
+        with open_file(self.path, what="recording") as file:
             self.size = file.seek(0, 2)
             file.seek(0)
             if file.read(len(MAGIC)) != MAGIC[: self.size]:
@@ -159,6 +166,8 @@ class Records:
 
     def _is_known(self, record: Record) -> bool:
         """Return False for a message of a lost channel. Raises ``ConfigError`` if the first is of another program."""
+        if len(self._schemas) + len(self._channels) > MAX_TABLE:
+            raise ConfigError(f"recording {self.path}", "", f"more than {MAX_TABLE} channels and schemas")
         if isinstance(record, Schema):
             self._schemas[record.id] = record.name
         elif isinstance(record, Channel):
@@ -197,7 +206,7 @@ def _chunk(chunk: Chunk) -> Iterator[Record]:
     while start < len(data):
         opcode, length = _HEAD.unpack_from(data, start)
         start += _HEAD.size + length
-        if start > len(data) or opcode == Opcode.CHUNK:
+        if start > len(data) or opcode not in IN_CHUNK:
             raise ValueError("a record type that a chunk cannot hold")
         if opcode == MESSAGE:
             yield _message(data, start - length, start)
@@ -213,6 +222,8 @@ def _message(data: bytes, start: int, end: int) -> Message:
 def _decompressed(chunk: Chunk) -> bytes:
     if chunk.uncompressed_size > MAX_CHUNK_BYTES:
         raise ValueError(f"{chunk.uncompressed_size} bytes, at most {MAX_CHUNK_BYTES}")
+    if chunk.uncompressed_size > FREE_BYTES + MAX_RATIO * len(chunk.data):
+        raise ValueError(f"{chunk.uncompressed_size} bytes from {len(chunk.data)}: more than {MAX_RATIO} times as many")
     if chunk.compression == "zstd":
         # The frame claims a size of its own, which zstd would trust.
         if zstandard.frame_content_size(chunk.data) > MAX_CHUNK_BYTES:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 MAX_GAPS = 1_000
 """Gaps that late messages may still fill; beyond that number the oldest count as lost."""
 
@@ -17,6 +19,7 @@ class SequenceGaps:
         self._max_gaps = max_gaps
         self._missing: list[list[int]] = []  # [first, last], in order
         self._lost = 0  # no longer fillable
+        self._ahead: deque[int] = deque(maxlen=max_gaps)  # of refused messages, which fill the gap that they may be in
 
     def add(self, sequence: int) -> bool:
         """Add a message. Return False if it is a duplicate."""
@@ -28,10 +31,19 @@ class SequenceGaps:
                     first, last = self._missing.pop(0)
                     self._lost += last - first + 1
             self._next = sequence + 1
+            while self._ahead:
+                self._fill(self._ahead.popleft())
             return True
         if self._fill(sequence):
             return True
         self.doubled += 1
+        return False
+
+    def fill(self, sequence: int) -> bool:
+        """Count a message that was refused as no longer missing. Return True if it was missing."""
+        if sequence < self._next:
+            return self._fill(sequence)
+        self._ahead.append(sequence)
         return False
 
     def mark_lost(self) -> None:

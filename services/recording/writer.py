@@ -34,6 +34,8 @@ RUN = "run"
 """Name of the metadata record."""
 VEHICLE_MODE = "vehicle"
 """Entry ``mode`` of a recording beside a vehicle; its times are those of the vehicle's own clock."""
+ENDED = "ended"
+"""Kind of the supervisor's event that says why a run ended early."""
 
 
 class RunWriter:

@@ -98,7 +98,10 @@ class RecordedNodes:
             reference, soundings = references.load(str(folder / "reference.toml")), place / BATHYMETRY
             kept = fence_for(vehicle, reference, str(fence) if fence.exists() else "")
             bottom = bathymetry_for(reference, settings.limits, str(soundings) if soundings.exists() else "")
-            return ControllerNode(vehicle, reference, settings, fence=kept, bathymetry=bottom)
+            node = ControllerNode(vehicle, reference, settings, fence=kept)
+            if bottom is not None:
+                node.controller.set_bathymetry(bottom)
+            return node
 
     def settings_of(self, name: str) -> ControllerConfig | EstimatorConfig:
         """Return the settings of a node that may be replaced, at its newest start."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from enum import Enum
 from typing import Any
@@ -17,6 +18,9 @@ WITHOUT_DRIFT = "--perfect-state"
 GOOD_M = 0.05
 """Mean error (m) below which a run gets no advice: a fortieth of the length of the shipped vehicle."""
 
+OFTEN = 0.1
+"""Share of the cycles above which plans that are late, or a health that is not nominal, are the cause."""
+
 OFTEN_SATURATED = 0.1
 """Share of the time at a thrust limit above which that limit is explained, as a bound of the tracking error."""
 
@@ -31,7 +35,7 @@ def assessment(summary: Mapping[str, Any]) -> list[str]:
     """
     sentences = [*_error(summary), _fence(summary), _lateral_thrust(summary), _vertical_thrust(summary)]
     sentences += [_health(summary), *_delay(summary), _losses(summary)]
-    return [sentence for sentence in sentences if sentence]
+    return [sentence for sentence in dict.fromkeys(sentences) if sentence]
 
 
 def next_option(summary: Mapping[str, Any]) -> str | None:
@@ -39,6 +43,8 @@ def next_option(summary: Mapping[str, Any]) -> str | None:
     match _cause(summary):
         case _Cause.TRACKING:
             return LESS_TRACKING_ERROR
+        case _Cause.SHORT_HORIZON:
+            return f"--horizon-s {summary['proposed_horizon_s']:g}"
         case _Cause.TRACKING_WITH_HIGH_EFFORT:
             return f"--horizon-s {2 * summary['horizon_s']:.0f}"
         case _Cause.DRIFT:
@@ -55,6 +61,13 @@ class _Cause(Enum):
         f"`{WITHOUT_DRIFT}` shows the same run without drift."
     )
     SATURATION = "The thrust limits bound it: a slower reference, a weaker current or stronger thrusters reduce it."
+    SHORT_HORIZON = (
+        "A plan that ends before a turn does cannot see what the turn is for, and drives in circles or astern."
+    )
+    LATE = (
+        "Plans that come too late leave the vehicle on old ones: a lower `--speed` or a shorter cycle gives them time."
+    )
+    HEALTH = "What degrades the health comes first."
     NO_THRUST = "The lateral thrusts were zero, so the water carried the vehicle."
     TRACKING = f"`{LESS_TRACKING_ERROR}` reduces the tracking error, for more thrust."
     TRACKING_WITH_HIGH_EFFORT = "A longer horizon may reduce the tracking error."
@@ -67,10 +80,17 @@ def _cause(summary: Mapping[str, Any]) -> _Cause | None:
         return None
     if true < GOOD_M:
         return _Cause.GOOD
+    cycles = max(summary.get("cycles", 0), 1)
     if localisation > tracking:
         return _Cause.DRIFT
     if _figure(summary, "thrust", "mean_abs_N") == 0.0:
         return _Cause.NO_THRUST
+    if _not_nominal(summary) > OFTEN * cycles:
+        return _Cause.HEALTH
+    if summary.get("deadline_misses", 0) > OFTEN * cycles:
+        return _Cause.LATE
+    if _short_horizon(summary):
+        return _Cause.SHORT_HORIZON
     if (_figure(summary, "thrust", "saturated_fraction") or 0.0) > OFTEN_SATURATED:
         return _Cause.SATURATION
     return _Cause.TRACKING_WITH_HIGH_EFFORT if summary.get("effort") == "high" else _Cause.TRACKING
@@ -97,7 +117,16 @@ def _error(summary: Mapping[str, Any]) -> list[str]:
             perfect
             or f"Tracking is the larger part, {tracking:.3f} m; the drift of the estimate is {localisation:.3f} m."
         )
-    return [f"{average}.", parts, _not_held(summary, cause), cause.value]
+    why = _health(summary) if cause is _Cause.HEALTH else ""
+    return [_short_horizon(summary), f"{average}.", parts, why, _not_held(summary, cause), cause.value]
+
+
+def _short_horizon(summary: Mapping[str, Any]) -> str:
+    """Say so if the horizon is shorter than the one that is proposed; empty without lateral control."""
+    horizon_s, proposed_s = summary.get("horizon_s", math.inf), summary.get("proposed_horizon_s", 0.0)
+    if horizon_s >= proposed_s or _figure(summary, "thrust", "mean_abs_N") == 0.0:
+        return ""
+    return f"The horizon of {horizon_s:.1f} s is shorter than a turn and a stop: {proposed_s:.1f} s is proposed."
 
 
 def _not_held(summary: Mapping[str, Any], cause: _Cause) -> str:
@@ -158,21 +187,27 @@ def _health(summary: Mapping[str, Any]) -> str:
         return ""
     most_frequent = max(counts, key=lambda text: counts[text])
     return (
-        f"The controller's health was not nominal in {sum(counts.values())} of {summary['cycles']} cycles, "
+        f"The controller's health was not nominal in {_not_nominal(summary)} of {summary['cycles']} cycles, "
         f"most often {most_frequent}."
     )
+
+
+def _not_nominal(summary: Mapping[str, Any]) -> int:
+    """Return the number of cycles in which the controller's health was not nominal."""
+    return sum(count for text, count in summary.get("health", {}).items() if text != Health.NOMINAL.value)
 
 
 def _delay(summary: Mapping[str, Any]) -> list[str]:
     """Tell the delay from estimate to effect, and how many plans came after their start."""
     delay_s = _figure(summary, "end_to_end_delay_s", "median")
-    if summary.get("mode") == "lockstep" or delay_s is None:
+    if delay_s is None:
         return []
-    late = summary["deadline_misses"]
-    plans = "No plan came too late."
+    late, measured = summary["deadline_misses"], summary.get("mode") != "lockstep"
+    effect = f"A plan took effect {delay_s:.2f} s after its estimate, and was made for that time." if measured else ""
     if late:
-        plans = f"{late} of {summary['cycles']} plans came too late: a lower `--speed` gives them more time."
-    return [f"A plan took effect {delay_s:.2f} s after its estimate, and was made for that time.", plans]
+        more = ": a lower `--speed` gives them more time" if measured else ""
+        return [effect, f"{late} of {summary['cycles']} plans came too late{more}."]
+    return [effect, "No plan came too late." if measured else ""]
 
 
 def _losses(summary: Mapping[str, Any]) -> str:

@@ -7,6 +7,8 @@ from typing import Any
 
 import msgspec
 
+from services.runtime.console import columns
+
 
 class Figure(msgspec.Struct, frozen=True):
     """Definition of a table row: ``path`` into summary.json and ``scale`` from its unit to ``unit``."""
@@ -58,7 +60,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 def rows(summaries: Sequence[Mapping[str, Any]]) -> list[Row]:
     """Return a row for each figure that at least one run has."""
-    table = (_row(figure, summaries) for figure in FIGURES)
+    further = dict.fromkeys(name for summary in summaries for name in summary.get("further", {}))
+    named = (Figure(name, "", ("further", name), 3) for name in further)
+    table = (_row(figure, summaries) for figure in (*FIGURES, *named))
     return [row for row in table if any(value is not None for value in row.values)]
 
 
@@ -90,12 +94,4 @@ def text(names: Sequence[str], table: Sequence[Row]) -> str:
         + ["-" if value is None else f"{value:+.{row.digits}f}" for value in row.differences]
         for row in table
     ]
-    lines = [head, *body]
-    widths = [max(len(cells[i]) for cells in lines) for i in range(len(head))]
-    return "\n".join(
-        "  ".join(
-            cell.rjust(width) if i else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(cells, widths, strict=True))
-        )
-        for cells in lines
-    )
+    return "\n".join(columns([head, *body], numbers=True))

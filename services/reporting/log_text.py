@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
+from ltv_mpc.errors import one_line
 from services.bus.topics import topic_at
 from services.recording.export import ExportResult
 from services.recording.info import Info, Key, Segment
 from services.recording.recover import Recovery
 from services.recording.writer import VEHICLE_MODE
-from services.runtime.console import counted, fold
+from services.runtime.console import columns, counted, fold
 
 MAX_EVENTS = 20
 """Number of events that are printed; --json lists all of them."""
@@ -23,6 +24,8 @@ def text(info: Info) -> str:
     vehicle = info.mode == VEHICLE_MODE
     since_s = info.start_s if vehicle else 0.0
     lines = [fold(f"{info.recording}: {f'vehicle {info.vehicle}' if vehicle else info.scenario}")]
+    if info.why:
+        lines.append(fold(one_line(f"The run failed: {info.why}")))
     versions = info.made_by
     packages = ("ltv_mpc", "python", "numpy", "osqp", "numba")
     by = ", ".join(f"{name} {versions[name]}" for name in packages if name in versions)
@@ -30,7 +33,7 @@ def text(info: Info) -> str:
     lines.append(fold(f"{how}, {info.duration_s:.1f} s{'; ' if by else ''}{by}"))
     lines += [_segment(segment, since_s) for segment in info.segments]
     lines.append(f"{counted(info.messages, 'message')}, {info.missing or 'none'} missing{_unreadable(info)}")
-    lines += ["", *_columns([_HEAD, *(_row(key, since_s) for key in info.keys)])]
+    lines += ["", *columns([_HEAD, *(_row(key, since_s) for key in info.keys)], numbers=True)]
     if sources := [line for key in info.keys for line in _sources(key, since_s)]:
         lines += ["", "keys with several sources", *sources]
     if silences := [line for key in info.keys for line in _silences(key, since_s)]:
@@ -64,7 +67,7 @@ def recovered(recovery: Recovery) -> str:
 def exported(result: ExportResult) -> str:
     """Format the result of an export: files and the number of their rows."""
     rows = [(file.file, str(file.rows), str(file.columns)) for file in result.files]
-    lines = _columns([("file", "rows", "columns"), *rows])
+    lines = columns([("file", "rows", "columns"), *rows], numbers=True)
     if result.unreadable:
         lines.append(f"{counted(result.unreadable, 'message')} left out: their content does not match their key")
     return "\n".join(lines)
@@ -121,15 +124,3 @@ def _gaps(key: Key) -> Iterable[str]:
             words.append(f"{source.doubled} duplicated")
         if words:
             yield f"  {key.key}, epoch {source.epoch}: {'; '.join(words)}"
-
-
-def _columns(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Align the first column to the left and all others to the right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(
-            f"{cell:<{width}}" if i == 0 else f"{cell:>{width}}"
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]

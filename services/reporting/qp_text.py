@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ltv_mpc.control.failed_qp import FailedQp, worst_violation
+from ltv_mpc.control.failed_qp import NamedQp, worst_violation
 from ltv_mpc.control.qp import Solution, residuals
 
 
-def figures(failed: FailedQp, solver: str, solution: Solution) -> dict[str, Any]:
+def figures(failed: NamedQp, solver: str, solution: Solution) -> dict[str, Any]:
     """Return all results as plain values, as printed by ``--json``."""
     qp, solve = failed.qp, solution.solve
     finite = bool(np.isfinite(solution.x).all() and np.isfinite(solution.y).all())
@@ -48,7 +48,7 @@ ACTIVE = 1e-6
 """Largest distance from a bound, in the scale of the QP, at which it counts as active."""
 
 
-def active(failed: FailedQp, x: NDArray[np.float64]) -> list[str]:
+def active(failed: NamedQp, x: NDArray[np.float64]) -> list[str]:
     """List the inequality rows that are active at x (n,)."""
     qp = failed.qp
     Ax = qp.A @ x

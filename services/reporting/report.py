@@ -25,7 +25,7 @@ from services.reporting.plots.catalogue import PLOTS, REVIEW
 from services.reporting.plots.collector import ROWS
 from services.reporting.plots.description import NO_DATA, Plot, Series
 from services.reporting.plots.recorded import PlotData, read
-from services.reporting.run_summary_text import how
+from services.reporting.run_summary_text import failure, how
 from services.reporting.safety_part import number
 from services.run.folder import draft_of
 
@@ -122,6 +122,8 @@ def _lines(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[str]:
     """Return the lines below the title: one for each run, and for a single one what its figures mean."""
     lines = []
     for run, data in zip(runs, plot_data, strict=True):
+        if failed := failure(run.summary):
+            lines.append(f'<p class="bad">{html.escape(failed)}</p>')
         words = [_vehicle(data)] if data.metadata.get("mode") == VEHICLE_MODE else [_how(run.summary, data.metadata)]
         if data.cut:
             words.append('<span class="bad">the recording was cut off: the report shows its readable part</span>')

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ltv_mpc.errors import one_line
 from services.reporting.assessment import assessment
 
 WIDTH = 80
@@ -34,12 +35,20 @@ def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[st
             ("messages", _messages(summary["messages"], summary["restarts"])),
         ]
     lines = [f"{name:<13} {text}" for name, text in rows]
+    if failed := failure(summary):
+        lines = [*textwrap.wrap(failed, WIDTH), *lines]
     lines.append("")
     for sentence in assessment(summary):
         lines += textwrap.wrap(sentence, WIDTH, break_on_hyphens=False)  # an option is copied whole
     if next_commands:
         lines += ["", "next:", *(f"  {command}" for command in next_commands)]
     return "\n".join([*lines, "", str(folder)])
+
+
+def failure(summary: Mapping[str, Any]) -> str:
+    """Return why the run of a summary did not come to its end, as a line; empty if it did."""
+    why = summary.get("why")
+    return one_line(f"The run failed: {why}") if why and isinstance(why, str) else ""
 
 
 def how(summary: Mapping[str, Any]) -> str:

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 from rich.console import Console, Group
@@ -23,6 +24,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from ltv_mpc.errors import one_line
 from ltv_mpc.messages import ControllerStatus, LocalisationReport, SensorStatus
 from services.reporting.plots.collector import Collector
 from services.runtime.console import WIDTH, fold
@@ -36,6 +38,11 @@ LINE_S = 5.0
 PROGRESS = 12  # width of the bar of the time, in characters
 BAR = 31  # width in characters, from full astern to full ahead
 THRUSTERS = ("port", "starboard", "vertical")
+
+
+def _text(text: str = "", **style: Any) -> Text:
+    """Return a line of rich, which itself shows control characters of messages as they are."""
+    return Text(one_line(text), **style)
 
 
 def screen_for(title: str, limits: Limits, console: Console | None = None) -> Screen:
@@ -72,16 +79,16 @@ class LiveScreen:
         """Show a progress bar with the time left in place of the screen."""
         if self._waiting is None:
             self._waiting = Progress(*_columns(), console=self._live.console)
-            self._waiting.add_task(escape(what), total=1.0)
+            self._waiting.add_task(escape(one_line(what)), total=1.0)
         now = time.monotonic()
         if now >= self._next:
             self._next = now + REDRAW_S
-            self._waiting.update(self._waiting.task_ids[0], completed=share)
+            self._waiting.update(self._waiting.task_ids[0], completed=share, description=escape(what))
             self._live.update(self._waiting.get_renderable(), refresh=True)
 
     def say(self, text: str) -> None:
         """Print a note above the screen."""
-        self._live.console.print(Text(fold(text, self._live.console.width)), soft_wrap=True)
+        self._live.console.print(Text(fold(one_line(text), self._live.console.width)), soft_wrap=True)
 
     def close(self) -> None:
         """Stop redrawing and leave the last screen visible."""
@@ -90,16 +97,16 @@ class LiveScreen:
     def render(self, view: LiveView) -> Group:
         """Return the complete screen."""
         return Group(
-            Text(self._title, style="bold", no_wrap=True, overflow="ellipsis"),
+            _text(self._title, style="bold", no_wrap=True, overflow="ellipsis"),
             _progress(view),
-            Text(),
+            _text(),
             *_motion(view, self._collector),
             *_localisation(view),
-            Text(),
+            _text(),
             *_thrusts(view, self._limits),
-            Text(),
+            _text(),
             *_ages(view),
-            Text(),
+            _text(),
             _processes(view),
         )
 
@@ -129,7 +136,7 @@ class PlainScreen:
 
     def say(self, text: str) -> None:
         """Print a line."""
-        self._console.print(Text(text), soft_wrap=True)
+        self._console.print(_text(text), soft_wrap=True)
 
     def close(self) -> None:
         """Do nothing: plain output has nothing to restore."""
@@ -138,23 +145,21 @@ class PlainScreen:
 @contextmanager
 def run_progress_bar(start_ns: int, end_ns: int, console: Console | None = None) -> Iterator[Callable[[int], None]]:
     """Show the progress of a lock-step run on stderr, if it is a terminal; call the result with the vehicle time."""
-    console = console or Console(stderr=True)
-    with Progress(*_columns(), console=console, transient=True, disable=_plain(console)) as bars:
-        task = bars.add_task(f"t {_seconds(start_ns)} s", total=end_ns - start_ns)
-
-        def progress(t_ns: int) -> None:
-            bars.update(task, completed=t_ns - start_ns, description=f"t {_seconds(t_ns)} s")
-
-        yield progress
+    with progress_bar(f"t {_seconds(start_ns)} s", console) as progress:
+        span_ns = max(1, end_ns - start_ns)
+        yield lambda t_ns: progress((t_ns - start_ns) / span_ns, f"t {_seconds(t_ns)} s")
 
 
 @contextmanager
-def progress_bar(what: str, console: Console | None = None) -> Iterator[Callable[[float], None]]:
-    """Show a bar with the time left on stderr, if it is a terminal; call the result with the share done, 0 .. 1."""
+def progress_bar(what: str, console: Console | None = None) -> Iterator[Callable[..., None]]:
+    """Show a bar with the time left on stderr, if it is a terminal.
+
+    Call the result with the share done, 0 .. 1, and a new text if there is one.
+    """
     console = console or Console(stderr=True)
     with Progress(*_columns(), console=console, transient=True, disable=_plain(console)) as bars:
-        task = bars.add_task(escape(what), total=1.0)
-        yield lambda share: bars.update(task, completed=share)
+        task = bars.add_task(escape(one_line(what)), total=1.0)
+        yield lambda share, text=what: bars.update(task, completed=share, description=escape(one_line(text)))
 
 
 @contextmanager
@@ -212,10 +217,10 @@ def times(speed: float, asked: float) -> str:
 def _progress(view: LiveView) -> Text:
     if view.end_ns is None:
         t = "-" if view.estimate is None and not view.status else f"{_seconds(view.t_ns)} s"
-        return Text(f"t {t:>10}  {view.phase}", no_wrap=True, overflow="ellipsis")
+        return _text(f"t {t:>10}  {view.phase}", no_wrap=True, overflow="ellipsis")
     share = (view.t_ns - view.start_ns) / max(1, view.end_ns - view.start_ns)
     done = round(PROGRESS * min(max(share, 0.0), 1.0))
-    return Text(
+    return _text(
         f"t {_seconds(view.t_ns):>8} s of {_seconds(view.end_ns)}  [{'#' * done:<{PROGRESS}}]"
         f"  {times(view.speed, view.requested_speed)}  {view.phase}  wall time {view.wall_s:.0f} s",
         no_wrap=True,
@@ -226,7 +231,7 @@ def _motion(view: LiveView, collector: Collector) -> list[Text]:
     """Return where the vehicle is by its estimate, how far from the reference, and who controls it in which health."""
     estimate, controller = view.estimate, view.controller
     if estimate is None:
-        return [Text("motion  no estimate yet"), Text("error   -"), Text(f"control {_control(controller)}")]
+        return [_text("motion  no estimate yet"), _text("error   -"), _text(f"control {_control(controller)}")]
     depth = "" if estimate.depth_m is None else f"depth {round(estimate.depth_m, 2) + 0.0:.2f} m   "
     speed_mps = math.hypot(estimate.velocity_north_mps, estimate.velocity_east_mps)
     words = f"{depth}heading {round(math.degrees(estimate.heading_rad)) % 360} deg   speed {speed_mps:.3f} m/s"
@@ -240,7 +245,7 @@ def _motion(view: LiveView, collector: Collector) -> list[Text]:
         if "since_s" in collector.values:  # the screen joined the run late; 80 columns
             error = error.replace("vehicle from the reference", "vehicle") + _since(collector)
     lines = [f"motion  {words}", f"error   {error}", f"control {_control(controller)}"]
-    return [Text(line, no_wrap=True, overflow="ellipsis") for line in lines]
+    return [_text(line, no_wrap=True, overflow="ellipsis") for line in lines]
 
 
 def _control(controller: ControllerStatus | None) -> str:
@@ -256,7 +261,7 @@ def _localisation(view: LiveView) -> list[Text]:
     """Return the line of the localisation filter; a vehicle with a navigation of its own has none."""
     if view.localisation is None and view.end_ns is None:
         return []
-    return [Text(f"filter  {_filter(view.localisation)}", no_wrap=True, overflow="ellipsis")]
+    return [_text(f"filter  {_filter(view.localisation)}", no_wrap=True, overflow="ellipsis")]
 
 
 def _filter(report: LocalisationReport | None) -> str:
@@ -273,7 +278,7 @@ def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
     dives = any(limits[2]) if limits else view.estimate is None or view.estimate.depth_m is not None
     names = THRUSTERS if dives else THRUSTERS[:2]
     if view.applied is None:
-        return [Text(f"{name:<10}{'-':>8} N") for name in names]
+        return [_text(f"{name:<10}{'-':>8} N") for name in names]
     lines = []
     for i, (name, thrust_N) in enumerate(zip(names, view.applied.thrust_N, strict=False)):
         text, style = f"{name:<10}{thrust_N:z8.1f} N", ""
@@ -282,7 +287,7 @@ def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
             text += f"  {bar(thrust_N, least, most)}"
             if thrust_N >= 0.999 * most or thrust_N <= 0.999 * least:
                 style = "yellow"
-        lines.append(Text(text, style=style))
+        lines.append(_text(text, style=style))
     return lines
 
 
@@ -299,7 +304,7 @@ def _ages(view: LiveView) -> list[Text]:
             stage = f"  {name} {us / 1000:.2f}"
             words += stage if len(words) + len(stage) <= WIDTH else ""
         lines.append(words)
-    return [Text(text, no_wrap=True, overflow="ellipsis") for text in lines]
+    return [_text(text, no_wrap=True, overflow="ellipsis") for text in lines]
 
 
 def _processes(view: LiveView) -> Table:
@@ -312,13 +317,13 @@ def _processes(view: LiveView) -> Table:
     for name, state in in_order(states):
         status = view.status.get(name)
         if status is None:
-            table.add_row(name, state, *[""] * 6)
+            table.add_row(_text(name), _text(state), *[""] * 6)
             continue
         if status.waiting_for:
             state = f"waits for {status.waiting_for}"
         counts = (status.steps, status.published, status.received, status.dropped, status.rejected)
         bad = "yellow" if status.dropped or status.rejected else ""
-        table.add_row(name, state, *(str(x) for x in counts), f"{status.step_us:.0f}", style=bad)
+        table.add_row(_text(name), _text(state), *(str(x) for x in counts), f"{status.step_us:.0f}", style=bad)
     return table
 
 

@@ -13,7 +13,7 @@ from ltv_mpc.settings_schema import suggestion
 from services.bus.protocol import unit, words
 from services.bus.schema import message, schema
 from services.bus.topics import TOPICS, Topic
-from services.runtime.console import WIDTH
+from services.runtime.console import WIDTH, columns
 
 
 def text(key: str | None, *, as_json: bool) -> str:
@@ -27,9 +27,7 @@ def text(key: str | None, *, as_json: bool) -> str:
         return json.dumps(_row(topic) | {"fields": fields}, indent=2) + "\n"
     paragraphs = cleandoc(topic.message_type.__doc__ or "").replace("``", "").split("\n\n")
     about = "\n\n".join(textwrap.fill(paragraph, WIDTH) for paragraph in paragraphs)
-    return (
-        "\n".join([f"{key}: {topic.message_type.__name__}", about, "", *_columns(_fields(topic.message_type))]) + "\n"
-    )
+    return "\n".join([f"{key}: {topic.message_type.__name__}", about, "", *columns(_fields(topic.message_type))]) + "\n"
 
 
 def schemas(key: str | None) -> str:
@@ -71,7 +69,7 @@ def _table(rows: list[dict[str, Any]]) -> str:
         )
         for row in rows
     ]
-    return "\n".join(_columns([header, *cells])) + "\n"
+    return "\n".join(columns([header, *cells])) + "\n"
 
 
 def _period(period_ns: int) -> str:
@@ -84,8 +82,3 @@ def _fields(message_type: type[Message]) -> list[tuple[str, ...]]:
         (name, words(field.value), "" if field.required else "optional", unit(field))
         for name, field in message(message_type).items()
     ]
-
-
-def _columns(rows: list[tuple[str, ...]]) -> list[str]:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -20,9 +20,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
+from ltv_mpc.config import read_json
 from ltv_mpc.currents import WaterPrior, write_profile
 from ltv_mpc.errors import ConfigError
 
@@ -170,6 +172,15 @@ def find(text: str) -> Path:
     raise ConfigError(source, "", f"no such folder or file: a run's folder, its {RECORDING}, or {LATEST}")
 
 
+def read_summary(recording: Path) -> dict[str, Any]:
+    """Return the contents of summary.json beside a recording; empty if there is none.
+
+    Raises ``ConfigError`` if it cannot be read: its figures are not replaced by others in silence.
+    """
+    path = recording.with_name("summary.json")
+    return read_json(path, what="summary") if path.exists() else {}
+
+
 def _newest() -> Path | None:
     """Return the folder of the newest run.
 
@@ -207,7 +218,7 @@ def _try_make(path: Path) -> bool:
         path.mkdir(parents=True)
     except FileExistsError:
         return False
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise _refusal(path, error) from None
     return True
 
@@ -222,10 +233,14 @@ def open_folder(path: Path, *, force: bool) -> Path:
         if any(path.iterdir()) and not force:
             problem = "is not empty: name another folder, or add --force"
             raise ConfigError("option --out", "", problem, value=str(path))
-    except OSError as error:
+    except ConfigError:
+        raise
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         raise _refusal(path, error) from None
     return path
 
 
-def _refusal(path: Path, error: OSError) -> ConfigError:
-    return ConfigError("option --out", "", f"cannot be written ({error.strerror})", value=str(path))
+def _refusal(path: Path, error: OSError | ValueError) -> ConfigError:
+    return ConfigError(
+        "option --out", "", f"cannot be written ({getattr(error, 'strerror', None) or error})", value=str(path)
+    )

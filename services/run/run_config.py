@@ -94,7 +94,7 @@ def _called(name: str, scenario: Scenario) -> str:
     """Return the scenario's name: its file's, or for a run's own scenario.toml that of the run's original scenario."""
     origin = (scenario.made_by or {}).get(ORIGIN, "")
     plain = origin == Path(origin).name and origin.isprintable()  # it becomes part of a folder's name
-    return origin if origin and plain else Path(name).stem
+    return origin if origin and plain else Path(name).stem if config.is_path(name) else name
 
 
 def _files(scenario: Scenario, called: str) -> dict[str, str]:

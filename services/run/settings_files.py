@@ -6,7 +6,6 @@ started alone publishes its own as a ``NodeSettings`` message.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -69,7 +68,7 @@ def estimator_files(sensors: str, settings: EstimatorConfig) -> dict[str, str]:
     Sensors that extend a shipped file are resolved, because the shipped file may differ when the run is repeated.
     """
     sensors_text = _text(sensors, what="sensors", package="ltv_mpc.localisation.files")
-    if "base" in tomllib.loads(sensors_text):
+    if "base" in config.loads(sensors_text):
         from ltv_mpc.localisation.sensor_config import SensorConfig  # a controller does not load the estimator
 
         sensors_text = config.to_toml(SensorConfig.load(sensors))

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
 
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.resolution import settled
 from ltv_mpc.currents import WaterPrior
-from ltv_mpc.messages import Estimate, NodeStatus, RejectedFrame, RunEvent
-from services.bus import topics
+from ltv_mpc.messages import ControllerStatus, Estimate, Message, NodeStatus, RejectedFrame, RunEvent
 from services.bus.roles import RECORDER, ROUTER, SUPERVISOR
-from services.bus.wire import WireError
-from services.recording.loss_accounting import LossAccounting
+from services.recording.acceptance import Acceptance
 from services.recording.reader import Recording
+from services.recording.writer import ENDED
 from services.run.run_config import RunConfig
 from services.run.water import EstimatedCurrent
 from sim.evaluation.metrics import RunMetrics, quantiles
@@ -21,18 +21,20 @@ from sim.plant import PERIOD_NS
 
 SERVICES = "services"
 LOCKSTEP = "lockstep"
+STOPPED = "stopped early; the messages recorded so far are kept"
+"""Why a run ended that a signal has stopped."""
 
-STATUS = topics.BY_TYPE[NodeStatus].key + "/"
-"""Prefix of the keys of all processes' status: each further epoch is a further start."""
-
-RESTARTS = topics.key_of(RunEvent, SUPERVISOR)
-"""Key on which the supervisor reports restarts, also of processes without a status."""
+PROCESSES = frozenset((ROUTER, RECORDER, "plant", "sensors", "estimator", "controller"))
+"""Processes of a run: only their statuses and rejections count, not those of programs beside it."""
 
 
 def summarise(
-    run_config: RunConfig, metrics: RunMetrics, *, mode: str, messages: Messages, restarts: int = 0
+    run_config: RunConfig, metrics: RunMetrics, *, mode: str, messages: Messages, restarts: int = 0, why: str = ""
 ) -> Summary:
-    """Return the summary of a run whose messages ``metrics`` has observed."""
+    """Return the summary of a run whose messages ``metrics`` has observed.
+
+    ``why`` says why it ended early; empty: it did not.
+    """
     scenario = run_config.scenario
     measured = mode == SERVICES
     tracking, true, localisation, absolute = metrics.errors()
@@ -40,6 +42,8 @@ def summarise(
     return Summary(
         scenario=run_config.name,
         mode=mode,
+        completed=not why,
+        why=why,
         seed=scenario.run.seed,
         speed=scenario.run.speed if measured else None,
         speed_reached=metrics.speed_reached() if measured else None,
@@ -49,6 +53,7 @@ def summarise(
         true_error_m=true,
         localisation_error_m=localisation,
         localisation_error_absolute_m=absolute,
+        further=metrics.further(),
         thrust=metrics.thrust(),
         fence=metrics.fence(),
         arrived_s=metrics.arrived_s(),
@@ -67,6 +72,7 @@ def summarise(
         messages=messages,
         stages=run_config.controller.stages,
         horizon_s=run_config.controller.reach_s,
+        proposed_horizon_s=settled(ControllerConfig(), run_config.vehicle).horizon_s,
         effort=scenario.controller.effort,
         perfect_state=scenario.run.perfect_state,
     )
@@ -78,63 +84,46 @@ def _duration_ns(until_ns: int, end_ns: int) -> int:
 
 
 def summarise_recording(
-    run_config: RunConfig, path: Path, *, restarts: int = 0, unrecorded: int = 0
+    run_config: RunConfig, path: Path, *, restarts: int | None = None, unrecorded: int = 0, why: str = ""
 ) -> tuple[Summary, WaterPrior | None]:
     """Return the summary and the estimated current of a run of processes, from its run.mcap, complete or truncated.
 
-    ``restarts`` and ``unrecorded`` are counts of the supervisor for what a recording does not show.
+    Only accepted messages count (``Acceptance``). ``restarts`` and ``unrecorded`` are counts of the supervisor, None:
+    restarts as the recording shows them. ``why`` as in ``summarise``.
     """
     learned = EstimatedCurrent()
     metrics = RunMetrics(run_config.vehicle, fence=run_config.fence, speed=run_config.scenario.run.speed)
-    losses = LossAccounting()
-    restarted = 0
+    acceptance = Acceptance(run_config.vehicle, speed=run_config.scenario.run.speed)
+    faults = 0
     reported: Counter[str] = Counter()  # rejected messages on record, by process
-    counts: dict[tuple[str, int], int] = {}  # rejected messages by process and epoch of its status
-    for stored in Recording(path):
-        epoch, sequence = stored.plain["epoch"], stored.plain["sequence"]
-        losses.add(stored.key, epoch, sequence)
-        if stored.kind is RejectedFrame:
-            reported[stored.plain["node"]] += 1
-        restarted += stored.key == RESTARTS and stored.plain["kind"] == "fault"
-        if stored.kind is NodeStatus:
-            counts[stored.plain["node"], epoch] = stored.plain["rejected"]
-        if stored.kind in metrics.message_types:
-            try:
-                message, _ = stored.typed()
-            except WireError:  # its readers have rejected it too
-                continue
-            metrics.observe(message, epoch=epoch, sequence=sequence, t_ns=stored.t_ns)
-            if isinstance(message, Estimate):
-                learned.update(message)
-    rejected, denied = _rejected_and_denied(reported, counts)
-    summary = summarise(
-        run_config,
-        metrics,
-        mode=SERVICES,
-        messages=Messages(
-            published=losses.published,
-            dropped=max(losses.missing, unrecorded),
-            rejected=rejected,
-            denied=denied,
-        ),
-        restarts=max(
-            restarts,
-            restarted,
-            sum(starts - 1 for key, starts in losses.epochs().items() if key.startswith(STATUS)),
-        ),
+    statuses: dict[str, dict[int, NodeStatus]] = {}  # last status by process and epoch
+    kinds: set[type[Message]] = {*metrics.message_types, ControllerStatus, NodeStatus, RejectedFrame, RunEvent}
+    for stored in Recording(path).stored():
+        for message, header, t_ns in acceptance.take(stored, kinds):
+            match message:
+                case RejectedFrame(node=node) if node in PROCESSES:
+                    reported[node] += 1
+                case NodeStatus(node=node) if node in PROCESSES:
+                    statuses.setdefault(node, {})[header.epoch] = message
+                case RunEvent(node=node, kind=kind, text=text) if node == SUPERVISOR:
+                    faults += kind == "fault"
+                    why = why or (text if kind == ENDED else "")
+                case Estimate():
+                    learned.update(message)
+            metrics.observe(message, epoch=header.epoch, sequence=header.sequence, t_ns=t_ns)
+    if restarts is None:
+        restarts = max(faults, sum(len(epochs) - 1 for epochs in statuses.values()))
+    # A flood of rejections is not recorded as a whole, so the counts in the statuses matter too.
+    counts = {node: sum(one.rejected for one in epochs.values()) for node, epochs in statuses.items()}
+    rejected = Counter(counts) | reported  # the larger count of each process
+    denied, unreadable = rejected.pop(ROUTER, 0), rejected.pop(RECORDER, 0)
+    losses = acceptance.losses
+    messages = Messages(
+        published=losses.published,
+        dropped=max(losses.missing, unrecorded),
+        # The recorder rejects again what a reader has rejected, as do we; both matter only for what nobody reads.
+        rejected=max(rejected.total(), unreadable, acceptance.rejected),
+        denied=denied,
     )
+    summary = summarise(run_config, metrics, mode=SERVICES, messages=messages, restarts=restarts, why=why)
     return summary, learned.prior()
-
-
-def _rejected_and_denied(reported: Mapping[str, int], counts: Mapping[tuple[str, int], int]) -> tuple[int, int]:
-    """Return the number of rejected messages and that of the router's denials.
-
-    A flood of rejections is not recorded as a whole, so the counts in the statuses matter too. The recorder rejects
-    again what a reader has rejected; its count only matters for keys that no process reads.
-    """
-    total: Counter[str] = Counter()
-    for (node, _), count in counts.items():
-        total[node] += count
-    total |= Counter(reported)  # the larger count of each process
-    denied, unreadable = total.pop(ROUTER, 0), total.pop(RECORDER, 0)
-    return max(total.total(), unreadable), denied

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import re
 import subprocess
-from importlib import metadata
 from pathlib import Path
 
-DISTRIBUTION = "auv-ltv-mpc"
+import ltv_mpc
+
 ROOT = Path(__file__).resolve().parents[2]
 
 UNKNOWN = "unknown"
@@ -24,10 +24,7 @@ def version() -> str:
 
 def installed() -> str:
     """Return the version of the installed distribution."""
-    try:
-        return metadata.version(DISTRIBUTION)
-    except metadata.PackageNotFoundError:
-        return UNKNOWN
+    return ltv_mpc.__version__
 
 
 def combine(installed: str, commit: str) -> str:

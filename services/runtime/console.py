@@ -18,10 +18,11 @@ import re
 import shutil
 import sys
 import textwrap
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Protocol, TextIO
+from typing import Any, Protocol, TextIO, cast
 
-from ltv_mpc.errors import one_line
+from ltv_mpc.errors import one_line, printable
 
 ERASE = "\r\x1b[2K"
 
@@ -49,6 +50,47 @@ def fold(text: str, width: int = WIDTH, *, indent: int = 4) -> str:
 def counted(number: int, noun: str, plural: str | None = None) -> str:
     """Format a number of things: ``1 run``, ``2 runs``."""
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def columns(rows: Sequence[Sequence[str]], *, numbers: bool = False) -> list[str]:
+    """Align cells in columns, to the left; with ``numbers`` all but the first column to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.rjust(width) if numbers and i else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+class PrintedStream:
+    """Standard stream that escapes the control characters of what is printed (``printable``).
+
+    What draws with control characters, as rich and a status line do, escapes its texts and writes to ``drawn(stream)``.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self.rich_proxied_file = stream  # by this name rich finds it
+
+    def write(self, text: str) -> int:
+        """Write a text; return its length."""
+        self.rich_proxied_file.write(printable(text))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rich_proxied_file, name)
+
+
+def drawn(stream: Any) -> Any:
+    """Return the stream behind a ``PrintedStream``."""
+    return getattr(stream, "rich_proxied_file", stream)
+
+
+def escape_output() -> None:
+    """Make a ``PrintedStream`` of standard output and standard error."""
+    for name in ("stdout", "stderr"):
+        setattr(sys, name, PrintedStream(drawn(getattr(sys, name))))
 
 
 class Level(enum.StrEnum):
@@ -87,12 +129,12 @@ class Console:
         if self._as_json:
             self._write_json(level, kind, text, t_ns, fields)
         else:
-            self._write_line(f"{_utc()}  {one_line(text)}")
+            self._write_line(f"{_utc()}  {text}")
 
     def show(self, status: str) -> None:
         """Show a status line in place of the last one, on a terminal."""
         if not self._as_json and self._out.isatty():
-            self._shown = f"{self._name}: {status}"
+            self._shown = one_line(f"{self._name}: {status}")
             self._write(f"{ERASE}{self._shown}")
 
     def close(self) -> None:
@@ -103,17 +145,17 @@ class Console:
 
     @property
     def _out(self) -> TextIO:
-        return sys.stderr if self._given is None else self._given
+        return cast(TextIO, drawn(sys.stderr if self._given is None else self._given))
 
     def _write_line(self, text: str) -> None:
-        line = f"{self._name}: {text}"
+        line = one_line(f"{self._name}: {text}")
         if self._out.isatty():
             line = fold(line, shutil.get_terminal_size().columns)
         self._write(f"{ERASE if self._shown else ''}{line}\n{self._shown}")
 
     def _write_json(self, level: Level, kind: str, text: str, t_ns: int | None, fields: dict[str, str | int]) -> None:
         line = {"t_ns": t_ns, "time": _utc(), "level": level, "process": self._name, "kind": kind, "text": text}
-        self._write(json.dumps({**line, "fields": fields}) + "\n")
+        self._write(printable(json.dumps({**line, "fields": fields})) + "\n")
 
     def _write(self, text: str) -> None:
         with contextlib.suppress(OSError):

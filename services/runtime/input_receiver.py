@@ -28,8 +28,8 @@ from services.bus.topics import OPERATOR
 from services.bus.wire import WireError
 from services.runtime.clock import monotonic_us
 from services.runtime.node_io import NodeIO
+from services.runtime.node_status import Reporters
 from services.runtime.process_time import ProcessTime, step_text
-from services.runtime.reporters import Reporters
 
 NO_TIME = "no estimate received yet, so there is no vehicle time: retry when the status shows estimates"
 """Rejection reason of a command before there is a time: its age is unknown when it is carried out.
@@ -85,7 +85,7 @@ class InputReceiver:
         shift_ns = time.shift_ns(header.epoch, received_us)
         message = shifted(message, shift_ns)
         status, kind = self._reporters.process, type(message)
-        status.on_input(kind)
+        status.waiting.on_input(kind)
         status.on_delivery(header.sent_monotonic_us, received_us, monotonic_us())
         if self._reporters.node is not None:
             self._reporters.node.on_input(message)
@@ -105,7 +105,7 @@ class InputReceiver:
 
     def _report_clock_steps(self, now_us: int) -> None:
         """Pass the steps of the publishers' clocks to the node, and publish each as an event."""
-        for step in self._time.take_clock_steps():
+        for step in self._time.sync.take_steps():
             now_ns = self._time.now_ns(now_us)
             self._io.publish(RunEvent(t_ns=now_ns, node=self._node.name, kind="clock", text=step_text(step)))
             if ClockStep in self._node.reads:
@@ -116,7 +116,7 @@ class InputReceiver:
     def _pass_to_clock(self, message: Message) -> None:
         time = self._time
         if isinstance(message, Clock):
-            self._reporters.process.on_clock(monotonic_us())
+            self._reporters.process.waiting.on_clock(monotonic_us())
             time.follow(message)
         elif time.master is not None and isinstance(message, NodeStatus):
             time.master.on_status(message, monotonic_us(), self._node.name)

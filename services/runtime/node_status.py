@@ -7,15 +7,19 @@ more, with ``finished``, before it ends.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from ltv_mpc.messages import Battery, ClockState, Leak, Message, NodeStatus
+from ltv_mpc.messages import Battery, ClockState, Leak, Message, NodeSettings, NodeStatus
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox
 from services.bus.topics import BY_TYPE, OPERATOR
 from services.runtime.clock import VehicleClock
 from services.runtime.stopping import Say
 
+if TYPE_CHECKING:  # only a controller needs it
+    from services.runtime.controller_status import ControllerStatusReporter
+
+SETTINGS_PERIOD_US = BY_TYPE[NodeSettings].period_ns // 1000
 PERIOD_US = 500_000
 EARLY_PERIOD_US = 100_000  # before the start: the clock master waits for this status
 HURRIED_PERIOD_US = 50_000  # of a process that falls behind: the clock master slows the clock before much has piled up
@@ -109,19 +113,11 @@ class NodeStatusReporter:
         self._outbox = outbox
         self._counts = counts
         self._mailbox = mailbox
-        self._waiting = waiting
+        self.waiting = waiting
         self._say = say
         self._printed = ""  # newest waiting text on stderr
         self._busy_us, self._busy_steps = 0, 0  # since the last status
         self._min_wait_us: int | None = None  # since the last status
-
-    def on_input(self, kind: type[Message]) -> None:
-        """Note an accepted input of this type."""
-        self._waiting.on_input(kind)
-
-    def on_clock(self, now_us: int) -> None:
-        """Note a clock announcement."""
-        self._waiting.on_clock(now_us)
 
     def on_delivery(self, sent_us: int, arrived_us: int, now_us: int) -> None:
         """Note when the newest message was sent, arrived here and was taken from the mailbox.
@@ -129,7 +125,7 @@ class NodeStatusReporter:
         If vehicle time runs faster than real time, the transit counts as waiting too, so that a slow router is noticed.
         In real time it does not: the delay of a long link is measured and compensated, not waited for.
         """
-        newest = self._waiting.clock.newest
+        newest = self.waiting.clock.newest
         fast = newest is not None and newest.num > newest.den
         counts_transit = fast and 0 < sent_us <= arrived_us < sent_us + MAX_TRANSIT_US
         wait_us = max(0, now_us - (sent_us if counts_transit else arrived_us))
@@ -153,11 +149,11 @@ class NodeStatusReporter:
 
     def publish(self, now_us: int, *, others: str = "", finished: bool = False) -> None:
         """Publish the status. ``others`` names the nodes that the clock master waits for."""
-        waiting_for = "" if finished else others or self._waiting.text(now_us)
+        waiting_for = "" if finished else others or self.waiting.text(now_us)
         if waiting_for and waiting_for != self._printed:
             self._say(f"waiting for {waiting_for}")
         self._printed = waiting_for
-        clock = self._waiting.clock
+        clock = self.waiting.clock
         running = clock.newest is not None and clock.newest.state is ClockState.RUNNING
         self.due_us = now_us + (PERIOD_US if running else EARLY_PERIOD_US)
         self._outbox.publish(
@@ -179,3 +175,28 @@ class NodeStatusReporter:
         )
         self._busy_us, self._busy_steps = 0, 0
         self._min_wait_us = None
+
+
+class SettingsPublisher:
+    """Publisher of one process's settings: at its start, and again for recorders that start later.
+
+    The step loop sets ``due_us`` at the first step.
+    """
+
+    def __init__(self, settings: NodeSettings, outbox: Outbox) -> None:
+        self.due_us = 0
+        self._settings = settings
+        self._outbox = outbox
+
+    def publish(self, now_us: int) -> None:
+        """Publish the settings and set the next deadline."""
+        self.due_us = now_us + SETTINGS_PERIOD_US
+        self._outbox.publish(self._settings)
+
+
+class Reporters(NamedTuple):
+    """Reporters of one process: the status of every process, the controller's own, and the settings."""
+
+    process: NodeStatusReporter
+    node: ControllerStatusReporter | None
+    settings: SettingsPublisher | None = None

@@ -14,8 +14,7 @@ from ltv_mpc.messages import Clock, ClockStep, Message, Obstacles
 from ltv_mpc.node import Node
 from services.runtime.clock import VehicleClock, monotonic_us
 from services.runtime.clock_master import ClockMaster, ClockMasterSettings
-from services.runtime.clock_offset import ClockOffset
-from services.runtime.clock_sync import SHARED_CLOCK, STAMPED_INPUTS, ClockSync
+from services.runtime.clock_sync import STAMPED_INPUTS, ClockSync
 from services.runtime.schedule import StepSchedule
 
 INPUT_LATENCY_US = 6_000
@@ -46,10 +45,10 @@ class ProcessTime:
     def __init__(self, node: Node, options: ClockOptions, *, epoch: int) -> None:
         self.clock = VehicleClock(speed=options.speed)
         self.master: ClockMaster | None = None  # set when the process is connected
-        self.sync: ClockSync | None = None
+        self.sync = ClockSync(self.clock, epoch=epoch, input_delay_ns=options.input_delay_ns)
+        self.syncs = options.sync_to_inputs
+        """True if the time is taken from the inputs' stamps while no clock is announced."""
         self._source: int | None = None  # publisher of the estimates in use
-        if options.sync_to_inputs:
-            self.sync = ClockSync(self.clock, epoch=epoch, input_delay_ns=options.input_delay_ns)
         self.schedule = StepSchedule(node.schedule, end_ns=options.master.end_ns if options.master else None)
 
     def now_ns(self, now_us: int) -> int:
@@ -68,10 +67,6 @@ class ProcessTime:
         if isinstance(message, STAMPED_INPUTS) and self.clock.read(received_us) is None:
             return message.t_ns
         return self.now_ns(received_us)
-
-    def offset(self, now_us: int) -> ClockOffset:
-        """Return the offset to the other side's clock and its error bound."""
-        return SHARED_CLOCK if self.sync is None else self.sync.offset(now_us)
 
     @property
     def next_step_us(self) -> int | None:
@@ -94,12 +89,7 @@ class ProcessTime:
 
     def shift_ns(self, epoch: int, m_us: int) -> int:
         """Return vehicle time minus the time of the publisher ``epoch``."""
-        return 0 if self.sync is None else self.sync.shift_ns(epoch, m_us, self._source)
-
-    @property
-    def published_shift_ns(self) -> int:
-        """Published time minus vehicle time."""
-        return 0 if self.sync is None else self.sync.published_shift_ns
+        return self.sync.shift_ns(epoch, m_us, self._source)
 
     def rejection_reason(self, message: Message, epoch: int, received_us: int) -> str:
         """Return why a message of publisher ``epoch`` does not fit the time that is followed; empty if it fits."""
@@ -107,10 +97,10 @@ class ProcessTime:
             now_ns = self.clock.read(received_us)  # None: not known yet; then the first cycle drops what is ahead
             return "" if now_ns is None else ahead_reason(message, now_ns - self.shift_ns(epoch, received_us))
         sync = self.sync
-        if sync is None:
-            return ""
         if isinstance(message, Clock):
             return SYNCHRONISED if sync.active else ""
+        if not self.syncs:
+            return ""
         was_active = sync.active
         reason = sync.check_stamp(message, epoch, received_us)
         if sync.active and not was_active:
@@ -120,12 +110,7 @@ class ProcessTime:
     def follow_source(self, epoch: int) -> None:
         """Let the clock follow the source of the estimates in use, while the actuators do not report."""
         self._source = epoch
-        if self.sync is not None:
-            self.sync.follow_source(epoch, monotonic_us())
-
-    def take_clock_steps(self) -> list[ClockStep]:
-        """Return the steps of the publishers' clocks since the last call."""
-        return [] if self.sync is None else self.sync.take_steps()
+        self.sync.follow_source(epoch, monotonic_us())
 
 
 def step_text(step: ClockStep) -> str:

@@ -18,11 +18,13 @@ from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import rejection
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
+from services.bus.rate_limit import RateLimit
 from services.bus.roles import HISTORY
+from services.bus.sequence_check import FAR_AHEAD
 from services.bus.session import Reply, open_session
 from services.bus.wire import Header, WireError, crc, from_map, header_of, unpack
+from services.recording.acceptance import LATE, Acceptance
 from services.recording.history import read_query
-from services.recording.loss_accounting import LossAccounting
 from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
 from services.runtime.clock import monotonic_us
@@ -35,9 +37,12 @@ from services.runtime.stopping import Say, StopRequest
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 NAME = "recorder"
-FINAL_STATUS_US = 1_000_000  # longest wait for the last status of all other processes
+BACKLOG_US = 1_300_000  # longest time for writing what had arrived when the stop was requested
+FINAL_STATUS_US = 600_000  # longest wait for the last status of all other processes
 FINAL_SILENCE_US = 200_000  # the wait ends when no message has arrived for this time
+OWN_STATUS_US = 200_000  # longest wait for this process's own last messages
 GATHERING_S = 0.05  # no process waits for the recorder, and waking it costs as much as writing a message
+MAX_GATHERED_US = 250_000  # longest time between two looks at the deadlines
 
 MAX_WAITING = 20_000
 """Messages that wait for the vehicle time; with more, the host's clock is followed."""
@@ -61,15 +66,14 @@ class RecordingLoop:
     ``start_ns``: vehicle time of the start of a simulation; None beside a vehicle.
     """
 
-    def __init__(self, writer: SegmentWriter, *, start_ns: int | None, stop: StopRequest, say: Say) -> None:
+    def __init__(self, writer: SegmentWriter, *, start_ns: int | None, say: Say) -> None:
         self._writer = writer
-        self._stop = stop
         self._say = say
         self.mailbox = Mailbox()
-        stop.on_request(self.mailbox.wake)
         self._time = PublicationTime(start_ns=start_ns, say=say)
         self._waiting: list[_Unpacked] = []
-        self._losses = LossAccounting()
+        self._unknown_keys = RateLimit()
+        self._acceptance = Acceptance()
         self._publish_counts = PublishCounts()
         self.received = 0
         self.rejected = 0
@@ -79,16 +83,17 @@ class RecordingLoop:
     @property
     def dropped(self) -> int:
         """Number of published messages that are not in the file, as far as known."""
-        return self._losses.missing
+        return self._acceptance.losses.missing
 
     @property
     def missing(self) -> dict[str, int]:
         """Published minus recorded messages, by process, where the difference is not 0."""
         return self._publish_counts.missing
 
-    def serve(self, bus: BusOptions) -> None:
+    def serve(self, bus: BusOptions, stop: StopRequest) -> None:
         """Connect, subscribe to every key, record until a stop is requested, publish the last status, disconnect."""
-        with open_session(bus, stop=self._stop, say=self._say) as session:
+        stop.on_request(self.mailbox.wake)
+        with open_session(bus, stop=stop, say=self._say) as session:
             self._out = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(NodeStatus, RunEvent, RejectedFrame))
             self._status = NodeStatusReporter(
                 NAME,
@@ -103,14 +108,14 @@ class RecordingLoop:
             deadlines = DeadlineQueue()
             deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
             deadlines.add(lambda: self._status.due_us, self._status.publish)
-            while not self._stop():
+            while not stop():
                 now_us = monotonic_us()
                 deadlines.run_due(now_us)
                 self._gather((deadlines.next_us() - now_us) / 1e6)
                 self._writer.flush_if_due()
                 self._settle()
-            SUPERVISOR_LINK.last_beat()
             self._finish()
+            SUPERVISOR_LINK.last_beat()
 
     def _answer(self, query: bytes, _: bytes, reply: Reply) -> None:
         """Reply with a part of the history; a query that names no part gets none."""
@@ -118,32 +123,44 @@ class RecordingLoop:
             reply(self._writer.history.reply(first), None)
 
     def _finish(self) -> None:
-        """Record until each process has reported its count and all its messages have arrived, or no more arrive."""
+        """Record until each process has reported its count and all its messages have arrived, or no more arrive.
+
+        It ends in time however many messages arrive: those from before the stop request come first, and what is left
+        of them counts as lost.
+        """
         if not self._time.known:
             self._time.follow_host()
             self._write_waiting()
-        started_us = arrived_us = monotonic_us()
-        while self._take(0.0) or (
-            (self._publish_counts.unfinished(self._out.epoch) or self.missing)
-            and monotonic_us() - arrived_us < FINAL_SILENCE_US
-            and monotonic_us() - started_us < FINAL_STATUS_US
-        ):
-            if self._take(0.01):
-                arrived_us = monotonic_us()
+        began_us = now_us = arrived_us = monotonic_us()
+        while now_us < began_us + BACKLOG_US:
+            frame = self._take(0.01)
+            now_us = monotonic_us()
+            if frame is not None:
+                arrived_us = now_us
+                if frame.received_monotonic_us <= began_us:
+                    continue
+            elif not self._publish_counts.unfinished(self._out.epoch) and not self.missing:
+                break
+            if now_us - arrived_us >= FINAL_SILENCE_US or now_us - began_us >= FINAL_STATUS_US:
+                break
+        left = [frame for _ in range(len(self.mailbox)) if (frame := self.mailbox.take(0.0)) is not None]
+        unwritten = sum(frame.received_monotonic_us <= began_us for frame in left)
+        self.mailbox.overflowed += unwritten
         self._writer.flush_if_due(now=True)
         self._settle()
-        if lost := self._account():
+        if lost := self._account(unwritten):
             self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="loss", text=lost))
         self._say(f"{counted(self.received, 'message')} recorded, {lost or 'none lost'}")
-        self._status.publish(monotonic_us(), finished=True)
-        while self._take(0.05):
+        own_us = monotonic_us()
+        self._status.publish(own_us, finished=True)
+        while self._take(0.05) and monotonic_us() < own_us + OWN_STATUS_US:
             pass
 
     def _settle(self) -> None:
         """Count and report the messages that the disk did not take."""
         for key, epoch in self._writer.refused():
             self.received -= 1
-            self._losses.mark_lost(key, epoch)
+            self._acceptance.losses.mark_lost(key, epoch)
             self._publish_counts.discount(epoch)
         for text in self._writer.news():
             self._say(text)
@@ -153,32 +170,37 @@ class RecordingLoop:
     def _now_ns(self) -> int:
         return self._time.clock.read(monotonic_us()) or 0
 
-    def _account(self) -> str:
+    def _account(self, unwritten: int) -> str:
         """Return the losses as a text; empty if there are none."""
         gaps = [f"{count} of {node}" for node, count in self.missing.items()]
-        gaps += [f"{count} on {key}" for key, count in self._losses.by_key().items()]
+        gaps += [f"{count} on {key}" for key, count in self._acceptance.losses.by_key().items()]
+        gaps += [f"{unwritten} that still waited to be written"] if unwritten else []
         return f"lost: {', '.join(gaps)}" if gaps else ""
 
     def _gather(self, timeout_s: float) -> None:
-        """Wait for a message, then for ``GATHERING_S``, and record all that have arrived by then."""
+        """Wait for a message, then for ``GATHERING_S``, and record what has arrived by then."""
         if self._take(timeout_s):
             time.sleep(GATHERING_S)
-            for _ in range(len(self.mailbox)):
+            until_us = monotonic_us() + MAX_GATHERED_US
+            while len(self.mailbox) and monotonic_us() < until_us:
                 self._take(0.0)
 
-    def _take(self, timeout_s: float) -> bool:
+    def _take(self, timeout_s: float) -> Frame | None:
+        """Record the next message and return it; None if none arrives in time. Show that the process works."""
+        SUPERVISOR_LINK.beat(monotonic_us())
         frame = self.mailbox.take(timeout_s)
-        if frame is None:
-            return False
-        try:
-            self._record(frame)
-        except WireError as error:
-            self._reject(frame, error)
-        return True
+        if frame is not None:
+            try:
+                self._record(frame)
+            except WireError as error:
+                self._reject(frame, error)
+        return frame
 
     def _reject(self, frame: Frame, error: WireError) -> None:
+        """Count a frame as rejected, and answer it; on an unknown key only within the rate limit."""
         self.rejected += 1
-        self._out.publish(rejection(frame, str(error), node=NAME, t_ns=self._now_ns))
+        if frame.topic is not None or self._unknown_keys.admits(frame):
+            self._out.publish(rejection(frame, str(error), node=NAME, t_ns=self._now_ns))
 
     def _record(self, frame: Frame) -> None:
         if frame.topic is None:
@@ -216,10 +238,11 @@ class RecordingLoop:
         # only a restarted recorder begins after the others.
         begins_late = self._writer.resumes or self._time.beside_vehicle
         if not self._publish_counts.count(header.epoch, late=begins_late and header.sequence > 0):
-            is_new = self._losses.start_at(frame.key, header.epoch, header.sequence)
+            is_new = self._acceptance.losses.start_at(frame.key, header.epoch, header.sequence)
             if is_new and kind is StepRecord and not self._writer.resumes:
                 self._say(BEGAN_BEFORE.format(plain_map.get("node")))
-        if not self._losses.add(frame.key, header.epoch, header.sequence):
+        refused = self._acceptance.count(frame.topic, frame.key, header, frame.received_monotonic_us)
+        if refused and refused is not LATE and not refused.startswith(FAR_AHEAD):
             self._publish_counts.discount(header.epoch)
         self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
         if isinstance(message, NodeStatus) and message.finished:

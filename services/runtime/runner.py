@@ -11,9 +11,20 @@ order of arrival.
 from __future__ import annotations
 
 import gc
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from ltv_mpc.messages import Clock, NodeSettings
+from ltv_mpc.messages import (
+    Clock,
+    ClockCommand,
+    ClockStep,
+    CycleTiming,
+    Message,
+    NodeSettings,
+    NodeStatus,
+    RejectedFrame,
+    RunEvent,
+    StepRecord,
+)
 from ltv_mpc.node import Node
 from services.bus.mailbox import Mailbox
 from services.bus.message_validation import MessageValidator
@@ -21,19 +32,34 @@ from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.rate_limit import RateLimit
 from services.bus.session import Session, open_session
-from services.runtime import ports
+from services.bus.topics import BY_TYPE, NAMED, expression
 from services.runtime.clock import monotonic_us
 from services.runtime.clock_master import ClockMaster
 from services.runtime.clock_sync import ClockSync
 from services.runtime.node_io import NodeIO
-from services.runtime.node_status import CLOCK_MESSAGE, CLOCK_OR_ESTIMATE, NodeStatusReporter, WaitingFor
+from services.runtime.node_status import (
+    CLOCK_MESSAGE,
+    CLOCK_OR_ESTIMATE,
+    NodeStatusReporter,
+    Reporters,
+    SettingsPublisher,
+    WaitingFor,
+)
 from services.runtime.process_time import ClockOptions, ProcessTime
-from services.runtime.reporters import NodeReporter, Reporters, SettingsPublisher
 from services.runtime.saved_state import SavedState
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
-from services.runtime.step_loop import StepLoop, StepLoopPorts
+from services.runtime.step_loop import StepLoop, StepLoopPorts, times_cycles
 from services.runtime.stopping import Say, StopRequest
+
+if TYPE_CHECKING:  # only a controller needs it
+    from services.runtime.controller_status import ControllerStatusReporter
+
+DELIVERED_BY_PROCESS: tuple[type[Message], ...] = (RejectedFrame, Clock)
+"""Types that each process delivers to its own node, although others publish them too."""
+
+CLOCK_MASTER_INPUTS: tuple[type[Message], ...] = (NodeStatus, ClockCommand)
+"""Types that the clock master's process reads for its clock."""
 
 
 @runtime_checkable
@@ -61,7 +87,7 @@ class Runner:
         clock: ClockOptions = ClockOptions(),  # noqa: B008
         compute_delay_ns: int = 0,
         stages: StageTimer | None = None,
-        report: NodeReporter | None = None,
+        report: ControllerStatusReporter | None = None,
     ) -> None:
         self.stop = stop
         self.mailbox = Mailbox()
@@ -88,7 +114,7 @@ class Runner:
         return self._time.schedule.finished
 
     @property
-    def clock_sync(self) -> ClockSync | None:
+    def clock_sync(self) -> ClockSync:
         """Synchronisation with the other side's clock, for a process that may take the time from its inputs."""
         return self._time.sync
 
@@ -118,22 +144,31 @@ class Runner:
     def _connect(self, session: Session, saved: SavedState | None) -> StepLoopPorts:
         """Declare publishers and subscribers, and start the clock's part of the process."""
         node, time, keeps_time = self._node, self._time, self._master_settings is not None
-        kinds = ports.outputs(node, clock_master=keeps_time)
+        inputs = [kind for kind in node.reads if BY_TYPE[kind].written_by != node.name]  # its own need no bus
+        inputs = [kind for kind in inputs if kind not in DELIVERED_BY_PROCESS]
+        optional: dict[type[Message], bool] = {
+            CycleTiming: times_cycles(node),
+            ClockStep: ClockStep in node.reads,
+            Clock: keeps_time,
+            NodeSettings: self.settings is not None,
+        }
+        kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, RejectedFrame, RunEvent]
+        kinds += [kind for kind, is_written in optional.items() if is_written]
         kinds += self._report.writes if self._report is not None else ()
-        kinds += [] if self.settings is None else [NodeSettings]
         outbox = Outbox(session, node=node.name, epoch=self._epoch, kinds=kinds)
         validator = MessageValidator(RateLimit(lambda: time.speed))
         waiting = WaitingFor(
             time.clock,
-            ports.inputs(node),
-            clock_source=CLOCK_OR_ESTIMATE if time.sync else CLOCK_MESSAGE,
+            inputs,
+            clock_source=CLOCK_OR_ESTIMATE if time.syncs else CLOCK_MESSAGE,
             node_waits=(lambda: node.waiting_for) if isinstance(node, WaitingNode) else None,
         )
         status = NodeStatusReporter(
             node.name, outbox=outbox, counts=validator, mailbox=self.mailbox, waiting=waiting, say=self._say
         )
-        runtime_inputs = ports.CLOCK_MASTER_INPUTS if keeps_time else (Clock,)
-        ports.subscribe(session, [*ports.inputs(node), *runtime_inputs], self.mailbox)
+        for kind in dict.fromkeys([*inputs, *(CLOCK_MASTER_INPUTS if keeps_time else (Clock,))]):
+            topic = BY_TYPE[kind]  # one mailbox for all, so that arrivals have one order
+            session.subscribe(expression(topic), None if kind in NAMED else topic, self.mailbox)
         if self._master_settings is not None:
             time.master = ClockMaster(
                 self._master_settings, time.clock, epoch=self._epoch, now_us=monotonic_us(), publish=outbox.publish

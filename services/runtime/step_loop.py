@@ -17,17 +17,16 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from ltv_mpc.messages import ClockMode, CycleTiming, Message, Plan, RunEvent
-from ltv_mpc.node import Node
+from ltv_mpc.node import Cycle, Node
 from ltv_mpc.safety.source_selector import Source
 from services.bus.mailbox import Mailbox
 from services.bus.message_validation import MessageValidator
-from services.runtime import ports
 from services.runtime.clock import monotonic_us
 from services.runtime.deadlines import DeadlineQueue
 from services.runtime.input_receiver import InputReceiver
 from services.runtime.node_io import NodeIO
+from services.runtime.node_status import Reporters
 from services.runtime.process_time import ProcessTime
-from services.runtime.reporters import NodeReporter, Reporters
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import StopRequest
@@ -69,7 +68,7 @@ class StepLoop:
         self._stop = stop
         self._stopwatch = stopwatch
         self._compute_delay_ns = compute_delay_ns
-        self._measures_cycles = ports.times_cycles(node)
+        self._measures_cycles = times_cycles(node)
         self._mailbox, self._io, self._time, self._reporters, validator = connected
         self._receiver = InputReceiver(node, self._io, self._time, self._reporters, validator)
         self._command = ""  # key of a command that the next step must not wait for
@@ -106,7 +105,12 @@ class StepLoop:
             self._deadlines.add(lambda: settings.due_us, settings.publish)
         self._deadlines.add(lambda: status.due_us, self._publish_status)
         if report is not None:
-            self._deadlines.add(lambda: report.due_us, lambda now_us: self._publish_report(report, validator, now_us))
+            time, io = self._time, self._io
+
+            def publish(now_us: int) -> None:
+                io.publish(report.status(now_us, time.now_ns(now_us), validator, time.sync.offset(now_us)))
+
+            self._deadlines.add(lambda: report.due_us, publish)
 
     def _wait(self, due_us: Callable[[], int | None]) -> bool:
         """Take inputs until ``due_us`` has passed and the mailbox is empty. Return False if a stop is requested."""
@@ -173,9 +177,9 @@ class StepLoop:
             settings.due_us = 0  # a recorder that receives the first step can replay the node
         if self._navigated is not None:
             self._follow_source(self._navigated.active_source, t_ns)
-        self._io.shift_ns = self._time.published_shift_ns
+        self._io.shift_ns = self._time.sync.published_shift_ns
         if status.steps == 0:
-            own_clock = self._time.offset(due_us).mode is not ClockMode.SHARED
+            own_clock = self._time.sync.offset(due_us).mode is not ClockMode.SHARED
             self._io.restore_state(t_ns, due_us, own_clock=own_clock)
         inbox = self._io.take_inbox(t_ns, cause)
         # Stage "read": reading the inbox. The controller uses the same recorded name for reading the QP's solution out,
@@ -208,12 +212,10 @@ class StepLoop:
             self._io.publish(RunEvent(t_ns=t_ns, node=self._node.name, kind="source", text=text))
 
     def _publish(self, outputs: Sequence[Message]) -> None:
-        now_us, sync = monotonic_us(), self._time.sync
-        sent = self._io.publish_outputs(outputs)
-        if sync is not None:
-            for message, frame in zip(outputs, sent, strict=True):
-                if isinstance(message, Plan):
-                    sync.on_plan_sent(frame.sequence, now_us)
+        now_us = monotonic_us()
+        for message, frame in zip(outputs, self._io.publish_outputs(outputs), strict=True):
+            if isinstance(message, Plan):
+                self._time.sync.on_plan_sent(frame.sequence, now_us)
 
     def _hold(self, delay_ns: int) -> None:
         """Wait on the vehicle's clock before the plan is published: the computing time of a slower machine."""
@@ -243,10 +245,10 @@ class StepLoop:
         master = self._time.master
         self._reporters.process.publish(now_us, others=master.waiting_for if master else "")
 
-    def _publish_report(self, report: NodeReporter, validator: MessageValidator, now_us: int) -> None:
-        """Publish the node's own status, as the controller's."""
-        time = self._time
-        self._io.publish(report.status(now_us, time.now_ns(now_us), validator, time.offset(now_us)))
+
+def times_cycles(node: Node) -> bool:
+    """Return True if the runtime measures each cycle and delivers the timing to the node's next cycle."""
+    return isinstance(node.schedule, Cycle) and CycleTiming in node.reads
 
 
 def _plan_in(outputs: Sequence[Message]) -> Plan | None:

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, TextIO, TypeAlias, TypeVar
 
+from services.runtime.console import PrintedStream, drawn
+
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 
 T = TypeVar("T")
@@ -28,6 +30,7 @@ class StopRequest:
     def __init__(self) -> None:
         self.requested = False
         self.interrupted = False
+        self.signals = 0
         self._wakeups: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._wake: Callable[[], None] = lambda: None
 
@@ -53,6 +56,7 @@ class StopRequest:
     def receive(self, number: int, _frame: FrameType | None) -> None:
         """Request a stop, as a signal handler."""
         self.interrupted = number == signal.SIGINT
+        self.signals += 1
         self.request()
 
     def wait(self, timeout_s: float | None = None) -> bool:
@@ -116,7 +120,7 @@ class HangUpStream:
 def hang_up_with_stderr() -> Iterator[None]:
     """Make the end of standard error's reader a SIGHUP within the context."""
     stderr = sys.stderr
-    sys.stderr = HangUpStream(stderr)
+    sys.stderr = PrintedStream(HangUpStream(drawn(stderr)))  # type: ignore[arg-type]
     try:
         yield
     finally:

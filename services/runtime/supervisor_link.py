@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
-from collections.abc import Callable
 
 HEARTBEAT_PERIOD_US = 100_000
 HEARTBEAT_FORMAT = struct.Struct("<q")
@@ -33,12 +32,11 @@ class SupervisorLink:
         self._heartbeat_fd: int | None = None
         self._stdin = STDIN
         self._state_is_unread = False
-        self._on_restored: Callable[[], None] | None = None
 
-    def connect(self, heartbeat_fd: int, *, stdin: int = STDIN, on_restored: Callable[[], None] | None = None) -> None:
-        """Use the supervisor's heartbeat pipe and standard input. ``on_restored`` is called once the state is read."""
+    def connect(self, heartbeat_fd: int, *, stdin: int = STDIN) -> None:
+        """Use the supervisor's heartbeat pipe and standard input."""
         os.set_blocking(heartbeat_fd, False)
-        self._heartbeat_fd, self._stdin, self._on_restored = heartbeat_fd, stdin, on_restored
+        self._heartbeat_fd, self._stdin = heartbeat_fd, stdin
         self._state_is_unread, self.due_us = True, 0
 
     def beat(self, now_us: int) -> None:
@@ -62,10 +60,7 @@ class SupervisorLink:
             return b""
         self._state_is_unread = False
         (length,) = STATE_LENGTH.unpack(self._read(STATE_LENGTH.size))
-        state = self._read(length)
-        if self._on_restored is not None:
-            self._on_restored()
-        return state
+        return self._read(length)
 
     def _read(self, size: int) -> bytes:
         data = b""

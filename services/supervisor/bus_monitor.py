@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
-from typing import NamedTuple, TypeVar
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple, TypeVar, cast
 
 from ltv_mpc.messages import (
     Applied,
@@ -23,12 +23,13 @@ from ltv_mpc.messages import (
     RunEvent,
     Truth,
 )
-from services.bus.latest_cache import LatestCache
+from services.bus.latest_cache import LatestCache, LatestFrame
 from services.bus.mailbox import Mailbox
+from services.bus.message_validation import valid_message
 from services.bus.roles import ROUTER
 from services.bus.session import Session
 from services.bus.topics import BY_TYPE, Topic, expression
-from services.bus.wire import WireError, decode, header_of, unpack
+from services.bus.wire import epoch_of
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 
 S = TypeVar("S", bound=Message)
@@ -54,11 +55,11 @@ class _RecentPlans(LatestCache):
 
     def __init__(self) -> None:
         super().__init__()
-        self.payloads: deque[bytes] = deque(maxlen=PLAN_HISTORY)
+        self.recent: deque[LatestFrame] = deque(maxlen=PLAN_HISTORY)
 
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
         super().offer(topic, key, payload)
-        self.payloads.append(payload)
+        self.recent.append(self._frames[key])
 
 
 class BusMonitor:
@@ -70,7 +71,6 @@ class BusMonitor:
         self._events = Mailbox()
         self._kills = Mailbox()
         self._clock = VehicleClock()
-        self._decoded: dict[str, tuple[bytes, Message | None]] = {}  # by key: the payload, and its message
         for kind in (*DISPLAYED, *RESTORED):
             session.subscribe(expression(BY_TYPE[kind]), BY_TYPE[kind], self._plans if kind is Plan else self._newest)
         for node in nodes:
@@ -83,37 +83,26 @@ class BusMonitor:
 
         ``node`` is the last part of its key: the process if every process writes it, the source of an estimate.
         """
-        key = BY_TYPE[kind].key
-        frame_key = f"{key}/{node}" if node else key
-        frame = (self._plans if kind is Plan else self._newest).get(frame_key)
-        if frame is None:
-            return None
-        payload, message = self._decoded.get(frame_key, (b"", None))
-        if payload is not frame.payload:
-            try:
-                message = decode(kind, frame.payload)[0]
-            except WireError:  # counted by the processes that read it
-                message = None
-            self._decoded[frame_key] = frame.payload, message
-        return message if isinstance(message, kind) else None
+        key = f"{BY_TYPE[kind].key}/{node}" if node else BY_TYPE[kind].key
+        frame = (self._plans if kind is Plan else self._newest).get(key)
+        found = None if frame is None else frame.decoded
+        return found[0] if found is not None and isinstance(found[0], kind) else None
 
     def plan_in_force(self) -> Plan | None:
         """Return the plan that the actuators have accepted last; None if it has not been received."""
         applied = self.newest(Applied)
         if applied is None or applied.plan_sequence < 0:
             return None
-        for payload in reversed(tuple(self._plans.payloads)):
-            try:
-                header = header_of(unpack(payload))
+        for frame in reversed(tuple(self._plans.recent)):
+            if frame.decoded is not None:
+                plan, header = frame.decoded
                 if (header.epoch, header.sequence) == (applied.plan_epoch, applied.plan_sequence):
-                    return decode(Plan, payload)[0]
-            except WireError:
-                continue
+                    return cast(Plan, plan)
         return None
 
     def nodes(self) -> list[str]:
         """Return the processes that have published a status."""
-        keys = (key for key, _ in self._newest.items() if key.startswith(f"{STATUS}/"))
+        keys = (frame.key for frame in self._newest.frames() if frame.topic is BY_TYPE[NodeStatus])
         return sorted(key.removeprefix(f"{STATUS}/") for key in keys)
 
     def running(self) -> bool:
@@ -135,32 +124,16 @@ class BusMonitor:
             return None if applied is None or frame is None else Activity(applied.plan_epoch, frame.arrived_s)
         key = BY_TYPE[Estimate].key if node == "estimator" and self.running() else f"{STATUS}/{node}"
         frame = self._newest.get(key)
-        if frame is None:
-            return None
-        try:
-            return Activity(header_of(unpack(frame.payload)).epoch, frame.arrived_s)
-        except WireError:
-            return None
+        epoch = None if frame is None else epoch_of(frame.payload)
+        return None if frame is None or epoch is None else Activity(epoch, frame.arrived_s)
 
     def kill_requests(self) -> list[str]:
         """Return the processes that an operator has asked to kill since the last call."""
-        nodes = []
-        while (frame := self._kills.take(0.0)) is not None:
-            try:
-                nodes.append(decode(Kill, frame.payload)[0].node)
-            except WireError:
-                continue
-        return nodes
+        return [request.node for request in _taken(self._kills, Kill)]
 
     def new_events(self) -> list[RunEvent]:
         """Return the run events since the last call."""
-        events = []
-        while (frame := self._events.take(0.0)) is not None:
-            try:
-                events.append(decode(RunEvent, frame.payload)[0])
-            except WireError:
-                continue
-        return events
+        return list(_taken(self._events, RunEvent))
 
     def t_ns(self) -> int | None:
         """Return the vehicle time; None while it is not known."""
@@ -170,3 +143,11 @@ class BusMonitor:
             except ClockError:
                 return None
         return self._clock.read(monotonic_us())
+
+
+def _taken(mailbox: Mailbox, kind: type[S]) -> Iterator[S]:
+    """Yield the messages that wait in a mailbox; frames that are none are skipped."""
+    while (frame := mailbox.take(0.0)) is not None:
+        found = valid_message(BY_TYPE[kind], frame.key, frame.payload)
+        if found is not None and isinstance(found[0], kind):
+            yield found[0]

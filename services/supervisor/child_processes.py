@@ -10,12 +10,17 @@ from pathlib import Path
 import msgspec
 
 from services.runtime.stopping import DONE
-from services.supervisor import forkserver, process_table
+from services.supervisor import process_table
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
 from services.supervisor.hang_detector import HANG_TIMEOUT_S
-from services.supervisor.managed_process import ManagedProcess, Program
-from services.supervisor.parent_death import OrphanCleanup
+from services.supervisor.managed_process import ManagedProcess
+
+ORDERLY_S = 2.0  # for one node, after a complete run
+ORDERLY_RECORDER_S = 10.0  # a slow disk
+HASTY_S = 0.7  # for all nodes together, after Ctrl-C or a failure; with the two below, at most 2 s for the whole stop
+HASTY_RECORDER_S = 0.9
+HASTY_ROUTER_S = 0.2
 
 SIMULATION_HANG_TIMEOUT_S = 10.0
 """Hang timeout of plant and sensors. They are not restarted, so a busy machine must not end the run too early."""
@@ -24,27 +29,14 @@ SIMULATION_HANG_TIMEOUT_S = 10.0
 class ChildProcesses:
     """Current child processes. A restarted process replaces the failed one under the same name."""
 
-    def __init__(self, scenario: Path, logs: Path, cleanup: OrphanCleanup) -> None:
+    def __init__(self, scenario: Path, logs: Path, group: int, stop: Callable[[], bool] = lambda: False) -> None:
+        """Start the fork server; ``group`` is the process group of all processes, ``stop`` ends its waits."""
         self.by_name: dict[str, ManagedProcess] = {}
         """Child processes in the order of their start."""
-        self.forks: ForkServer | None = None
-        """Fork server; None if the system does not support one: children are then spawned."""
-        self._scenario = scenario
+        self.forks = ForkServer(scenario, logs / "forkserver.log", group, stop)
         self._logs = logs
-        self._cleanup = cleanup
         self._rows: dict[str, process_table.ProcessRow] = {}
         self._starts: dict[str, int] = {}
-
-    def start_fork_server(self) -> None:
-        """Start the fork server, which begins to load what all processes need."""
-        if forkserver.is_supported():
-            self.forks = ForkServer(self._scenario, self._log("forkserver"), self._cleanup)
-
-    def replace_dead_fork_server(self) -> None:
-        """Start another fork server if the current one is dead. Until it has loaded, children are spawned."""
-        if self.forks is not None and self.forks.exit_code() is not None:
-            self.forks.close()
-            self.start_fork_server()
 
     def start(self, row: process_table.ProcessRow, config: msgspec.Struct) -> None:
         """Write the config of a process and start it."""
@@ -67,11 +59,33 @@ class ChildProcesses:
         plant = self.by_name.get("plant")
         return plant is not None and plant.exit_code() == DONE
 
-    def close(self) -> None:
-        """Close the fork server: no more processes are started."""
-        if self.forks is not None:
-            self.forks.close()
-            self.forks = None
+    def stop(self, *, in_order: bool, close_session: Callable[[], None]) -> list[str]:
+        """Stop all processes: nodes, then the recorder, which records their last messages, then the router.
+
+        ``in_order``: stop one node after the other, so that each receives all messages of the one before; otherwise all
+        at once. ``close_session`` closes the supervisor's own session, before the router stops. Return the names of
+        those that had to be killed because they had not exited in time.
+        """
+        self.forks.close()
+        nodes = [child for name, child in self.by_name.items() if name not in ("router", "recorder")]
+        if not in_order:
+            for child in nodes:
+                child.terminate()
+        killed, until = [], time.monotonic() + HASTY_S
+
+        def stop(child: ManagedProcess | None, timeout_s: float) -> None:
+            if child is not None:
+                child.terminate()
+                if not child.wait_or_kill(timeout_s):
+                    killed.append(child.name)
+                child.close()
+
+        for child in nodes:
+            stop(child, ORDERLY_S if in_order else until - time.monotonic())
+        stop(self.by_name.get("recorder"), ORDERLY_RECORDER_S if in_order else HASTY_RECORDER_S)
+        close_session()
+        stop(self.by_name.get("router"), ORDERLY_S if in_order else HASTY_ROUTER_S)
+        return killed
 
     def wait(self, timeout_s: float, stop: Callable[[], bool]) -> None:
         """Read heartbeats for ``timeout_s``. Return earlier if a child has ended or a stop is requested."""
@@ -89,9 +103,10 @@ class ChildProcesses:
     def _start(self, name: str, state: bytes) -> ManagedProcess:
         row = self._rows[name]
         return ManagedProcess(
-            Program(name, row.module, self._config(name), self._log(name)),
-            cleanup=self._cleanup,
-            forks=self.forks,
+            self.forks,
+            row.module,
+            self._config(name),
+            self._log(name),
             state=state,
             hang_timeout_s=HANG_TIMEOUT_S if row.restartable else SIMULATION_HANG_TIMEOUT_S,
         )

@@ -13,13 +13,14 @@ from __future__ import annotations
 import ctypes
 import importlib
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from services.supervisor.parent_death import die_with_parent, stop_at_end_of_input
+from services.supervisor.parent_death import die_with_parent
 
 PR_SET_NAME = 15
 RECORDER = "recorder"
@@ -42,15 +43,16 @@ def run(parent: str, module: str, config: str, heartbeat: str = "") -> int:
     The recorder is not killed at its parent's death: it finishes its file.
     """
     name = Path(config).stem
-    if name != RECORDER:
-        die_with_parent(int(parent))
+    die_with_parent(int(parent), signal.SIGTERM if name == RECORDER else signal.SIGKILL)
     name_process(f"ltv-{name}")
 
     from ltv_mpc.errors import ConfigError
+    from services.runtime.console import escape_output
     from services.runtime.supervisor_link import SUPERVISOR_LINK
 
     if heartbeat:
-        SUPERVISOR_LINK.connect(int(heartbeat), on_restored=stop_at_end_of_input if name == RECORDER else None)
+        SUPERVISOR_LINK.connect(int(heartbeat))
+    escape_output()
     node = importlib.import_module(module)
     try:
         code: int = node.main(read_config(Path(config), node.Config))
@@ -62,9 +64,7 @@ def run(parent: str, module: str, config: str, heartbeat: str = "") -> int:
 
 def name_process(name: str) -> None:
     """Set the name that ``ps`` and ``top`` show; at most 15 characters."""
-    libc = ctypes.CDLL(None)
-    if hasattr(libc, "prctl"):
-        libc.prctl(PR_SET_NAME, name.encode())
+    ctypes.CDLL(None).prctl(PR_SET_NAME, name.encode())
 
 
 if __name__ == "__main__":

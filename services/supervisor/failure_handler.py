@@ -2,33 +2,75 @@
 
 dead      its heartbeat pipe is closed and it has an exit code            (``managed_process.py``)
 hung      no heartbeat for the hang timeout: it is killed                 (``hang_detector.py``)
-restart   if the policy allows it, with the newest state it had published  (``restarts.py``, ``restore_state``)
+restart   with the newest state it had published                          (``restore_state``)
 back      its first message of work under a new epoch                     (``BusMonitor.last_activity``)
+
+A process is restarted if the process table allows it, all processes had been ready before, and fewer than
+``MAX_RESTARTS`` restarts of any process were done within the last ``WINDOW_S`` (as systemd's StartLimitBurst). Another
+restart does not repair a process that fails again and again; the run then ends in order, with the reason.
 """
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Collection
+from typing import NamedTuple
 
 import msgspec
 
-from ltv_mpc.messages import ControllerState, Estimate
+from ltv_mpc.messages import ControllerState, Estimate, RunEvent
+from services.bus.outbox import Outbox
+from services.bus.roles import SUPERVISOR
 from services.bus.topics import STATES
 from services.bus.wire import Header, encode
+from services.recording.writer import ENDED
 from services.runtime.stopping import DONE
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.managed_process import ManagedProcess, describe_exit
-from services.supervisor.restarts import ProcessFailure, Recovery, RestartBudget, restart_refusal
-from services.supervisor.run_events import RECORDING_PROCESSES, RunEvents
+from services.supervisor.screen import Screen
+
+MAX_RESTARTS = 5
+WINDOW_S = 60.0
 
 RECOVERY_TIMEOUT_S = 60.0
 """Longest time from a restart to the first message; after it the process has failed again."""
 
 
+RECORDING_PROCESSES = frozenset({"router", "recorder"})
+"""Processes without which no event is recorded."""
+
+RECONNECT_S = 1.0
+"""Time after the router's return in which all processes have found it again."""
+
+
+class ProcessFailure(NamedTuple):
+    """Death or hang of one process."""
+
+    node: str
+    how: str  # "was ended by SIGKILL", "hung: ..."
+    alive_s: float  # last sign of life: the newest heartbeat
+    seen_s: float  # when the supervisor noticed
+
+
+class Recovery(NamedTuple):
+    """Restarted process that has not shown yet that it works."""
+
+    failure: ProcessFailure
+    old_epoch: int  # epoch of the process that failed; 0 if it has none
+    started_s: float
+
+    def is_over(self, epoch: int, arrived_s: float) -> bool:
+        """Return True if a message of ``epoch`` that arrived at ``arrived_s`` shows that the new process works."""
+        return arrived_s > self.started_s and (epoch != self.old_epoch or self.old_epoch == 0)
+
+
 class RunFailed(Exception):
-    """End of a run by a failure, with the last log lines of the process that failed."""
+    """End of a run by a failure, with the last log lines of the process that failed.
+
+    ``in_order``: the other processes are well and may finish one after the other.
+    """
 
     def __init__(self, why: str, last_lines: tuple[str, ...] = (), *, in_order: bool = False) -> None:
         self.why = why
@@ -36,22 +78,56 @@ class RunFailed(Exception):
         self.in_order = in_order
 
 
-class FailureHandler:
-    """Restarts of one run. Until ``connect`` every failure ends the run."""
+class RestartBudget:
+    """Limit on the restarts of all processes together; times are seconds of one monotonic clock."""
 
-    def __init__(self, children: ChildProcesses) -> None:
+    def __init__(self) -> None:
+        self._restarts_s: deque[float] = deque(maxlen=MAX_RESTARTS)
+
+    def spend(self, now_s: float) -> bool:
+        """Spend one restart. Return False if none is left."""
+        if len(self._restarts_s) == MAX_RESTARTS and now_s - self._restarts_s[0] < WINDOW_S:
+            return False
+        self._restarts_s.append(now_s)
+        return True
+
+
+class FailureHandler:
+    """Restarts of one run, with their events: shown at once, published as soon as they can be recorded.
+
+    Until ``connect`` every failure ends the run.
+    """
+
+    def __init__(self, children: ChildProcesses, screen: Screen) -> None:
         self.restarts = 0
         self.all_ready = False
         """Set once every process has been ready."""
         self._children = children
         self._budget = RestartBudget()
         self._recoveries: dict[str, Recovery] = {}
-        self._monitor: BusMonitor | None = None
-        self._events: RunEvents | None = None
+        self._screen = screen
+        self._pending: list[RunEvent] = []  # not published yet
+        self._publish_from_s = 0.0
+        self._monitor: BusMonitor
+        self._outbox: Outbox
 
-    def connect(self, monitor: BusMonitor, events: RunEvents) -> None:
+    def connect(self, monitor: BusMonitor, outbox: Outbox) -> None:
         """Use the run's bus, for the states of failed processes and to report events."""
-        self._monitor, self._events = monitor, events
+        self._monitor, self._outbox = monitor, outbox
+
+    @property
+    def settled(self) -> bool:
+        """True if every restarted process works again and all events are published."""
+        return not self._recoveries and not self._pending
+
+    def end(self, why: str) -> None:
+        """Publish at once why the run ends early; the screen shows it as the outcome of the run."""
+        self._pending.append(RunEvent(t_ns=self._monitor.t_ns() or 0, node=SUPERVISOR, kind=ENDED, text=why))
+        self._publish()
+
+    def show(self, event: RunEvent) -> None:
+        """Print an event on the screen."""
+        self._screen.say(f"{event.t_ns / 1e9:.1f} s  {event.node}: {event.text}")
 
     @property
     def recovering(self) -> Collection[str]:
@@ -63,46 +139,39 @@ class FailureHandler:
         recovery = self._recoveries.get(name)
         return None if recovery is None else recovery.failure
 
-    def check(self, now_s: float, *, excuse: bool) -> None:
-        """Find failed processes and restart them. ``excuse``: the supervisor was late, so silence is no hang.
+    def check(self, now_s: float) -> None:
+        """Find failed processes and restart them.
 
         Raises ``RunFailed`` if a process may not be restarted.
         """
         for name, child in tuple(self._children.by_name.items()):
-            if excuse:
-                child.hang_detector.excuse(now_s)
             failure = self._find_failure(name, child, now_s)
             if failure is not None:
                 self._restart(failure)
 
     def check_recoveries(self, now_s: float) -> None:
         """End the recoveries of processes that work again; restart those that do not come back in time."""
-        assert self._monitor is not None
-        assert self._events is not None
         for name, recovery in tuple(self._recoveries.items()):
             activity, failure = self._monitor.last_activity(name), recovery.failure
             if activity is not None and recovery.is_over(activity.epoch, activity.arrived_s):
                 del self._recoveries[name]
-                self._events.on_recovery(name, now_s)
+                if name in RECORDING_PROCESSES:
+                    self._publish_from_s = now_s + RECONNECT_S
                 took_s = activity.arrived_s - failure.alive_s
-                self._events.report(
-                    "restart", f"{name} {failure.how}; recovered {took_s:.2f} s after its last heartbeat"
-                )
+                self._report("restart", f"{name} {failure.how}; recovered {took_s:.2f} s after its last heartbeat")
             elif now_s - recovery.started_s > RECOVERY_TIMEOUT_S:
                 self._children.by_name[name].kill()
                 how = f"did not recover within {RECOVERY_TIMEOUT_S:.0f} s"
                 self._restart(ProcessFailure(name, how, failure.alive_s, now_s))
-        if not self._recoveries.keys() & RECORDING_PROCESSES:
-            self._events.publish_pending(now_s)
+        if now_s >= self._publish_from_s and not self._recoveries.keys() & RECORDING_PROCESSES:
+            self._publish()
 
     def _find_failure(self, name: str, child: ManagedProcess, now_s: float) -> ProcessFailure | None:
         """Return the failure of a process that is dead, or that hangs and is killed here."""
         alive_s = child.hang_detector.last_s or now_s
         code = child.exit_code()
         if code is None:
-            if self._children.run_complete or not child.hang_detector.hung(now_s, child.cpu_wait_s):
-                return None
-            if child.in_uninterruptible_sleep():
+            if self._children.run_complete or not child.hang_detector.hung(now_s):
                 return None
             child.kill()
             return ProcessFailure(name, f"hung: no heartbeat for {now_s - alive_s:.2f} s", alive_s, now_s)
@@ -112,17 +181,12 @@ class FailureHandler:
 
     def _restart(self, failure: ProcessFailure) -> None:
         name = failure.node
-        refusal = restart_refusal(
-            failure,
-            restartable=self._children.restartable(name),
-            had_started=self.all_ready,
-            budget=self._budget,
-        )
-        if refusal is not None:
-            lines = self._children.by_name[name].last_lines()
-            raise RunFailed(f"{refusal.why}; its last lines:", lines, in_order=refusal.in_order)
-        assert self._monitor is not None
-        assert self._events is not None
+        text, lines = f"{name} {failure.how}", self._children.by_name[name].last_lines()
+        if not self._children.restartable(name) or not self.all_ready:
+            raise RunFailed(f"{text}; its last lines:", lines)
+        if not self._budget.spend(failure.seen_s):
+            limit = f"the limit of {MAX_RESTARTS} restarts within {WINDOW_S:.0f} s is reached: stopping safely"
+            raise RunFailed(f"{text}; {limit}; its last lines:", lines, in_order=True)
         before = self._monitor.last_activity(name)
         self._children.restart(name, restore_state(name, self._monitor))
         self.restarts += 1
@@ -134,7 +198,18 @@ class FailureHandler:
             started_s=time.monotonic(),
         )
         silent_s = failure.seen_s - failure.alive_s
-        self._events.report("fault", f"{name} {failure.how}; detected {silent_s:.2f} s after its last heartbeat")
+        self._report("fault", f"{name} {failure.how}; detected {silent_s:.2f} s after its last heartbeat")
+
+    def _report(self, kind: str, text: str) -> None:
+        """Show an event, and queue it for publication."""
+        event = RunEvent(t_ns=self._monitor.t_ns() or 0, node=SUPERVISOR, kind=kind, text=text)
+        self.show(event)
+        self._pending.append(event)
+
+    def _publish(self) -> None:
+        for event in self._pending:
+            self._outbox.publish(event)
+        self._pending.clear()
 
 
 def restore_state(node: str, monitor: BusMonitor) -> bytes:

@@ -1,17 +1,21 @@
 """Hang detection: a process hangs if the loop that does its work sends no heartbeats, as with a systemd watchdog.
 
-    silent = now - max(last heartbeat, excused)
-    hung  <=>  silent - starved > timeout      from the first heartbeat until the process reports the end of its loop
+    served  <-  served + (tick - lacked)    at each check, from the newest heartbeat on
+    hung   <=>  served > timeout            from the first heartbeat until the process reports the end of its loop
 
-``excused`` is the last time at which the supervisor itself was late: if the whole machine was suspended, no process
-could send heartbeats either. ``starved`` is the part of the silence in which the loop was ready to run but waited for a
-processor that other processes had; a restart would not help it. A stopped or blocked loop does not wait for a
-processor, and a loop that spins has one: both are detected. Times are seconds of one monotonic clock.
+``tick`` is the time since the check before. ``lacked`` is the part of it in which a thread of the process was ready to
+run but waited for a processor that other processes had, or waited for a disk; a restart would not help it. All threads
+count, because the loop may wait for one of them. A stopped or blocked process does not wait for a processor, and a loop
+that spins has one: both are detected. If the supervisor itself was late, the time begins again: the whole machine may
+have been suspended. Times are seconds of one monotonic clock.
 """
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Callable
+from pathlib import Path
 
 HANG_TIMEOUT_S = 0.5
 """Five heartbeats. A step of a node takes milliseconds."""
@@ -24,44 +28,66 @@ LATE_S = 0.25
 
 
 class HangDetector:
-    """Heartbeats of one process."""
+    """Heartbeats of one process. ``lacked_s`` returns the time without a processor since its last call."""
 
-    def __init__(self, timeout_s: float = HANG_TIMEOUT_S) -> None:
+    def __init__(self, lacked_s: Callable[[], float], timeout_s: float = HANG_TIMEOUT_S) -> None:
+        self.last_s: float | None = None
+        """Time of the newest heartbeat; None before the first."""
+        self._lacked_s = lacked_s
         self._timeout_s = timeout_s
-        self._last_s: float | None = None
-        self._excused_s = float("-inf")
-        self._starved_before_s: float | None = None  # cpu_wait_s when the silence was first noticed
+        self._checked_s = math.inf
+        self._served_s: float | None = None  # None: the process is not silent
         self._ended = False
 
     def beat(self, at_s: float) -> None:
         """Note a heartbeat that was sent at ``at_s``."""
-        self._last_s = at_s if self._last_s is None else max(self._last_s, at_s)
+        self.last_s = at_s if self.last_s is None else max(self.last_s, at_s)
 
     def end(self) -> None:
         """Note that the loop has ended in order: no more heartbeats are expected."""
         self._ended = True
 
-    def excuse(self, now_s: float) -> None:
-        """Restart the timeout, because the supervisor itself was late."""
-        self._excused_s = now_s
-
-    @property
-    def last_s(self) -> float | None:
-        """Time of the newest heartbeat; None before the first."""
-        return self._last_s
-
-    def hung(self, now_s: float, cpu_wait_s: Callable[[], float]) -> bool:
-        """Return True if the process hangs. Must be called often.
-
-        ``cpu_wait_s`` returns how long the loop has waited for a processor since it started.
-        """
-        if self._last_s is None or self._ended:
+    def hung(self, now_s: float) -> bool:
+        """Return True if the process hangs. Must be called often."""
+        tick_s, self._checked_s = now_s - self._checked_s, now_s
+        if self.last_s is None or self._ended:
             return False
-        silent_s = now_s - max(self._last_s, self._excused_s)
+        silent_s = now_s - self.last_s
         if silent_s < QUIET_S:
-            self._starved_before_s = None
+            self._served_s = None
             return False
-        waited_s = cpu_wait_s()
-        if self._starved_before_s is None:
-            self._starved_before_s = waited_s
-        return silent_s - (waited_s - self._starved_before_s) > self._timeout_s
+        lacked_s = self._lacked_s()
+        if tick_s > LATE_S:
+            self._served_s = 0.0
+        elif self._served_s is None:
+            self._served_s = silent_s
+        else:
+            self._served_s += max(0.0, tick_s - lacked_s)
+        return self._served_s > self._timeout_s
+
+
+class ProcessorLack:
+    """Time that the threads of a process have waited for a processor, or for a disk; 0 if the system does not tell."""
+
+    def __init__(self, pid: int) -> None:
+        self._tasks = Path(f"/proc/{pid}/task")
+        self._before: dict[str, tuple[int, int]] = {}  # by thread: time on a processor and time waited for one (ns)
+
+    def __call__(self) -> float:
+        """Return the time since the last call (s); infinite if a thread has waited all the time and still does.
+
+        The kernel counts the wait of a thread when it is over.
+        """
+        before, self._before = self._before, {}
+        lacked_ns = 0.0
+        with contextlib.suppress(OSError, ValueError):
+            for task in self._tasks.iterdir():
+                ran_ns, waited_ns, _ = map(int, (task / "schedstat").read_text().split())
+                state = (task / "stat").read_text(errors="replace").rpartition(")")[2].split()[0]
+                self._before[task.name] = ran_ns, waited_ns
+                if task.name in before:
+                    ran_before_ns, waited_before_ns = before[task.name]
+                    lacked_ns += waited_ns - waited_before_ns
+                    if state == "D" or (state == "R" and ran_ns == ran_before_ns):
+                        lacked_ns = math.inf
+        return lacked_ns / 1e9

@@ -22,7 +22,8 @@ import msgspec
 import ltv_mpc
 import sim
 from ltv_mpc.jit import CACHE, share_compilation
-from services.supervisor.parent_death import OrphanCleanup, die_with_parent
+from services.run.run_config import RunConfig, resolve
+from services.supervisor.parent_death import die_with_parent
 
 NOTE = "compiling, once after a change of the sources: a minute or two"
 """Line that announces a compilation."""
@@ -55,8 +56,8 @@ def command(scenario: str) -> list[str]:
     return [sys.executable, "-P", "-m", "services.supervisor.jit_cache", scenario]
 
 
-def fill(scenario: Path, log: Path, cleanup: OrphanCleanup, wait: Callable[[float], None]) -> int:
-    """Run ``command`` with its output in ``log``, and return its exit code.
+def fill(scenario: Path, log: Path, group: int, wait: Callable[[float], None]) -> int:
+    """Run ``command`` in a process group, with its output in ``log``, and return its exit code.
 
     ``wait`` is called again and again with the share that is compiled, approximately. An exception of it ends the
     compilation.
@@ -67,9 +68,8 @@ def fill(scenario: Path, log: Path, cleanup: OrphanCleanup, wait: Callable[[floa
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
-            start_new_session=True,
+            process_group=group,
         )
-    cleanup.add(process.pid)
     before = stored_bytes()
     try:
         while process.poll() is None:
@@ -77,7 +77,6 @@ def fill(scenario: Path, log: Path, cleanup: OrphanCleanup, wait: Callable[[floa
     finally:
         process.kill()  # its own children end with it
         code = process.wait()
-        cleanup.remove(process.pid)
     return code
 
 
@@ -91,52 +90,38 @@ def stored_bytes() -> int:
     return sum(path.stat().st_size for path in CACHE.glob("*/*.nbc"))
 
 
-def warm_up(scenario: str) -> None:
-    """Run all nodes of a scenario briefly: all their compiled code and solvers are then loaded."""
-    warm_up_controller(scenario)
-    warm_up_others(scenario)
-
-
-def warm_up_controller(scenario: str) -> None:
+def warm_up_controller(run_config: RunConfig) -> None:
     """Run the controller of a scenario briefly."""
     from services.processes import controller
-    from services.run.run_config import resolve
 
-    run_config = resolve(scenario)
     controller.warm_up(run_config.vehicle, run_config.reference, run_config.controller)
 
 
-def compile_controller(scenario: str) -> None:
+def compile_controller(run_config: RunConfig) -> None:
     """Compile what ``warm_up_controller`` runs, and the proposal of a horizon, which the next run may need."""
     from ltv_mpc.control.resolution import settled
-    from services.run.run_config import resolve
 
-    run_config = resolve(scenario)
     settled(msgspec.structs.replace(run_config.scenario.controller, horizon_s=None), run_config.vehicle)
-    warm_up_controller(scenario)
+    warm_up_controller(run_config)
 
 
-def warm_up_solver(scenario: str) -> None:
+def warm_up_solver(run_config: RunConfig) -> None:
     """Run the part of the controller that a cycle reaches last."""
     from services.processes import controller
-    from services.run.run_config import resolve
 
-    run_config = resolve(scenario)
     controller.warm_up_solver(run_config.vehicle, run_config.controller)
 
 
-def warm_up_others(scenario: str) -> None:
+def warm_up_others(run_config: RunConfig) -> None:
     """Run plant, sensors and estimator of a scenario briefly."""
     from services.processes import estimator, plant, sensors
-    from services.run.run_config import resolve
 
-    run_config = resolve(scenario)
     plant.warm_up(run_config)
     sensors.warm_up(run_config)
     estimator.warm_up(run_config.sensor_config, run_config.scenario.estimator)
 
 
-PARTS: dict[str, Callable[[str], None]] = {
+PARTS: dict[str, Callable[[RunConfig], None]] = {
     "solver": warm_up_solver,
     "controller": compile_controller,
     "others": warm_up_others,
@@ -156,7 +141,7 @@ def main(arguments: Sequence[str]) -> int:
         os.nice(NICENESS[name])
         share_compilation()
         gc.disable()  # a compiler frees next to nothing: collection would take a twelfth of the time
-        PARTS[name](scenario)
+        PARTS[name](resolve(scenario))
         return 0
     children = [
         subprocess.Popen([*command(scenario), name, str(os.getpid())], stdin=subprocess.DEVNULL) for name in PARTS

@@ -1,4 +1,4 @@
-"""Managed child process of the supervisor: session, log file, heartbeat pipe, exit code.
+"""Managed child process of the supervisor: log file, heartbeat pipe, exit code.
 
 A dead process is noticed within milliseconds: the kernel closes its end of the heartbeat pipe, and ``select`` in
 ``child_processes.py`` returns. A process that hangs keeps the pipe open and is found by its silence
@@ -9,106 +9,48 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import signal
-import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple, Protocol
 
 from services.runtime.supervisor_link import HEARTBEAT_FORMAT, LAST_HEARTBEAT, STATE_LENGTH
-from services.supervisor import entry_point
 from services.supervisor.forkserver import ForkServer
-from services.supervisor.hang_detector import HANG_TIMEOUT_S, HangDetector
-from services.supervisor.parent_death import OrphanCleanup
+from services.supervisor.hang_detector import HANG_TIMEOUT_S, HangDetector, ProcessorLack
 
 LAST_LINES = 12
 LOG_TAIL_BYTES = 16_384
-PIPE_BYTES = 1 << 20  # a state fits into the pipe, so that a stopped child does not block the supervisor
 HEARTBEAT_BYTES = 4096  # read at once
 EXIT_TIMEOUT_S = 0.2  # from the end of the heartbeat pipe to the exit of the process
-
-
-class ProcessHandle(Protocol):
-    """Handle of a forked or spawned process, as ``subprocess.Popen``."""
-
-    pid: int
-
-    def poll(self) -> int | None: ...
-    def wait(self, timeout: float | None = None) -> int: ...
-    def send_signal(self, sig: int, /) -> None: ...
-    def kill(self) -> None: ...
-
-
-class Program(NamedTuple):
-    """Program of a child process: its name, module, config file and log file."""
-
-    name: str
-    module: str
-    config: Path
-    log: Path
+KILL_TIMEOUT_S = 5.0  # longest wait for the exit after SIGKILL, which a process that waits for a dead disk survives
 
 
 class ManagedProcess:
     """Child process, started on construction.
 
-    It must be constructed by the main thread: the kernel kills a child when the thread that spawned or adopted it ends.
-    The child is forked if ``forks`` can fork it, and spawned otherwise, which takes longer (see ``forkserver.py``).
-    ``state`` is the encoded state that it continues from; empty if it begins without one.
+    It must be constructed by the main thread: the kernel kills a child when the thread that adopted it ends. It is
+    named after its config file. ``state`` is the encoded state that it continues from; empty if it begins without one.
     """
 
     def __init__(
         self,
-        program: Program,
+        forks: ForkServer,
+        module: str,
+        config: Path,
+        log: Path,
         *,
-        cleanup: OrphanCleanup,
-        forks: ForkServer | None = None,
         state: bytes = b"",
         hang_timeout_s: float = HANG_TIMEOUT_S,
     ) -> None:
-        self.name = program.name
-        self.hang_detector = HangDetector(hang_timeout_s)
+        self.name = config.stem
         self.pipe_closed = False
         """True once the child has closed its heartbeat pipe: it has ended, or is about to."""
-        self.heartbeat_fd = -1
-        """Reading end of the heartbeat pipe: readable when a heartbeat arrives and when the child ends."""
-        self._log = program.log
-        self._cleanup = cleanup
-        self._removed = False  # from the list of the orphan cleanup
-        self._stdin = -1
-        process: ProcessHandle | None = None
-        if forks is not None:
-            process = self._start(lambda stdin, heartbeat: forks.fork(*program[1:], stdin, heartbeat))
-        if process is None:
-            process = self._start(lambda stdin, heartbeat: _spawn(program, stdin, heartbeat))
-        assert process is not None
-        self._process = process
-        cleanup.add(self.pid)
+        self._log = log
+        self._code: int | None = None
+        self.pid, self._stdin, self.heartbeat_fd = forks.fork(module, config, log)
+        self._pidfd = os.pidfd_open(self.pid)
+        self.hang_detector = HangDetector(ProcessorLack(self.pid), hang_timeout_s)
         with contextlib.suppress(BrokenPipeError):  # the child is already dead, which is noticed elsewhere
             os.write(self._stdin, STATE_LENGTH.pack(len(state)) + state)
-
-    def _start(self, start: Callable[[int, int], ProcessHandle | None]) -> ProcessHandle | None:
-        """Start the child by ``start``, which receives the child's ends of two new pipes.
-
-        If ``start`` returns None, both pipes are closed. A child that was forked too late ends at the end of its input.
-        """
-        stdin, self._stdin = os.pipe()
-        _widen(self._stdin)
-        self.heartbeat_fd, heartbeat = os.pipe()
-        os.set_blocking(self.heartbeat_fd, False)
-        try:
-            process = start(stdin, heartbeat)
-        finally:
-            os.close(heartbeat)
-            os.close(stdin)
-        if process is None:
-            self.close()
-        return process
-
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid
 
     def read_heartbeats(self) -> None:
         """Read the heartbeats that have arrived. At the end of the pipe, wait for the exit, which follows at once."""
@@ -120,93 +62,53 @@ class ManagedProcess:
                     else:
                         self.hang_detector.beat(at_us / 1e6)
             self.pipe_closed = True
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(EXIT_TIMEOUT_S)
-
-    def cpu_wait_s(self) -> float:
-        """Return how long the child's loop has waited for a processor since it started."""
-        return cpu_wait_s(self.pid)
-
-    def in_uninterruptible_sleep(self) -> bool:
-        """Return True in state D of ``ps``, as during a write to a slow disk; not even SIGKILL ends such a process."""
-        try:
-            stat = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            return False
-        return stat.rpartition(")")[2].split()[0] == "D"
+            self._wait(EXIT_TIMEOUT_S)
 
     def exit_code(self) -> int | None:
         """Return the exit code, or minus the number of the signal that ended the child; None while it runs."""
-        code = self._process.poll()
-        if code is not None and not self._removed:
-            self._removed = True
-            self._cleanup.remove(self.pid)
-        return code
+        if self._code is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                self._code = os.waitstatus_to_exitcode(status)
+        return self._code
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal if the child runs; its pid is not reused before it was waited for."""
+        if self.exit_code() is None:
+            os.kill(self.pid, number)
 
     def terminate(self) -> None:
         """Send SIGTERM: the child finishes its step, publishes its last status and exits."""
-        if self.exit_code() is None:
-            self._process.send_signal(signal.SIGTERM)
+        self.send_signal(signal.SIGTERM)
 
     def wait_or_kill(self, timeout_s: float) -> bool:
         """Wait for the exit, then kill the child. Return False if it had to be killed."""
-        try:
-            self._process.wait(max(0.0, timeout_s))
-        except subprocess.TimeoutExpired:
-            self._process.kill()  # SIGKILL also ends a stopped process
-            self._process.wait()
-            self.exit_code()
-            return False
-        self.exit_code()
-        return True
+        if self._wait(max(0.0, timeout_s)):
+            return True
+        self.kill()
+        return False
 
     def kill(self) -> None:
         """Send SIGKILL, which also ends a process that is stopped or hangs, and wait for the exit."""
-        self.wait_or_kill(0.0)
+        self.send_signal(signal.SIGKILL)
+        self._wait(KILL_TIMEOUT_S)
 
     def close(self) -> None:
-        """Close both pipes."""
-        if self.heartbeat_fd >= 0:
-            os.close(self.heartbeat_fd)
-            self.heartbeat_fd = -1
-        if self._stdin >= 0:
-            os.close(self._stdin)
-            self._stdin = -1
+        """Close all descriptors; the exit code stays."""
+        for fd in (self.heartbeat_fd, self._stdin, self._pidfd):
+            if fd >= 0:
+                os.close(fd)
+        self.heartbeat_fd = self._stdin = self._pidfd = -1
 
     def last_lines(self) -> tuple[str, ...]:
         """Return the last lines of the child's log."""
         return last_lines(self._log)
 
-
-def _spawn(program: Program, stdin: int, heartbeat: int) -> ProcessHandle:
-    arguments = (str(os.getpid()), program.module, str(program.config), str(heartbeat))
-    with program.log.open("wb") as output:
-        return subprocess.Popen(
-            [sys.executable, "-P", "-m", entry_point.__name__, *arguments],
-            stdin=stdin,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            pass_fds=(heartbeat,),
-        )
-
-
-def _widen(pipe: int) -> None:
-    """Set the capacity of a pipe to ``PIPE_BYTES``."""
-    import fcntl
-
-    if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
-        with contextlib.suppress(OSError):  # more than this user is allowed
-            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-
-
-def cpu_wait_s(pid: int) -> float:
-    """Return how long the main thread of a process has waited for a processor (s); 0 if the system does not tell."""
-    try:
-        _, waited_ns, _ = Path(f"/proc/{pid}/task/{pid}/schedstat").read_text(encoding="utf-8").split()
-    except (OSError, ValueError):
-        return 0.0
-    return int(waited_ns) / 1e9
+    def _wait(self, timeout_s: float) -> bool:
+        """Wait for the exit. Return False if the child still runs."""
+        if self.exit_code() is None:
+            select.select([self._pidfd], [], [], timeout_s)
+        return self.exit_code() is not None
 
 
 def last_lines(log: Path) -> tuple[str, ...]:

@@ -16,23 +16,21 @@ from sim.scenario import Scenario
 class ProcessRow(msgspec.Struct, frozen=True):
     """One row of the table. ``module`` has the process's ``Config`` and ``main``.
 
-    ``restartable``: the process is restarted if it fails; otherwise the run ends. ``needs`` lists the processes that
-    must be ready before this one starts. The recorder comes first, so that it records the first message of all others.
+    ``restartable``: the process is restarted if it fails; otherwise the run ends.
     """
 
     name: str
     module: str
     restartable: bool
-    needs: tuple[str, ...]
 
 
 PROCESSES = (
-    ProcessRow("router", "services.processes.router", True, ()),
-    ProcessRow("recorder", "services.processes.recorder", True, ()),
-    ProcessRow("plant", "services.processes.plant", False, ("recorder",)),
-    ProcessRow("sensors", "services.processes.sensors", False, ("recorder",)),
-    ProcessRow("estimator", "services.processes.estimator", True, ("recorder",)),
-    ProcessRow("controller", "services.processes.controller", True, ("recorder",)),
+    ProcessRow("router", "services.processes.router", True),
+    ProcessRow("recorder", "services.processes.recorder", True),
+    ProcessRow("plant", "services.processes.plant", False),
+    ProcessRow("sensors", "services.processes.sensors", False),
+    ProcessRow("estimator", "services.processes.estimator", True),
+    ProcessRow("controller", "services.processes.controller", True),
 )
 
 

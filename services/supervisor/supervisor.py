@@ -3,7 +3,7 @@
     prepare  router and live page, then compiled code if it is missing                   ``jit_cache.py``
     start    the recorder, then the others; each must report ready                       ``process_table.py``
     watch    heartbeats, failures, restarts, screen, until the plant's last step         ``failure_handler.py``
-    stop     nodes, then the recorder, which records all last messages, then the router  ``shutdown.py``
+    stop     nodes, then the recorder, which records all last messages, then the router  ``child_processes.py``
 
 Estimator, controller, recorder and router are restarted if they die or hang. Plant and sensors are the simulated world:
 if one of them fails, the run ends. Ctrl-C ends all processes within two seconds. No process outlives the supervisor
@@ -20,33 +20,39 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ltv_mpc.errors import format_value, one_line
+import msgspec
+
+from ltv_mpc.errors import ConfigError, format_value, one_line
 from ltv_mpc.messages import NodeStatus, RunEvent
 from services.bus.options import SECURE, BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import ROUTER, SUPERVISOR
 from services.bus.session import Session, Stopped, open_session
-from services.recording import join
+from services.recording import recover
+from services.recording.records import report_progress
 from services.run.folder import DELETED, RunFolder
 from services.run.run_config import RunConfig
-from services.run.summary import summarise_recording
+from services.run.summary import STOPPED, summarise_recording
 from services.runtime.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
-from services.supervisor import jit_cache, loopback, process_table, shutdown
+from services.supervisor import jit_cache, loopback, process_table
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.failure_handler import FailureHandler, RunFailed
-from services.supervisor.hang_detector import LATE_S
 from services.supervisor.live_view import live_view
 from services.supervisor.managed_process import describe_exit, last_lines
 from services.supervisor.parent_death import OrphanCleanup
-from services.supervisor.run_events import RunEvents
 from services.supervisor.screen import LivePage, LiveView, Screen
 from sim.evaluation.summary import Summary
 
 TICK_S = 0.05
+LAST_LINES = "; its last lines:"
+"""End of a reason that the last lines of a log follow."""
 READY_TIMEOUT_S = 60.0
 """Longest time from a process's start to its first status. The slowest process needs 2 s on busy cores, or 30 s if it
 must compile."""
+QUICK_S = 1.0
+"""Time from which a summary shows its progress."""
+SKIPPED = "the summary was skipped; `ltv-mpc report` computes it from the recording"
 DRAWING_TIMEOUT_S = 5.0
 """Longest time for which the clock waits for the first drawing of a page that is open in a browser."""
 
@@ -55,7 +61,7 @@ DRAWING_TIMEOUT_S = 5.0
 class Outcome:
     """Outcome of a run. ``why`` and the last log lines of the failed process are empty if the run completed.
 
-    ``summary`` is None if the controller has not done a cycle.
+    ``summary`` is None if nothing was recorded.
     """
 
     completed: bool
@@ -104,13 +110,12 @@ class Supervisor:
         self._screen = screen
         self._page = page
         self._logs.mkdir(exist_ok=True)
-        self._started_s = self._ticked_s = time.monotonic()
+        self._started_s = time.monotonic()
         self._cleanup: OrphanCleanup
         self._request: StopRequest
         self.children: ChildProcesses
         self.failures: FailureHandler
         self._monitor: BusMonitor | None = None  # None before the connection to the bus
-        self._events: RunEvents | None = None
 
     def run(self, certs: Path | None = None) -> Outcome:
         """Run from the first process to the last and write the summary, also of a run that was interrupted."""
@@ -119,19 +124,45 @@ class Supervisor:
             return self._summarised(outcome) if self._folder.recording.exists() else outcome
 
     def _summarised(self, outcome: Outcome) -> Outcome:
+        """Write the summary and show the progress of a long one. A signal, after Ctrl-C a second one, skips it."""
+        signals, begun_s = self._request.signals, time.monotonic()
+
+        def progress(share: float) -> None:
+            if self._request.signals > signals:
+                raise Stopped
+            if time.monotonic() - begun_s > QUICK_S:
+                self._screen.wait("summary", share)
+
+        try:
+            with report_progress(progress):
+                return self._with_summary(outcome)
+        except Stopped:
+            code, why = INTERRUPTED if self._request.interrupted else FAILED, SKIPPED
+        except (ConfigError, OSError) as error:
+            code, why = outcome.exit_code or FAILED, str(error)
+        if outcome.why:
+            self._screen.say(why)
+        return replace(outcome, completed=False, exit_code=code, why=outcome.why or why)
+
+    def _with_summary(self, outcome: Outcome) -> Outcome:
         """Join the segments of the recording and write the summary. Return the outcome with the summary."""
-        for text in join.segments_of(self._folder.recording):
+        for text in recover.join(self._folder.recording):
             self._screen.say(text)
+        why = outcome.why.removesuffix(LAST_LINES)
+        if why and self._page is not None:
+            self._page.show(f"failed: {one_line(why)}")
         recorder = None if self._monitor is None else self._monitor.newest(NodeStatus, "recorder")
         summary, water = summarise_recording(
             self._run_config,
             self._folder.recording,
             restarts=self.failures.restarts,
             unrecorded=0 if recorder is None else recorder.dropped,
+            why=why,
         )
         if summary.cycles == 0:
-            why = f"{self._folder.recording}: no cycle of the controller is recorded"
-            return replace(outcome, completed=False, exit_code=outcome.exit_code or FAILED, why=outcome.why or why)
+            why = outcome.why or f"{self._folder.recording}: no cycle of the controller is recorded"
+            outcome = replace(outcome, completed=False, exit_code=outcome.exit_code or FAILED, why=why)
+            summary = msgspec.structs.replace(summary, completed=False, why=why.removesuffix(LAST_LINES))
         outcome = replace(outcome, summary=summary)
         try:
             self._folder.write_result(summary, water)
@@ -144,17 +175,12 @@ class Supervisor:
     def _logs(self) -> Path:
         return self._folder.path / "logs"
 
-    @property
-    def recovered(self) -> bool:
-        """True if every restarted process works again and all events are published."""
-        return not self.failures.recovering and not (self._events is not None and self._events.pending)
-
     def _supervise(self, certs: Path | None) -> Outcome:
         in_order = False
         with ExitStack() as sessions:
             self._cleanup = OrphanCleanup()
-            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup)
-            self.failures = FailureHandler(self.children)
+            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group, self._request)
+            self.failures = FailureHandler(self.children, self._screen)
             try:
                 context = self._open_bus(certs)
                 self._fill_jit_cache()
@@ -162,19 +188,23 @@ class Supervisor:
                 self._start(sessions, context)
                 self._wait_until(lambda: self.children.run_complete, None, "")
                 in_order = True
+            except ChildProcessError as error:
+                return self._ended_early(str(error), FAILED)
             except RunFailed as failure:
                 in_order = failure.in_order
-                return Outcome(completed=False, exit_code=FAILED, why=failure.why, last_lines=failure.last_lines)
-            except Stopped:
-                code = INTERRUPTED if self._request.interrupted else FAILED
-                return Outcome(
-                    completed=False, exit_code=code, why="stopped early; the messages recorded so far are kept"
-                )
+                return self._ended_early(failure.why, FAILED, failure.last_lines)
+            except (Stopped, InterruptedError):
+                return self._ended_early(STOPPED, INTERRUPTED if self._request.interrupted else FAILED)
             finally:
-                self.children.close()
-                killed = shutdown.stop(self.children.by_name, in_order=in_order, close_session=sessions.close)
+                killed = self.children.stop(in_order=in_order, close_session=sessions.close)
                 self._cleanup.close()
         return self._final_check(killed)
+
+    def _ended_early(self, why: str, code: int, lines: tuple[str, ...] = ()) -> Outcome:
+        """Say in the recording why the run ends before its end."""
+        if self._monitor is not None:
+            self.failures.end(why.removesuffix(LAST_LINES))
+        return Outcome(completed=False, exit_code=code, why=why, last_lines=lines)
 
     def _final_check(self, killed: Sequence[str]) -> Outcome:
         """Check that every process ended by itself and without an error, now that the run is complete."""
@@ -221,34 +251,35 @@ class Supervisor:
             if self._page is not None:
                 self._page.show(f"{jit_cache.NOTE}; {share:.0%} after {time.monotonic() - begun_s:.0f} s")
 
-        code = jit_cache.fill(self._folder.scenario, log, self._cleanup, wait)
+        code = jit_cache.fill(self._folder.scenario, log, self._cleanup.group, wait)
         if code != DONE:
             raise RunFailed(f"compiling {describe_exit(code)}; its last lines:", last_lines(log))
 
     def _load(self) -> None:
-        """Start the fork server and wait until it has loaded."""
+        """Wait until the fork server has loaded."""
         if self._page is not None:
             self._page.show("starting the processes")
-        self.children.start_fork_server()
+        forks, until = self.children.forks, time.monotonic() + READY_TIMEOUT_S
+        forks.load()
         for row in process_table.processes(self._run_config.scenario):
             importlib.import_module(row.module)  # for its config, while the fork server loads the same
-        if (forks := self.children.forks) is None:
-            return
         while not forks.is_loaded():
-            if (code := forks.exit_code()) is not None:
-                raise RunFailed(f"loading {describe_exit(code)}; its last lines:", last_lines(forks.log))
+            code = forks.exit_code()
+            if code is not None or time.monotonic() > until:
+                how = f"is not done within {READY_TIMEOUT_S:.0f} s" if code is None else describe_exit(code)
+                raise RunFailed(f"loading {how}; its last lines:", last_lines(forks.log))
             self._tick()
 
     def _start(self, sessions: ExitStack, context: process_table.RunContext) -> None:
-        """Start the processes in the order of the table, each after those that it needs are ready."""
+        """Start the processes in the order of the table, the recorder first."""
         rows = process_table.processes(self._run_config.scenario)
         session = open_session(bus_options(context), stop=self._request, say=self._screen.say)
         sessions.enter_context(session)
         self._connect(session, rows)
         others = rows[1:]  # the router runs
         for row in others:
-            for name in row.needs:
-                self._wait_until_ready(name)
+            if row is others[1]:
+                self._wait_until_ready(others[0].name)  # the recorder: it records the first message of all others
             if row is others[-1]:
                 self._wait_for_drawing()  # the clock starts when the last process is ready
             self._start_process(row, context)
@@ -268,8 +299,7 @@ class Supervisor:
     def _connect(self, session: Session, rows: Sequence[process_table.ProcessRow]) -> None:
         outbox = Outbox(session, node=SUPERVISOR, epoch=new_epoch(), kinds=(RunEvent,))
         self._monitor = BusMonitor(session, [row.name for row in rows])
-        self._events = RunEvents(outbox, self._monitor, self._screen)
-        self.failures.connect(self._monitor, self._events)
+        self.failures.connect(self._monitor, outbox)
 
     # --- watching ----------------------------------------------------------------------------------------------------
 
@@ -295,10 +325,8 @@ class Supervisor:
         if self._folder.deleted:
             raise RunFailed(f"{self._folder.path}: {DELETED}")
         now_s = time.monotonic()
-        late, self._ticked_s = now_s - self._ticked_s > LATE_S, now_s
-        self.failures.check(now_s, excuse=late)
-        monitor, events = self._monitor, self._events
-        if monitor is None or events is None:
+        self.failures.check(now_s)
+        if (monitor := self._monitor) is None:
             return
         for name in monitor.kill_requests():
             if name in self.children.by_name:  # handled as any other failure
@@ -307,10 +335,10 @@ class Supervisor:
                 self._screen.say(one_line(f"kill refused: no process {format_value(name)} in this run"))
         self.failures.check_recoveries(now_s)
         if not self.failures.recovering:  # a restarted process needs the processor more
-            self.children.replace_dead_fork_server()
+            self.children.forks.replace_if_dead()
         for event in monitor.new_events():
             if event.node != SUPERVISOR:
-                events.show(event)
+                self.failures.show(event)
         self._screen.update(self._view(monitor, now_s))
 
     def _view(self, monitor: BusMonitor, now_s: float) -> LiveView:

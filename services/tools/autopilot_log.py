@@ -20,12 +20,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ltv_mpc.config import open_file
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate, Times
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.edges.mavlink.navigation import Accuracy, Navigation
 
 SUFFIXES = (".bin", ".tlog")
+FMT, STX = b"\xa3\x95\x80", (b"\xfe", b"\xfd")
+"""First bytes of DataFlash, and those of a frame of MAVLink, which follow a time of 8 bytes in telemetry."""
 LEFT_RIGHT = (73, 74)
 """SERVOn_FUNCTION of port and starboard."""
 DEFAULT_OUTPUTS = (1, 3)
@@ -55,6 +58,10 @@ class _Rows(NamedTuple):
 def read(path: Path, vehicle: Vehicle) -> AutopilotLog:
     """Read a log. Raises ``ConfigError``."""
     source = f"log {path}"
+    with open_file(path, what="log") as file:  # pymavlink opens it by its name, and is slow on other files
+        head = file.read(9)
+    if (path.suffix.lower() == ".bin" and head[:3] != FMT) or (path.suffix.lower() == ".tlog" and head[8:] not in STX):
+        raise ConfigError(source, "", "is no log of ArduPilot: it does not begin as one")
     try:
         navigation = Navigation(Accuracy(), dives=vehicle.can_dive)
         rows = (_telemetry if path.suffix.lower() == ".tlog" else _data_flash)(path, navigation)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 
 from ltv_mpc.messages import Estimate, InboxEntry, Message, RecordedStep, RejectedFrame, StepRecord
-from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.node import Node, ReceivedMessage
 from services.bus import topics, wire
 from services.bus.mailbox import Frame
 from services.bus.message_validation import rejection
@@ -17,7 +17,7 @@ from services.recording.writer import RunWriter
 from services.run.folder import DELETED, RunFolder
 from services.run.nodes import make_nodes
 from services.run.run_config import RunConfig
-from services.run.summary import LOCKSTEP, summarise
+from services.run.summary import LOCKSTEP, STOPPED, summarise
 from services.run.water import EstimatedCurrent
 from sim.evaluation.metrics import RunMetrics
 from sim.evaluation.summary import Messages, Summary
@@ -79,23 +79,31 @@ def simulate(
     progress: Callable[[int], None] | None,
     stop: Callable[[], bool],
     learned: EstimatedCurrent | None = None,
+    *,
+    nodes: Sequence[Node] | None = None,
+    keep: Callable[[Message], None] | None = None,
 ) -> Summary:
-    """Run all nodes in lock step without a folder; ``writer`` records, ``learned`` collects the estimated current."""
+    """Run all nodes in lock step without a folder.
+
+    ``writer`` records, ``learned`` collects the estimated current, ``keep`` is called with each message, ``nodes``
+    replace those of the configuration.
+    """
     _freeze_existing_objects()
     scenario = run_config.scenario
-    log = _Log(RunMetrics(run_config.vehicle, fence=run_config.fence), writer, learned)
+    log = _Log(RunMetrics(run_config.vehicle, fence=run_config.fence), writer, learned, keep)
     recorded = writer is not None
     lockstep = LockStep(
-        make_nodes(run_config, publish_unread_topics=recorded),
+        nodes or make_nodes(run_config, publish_unread_topics=recorded),
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
         observation=Observation(
-            log, types=None if recorded else log.observed_types, on_step=log.stepped if recorded else None
+            log, types=None if recorded or keep else log.observed_types, on_step=log.stepped if recorded else None
         ),
         latest=LATEST,
         make_rejection=rejected_message,
     )
     failure: OSError | None = None
+    done = False
     try:
         for t_ns in (*range(scenario.start_ns, scenario.end_ns, PROGRESS_NS), scenario.end_ns):
             if stop():
@@ -103,11 +111,14 @@ def simulate(
             lockstep.advance(t_ns)
             if progress is not None:
                 progress(t_ns)
+        else:
+            done = True
     except OSError as error:
         failure = error
     records = sum(lockstep.steps.values()) if recorded else 0
     messages = Messages(published=lockstep.published + records, dropped=0, rejected=log.rejected_count)
-    summary = summarise(run_config, log.metrics, mode=LOCKSTEP, messages=messages)
+    why = f"the run cannot be stored: {failure.strerror}" if failure else "" if done else STOPPED
+    summary = summarise(run_config, log.metrics, mode=LOCKSTEP, messages=messages, why=why)
     if failure is not None:
         raise NotStored(failure, summary)
     return summary
@@ -123,8 +134,15 @@ def _freeze_existing_objects() -> None:
 class _Log:
     """Observer of the run that passes messages to the recording, if there is one, and to the evaluation."""
 
-    def __init__(self, metrics: RunMetrics, writer: RunWriter | None, learned: EstimatedCurrent | None) -> None:
+    def __init__(
+        self,
+        metrics: RunMetrics,
+        writer: RunWriter | None,
+        learned: EstimatedCurrent | None,
+        keep: Callable[[Message], None] | None,
+    ) -> None:
         self.metrics = metrics
+        self._keep = keep
         self.rejected_count = 0
         self._learned = learned
         self._writer = writer
@@ -159,6 +177,8 @@ class _Log:
             self.rejected_count += 1
         if self._writer is not None:
             self._writer.write(node, content, _header(message.sequence), message.received_t_ns)
+        if self._keep is not None:
+            self._keep(content)
         if self._learned is not None and isinstance(content, Estimate):
             self._learned.update(content)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ltv_mpc import config
 from ltv_mpc.control.prediction import current_at_depth, profile_of
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Applied, Array, Authority, Estimate, Message, Plan, Times
+from ltv_mpc.messages import Applied, Array, Authority, Estimate, Plan, Times
 from ltv_mpc.vehicle.identification import (
     CannotIdentify,
     Identification,
@@ -31,7 +31,7 @@ from ltv_mpc.vehicle.identification import (
 )
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.shooting_fit import MAX_GAP_S, SEGMENT_S, Motion
-from services.bus.wire import WireError
+from services.recording.acceptance import accepted
 from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
@@ -160,19 +160,13 @@ def motion_of_log(estimates: list[Estimate], log: AutopilotLog) -> Motion:
 
 def _recorded(path: Path) -> _Recorded:
     recorded = _Recorded([], [], [])
-    for stored in Recording(path):
-        if stored.kind not in (Estimate, Applied, Plan):
-            continue
-        try:
-            message: Message = stored.typed()[0]
-        except WireError as error:
-            raise ConfigError(f"run {path}", stored.key, f"cannot be read: {error}") from None
+    for message, _, t_ns in accepted(Recording(path), (Estimate, Applied, Plan)):
         if isinstance(message, Estimate):
             recorded.estimates.append(message)
         elif isinstance(message, Applied):
             recorded.applied.append(message)
         elif isinstance(message, Plan):
-            recorded.plans.append((stored.t_ns, message))
+            recorded.plans.append((t_ns, message))
     return recorded
 
 

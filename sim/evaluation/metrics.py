@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,6 +40,7 @@ from ltv_mpc.messages import (
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.propulsion import propulsive_power_W, relative_power
 from sim.evaluation.fence_distances import FenceDistances
+from sim.evaluation.further import Further, Positions, further
 from sim.evaluation.summary import Quantiles, Spread, Thrust, ZoneFigures
 
 AT_BOX_N = 1e-6
@@ -85,20 +87,27 @@ class TrackErrors:
             moves = plan.progress is not None
             self._reference.append(_Target(plan.cycle_t_ns, int(plan.t_ns[0]), plan.reference_m, moves))
 
-    def errors(self) -> tuple[Spread, Spread, Spread, Spread]:
-        """Return tracking, true, localisation and absolute localisation error."""
+    @cached_property
+    def positions(self) -> Positions | None:
+        """Positions of the run, from t = 0 on; None without any."""
         at = np.array([t for t, _, _ in self._estimate if t > 0], dtype=np.int64)
         if not len(at) or not self._truth:
-            nothing = _spread(np.empty(0))
-            return nothing, nothing, nothing, nothing
-        estimate, truth = _track(self._estimate, at), _track(self._truth, at)  # (K, 2) each
+            return None
         zero = np.zeros(1, dtype=np.int64)
-        estimate_0, truth_0 = _track(self._estimate, zero), _track(self._truth, zero)
-        reference = self._references(at, estimate_0)
-        localisation = (estimate - estimate_0) - (truth - truth_0)
-        tracking = estimate - reference
-        true = (truth - truth_0) - (reference - estimate_0)
-        return tuple(_spread(np.hypot(*e.T)) for e in (tracking, true, localisation, estimate - truth))  # type: ignore[return-value]
+        start = _track(self._estimate, zero)
+        true = _track(self._truth, at) - _track(self._truth, zero) + start
+        return Positions(at / 1e9, _track(self._estimate, at), true, self._references(at, start))
+
+    def errors(self) -> tuple[Spread, Spread, Spread, Spread]:
+        """Return tracking, true, localisation and absolute localisation error."""
+        at = self.positions
+        if at is None:
+            return (_spread(np.empty(0)),) * 4
+        zero = np.zeros(1, dtype=np.int64)
+        fix = _track(self._estimate, zero) - _track(self._truth, zero)
+        localisation = at.estimate_m - at.true_m
+        errors = at.estimate_m - at.reference_m, at.true_m - at.reference_m, localisation, localisation + fix
+        return tuple(_spread(np.hypot(*error.T)) for error in errors)  # type: ignore[return-value]
 
     def _references(self, at: np.ndarray[Any, Any], start: Array) -> Array:
         """Return the reference of the newest plan at each time, (K, 2); before the first plan, that of the first.
@@ -320,6 +329,10 @@ class RunMetrics:
     def errors(self) -> tuple[Spread, Spread, Spread, Spread]:
         """Return tracking, true, localisation and absolute localisation error."""
         return self._track.errors()
+
+    def further(self) -> Further:
+        """Return the metrics of ``further.py``."""
+        return further(self._track.positions)
 
     def thrust(self) -> Thrust:
         """Return statistics of the commands in force from t = 0 on."""

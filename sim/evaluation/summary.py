@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import msgspec
 
+from sim.evaluation.further import Further
+
 
 class Spread(msgspec.Struct, frozen=True, kw_only=True):
     """Statistics of an error over time (m)."""
@@ -32,7 +34,7 @@ class Thrust(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     saturated_fraction: float | None  # share of the time with either at its minimum or maximum
-    max_abs_N: float | None
+    max_abs_N: float | None  # largest of both thrusters
     mean_abs_N: float | None  # mean over time and both thrusters
     travel_N: float | None  # sum of |dF| over both thrusters, a measure of wear
     max_slew_N_per_s: float | None  # largest |dF/dt|
@@ -64,9 +66,11 @@ class Messages(msgspec.Struct, frozen=True, kw_only=True):
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
     """Summary of one run. Errors are drift since t = 0, except the absolute one."""
 
-    scenario: str
+    scenario: str  # its name
     mode: str  # "services" or "lockstep"
-    seed: int
+    completed: bool  # the run came to its end, and all its processes with it
+    why: str  # why it did not; empty if it did
+    seed: int  # of all random draws
     speed: float | None  # requested speed relative to real time; null in lock step
     speed_reached: float | None  # speed reached, pauses included
     duration_s: float  # vehicle time reached after t = 0
@@ -75,23 +79,25 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     true_error_m: Spread  # truth to reference
     localisation_error_m: Spread  # estimate to truth: the estimator's part
     localisation_error_absolute_m: Spread  # including the error at t = 0
+    further: Further
     thrust: Thrust
     fence: tuple[ZoneFigures, ...]  # zones of all fences that were in force
     arrived_s: float | None  # vehicle time of the first arrival at the end of a reference; null: none
     fence_exceeded: int  # number of plans that lack more than 1 cm of a required clearance at one knot or more
     compute_delay_s: Quantiles  # from the start of a cycle to its plan's publication
-    compute_delay_wall_s: Quantiles
+    compute_delay_wall_s: Quantiles  # the same in wall time; null in lock step
     end_to_end_delay_s: Quantiles  # from an estimate's validity time to the effect of its plan
-    end_to_end_delay_wall_s: Quantiles
+    end_to_end_delay_wall_s: Quantiles  # the same in wall time; null in lock step
     stages_us: dict[str, Quantiles]  # wall time of each stage of a cycle, if measured
     deadline_misses: int  # plans that reached the plant after their start time
     plans_refused: int  # rejected by the actuators: thrust limit, slew limit or out of order
-    qp_status: dict[str, int]
-    plan_origin: dict[str, int]
+    qp_status: dict[str, int]  # number of plans by the status of their QP
+    plan_origin: dict[str, int]  # number of plans by where their lateral thrusts come from
     health: dict[str, int]  # number of plans by the controller's health and its reason
-    restarts: int
+    restarts: int  # of processes
     messages: Messages
     stages: int  # N of the horizon
     horizon_s: float  # length of the horizon
+    proposed_horizon_s: float  # what `vehicle check` proposes for the vehicle
     effort: str  # low, normal or high: the weights of thrust
     perfect_state: bool = False  # the controller was given the true state

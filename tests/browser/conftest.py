@@ -30,7 +30,7 @@ LOOKS = (
 """Every size of the window in both colour schemes; each differs from the one before in one of both."""
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-PATIENCE_MS = 30_000
+PATIENCE_MS = 120_000
 
 UNFIT = """() => {
   scrollTo(0, 0);  // else the header lies over what has been scrolled

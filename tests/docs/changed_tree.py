@@ -54,13 +54,13 @@ def run(program: str, folder: Path) -> str:
 
 
 def _apply(text: str, folder: Path) -> None:
-    """Apply one block: insert the new lines at their context, or create the file."""
+    """Apply one block: insert the new lines at their context and remove the old ones, or create the file."""
     head, *lines = text.splitlines()
     name = head.removeprefix("# ")
     path = folder / name
     path.parent.mkdir(parents=True, exist_ok=True)
     context = [line[1:] for line in lines if not line.startswith("+")]
-    new = [line[1:] for line in lines]
+    new = [line[1:] for line in lines if not line.startswith("-")]
     if not context:
         assert not (ROOT / name).exists(), f"{name}: the page does not say where its lines belong"
         path.write_text("\n".join(new) + "\n", encoding="utf-8")

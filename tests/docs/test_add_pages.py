@@ -58,16 +58,10 @@ assert "LogSpeed" in protocol.page()
 """
 
 
-@pytest.mark.timeout(900)
-def test_the_tests_of_every_sensor_pass_with_the_sensor(tmp_path: Path) -> None:
-    build("docs/add-sensor.md", tmp_path)
-    run(TESTS_OF_THE_SENSOR, tmp_path)
-
-
 @pytest.mark.timeout(900)  # compiled code may have to be built first
-def test_the_sensor_is_used_and_does_not_worsen_the_estimate(tmp_path: Path) -> None:
+def test_the_sensor_passes_the_tests_of_each_is_used_and_does_not_worsen_the_estimate(tmp_path: Path) -> None:
     build("docs/add-sensor.md", tmp_path)
-    with_log, without = map(json.loads, run(DIVE, tmp_path).splitlines())
+    with_log, without = map(json.loads, run(TESTS_OF_THE_SENSOR + DIVE, tmp_path).splitlines())
     assert with_log["account"]["speed_log.used"] > 140  # of 150 in 30 s at 5 Hz
     assert "speed_log.used" not in without["account"]
     assert with_log["rms_m"] < 1.05 * without["rms_m"]
@@ -141,11 +135,23 @@ assert run(["--help"]) == 0
 assert run(["horizon", "paper"]) == 0
 assert run(["horizon", "no-such-vehicle"]) == 2
 """,
+    "docs/add-metric.md": """
+import numpy as np
+from services.tools.campaign.file import metrics
+from sim.evaluation.further import Positions, further
+from services.reporting.differences import rows
+
+at = np.zeros((4, 2))
+found = further(Positions(np.arange(4.0), at, np.array([[0.0, 0.0], [0.05, 0.05], [0.3, 0.0], [0.0, 0.2]]), at))
+assert found.within_10_cm_share == 0.5 and found.tracking_rms_m == 0.0
+assert "further.within_10_cm_share" in metrics()
+assert [row.values for row in rows([{"further": {"within_10_cm_share": 0.5}}])] == [(0.5,)]
+""",
     "docs/add-plot.md": """
 from matplotlib.figure import Figure
 from msgspec.structs import replace
 from ltv_mpc import Estimate
-from services.reporting.figures.renderer import Run, draw
+from benchmarks.paper.renderer import Run, draw
 from services.reporting.plots.catalogue import SPEED, PLOTS
 from services.reporting.plots.collector import Collector
 

@@ -14,7 +14,6 @@ import itertools
 import math
 import struct
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +27,7 @@ from scipy.sparse import csc_array, eye_array
 
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.failed_qp import ConstraintRow, FailedQp
+from ltv_mpc.control.failed_qp import ConstraintRow, NamedQp
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.qp import QP
 from ltv_mpc.currents import read_prior, read_profile
@@ -57,7 +56,7 @@ from services.bus import topics
 from services.bus.mailbox import Frame
 from services.bus.message_validation import MessageValidator
 from services.bus.wire import MAX_PAYLOAD_BYTES, WireError, header_of, to_map, unpack
-from services.edges.edge import Outgoing, Received
+from services.edges.edge import Outgoing, Received, Refused
 from services.edges.mavlink.codec import Codec, frames_of
 from services.edges.mavlink.edge import MavlinkEdge
 from services.edges.mavlink.edge import Settings as MavlinkSettings
@@ -165,10 +164,15 @@ def hostile_frame(rng: Random, message: dict[str, Any]) -> bytes:
     )
 
 
+def of_plant(example: Message) -> dict[str, Any]:
+    """Return the map of a message, from the plant if every node may publish it."""
+    return to_map(example, HEADER) | ({"node": "plant"} if topics.BY_TYPE[type(example)].written_by == "*" else {})
+
+
 def door_of(topic: topics.Topic) -> Target:
     """Return the target of one key: message validation of decoding, bounds and order."""
     key = topics.key_of(topic.message_type, "plant")
-    messages = [to_map(example, HEADER) for example in EXAMPLES if type(example) is topic.message_type]
+    messages = [of_plant(example) for example in EXAMPLES if type(example) is topic.message_type]
 
     def take(frame: bytes) -> Any:
         try:
@@ -183,7 +187,7 @@ def one_door() -> Target:
     """Return the target of one validator for the whole campaign: rejected messages must not increase its memory."""
     validator = MessageValidator()
     messages = [
-        (topics.topic_at(key), key, to_map(example, HEADER))
+        (topics.topic_at(key), key, of_plant(example))
         for example in EXAMPLES
         for key in (topics.key_of(type(example), "plant"), "no/such/key")
     ]
@@ -239,6 +243,7 @@ SQUARE_FENCE = (
 def ros2() -> Target:
     """Target: the edge to ROS 2, all topics and services: a frame gives messages that are sound, or is counted."""
     edge = Ros2Edge(1, Ros2Settings(vehicle=Vehicle.load("paper")))
+    edge.take(next(message for message in EXAMPLES if isinstance(message, Plan)), 0)
     seeds = {row.name: cdr.encode(ros2_example(row.ros_type)) for row in TABLE if row.direction is not OUT}
     seeds["odometry"] = odometry(position=(1.0, 2.0, -3.0), frame="a" * 40, pose_covariance=np.eye(6))
     reported = next(message for message in EXAMPLES if isinstance(message, Obstacles))
@@ -250,6 +255,9 @@ def ros2() -> Target:
     def spoiled(rng: Random, data: bytes) -> bytes:
         if len(data) < 12:
             return data[:-1]
+        if rng.random() < 0.3:  # the stamp, of messages that begin with a header
+            stamp = rng.choice((0, 1, -1, 2**31 - 1, -(2**31), 2_147_000_000)), rng.choice((0, 10**9, 2**32 - 1))
+            return data[:4] + struct.pack("<iI", *stamp) + data[12:]
         at = 4 + 8 * rng.randrange((len(data) - 4) // 8)
         return data[:at] + np.array([rng.choice(doubles)]).astype("<f8").tobytes() + data[at + 8 :]
 
@@ -275,7 +283,7 @@ def ros2() -> Target:
         before = edge.accepted, edge.refused
         outputs = edge.receive(Received(channel, payload, attachment, 0))
         assert edge.accepted + edge.refused == sum(before) + 1
-        for late in edge.step(4_000_000):  # so that requests do not pile up
+        for late in (*edge.step(4_000_000), *edge.release(4_000_000)):  # so that requests do not pile up
             if not isinstance(late, Outgoing):
                 signal_is_sound(late)
         return [output for output in outputs if not isinstance(output, Outgoing)] if edge.accepted > before[0] else None
@@ -331,6 +339,9 @@ def mavlink() -> Target:
             make.gps_global_origin_encode(502000000, -51000000, 0),
             make.system_time_encode(0, 1000),
             make.timesync_encode(10**9, 1),
+            make.mission_current_encode(1),
+            make.mission_ack_encode(255, 191, 1, 0),
+            make.statustext_encode(4, b"Flight plan received", 0, 0),
             make.mission_count_encode(255, 191, 2, 0),
             make.mission_count_encode(255, 191, 2, 1),
             *(
@@ -346,14 +357,25 @@ def mavlink() -> Target:
         """Return a frame with another payload and a checksum that is right, so that it passes the decoder."""
         message = Codec(9, component=9).decode(seed)
         payload = mutate.raw(rng, seed[10 : 10 + seed[1]])[: seed[1]].ljust(seed[1], bytes(1))
-        body = seed[1:10] + payload
-        return seed[:1] + body + struct.pack("<H", dialect.x25crc(body + bytes([message.crc_extra])).crc)
+        return checked(seed[1:10], payload, message.crc_extra)
+
+    def any_kind(rng: Random) -> bytes:
+        """Return a frame of any kind of message from the autopilot."""
+        number, kind = rng.choice(list(dialect.mavlink_map.items()))
+        payload = rng.choice((rng.randbytes, bytes, lambda n: b"\xff" * n))(struct.calcsize(kind.unpacker.format))
+        head = bytes([len(payload), 0, 0, rng.randrange(256), 1, 1]) + number.to_bytes(3, "little")
+        return checked(head, payload, kind.crc_extra)
+
+    def checked(head: bytes, payload: bytes, extra: int) -> bytes:
+        body = head + payload
+        return b"\xfd" + body + struct.pack("<H", dialect.x25crc(body + bytes([extra])).crc)
 
     def frame(rng: Random) -> bytes:
         seed = rng.choice(seeds)
         return mutate.one_of(
             rng,
             (4, lambda: altered(rng, seed)),
+            (2, lambda: any_kind(rng)),
             (4, lambda: mutate.raw(rng, seed)),
             (1, lambda: seed + mutate.raw(rng, rng.choice(seeds)) + rng.choice(seeds)),
             (1, lambda: seed),
@@ -370,7 +392,7 @@ def mavlink() -> Target:
         accepted = edge.accepted
         outputs = edge.receive(Received("", data, b"", number * 1000))
         assert edge.accepted + edge.refused == before + wanted
-        outputs += edge.step(number * 1000)
+        outputs += [*edge.step(number * 1000), *edge.release(number * 1000)]
         return [one for one in outputs if not isinstance(one, Outgoing)] if edge.accepted > accepted else None
 
     def check(messages: Any) -> None:
@@ -378,6 +400,41 @@ def mavlink() -> Target:
             signal_is_sound(message)
 
     return Target("mavlink", 2, frame, take, check)
+
+
+def into_edges() -> Target:
+    """Target: what both edges read from this bus, as far as its readers let it in: it is converted, or refused."""
+    ours = (Ros2Edge(1, Ros2Settings(vehicle=Vehicle.load("paper"))), new_mavlink_edge())
+    seeds = [(topics.BY_TYPE[type(one)], one) for one in EXAMPLES if type(one) in {*ours[0].reads, *ours[1].reads}]
+    state = 0
+
+    def frame(rng: Random) -> bytes:
+        number = rng.randrange(len(seeds))
+        return bytes([number]) + mutate.packed(mutate.tree(rng, to_map(seeds[number][1], HEADER)), rng)
+
+    def take(data: bytes) -> Any:
+        nonlocal state
+        state += 100_000
+        topic = seeds[data[0] % len(seeds)][0]
+        try:
+            message, _ = MessageValidator().validate(Frame(topic, topic.key, data[1:], 0))
+        except WireError:
+            return None
+        outputs: list[Any] = []
+        for edge in ours:
+            if edge.clock.read(0) is None:
+                edge.clock.update(10**9, 0)
+            if isinstance(message, edge.reads):
+                with contextlib.suppress(Refused):
+                    outputs += edge.take(message, state)
+            outputs += [*edge.step(state), *edge.release(state)]
+        return [one for one in outputs if not isinstance(one, Outgoing)]
+
+    def check(messages: Any) -> None:
+        for message in messages:
+            signal_is_sound(message)
+
+    return Target("into edges", 2, frame, take, check)
 
 
 def new_mavlink_edge() -> MavlinkEdge:
@@ -580,55 +637,36 @@ def adcp_file() -> Target:
 
 
 def failed_qp() -> Target:
-    """Target: a saved QP in numpy's npz format."""
+    """Target: a saved QP."""
     unit = csc_array(eye_array(2))
     qp = QP(unit, np.array([-1.0, -1.0]), unit, np.zeros(2), np.full(2, 0.5))
-    failed = FailedQp(
+    failed = NamedQp(
         qp, (ConstraintRow("slew", 1.0, "N"), ConstraintRow("box", 2.0, "N")), Solve(status=SolveStatus.INFEASIBLE)
     )
-    place = Path(WORKSHOP.name) / "seed.npz"
+    place = Path(WORKSHOP.name) / "seed.qp"
     failed.save(place)
     seed = place.read_bytes()
-    with np.load(place, allow_pickle=False) as held:
-        parts = {name: held[name] for name in held.files}
-    without_q = io.BytesIO()
-    np.savez(without_q, **{name: part for name, part in parts.items() if name != "q"})
-    plain_seed = without_q.getvalue()
+    content = msgspec.msgpack.decode(seed)
     values: tuple[Any, ...] = (
-        *(np.array([np.nan, np.inf]), np.zeros(0), np.zeros((2, 2)), np.zeros(3), np.array(5), np.array("x")),
-        *(np.array([2**40, -1]), np.array([0, 1, 2], dtype=np.int32), np.array([True, False]), np.array([1 + 2j, 0])),
-        *(np.array(["nan", "1"]), np.array([{}, []], dtype=object), np.array(b"\xff"), np.zeros(2, dtype="M8[s]")),
+        *([math.nan, math.inf], [], [[0.0, 0.0]], [0.0, 0.0, 0.0], 5, "x", None, {}, [2**40, -1], [0, 1, 2], [True]),
+        *({"data": d, "indices": i, "indptr": p} for d, i, p in (([1.0], [0], [0, 1]), ([1.0], [-1], [0, 1, 1]))),
+        {"data": [1.0, 1.0], "indices": [0, 2**31], "indptr": [0, 1, 2]},
     )
 
     def rebuilt(rng: Random) -> bytes:
-        spoiled = dict(parts)
+        spoiled = dict(content)
         for _ in range(rng.choice((1, 1, 2))):
             name = rng.choice(sorted(spoiled))
             if rng.random() < 0.2:
                 del spoiled[name]
             else:
                 spoiled[name] = rng.choice(values)
-        file = io.BytesIO()
-        np.savez(file, **spoiled)
-        return file.getvalue()
-
-    def lying(rng: Random) -> bytes:
-        """Return a part with an arbitrary header, in an archive with correct checksums."""
-        kind = rng.choice((b"'<f8'", b"'|O'", b"'<i8'", b"'|V99999999'", b"'>M8[s]'", b"[('a', '<f8', (99999,))]"))
-        shape = rng.choice((b"(999999999999,)", b"(99999999, 99999999)", b"(-1,)", b"(2,)", b"()", b"(True,)", b"'x'"))
-        head = b"{'descr': " + kind + b", 'fortran_order': False, 'shape': " + shape + b", }\n"
-        version = rng.choice((b"\x01\x00", b"\x02\x00", b"\x03\x00", b"\x09\x09"))
-        size = len(head).to_bytes(2 if version[0] == 1 else 4, "little")
-        file = io.BytesIO(plain_seed)
-        with zipfile.ZipFile(file, "a") as archive:
-            archive.writestr(rng.choice(("q.npy", "extra.npy", "x")), b"\x93NUMPY" + version + size + head + bytes(16))
-        return file.getvalue()
+        return msgspec.msgpack.encode(spoiled)
 
     def frame(rng: Random) -> bytes:
-        ways = (5, lambda: rebuilt(rng)), (4, lambda: mutate.raw(rng, seed)), (1, lambda: lying(rng))
-        return mutate.one_of(rng, *ways)
+        return mutate.one_of(rng, (5, lambda: rebuilt(rng)), (5, lambda: mutate.raw(rng, seed)))
 
-    def check(found: FailedQp) -> None:
+    def check(found: NamedQp) -> None:
         n, m = len(found.qp.q), len(found.qp.l)
         assert found.qp.P.shape == (n, n)
         assert found.qp.A.shape == (m, n)
@@ -637,7 +675,7 @@ def failed_qp() -> Target:
         assert len(found.rows) == m
         found.faults()
 
-    return file_reader("failed qp", 1, frame, FailedQp.load, check, file="failed.npz")
+    return file_reader("failed qp", 1, frame, NamedQp.load, check, file="failed.qp")
 
 
 def recordings() -> Iterator[Target]:
@@ -726,7 +764,7 @@ def all_targets() -> tuple[Target, ...]:
     """Return the targets of all readers of external data."""
     return (
         *map(door_of, topics.TOPICS),
-        *(one_door(), recorder(), ros2(), mavlink(), vehicle_clock(), command()),
+        *(one_door(), recorder(), ros2(), mavlink(), into_edges(), vehicle_clock(), command()),
         *settings(),
         *tables(),
         *(adcp_file(), failed_qp()),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ltv_mpc
 
 NAMES = {
+    "__version__",
     "Bathymetry",
     "Controller",
     "ControllerConfig",
@@ -17,12 +18,14 @@ NAMES = {
     "Obstacles",
     "Plan",
     "PlanOrigin",
+    "Run",
     "SolveStatus",
     "Term",
     "Vehicle",
     "advance",
     "build_qp",
     "references",
+    "simulate",
     "solve_qp",
 }
 
@@ -31,3 +34,7 @@ def test_the_public_names_are_these_and_each_is_there():
     assert set(ltv_mpc.__all__) == NAMES
     for name in NAMES:
         assert getattr(ltv_mpc, name) is not None
+
+
+def test_tab_shows_the_public_names_alone():
+    assert set(dir(ltv_mpc)) == NAMES

@@ -117,4 +117,4 @@ def test_command_run_and_doctor_say_the_same_version(capsys: pytest.CaptureFixtu
     assert run(["--version"]) == 0
     said = capsys.readouterr().out.split()[-1]
     assert said == versions.version() == provenance_table()["ltv_mpc"]
-    assert doctor.project().found.startswith(f"{said}, commit ")
+    assert doctor.project()[1].startswith(f"{said}, commit ")

@@ -12,7 +12,7 @@ from ltv_mpc.errors import ConfigError
 from sim.scenario import Scenario, checked, with_overrides
 
 
-@pytest.mark.parametrize("name", ["descent", "hover"])
+@pytest.mark.parametrize("name", ["descent", "hover", "paper-no-control", "paper-2.5s", "paper-5s"])
 def test_a_scenario_written_as_toml_is_read_back_bit_for_bit(name: str) -> None:
     scenario = Scenario.load(name)
     assert config.parse(tomllib.loads(config.to_toml(scenario)), Scenario, source="x") == scenario
@@ -27,6 +27,15 @@ def test_an_assignment_changes_its_key_and_nothing_else() -> None:
     assert after.vehicle == "my otter.toml"
     back = [f"water.sd_mps={before.water.sd_mps}", "run.perfect_state=false", "run.seed=0", 'vehicle="paper"']
     assert with_overrides(after, back) == before
+
+
+def test_the_paper_s_cases_have_its_delays_and_its_cost() -> None:
+    none, short, long = (Scenario.load(f"paper-{name}") for name in ("no-control", "2.5s", "5s"))
+    assert not none.controller.lateral
+    assert [(one.controller.horizon_s, one.run.compute_delay_s) for one in (short, long)] == [(2.5, 0.40), (5.0, 0.71)]
+    for one in (short, long):
+        weights = one.controller.weights
+        assert weights.terminal_position_per_m2 == weights.terminal_velocity_s2_per_m2 == 0.0
 
 
 def test_a_bed_and_a_feature_are_set_by_their_keys_and_read_back(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ WRONG_ROLE = 8000
 """Frames at least that the router denies."""
 
 REFUSED = 500
-"""Frames that the controller refuses at least, while the intruder goes on. On a loaded host it loses some of a flood."""
+"""Frames that the controller refuses at least, while the intruder goes on: a loaded host loses some of a flood."""
 
 OWN_ESTIMATES = 200
 """Estimates of the run in the three seconds of a replay, or in the ten that they last on a busy host."""

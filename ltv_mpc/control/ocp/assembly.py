@@ -21,8 +21,7 @@ from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.ocp import limits, terms
-from ltv_mpc.control.ocp.limits import motion
-from ltv_mpc.control.ocp.problem import Problem, clear
+from ltv_mpc.control.ocp.problem import Problem
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS, Objective, pack_objective, unpack_objective
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
@@ -38,7 +37,7 @@ def empty(stages: int, rows: int = 0) -> Problem:
     Parameters
     ----------
     stages : N.
-    rows : of further limits at a knot, behind those of ``ocp/limits``.
+    rows : of further limits at a knot, behind those of ``ocp/limits.py``.
     """
     return Problem.empty(stages, CHANGES, 2, limits.ROWS + rows)
 
@@ -51,19 +50,16 @@ def fill(packed: Array, lin: Linearisation, target: Array, p: Problem) -> None:
     ----------
     packed : a packed objective (problem_data.py).
     lin : the motion along the nominal trajectory.
-    target : (N+1, 3) as in ``ocp/terms``.
+    target : (N+1, 3) as in ``ocp/terms.py``.
     p : is overwritten; further rows are empty.
     """
     o = unpack_objective(packed)
-    clear(p)
-    _add_motion(p, lin, o)
-    terms.add(p, lin, target, o)
-    limits.add(p, lin, target, o)
-
-
-@jit
-def _add_motion(p: Problem, lin: Linearisation, o: Objective) -> None:
-    """Add the dynamics."""
+    for part in (p.F, p.H, p.G):
+        part[:, :, :] = 0.0
+    p.h[:, :] = 0.0
+    for i in range(p.low.size):
+        p.low.flat[i] = -np.inf
+        p.high.flat[i] = p.penalty.flat[i] = np.inf
     F, f, X, Phi, A, B0, B1 = p.F, p.f, lin.X, lin.Phi, lin.A, lin.B0, lin.B1
     S = np.empty(SIZE)
     for i in range(SIZE):
@@ -79,6 +75,8 @@ def _add_motion(p: Problem, lin: Linearisation, o: Objective) -> None:
                 F[k, i, CHANGES + j] = B1[k, i, j] * S[CHANGES + j] * over
         for j in range(2):
             F[k, COMMANDS + j, COMMANDS + j] = F[k, COMMANDS + j, CHANGES + j] = 1.0
+    terms.cost(X, lin.U, lin.C, target, o, p)
+    limits.add(p, lin, target, o)
 
 
 @jit
@@ -87,9 +85,9 @@ def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
 
     Parameters
     ----------
-    X, U, C, target, o : as in ``ocp/terms``.
+    X, U, C, target, o : as in ``ocp/terms.py``.
     """
-    return terms.cost(X, U, C, target, o) + motion.cost(X, target, o)
+    return terms.cost(X, U, C, target, o, None) + limits.cost(X, target, o)
 
 
 def scales(limits: HorizonLimits) -> Array:
@@ -108,7 +106,7 @@ def problem_along(lin: Linearisation, target: Array, knots: Array, limits: Horiz
     Parameters
     ----------
     lin : the motion.
-    target : (N+1, 3) as in ``ocp/terms``; the headings may be left out where the weights have none.
+    target : (N+1, 3) as in ``ocp/terms.py``; the headings may be left out where the weights have none.
     knots : (N+1,) in first stages.
     limits : limits of thrusters and motion.
     weights : weights of the cost.

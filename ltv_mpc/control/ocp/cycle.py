@@ -15,9 +15,8 @@ import numpy as np
 from ltv_mpc.control.fence_clearance import Scene
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.ocp import assembly, limits
+from ltv_mpc.control.ocp import assembly, fence, limits
 from ltv_mpc.control.ocp.extension import Extensions, Limit, Term
-from ltv_mpc.control.ocp.limits import fence
 from ltv_mpc.control.ocp.problem import Problem, least_surplus
 from ltv_mpc.control.problem_data import CHANGES, COMMANDS, bow_first
 from ltv_mpc.messages import Array
@@ -56,16 +55,16 @@ class Cycle:
         self.packed, self.scene, self.knots = packed, scene, knots
         self._scales = assembly.scales(scales)
         self.target = np.zeros((stages + 1, 3))
-        """Target at the knots (``ocp/terms``)."""
+        """Target at the knots (``ocp/terms.py``)."""
         self.lin = Linearisation.empty(stages)
         """The motion along the nominal trajectory."""
         self.start = np.zeros(CHANGES)
         """State at the first knot, and commands there."""
         self.score = UNKNOWN
         """Score of the nominal trajectory."""
-        self.further = Extensions(terms, np.diff(knots), self._scales[:CHANGES], self.target)
+        self.further = Extensions(terms, np.diff(knots), self._scales[:CHANGES], self.target) if terms else None
         """Terms and limits of a user."""
-        self.plain = assembly.empty(stages, self.further.rows)
+        self.plain = assembly.empty(stages, 0 if self.further is None else self.further.rows)
         """Problem without the rows of the fence."""
         self.fenced: Problem | None = None
         """Problem with these rows; None if there is no fence."""
@@ -79,13 +78,14 @@ class Cycle:
         """
         if rows == self.fence_rows:
             return False
-        self.fenced = assembly.empty(len(self.target) - 1, self.further.rows + rows) if rows else None
+        further = self.plain.low.shape[1] - limits.ROWS
+        self.fenced = assembly.empty(len(self.target) - 1, further + rows) if rows else None
         return True
 
     @property
     def fence_rows(self) -> int:
         """Rows of fence and corridor at a knot."""
-        return 0 if self.fenced is None else self.fenced.sizes[3] - self.plain.sizes[3]
+        return 0 if self.fenced is None else self.fenced.low.shape[1] - self.plain.low.shape[1]
 
     def fill(self, problem: Problem) -> Problem:
         """Fill in one of both problems along the nominal trajectory, and return it.
@@ -95,7 +95,8 @@ class Cycle:
         problem : is overwritten.
         """
         assembly.fill(self.packed, self.lin, self.target, problem)
-        self.further.add(problem, limits.ROWS, self.lin.X, self.lin.U)
+        if self.further is not None:
+            self.further.add(problem, limits.ROWS, self.lin.X, self.lin.U)
         if problem is self.fenced:
             fence.fill(self.packed, self.lin.X, self.scene, self.fence_rows, problem)
         return problem
@@ -107,7 +108,7 @@ class Cycle:
         ----------
         z : (N+1, 12) solution of either problem; the other one is filled in.
         """
-        return np.inf if self.fenced is None else least_surplus(self.fenced, z, self.plain.sizes[3])
+        return np.inf if self.fenced is None else least_surplus(self.fenced, z, self.plain.low.shape[1])
 
     def commands(self, z: Array) -> Array:
         """Return the commands (N+1, 2) of a solution (N).
@@ -143,6 +144,7 @@ class Cycle:
         N, n, m, M = problem.sizes
         full, first = Problem.empty(N, n, m, M), self.plain.sizes[3]
         assembly.fill(self.packed, lin, np.ones_like(self.target), full)
-        self.further.add(full, limits.ROWS, lin.X, lin.U)
+        if self.further is not None:
+            self.further.add(full, limits.ROWS, lin.X, lin.U)
         full.G[1:, first:, :2], full.low[1:, first:], full.penalty[1:, first:] = 1.0, -1.0, 1.0
         return full

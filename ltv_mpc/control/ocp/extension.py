@@ -115,7 +115,7 @@ class Extensions:
         terms : in any order.
         lengths : (N,) of the stages.
         scale : (10,) what is 1 in the states of the problem.
-        target : (N+1, 3) as in ``ocp/terms``; each cycle overwrites it.
+        target : (N+1, 3) as in ``ocp/terms.py``; each cycle overwrites it.
         """
         self._terms = [term for term in terms if isinstance(term, Term)]
         self._limits = [term for term in terms if isinstance(term, Limit)]
@@ -134,8 +134,6 @@ class Extensions:
         X : (N+1, 8) states at the knots.
         U : (N+1, 2) commands.
         """
-        if not self._terms and not self._limits:
-            return 0.0
         motion = self._motion(X, U)
         return sum(term.cost(motion) for term in self._terms) + sum(limit.cost(motion) for limit in self._limits)
 
@@ -148,8 +146,6 @@ class Extensions:
         first : number of the first row of these limits.
         X, U : the nominal trajectory, as in ``cost``.
         """
-        if not self._terms and not self._limits:
-            return
         motion = self._motion(X, U)
         n = len(self._scale)
         for term in self._terms:

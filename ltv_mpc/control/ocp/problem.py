@@ -67,23 +67,6 @@ def is_finite(p: Problem) -> bool:
 
 
 @jit
-def clear(p: Problem) -> None:
-    """Remove dynamics, cost and limits from a problem.
-
-    Parameters
-    ----------
-    p : is overwritten.
-    """
-    for part in (p.F, p.H, p.G):
-        part[:, :, :] = 0.0
-    for part in (p.f, p.h):
-        part[:, :] = 0.0
-    for i in range(p.low.size):
-        p.low.flat[i] = -np.inf
-        p.high.flat[i] = p.penalty.flat[i] = np.inf
-
-
-@jit
 def roll_out(p: Problem, z: Array) -> None:
     """Compute the states that inputs lead to.
 

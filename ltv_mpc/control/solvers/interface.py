@@ -22,6 +22,9 @@ class Solver(Protocol):
     ``shift_warm_start`` or ``reset_warm_start``, then ``build``, ``update`` and ``solve``. A problem that cannot be
     solved is reported by the status of the result, not by an exception. The controller still treats an exception as a
     failed solve, because solvers of other authors may raise. docs/add-solver.md shows how to add one.
+
+    If another QP of the same cycle follows, the cycle calls ``draft()`` after ``build``, if the solver has it. It
+    returns an exact result without the solver's last check, which replaces ``update`` and ``solve``, or None.
     """
 
     def shift_warm_start(self, stages: float) -> None:

@@ -79,8 +79,8 @@ def interior_point(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: A
     max_sweeps : limit of sweeps; the active-set method can take a few more.
     """
     barrier = _initial_barrier(p)
-    sweeps, step, mu, regularisation = 0, 1.0, _mean_product(barrier), DUAL_REGULARISATION
-    failed = False
+    sweeps, step, regularisation, failed = 0, 1.0, DUAL_REGULARISATION, False
+    _, mu = _advance(barrier, 0.0, 0.0, active)
     while sweeps < max_sweeps:
         aim = max(max(MIN_SIGMA, (1.0 - step) ** 2) * mu, 0.1 * MU_CONVERGED)
         _set_barrier_terms(barrier, aim, regularisation, work)
@@ -88,9 +88,8 @@ def interior_point(p: Problem, work: Sweep, active: Array, max_sweeps: int, y: A
         if not sweep(p, work, len(p.f)):
             return FAILED, sweeps
         primal, dual = _find_step(barrier, aim, regularisation, work)
-        _take_step(barrier, primal, dual)
-        same = _name_active(barrier, active)
-        step, mu = min(primal, dual), _mean_product(barrier)
+        same, mu = _advance(barrier, primal, dual, active)
+        step = min(primal, dual)
         if not np.isfinite(mu):
             return FAILED, sweeps
         if mu < MU_CONVERGED and step > WHOLE_STEP:
@@ -173,20 +172,24 @@ def _find_step(barrier: _Barrier, aim: float, regularisation: float, work: Sweep
 
 
 @jit
-def _take_step(barrier: _Barrier, primal: float, dual: float) -> None:
-    """Take the step."""
-    for i in range(barrier.t.size):
-        barrier.t.flat[i] += primal * barrier.dt.flat[i]
-        barrier.e.flat[i] += primal * barrier.de.flat[i]
-        barrier.nu.flat[i] += dual * barrier.dnu.flat[i]
-        barrier.room.flat[i] -= dual * barrier.dnu.flat[i]
+def _advance(barrier: _Barrier, primal: float, dual: float, active: Array) -> tuple[bool, float]:
+    """Take a step, and update the active rows; return True if they are the same as before, and the mean product mu.
 
-
-@jit
-def _name_active(barrier: _Barrier, active: Array) -> bool:
-    """Update the active rows; return True if they are the same as before."""
-    t, e, nu, room = barrier.t, barrier.e, barrier.nu, barrier.room
-    same, rows = True, active.size
+    The mean is that of the products of slack and dual, and of excess and what its dual is below its penalty.
+    """
+    t, e, nu, room, rows = barrier.t, barrier.e, barrier.nu, barrier.room, active.size
+    total, count, same = 0.0, 1, True
+    for i in range(t.size):
+        t.flat[i] += primal * barrier.dt.flat[i]
+        e.flat[i] += primal * barrier.de.flat[i]
+        nu.flat[i] += dual * barrier.dnu.flat[i]
+        room.flat[i] -= dual * barrier.dnu.flat[i]
+        if not np.isinf(barrier.bound.flat[i]):
+            total += t.flat[i] * nu.flat[i]
+            count += 1
+            if not np.isinf(barrier.cap.flat[i]):
+                total += e.flat[i] * room.flat[i]
+                count += 1
     for row in range(rows):
         now = 0.0
         i = row if nu.flat[row] > t.flat[row] else rows + row
@@ -194,7 +197,7 @@ def _name_active(barrier: _Barrier, active: Array) -> bool:
             now = (BEYOND if e.flat[i] > room.flat[i] else 1.0) * (1.0 if i < rows else -1.0)
         if now != active.flat[row]:
             active.flat[row], same = now, False
-    return same
+    return same, float(total / count)
 
 
 @jit
@@ -202,17 +205,3 @@ def _duals(nu: Array, y: Array) -> None:
     """Compute y (N+1, M) from the duals of both sides."""
     for i in range(y.size):
         y.flat[i] = nu.flat[i] - nu.flat[y.size + i]
-
-
-@jit
-def _mean_product(barrier: _Barrier) -> float:
-    """Return mu, the mean product of slack and dual, and of excess and what its dual is below its penalty."""
-    total, count = 0.0, 1
-    for i in range(barrier.bound.size):
-        if not np.isinf(barrier.bound.flat[i]):
-            total += barrier.t.flat[i] * barrier.nu.flat[i]
-            count += 1
-            if not np.isinf(barrier.cap.flat[i]):
-                total += barrier.e.flat[i] * barrier.room.flat[i]
-                count += 1
-    return float(total / count)

@@ -9,8 +9,10 @@ this needs no additional factorisation.
 
 First guess: inputs and duals of all limits from the Riccati method (riccati.py), which nearly always are those of the
 solution. A forward sweep gives the states that they lead to; a backward sweep gives the duals of the dynamics
-(costates). OSQP then confirms the solution after one iteration. Where the Riccati method does not apply (a cost that
-does not determine the inputs), the guess is no deviation, with the duals of the previous solve.
+(costates). OSQP then confirms the solution after one iteration. It does so for the last QP of a cycle, whose commands
+are sent; the solution of one before it is taken if it meets the conditions of the optimum (``draft``). Where the
+Riccati method does not apply (a cost that does not determine the inputs), the guess is no deviation, with the duals of
+the previous solve.
 
 Over-relaxation is off: with step sizes this unequal the plain iteration is faster.
 
@@ -28,11 +30,13 @@ import numpy as np
 from osqp import SolverStatus, ext_builtin
 from scipy.sparse import csc_array, csc_matrix
 
+from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.ocp.problem import Problem, costates, is_finite, roll_out, row_values
+from ltv_mpc.control.ocp.problem import Problem, costates, is_finite, optimality_error, roll_out, row_values
 from ltv_mpc.control.solvers import riccati
-from ltv_mpc.control.solvers.active_set import FAILED
+from ltv_mpc.control.solvers.active_set import CONVERGED, FAILED
 from ltv_mpc.control.solvers.interface import Result
+from ltv_mpc.control.solvers.interior_point import MAX_OPTIMALITY_ERROR
 from ltv_mpc.control.solvers.sparse import (
     DYNAMICS,
     EXCESS,
@@ -165,7 +169,7 @@ class OsqpSolver:
         ext_builtin.osqp_set_default_settings(self._settings)
         for name, value in SETTINGS.items():
             setattr(self._settings, name, value)
-        self._finite = False
+        self._finite = self._converged = False
 
     def shift_warm_start(self, stages: float) -> None:
         """Shift the duals of the limits to later knots (see ``Solver``).
@@ -209,11 +213,22 @@ class OsqpSolver:
         """Prepare the solve in the present layout; return ``prepare``'s size."""
         if self.layout is None:
             return MISFIT
-        size, costate = prepare(
+        size, costate, outcome = prepare(
             problem, self.layout.masks, self.layout.places, self._knots, self._shift, self.work, self.duals, self.arrays
         )
+        self._converged = outcome == CONVERGED
         self._eps = max(self._tolerance * size, ROUNDING * costate if self.layout.soft_rows else 0.0)
         return float(size)
+
+    def draft(self) -> Result | None:
+        """Return the solution of the Riccati sweeps, if it meets the conditions of the optimum (see ``Solver``)."""
+        p = self.problem
+        if p is None or not (self._finite and self._converged):
+            return None
+        if optimality_error(p, self.work.z, self.duals) > MAX_OPTIMALITY_ERROR:
+            return None
+        self._shift = 0.0
+        return Result(self.work.z.copy(), Solve(status=SolveStatus.SOLVED))
 
     def update(self) -> None:
         """Pass the problem to OSQP; the first one sets it up (see ``Solver``)."""
@@ -287,7 +302,7 @@ def _csc(pattern: csc_array, data: Array) -> ext_builtin.CSC:
 @jit
 def prepare(
     p: Problem, masks: Masks, places: Places, t: Array, shift: float, work: Sweep, duals: Array, at: Arrays
-) -> tuple[float, float]:
+) -> tuple[float, float, int]:
     """Compute the QP of a problem and its first guess, unscaled and with scaled rows.
 
     Parameters
@@ -302,17 +317,19 @@ def prepare(
 
     Returns
     -------
-    ``dual_scale`` of the problem, ``NOT_FINITE`` or ``MISFIT``; magnitude of the largest dual of the dynamics.
+    ``dual_scale`` of the problem, ``NOT_FINITE`` or ``MISFIT``; largest magnitude of a dual of the dynamics; outcome of
+    ``riccati.solve``.
     """
     if not fits(p, masks):
-        return MISFIT, 0.0
+        return MISFIT, 0.0, FAILED
     fill(p, places, at.numbers)
-    riccati.shift_duals(duals, t, shift)
+    shooting_grid.shift(duals, t, shift)
     for i in range(duals.size):
         if abs(duals.flat[i]) <= NOT_ACTIVE:
             duals.flat[i] = 0.0
     kept = duals.copy()
-    if riccati.solve(p, work, riccati.MAX_SWEEPS, duals)[0] == FAILED:  # otherwise z and g are those of the last sweep
+    outcome = riccati.solve(p, work, riccati.MAX_SWEEPS, duals)[0]
+    if outcome == FAILED:  # otherwise z and g are those of the last sweep
         for i in range(duals.size):
             duals.flat[i] = kept.flat[i]
         roll_out(p, work.z)
@@ -321,11 +338,11 @@ def prepare(
     costates(p, work.z, duals, costate)
     _guess(p, places, work, duals, costate, at)
     if rescale(places, at) < 0:
-        return NOT_FINITE, 0.0
+        return NOT_FINITE, 0.0, outcome
     largest = 0.0
     for i in range(p.f.size):
         largest = max(largest, abs(at.y[i]))
-    return dual_scale(at.numbers.q, places), largest
+    return dual_scale(at.numbers.q, places), largest, outcome
 
 
 @jit

@@ -1,11 +1,11 @@
-"""Solver wrappers that keep what a solver was given and what it returned: for tools and tests, and for failed QPs."""
+"""Solver wrappers that keep what a solver was given and what it returned, also as a QP with the names of its rows."""
 
 from __future__ import annotations
 
 import contextlib
 
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
-from ltv_mpc.control.failed_qp import FailedQp, row_names
+from ltv_mpc.control.failed_qp import NamedQp, row_names
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.ocp.assembly import scales
 from ltv_mpc.control.ocp.problem import Problem
@@ -31,6 +31,7 @@ class RecordingSolver:
         self.shift_warm_start = solver.shift_warm_start
         self.reset_warm_start = solver.reset_warm_start
         self.update = solver.update
+        self.draft = getattr(solver, "draft", None)
 
     def build(self, problem: Problem) -> None:
         """Keep the problem.
@@ -48,35 +49,57 @@ class RecordingSolver:
         return self.result
 
 
-class FailureRecorder:
-    """Solver factory whose solvers keep the last QP that was not solved."""
+class QpRecorder:
+    """Solver factory that gives the QP of the newest cycle on request, and keeps the last one that was not solved."""
 
     def __init__(self, make_solver: SolverFactory = make) -> None:
         """Wrap the solvers that ``make_solver`` makes."""
         self._make_solver = make_solver
-        self.failed: FailedQp | None = None
+        self._newest: _NamingSolver | None = None
+        self.failed: NamedQp | None = None
         """The last QP that was not solved, if there was one."""
 
     def __call__(self, vehicle: Vehicle, config: ControllerConfig) -> Solver:
         """Return a solver for these settings."""
         limits = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9)
-        solver = _FailureRecordingSolver(self._make_solver(vehicle, config))
+        solver = _NamingSolver(self._make_solver(vehicle, config))
         solver.recorder, solver.limits = self, limits
         return solver
 
+    def newest(self) -> NamedQp | None:
+        """Return the QP that was solved last, with the names of its rows: until the next cycle that of the plan.
 
-class _FailureRecordingSolver(RecordingSolver):
-    """Solver wrapper that reports each problem that was not solved."""
+        None before the first cycle that has one.
+        """
+        return None if self._newest is None else self._newest.named()
 
-    recorder: FailureRecorder
+    def add(self, solver: _NamingSolver) -> None:
+        """Note the solver of the newest QP, and the QP if it was not solved.
+
+        Parameters
+        ----------
+        solver : wrapped solver that has just solved it, or has failed.
+        """
+        self._newest = solver
+        if solver.result.solve.status is not SolveStatus.SOLVED:
+            with contextlib.suppress(Exception):  # a problem that cannot be laid out must not cost the cycle
+                self.failed = solver.named()
+
+
+class _NamingSolver(RecordingSolver):
+    """Solver wrapper that reports each solve to its recorder."""
+
+    recorder: QpRecorder
     limits: HorizonLimits
 
     def solve(self) -> Result:
-        """Solve, and keep the QP if it was not solved."""
+        """Solve, and report it."""
         result = super().solve()
-        if result.solve.status is not SolveStatus.SOLVED:
-            with contextlib.suppress(Exception):  # a problem that cannot be laid out must not cost the cycle
-                layout = SparseLayout(self.problem)
-                qp = layout.assemble(layout.filled(self.problem))
-                self.recorder.failed = FailedQp(qp, row_names(layout, scales(self.limits)), result.solve)
+        self.recorder.add(self)
         return result
+
+    def named(self) -> NamedQp:
+        """Return the last problem as a QP with the names of its rows."""
+        layout = SparseLayout(self.problem)
+        qp = layout.assemble(layout.filled(self.problem))
+        return NamedQp(qp, row_names(layout, scales(self.limits)), self.result.solve)

@@ -136,25 +136,9 @@ def solve_from(
     -------
     Outcome, number of sweeps and largest violation, as ``solve``; then ``optimality_error``.
     """
-    shift_duals(y, t, stages)
+    shooting_grid.shift(y, t, stages)
     outcome, sweeps, violation = solve(p, work, max_sweeps, y)
     return outcome, sweeps, violation, optimality_error(p, work.z, y)
-
-
-@jit
-def shift_duals(y: Array, t: Array, stages: float) -> None:
-    """Shift duals to knots that lie later, or set them to zero.
-
-    Parameters
-    ----------
-    y : (N+1, M) duals; overwritten.
-    t : (N+1,) knots in first stages.
-    stages : by how many first stages the new knots lie later; NaN: set the duals to zero.
-    """
-    if np.isnan(stages):
-        y[:, :] = 0.0
-    elif stages != 0.0:
-        shooting_grid.shift(y, t, stages)
 
 
 @jit

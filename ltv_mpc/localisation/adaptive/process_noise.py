@@ -27,7 +27,7 @@ Going back  A front is detected three to ten seconds after it started. Until the
 Cost    Without detection nothing is inflated, and the estimate is bitwise the same as without this file.
 Limits  No detector sees a front of 10 cm/s in 30 s or more, nor, with realistic sensors, internal waves of 5 cm/s
         (docs/notes/localisation-studies.md). Set ``current_change_mps_per_rts`` where they are to be expected.
-Notes   docs/notes/adaptive-process-noise.md: settings that were tried.
+Notes   docs/notes/localisation-studies.md: settings that were tried.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _MAX_CONDITION = 100.0
 _LIMIT_1, _LIMIT_2 = innovation_tests.threshold(1), innovation_tests.threshold(2)
 _LIMIT_FAST = innovation_tests.threshold(2, 1e-7)
 """Limit for FAST: one false alarm in 5,000 dives, from three sums with 600 independent tests each. A false alarm costs
-velocity accuracy for the rest of a dive (docs/notes/adaptive-process-noise.md).
+velocity accuracy for the rest of a dive (docs/notes/localisation-studies.md).
 """
 
 _MAX_DURATION_NS = 120_000_000_000

@@ -12,7 +12,6 @@ So time and memory depend only on the size of the file, even if every byte start
 from __future__ import annotations
 
 import bisect
-import stat
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -20,7 +19,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.config import missing_file_hint
+from ltv_mpc.config import read_bytes
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.pd0 import records
 from ltv_mpc.localisation.pd0.records import HEADER, Bytes, DamagedEnsemble, Ensemble
@@ -66,18 +65,7 @@ def read(path: str | Path) -> Recording:
         If the file cannot be read or contains no valid ensemble.
     """
     source = f"PD0 file {path}"
-    try:
-        status = Path(path).stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise ConfigError(source, "", "is not a regular file")
-        if status.st_size > MAX_FILE_BYTES:
-            raise ConfigError(source, "", f"has {status.st_size} bytes: at most {MAX_FILE_BYTES}")
-        data = Path(path).read_bytes()
-    except FileNotFoundError:
-        raise ConfigError(source, "", missing_file_hint(Path(path))) from None
-    except OSError as error:
-        raise ConfigError(source, "", f"cannot be read: {error.strerror or error}") from None
-    return parse(data, source=source)
+    return parse(read_bytes(Path(path), what="PD0 file", max_bytes=MAX_FILE_BYTES), source=source)
 
 
 def parse(data: bytes, *, source: str, max_losses: int = MAX_LISTED_LOSSES) -> Recording:

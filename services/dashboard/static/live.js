@@ -32,8 +32,8 @@
     socket.onmessage = (event) => receive(JSON.parse(event.data));
     socket.onclose = () => {
       if (status) controls();
-      if (ended()) {
-        show("", "finished");
+      if (ended() || failure()) {
+        show(failure() ? "lost" : "", failure() || "finished");
         return;
       }
       show("lost", "not connected; trying again");
@@ -246,6 +246,7 @@
 
   // Of a simulation: its processes have published their last status.
   const finished = (now) => now.processes.some((one) => one.name === "plant" && one.state === "finished");
+  const failure = () => (status?.preparation.startsWith("failed: ") ? status.preparation : "");
   const ended = () => status !== null && finished(status);
 
   function showEnd() {
@@ -387,7 +388,8 @@
     showEnd();
     if (socket.readyState !== WebSocket.OPEN) return;
     if (ended()) takeReport();
-    if (Date.now() - receivedAt > SILENT_MS) show("lost", "no data");
+    if (failure()) show("lost", failure());
+    else if (Date.now() - receivedAt > SILENT_MS) show("lost", "no data");
     else if (status && status.clock === "silent") show("", status.preparation || "connected; no data yet");
     else if (ended()) show("", "finished");
     else show("live", "live");

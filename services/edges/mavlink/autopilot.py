@@ -46,13 +46,24 @@ class Autopilot:
     def __init__(self, ground_station: int) -> None:
         """``ground_station``: system number."""
         self._ground_station = ground_station
-        self._seen_us = self._station_us = -(10**12)
+        self._seen_us = self.heard_us = self._station_us = -(10**12)
+        self.channel = ""
+        """Channel of its newest frame that was accepted, at ``heard_us``: the autopilot is answered there."""
         self.system = 0  # system number of the autopilot; 0: none yet
         self.component = 0
         self.kind: Kind | None = None
         self.armed = False
         self.mode = -1
         self.failsafe = False
+
+    def check_channel(self, channel: str, now_us: int, *, signed: bool) -> None:
+        """Raise ``Refused`` for a frame of the autopilot on another channel than before.
+
+        Anybody can send one that is not ``signed``. It is accepted once the present channel has been silent for
+        ``TIMEOUT_US``.
+        """
+        if channel != self.channel and not signed and now_us <= self.heard_us + TIMEOUT_US:
+            raise Refused(f"second sender for autopilot {self.system}: {channel} beside {self.channel}")
 
     def heartbeat(self, message: Any, now_us: int) -> None:
         """Take a heartbeat. Raises ``Refused`` for an autopilot that cannot be driven."""

@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from services.edges.edge import Refused
 
 V1, V2 = 0xFE, 0xFD
+MARKERS = bytes([V1]), bytes([V2])
 V1_OVERHEAD, V2_OVERHEAD = 8, 12
 SIGNATURE_BYTES, SIGNED = 13, 0x01
 
@@ -55,9 +56,14 @@ class Codec:
             self._mav.signing.secret_key = key
             self._mav.signing.sign_outgoing = True
             self._mav.signing.link_id = component
-            self._mav.signing.timestamp = stamp
+            self._mav.signing.timestamp = max(stamp, 0)  # of a host whose clock is not set
         self.make = self._mav
         """Functions ``NAME_encode`` that make a message."""
+
+    @property
+    def signs(self) -> bool:
+        """True with a key: a frame that is decoded is signed, and newer than those before it."""
+        return self._mav.signing.secret_key is not None
 
     def encode(self, message: Any) -> bytes:
         """Return the frame of a message."""
@@ -67,11 +73,15 @@ class Codec:
 
     def decode(self, frame: bytes) -> Any:
         """Return the message of a frame. Raises ``Refused``, and nothing else."""
-        if frame[:1] not in (bytes([V1]), bytes([V2])):
+        if frame[:1] not in MARKERS:
             raise Refused("no MAVLink frame")
+        stamps = self._mav.signing.stream_timestamps
+        before = dict(stamps)
         try:
             message = self._mav.decode(bytearray(frame))
         except DECODE_ERRORS as error:
+            stamps.clear()  # pymavlink keeps the stamp of a wrong signature too, and then refuses the right ones
+            stamps.update(before)
             text = str(error)
             kind = next((kind for kind in ("signature", "CRC", "length", "header") if kind in text), "payload")
             raise Refused(f"damaged MAVLink frame, {kind}: {text}") from None

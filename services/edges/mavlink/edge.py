@@ -8,6 +8,7 @@ from zlib import crc32
 
 import msgspec
 
+from ltv_mpc.errors import one_line
 from ltv_mpc.messages import (
     Acknowledgement,
     Applied,
@@ -41,7 +42,7 @@ SILENT_US = 3_000_000
 SET_MESSAGE_INTERVAL = 511
 ONBOARD_CONTROLLER, NO_AUTOPILOT, ACTIVE = 18, 8, 4
 RELEASES = 5
-TEXT_BYTES = 50  # of a STATUSTEXT; a longer text comes in pieces
+TEXT_BYTES, MAX_PIECES = 50, 20  # of a STATUSTEXT; a longer text comes in pieces
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
@@ -55,7 +56,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MavlinkEdge(Edge):
-    """Edge to ArduPilot. A received frame is a datagram, with one or more frames of MAVLink."""
+    """Edge to ArduPilot. A received frame is a datagram, with one or more frames of MAVLink.
+
+    Its channel is its sender. Frames go to the channel of the autopilot, "" before it is known.
+    """
 
     name = "mavlink"
     reads = (Plan, Acknowledgement, Command, ControllerStatus)
@@ -96,14 +100,16 @@ class MavlinkEdge(Edge):
         message = self._codec.decode(frame.payload)
         kind = message.get_type()
         if self.autopilot.is_from(message):  # of the others not all frames come this way
+            self.autopilot.check_channel(frame.channel, frame.now_us, signed=self._codec.signs)
             self._numbers.add(message.get_srcSystem(), message.get_seq())
             self.lost = self._numbers.lost
         if kind == "HEARTBEAT":
             self.autopilot.heartbeat(message, frame.now_us)
         elif self.autopilot.is_from(message) and self._is_mine(message):
             self._seen_us[kind] = frame.now_us
-            return self._take_in(kind, message, frame.now_us)
-        return ()
+            yield from self._take_in(kind, message, frame.now_us)
+        if self.autopilot.is_from(message):  # and accepted
+            self.autopilot.channel, self.autopilot.heard_us = frame.channel, frame.now_us
 
     def refuse(self, refusal: Refused) -> None:
         """Count a refusal; that of a mission or fence is also reported to the ground station."""
@@ -206,14 +212,14 @@ class MavlinkEdge(Edge):
 
     def _text(self, severity: int, text: str) -> Iterator[Outgoing]:
         """Yield a text for the ground station, in pieces of 50 characters."""
-        line = f"LTV-MPC: {text}".encode("ascii", "replace")
+        line = f"LTV-MPC: {one_line(text)}".encode("ascii", "replace")[: TEXT_BYTES * MAX_PIECES]
         identity = 1 + crc32(line) % 65_535 if len(line) > TEXT_BYTES else 0
         for number, at in enumerate(range(0, len(line), TEXT_BYTES)):
             piece = line[at : at + TEXT_BYTES]
             yield self._send(self._codec.make.statustext_encode(severity, piece, identity, number))
 
     def _send(self, message: Any) -> Outgoing:
-        return Outgoing("", self._codec.encode(message))
+        return Outgoing(self.autopilot.channel, self._codec.encode(message))
 
     # --- in ---
 

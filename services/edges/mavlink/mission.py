@@ -15,13 +15,14 @@ from msgspec import structs
 
 from ltv_mpc.messages import Acknowledgement, Action, Command, Pair, Plan
 from ltv_mpc.references import Origin
-from services.edges.edge import Output
+from services.edges.edge import Output, Refused
 from services.edges.mavlink.download import Download, ListKind, ListRefused
 from services.edges.mavlink.lists import Mission, fence_of, mission_of
 
 MISSION, FENCE = ListKind.MISSION, ListKind.FENCE
 NOTICE, WARNING = 5, 4  # MAV_SEVERITY
 
+MAX_TEXTS = 1000
 NEAR_M, PASSED_M = 2.0, 4.0
 """Distance of the vehicle from a place on its way at which it counts as reached, and that of the target behind it."""
 
@@ -77,7 +78,7 @@ class MissionFollower:
         """Item of the autopilot; None: unknown."""
         self.here: Pair | None = None
         """Where the vehicle is, north and east (m)."""
-        self.texts: deque[tuple[int, str]] = deque()
+        self.texts: deque[tuple[int, str]] = deque(maxlen=MAX_TEXTS)
         """Texts for the ground station, with their severity."""
 
     def requests(self, make: Any, target: tuple[int, int], now_us: int) -> Iterator[Any]:
@@ -89,7 +90,10 @@ class MissionFollower:
         """Take a message of the autopilot, whose item changes ``by_station`` or by itself."""
         first, mission = 1, self._downloads[MISSION]
         if kind == "GPS_GLOBAL_ORIGIN":
-            self._origin = Origin(latitude_deg=message.latitude * 1e-7, longitude_deg=message.longitude * 1e-7)
+            latitude_deg, longitude_deg = message.latitude * 1e-7, message.longitude * 1e-7
+            if abs(latitude_deg) > 90.0 or abs(longitude_deg) > 180.0:
+                raise Refused(f"origin = {latitude_deg:g}, {longitude_deg:g} deg: must be within 90 and 180")
+            self._origin = Origin(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
         elif kind == "MISSION_CURRENT":
             if by_station and self.current not in (None, message.seq) and mission.items:
                 self._changed.add(MISSION)

@@ -151,24 +151,27 @@ class Navigation:
         if abs(pitch) > 1.4:
             raise Refused(f"pitch = {pitch:.2f} rad: the heading is not defined")
         velocity, rates = R @ (u, v, w), R @ (*_finite(message.rollspeed), q, r)
-        if self._reset_counter not in (-1, message.reset_counter):
-            self.resets += 1
-        self._reset_counter, self._odometry = message.reset_counter, True
         sample = _Position(message.time_usec // 1000, (x, y, z), (velocity[0], velocity[1], velocity[2]))
         heading = math.atan2(R[1, 0], R[0, 0])
         attitude = _Attitude(sample.ms, heading, (q * math.sin(roll) + r * math.cos(roll)) / math.cos(pitch))
         estimate = self._estimate(sample, attitude, message.time_usec * 1000)
         pose, twist = _matrix("pose", message.pose_covariance), _matrix("velocity", message.velocity_covariance)
-        if pose is None and twist is None:
-            return iter((estimate,))
-        assumed_pose, assumed_twist = self._accuracy.pose_and_twist
-        if pose is not None:  # roll and pitch are small, and about axes that have the heading
-            turn = block_diag(np.eye(3), frames.rotation(0.0, 0.0, heading))
-            pose = turn @ pose @ turn.T
-        P = covariance(
-            R, velocity, rates, assumed_pose if pose is None else pose, assumed_twist if twist is None else twist
-        )
-        return iter((structs.replace(estimate, covariance=P),))
+        if pose is not None or twist is not None:
+            assumed_pose, assumed_twist = self._accuracy.pose_and_twist
+            if pose is not None:  # roll and pitch are small, and about axes that have the heading
+                turn = block_diag(np.eye(3), frames.rotation(0.0, 0.0, heading))
+                pose = turn @ pose @ turn.T
+            P = covariance(
+                R, velocity, rates, assumed_pose if pose is None else pose, assumed_twist if twist is None else twist
+            )
+            estimate = structs.replace(estimate, covariance=P)
+        return self._by_odometry(estimate, message.reset_counter)
+
+    def _by_odometry(self, estimate: Estimate, reset_counter: int) -> Iterator[Estimate]:
+        yield estimate
+        if self._reset_counter not in (-1, reset_counter):  # it was accepted
+            self.resets += 1
+        self._reset_counter, self._odometry = reset_counter, True
 
     def _in_order(self, ms: int, newest_ms: int) -> bool:
         """Return False for a late or repeated sample. A large step backwards is a restart of the autopilot."""

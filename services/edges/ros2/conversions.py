@@ -27,6 +27,7 @@ from ltv_mpc.messages import (
     Obstacles,
     Plan,
 )
+from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.edges.edge import Refused
 from services.edges.ros2.cdr import make
@@ -66,7 +67,10 @@ def current_of(message: Any) -> CurrentProfile:
     """Return the velocity of the water over ground of a TwistStamped in ENU, the same at all depths."""
     check_frames(message.header.frame_id)
     east, north, _ = vector("linear", message.twist.linear)
-    return CurrentProfile(depth_m=np.array([0.0]), north_mps=np.array([north]), east_mps=np.array([east]))
+    profile = CurrentProfile(depth_m=np.array([0.0]), north_mps=np.array([north]), east_mps=np.array([east]))
+    if (reason := rejection_reason(profile)) is not None:
+        raise Refused(f"current: {reason}")  # it would exclude the estimates of the next 30 s
+    return profile
 
 
 def reference_of(poses: Sequence[Any], header: Any, settings: Settings) -> str:
@@ -106,8 +110,10 @@ def _place(position: Array, settings: Settings) -> dict[str, float]:
 
 
 def header(t_ns: int, frame: str) -> Any:
-    """Return a std_msgs/Header."""
+    """Return a std_msgs/Header. Raises ``Refused`` for a time beyond the seconds of ROS 2, which have 32 bits."""
     sec, nanosec = divmod(t_ns, MILLION)
+    if not -(2**31) <= sec < 2**31:
+        raise Refused(f"time = {sec} s: ROS 2 has no such stamp")
     stamp = make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
     return make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 

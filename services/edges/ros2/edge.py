@@ -25,7 +25,7 @@ from services.edges.ros2 import cdr, conversions
 from services.edges.ros2.conversions import Settings
 from services.edges.ros2.markers import zones_of
 from services.edges.ros2.middleware import Attachment
-from services.edges.ros2.odometry import estimate_of
+from services.edges.ros2.odometry import estimate_of, stamp_ns
 from services.edges.ros2.topics import ACTIONS, BY_NAME, SERVICE
 
 CURRENT_US = 30_000_000
@@ -80,33 +80,32 @@ class Ros2Edge(Edge):
                 raise Refused("duplicate")
             self.lost = self._numbers.lost
         if row.direction is SERVICE:
-            return [self._command(name, request, frame)]
+            yield self._command(name, request, frame)
+            return
         message = cdr.decode(frame.payload, row.ros_type)
         match name:
             case "odometry":
-                estimate = estimate_of(message, self._current_at(frame.now_us))
+                yield estimate_of(message, self._current_at(frame.now_us))
                 self._odometry = True
-                return [estimate]
             case "pose" if self._odometry:
                 raise Refused("pose: the odometry is in use")
             case "pose":
-                return [estimate_of(conversions.odometry_of(message, self._twist), self._current_at(frame.now_us))]
+                yield estimate_of(conversions.odometry_of(message, self._twist), self._current_at(frame.now_us))
             case "twist":
+                stamp_ns(message.header)  # a wrong one would exclude the poses that follow
                 self._twist = message
-                return []
             case "current":
                 self._current = conversions.current_of(message), frame.now_us
-                return []
             case "fence":
                 self._sent["fence"] = self.command_id()
                 fence = conversions.fence_of(message.data)
-                return [Command(command_id=self._sent["fence"], action=Action.FENCE, fence_toml=fence)]
+                yield Command(command_id=self._sent["fence"], action=Action.FENCE, fence_toml=fence)
             case "obstacles":
-                return [conversions.obstacles_of(message.data)]
+                yield conversions.obstacles_of(message.data)
             case "goal":
-                return [self._follow([message.pose], message.header)]
+                yield self._follow([message.pose], message.header)
             case _:
-                return [self._follow([pose.pose for pose in message.poses], message.header)]
+                yield self._follow([pose.pose for pose in message.poses], message.header)
 
     def take(self, message: Message, now_us: int, identity: tuple[int, int] = (0, -1)) -> Iterable[Output]:
         """Convert a message of this bus."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Array, CurrentProfile, Estimate
-from services.edges.edge import Refused
+from services.edges.edge import MAX_STAMP_NS, Refused
 from services.edges.pose import covariance, rotation
 
 OTHER_CONVENTIONS = ("ned", "frd")
@@ -79,8 +79,12 @@ def check_frames(*names: str) -> None:
 
 
 def stamp_ns(header: Any) -> int:
-    """Return the stamp of a header (ns)."""
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+    """Return the stamp of a header (ns). Raises ``Refused`` for one that is no time, or one that soon has no room."""
+    sec, nanosec = int(header.stamp.sec), int(header.stamp.nanosec)
+    t_ns = sec * 1_000_000_000 + nanosec
+    if not (0 <= t_ns <= MAX_STAMP_NS and nanosec < 1_000_000_000):
+        raise Refused(f"stamp = {sec} s, {nanosec} ns: must be from 0 to {MAX_STAMP_NS / 1e9:.0f} s")
+    return t_ns
 
 
 def vector(name: str, message: Any) -> Array:

@@ -1,4 +1,4 @@
-"""Tables for the review of a recorded run: error over depth, histogram and spectrum of thrusts, normalised error."""
+"""Tables for the review of a recorded run: errors over depth, histogram and spectrum of thrusts, normalised error."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MIN_SAMPLES = 64
 
 
 def tables(history: dict[str, Columns]) -> dict[str, Columns]:
-    """Return the history with the tables of distance over depth, histogram, spectrum and residuals.
+    """Return the history with the tables of errors over depth, histogram, spectrum and residuals.
 
     Parameters
     ----------
@@ -24,6 +24,7 @@ def tables(history: dict[str, Columns]) -> dict[str, Columns]:
     return history | {
         "vehicle_over_depth": _over_depth(history["true_distance"], history["truth"]),
         "estimate_over_depth": _over_depth(history["distance"], history["track"]),
+        "current_error": _current_error(history.get("profile", {}), history["true_current"]),
         "histogram": _histogram(history["thrust"]),
         "spectrum": _spectrum(history["thrust"]),
         "residuals": _residuals(history["errors"]),
@@ -37,6 +38,24 @@ def _over_depth(distance: Columns, track: Columns) -> Columns:
         return {}
     depths = np.interp(_floats(distance["t_s"]), t[known], depth[known])
     return {"depth_m": [short(x) for x in depths], "distance_m": list(distance["distance_m"])}
+
+
+def _current_error(profile: Columns, true: Columns) -> Columns:
+    """Return estimated minus true current at the depths of the profile where the vehicle has been."""
+    order = np.argsort(true_depth := _floats(true["depth_m"]))
+    if not profile or not len(order):
+        return {}
+    depth = _floats(profile["depth_m"])
+    been = (depth >= true_depth.min()) & (depth <= true_depth.max())
+    columns: Columns = {"depth_m": [short(x) for x in depth[been]]}
+    for axis in ("north", "east"):
+        actual = np.interp(depth, true_depth[order], _floats(true[f"{axis}_mps"])[order])
+        estimated = _floats(profile[f"{axis}_mps"])
+        columns[f"{axis}_mps"] = [short(x) for x in (estimated - actual)[been]]
+        for end in ("low", "high"):
+            if (column := f"{axis}_{end}_mps") in profile:
+                columns[column] = [short(x) for x in (_floats(profile[column]) - estimated)[been]]
+    return columns
 
 
 def _histogram(thrust: Columns) -> Columns:

@@ -84,6 +84,29 @@ TRACK = Plot(
     ),
 )
 
+
+def _over_time(axis: str, colour: str) -> Plot:
+    """Return the plot of the position along ``axis``, north or east."""
+    name = f"{axis}_m"
+    return Plot(
+        name=axis,
+        title=f"{axis.capitalize()} over time",
+        x=TIME,
+        y=Axis(label=f"{axis} (m)", min_span=0.1),
+        group=Group.LINE,
+        drifts=True,
+        note="The true position is shifted to start at the estimate at t = 0.",
+        series=(
+            Series(label="reference", table="reference", x="t_s", y=name, colour=palette.REFERENCE, style=Style.DOTTED),
+            Series(label="true", table="truth", x="t_s", y=name, colour=palette.TRUTH, compared=True),
+            Series(label="estimate", table="track", x="t_s", y=name, colour=colour, style=Style.DASHED, compared=True),
+        ),
+    )
+
+
+NORTH = _over_time("north", palette.NORTH)
+EAST = _over_time("east", palette.EAST)
+
 DEPTH = Plot(
     name="depth",
     title="Depth",
@@ -326,7 +349,7 @@ STAGES = Plot(
 )
 
 PLOTS = (
-    *(TRACK, TRACKING, DEPTH, ERRORS, HEADING),
+    *(TRACK, TRACKING, NORTH, EAST, DEPTH, ERRORS, HEADING),
     *(THRUST, CURRENT, YAW_RATE, VERTICAL, NIS_BY_SENSOR, ENERGY, LATENCY, STAGES),
 )
 """Every plot of a run, in the order in which a reader asks: is it on its line, and why or why not."""
@@ -365,6 +388,33 @@ def _of_both_sides(table: str, x: str, unit: str) -> tuple[Series, Series]:
     return (
         Series(label="port", table=table, x=x, y=f"port_{unit}", colour=palette.PORT, compared=True),
         Series(label="starboard", table=table, x=x, y=f"starboard_{unit}", colour=palette.STARBOARD, compared=True),
+    )
+
+
+def _current_error(axis: str, colour: str) -> Plot:
+    """Return the plot of the error of the estimated current along ``axis``, north or east."""
+    columns = (("error", f"{axis}_mps"), ("+2 sd", f"{axis}_high_mps"), ("-2 sd", f"{axis}_low_mps"))
+    return Plot(
+        name=f"current_error_{axis}",
+        title=f"Error of the estimated current, {axis}",
+        x=Axis(label="error (m/s)", min_span=0.02),
+        y=Axis(label="depth (m)", downwards=True, min_span=1.0),
+        over_time=False,
+        group=Group.REVIEW,
+        diving=True,
+        note="At the end of the run, where the vehicle has been; two standard deviations of the filter.",
+        series=tuple(
+            Series(
+                label=label,
+                table="current_error",
+                x=column,
+                y="depth_m",
+                colour=colour if label == "error" else palette.REFERENCE,
+                style=Style.LINE if label == "error" else Style.DASHED,
+                compared=True,
+            )
+            for label, column in columns
+        ),
     )
 
 
@@ -441,7 +491,8 @@ def _innovations(measured: str, table: str) -> Plot:
 
 
 REVIEW = (
-    *(OVER_DEPTH, HISTOGRAM, SPECTRUM, RESIDUALS),
+    *(OVER_DEPTH, _current_error("north", palette.NORTH), _current_error("east", palette.EAST)),
+    *(HISTOGRAM, SPECTRUM, RESIDUALS),
     *(_innovations(measured, table) for measured, table in INNOVATIONS.items()),
 )
 """Plots of a recorded run, which the report shows below the others, most of them from tables of ``analysis.py``."""

@@ -1,7 +1,7 @@
 """Description of a plot: which columns of which table are drawn, in which style and unit.
 
 A description holds no data of a run and is independent of the renderer: ``static/plots.js`` for the live page and the
-report, ``figures/renderer.py`` for figures.
+report, ``benchmarks/paper/renderer.py`` for the figures of the pages.
 """
 
 from __future__ import annotations

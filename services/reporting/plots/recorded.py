@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import msgspec
-from mcap.records import Channel, Metadata
-from mcap.records import Message as McapMessage
 
 from ltv_mpc.messages import (
     Acknowledgement,
@@ -28,26 +23,28 @@ from ltv_mpc.messages import (
     RunEvent,
     Truth,
 )
-from services.bus import topics, wire
+from services.bus.wire import Header
+from services.recording.acceptance import Acceptance
 from services.recording.node_settings import vehicle_of
-from services.recording.records import Records, start_of
+from services.recording.reader import Recording, StoredMessage
 from services.recording.recover import segments
-from services.recording.writer import RUN, VEHICLE_MODE
+from services.recording.writer import VEHICLE_MODE
 from services.reporting.plots import analysis
 from services.reporting.plots.collector import ROWS, Collector
 from services.reporting.plots.events import Mark
 from services.reporting.plots.table import Columns
 from services.reporting.safety import RunSafety
 
-RARE = frozenset(
+RARE: frozenset[type[Message]] = frozenset(
     (
         *(Plan, FenceInForce, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, NodeSettings, Command),
         Acknowledgement,
         ControllerStatus,
     )
 )
-OFTEN = {Truth: 200_000_000, Estimate: 200_000_000, Applied: 200_000_000}
+OFTEN: dict[type[Message], int] = {Truth: 200_000_000, Estimate: 200_000_000, Applied: 200_000_000}
 """Vehicle time (ns) between two decoded messages of these types; it grows with the length of the run."""
+SHOWN = RARE | OFTEN.keys()
 
 
 class PlotData(msgspec.Struct, frozen=True, kw_only=True):
@@ -61,13 +58,6 @@ class PlotData(msgspec.Struct, frozen=True, kw_only=True):
     safety: RunSafety
     cut: bool  # the recording is incomplete, usually at its end
     metadata: dict[str, str]  # of the recording, with the settings files that processes published
-
-
-class _When(msgspec.Struct):
-    """Time and source of a message: the only fields that are decoded for each message."""
-
-    t_ns: int
-    epoch: int
 
 
 class _Sieve:
@@ -92,57 +82,40 @@ class _Sieve:
 def read(recording: Path, *, rows: int = ROWS) -> PlotData:
     """Read the plot data in one pass over the recording and its segments, decoding only the plotted messages.
 
-    Invalid messages are skipped, as their readers did. Raises ``ConfigError`` if the file is not a recording.
+    Only accepted messages are shown (``Acceptance``). Raises ``ConfigError`` if the file is not a recording.
     """
-    parts = [Records(path) for path in segments(recording)]
-    decode, when = msgspec.json.Decoder(dict[str, Any]).decode, msgspec.json.Decoder(_When).decode
-    kinds: dict[int, type[Message] | None] = {}
+    recordings = [Recording(path, past_losses=True) for path in segments(recording)]
     sieves: dict[tuple[type[Message], int], _Sieve] = {}  # by type and source: each source has rows of its own
+
+    def passes(stored: StoredMessage, header: Header) -> bool:
+        kind = stored.kind
+        if kind is None or kind not in OFTEN:
+            return True
+        return sieves.setdefault((kind, header.epoch), _Sieve(OFTEN[kind], rows)).passes(stored.t_ns)
+
     metadata: dict[str, str] = {}
     files: dict[str, str] = {}  # of the processes that published their settings
     start_ns = 0
     safety = RunSafety()
+    acceptance: Acceptance | None = None
     collector: Collector | None = None
-    newest: dict[str, Any] | None = None
-    source_epoch = 0  # of the estimates in use; 0: unknown
-    for record in chain.from_iterable(parts):
-        if isinstance(record, McapMessage):
-            kind = kinds[record.channel_id]
-            if kind is None:
+    for part in recordings:
+        for stored in part.stored():
+            metadata = metadata or part.metadata
+            if stored.kind not in SHOWN:
                 continue
-            try:
-                if kind in OFTEN:
-                    passing = when(record.data)
-                    sieve = sieves.setdefault((kind, passing.epoch), _Sieve(OFTEN[kind], rows))
-                    if not sieve.passes(passing.t_ns):
-                        continue
-                whole = decode(record.data)
-                # The profile of the current is the largest part, and only the last one is drawn.
-                plain = {**whole, "current": None} if kind is Estimate else whole
-                message, header = wire.from_map(kind, plain)
-            except (wire.WireError, msgspec.DecodeError):
-                continue
-            if collector is None:
-                start_ns = record.log_time + start_of(metadata) if metadata.get("mode") == VEHICLE_MODE else 0
-                collector = Collector(vehicle_of(metadata), rows=rows, origin_ns=start_ns)
-            if isinstance(message, ControllerStatus):
-                source_epoch = message.source_epoch
-            elif kind is not Estimate or source_epoch in (0, header.epoch):  # else it is of a source not in use
+            if collector is None or acceptance is None:
+                start_ns = stored.t_ns if metadata.get("mode") == VEHICLE_MODE else 0
+                vehicle = vehicle_of(metadata)
+                collector, acceptance = Collector(vehicle, rows=rows, origin_ns=start_ns), Acceptance(vehicle)
+            for message, header, _ in acceptance.take(stored, SHOWN, passes):
                 collector.add(message, header.epoch)
-                newest = whole if kind is Estimate else newest
-            safety.add(message, header.epoch)
-            if isinstance(message, NodeSettings):
-                files |= message.files
-        elif isinstance(record, Channel):
-            kinds[record.id] = _shown_type(record.topic)
-        elif isinstance(record, Metadata) and record.name == RUN:
-            metadata = record.metadata
+                safety.add(message, header.epoch)
+                if isinstance(message, NodeSettings):
+                    files |= message.files
     metadata = {**files, **metadata}
     collector = collector or Collector(rows=rows)
     collector.set_vehicle(vehicle_of(metadata))
-    if newest is not None:
-        with contextlib.suppress(wire.WireError):
-            collector.newest.profile = wire.from_map(Estimate, newest)[0].current
     return PlotData(
         tables=analysis.tables(collector.all_tables()),
         values=collector.values,
@@ -150,12 +123,6 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
         omitted_marks=collector.marks.omitted,
         start_s=start_ns / 1e9,
         safety=safety,
-        cut=not all(part.whole for part in parts),
+        cut=any(part.cut for part in recordings),
         metadata=metadata,
     )
-
-
-def _shown_type(key: str) -> type[Message] | None:
-    """Return the message type of a key if a report shows it."""
-    topic = topics.topic_at(key)
-    return topic.message_type if topic is not None and topic.message_type in (*RARE, *OFTEN) else None

@@ -13,6 +13,7 @@ import fcntl
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar, get_args
@@ -20,6 +21,7 @@ from typing import Any, BinaryIO, TypeVar, get_args
 import msgspec
 import numpy as np
 
+from ltv_mpc.config import open_file
 from ltv_mpc.errors import ConfigError
 from services.run import folder as run_folder
 
@@ -28,6 +30,9 @@ R = TypeVar("R")
 NAME = "results.jsonl"
 MAX_DIFFERENCES = 3
 """Largest number of differing settings that an error names."""
+
+MAX_LINE = 1 << 24
+"""Largest length of a line (bytes): a damaged file may have no line ends."""
 
 
 class ResultsStore:
@@ -57,6 +62,8 @@ def open_store(folder: Path, settings: Mapping[str, Any], *, force: bool = False
     path = folder / NAME
     if force or not path.exists():
         run_folder.open_folder(folder, force=force)
+    if path.exists():
+        open_file(path, what="results").close()  # nothing else than a regular file
     try:
         file = path.open("a+b")
     except OSError as error:
@@ -88,9 +95,11 @@ def open_store(folder: Path, settings: Mapping[str, Any], *, force: bool = False
 def read(path: Path) -> tuple[dict[str, Any], Iterator[tuple[str, Any]]]:
     """Read a store's settings and its results, also while another process writes it. Raises ``ConfigError``."""
     try:
-        with path.open("rb") as file:
-            settings: dict[str, Any] = json.loads(file.readline())["settings"]
-    except (OSError, ValueError, TypeError, KeyError) as error:
+        with open_file(path, what="results") as file:
+            settings: dict[str, Any] = json.loads(file.readline(MAX_LINE))["settings"]
+    except ConfigError:
+        raise
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise ConfigError(f"results {path}", "", f"cannot be read: {error}") from None
     return settings, _results(path)
 
@@ -101,14 +110,14 @@ def decode(plain: Any, kind: type[R]) -> R:
 
 
 def _results(path: Path) -> Iterator[tuple[str, Any]]:
-    with path.open("rb") as file:
-        for number, line in enumerate(islice(file, 1, None), 2):
+    with open_file(path, what="results") as file:
+        for number, line in enumerate(islice(iter(partial(file.readline, MAX_LINE), b""), 1, None), 2):
             if not line.endswith(b"\n"):  # cut, or being written
                 return
             try:
                 one = json.loads(line)
                 yield one["key"], one["result"]
-            except (ValueError, TypeError, KeyError) as error:
+            except (ValueError, TypeError, KeyError, RecursionError) as error:
                 raise ConfigError(f"results {path}", f"line {number}", f"is damaged: {error}") from None
 
 

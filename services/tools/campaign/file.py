@@ -130,17 +130,17 @@ def metrics() -> dict[str, settings_schema.Type]:
     return {
         key: kind
         for key, kind in settings_schema.scalar_fields(Summary).items()
-        if key.partition(".")[0] not in EXCLUDED_METRICS
+        if key.partition(".")[0] not in EXCLUDED_METRICS and not settings_schema.is_text(kind)
     }
 
 
 EXCLUDED_METRICS = frozenset(
     {
-        "scenario", "mode", "seed", "speed", "effort", "speed_reached", "compute_delay_wall_s",
-        "end_to_end_delay_wall_s", "stages_us", "qp_status", "plan_origin", "health", "fence",
+        "seed", "speed", "speed_reached", "compute_delay_wall_s", "end_to_end_delay_wall_s", "stages_us", "qp_status",
+        "plan_origin", "health", "fence",
     }
 )  # fmt: skip
-"""Keys of summary.json without a column: identification, wall times, zones, and counts by name, which ``trial.py``
+"""Keys of summary.json without a column, beside texts: seed, wall times, zones, and counts by name, which ``trial.py``
 adds."""
 
 

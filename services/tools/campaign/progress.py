@@ -8,9 +8,11 @@ from types import TracebackType
 
 from rich.console import Console, Group
 from rich.live import Live
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
+from ltv_mpc.errors import one_line
 from services.runtime.console import counted
 from services.tools.campaign import text
 from services.tools.campaign.file import Campaign
@@ -33,7 +35,7 @@ class Progress:
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
             TextColumn("left"), TimeRemainingColumn(elapsed_when_finished=False), console=self._console,
         )  # fmt: skip
-        self._task: TaskID = self._bar.add_task(campaign.title, total=runs, completed=len(rows))
+        self._task: TaskID = self._bar.add_task(escape(one_line(campaign.title)), total=runs, completed=len(rows))
         self._live = Live(self._bar, console=self._console, auto_refresh=True, refresh_per_second=2, transient=True)
         self._began_s = self._said_s = time.monotonic()
         self._first = len(rows)

@@ -6,7 +6,9 @@ from collections import Counter
 from collections.abc import Sequence
 
 from rich.table import Table
+from rich.text import Text
 
+from ltv_mpc.errors import one_line
 from services.tools.campaign.ranking import ConfidenceInterval, Standing
 from services.tools.campaign.trial import Row
 
@@ -16,10 +18,10 @@ MAX_FAILURES = 5
 
 def standings(rows: Sequence[Standing], figure: str) -> Table:
     """Tabulate the best points."""
-    table = Table(title=f"{figure}, mean over seeds with 95 % interval", title_justify="left", box=None)
+    table = Table(title=_shown(f"{figure}, mean over seeds with 95 % interval"), title_justify="left", box=None)
     keys = list(rows[0].settings) if rows else []
     for key in keys:
-        table.add_column(key.rpartition(".")[2], justify="right")
+        table.add_column(_shown(key.rpartition(".")[2]), justify="right")
     for name in ("mean", "interval", "over the best", "runs"):
         table.add_column(name, justify="right")
     for row in rows:
@@ -49,5 +51,9 @@ def failures(rows: Sequence[Row]) -> list[str]:
     return [*lines, *([f"and {left} other reasons"] if left > 0 else [])]
 
 
-def _value(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+def _value(value: object) -> Text:
+    return _shown(f"{value:.4g}" if isinstance(value, float) else str(value))
+
+
+def _shown(text: str) -> Text:
+    return Text(one_line(text))

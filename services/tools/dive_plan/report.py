@@ -12,7 +12,8 @@ import numpy as np
 
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate, Truth
-from services.recording.reader import RecordedMessage
+from services.recording.acceptance import accepted
+from services.recording.reader import StoredMessage
 from services.reporting.plots import palette
 from services.runtime.console import counted
 from services.tools.dive_plan.plan import POINTS, DivePlan, RecordedDrift
@@ -28,7 +29,7 @@ SHOWN_SHARE = 5e-4
 DASHES = ("-", "--", "-.", ":")
 
 
-def recorded_drift(messages: Iterable[RecordedMessage]) -> RecordedDrift:
+def recorded_drift(messages: Iterable[StoredMessage]) -> RecordedDrift:
     """Return the drift of a recorded run at whole seconds. Raises ``ConfigError`` if it has no estimates after t = 0.
 
     With the truth of a simulation it is the error; otherwise it is sigma by the filter's own covariance P of the
@@ -37,15 +38,11 @@ def recorded_drift(messages: Iterable[RecordedMessage]) -> RecordedDrift:
     truth: dict[int, Array] = {}
     estimate: dict[int, Array] = {}
     variance: dict[int, float] = {}
-    for message in messages:
-        t_ns = message.plain.get("t_ns")
-        if message.kind not in (Truth, Estimate) or not isinstance(t_ns, int) or t_ns < 0 or t_ns % SECOND_NS:
-            continue
-        content, _ = message.typed()
+    for content, _, _ in accepted(messages, (Truth, Estimate)):
         match content:
-            case Truth():
+            case Truth(t_ns=t_ns) if t_ns >= 0 and t_ns % SECOND_NS == 0:
                 truth[t_ns] = np.array(content.position_m[:2])
-            case Estimate():
+            case Estimate(t_ns=t_ns) if t_ns >= 0 and t_ns % SECOND_NS == 0:
                 estimate[t_ns] = np.array([content.north_m, content.east_m])
                 if content.covariance is not None:
                     P = np.array(content.covariance).reshape(6, 6)
@@ -95,7 +92,7 @@ def draw(of: DivePlan, out: Path) -> None:
     """Write the picture: drift over time, error budget, and drift after each change."""
     from matplotlib.figure import Figure
 
-    from services.reporting.figures import sheet
+    from services.reporting import sheet
 
     with sheet.style(page=True):
         figure = Figure(figsize=(sheet.PAGE_IN, 7.4), layout="constrained")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ltv_mpc.localisation.recorded_dive.filter import Track
 from ltv_mpc.messages import Array
-from services.reporting.figures import sheet
+from services.reporting import sheet
 from services.reporting.plots import palette
 
 

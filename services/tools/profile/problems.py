@@ -27,6 +27,7 @@ from ltv_mpc.messages import Estimate, Message, StepRecord
 from ltv_mpc.node import Inbox, Node, ReceivedMessage
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.wire import WireError
 from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
@@ -214,10 +215,14 @@ def _steps(recording: Path, node: Node) -> Iterable[tuple[int, Inbox]]:
     reads = frozenset(node.reads)
     received: dict[tuple[str, int, int], Message] = {}
     for recorded_message in Recording(recording):
-        if recorded_message.kind is StepRecord and recorded_message.plain["node"] == node.name:
-            record, _ = recorded_message.typed()
-            assert isinstance(record, StepRecord)
-            for step in record.steps:
+        if recorded_message.kind is not StepRecord and recorded_message.kind not in reads:
+            continue
+        try:
+            message, header = recorded_message.typed()
+        except WireError:  # its readers have rejected it
+            continue
+        if isinstance(message, StepRecord):
+            for step in message.steps if message.node == node.name else ():
                 yield (
                     step.t_ns,
                     [
@@ -226,6 +231,5 @@ def _steps(recording: Path, node: Node) -> Iterable[tuple[int, Inbox]]:
                         if (name := (entry.key, entry.epoch, entry.sequence)) in received
                     ],
                 )
-        elif recorded_message.kind in reads:
-            message, header = recorded_message.typed()
+        else:
             received[recorded_message.key, header.epoch, header.sequence] = message

@@ -90,13 +90,6 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True):
     machine: Machine
 
 
-class Measured(msgspec.Struct, frozen=True, kw_only=True):
-    """Profile with the samples that it summarises, in the order of its rows."""
-
-    profile: Profile
-    samples: list[Samples]
-
-
 # --- what is asked for -----------------------------------------------------------------------------------------------
 
 
@@ -132,7 +125,7 @@ def run(
     seed: int,
     progress: Callable[[], None],
     on_rows: Callable[[Sequence[Row]], None] = lambda _: None,
-) -> Measured:
+) -> Profile:
     """Measure PIQP and each solver on the episodes of each horizon. Raises ``ConfigError`` if no cycle was solved.
 
     Parameters
@@ -145,7 +138,7 @@ def run(
     """
     candidates: tuple[Piqp | SolverByName, ...] = (YARDSTICK, RELAXED, *solvers)
     order = random.Random(seed)
-    rows, samples = [], []
+    rows: list[Row] = []
     load_before = load()
     for episodes in by_horizon:
         stages = episodes[0].config.stages
@@ -163,13 +156,11 @@ def run(
         if not measured[0].cycle_us:
             raise ConfigError("option --run", "", "has no solved cycle of the controller: name another run")
         rows += _rows(candidates, measured)
-        samples += measured
         on_rows(rows[-len(candidates) :])
     kinds = dict.fromkeys((episode.kind for episode in by_horizon[0]), 0)
     for episode in by_horizon[0]:
         kinds[episode.kind] += episode.cycles
-    profile = Profile(rows=rows, problems=kinds, machine=machine(load_before))
-    return Measured(profile=profile, samples=samples)
+    return Profile(rows=rows, problems=kinds, machine=machine(load_before))
 
 
 def _rows(candidates: Sequence[Piqp | SolverByName], measured: Sequence[Samples]) -> list[Row]:

@@ -87,10 +87,10 @@ def cycles() -> list[Cycle]:
     config = ResolvedConfig(horizon_s=5.1, weights=Weights())  # as the solvers that get these problems
     run_solver = LateralPlanner._run_solver
 
-    def remembered(self, problem, shift):  # type: ignore[no-untyped-def]
+    def remembered(self, problem, shift, *, last):  # type: ignore[no-untyped-def]
         copied = Linearisation(*map(np.copy, self._cycle.lin))  # the controller's own is used again
         seen.append(Cycle(Form(config.knots), copied, np.array(self.target), shift))
-        return run_solver(self, problem, shift)
+        return run_solver(self, problem, shift, last=last)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(LateralPlanner, "_run_solver", remembered)

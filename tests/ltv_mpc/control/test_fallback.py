@@ -14,7 +14,7 @@ from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import make
 from ltv_mpc.control.solvers.osqp import OsqpSolver
-from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
+from ltv_mpc.control.solvers.recorder import QpRecorder, RecordingSolver
 from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.messages import Health, Solve
@@ -71,7 +71,7 @@ class FaultySolver(RecordingSolver):
 
     def __init__(self, solver, factory: Faulty) -> None:
         super().__init__(solver)
-        self.factory = factory
+        self.factory, self.draft = factory, None  # the fault is one of every QP
 
     def solve(self):
         result = super().solve()
@@ -130,6 +130,14 @@ def test_levels_follow_in_order_solved_shifted_zero_and_solved_again(way, why):
     recovered = controller.plan(estimate)
     assert recovered.origin is SOLVED
     check(recovered, before)
+
+
+def test_without_a_previous_plan_a_failed_solve_keeps_a_resting_vehicle_at_rest():
+    controller, solver = faulty(reference=references.Point(north_m=0.0, east_m=0.0))
+    solver.fault = "infeasible"
+    plan = controller.plan(Estimate.at_rest(north_m=1.0))
+    assert (plan.origin, plan.why) == (ZERO, "as asked")
+    assert not plan.thrust_N.any()
 
 
 def test_a_shifted_plan_ramps_to_zero_beyond_the_end_of_the_solved_one():
@@ -194,7 +202,7 @@ def test_a_cycle_in_which_a_part_raises_has_a_plan_and_the_next_one_is_solved(pa
     controller, solver = Controller(SURFACES, POINT), None
     if part is SparseLayout:  # built by the recorder of a failed QP
         solver = Faulty()
-        controller = Controller(SURFACES, POINT, make_solver=FailureRecorder(solver))
+        controller = Controller(SURFACES, POINT, make_solver=QpRecorder(solver))
     estimate, before = fly(controller, moving(), 5)
 
     def raises(*_, **__):
@@ -220,7 +228,7 @@ def test_a_failed_qp_with_a_fence_is_recorded_with_its_half_planes():
     wreck = Disc(name="wreck", centre=references.Place(north_m=2.5, east_m=0.0), radius_m=1.0)
     solver = Faulty()
     solver.fault = "infeasible"
-    recorder = FailureRecorder(solver)
+    recorder = QpRecorder(solver)
     controller = Controller(SURFACES, POINT, make_solver=recorder)
     controller.set_fence(Fence(margin_m=0.1, keep_out_disc=(wreck,)))
     controller.plan(moving())

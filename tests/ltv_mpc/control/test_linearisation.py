@@ -15,7 +15,7 @@ from ltv_mpc.control.linearisation import (
     velocity_over_ground,
 )
 from ltv_mpc.vehicle.dynamics import derivative
-from ltv_mpc.vehicle.flow import advance_stage
+from ltv_mpc.vehicle.flow import advance_stage, lag_table
 
 P = Vehicle.load("paper").coefficients()
 N = 3
@@ -36,7 +36,7 @@ def test_a_roll_out_is_one_stage_after_another_each_of_its_own_length():
     np.testing.assert_array_equal(rolled[0], x)
     for k, h in enumerate(lengths):
         after = np.empty(8)
-        advance_stage(x, U[k], U[k + 1], C[k], C[k + 1], h, P, after)
+        advance_stage(x, U[k], U[k + 1], C[k], C[k + 1], h, P, lag_table(h, P), after)
         np.testing.assert_allclose(rolled[k + 1], after, rtol=1e-12, atol=1e-12)
         x = after
 

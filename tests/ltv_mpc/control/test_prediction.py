@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ltv_mpc import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle
+from ltv_mpc import CurrentProfile, Estimate, Vehicle
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.prediction import Prediction, currents_at_depths
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.messages import Applied, CycleTiming, Solve
+from ltv_mpc.messages import Applied, CycleTiming
 from ltv_mpc.vehicle.dynamics import derivative, heave_acceleration
+from tests.ltv_mpc.plans import plan_of
 
 PAPER = Vehicle.load("paper")
 P = PAPER.coefficients()
@@ -25,17 +26,7 @@ PROFILE = CurrentProfile(
 
 def sent() -> SentCommands:
     commands = SentCommands(PAPER)
-    thrust = np.array([[0.0, 0, 0], [25, -10, 30], [5, 20, 60], [-20, 30, 62.5], [-20, 30, 62.5]])
-    commands.add(
-        Plan(
-            cycle_t_ns=0,
-            t_ns=np.arange(5, dtype=np.int64) * 300_000_000,
-            thrust_N=thrust,
-            states=np.zeros((5, 6)),
-            origin=PlanOrigin.SOLVED,
-            solve=Solve(status=SolveStatus.SOLVED),
-        )
-    )
+    commands.add(plan_of(0, [[0, 0, 0], [25, -10, 30], [5, 20, 60], [-20, 30, 62.5], [-20, 30, 62.5]]))
     return commands
 
 
@@ -113,16 +104,7 @@ def test_without_reports_the_thrust_follows_the_lag_from_rest_before_the_first_p
     vehicle = msgspec.structs.replace(PAPER, thruster=thruster)
     commands = SentCommands(vehicle)
     for k in range(100):  # of a plan a cycle the older ones are forgotten
-        commands.add(
-            Plan(
-                cycle_t_ns=k * 300_000_000,
-                t_ns=k * 300_000_000 + np.array([0, 300_000_000]),
-                thrust_N=np.full((2, 3), 50.0),
-                states=np.zeros((2, 6)),
-                origin=PlanOrigin.SOLVED,
-                solve=Solve(status=SolveStatus.SOLVED),
-            )
-        )
+        commands.add(plan_of(k * 300_000_000, np.full((2, 3), 50.0)))
         if seconds <= 0.3 * (k + 1):
             break
     now = msgspec.structs.replace(estimate(round(seconds * 1e9)), depth_m=None)
@@ -137,17 +119,8 @@ def test_commands_are_kept_for_eight_lags_and_since_the_estimate_in_use(lag_s: f
     thrusters = msgspec.structs.replace(PAPER.thruster, port=msgspec.structs.replace(PAPER.thrusters[0], lag_s=lag_s))
     commands = SentCommands(msgspec.structs.replace(PAPER, thruster=thrusters))
     for t_ns in range(0, 100_000_000_000, 500_000_000):
-        commands.add(
-            Plan(
-                cycle_t_ns=t_ns,
-                t_ns=t_ns + np.array([0, 3_000_000_000]),
-                thrust_N=np.ones((2, 3)),
-                states=np.zeros((2, 6)),
-                origin=PlanOrigin.SOLVED,
-                solve=Solve(status=SolveStatus.SOLVED),
-                estimate_t_ns=max(t_ns - round(age_s * 1e9), 0),
-            )
-        )
+        seen_ns = max(t_ns - round(age_s * 1e9), 0)
+        commands.add(plan_of(t_ns, np.ones((2, 3)), 3_000_000_000, estimate_t_ns=seen_ns))
     assert (99.5 - commands.oldest[0] * 1e-9) == pytest.approx(kept_s, abs=0.51)
 
 
@@ -194,15 +167,15 @@ def timing(compute_ns: int) -> CycleTiming:
 
 
 def test_before_any_measurement_the_setting_is_expected():
-    assert Delay(50_000_000, 1.0).expected_ns() == 50_000_000
+    assert Delay(50_000_000, 1.0).expected_ns == 50_000_000
 
 
 def test_the_computing_time_is_used_until_the_actuators_report():
     delay = Delay(0, 1.0)
     delay.add_timing(timing(400))
-    assert delay.expected_ns() == 400
+    assert delay.expected_ns == 400
     delay.add_receipt(applied(10, plan_cycle_t_ns=1000, plan_received_t_ns=1700))
-    assert delay.expected_ns() == 700
+    assert delay.expected_ns == 700
 
 
 def received(delay: Delay, *took_ns: int) -> None:
@@ -215,41 +188,72 @@ def received(delay: Delay, *took_ns: int) -> None:
 def test_a_delay_that_never_varies_is_expected_as_it_is():
     delay = Delay(0, 0.98)
     received(delay, *[700] * 10)
-    assert delay.expected_ns() == 700
+    assert delay.expected_ns == 700
 
 
 def test_the_expected_delay_is_at_least_min_ns():
     delay = Delay(0, 1.0, 30)
-    assert delay.expected_ns() == 30
+    assert delay.expected_ns == 30
     delay.add_timing(timing(10))
-    assert delay.expected_ns() == 30
+    assert delay.expected_ns == 30
     delay.add_timing(timing(40))
-    assert delay.expected_ns() == 40  # the median of two is the later one
+    assert delay.expected_ns == 40  # the median of two is the later one
 
 
 def test_expected_is_a_quantile_plus_its_distance_from_the_median():
     delay = Delay(0, 1.0)
     received(delay, 100, 100, 100, 160)  # each receipt is counted once, although it is reported three times
-    assert delay.expected_ns() == 160 + (160 - 100)
+    assert delay.expected_ns == 160 + (160 - 100)
 
 
 def test_a_receipt_after_the_end_of_the_plan_is_not_counted():
     delay = Delay(50, 1.0, plan_ns=1000)
     received(delay, *[1001] * 20)
-    assert delay.expected_ns() == 50
+    assert delay.expected_ns == 50
     received(delay, *[1000] * 21)
-    assert delay.expected_ns() == 1000
+    assert delay.expected_ns == 1000
 
 
 def test_measurements_outside_the_window_are_dropped():
     delay = Delay(0, 1.0)
     received(delay, 9000)
     received(delay, *[7] * 100)
-    assert delay.expected_ns() == 7
+    assert delay.expected_ns == 7
+
+
+@pytest.mark.parametrize("share", [0.02, 0.05])
+def test_rare_delays_that_are_much_longer_are_not_expected(share):
+    draws = np.random.default_rng(1)
+    usual_ns = draws.normal(50e6, 5e6, size=2000)
+    late = draws.random(2000) < share
+    delay, expected = Delay(50_000_000, 0.98), []
+    for took_ns in usual_ns + 1e9 * late:
+        delay.add_timing(timing(round(took_ns)))
+        expected.append(delay.expected_ns)
+    settled = np.array(expected[20:])
+    assert settled.max() < 120_000_000
+    punctual = usual_ns[21:][~late[21:]] <= settled[:-1][~late[21:]]
+    assert punctual.mean() > 0.999
+
+
+def test_a_change_of_the_delay_is_followed_after_five_longer_or_twenty_shorter_ones():
+    draws = np.random.default_rng(2)
+    delay = Delay(50_000_000, 0.98)
+
+    def measure(count, mean_ns):
+        for took_ns in draws.normal(mean_ns, 2e6, size=count):
+            delay.add_timing(timing(round(took_ns)))
+        return delay.expected_ns
+
+    measure(100, 50e6)
+    assert measure(4, 400e6) < 100_000_000
+    assert 400_000_000 < measure(1, 400e6) < 420_000_000
+    assert 400_000_000 < measure(95, 400e6) < 420_000_000
+    assert measure(20, 50e6) < 70_000_000
 
 
 @pytest.mark.parametrize("sequence", [-1])
 def test_a_report_without_an_accepted_plan_is_no_receipt(sequence):
     delay = Delay(5, 1.0)
     delay.add_receipt(applied(10, plan_sequence=sequence))
-    assert delay.expected_ns() == 5
+    assert delay.expected_ns == 5

@@ -11,7 +11,7 @@ from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, linearise_along, roll_out
 from ltv_mpc.control.ocp.assembly import cost
 from ltv_mpc.control.problem_data import pack_constants, pack_objective, unpack_objective
-from ltv_mpc.control.shooting_grid import knots, locate, shift
+from ltv_mpc.control.shooting_grid import knots, shift
 from ltv_mpc.control.vertical import follow_depth
 
 PAPER = Vehicle.load("paper")
@@ -37,20 +37,19 @@ def test_the_far_stages_grow_by_one_factor_and_reach_the_horizon(stages, horizon
     assert factors[0] > 1.0
 
 
-def test_a_position_is_a_stage_and_a_part_of_it_and_stays_within():
-    t = np.array([0.0, 1.0, 2.0, 4.0])
-    assert locate(t, 1.25, 0) == (1, 0.25)
-    assert locate(t, 3.0, 1) == (2, 0.5)
-    assert locate(t, 9.0, 0) == (2, 1.0)
-    assert locate(t, -1.0, 0) == (0, 0.0)
-
-
-def test_commands_are_carried_over_in_time():
+@pytest.mark.parametrize("stages", [-1.0, 0.0, 0.4, 1.0, 1.7, 99.0])
+def test_values_are_carried_over_in_time_and_the_last_ones_held(stages):
     old = np.random.default_rng(0).normal(size=(N + 1, 2))
     new = old.copy()
-    shift(new, GROWING, 1.7)
-    want = [np.interp(GROWING + 1.7, GROWING, old[:, i]) for i in range(2)]
+    shift(new, GROWING, stages)
+    want = [np.interp(GROWING + stages, GROWING, old[:, i]) for i in range(2)]
     np.testing.assert_allclose(new, np.transpose(want))
+
+
+def test_without_an_earlier_plan_the_values_are_zero():
+    values = np.ones((N + 1, 2))
+    shift(values, GROWING, np.nan)
+    assert not values.any()
 
 
 def test_what_stays_the_same_costs_the_same_however_long_the_stages_are():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.scaling import Scales
-from ltv_mpc.control.target_placement import FAR, LEAD, MIN_SPEED, bring_near, lead_round
+from ltv_mpc.control.target_placement import FAR, LEAD, MIN_SPEED, bring_near, bring_within, lead_round
 from ltv_mpc.geofence.fence import Disc, Fence
 from ltv_mpc.geofence.route import Router
 from ltv_mpc.geofence.zones import pack_zones
@@ -103,3 +103,17 @@ def test_a_target_out_of_reach_is_brought_nearer_in_its_direction() -> None:
     np.testing.assert_array_equal(table[10:20], before[10:20])
     np.testing.assert_allclose(table[20:30, :2] - START, np.tile([-0.6 * reach_m, -0.8 * reach_m], (10, 1)))
     np.testing.assert_array_equal(table[-1], before[-1])
+
+
+def test_with_a_tolerance_a_target_is_the_point_of_its_disc_nearest_to_the_previous_plan() -> None:
+    """The plan began half a stage earlier at the origin and goes on from where the vehicle is."""
+    states, t, state = np.zeros((4, 6)), np.arange(4.0), np.array([10.0, 20.0, 0.0, 0.0, 0.0, 0.0])
+    states[:, :2] = np.outer(t, [3.0, -4.0])  # 5 m a stage
+    table = np.zeros((4, 3))
+    table[:-1, :2] = [[13.0, 17.0], [13.0, 26.0], [12.0, 11.0]]
+    bring_within(states, 0.5, t, state, 2.0, table)
+    np.testing.assert_allclose(table[0, :2], [13.0, 16.0], atol=1e-12)  # where the plan is
+    off = np.array([16.0, 12.0]) - [13.0, 26.0]
+    np.testing.assert_allclose(table[1, :2], [13.0, 26.0] + 2.0 * off / np.hypot(*off), atol=1e-12)
+    assert math.dist(table[2, :2], (12.0, 11.0)) == pytest.approx(2.0)
+    np.testing.assert_array_equal(table[-1], 0.0)

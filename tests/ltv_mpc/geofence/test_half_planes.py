@@ -7,8 +7,8 @@ import pytest
 from hypothesis import assume, given, settings
 
 from ltv_mpc.geofence.fence import Fence
-from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, allocate, half_planes
-from ltv_mpc.geofence.zones import Zones, clearance, pack_zones
+from ltv_mpc.geofence.half_planes import ROWS, HalfPlanes, half_planes
+from ltv_mpc.geofence.zones import Zones, nearest, pack_zones
 from ltv_mpc.messages import Array
 from tests.ltv_mpc.geofence.shapes import boundary_distance, contains, disc, fence_of, point, polygon, rings
 
@@ -18,17 +18,15 @@ NOTCH = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0], [10.0, 6.0], [4.0, 6.0]
 
 def rows_of(zones: Zones, at: Array, need: float = 1.0, reach: float = 100.0, exits: Array | None = None) -> HalfPlanes:
     points, Z = np.atleast_2d(at).astype(float), len(zones.radius)
-    rows = allocate(len(points))
     required, near = np.full((len(points), Z), need), np.full(len(points), reach)
-    half_planes(zones, points, required, np.zeros((Z, 4)) if exits is None else exits, near, rows)
-    return rows
+    return half_planes(zones, points, required, np.zeros((Z, 4)) if exits is None else exits, near)
 
 
 @settings(max_examples=200, deadline=None)
 @given(rings(), point)
 def test_the_first_row_of_a_point_is_that_of_the_nearest_boundary(ring: Array, at: tuple[float, float]) -> None:
     zones = pack_zones(fence_of(ring, keep_in=False))
-    distance = clearance(zones, 0, *at)
+    distance = nearest(zones, 0, *at)[0]
     assume(abs(distance) > 1e-6)
     rows = rows_of(zones, np.array(at))
     assert rows.zone[0, 0] == 0
@@ -47,7 +45,7 @@ def test_a_point_that_keeps_the_row_of_a_convex_zone_is_clear_of_it(
     hull = np.array([p for p in ring if np.hypot(*(p - ring[0])) < 40.0])[:3]  # a triangle of the ring's vertices
     assume(abs(np.linalg.det(hull[1:] - hull[0])) > 1e-3)
     zones = pack_zones(fence_of(hull, keep_in=False))
-    assume(clearance(zones, 0, *at) > 1e-6)
+    assume(nearest(zones, 0, *at)[0] > 1e-6)
     rows = rows_of(zones, np.array(at))
     assert rows.zone[0].tolist() == [0, -1, -1]  # a convex zone has one nearest point
     if rows.normal[0, 0] @ moved >= rows.offset[0, 0]:
@@ -105,8 +103,7 @@ def test_rows_are_the_same_far_to_the_south_west() -> None:
     np.testing.assert_allclose(here.slack[used], there.slack[used], atol=1e-9)
 
 
-def test_no_row_is_left_over_from_the_cycle_before() -> None:
+def test_a_point_out_of_reach_has_no_row() -> None:
     zones = pack_zones(Fence(margin_m=0.0, keep_out_disc=(disc(5.0, 0.0, 1.0),)))
-    rows, exits = rows_of(zones, np.zeros(2)), np.zeros((1, 4))
-    half_planes(zones, np.full((1, 2), 900.0), np.ones((1, 1)), exits, np.ones(1), rows)
+    rows = rows_of(zones, np.full(2, 900.0), reach=1.0)
     assert rows.zone.tolist() == [[-1] * ROWS]

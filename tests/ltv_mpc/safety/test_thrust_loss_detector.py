@@ -21,7 +21,7 @@ from ltv_mpc.safety.thrust_loss_detector import (
     evaluate,
     quadratic_form,
     recovery_gain,
-    whiten,
+    whitened,
 )
 
 NOTHING = np.zeros((6, 6))
@@ -56,7 +56,8 @@ def test_the_minimum_agrees_with_another_solver(mass, most_loss):
     for _ in range(10):
         now, then = (np.vstack([rng.normal(size=12), rng.normal(size=(5, 12)) * size]) for _ in "ab")
         x = np.zeros(7)
-        ours = constrained_minimum(quadratic_form(now @ now.T, then @ then.T), low, high, x)
+        (form,) = quadratic_form((now @ now.T).reshape(1, -1), (then @ then.T).reshape(1, -1))
+        ours = constrained_minimum(form, low, high, x)
         # f = |z - phi' (l, b, g) - phi' d|^2 + PAST_WEIGHT |z - phi' (l, b, g)|^2 + |(x, d)|^2 / PRIOR_SD^2
         mix = np.eye(5)
         mix[:2, :2] = [[1.0, 1.0], [1.0, -1.0]]  # l = c + s, c - s
@@ -72,7 +73,7 @@ def test_the_minimum_agrees_with_another_solver(mass, most_loss):
 def test_whitened_rows_have_independent_noise_of_unit_variance():
     n = 7
     through = (np.eye(n, n + 1) - np.eye(n, n + 1, 1)) / math.sqrt(2.0)
-    whiten(through)
+    through = whitened(through)
     np.testing.assert_allclose(through @ through.T, np.eye(n), atol=1e-12)
 
 

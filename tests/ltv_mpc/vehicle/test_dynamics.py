@@ -151,7 +151,7 @@ def test_more_thrust_to_port_turns_clockwise():
 
 def flow(X, u0, uh, c0=ZERO, ch=ZERO, h=0.3, p=P):
     out = np.empty(8)
-    advance_stage(X, u0, uh, c0, ch, h, p, out)
+    advance_stage(X, u0, uh, c0, ch, h, p, lag_table(h, p), out)
     return out
 
 
@@ -237,7 +237,7 @@ def test_a_long_stage_agrees_with_an_independent_integrator_to_3e_4(h):
             return np.concatenate([slope(y[:6], y[6:]), (u - y[6:]) / [P.lag_port, P.lag_starboard]])
 
         out = np.empty(8)
-        advance_stage(X, u0, uh, ZERO, ZERO, h, P, out)
+        advance_stage(X, u0, uh, ZERO, ZERO, h, P, lag_table(h, P), out)
         want = solve_ivp(rhs, (0, h), X, method="DOP853", rtol=1e-9, atol=1e-11).y[:, -1]
         np.testing.assert_allclose(out, want, rtol=0, atol=3e-4)
 

@@ -10,7 +10,7 @@ import pytest
 
 from services.bus import protocol
 from services.bus.schema import fields
-from services.bus.topics import TOPICS
+from services.bus.topics import BY_KEY, TOPICS
 from services.cli.app import run
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
@@ -29,14 +29,14 @@ def test_what_is_in_docs_is_not_stale() -> None:
     assert left_over == set()
 
 
-def test_every_message_is_on_the_page_once_with_all_its_fields() -> None:
-    sections = re.split(r"^#### `", PAGE, flags=re.M)[1:]
-    by_key = {section.partition("`")[0].removesuffix("/<node>"): section for section in sections}
-    assert len(sections) == len(by_key) == len(TOPICS)
-    for topic in TOPICS:
-        own = list(fields(topic.message_type))
-        listed = re.findall(r"^\| `(\w+)` \|", by_key[topic.key].partition("\n\nAn entry of")[0], flags=re.M)
-        assert listed[: len(own)] == own, topic.key
+def test_every_message_is_on_the_page_once_and_those_of_a_vehicle_with_all_their_fields() -> None:
+    rows = re.findall(r"^\| \[`([\w/]+?)(?:/<node>)?`\]\((\S+)\)", PAGE, flags=re.M)
+    assert sorted(key for key, _ in rows) == sorted(topic.key for topic in TOPICS)
+    sections = {text.partition("`")[0]: text for text in re.split(r"^### `", PAGE, flags=re.M)[1:]}
+    assert {key for key, link in rows if link.startswith("#")} == set(sections)
+    for key, section in sections.items():
+        own = list(fields(BY_KEY[key].message_type))
+        assert re.findall(r"^\| `(\w+)` \|", section, flags=re.M)[: len(own)] == own, key
 
 
 def test_topics_prints_the_schema_of_one_topic_and_of_all(capsys: pytest.CaptureFixture[str]) -> None:

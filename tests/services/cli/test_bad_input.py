@@ -43,7 +43,11 @@ FILES: dict[str, str | bytes] = {
 
 CASES = [
     # --- scenario -------------------------------------------------------------------------------------------------
-    ("sim decsent", 'scenario "decsent": no shipped name; shipped: demo, descent, hover; did you mean "descent"?'),
+    (
+        "sim decsent",
+        'scenario "decsent": no shipped name; shipped: demo, descent, hover, paper-2.5s, paper-5s, paper-no-control; '
+        'did you mean "descent"?',
+    ),
     ("sim none.toml", "scenario none.toml: no such file"),
     ("sim folder/", "scenario folder: is a folder"),
     ("sim empty.toml", "scenario empty.toml: is empty"),

@@ -46,8 +46,8 @@ def recorder(bus: BusOptions, folder: Path, ashore: Session) -> Iterator[Recordi
     stop, status = StopRequest(), Mailbox()
     ashore.subscribe("status/recorder", BY_TYPE[NodeStatus], status)
     with SegmentWriter(folder / "run.mcap", start_ns=-S, metadata={}) as writer:
-        loop = RecordingLoop(writer, start_ns=-S, stop=stop, say=print)
-        thread = threading.Thread(target=loop.serve, args=(bus,))
+        loop = RecordingLoop(writer, start_ns=-S, say=print)
+        thread = threading.Thread(target=loop.serve, args=(bus, stop))
         thread.start()
         try:
             assert status.take(60.0) is not None

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 import http.client
 import json
 import re
+import socket
 from collections.abc import Iterator
 from typing import Any
 
@@ -17,6 +19,8 @@ from websockets.sync.client import ClientConnection, connect
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Heartbeat, Kill
 from services.dashboard.access_guard import Token, hosts
 from services.dashboard.config import View
+from services.dashboard.connection import Connection
+from services.dashboard.stream import MAX_READERS
 from services.reporting import static_files
 from tests.services.dashboard.synthetic_vehicle import NODES, SPEED, Served, served
 from tests.services.reporting.synthetic_run import OFFSET
@@ -64,6 +68,64 @@ def next_text(socket: ClientConnection, kind: str) -> dict[str, Any]:
 def pressed(page: Served, socket: ClientConnection, **asked: object) -> dict[str, Any]:
     socket.send(json.dumps({"number": 5, "token": page.token, **asked}))
     return next_text(socket, "reply")
+
+
+# --- places ----------------------------------------------------------------------------------------------------------
+
+
+def test_readers_without_the_token_cannot_lock_out_the_operator(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.dashboard.stream.MAX_WAITING", 3)
+    monkeypatch.setattr("services.dashboard.page.TOKEN_S", 60.0)
+    with contextlib.ExitStack() as sockets:
+        readers = [sockets.enter_context(stream(page)) for _ in range(MAX_READERS)]
+        for reader in readers:
+            next_text(reader, "whole")
+        operator = sockets.enter_context(stream(page))
+        assert pressed(page, operator, button="kill", node="nobody")["done"] is False
+        next_text(operator, "whole")
+        waiting = [sockets.enter_context(stream(page)) for _ in range(4)]
+        with pytest.raises(ConnectionClosed, match="32 pages are open already"):
+            next_text(waiting[0], "whole")  # in its place waits the last one
+        pressed(page, waiting[3], button="kill", node="nobody")
+        for reader in (operator, waiting[3], *readers):
+            next_text(reader, "tick")
+        pressed(page, readers[0], button="kill", node="nobody")
+        until(lambda: stream_has_a_place(page))
+
+
+def stream_has_a_place(page: Served) -> bool:
+    with stream(page) as another:
+        try:
+            while json.loads(another.recv(0.5))["kind"] != "whole":
+                pass
+        except TimeoutError:
+            return False
+        return True
+
+
+def test_a_reader_that_does_not_show_the_token_soon_makes_room(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.dashboard.stream.MAX_READERS", 0)
+    monkeypatch.setattr("services.dashboard.page.TOKEN_S", 0.1)
+    with stream(page) as reader, pytest.raises(ConnectionClosed, match="1013"):
+        next_text(reader, "whole")
+
+
+@pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\n", b"GET /page/plotly.js HTTP/1.1\r\nHost: {host}\r\n\r\n"])
+def test_an_idle_socket_ends(page: Served, sent: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that sends nothing, half a request, or reads nothing of a large answer."""
+    monkeypatch.setattr("services.dashboard.connection.IDLE_S", 0.2)
+    with socket.create_connection(("127.0.0.1", page.port)) as idle:
+        idle.sendall(sent.replace(b"{host}", page.host.encode()))
+        until(lambda: not any(isinstance(one, Connection) for one in page.server.server_state.connections))
+
+
+def test_a_socket_above_the_limit_takes_the_place_of_an_idle_one(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.dashboard.connection.MAX_SOCKETS", 5)
+    with contextlib.ExitStack() as sockets:
+        idle = [sockets.enter_context(socket.create_connection(("127.0.0.1", page.port))) for _ in range(20)]
+        assert get(page)[0] == 200
+        with contextlib.suppress(ConnectionResetError):
+            assert idle[0].recv(1) == b""
 
 
 # --- who may read ----------------------------------------------------------------------------------------------------

@@ -34,6 +34,27 @@ def test_an_answer_is_half_a_round_trip_old_and_a_slow_one_does_not_count() -> N
     assert clock.read(2_040_000) == 6 * SECOND_NS + 20_000_000
 
 
+@pytest.mark.parametrize("stamp_ns", [-10 * SECOND_NS, 2_147_483_647 * SECOND_NS, 2**63, 8 * SECOND_NS])
+def test_a_single_wrong_stamp_is_refused_and_does_not_move_the_clock(stamp_ns: int) -> None:
+    clock = StampedClock()
+    clock.update(5 * SECOND_NS, 0)
+    for k in range(1, 50):
+        with pytest.raises(Refused, match="stamp"):
+            clock.update(stamp_ns + k * SECOND_NS // 10, k * 100_000)
+        clock.update(5 * SECOND_NS + k * SECOND_NS // 10, k * 100_000)
+    assert clock.read(5_000_000) == 10 * SECOND_NS
+
+
+def test_a_clock_that_was_set_forward_is_followed_after_a_second() -> None:
+    clock = StampedClock()
+    clock.update(5 * SECOND_NS, 0)
+    for at_us in (100_000, 600_000, 1_000_000):
+        with pytest.raises(Refused, match="95 s ahead"):
+            clock.update(100 * SECOND_NS + at_us * 1000, at_us)
+    clock.update(101 * SECOND_NS + 100_000_000, 1_100_000)
+    assert clock.read(2_000_000) == 102 * SECOND_NS
+
+
 def test_a_plan_is_executed_by_vehicle_time_and_not_beyond_its_end() -> None:
     plans = PlanFollower()
     assert plans.thrust_N(7) is None
@@ -84,6 +105,15 @@ def test_lost_late_and_duplicate_frames_are_told_apart(
     counter = LossCounter(256)
     assert tuple(counter.add("sender", number) for number in numbers) == new
     assert counter.lost == lost
+
+
+def test_numbers_that_jump_about_take_no_memory_without_end() -> None:
+    counter = LossCounter()
+    for number in range(1000, 0, -1):
+        counter.add("sender", 10_000 * number)
+        counter.add("sender", 10_000 * number + 999)
+    assert sum(map(len, counter._missing.values())) <= 1000
+    assert counter.lost == 1000 * 998
 
 
 def test_a_sender_that_starts_again_has_lost_nothing() -> None:

@@ -5,8 +5,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 from queue import SimpleQueue
+from types import SimpleNamespace
+from typing import Any
 
-from ltv_mpc.messages import Estimate, Plan
+import pytest
+
+from ltv_mpc.messages import Estimate, Message, Plan
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
 from services.bus.session import open_session
@@ -75,3 +79,52 @@ def test_the_loop_steps_at_once_when_a_plan_has_come_and_says_why_it_does_not_dr
             thread.join(PATIENCE_S)
         assert sent.payloads.get(timeout=PATIENCE_S) == b"release"
         assert said == ["not driving: autopilot disarmed; arm it", "driving"]
+
+
+class HostileEdge(CountingEdge):
+    """Edge whose inputs raise; its step does too once ``broken``."""
+
+    name = "hostile"
+    broken = False
+
+    def convert(self, frame: Received) -> Iterable[Output]:
+        raise ZeroDivisionError(frame.payload)
+
+    def take(self, message: Message, *_: Any) -> Iterable[Output]:
+        raise OverflowError(message)
+
+    def step(self, now_us: int) -> Iterable[Output]:
+        if self.broken:
+            raise RuntimeError("broken")
+        return super().step(now_us)
+
+    def release(self, now_us: int) -> Iterable[Outgoing]:  # noqa: ARG002 (interface)
+        return [Outgoing("", b"lost"), Outgoing("", b"release")]
+
+
+class Broken(Sent):
+    """Link on which some frames cannot be sent."""
+
+    def send(self, frame: Outgoing) -> None:
+        if frame.payload == b"lost":
+            raise OSError("no route")
+        super().send(frame)
+
+
+def test_no_input_ends_the_loop_and_however_it_ends_the_thrusters_are_released() -> None:
+    mailbox, sent, edge = Mailbox(), Broken(), HostileEdge(epoch=1)
+    bus: Any = SimpleNamespace(subscribe=lambda *_: None, publisher=lambda _: SimpleNamespace(put=lambda _: None))
+    mailbox.offer(None, "odometry", b"7")
+    header = Header(epoch=2, sequence=0, sent_monotonic_us=0)
+    mailbox.offer(BY_TYPE[Plan], "plan", encode(plan(0), header))
+    taken = StopRequest()
+
+    def stop() -> bool:
+        edge.broken = len(mailbox) == 0 and edge.refused == 2
+        return taken()
+
+    with pytest.raises(RuntimeError, match="broken"):
+        EdgeLoop(edge, bus, mailbox, 1, print).run(sent, 1, stop)  # type: ignore[arg-type]
+    assert edge.refused_by_reason == {"ZeroDivisionError of odometry": 1, "OverflowError of plan": 1}
+    payloads = [sent.payloads.get() for _ in range(sent.payloads.qsize())]
+    assert payloads[-1] == b"release"

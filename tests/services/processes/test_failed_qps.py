@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.failed_qp import FailedQp, row_names
+from ltv_mpc.control.failed_qp import NamedQp, row_names
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import linearise
 from ltv_mpc.control.ocp.assembly import problem_along, scales
@@ -31,7 +31,7 @@ def failure():
     layout = SparseLayout(problem)
     qp, rows = layout.assemble(layout.filled(problem)), row_names(layout, scales(limits))
     solve = Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="slew of port in stage 2 violated by 3 N")
-    return lambda: FailedQp(qp, rows, solve)
+    return lambda: NamedQp(qp, rows, solve)
 
 
 def shown(writer, t_ns):
@@ -47,9 +47,9 @@ def test_each_failure_is_written_once_and_announced(failure, tmp_path):
     shown(writer, 2)
     shown(writer, 3)
     (path,) = (tmp_path / "failed").iterdir()
-    assert path.name == "qp-2.npz"
+    assert path.name == "qp-2.qp"
     assert lines == [f"a QP was not solved (slew of port in stage 2 violated by 3 N); saved: ltv-mpc qp show {path}"]
-    np.testing.assert_array_equal(FailedQp.load(path).qp.q, recorder.failed.qp.q)
+    np.testing.assert_array_equal(NamedQp.load(path).qp.q, recorder.failed.qp.q)
 
 
 def test_at_most_max_files_are_written(failure, tmp_path):
@@ -70,8 +70,8 @@ def test_a_folder_that_cannot_be_written_is_reported(failure, tmp_path):
 
 def test_qp_show_solves_it_again_and_lists_the_active_rows(failure, tmp_path, capsys):
     failed = failure()
-    failed.save(tmp_path / "one.npz")
-    assert run(["qp", "show", str(tmp_path / "one.npz"), "--json"]) == 0
+    failed.save(tmp_path / "one.qp")
+    assert run(["qp", "show", str(tmp_path / "one.qp"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["rows"] == len(failed.rows)
     assert printed["failed"]["iterations"] == 400
@@ -79,12 +79,12 @@ def test_qp_show_solves_it_again_and_lists_the_active_rows(failure, tmp_path, ca
     assert printed["solved_again"]["stationarity"] < 1e-4
     slew = [name for name in printed["solved_again"]["active"] if name.startswith("slew of")]
     assert slew
-    assert run(["qp", "show", str(tmp_path / "one.npz")]) == 0
+    assert run(["qp", "show", str(tmp_path / "one.qp")]) == 0
     text = capsys.readouterr().out
     assert "slew of port in stage 2 violated by 3 N" in text
     assert "active    slew of" in text
 
 
 def test_a_missing_file_is_rejected(tmp_path, capsys):
-    assert run(["qp", "show", str(tmp_path / "none.npz")]) == 2
+    assert run(["qp", "show", str(tmp_path / "none.qp")]) == 2
     assert "no such file" in capsys.readouterr().err

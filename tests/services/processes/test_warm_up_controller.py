@@ -12,7 +12,7 @@ import sys
 import msgspec, numpy as np
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, PlanOrigin, Vehicle, advance, references
 from ltv_mpc.control.solvers import make
-from ltv_mpc.control.solvers.recorder import FailureRecorder, RecordingSolver
+from ltv_mpc.control.solvers.recorder import QpRecorder, RecordingSolver
 from ltv_mpc.messages import Applied, CycleTiming, Solve, SolveStatus
 from services.processes.controller import warm_up
 
@@ -66,7 +66,7 @@ assert set(PlanOrigin) - origins == {PlanOrigin.MANUAL}, origins
 class Unsolved(RecordingSolver):
     def solve(self):
         return super().solve()._replace(solve=Solve(status=SolveStatus.FAILED))
-recorder = FailureRecorder(lambda *settings: Unsolved(make(*settings)))
+recorder = QpRecorder(lambda *settings: Unsolved(make(*settings)))
 unsolved = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), config, make_solver=recorder)
 unsolved.plan(Estimate.at_rest(north_m=2.0, heading_rad=2.0))
 assert recorder.failed is not None

@@ -92,3 +92,12 @@ def test_cycles_with_less_than_nominal_health_are_counted_with_their_reason() ->
 def test_a_summary_without_figures_gives_no_sentence_about_them() -> None:
     nothing = {"saturated_fraction": None, "mean_abs_N": None, "max_abs_N": None}
     assert assessment(summary(None, None, None, mode="lockstep", thrust=nothing)) == []
+
+
+def test_late_plans_and_a_health_that_is_not_nominal_come_before_the_thrust() -> None:
+    late = assessment(summary(0.50, 0.51, 0.02, thrust=SATURATED, deadline_misses=100))
+    assert late[2].startswith("Plans that come too late")
+    lost = {"nominal": 400, "degraded: no new estimates": 267}
+    sick = assessment(summary(0.50, 0.51, 0.02, thrust=SATURATED, health=lost))
+    assert "267 of 667 cycles, most often degraded: no new estimates" in sick[2]
+    assert len(sick) == len(set(sick))

@@ -20,7 +20,7 @@ from services.reporting.plots.collector import INNOVATIONS, Collector, nis_devia
 from services.reporting.plots.description import Style
 from services.reporting.plots.percentiles import Percentiles
 from services.reporting.plots.recorded import read
-from services.reporting.plots.table import Table
+from services.reporting.plots.table import Columns, Table
 from tests.services.reporting import synthetic_run
 from tests.services.reporting.synthetic_run import DRIFT_EAST_MPS, EPOCH, GROWTH_M2_PER_S, OFFSET, TARGET, S
 from tests.services.runtime.test_controller_status import STATUS as CONTROLLER_STATUS
@@ -244,16 +244,23 @@ def test_the_review_of_a_run_is_that_of_its_tables() -> None:
     t = np.arange(0.0, 200.0, 0.2)
     wave = 10.0 * np.sin(2.0 * np.pi * 0.5 * t)
     nothing = {"t_s": [], "depth_m": [], "distance_m": []}
-    history = {
+    history: dict[str, Columns] = {
         "thrust": {"t_s": t.tolist(), "port_N": wave.tolist(), "starboard_N": np.full(len(t), 5.0).tolist()},
         "true_distance": {"t_s": [1.0, 2.0], "distance_m": [0.1, 0.2]},
         "truth": {"t_s": [0.0, 2.0], "depth_m": [0.0, 4.0]},
         "distance": nothing,
         "track": nothing,
+        "profile": {"depth_m": [0.5, 2.5, 9.5]}
+        | {name: [0.1, 0.2, 0.3] for name in ("north_mps", "east_mps")}
+        | {name: [0.0, 0.15, 0.2] for name in ("north_low_mps", "east_low_mps")},
+        "true_current": {"depth_m": [4.0, 0.0], "north_mps": [0.4, 0.0], "east_mps": [0.2, 0.2]},
         "errors": {"t_s": [0.0, 1.0], "north_m": [0.0, 0.3], "east_m": [0.0, -0.1], "plus_2_sigma_m": [0.0, 0.2]},
     }
     tables = analysis.tables(history)
     assert tables["vehicle_over_depth"] == {"depth_m": [2.0, 4.0], "distance_m": [0.1, 0.2]}
+    error = tables["current_error"]  # at the two depths where the vehicle has been
+    assert (error["depth_m"], error["north_mps"], error["east_mps"]) == ([0.5, 2.5], [0.05, -0.05], [-0.1, 0.0])
+    assert error["north_low_mps"] == [-0.1, -0.05]
     assert tables["residuals"]["north"] == [None, 3.0]
     assert tables["residuals"]["east"] == [None, -1.0]
     assert sum(tables["histogram"]["port_percent"]) == pytest.approx(100.0, abs=0.01)

@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +31,17 @@ from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, encode, to_map
-from services.recording.reader import RecordedMessage, Recording
+from services.recording.reader import Recording, StoredMessage
 from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
+from services.runtime import recording_loop
 from services.runtime.clock import boot_id, monotonic_us
 from services.runtime.publication_time import FOLLOWS_HOST, FOLLOWS_VEHICLE
 from services.runtime.recording_loop import BEGAN_BEFORE, RecordingLoop
 from services.runtime.stopping import StopRequest
+from services.runtime.supervisor_link import SupervisorLink
 from tests.services.words import status
+from tests.waiting import until
 
 S = 1_000_000_000
 KEY = BY_TYPE[PressureDepth].key
@@ -71,7 +75,7 @@ def record(
     start_ns: int | None = -S,
     said: Callable[[str], None] = print,
     timed: bool = True,
-) -> list[RecordedMessage]:
+) -> list[StoredMessage]:
     """Return the recording of what ``say`` publishes, as messages and as bytes on the key of depths.
 
     ``overflowed`` is the number of messages that found no room in the recorder's mailbox. ``start_ns``: None beside a
@@ -84,9 +88,9 @@ def record(
         open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print) as session,
         Listening(path, start_ns or 0) as writer,
     ):
-        loop = RecordingLoop(writer, start_ns=start_ns, stop=stop, say=said)
+        loop = RecordingLoop(writer, start_ns=start_ns, say=said)
         loop.mailbox.overflowed = overflowed
-        thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"),))
+        thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"), stop))
         thread.start()
         out = Outbox(session, node="plant", epoch=EPOCH, kinds=(Clock, NodeStatus, Estimate, StepRecord))
         deadline = time.monotonic() + 60
@@ -250,3 +254,61 @@ def test_a_late_recorder_counts_no_loss_and_reports_what_cannot_be_replayed(tmp_
     record(tmp_path / "run.mcap", free_port, say, start_ns=None, said=said.append)
     assert said.count(BEGAN_BEFORE.format("controller")) == 1
     assert said[-1].endswith("messages recorded, lost: 1 on sensor/depth")
+
+
+class Watched(SupervisorLink):
+    """Link that notes at each heartbeat how many frames the loop has rejected so far."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loop: RecordingLoop
+        self.rejected = [0]
+
+    def beat(self, now_us: int) -> None:
+        del now_us
+        self.rejected.append(self.loop.rejected)
+
+
+def test_a_flood_neither_stops_the_heartbeats_nor_the_recorder_and_is_answered_within_the_limit(
+    tmp_path: Path, free_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames of an unknown key and messages arrive faster than they are written, and go on after the stop request."""
+    link, flood = Watched(), threading.Event()
+    monkeypatch.setattr(recording_loop, "SUPERVISOR_LINK", link)
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    stop = StopRequest()
+    said: list[str] = []
+
+    def pour(sequence: int = 0) -> None:
+        while not flood.is_set():
+            link.loop.mailbox.offer(BY_TYPE[PressureDepth], KEY, depth(sequence, monotonic_us()))
+            link.loop.mailbox.offer(None, UNREAD, b"")
+            sequence += 1
+            time.sleep(0.002)
+
+    with (
+        open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
+        Listening(tmp_path / "run.mcap") as writer,
+    ):
+        link.loop = RecordingLoop(writer, start_ns=-S, say=said.append)
+        for _ in range(10_000):
+            link.loop.mailbox.offer(None, UNREAD, b"")
+        threads = [
+            threading.Thread(target=link.loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"), stop)),
+            threading.Thread(target=pour),
+        ]
+        for thread in threads:
+            thread.start()
+        until(lambda: link.loop.rejected > 10_000)
+        stop.request()
+        threads[0].join(30.0)
+        ended = not threads[0].is_alive()
+        flood.set()
+        for thread in threads:
+            thread.join()
+    assert ended
+    assert said[-1].endswith("none lost")
+    assert max(after - before for before, after in pairwise(link.rejected)) <= 1
+    messages = list(Recording(tmp_path / "run.mcap"))
+    assert [message for message in messages if message.key == "status/recorder"][-1].plain["finished"]
+    assert 0 < sum(message.kind is RejectedFrame for message in messages) < 5_000

@@ -1,4 +1,4 @@
-"""Forked children behave as spawned ones: logs, exit codes, and none outlives the supervisor."""
+"""Forked children have logs and exit codes, none outlives the supervisor, and a fork server that fails is replaced."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from services.bus.options import BusOptions
-from services.processes import plant
-from services.supervisor import forkserver, orphan_cleanup
+from services.supervisor import forkserver
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
-from services.supervisor.managed_process import ManagedProcess, Program
+from services.supervisor.managed_process import ManagedProcess
 from services.supervisor.parent_death import OrphanCleanup
 from services.supervisor.process_table import ProcessRow
 from tests.waiting import until
@@ -51,7 +49,7 @@ def main(config):
             re.match("(a+)+$", "a" * 60 + "b")
 
 sys.modules["quick"] = types.SimpleNamespace(Config=Config, main=main)
-forkserver.load = lambda scenario: None
+forkserver.load = lambda scenario: iter(())
 forkserver.main()
 """
 """Program of a fork server that loads nothing, with children that do little."""
@@ -70,24 +68,25 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def watch() -> Iterator[OrphanCleanup]:
-    watch = OrphanCleanup()
-    yield watch
-    watch.close()
+def group() -> Iterator[int]:
+    cleanup = OrphanCleanup()
+    yield cleanup.group
+    cleanup.close()
 
 
 @pytest.fixture
-def server(tmp_path: Path, watch: OrphanCleanup) -> Iterator[ForkServer]:
-    server = ForkServer(tmp_path / "scenario.toml", tmp_path / "forkserver.log", watch)
+def server(tmp_path: Path, group: int) -> Iterator[ForkServer]:
+    server = ForkServer(tmp_path / "scenario.toml", tmp_path / "forkserver.log", group)
+    server.load()
     until(server.is_loaded)
     yield server
     server.close()
 
 
-def forked(server: ForkServer, log: Path, watch: OrphanCleanup, name: str, task: str, code: int = 0) -> ManagedProcess:
+def forked(server: ForkServer, log: Path, name: str, task: str, code: int = 0) -> ManagedProcess:
     config = log.with_name(f"{name}.json")
     write_config(config, Quick(task, code))
-    return ManagedProcess(Program(name, "quick", config, log), cleanup=watch, forks=server)
+    return ManagedProcess(server, "quick", config, log)
 
 
 def stat(pid: int) -> list[str]:
@@ -96,10 +95,8 @@ def stat(pid: int) -> list[str]:
 
 
 @pytest.mark.parametrize(("task", "code"), [("exits", 0), ("exits", 7), ("raises", 1)])
-def test_a_forked_child_has_its_own_exit_code_and_log(
-    server: ForkServer, watch: OrphanCleanup, tmp_path: Path, task: str, code: int
-) -> None:
-    child = forked(server, tmp_path / "log", watch, "plant", task, code)
+def test_a_forked_child_has_its_own_exit_code_and_log(server: ForkServer, tmp_path: Path, task: str, code: int) -> None:
+    child = forked(server, tmp_path / "log", "plant", task, code)
     assert child.wait_or_kill(PATIENCE_S)
     child.close()
     assert child.exit_code() == code
@@ -108,49 +105,36 @@ def test_a_forked_child_has_its_own_exit_code_and_log(
     assert (said[-1] == "RuntimeError: as it was told to") == (task == "raises")
 
 
-def test_a_forked_child_belongs_to_the_supervisor_and_has_its_own_session(
-    server: ForkServer, watch: OrphanCleanup, tmp_path: Path
+def test_a_forked_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(
+    server: ForkServer, tmp_path: Path, group: int
 ) -> None:
-    child = forked(server, tmp_path / "log", watch, "plant", "sleeps")
+    child = forked(server, tmp_path / "log", "plant", "sleeps")
     until(lambda: bool(child.last_lines()))
-    _, parent, _, session, *_ = stat(child.pid)
-    assert (int(parent), int(session)) == (os.getpid(), child.pid)
+    _, parent, its_group, *_ = stat(child.pid)
+    assert (int(parent), int(its_group)) == (os.getpid(), group)
     assert Path(f"/proc/{child.pid}/comm").read_text() == "ltv-plant\n"
     child.kill()
     child.close()
     assert child.exit_code() == -signal.SIGKILL
 
 
-def rejected(tmp_path: Path) -> Program:
-    """Program that ends with one line on stderr, forked or spawned."""
-    config = tmp_path / "plant.json"
-    write_config(config, plant.Config(bus=BusOptions(), scenario="hoover"))
-    return Program("plant", plant.__name__, config, tmp_path / "log")
-
-
-def test_without_a_fork_server_a_child_is_spawned_and_bad_input_is_one_line(
-    watch: OrphanCleanup, tmp_path: Path
-) -> None:
-    child = ManagedProcess(rejected(tmp_path), cleanup=watch, forks=None)
+def test_a_stopped_fork_server_is_replaced_and_what_it_forks_too_late_ends(server: ForkServer, tmp_path: Path) -> None:
+    """The other one forks before it has loaded."""
+    first, before = server.pid, set(own_children())
+    os.kill(first, signal.SIGSTOP)
+    child = forked(server, tmp_path / "log", "plant", "exits", 7)
+    assert server.pid != first
     assert child.wait_or_kill(PATIENCE_S)
     child.close()
-    assert child.exit_code() == 2
-    (line,) = (tmp_path / "log").read_text().splitlines()
-    assert line.startswith('ltv-mpc: scenario "hoover": no shipped name')
+    assert child.exit_code() == 7
+    until(lambda: set(own_children()) <= (before - {first}) | {server.pid})
 
 
-def test_one_that_is_forked_too_late_ends_and_another_has_its_place(
-    server: ForkServer, watch: OrphanCleanup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The fork server's reply comes after the timeout."""
-    until(server.is_loaded)
-    monkeypatch.setattr(server, "_has_reply", lambda _within_s: False)
-    before = set(own_children())
-    child = ManagedProcess(rejected(tmp_path), cleanup=watch, forks=server)
-    assert child.wait_or_kill(PATIENCE_S)
-    child.close()
-    assert child.exit_code() == 2
-    until(lambda: set(own_children()) - before <= {child.pid})
+def test_a_stop_request_ends_the_wait_for_the_fork_server(tmp_path: Path, group: int) -> None:
+    server = ForkServer(tmp_path / "scenario.toml", tmp_path / "forkserver.log", group, stop=lambda: True)
+    with pytest.raises(InterruptedError):
+        forked(server, tmp_path / "log", "plant", "sleeps")
+    server.close()
 
 
 def own_children() -> Iterator[int]:
@@ -164,8 +148,8 @@ def own_children() -> Iterator[int]:
             yield int(folder.name)
 
 
-def test_heartbeats_arrive_and_the_end_is_noticed(server: ForkServer, watch: OrphanCleanup, tmp_path: Path) -> None:
-    child = forked(server, tmp_path / "log", watch, "plant", "exits")
+def test_heartbeats_arrive_and_the_end_is_noticed(server: ForkServer, tmp_path: Path) -> None:
+    child = forked(server, tmp_path / "log", "plant", "exits")
 
     def ended() -> bool:
         child.read_heartbeats()
@@ -177,10 +161,8 @@ def test_heartbeats_arrive_and_the_end_is_noticed(server: ForkServer, watch: Orp
     child.close()
 
 
-def test_one_after_the_other_is_forked_and_nothing_is_used_up(
-    server: ForkServer, watch: OrphanCleanup, tmp_path: Path
-) -> None:
-    children = [forked(server, tmp_path / f"{k}.log", watch, "plant", "sleeps") for k in range(3)]
+def test_one_after_the_other_is_forked_and_nothing_is_used_up(server: ForkServer, tmp_path: Path) -> None:
+    children = [forked(server, tmp_path / f"{k}.log", "plant", "sleeps") for k in range(3)]
     until(lambda: all(child.last_lines() for child in children))
     assert len({child.pid for child in children}) == 3
     for child in children:
@@ -189,38 +171,32 @@ def test_one_after_the_other_is_forked_and_nothing_is_used_up(
 
 
 @pytest.fixture
-def crew(tmp_path: Path, watch: OrphanCleanup) -> Iterator[ChildProcesses]:
-    crew = ChildProcesses(tmp_path / "scenario.toml", tmp_path, watch)
-    crew.start_fork_server()
+def crew(tmp_path: Path, group: int) -> Iterator[ChildProcesses]:
+    crew = ChildProcesses(tmp_path / "scenario.toml", tmp_path, group)
     yield crew
     for child in crew.by_name.values():
         child.kill()
         child.close()
-    crew.close()
+    crew.forks.close()
 
 
-def test_a_dead_fork_server_kills_no_child_and_is_replaced(crew: ChildProcesses, tmp_path: Path) -> None:
-    first = crew.forks
-    assert first is not None
-    until(first.is_loaded)
+def test_a_dead_fork_server_kills_no_child_and_is_replaced(crew: ChildProcesses) -> None:
+    first = crew.forks.pid
     for name in ("plant", "sensors"):
-        crew.start(ProcessRow(name, "quick", True, ()), Quick("sleeps"))
+        crew.start(ProcessRow(name, "quick", True), Quick("sleeps"))
     until(lambda: all(child.last_lines() for child in crew.by_name.values()))
-    os.kill(first.pid, signal.SIGKILL)
-    until(lambda: first.exit_code() is not None)
-    assert (
-        first.fork("quick", tmp_path / "plant.json", tmp_path / "log", 0, 1) is None
-    )  # whoever is to begin now is spawned
-    crew.replace_dead_fork_server()
-    second = crew.forks
-    assert second is not None
-    assert second is not first
-    until(second.is_loaded)
-    assert [child.exit_code() for child in crew.by_name.values()] == [None, None]
+    os.kill(first, signal.SIGKILL)
     crew.by_name["plant"].kill()
     crew.restart("plant", b"")
     until(lambda: bool(crew.by_name["plant"].last_lines()))
+    assert crew.forks.pid != first
     assert stat(crew.by_name["plant"].pid)[1] == str(os.getpid())
+    os.kill(crew.forks.pid, signal.SIGKILL)
+    until(lambda: crew.forks.exit_code() is not None)
+    crew.forks.replace_if_dead()
+    crew.forks.load()
+    until(crew.forks.is_loaded)
+    assert [child.exit_code() for child in crew.by_name.values()] == [None, None]
 
 
 SUPERVISOR = f"""
@@ -228,18 +204,17 @@ import sys, time
 from pathlib import Path
 import msgspec
 from services.supervisor import forkserver
-from services.supervisor.managed_process import ManagedProcess, Program
+from services.supervisor.managed_process import ManagedProcess
 from services.supervisor.parent_death import OrphanCleanup
 forkserver.PROGRAM = ("-c", {QUICK!r})
 folder, cleanup = Path(sys.argv[1]), OrphanCleanup()
-server = forkserver.ForkServer(folder / "scenario.toml", folder / "forkserver.log", cleanup)
-while not server.is_loaded():
-    time.sleep(0.01)
+server = forkserver.ForkServer(folder / "scenario.toml", folder / "forkserver.log", cleanup.group)
+print(cleanup.group, flush=True)
 print(server.pid, flush=True)
 for k, (name, task) in enumerate([("plant", "sleeps"), ("controller", "holds the GIL"), ("recorder", "holds the GIL")]):
     config = folder / f"{{name}}.json"
     config.write_bytes(msgspec.json.encode({{"task": task, "code": 0}}))
-    child = ManagedProcess(Program(name, "quick", config, folder / f"{{k}}.log"), cleanup=cleanup, forks=server)
+    child = ManagedProcess(server, "quick", config, folder / f"{{k}}.log")
     while not child.last_lines() or child.hang_detector.last_s is None:
         child.read_heartbeats()
     print(child.pid, flush=True)
@@ -247,20 +222,28 @@ time.sleep(600)
 """
 
 
-def test_a_killed_supervisor_leaves_no_fork_even_if_stopped_or_holding_the_gil(tmp_path: Path) -> None:
+def test_a_killed_supervisor_leaves_no_process_even_if_stopped_or_holding_the_gil(tmp_path: Path) -> None:
+    """The orphan cleanup is stopped, and so are the fork server and the first child."""
     supervisor = subprocess.Popen(
         [sys.executable, "-P", "-c", SUPERVISOR, str(tmp_path)], stdout=subprocess.PIPE, text=True
     )
     assert supervisor.stdout is not None
-    pids = [int(supervisor.stdout.readline()) for _ in range(4)]
-    os.kill(pids[1], signal.SIGSTOP)
-    assert all(orphan_cleanup.start_ticks(pid) is not None for pid in pids)
+    pids = [int(supervisor.stdout.readline()) for _ in range(5)]
+    for pid in pids[:3]:
+        os.kill(pid, signal.SIGSTOP)
+    assert all(alive(pid) for pid in pids)
     try:
         supervisor.kill()
         supervisor.wait()
-        until(lambda: all(orphan_cleanup.start_ticks(pid) is None for pid in pids))
+        until(lambda: not any(alive(pid) for pid in pids))
     finally:
         supervisor.stdout.close()
-        for pid in pids:
-            if orphan_cleanup.start_ticks(pid) is not None:
-                os.kill(pid, signal.SIGKILL)
+        for pid in filter(alive, pids):
+            os.kill(pid, signal.SIGKILL)
+
+
+def alive(pid: int) -> bool:
+    try:
+        return stat(pid)[0] != "Z"
+    except OSError:
+        return False

@@ -27,6 +27,7 @@ from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import OPERATOR
+from services.recording import info
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.replay import replay
@@ -189,7 +190,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
     page = Page(drawn_s=1.0)
 
     def disturb() -> None:
-        (pid,) = (pid for pid, words in children_of(os.getpid()).items() if "orphan_cleanup.py" in words)
+        (pid,) = (pid for pid, words in children_of(os.getpid()).items() if "killpg" in words)
         os.kill(pid, signal.SIGKILL)
         with open_session(structs.replace(page.bus[0], role=OPERATOR), stop=StopRequest(), say=print) as session:
             Outbox(session, node=OPERATOR, epoch=1, kinds=(Kill,)).publish(Kill(node="nobody\n"))
@@ -375,6 +376,11 @@ def test_a_failed_simulation_process_ends_the_run_with_its_last_lines(tmp_path: 
     assert any("sensors: waiting for" in line for line in outcome.last_lines)
     assert outcome.why in screen.said
     assert not children_of(os.getpid())
+    why = "sensors was ended by SIGKILL"
+    summary = folder.read_summary(run.recording)
+    assert summary["completed"] is False
+    assert summary["why"].startswith(why)
+    assert info.read([run.recording]).why == summary["why"]
     recording, count, _ = recorded(run.recording)
     assert not recording.cut
     assert count["world/truth"] > 0
@@ -400,7 +406,7 @@ class Mischief:
             name, number = self._harm.pop(0)
             self._harmed += 1
             os.kill(pid_of(name, os.getpid()), number)
-        elif not self._harm and back and self.supervisor.recovered and not self._over:
+        elif not self._harm and back and self.supervisor.failures.settled and not self._over:
             self._over = True
             self.supervisor.children.by_name["plant"].terminate()
 

@@ -19,7 +19,7 @@ from ltv_mpc.node import ReceivedMessage
 from services.bus import topics, wire
 from services.cli.app import run
 from services.recording.loss_accounting import LossAccounting
-from services.recording.reader import RecordedMessage, Recording
+from services.recording.reader import Recording, StoredMessage
 from services.run import folder
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
@@ -115,7 +115,7 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(recorded: tuple[R
     assert steps["sensors"] == 701
 
 
-def inbox(recorded: RecordedStep, frames: dict[tuple[str, int, int], RecordedMessage]) -> Iterator[ReceivedMessage]:
+def inbox(recorded: RecordedStep, frames: dict[tuple[str, int, int], StoredMessage]) -> Iterator[ReceivedMessage]:
     for entry in recorded.inbox:
         signal, header = frames[entry.key, entry.epoch, entry.sequence].typed()
         assert wire.crc(wire.encode(signal, header)) == entry.crc

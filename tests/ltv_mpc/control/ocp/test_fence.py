@@ -22,9 +22,8 @@ from ltv_mpc.control.fence_clearance import (
 )
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.ocp import assembly, limits
-from ltv_mpc.control.ocp.limits import fence
-from ltv_mpc.control.ocp.limits.fence import CORRIDOR_ROWS
+from ltv_mpc.control.ocp import assembly, fence, limits
+from ltv_mpc.control.ocp.fence import CORRIDOR_ROWS
 from ltv_mpc.control.problem_data import pack_constants, unpack_constants
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.solvers import make, riccati

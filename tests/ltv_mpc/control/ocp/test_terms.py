@@ -1,8 +1,6 @@
-"""Every registered term: value against model, felt by every solver; a new one is tested without an edit here."""
+"""Every term of the cost: value against model, felt by every solver; a new weight is tested without an edit here."""
 
 from __future__ import annotations
-
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.linearisation import Linearisation, velocity_over_ground
 from ltv_mpc.control.ocp import assembly, terms
 from ltv_mpc.control.ocp.problem import Problem
-from ltv_mpc.control.ocp.terms import TERMS
 from ltv_mpc.control.problem_data import Objective, pack_objective, unpack_objective
 from ltv_mpc.control.solvers import SOLVERS
 from ltv_mpc.control.solvers.sparse import solution_of, sparse_qp
@@ -23,7 +20,8 @@ KNOTS = np.array([0.0, 1.0, 2.0, 3.0, 4.3, 6.0, 8.2])
 WEIGHTS = Weights(thrust=0.2, thrust_change=0.1, heading_per_rad2=0.4)
 OBJECTIVE: Objective = unpack_objective(pack_objective(KNOTS, LIMITS, WEIGHTS))
 SCALES = assembly.scales(LIMITS)
-OF_TERM = pytest.mark.parametrize("term", TERMS, ids=lambda term: term.__name__.rsplit(".", 1)[-1])
+TERMS = Objective._fields[: len(Weights.__struct_fields__)]
+OF_TERM = pytest.mark.parametrize("term", TERMS)
 
 
 def trajectory(seed: int) -> tuple[Linearisation, Array]:
@@ -33,16 +31,21 @@ def trajectory(seed: int) -> tuple[Linearisation, Array]:
     return lin, np.column_stack([target, headings])
 
 
-def value(term: ModuleType, lin: Linearisation, target: Array, z: Array) -> float:
+def alone(term: str) -> Objective:
+    """Return the objective in which no other term has a weight."""
+    return OBJECTIVE._replace(**{other: 0.0 for other in TERMS if other != term})
+
+
+def value(term: str, lin: Linearisation, target: Array, z: Array) -> float:
     """Return the value along the trajectory that deviations z (N+1, 12) lead to."""
     X, U = lin.X + z[:, :8] * SCALES[:8], lin.U + z[:, 8:10] * SCALES[8:10]
-    return float(term.cost(X, U, lin.C, target, OBJECTIVE))
+    return float(terms.cost(X, U, lin.C, target, alone(term), None))
 
 
-def model(term: ModuleType, lin: Linearisation, target: Array) -> Problem:
+def model(term: str, lin: Linearisation, target: Array) -> Problem:
     """Return a problem with this term alone."""
     p = assembly.empty(N)
-    term.add(p, lin, target, OBJECTIVE)
+    terms.cost(lin.X, lin.U, lin.C, target, alone(term), p)
     return p
 
 
@@ -56,7 +59,7 @@ def deviation(seed: int) -> Array:
 
 @OF_TERM
 @pytest.mark.parametrize("seed", range(20))
-def test_the_model_has_value_and_slope_of_the_exact_term(term: ModuleType, seed: int) -> None:
+def test_the_model_has_value_and_slope_of_the_exact_term(term: str, seed: int) -> None:
     """By central differences in a random direction; a sign or a factor that is wrong changes the slope."""
     lin, target = trajectory(seed)
     p, z, h = model(term, lin, target), deviation(seed), 1e-5
@@ -66,11 +69,11 @@ def test_the_model_has_value_and_slope_of_the_exact_term(term: ModuleType, seed:
     assert abs(slope) + curvature > 1e-6  # it is there
     assert curvature >= 0.0
     np.testing.assert_allclose(p.H, p.H.transpose(0, 2, 1), atol=1e-12)
-    if term is not terms.terminal_velocity:  # its model leaves out a part of the curvature
+    if term != "terminal_velocity":  # its model leaves out a part of the curvature
         assert curvature == pytest.approx(second_difference(term, lin, target, z), rel=1e-4, abs=1e-6)
 
 
-def second_difference(term: ModuleType, lin: Linearisation, target: Array, z: Array, h: float = 1e-3) -> float:
+def second_difference(term: str, lin: Linearisation, target: Array, z: Array, h: float = 1e-3) -> float:
     """Return the second derivative of a term's value along z."""
     below, here, above = (value(term, lin, target, step * z) for step in (-h, 0.0, h))
     return (below + above - 2.0 * here) / h**2
@@ -79,21 +82,21 @@ def second_difference(term: ModuleType, lin: Linearisation, target: Array, z: Ar
 def test_the_model_of_the_terminal_velocity_is_exact_where_its_error_is_zero() -> None:
     lin, target = trajectory(3)
     target[N, :2] = velocity_over_ground(lin.X[N], lin.C[N])[0]
-    p, z = model(terms.terminal_velocity, lin, target), deviation(0)
+    p, z = model("terminal_velocity", lin, target), deviation(0)
     curvature = float(np.einsum("ki,kij,kj", z, p.H, z))
-    assert curvature == pytest.approx(second_difference(terms.terminal_velocity, lin, target, z, 1e-4), rel=1e-4)
+    assert curvature == pytest.approx(second_difference("terminal_velocity", lin, target, z, 1e-4), rel=1e-4)
 
 
 @OF_TERM
 @pytest.mark.parametrize("name", SOLVERS)
-def test_every_solver_feels_it(term: ModuleType, name: str) -> None:
+def test_every_solver_feels_it(term: str, name: str) -> None:
     """The optimum moves when the term counts three times, and the solver finds it."""
     lin, target = trajectory(2)
     form = Form(KNOTS, LIMITS, WEIGHTS)
     config = ResolvedConfig(horizon_s=2.4, max_stages=N, weights=WEIGHTS, tolerance=1e-7, max_iterations=5000)
     once, more = form.problem(lin, target), form.problem(lin, target)
     for _ in range(2):
-        term.add(more, lin, target, OBJECTIVE)
+        terms.cost(lin.X, lin.U, lin.C, target, alone(term), more)
     before, wanted = (form.commands(lin, solution_of(p, precise(sparse_qp(p)))) for p in (once, more))
     assert np.abs(before - wanted).max() > 0.01
     solver = SOLVERS[name](config)

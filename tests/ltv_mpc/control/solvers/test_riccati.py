@@ -193,15 +193,3 @@ def test_a_cost_that_does_not_determine_the_commands_is_rejected():
     ).solve
     assert solve.status is SolveStatus.FAILED
     assert "does not determine" in solve.why
-
-
-def test_duals_between_stages_are_read_linearly_and_the_last_ones_kept():
-    N = 5
-    rows = np.random.default_rng(2).normal(size=(N + 1, 4))
-    for by in (0.0, 0.4, 1.0, 1.7, 9.0):
-        y = rows.copy()
-        riccati.shift_duals(y, np.arange(N + 1.0), by)
-        at = np.clip(np.arange(N + 1) + by, 0, N)
-        np.testing.assert_allclose(y, np.array([np.interp(at, range(N + 1), rows[:, i]) for i in range(4)]).T)
-    riccati.shift_duals(y, np.arange(N + 1.0), math.nan)
-    np.testing.assert_array_equal(y, 0.0)

@@ -564,7 +564,7 @@ def test_on_a_signed_link_unsigned_and_repeated_frames_are_refused() -> None:
         ("mavlink --autopilot serial:/dev/x", "must be udpin:HOST:PORT"),
         ("mavlink --autopilot udpin:127.0.0.1:0", "must be udpin:HOST:PORT"),
         ("mavlink --vehicle surface", "has no pwm_us and pwm_N"),
-        ("mavlink --signing-key /nowhere", "cannot be read"),
+        ("mavlink --signing-key /nowhere", "no such file"),
         ("mavlink --signing-key {file}", "must be 32"),
         ("mavlink --connect udpin:127.0.0.1:14550", "must be PROTOCOL/ADDRESS"),
         ("mavlink --sd 1,2,3", "must be four numbers"),

@@ -16,6 +16,7 @@ import pytest
 from msgspec.structs import replace
 
 from benchmarks.localisation_check.probe import descend
+from benchmarks.lockstep_job import Job
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -24,14 +25,13 @@ from services.cli.app import run
 from services.recording.reader import Recording
 from services.run.folder import RunFolder
 from services.tools.batch import executor
-from services.tools.batch.job import Job
 from services.tools.dive_plan import plan, report
 from services.tools.dive_plan.plan import Dive, DivePlan
 from sim.evaluation.cramer_rao_bound.model import ACCELEROMETER_BIAS, BEAM_BIAS, GYRO_BIAS, MOUNTING, ErrorModel
 from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR
 
 DURATION_S, DEPTH_M = 10.0, 2.0
-SENSORS = ("paper", "realistic", "examples/sensors/own_adcp.toml", "examples/sensors/600_khz.toml")
+SENSORS = ("realistic", "examples/sensors/own_adcp.toml")
 
 
 class Output(NamedTuple):

@@ -1,1 +1,0 @@
-"""Figures as PNG and SVG, drawn by matplotlib from the plot descriptions of the live page and the report."""

@@ -1,0 +1,60 @@
+"""Summary at the end of a run: a signal skips it, and what is no recording does not end it with a traceback."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from services.run import folder
+from services.run.run_config import resolve
+from services.runtime.stopping import StopRequest
+from services.supervisor import supervisor
+from services.supervisor.supervisor import Outcome, Supervisor
+from tests.services.recording.recordings import write_depths
+
+
+class Screen:
+    """Screen on which the user presses Ctrl-C as soon as it shows a progress."""
+
+    def __init__(self, request: StopRequest) -> None:
+        self._request = request
+
+    def wait(self, what: str, share: float) -> None:
+        assert what == "summary"
+        assert share < 1.0
+        self._request.receive(signal.SIGINT, None)
+
+    def say(self, text: str) -> None:
+        pass
+
+
+def ended(path: Path) -> tuple[Supervisor, Any]:
+    """Return the supervisor of a run that a first Ctrl-C has ended."""
+    run_config, request = resolve("hover"), StopRequest()
+    request.receive(signal.SIGINT, None)
+    screen: Any = Screen(request)
+    made: Any = Supervisor(run_config, folder.make("x", run_config.files, out=path), screen)
+    made._request, made.failures = request, SimpleNamespace(restarts=0)
+    return made, Outcome(completed=False, exit_code=130, why="stopped early")
+
+
+def test_a_second_signal_skips_the_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supervisor, "QUICK_S", -1.0)
+    made, outcome = ended(tmp_path / "run")
+    write_depths(tmp_path / "run" / "run.mcap", range(2000))
+    outcome = made._summarised(outcome)
+    assert (outcome.summary, outcome.exit_code, outcome.why) == (None, 130, "stopped early")
+    assert not (tmp_path / "run" / "summary.json").exists()
+
+
+def test_a_fifo_in_place_of_the_recording_is_not_waited_for(tmp_path: Path) -> None:
+    made, _ = ended(tmp_path / "run")
+    os.mkfifo(tmp_path / "run" / "run.mcap")
+    outcome = made._summarised(Outcome(completed=True, exit_code=0))
+    assert (outcome.completed, outcome.exit_code) == (False, 1)
+    assert outcome.why.endswith("run.mcap: is not a regular file")
