@@ -8,8 +8,9 @@ vehicle file. In each axis the innovation z of the velocity is that of three sta
 
 x' has the variance s^2 without end. With s = w = 0 the slow velocity is the estimated one. Innovations of right s and w
 are white, so both follow from their spectrum: w falls with the product of successive ones; s^2 rises with their power
-in the band of waves beyond that below it, relative to white noise, as far as this lasts. A wrong model shows below the
-band, or is expected as long as the belief is uncertain. s^2 falls where innovations are less than it predicts.
+in the band of waves beyond that below it, relative to white noise, if they go to both sides. A wrong model shows below
+the band, in one direction, or is expected as long as the belief is uncertain. s^2 falls where innovations are less than
+it predicts.
 
 Sources: Fossen 2021, Handbook of marine craft hydrodynamics and motion control, section 13.2 (linear wave model); Mehra
 1970, IEEE T-AC 15(2) (noise from the correlation of innovations).
@@ -28,14 +29,14 @@ BAND_RADPS, DAMPING = 1.3, 0.4
 FAST_S, SLOW_S = 0.5, 4.0
 """Time constants of two means of the innovations: the band is the difference, and below it is the slow mean."""
 
-WHITE_SHARE, GROWING_SHARE, FALLING_SHARE = 0.03, 0.1, 0.05
-"""Shares of the newest products of innovations in w, and of power and lack of it in s^2."""
+WHITE_SHARE, GROWING_SHARE, FALLING_SHARE = 0.03, 0.3, 0.05
+"""Shares of the newest products of innovations in w, and of their power, or lack of it, in s^2."""
 
-WHITE, SQUARE, MOST, POWER, INNOVATION, FAST, SLOW, MOVED, MOVING, DD, DX, DV, XX, XV, VV, NIS, SIZE = range(17)
-"""Rows of a track (SIZE, 3), with a column for each of surge, sway and yaw: w; the last innovation and its two means;
-x, x' (north, east, and 0 for yaw); covariance of d, x, x'. First in their rows: s^2, its largest value, the
-mean power in the band beyond that below it; and the normalised innovation squared of the observer, chi-squared of three
-if all is right.
+WHITE, SQUARE, MOST, INNOVATION, FAST, SLOW, HIGH, LOW, MOVED, MOVING, DD, DX, DV, XX, XV, VV, NIS, SIZE = range(18)
+"""Rows of a track (SIZE, 3), with a column for each of surge, sway and yaw: w; the last innovation, its two means, and
+the largest of their difference to either side; x, x' (north, east, and 0 for yaw); covariance of d, x, x'. First in
+their rows: s^2, its largest value, and the observer's normalised innovation squared (chi-squared of three if all is
+right).
 """
 
 
@@ -93,15 +94,17 @@ def correct_noise(track: Array, seconds: float, r2: Array, explained: Array, z: 
         track[FAST, i] += fast * (z[i] - track[FAST, i])
         track[SLOW, i] += slow * (z[i] - track[SLOW, i])
         if i < 2:
-            power += (track[FAST, i] - track[SLOW, i]) ** 2 / of_band
+            band = track[FAST, i] - track[SLOW, i]
+            track[HIGH, i] = max((1.0 - slow) * track[HIGH, i], band)
+            track[LOW, i] = max((1.0 - slow) * track[LOW, i], -band)
+            power += 0.5 * track[HIGH, i] * track[LOW, i] / of_band
             power -= track[SLOW, i] ** 2 / of_slow + explained[i]
             excess += z[i] ** 2 - track[VV, i]
         moved[i], moving[i] = x / r2[i] * z[i], v / r2[i] * z[i]
         for row, by in ((DD, d * d), (DX, d * x), (DV, d * v), (XX, x * x), (XV, x * v), (VV, v * v)):
             track[row, i] -= by / r2[i]
         z[i] *= 1.0 - d / r2[i]
-    track[POWER, 0] += slow * (power - track[POWER, 0])
-    track[SQUARE, 0] += GROWING_SHARE * max(track[POWER, 0], 0.0) + FALLING_SHARE * min(excess, 0.0)
+    track[SQUARE, 0] += GROWING_SHARE * max(power, 0.0) + FALLING_SHARE * min(excess, 0.0)
     track[SQUARE, 0] = max(track[SQUARE, 0], 0.0)
     z[0] += cos * track[MOVING, 0] + sin * track[MOVING, 1]
     z[1] += cos * track[MOVING, 1] - sin * track[MOVING, 0]
