@@ -363,8 +363,8 @@ class Controller:
             if self._estimates.health(now_ns) is NOMINAL:
                 self.follower.arrive(decision.estimate, self.config.position_tolerance_m)
         self._lateral.fencing.set_path(self.follower.path_beside(knots) if decision.follows else None)
-        error_mps2 = self.observer.model_error_mps2
-        self._lateral.fencing.update(start, decision.estimate, self._estimates.growth_m, error_mps2)
+        error_mps2, apart_m = self.observer.model_error_mps2, self._estimates.growth_m + self.observer.waves_m
+        self._lateral.fencing.update(start, decision.estimate, apart_m, error_mps2)
         follower = self.follower if decision.follows else None
         self._vertical.depth_limits.look_ahead(start, self._lateral.previous.plan, follower)
         vertical = self._plan_vertical(decision, start, knots)

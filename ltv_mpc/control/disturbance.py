@@ -14,6 +14,9 @@ When the vehicle drifts with the water, drag is zero to first order, so b is uno
 by the prior. A steady course shows nothing of l and q. An arm is used as far as it is significant, so that a vehicle
 with the declared point keeps it (``_significance``). What was tried: docs/notes/lever-arm.md, docs/notes/wrong-file.md.
 
+Waves that carry the vehicle to and fro are filtered out (``wave_filter.py``): position and velocity are those of the
+slow motion. When larger waves begin to show, arm and model return to the prior: they were learned from waves.
+
 A thruster that delivers less than it reports looks like a current, and so do actuators that follow no plan. While a
 loss of thrust is in doubt (``thrust_loss_detector.py``), the belief is that of ``DOUBTED_ESTIMATES`` before, and it is
 not updated. While the actuators contradict the plans (``actuator_check.py``), it is that of their last report that
@@ -31,10 +34,11 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, NIS, STATES, adapted, propagate, update_belief
+from ltv_mpc.control.disturbance_filter import ARM, CURRENT, MODEL, STATES, adapted, propagate, update_belief
 from ltv_mpc.control.prediction import Prediction, currents_at_depths
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.control.wave_filter import BAND_RADPS, INNOVATION, MOST, MOVED, NIS, SIZE, SQUARE
 from ltv_mpc.messages import Array, CurrentProfile, DisturbanceState, Estimate, Pair
 from ltv_mpc.references.limits import path_limits
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -165,7 +169,7 @@ class DisturbanceObserver:
         self._prior_and_walks = sd**2, walks
         self._belief: Belief = np.zeros(STATES), np.diag(sd**2)
         # Noise, as ``update_belief`` takes it; and the model's error (m/s^2): mean ahead, to starboard, largest.
-        self._track = np.zeros((5, 3))
+        self._track = np.zeros((SIZE + 1, 3))
         self._last: tuple[Estimate, Estimate] | None = None  # as it was given, and with filtered velocities
         self._shift = 0j  # from the origin to the point that is held in its place, north + j east (m)
         # After each update, the oldest first: time of the estimate, belief.
@@ -196,7 +200,17 @@ class DisturbanceObserver:
     @property
     def model_error_mps2(self) -> float:
         """Acceleration that the model has not explained lately, beyond the noise: from the mean innovation (m/s^2)."""
-        return float(self._track[4, 2])
+        return float(self._track[SIZE, 2])
+
+    @property
+    def waves_m(self) -> float:
+        """Standard deviation of the displacement by waves, to which the vehicle yields (m)."""
+        return self._waves_share * math.sqrt(self._track[SQUARE, 0]) / BAND_RADPS
+
+    @property
+    def _waves_share(self) -> float:
+        """Share of the displacement by waves that is used: more than noise."""
+        return _significance(float(self._track[SQUARE, 0]) / self._noise[0])
 
     @property
     def covariance(self) -> Array:
@@ -253,11 +267,15 @@ class DisturbanceObserver:
         elif last is not None and interval_ns > 0:
             compares = interval_ns <= MAX_INTERVAL_NS and (last.current is None) is (estimate.current is None)
             if learns and compares and not self.thrust_in_doubt:
+                most = self._track[MOST, 0]
                 estimate = self._update(last, estimate, prediction, commands)
+                if self._waves_share > 0.0 and self._track[MOST, 0] > most:  # they have looked like arm and model
+                    self._belief = self._belief[0] * (np.arange(STATES) < ARM), np.diag(self._prior_and_walks[0])
+                    self._before.clear()
                 self._before.append((estimate.t_ns, self._belief))
             else:
                 self._belief = self._belief[0], self._propagated(last, estimate)
-                self._track[1:4] = 0.0
+                self._track[INNOVATION : NIS + 1] = 0.0
         self._last = given, estimate
         at_origin = self.arm_in_use.to_origin(estimate)
         bias_mps = self._share_in_use(estimate) * self.bias_mps
@@ -274,7 +292,8 @@ class DisturbanceObserver:
         ``REST_M``, and waits while the vehicle turns: a target that turns with it would make it turn for ever.
         """
         arm = complex(self.arm_in_use.forward_m, self.arm_in_use.starboard_m)
-        if not arm and not self._shift:
+        moved = self._waves_share * complex(*self._track[MOVED, :2])
+        if not arm and not self._shift and not moved:
             return at_origin
         over_ground = complex(at_origin.velocity_north_mps, at_origin.velocity_east_mps)
         c = currents_at_depths(at_origin.current, np.array([estimate.depth_m or 0.0]))[0]
@@ -286,7 +305,7 @@ class DisturbanceObserver:
         rests = (1.0 - given) / (1.0 + (estimate.yaw_rate_radps / free_radps) ** 2)
         share = min(seconds * (1.0 / SHIFT_TIME_S + abs(over_ground) / SHIFT_WAY_M), 1.0)
         self._shift += share * (along - given * self._shift + rests * (beyond - self._shift))
-        held = complex(at_origin.north_m, at_origin.east_m) + self._shift
+        held = complex(at_origin.north_m, at_origin.east_m) + self._shift - moved
         return msgspec.structs.replace(at_origin, north_m=held.real, east_m=held.imag)
 
     @property
@@ -395,10 +414,10 @@ class DisturbanceObserver:
         self._belief = mean, P
         mean[CURRENT:ARM] *= 1.0 - (1.0 - self._share_in_use(estimate)) * min(seconds / FADING_S, 1.0)
         share = min(seconds / ERROR_TIME_S, 1.0)
-        self._track[4, :2] += share * (self._track[2, :2] / seconds - self._track[4, :2])
+        self._track[SIZE, :2] += share * (self._track[INNOVATION, :2] / seconds - self._track[SIZE, :2])
         noise = 2.0 * math.sqrt(0.5 * share * (self._noise[0] + s2)) / seconds
         kept = self.model_error_mps2 * max(1.0 - seconds / ERROR_MEMORY_S, 0.0)
-        self._track[4, 2] = max(float(np.hypot(*self._track[4, :2])) - noise, kept)
+        self._track[SIZE, 2] = max(float(np.hypot(*self._track[SIZE, :2])) - noise, kept)
         return _with_motion(estimate, north, east, yaw_rate)
 
 

@@ -14,18 +14,15 @@ next (marked '), after the exact flow of the model q through the commands that w
 
 v_o and r_o are those of the vehicle's origin, R and R' rotate by the headings. In the axes of the body the noise is
 
-    p + a^2 + n^2 + w         a   error of the model, as a share of the forces that act
+    a^2 + n^2                 a   error of the model, as a share of the forces that act
                               n   what is new in each estimate (``DisturbanceObserver``)
-                              w   white noise of the estimates, which shows as innovations of alternating sign:
-                                  w+ = max(w - ``ADAPTATION`` z' z, 0), z the innovation
-                              p   variance of the filtered velocity: p+ = K w, K = (p + a^2 + n^2) / (sum of all)
 
-The velocity is filtered with the gain K, 1 without white noise: a velocity that is noisy makes the regressors of q
-noisy, and damping appear that is none. The update of x is iterated where an innovation is large, since drag is
-quadratic: a linear correction of a large error of the current stops halfway and is sure of it.
+and what ``wave_filter.py`` adds: white noise of the estimates, and waves. It filters the velocity, too: a velocity that
+is noisy makes the regressors of q noisy, and damping appear that is none. The update of x is iterated where an
+innovation is large, since drag is quadratic: a linear correction of a large error of the current stops halfway and is
+sure of it.
 
-Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to tracking and navigation, section 10.5.2;
-Mehra 1970, IEEE T-AC 15(2) (noise from the correlation of innovations).
+Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to tracking and navigation, section 10.5.2.
 """
 
 from __future__ import annotations
@@ -36,6 +33,7 @@ import numpy as np
 
 from ltv_mpc.control.prediction import Measured, Profile, current_at_depth, predict_state
 from ltv_mpc.control.sent_commands import Commands
+from ltv_mpc.control.wave_filter import MOVING, NIS, correct_noise, predict_noise
 from ltv_mpc.jit import copy_to, jit, jit_outlined
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import coefficients, rates
@@ -62,20 +60,12 @@ for 3 s weighs as much as 35 % that is new in each of ten estimates.
 SHORT_S = 0.45
 """Interval up to which the derivatives by q are those of the acceleration; beyond it, differences of predictions."""
 
-ADAPTATION = 0.03
-"""Share of the newest product of innovations in the variance of the white noise."""
-
 Newest: TypeAlias = tuple[int, float, float, float, float]
 """Time of the newest estimate (ns), its velocity over ground, north and east (m/s), heading (rad), yaw rate (rad/s)."""
 
 Noise: TypeAlias = tuple[float, float, float, bool]
 """n^2 of velocity (m^2/s^2) and yaw rate (rad^2/s^2), the largest bias in either direction (m/s), and False if the bias
 is not updated.
-"""
-
-WHITE, FILTERED, INNOVATION, NIS = range(4)
-"""Rows of the (4, 3) track of the noise: w, p, and the last innovation, each for surge, sway and yaw; first in its row
-the normalised innovation squared, chi-squared of three if all is right.
 """
 
 
@@ -122,7 +112,7 @@ def update_belief(
     file : (21,) coefficients of the vehicle file.
     measured, commands : as ``predict_state`` takes them, from the last estimate.
     profiles : of the last and of the newest estimate, without the bias.
-    track : (4, 3) rows ``WHITE``, ``FILTERED``, ``INNOVATION``, ``NIS``, updated.
+    track : (SIZE, 3) of ``wave_filter.py``, updated.
 
     Returns
     -------
@@ -134,13 +124,12 @@ def update_belief(
     seconds = float(newest[0] - measured[0]) * 1e-9
     cos, sin = np.cos(newest[3]), np.sin(newest[3])
     at, out, Q = mean.copy(), mean.copy(), P.copy()
-    H, r2, z, begin = np.zeros((3, STATES)), np.empty(3), np.empty(3), np.empty(3)
+    H, r2, z, begin, explained = np.zeros((3, STATES)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for iteration in range(MAX_ITERATIONS):
         h, end = _predicted(at, newest, file, measured, commands, profiles)
         if iteration == 0:
             _fill_noise(end, adapted(file, at[MODEL:]), seconds, noise, r2)
-            for i in range(3):
-                r2[i] += track[FILTERED, i] + track[WHITE, i]
+            predict_noise(track, seconds, r2)
         for j in range(first, MODEL if seconds <= SHORT_S else STATES):
             shifted = at.copy()
             shifted[j] += STEPS[j]
@@ -150,10 +139,15 @@ def update_belief(
             H[0, j], H[1, j], H[2, j] = cos * dn + sin * de, cos * de - sin * dn, (to[2] - h[2]) / STEPS[j]
         if seconds <= SHORT_S:
             _differentiate_by_model(at, file, end, seconds, H)
-        dn, de = newest[1] - h[0], newest[2] - h[1]
+        dn, de = newest[1] - track[MOVING, 0] - h[0], newest[2] - track[MOVING, 1] - h[1]
         z[0], z[1], z[2] = cos * dn + sin * de, cos * de - sin * dn, newest[4] - h[2]
         if iteration == 0:
             copy_to(begin, z)
+            for i in range(3):
+                explained[i] = 0.0
+                for j in range(STATES):
+                    for k in range(STATES):
+                        explained[i] += H[i, j] * P[j, k] * H[i, k]
         copy_to(out, mean)
         Q = P.copy()
         square = _correct(out, Q, H, r2, z, at)
@@ -170,12 +164,7 @@ def update_belief(
             break
     for j in range(CURRENT, ARM):
         out[j] = min(max(out[j], -noise[2]), noise[2])
-    for i in range(3):  # (1 - K) z is taken from the velocity
-        K = 1.0 - track[WHITE, i] / r2[i]
-        track[FILTERED, i] = K * track[WHITE, i]
-        track[WHITE, i] = max(track[WHITE, i] - ADAPTATION * begin[i] * track[INNOVATION, i], 0.0)
-        track[INNOVATION, i] = begin[i]
-        begin[i] *= 1.0 - K
+    correct_noise(track, seconds, r2, explained, begin, cos, sin)
     north, east = newest[1] - cos * begin[0] + sin * begin[1], newest[2] - sin * begin[0] - cos * begin[1]
     return out, Q, north, east, newest[4] - begin[2]
 

@@ -111,18 +111,6 @@ def disc_at(scene: Scene, i: int, t_s: float) -> tuple[float, float, float]:
 
 
 @jit
-def sub_steps(t: Array, k: int) -> int:
-    """Return in how many points the stage that ends at knot k is looked at.
-
-    Parameters
-    ----------
-    t : (N+1,) knots in first stages.
-    k : knot.
-    """
-    return max(int(np.ceil(stage_length(t, k) - 1e-6)), 1)
-
-
-@jit
 def sag_m(X: Array, k: int, h: float) -> float:
     """Return how far the track leaves the chord of the stage that ends at knot k: v r h^2 / 8 (m).
 
@@ -179,7 +167,8 @@ def stage_lack(scene: Scene, z: int, X: Array, k: int, t: Array, spare_m: float)
     Lack at the knot (m), largest lack between the knots (m), where that is as a share of the stage, and the length of
     ``spare_m`` from knot k on (m). A lack is 0 where there is none.
     """
-    g, steps = stage_length(t, k), sub_steps(t, k)
+    g = stage_length(t, k)
+    steps = max(int(np.ceil(g - 1e-6)), 1)  # points that are looked at
     dn, de = (X[k, 0] - X[k - 1, 0]) / steps, (X[k, 1] - X[k - 1, 1]) / steps
     moved_m, knot, between, part = np.hypot(dn, de), 0.0, 0.0, 1.0
     for j in range(1, steps + 1):
@@ -214,8 +203,8 @@ def fence_cost(X: Array, scene: Scene, t: Array, scale_m: float) -> float:
             total += factor * CORRIDOR_PENALTY * stage_length(t, k) * max(excess, 0.0)
     box = _box(X)
     for z in range(Z + len(scene.discs)):
-        if z < Z and _is_beyond(scene, z, box):
-            continue
+        if z < Z and scene.exits[z, 0] == 0.0 and _from_box(scene.zones, z, box) > scene.need[z]:
+            continue  # every point keeps its distance
         spare_m = 0.0
         for k in range(1, X.shape[0]):
             g = stage_length(t, k)
@@ -241,12 +230,6 @@ def _from_box(zones: Zones, z: int, box: tuple[float, float, float, float]) -> f
     """Return the distance of a box from the circle around zone z (m); infinitely negative for a keep-in zone."""
     n, e, radius = zones.circle[z]
     return float(np.hypot(max(box[0] - n, n - box[2], 0.0), max(box[1] - e, e - box[3], 0.0)) - radius)
-
-
-@jit
-def _is_beyond(scene: Scene, z: int, box: tuple[float, float, float, float]) -> bool:
-    """Return True if every point of a box has the required clearance from zone z; False if that takes a closer look."""
-    return bool(scene.exits[z, 0] == 0.0 and _from_box(scene.zones, z, box) > scene.need[z])
 
 
 def is_near(X: Array, scene: Scene, t: Array, scale_m: float) -> bool:
@@ -293,13 +276,15 @@ def entry_s(X: Array, t_s: Array, scene: Scene, hull_m: float) -> float:
     """
     step_m = np.hypot(np.diff(X[:, 0]), np.diff(X[:, 1])).max()
     free = _clearances(X, t_s, scene, hull_m + step_m)[0] - hull_m
-    if (free[0] < 0.0).any():
+    if free.min(initial=0.0) >= 0.0:
+        return math.inf
+    if free[0].min() < 0.0:
         return 0.0
-    zones = np.flatnonzero((free < 0.0).any(axis=0))
+    zones = np.flatnonzero(free.min(axis=0) < 0.0)
     k = (free[:, zones] < 0.0).argmax(axis=0)
     before, after = free[k - 1, zones], free[k, zones]
     entries = t_s[k - 1] + before / (before - after) * (t_s[k] - t_s[k - 1])
-    return float(entries.min(initial=math.inf))
+    return float(entries.min())
 
 
 def clearance_table(X: Array, t_s: Array, scene: Scene, hull_m: float) -> tuple[Array, float]:

@@ -130,7 +130,7 @@ class SentCommands:
         -------
         (M, 3) commands of port, starboard and vertical (N); zero if nothing was sent.
         """
-        return commands_at(self.knots, t_ns)
+        return commands_at(*self.knots, t_ns)
 
     def between(self, from_ns: int, until_ns: int) -> Times:
         """Return both times and the knots between them: the commands are linear between neighbours.
@@ -142,22 +142,6 @@ class SentCommands:
         t, _ = self.knots
         inner = t[(t > from_ns) & (t < until_ns)]
         return np.concatenate([[from_ns], inner, [until_ns]]).astype(np.int64)
-
-
-def commands_at(commands: Commands, t_ns: Times) -> Array:
-    """Return the commands (M, 3) at several times (N).
-
-    Parameters
-    ----------
-    commands : by time.
-    t_ns : (M,) times (ns).
-    """
-    (t, thrust), out = commands, np.zeros((len(t_ns), 3))
-    if len(t):
-        at, knots = (t_ns - t[0]).astype(np.float64), (t - t[0]).astype(np.float64)
-        for i in range(3):
-            out[:, i] = np.interp(at, knots, thrust[:, i])
-    return out
 
 
 @jit
@@ -180,3 +164,19 @@ def command_at(t: Times, thrust: Array, at: int, i: int) -> float:
     # Differences of times are exact in float64 and keep their nanoseconds.
     part = float(at - t[k - 1]) / float(t[k] - t[k - 1])
     return float(thrust[k - 1, i] + part * (thrust[k, i] - thrust[k - 1, i]))
+
+
+@jit
+def commands_at(t: Times, thrust: Array, at: Times) -> Array:
+    """Return the commands (K, 3) at several times.
+
+    Parameters
+    ----------
+    t, thrust : as in ``command_at``.
+    at : (K,) times (ns).
+    """
+    out = np.empty((len(at), 3))
+    for k in range(len(at)):
+        for i in range(3):
+            out[k, i] = command_at(t, thrust, at[k], i)
+    return out

@@ -276,7 +276,11 @@ def is_blocked(zones: Zones, need: Array, n0: float, e0: float, n1: float, e1: f
             if end - begin > 1:
                 if _from_line(n0, e0, a, b, c, d) < least or _from_line(n1, e1, a, b, c, d) < least:
                     return True
-                if _crosses(a, b, c, d, n0, e0, n1, e1):
+                # the lines cross if the ends of each lie on both sides of the other
+                first, second = (c - a) * (e0 - b) - (d - b) * (n0 - a), (c - a) * (e1 - b) - (d - b) * (n1 - a)
+                third = (n1 - n0) * (b - e0) - (e1 - e0) * (a - n0)
+                fourth = (n1 - n0) * (d - e0) - (e1 - e0) * (c - n0)
+                if first * second < 0.0 and third * fourth < 0.0:
                     return True
     return False
 
@@ -288,13 +292,3 @@ def _from_line(n: float, e: float, n0: float, e0: float, n1: float, e1: float) -
     square = dn * dn + de * de
     part = min(max(((n - n0) * dn + (e - e0) * de) / square, 0.0), 1.0) if square > 0.0 else 0.0
     return float(np.hypot(n - n0 - part * dn, e - e0 - part * de))
-
-
-@jit
-def _crosses(a: float, b: float, c: float, d: float, n0: float, e0: float, n1: float, e1: float) -> bool:
-    """Return True if the line from (a, b) to (c, d) crosses that from (n0, e0) to (n1, e1)."""
-    first = (c - a) * (e0 - b) - (d - b) * (n0 - a)
-    second = (c - a) * (e1 - b) - (d - b) * (n1 - a)
-    third = (n1 - n0) * (b - e0) - (e1 - e0) * (a - n0)
-    fourth = (n1 - n0) * (d - e0) - (e1 - e0) * (c - n0)
-    return first * second < 0.0 and third * fourth < 0.0

@@ -99,8 +99,8 @@ def export(
         tables.need_pyarrow()
     place = folder.open_folder(out or recording.parent / form.value, force=force)
     from services.reporting import log_text
-    from services.reporting.terminal import progress_bar
+    from services.reporting.terminal import reading_progress
 
-    with progress_bar(f"{recording} as {form.value}") as told:
-        result = tables.export(parts, place, "csv" if form is Format.CSV else "parquet", progress=told)
+    with reading_progress(f"{recording} as {form.value}, twice"):
+        result = tables.export(parts, place, "csv" if form is Format.CSV else "parquet")
     show(result, lambda: f"{log_text.exported(result)}\n{place}", as_json=as_json)

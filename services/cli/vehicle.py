@@ -80,10 +80,8 @@ def controller(
     parameters = Vehicle.load(vehicle)
     fence_for(parameters, references.load(reference), fence or "")
     control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
-    if rate_hz is not None:
-        control = replace(control, period_s=1.0 / rate_hz)
-    if horizon_s is not None:
-        control = replace(control, horizon_s=horizon_s)
+    given = {"period_s": None if rate_hz is None else 1.0 / rate_hz, "horizon_s": horizon_s}
+    control = replace(control, **{name: value for name, value in given.items() if value is not None})
     source = "options --rate-hz, --horizon-s" if settings is None else f"controller settings {settings}"
     control = settled(control, parameters, source=source)
     from services.processes import controller as process

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from itertools import chain
-from typing import NamedTuple
+from typing import TypeAlias
 
 from ltv_mpc.messages import ControllerStatus, Estimate, Message, Truth
 from services.bus.message_validation import valid_message
@@ -27,11 +27,8 @@ MAX_REPLIES = 200
 MAX_TIME_NS = 10**19
 
 
-class Past(NamedTuple):
-    """Message of the past with its header."""
-
-    message: Message
-    header: Header
+Past: TypeAlias = tuple[Message, Header]
+"""Message of the past with its header."""
 
 
 class HistoryQuery:
@@ -60,7 +57,7 @@ class HistoryQuery:
         if self._given is not None:
             return []
         messages = self._messages()
-        self._given = {(type(past.message), past.header.epoch, past.header.sequence) for past in messages}
+        self._given = {(type(message), header.epoch, header.sequence) for message, header in messages}
         self._parts = []
         return messages
 
@@ -73,10 +70,10 @@ class HistoryQuery:
         found: list[Past] = []
         for key, payload in chain.from_iterable(list(self._parts)):
             if (past := valid_message(topic_at(key), key, payload)) is not None:
-                found.append(Past(*past))
-        sources = {past.message.source_epoch for past in found if isinstance(past.message, ControllerStatus)} - {0}
+                found.append(past)
+        sources = {message.source_epoch for message, _ in found if isinstance(message, ControllerStatus)} - {0}
         if sources:
-            found = [past for past in found if not isinstance(past.message, Estimate) or past.header.epoch in sources]
+            found = [past for past in found if not isinstance(past[0], Estimate) or past[1].epoch in sources]
         return sorted(found, key=_order)
 
     def _ask(self) -> None:
@@ -93,6 +90,6 @@ class HistoryQuery:
 
 def _order(past: Past) -> tuple[int, bool]:
     """Return a sort key: the vehicle time, then the truth first, so that the start error has one for its estimate."""
-    message = past.message
+    message = past[0]
     t_ns = getattr(message, TIMES.get(type(message), "t_ns"), -MAX_TIME_NS)
     return t_ns, not isinstance(message, Truth)

@@ -18,7 +18,7 @@ from services.bus.session import BusError, open_session
 from services.edges.edge import Outgoing
 from services.edges.mavlink.codec import MARKERS, Codec
 from services.edges.mavlink.edge import MavlinkEdge, Settings
-from services.processes.edge_loop import EdgeLoop
+from services.processes.edge_loop import EdgeLoop, SenderLimit
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
@@ -77,7 +77,7 @@ class UdpLink:
         self._mailbox = mailbox
         self._given = None if listens else (host, port)
         self._peer = ""
-        self._second_s, self._strangers = 0.0, dict[str, int]()  # datagrams of each in this second
+        self._strangers = SenderLimit(FROM_STRANGER, STRANGERS)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, port) if listens else ("", 0))
@@ -136,20 +136,10 @@ class UdpLink:
 
     def _offer(self, payload: bytes, address: tuple[str, int], peer: str) -> None:
         sender = f"{address[0]}:{address[1]}"
-        if sender == peer or (payload[:1] in MARKERS and self._admits(sender, time.monotonic())):
+        if sender == peer or (payload[:1] in MARKERS and self._strangers.admits(sender, time.monotonic())):
             self._mailbox.offer(None, sender, payload)
         else:
             self._mailbox.overflowed += 1
-
-    def _admits(self, sender: str, now_s: float) -> bool:
-        """Return True if a stranger has not used up its share of this second."""
-        if now_s >= self._second_s + 1.0:
-            self._second_s, self._strangers = now_s, {}
-        count = self._strangers.get(sender, 0)
-        if count >= FROM_STRANGER or (count == 0 and len(self._strangers) >= STRANGERS):
-            return False
-        self._strangers[sender] = count + 1
-        return True
 
 
 def _address(sender: str) -> tuple[str, int]:

@@ -14,12 +14,15 @@ from services.bus.session import ForeignReceiver, Publisher, QueryReceiver, Repl
 from services.edges.edge import Outgoing, Refused
 from services.edges.ros2.conversions import Settings
 from services.edges.ros2.edge import MAX_REQUESTS, Ros2Edge
-from services.edges.ros2.middleware import Attachment, Bridge, RmwZenoh, gid_of
+from services.edges.ros2.middleware import GID_BYTES, Attachment, Bridge, RmwZenoh, gid_of
 from services.edges.ros2.topics import IN, OUT, Row
-from services.processes.edge_loop import EdgeLoop
+from services.processes.edge_loop import EdgeLoop, SenderLimit
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
+
+FROM_PUBLISHER, PUBLISHERS = 1000, 100
+"""Messages a second of one publisher, which the bridge does not tell apart, and publishers, that are received."""
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
@@ -70,6 +73,7 @@ class RosLink:
         self._replies: dict[str, tuple[Reply, bytes]] = {}
         self._mailbox = mailbox
         self._requests = 0
+        self._limit = SenderLimit(FROM_PUBLISHER, PUBLISHERS)
         tokens = middleware.tokens(rows, session.identifier)
         for at, row in enumerate(rows, start=1):
             key = middleware.key(row)
@@ -99,7 +103,13 @@ class RosLink:
         return Attachment(sequence, time.time_ns(), self._gids[name]).pack()
 
     def _receiver(self, name: str) -> ForeignReceiver:
-        return lambda payload, attachment: self._mailbox.offer(None, name, payload, attachment)
+        def on_sample(payload: bytes, attachment: bytes) -> None:
+            if self._limit.admits(f"{name} {attachment[-GID_BYTES:].hex()}", time.monotonic()):
+                self._mailbox.offer(None, name, payload, attachment)
+            else:
+                self._mailbox.overflowed += 1
+
+        return on_sample
 
     def _server(self, name: str) -> QueryReceiver:
         def on_query(payload: bytes, attachment: bytes, reply: Reply) -> None:

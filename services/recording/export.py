@@ -26,7 +26,7 @@ import msgspec
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import ImuSamples
 from services.bus import topics
-from services.recording.reader import Progress, StoredMessage, no_progress, read_segments
+from services.recording.reader import StoredMessage, read_segments
 
 Format: TypeAlias = Literal["csv", "parquet"]
 
@@ -104,7 +104,7 @@ class Sink(Protocol):
         ...
 
 
-def export(parts: Sequence[Path], folder: Path, form: Format, *, progress: Progress = no_progress) -> ExportResult:
+def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
     """Export the recording's segments as tables into ``folder``, which exists.
 
     Raises ``ConfigError`` if a segment is not an MCAP file, or pyarrow is needed and not installed.
@@ -112,7 +112,7 @@ def export(parts: Sequence[Path], folder: Path, form: Format, *, progress: Progr
     open_sink = _csv if form == "csv" else _parquet()
     layouts: dict[str, _Layout] = {}
     unreadable = 0
-    for raw, message in _rows(parts, progress, (0.0, 0.5)):
+    for raw, message in _rows(parts):
         if message is None:
             unreadable += 1
             continue
@@ -123,7 +123,7 @@ def export(parts: Sequence[Path], folder: Path, form: Format, *, progress: Progr
         key: _Table(key, layout.spreads(), folder, name, open_sink) for key, layout, name in _named(layouts, form)
     }
     try:
-        for raw, message in _rows(parts, progress, (0.5, 1.0)):
+        for raw, message in _rows(parts):
             if message is not None:
                 tables[raw.key].add(raw.t_ns, message)
     finally:
@@ -133,12 +133,10 @@ def export(parts: Sequence[Path], folder: Path, form: Format, *, progress: Progr
     return ExportResult(folder=str(folder), files=files, unreadable=unreadable)
 
 
-def _rows(
-    parts: Sequence[Path], progress: Progress, share: tuple[float, float]
-) -> Iterator[tuple[StoredMessage, dict[str, Any] | None]]:
+def _rows(parts: Sequence[Path]) -> Iterator[tuple[StoredMessage, dict[str, Any] | None]]:
     """Yield each message with its flattened map, each inertial sample with one of its own; None if it is not a map."""
     decode = msgspec.json.Decoder().decode
-    for raw in read_segments(parts, progress, share):
+    for raw in read_segments(parts):
         try:
             plain = decode(raw.data)
             samples = plain.pop("samples", [{}]) if raw.kind is ImuSamples else [{}]

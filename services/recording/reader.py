@@ -7,8 +7,9 @@ of the file is not needed.
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 from mcap.records import Channel, Metadata
@@ -111,29 +112,6 @@ class Recording:
         self.cut = not records.whole
 
 
-Progress: TypeAlias = Callable[[float], None]
-"""Callback that receives the share of the work that is done, 0 to 1."""
-
-PROGRESS_INTERVAL = 1000
-"""Messages between two reports of progress."""
-
-
-def no_progress(share: float) -> None:
-    """Ignore the progress."""
-
-
-def read_segments(
-    parts: Sequence[Path], progress: Progress, share: tuple[float, float] = (0.0, 1.0)
-) -> Iterator[StoredMessage]:
-    """Yield every message that can be read of the segments, in their order.
-
-    ``progress`` receives values from the first to the second number of ``share``.
-    """
-    for number, path in enumerate(parts):
-        recording = Recording(path, past_losses=True)
-        records = recording.records
-        for count, stored in enumerate(recording.stored()):
-            if count % PROGRESS_INTERVAL == 0:
-                done = (number + records.position / records.size) / len(parts)
-                progress(share[0] + (share[1] - share[0]) * done)
-            yield stored
+def read_segments(parts: Sequence[Path]) -> Iterator[StoredMessage]:
+    """Yield every message that can be read of the segments, in their order."""
+    return chain.from_iterable(Recording(path, past_losses=True).stored() for path in parts)

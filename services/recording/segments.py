@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 from ltv_mpc.messages import Message
 from services.recording.history import History
-from services.recording.join import next_segment
+from services.recording.recover import next_segment
 from services.recording.writer import RunWriter
 
 Source: TypeAlias = tuple[str, int]

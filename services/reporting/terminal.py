@@ -145,23 +145,21 @@ class PlainScreen:
 @contextmanager
 def run_progress_bar(start_ns: int, end_ns: int, console: Console | None = None) -> Iterator[Callable[[int], None]]:
     """Show the progress of a lock-step run on stderr, if it is a terminal; call the result with the vehicle time."""
-    console = console or Console(stderr=True)
-    with Progress(*_columns(), console=console, transient=True, disable=_plain(console)) as bars:
-        task = bars.add_task(f"t {_seconds(start_ns)} s", total=end_ns - start_ns)
-
-        def progress(t_ns: int) -> None:
-            bars.update(task, completed=t_ns - start_ns, description=f"t {_seconds(t_ns)} s")
-
-        yield progress
+    with progress_bar(f"t {_seconds(start_ns)} s", console) as progress:
+        span_ns = max(1, end_ns - start_ns)
+        yield lambda t_ns: progress((t_ns - start_ns) / span_ns, f"t {_seconds(t_ns)} s")
 
 
 @contextmanager
-def progress_bar(what: str, console: Console | None = None) -> Iterator[Callable[[float], None]]:
-    """Show a bar with the time left on stderr, if it is a terminal; call the result with the share done, 0 .. 1."""
+def progress_bar(what: str, console: Console | None = None) -> Iterator[Callable[..., None]]:
+    """Show a bar with the time left on stderr, if it is a terminal.
+
+    Call the result with the share done, 0 .. 1, and a new text if there is one.
+    """
     console = console or Console(stderr=True)
     with Progress(*_columns(), console=console, transient=True, disable=_plain(console)) as bars:
         task = bars.add_task(escape(one_line(what)), total=1.0)
-        yield lambda share: bars.update(task, completed=share)
+        yield lambda share, text=what: bars.update(task, completed=share, description=escape(one_line(text)))
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from services.supervisor import process_table
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
 from services.supervisor.hang_detector import HANG_TIMEOUT_S
-from services.supervisor.managed_process import ManagedProcess, Program
+from services.supervisor.managed_process import ManagedProcess
 
 ORDERLY_S = 2.0  # for one node, after a complete run
 ORDERLY_RECORDER_S = 10.0  # a slow disk
@@ -103,8 +103,10 @@ class ChildProcesses:
     def _start(self, name: str, state: bytes) -> ManagedProcess:
         row = self._rows[name]
         return ManagedProcess(
-            Program(name, row.module, self._config(name), self._log(name)),
             self.forks,
+            row.module,
+            self._config(name),
+            self._log(name),
             state=state,
             hang_timeout_s=HANG_TIMEOUT_S if row.restartable else SIMULATION_HANG_TIMEOUT_S,
         )

@@ -12,7 +12,6 @@ import os
 import select
 import signal
 from pathlib import Path
-from typing import NamedTuple
 
 from services.runtime.supervisor_link import HEARTBEAT_FORMAT, LAST_HEARTBEAT, STATE_LENGTH
 from services.supervisor.forkserver import ForkServer
@@ -25,31 +24,29 @@ EXIT_TIMEOUT_S = 0.2  # from the end of the heartbeat pipe to the exit of the pr
 KILL_TIMEOUT_S = 5.0  # longest wait for the exit after SIGKILL, which a process that waits for a dead disk survives
 
 
-class Program(NamedTuple):
-    """Program of a child process: its name, module, config file and log file."""
-
-    name: str
-    module: str
-    config: Path
-    log: Path
-
-
 class ManagedProcess:
     """Child process, started on construction.
 
-    It must be constructed by the main thread: the kernel kills a child when the thread that adopted it ends. ``state``
-    is the encoded state that it continues from; empty if it begins without one.
+    It must be constructed by the main thread: the kernel kills a child when the thread that adopted it ends. It is
+    named after its config file. ``state`` is the encoded state that it continues from; empty if it begins without one.
     """
 
     def __init__(
-        self, program: Program, forks: ForkServer, *, state: bytes = b"", hang_timeout_s: float = HANG_TIMEOUT_S
+        self,
+        forks: ForkServer,
+        module: str,
+        config: Path,
+        log: Path,
+        *,
+        state: bytes = b"",
+        hang_timeout_s: float = HANG_TIMEOUT_S,
     ) -> None:
-        self.name = program.name
+        self.name = config.stem
         self.pipe_closed = False
         """True once the child has closed its heartbeat pipe: it has ended, or is about to."""
-        self._log = program.log
+        self._log = log
         self._code: int | None = None
-        self.pid, self._stdin, self.heartbeat_fd = forks.fork(program.module, program.config, program.log)
+        self.pid, self._stdin, self.heartbeat_fd = forks.fork(module, config, log)
         self._pidfd = os.pidfd_open(self.pid)
         self.hang_detector = HangDetector(ProcessorLack(self.pid), hang_timeout_s)
         with contextlib.suppress(BrokenPipeError):  # the child is already dead, which is noticed elsewhere

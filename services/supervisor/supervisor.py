@@ -28,7 +28,7 @@ from services.bus.options import SECURE, BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import ROUTER, SUPERVISOR
 from services.bus.session import Session, Stopped, open_session
-from services.recording import join
+from services.recording import recover
 from services.recording.records import report_progress
 from services.run.folder import DELETED, RunFolder
 from services.run.run_config import RunConfig
@@ -146,7 +146,7 @@ class Supervisor:
 
     def _with_summary(self, outcome: Outcome) -> Outcome:
         """Join the segments of the recording and write the summary. Return the outcome with the summary."""
-        for text in join.segments_of(self._folder.recording):
+        for text in recover.join(self._folder.recording):
             self._screen.say(text)
         why = outcome.why.removesuffix(LAST_LINES)
         if why and self._page is not None:

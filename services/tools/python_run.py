@@ -25,7 +25,7 @@ from ltv_mpc.settings_schema import scalar_fields, suggestion
 from services.bus import topics
 from services.bus.schema import fields
 from services.bus.wire import WireError
-from services.recording.reader import no_progress, read_segments
+from services.recording.reader import read_segments
 from services.recording.recover import segments
 from services.run import folder
 from services.run.nodes import make_nodes
@@ -130,7 +130,7 @@ class Run(Mapping[str, "Table"]):
         """
         recording = folder.find(str(path))
         messages: dict[str, list[Message]] = {}
-        for stored in read_segments(segments(recording), no_progress):
+        for stored in read_segments(segments(recording)):
             if stored.kind not in (None, StepRecord):
                 try:
                     messages.setdefault(stored.key, []).append(stored.message())

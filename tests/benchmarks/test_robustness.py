@@ -7,12 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.robustness import page, tuning
+from benchmarks.robustness import tuning
 from benchmarks.robustness.cases import CASES, DEFAULTS, QUICK, RIGHT, conditions, parsed
 from benchmarks.robustness.flights import Job, Row, judged
-from benchmarks.robustness.laws import DEFAULT, HIGH, LQR, PID
+from benchmarks.robustness.laws import DEFAULT, LQR, PID
 from benchmarks.strangers.flight import Conditions, fly, load
-from benchmarks.strangers.tasks import Figures
 
 S = 1_000_000_000
 WORSE = 1.3
@@ -22,13 +21,10 @@ ROWS = {
     Row("light_boat", "square", RIGHT): 0.057,
     Row("light_boat", "square", "drag=0.5"): 0.054,
     Row("light_boat", "square", "mass=2 drag=0.5 arm=0.7"): 0.100,
-    Row("light_boat", "square", "dead_time_s=0.3"): 0.048,
-    Row("light_boat", "hold", "noise_m=0.3"): 0.063,
-    Row("bluerobotics-boat", "square", RIGHT): 0.035,
     Row("bluerobotics-boat", "square", "mass=2"): 0.061,
     Row("bluerobotics-boat", "square", "thrust=0.7"): 0.083,
     Row("bluerobotics-boat", "square", "wind=0.1"): 0.103,
-    Row("bluerobotics-boat", "square", "waves_V=0.15"): 0.268,
+    Row("paper", "square", "waves_V=0.15"): 0.06,
     Row("bluerobotics-boat", "hold", "noise_m=0.3"): 0.064,
     Row("bluerobotics-boat", "hold", "dead_time_s=0.3"): 0.016,
 }
@@ -116,27 +112,3 @@ def test_the_controller_is_no_more_than_30_percent_worse_than_it_was(row: Row) -
     found = judged(Job(row, DEFAULT, 1, {}))
     assert found.mean_m < WORSE * ROWS[row]
     assert math.isfinite(found.arrival_s)
-
-
-def test_the_table_begins_with_the_rows_in_which_a_rival_is_better() -> None:
-    def figures(mean_m: float, arrival_s: float = 10.0) -> Figures:
-        return Figures(mean_m, 2 * mean_m, arrival_s, 0.1, 0.0)
-
-    means = {"ahead": (0.1, 0.2, 0.3), "equal": (0.2, 0.2004, 0.2), "behind": (0.3, 0.4, 0.25)}
-    found = {
-        Row("paper", "hold", case): {
-            DEFAULT: figures(a),
-            HIGH: figures(0.1),
-            PID: figures(b),
-            LQR: figures(c, math.inf),
-        }
-        for case, (a, b, c) in means.items()
-    }
-    _, _, *lines = page.table(found).splitlines()
-    assert [line.split(" | ")[3] for line in lines] == ["behind", "equal", "ahead"]
-    assert [line.startswith("| worse |") for line in lines] == [True, False, False]
-    assert lines[0].endswith("| 0.300 / 0.60 | 0.100 / 0.20 | 0.400 / 0.80 | 0.250 / 0.50! |")
-    assert page.cases_table(found).splitlines()[2] == "| ahead | 0.100 | 0.100 | 0.200 | 0.300 | 0/1 |"
-    assert "in 1 of 3 rows" in page.summary(found)
-    assert '"arrival_s": null' in page.as_json(found)
-    assert page.from_json([page.as_json(found)]) == found

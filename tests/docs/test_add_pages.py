@@ -58,16 +58,10 @@ assert "LogSpeed" in protocol.page()
 """
 
 
-@pytest.mark.timeout(900)
-def test_the_tests_of_every_sensor_pass_with_the_sensor(tmp_path: Path) -> None:
-    build("docs/add-sensor.md", tmp_path)
-    run(TESTS_OF_THE_SENSOR, tmp_path)
-
-
 @pytest.mark.timeout(900)  # compiled code may have to be built first
-def test_the_sensor_is_used_and_does_not_worsen_the_estimate(tmp_path: Path) -> None:
+def test_the_sensor_passes_the_tests_of_each_is_used_and_does_not_worsen_the_estimate(tmp_path: Path) -> None:
     build("docs/add-sensor.md", tmp_path)
-    with_log, without = map(json.loads, run(DIVE, tmp_path).splitlines())
+    with_log, without = map(json.loads, run(TESTS_OF_THE_SENSOR + DIVE, tmp_path).splitlines())
     assert with_log["account"]["speed_log.used"] > 140  # of 150 in 30 s at 5 Hz
     assert "speed_log.used" not in without["account"]
     assert with_log["rms_m"] < 1.05 * without["rms_m"]

@@ -98,29 +98,23 @@ RUNS = ("first", "second")
 # --- what every page holds to ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("page", NAMES)
-def test_every_block_says_what_it_is(page: str) -> None:
-    for block in blocks(page):
-        assert block.language in RUN_HERE | SHOWN, f"{block.place}: {block.language!r}"
-    before = ""
-    for number, line in prose(page):
-        indented = line.startswith("    ") and not before.strip()
-        assert not indented, f"{page}:{number}: a block without fences, which nobody would run"
-        before = line if not line.startswith("    ") else before
+def test_every_block_says_what_it_is_and_hides_no_command() -> None:
+    for page in NAMES:
+        for block in blocks(page):
+            assert block.language in RUN_HERE | SHOWN, f"{block.place}: {block.language!r}"
+            if block.language in SHOWN:
+                hidden = re.search(r"^\s*(\.venv/bin/|ltv-mpc |make |python3? -m )", block.text, re.MULTILINE)
+                assert hidden is None or block.text.startswith("ltv-mpc: "), f"{block.place}: {hidden and hidden[0]}"
+        before = ""
+        for number, line in prose(page):
+            indented = line.startswith("    ") and not before.strip()
+            assert not indented, f"{page}:{number}: a block without fences, which nobody would run"
+            before = line if not line.startswith("    ") else before
 
 
-@pytest.mark.parametrize("page", NAMES)
-def test_no_command_hides_in_a_block_that_is_not_run(page: str) -> None:
-    for block in blocks(page):
-        if block.language in SHOWN:
-            hidden = re.search(r"^\s*(\.venv/bin/|ltv-mpc |make |python3? -m )", block.text, re.MULTILINE)
-            assert hidden is None or block.text.startswith("ltv-mpc: "), f"{block.place}: {hidden and hidden[0]}"
-
-
-@pytest.mark.parametrize("page", NAMES)
-def test_every_command_between_backticks_exists_with_its_options(page: str) -> None:
+def test_every_command_between_backticks_exists_with_its_options() -> None:
     targets = set(re.findall(r"^([a-z-]+):", shipped("Makefile"), re.MULTILINE))
-    for number, words in spoken(page):
+    for page, number, words in ((name, *each) for name in NAMES for each in spoken(name)):
         text = words.removeprefix(".venv/bin/")
         if text.startswith("ltv-mpc "):
             mentioned(text.split()[1:], f"{page}:{number}")
@@ -296,6 +290,6 @@ def absent(text: str) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("page", NAMES)
-def test_every_file_that_a_page_names_exists_or_has_its_version(page: str) -> None:
-    assert absent("\n".join(line for _, line in prose(page))) == []
+def test_every_file_that_a_page_names_exists_or_has_its_version() -> None:
+    named = {page: absent("\n".join(line for _, line in prose(page))) for page in NAMES}
+    assert {page: names for page, names in named.items() if names} == {}

@@ -29,7 +29,7 @@ def test_without_an_estimate_of_the_current_it_would_hold_its_point_less_well() 
 
 
 def _seconds_of(flight: Flight, health: str) -> float:
-    return 0.3 * sum(plan.health == health for plan in flight.plans[100:])
+    return 0.3 * sum(plan.health == health for plan in flight.plans[66:])
 
 
 @pytest.mark.parametrize("step_s", STEPS_S)

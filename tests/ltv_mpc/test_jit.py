@@ -67,10 +67,9 @@ CHANGES = (
     ("GAIN * x", "GAIN * x + 1.0", "5.0 1"),
     ("GAIN = 2.0", "GAIN = 3.0", "6.0 1"),
     ("first: float\n    second: float", "second: float\n    first: float", "-4.0 1"),
-    ("Return a multiple.", "Return the product\n\n    with the gain.", "4.0 0"),
     ("    return x\n", "    return 2.0 * x\n", "4.0 0"),  # is not called
 )
-"""Old and new text of the callee, the result, and the number of functions that are compiled."""
+"""Old and new text of the callee, which has another docstring, the result, and the number of compiled functions."""
 
 
 def test_a_function_is_compiled_again_when_what_it_depends_on_changes_and_only_then(tmp_path):
@@ -83,7 +82,9 @@ def test_a_function_is_compiled_again_when_what_it_depends_on_changes_and_only_t
         assert outcome(tree, tmp_path / "cache") == ("4.0 1" if name == "one" else "4.0 0")
     callee = tree / "ltv_mpc" / "vehicle" / "callee.py"
     for old, new, expected in CHANGES:
-        callee.write_text(CALLEE.replace(old, new))
+        callee.write_text(
+            CALLEE.replace("Return a multiple.", "Return the product\n\n    with the gain.").replace(old, new)
+        )
         assert outcome(tree, tmp_path / "cache") == expected, new
 
 
@@ -183,15 +184,14 @@ def test_every_kernel_can_be_cached_and_a_second_process_compiles_nothing():
 
 
 SHARING_PROCESS = """
-import numpy as np
 from ltv_mpc import jit
-from ltv_mpc.frames import rotation_exp
+from ltv_mpc.so3 import exp
 
 jit.share_compilation()
 print("ready", flush=True)
 input()  # until the other process is ready, too
-rotation_exp(np.ones(3))
-print(sum(rotation_exp.stats.cache_misses.values()))
+exp(1.0, 1.0, 1.0)
+print(sum(exp.stats.cache_misses.values()))
 """
 
 

@@ -6,23 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from ltv_mpc.messages import Message, Plan, PlanOrigin, Solve, SolveStatus
+from ltv_mpc.messages import Message, Plan
 from ltv_mpc.node import Inbox, Schedule
+from tests.ltv_mpc.plans import plan_of
 
 MS = 1_000_000
 
 
 def plan(cycle_t_ns: int, estimate_t_ns: int) -> Plan:
-    knots = cycle_t_ns + 300 * MS * np.arange(3)
-    return Plan(
-        cycle_t_ns=cycle_t_ns,
-        t_ns=knots,
-        thrust_N=np.zeros((3, 3)),
-        states=np.zeros((3, 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-        estimate_t_ns=estimate_t_ns,
-    )
+    return plan_of(cycle_t_ns, np.zeros((3, 3)), estimate_t_ns=estimate_t_ns)
 
 
 class Fake:

@@ -10,12 +10,13 @@ import pytest
 from scipy.integrate import quad
 
 from ltv_mpc.array_encoding import to_wire
-from ltv_mpc.messages import Applied, Plan, PlanOrigin, Solve, SolveStatus, Truth
+from ltv_mpc.messages import Applied, Truth
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import PERIOD_NS, STEP_NS, Plant
 from sim.scenario import Scenario
 from sim.water import make
+from tests.ltv_mpc.plans import plan_of
 
 ENCODE = msgspec.json.Encoder(enc_hook=to_wire).encode
 MS, S = 1_000_000, 1_000_000_000
@@ -36,14 +37,7 @@ def plant_of(settings: Scenario) -> Plant:
 def arrival(
     start_ns: int, thrust: list[list[float]], *, sequence: int = 0, received_ns: int | None = None
 ) -> ReceivedMessage:
-    plan = Plan(
-        cycle_t_ns=start_ns - 5,
-        t_ns=start_ns + 300 * MS * np.arange(len(thrust)),
-        thrust_N=np.array(thrust, dtype=float),
-        states=np.zeros((len(thrust), 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-    )
+    plan = plan_of(start_ns, thrust, cycle_t_ns=start_ns - 5)
     return ReceivedMessage(plan, 77, sequence, start_ns if received_ns is None else received_ns)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.array_encoding import to_wire
-from ltv_mpc.messages import Applied, Message, Plan, PlanOrigin, Solve, SolveStatus, Truth
+from ltv_mpc.messages import Applied, Message, Truth
 from ltv_mpc.node import Inbox, ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.actuators import CommandPath
@@ -17,6 +17,7 @@ from sim.plant import PERIOD_NS, STEP_NS, Plant
 from sim.scenario import Actuators, Scenario, Wind, with_overrides
 from sim.water import make
 from sim.wind import Wind as WindForce
+from tests.ltv_mpc.plans import plan_of
 from tests.stepping import feed
 
 S = 1_000_000_000
@@ -31,15 +32,7 @@ def fly(
     """Return the messages of a plant in still water that ramps to a thrust in 0.3 s from t = 0 on."""
     scenario = with_overrides(Scenario.load("descent"), ["water.sd_mps=0", "plant.tilt_rms_rad=0", *settings])
     plant = Plant(scenario, VEHICLE, make(scenario.water, scenario.run.seed))
-    rows = np.array([(0.0, 0.0, 0.0), *[(*thrust, 0.0)] * 40])
-    plan = Plan(
-        cycle_t_ns=-5,
-        t_ns=3 * S // 10 * np.arange(len(rows)),
-        thrust_N=rows,
-        states=np.zeros((len(rows), 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-    )
+    plan = plan_of(0, [(0.0, 0.0, 0.0), *[(*thrust, 0.0)] * 40], cycle_t_ns=-5)
     inbox: Inbox = [ReceivedMessage(plan, 7, 0, 0)]
     times = range(-S, round(until_s * S) + 1, period_ns)
     return feed(plant, ((t, inbox if t == 0 else []) for t in times))

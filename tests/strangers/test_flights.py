@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+from itertools import cycle
 
 import numpy as np
 import pytest
 
-from benchmarks.strangers import page
 from benchmarks.strangers.flight import FOREIGN, Conditions, Flight
 from benchmarks.strangers.tasks import CONDITIONS, SPEEDS_MPS, TASKS, Figures, Task, figures, fly_task
 from benchmarks.strangers.tuning import gains_of
@@ -26,8 +26,7 @@ def short_of(found: Figures) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("condition", CONDITIONS)
-@pytest.mark.parametrize("hull", ["ellipsoid", "light_boat"])
+@pytest.mark.parametrize(("hull", "condition"), list(zip(cycle(("ellipsoid", "light_boat")), CONDITIONS, strict=False)))
 def test_a_stranger_comes_to_its_point_and_stays_there_under_each_condition(hull: str, condition: str) -> None:
     assert short_of(fly_task(hull, "hold", CONDITIONS[condition], 1)) == []
 
@@ -80,20 +79,3 @@ def test_a_square_is_done_when_its_corners_have_been_reached_not_at_its_first_co
     assert whole.arrival_s == pytest.approx(160.0, abs=1.5)
     stays = figures(TASKS["square"], along(corners[[0, 0]], 160.0), Conditions(), 30.0)
     assert stays.arrival_s == math.inf
-
-
-def test_the_page_names_the_cells_in_which_the_rival_is_better() -> None:
-    good, bad = Figures(0.1, 0.2, 10.0, 0.1, 0.0), Figures(0.3, 0.9, math.inf, 0.2, 0.5)
-    found = {
-        page.Cell(hull, condition, task, ours): good
-        for hull in FOREIGN
-        for condition in CONDITIONS
-        for task in TASKS
-        for ours in (True, False)
-    }
-    assert page.worse_cells(found) == []
-    cell = page.Cell("ellipsoid", "1 Hz", "line", True)
-    text = page.text(found | {cell: bad})
-    assert "in 1: ellipsoid, 1 Hz, line." in " ".join(text.split())
-    assert "0.30 (0.9)!; 0.10 (0.2)" in text
-    assert "| 1; 0 | 11; 10 | 3.3 |" in next(line for line in text.splitlines() if line.startswith("| 1 Hz |"))

@@ -12,19 +12,16 @@ from ltv_mpc.references import Point
 
 ROWS = [
     #   vehicle           ahead  aside  current reports    noise   start
-    (Row("low-yaw",      -0.25,  0.0,   0.05,   True),             0),
     (Row("low-yaw",       0.25,  0.0,   0.05,   False),            1),
     (Row("paper",         0.25,  0.0,   0.05,   True),             1),
-    (Row("paper",         0.0,   0.15,  0.0,    False),            1),
     (Row("ellipsoid",     0.0,   0.25,  0.0,    False),            0),
     (Row("catamaran",     0.15,  0.0,   0.0,    True),             1),
     (Row("surface",      -0.25,  0.0,   0.0,    False),            2),
-    (Row("surface",       0.05,  0.0,   0.0,    True),             1),
     (Row("light_boat",    0.15,  0.0,   0.0,    False),            1),
     (Row("light_boat",    0.0,   0.0,   0.0,    True,    0.3),     2),
 ]  # fmt: skip
-"""The worst rows of the matrix, and one with noise: they failed before the held point kept the direction of the water,
-or before the controller estimated lever arm and noise.
+"""Some of the worst rows of the matrix, and one with noise: they failed before the held point kept the direction of the
+water, or before the controller estimated lever arm and noise.
 """
 
 
@@ -84,12 +81,3 @@ def test_the_force_that_a_current_needs_is_the_drag_of_its_speed() -> None:
         "surface", Ours(load("surface")[1], Point(north_m=0.0, east_m=0.0)), Conditions(current_mps=0.3), duration_s=0.5
     )
     assert flight.needed_N == pytest.approx(0.5 * 77.6 * 0.3)
-
-
-def test_a_row_is_as_bad_as_its_worst_start_and_the_worst_stands_first() -> None:
-    good, bad = hold.Figures(10.0, 0.1, 0.1, 0.4), hold.Figures(500.0, 9.0, 0.5, 7.0)
-    text = hold.report({Row("paper"): [good, good], Row("surface", 0.1): [good, bad], Row("surface", 0.25): [bad, bad]})
-    assert "2 of 3 rows fail" in text
-    assert "| paper | 1 | 0 |" in text
-    assert "| surface | 2 | 2 |" in text
-    assert "| surface | 0.1 | 0 | 0 | yes | 0 | 500 | 9.00 | 0.50 | 7.0 | 1 of 2 |" in text

@@ -60,8 +60,6 @@ def test_a_wrong_file_is_learned_and_named_within_two_corners(factors, named):
     ("hull", "case", "wrong"),
     [
         ("bluerobotics-boat", "wind=0.1", False),
-        ("surface", "wind=0.1", False),
-        ("surface", "mass=0.5", True),
         ("surface", "arm=0.7", True),
     ],
 )

@@ -62,8 +62,7 @@ class Ears:
 
 
 CASES = {
-    "doppler": (scaled_doppler, 55, 100),
-    "short": (wild_accelerometer, 30, 80),
+    "short": (scaled_doppler, 30, 80),
     "long": (wild_accelerometer, 55, 100),
 }
 """What is altered, until when, and the end of the run (s). The long one goes on through restarts."""

@@ -19,10 +19,10 @@ def run() -> list[Figure]:
 
 @cache  # the tests read the same flights
 def flown(step_s: float, *, reports: bool) -> Flight:
-    """Return a flight of 45 s with a step of the craft's clock after 30 s."""
+    """Return a flight of 35 s with a step of the craft's clock after 20 s."""
     flight = Flight(reports=reports, delay_us=20_000)  # a longer exchange would not tell a step of 0.05 s
     flight.command(action="arm")
-    flight.fly(30.0)
+    flight.fly(20.0)
     flight.set_clock(step_s)
     flight.fly(15.0)
     return flight

@@ -75,7 +75,7 @@ def run() -> list[Figure]:
     for name, antenna_m in (("ahead", AHEAD), ("to starboard", STARBOARD)):
         farthest_m, mean_N = AntennaFlight(antenna_m, declared=True).hold()
         undeclared = AntennaFlight(antenna_m, declared=False, tells_current=True)
-        undeclared.hold()
+        undeclared.fly(61.0)
         figures += [
             Figure(f"distance, antenna 0.5 m {name}", farthest_m, 0.05, "m"),
             Figure(f"thrust over that of the centre, 0.5 m {name}", mean_N / centre_N, 1.1, ""),

@@ -62,8 +62,9 @@ def line(north_m: float = 60.0) -> Line:
 POINT = Point(north_m=60.0, east_m=0.0, depth_m=15.0)
 
 
-@pytest.mark.parametrize("reference", [line(), POINT], ids=["path", "point"])
-@pytest.mark.parametrize("profile", [CLIFF, RIDGE, SLOPE], ids=["cliff", "ridge", "slope"])
+@pytest.mark.parametrize(
+    ("profile", "reference"), [(CLIFF, line()), (RIDGE, POINT), (SLOPE, line())], ids=["cliff", "ridge", "slope"]
+)
 def test_a_vehicle_rises_in_time_within_box_and_slew(
     profile: tuple[tuple[float, float], ...], reference: Reference
 ) -> None:
@@ -80,16 +81,15 @@ def test_a_vehicle_rises_in_time_within_box_and_slew(
         assert np.all(np.abs(np.diff(F)) <= thruster.slew_N_per_s * np.diff(plan.t_ns) * 1e-9 + 1e-9)
 
 
-@pytest.mark.parametrize("profile", [CLIFF, SLOPE], ids=["cliff", "slope"])
-def test_with_the_bottom_track_alone_the_same_vehicle_rises_too_late(profile: tuple[tuple[float, float], ...]) -> None:
-    over = ground(profile)
+def test_with_the_bottom_track_alone_the_same_vehicle_rises_too_late() -> None:
+    over = ground(CLIFF)
     way, _ = travel(controller(line(), None), over, 150.0)
     assert way[:, 2].min() < LEAST_M - 1.0
 
 
 def test_beyond_a_ridge_the_vehicle_descends_again() -> None:
     over = ground(RIDGE)
-    way, _ = travel(controller(line(90.0), over), over, 300.0)
+    way, _ = travel(controller(line(90.0), over), over, 240.0)
     assert way[-1, 1] == pytest.approx(15.0, abs=0.1)
 
 

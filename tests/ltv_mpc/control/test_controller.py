@@ -8,16 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, advance, references
+from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, Vehicle, advance, references
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.mode import NO_DEPTH
 from ltv_mpc.control.problem_data import pack_constants
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.control.solvers import make
-from ltv_mpc.control.solvers.recorder import RecordingSolver
 from ltv_mpc.control.vertical import VerticalPlan, follow_depth
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Health, Solve
+from ltv_mpc.messages import Health
 from ltv_mpc.safety.plan_gate import TOLERANCE_N
 
 PAPER = Vehicle.load("paper")
@@ -110,7 +108,7 @@ def test_a_second_qp_a_cycle_holds_the_line_better(closed_loop):
 
     def mean_error(sqp_iterations: int) -> float:
         config = ControllerConfig(sqp_iterations=sqp_iterations, horizon_s=5.1, effort="high")
-        descents = [closed_loop(seed, 300, config)[0] for seed in (5, 8, 11, 14)]
+        descents = [closed_loop(seed, 300, config)[0] for seed in (5, 8)]
         return float(np.mean([distance(e) for estimates in descents for e in estimates[30:]]))
 
     assert mean_error(2) < 0.95 * mean_error(1)
@@ -144,53 +142,6 @@ def test_a_hold_drives_no_thruster_before_its_start_and_then_holds_its_position(
     after = controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=4.1, east_m=1.0, depth_m=0.0), t_ns=0))
     assert after.reference_m == (4.1, 1.0)
     assert after.thrust_N[-1, 2] > 30.0
-
-
-class Failing:
-    """Solver factory whose solvers fail on demand."""
-
-    def __init__(self) -> None:
-        self.fails = False
-
-    def __call__(self, vehicle, config):
-        factory = self
-
-        class FailingSolver(RecordingSolver):
-            def solve(self):
-                result = super().solve()
-                if not factory.fails:
-                    return result
-                failed = Solve(status=SolveStatus.ITERATION_LIMIT, primal_residual=0.5, why="as asked")
-                return type(result)(result.z + np.nan, failed)
-
-        return FailingSolver(make(vehicle, config))
-
-
-def test_a_failed_solve_sends_the_previous_plan_shifted_in_the_same_cycle():
-    solver = Failing()
-    equal_stages = ControllerConfig(horizon_s=5.1)
-    controller = Controller(PAPER, POINT, equal_stages, make_solver=solver)
-    estimate = Estimate.at_rest(north_m=1.0)
-    for _ in range(5):
-        good = controller.plan(estimate)
-        estimate = advance(PAPER, estimate, good, duration_s=0.3)
-    solver.fails = True
-    shifted = controller.plan(estimate)
-    assert shifted.origin is PlanOrigin.SHIFTED
-    assert shifted.why == "as asked"
-    np.testing.assert_allclose(shifted.thrust_N[:-1, :2], good.thrust_N[1:, :2], atol=1e-9)
-    solver.fails = False
-    assert controller.plan(advance(PAPER, estimate, shifted, duration_s=0.3)).origin is PlanOrigin.SOLVED
-
-
-def test_without_a_previous_plan_a_failed_solve_keeps_a_resting_vehicle_at_rest():
-    solver = Failing()
-    controller = Controller(PAPER, POINT, make_solver=solver)
-    solver.fails = True
-    plan = controller.plan(Estimate.at_rest(north_m=1.0))
-    assert plan.origin is PlanOrigin.ZERO
-    assert plan.why == "as asked"
-    assert not plan.thrust_N.any()
 
 
 def test_two_controllers_with_equal_inputs_return_bitwise_equal_plans(closed_loop):

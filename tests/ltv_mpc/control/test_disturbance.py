@@ -356,6 +356,32 @@ def test_the_estimated_point_is_held_along_the_water_or_in_still_water_along_the
     np.testing.assert_allclose((corrected.north_m, corrected.east_m), (origin.real, origin.imag), atol=0.004)
 
 
+@pytest.mark.parametrize("period_s", [3.0, 5.0, 7.0])
+def test_waves_are_no_current_no_arm_and_no_other_vehicle_and_the_vehicle_yields_to_them(period_s):
+    """It drifts with the water and turns its bow slowly through the direction of the waves; then they end."""
+    observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
+    rate, speed_mps, slow = 2.0 * np.pi / period_s, 0.08, []
+    for k in range(500):
+        t_s = 0.3 * k
+        moving = speed_mps * np.sin(rate * t_s) * (t_s < 90.0)
+        moved = speed_mps / rate * (1.0 - np.cos(rate * t_s)) * (t_s < 90.0)
+        given = Estimate(
+            t_ns=k * 300_000_000, north_m=0.6 * moved, east_m=0.8 * moved, velocity_north_mps=0.6 * moving,
+            velocity_east_mps=0.8 * moving, heading_rad=0.02 * t_s, yaw_rate_radps=0.02, depth_m=1.0,
+        )  # fmt: skip
+        corrected = observer.correct(given, vehicle, commands)
+        slow.append((corrected.north_m, corrected.east_m, corrected.velocity_north_mps, corrected.velocity_east_mps))
+        if t_s == pytest.approx(84.0):
+            x_m, v_mps = np.std(slow[-100:], axis=0).reshape(2, 2).max(axis=1)
+            assert x_m < 0.4 * 0.8 * speed_mps / rate / np.sqrt(2.0)
+            assert v_mps < 0.1 * 0.8 * speed_mps / np.sqrt(2.0)
+            np.testing.assert_allclose(observer.bias_mps, 0.0, atol=0.02)
+            np.testing.assert_allclose(observer.save().mean[2:], 0.0, atol=0.2)
+            assert 0.2 < observer.waves_m / (speed_mps / rate) < 1.5
+    assert observer.waves_m == 0.0
+    assert slow[-1][:2] == (given.north_m, given.east_m)
+
+
 def test_a_steady_course_shows_no_lever_arm():
     observer, commands, vehicle = DisturbanceObserver(DEFAULT, PAPER), SentCommands(PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)

@@ -132,6 +132,14 @@ def test_levels_follow_in_order_solved_shifted_zero_and_solved_again(way, why):
     check(recovered, before)
 
 
+def test_without_a_previous_plan_a_failed_solve_keeps_a_resting_vehicle_at_rest():
+    controller, solver = faulty(reference=references.Point(north_m=0.0, east_m=0.0))
+    solver.fault = "infeasible"
+    plan = controller.plan(Estimate.at_rest(north_m=1.0))
+    assert (plan.origin, plan.why) == (ZERO, "as asked")
+    assert not plan.thrust_N.any()
+
+
 def test_a_shifted_plan_ramps_to_zero_beyond_the_end_of_the_solved_one():
     controller, solver = faulty()
     estimate, _ = fly(controller, moving(), 5)

@@ -414,7 +414,7 @@ def at_anchor(t_ns: int, number: int = 7) -> Obstacles:
 def test_a_path_leads_round_an_obstacle_at_anchor(every: int) -> None:
     """Otherwise the target waits behind it for a vehicle that stands in front of it."""
     of, estimate, track = controller(line(24.0)), drifting(), []
-    for cycle in range(420):
+    for cycle in range(360):
         if cycle % every == 0:
             of.add_obstacles(at_anchor(estimate.t_ns))
         plan = of.plan(estimate)
@@ -471,7 +471,7 @@ def test_a_path_is_whole_again_when_an_obstacle_leaves() -> None:
 def test_a_path_through_a_zone_is_followed_on_the_other_side() -> None:
     fence, of = disc(12.0, 0.5, 3.0), controller(line(24.0))
     of.set_fence(fence)
-    track, plans = fly(of, 420)
+    track, plans = fly(of, 360)
     assert hull_clearance(fence, track) > 0.45
     assert plans[-1].progress == pytest.approx(1.0)
     assert math.dist(track[-1], (24.0, 0.0)) < 0.3
@@ -510,7 +510,7 @@ def test_a_fence_set_or_removed_under_way_keeps_the_progress() -> None:
     assert np.diff(progress).max() < 0.01
 
 
-@pytest.mark.parametrize("water", [(0.0, 0.0), (0.1, 0.05), (-0.1, 0.05)], ids=["still", "onwards", "back"])
+@pytest.mark.parametrize("water", [(0.0, 0.0), (-0.1, 0.05)], ids=["still", "back"])
 def test_before_a_target_without_a_way_to_it_the_vehicle_rests(water: Pair) -> None:
     """In the last 30 s it stays where it is, with no more thrust than the current needs and a tenth."""
     closed = [
@@ -521,7 +521,7 @@ def test_before_a_target_without_a_way_to_it_the_vehicle_rests(water: Pair) -> N
     ]
     fence, of = walls(*closed), controller(Point(north_m=12.0, east_m=0.0))
     of.set_fence(fence)
-    track, plans = fly(of, 900, water)
+    track, plans = fly(of, 500, water)
     assert hull_clearance(fence, track) > 0.15
     assert all(plan.fence is not None and plan.fence.no_way for plan in plans)
     assert np.ptp(track[-100:], axis=0).max() < 0.02
@@ -607,7 +607,7 @@ def test_the_vehicle_stops_between_zones_whose_margins_meet_while_estimates_are_
 def test_a_corridor_does_not_hold_the_vehicle_at_a_zone() -> None:
     fence, of = disc(12.0, 0.5, 3.0), controller(line(24.0), limits=MotionLimits(max_cross_track_m=0.3))
     of.set_fence(fence)
-    track, plans = fly(of, 420)
+    track, plans = fly(of, 360)
     assert hull_clearance(fence, track) > 0.45
     assert plans[-1].progress == pytest.approx(1.0)
 

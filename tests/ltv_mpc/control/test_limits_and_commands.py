@@ -9,27 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ltv_mpc import Plan, PlanOrigin, SolveStatus, Vehicle
+from ltv_mpc import Vehicle
 from ltv_mpc.control.horizon_limits import HorizonLimits, command_bounds
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.messages import Solve
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
+from tests.ltv_mpc.plans import plan_of as plan
 
 PAPER = Vehicle.load("paper")
 LIMITS = HorizonLimits.from_vehicle(PAPER, 0.3)
 SECOND = 1_000_000_000
-
-
-def plan(start_ns: int, thrust) -> Plan:
-    thrust = np.array(thrust, dtype=float)
-    return Plan(
-        cycle_t_ns=start_ns,
-        t_ns=start_ns + np.arange(len(thrust), dtype=np.int64) * 300_000_000,
-        thrust_N=thrust,
-        states=np.zeros((len(thrust), 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-    )
 
 
 @given(arrays(np.float64, (6, 2), elements=st.floats(-500, 500)), arrays(np.float64, 2, elements=st.floats(-80, 80)))

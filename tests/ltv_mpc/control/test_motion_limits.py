@@ -262,7 +262,7 @@ def test_a_limit_of_zero_is_refused() -> None:
 def test_a_descent_keeps_within_them_at_a_few_iterations_more(closed_loop: Callable[..., Any]) -> None:
     def flown(limits: MotionLimits) -> tuple[Array, Array]:
         config = ControllerConfig(limits=limits, horizon_s=5.1, effort="high")
-        seen = [closed_loop(seed, 300, config) for seed in (5, 8, 11)]
+        seen = [closed_loop(seed, 300, config) for seed in (5, 8)]
         rates = np.abs([estimate.yaw_rate_radps for estimates, _ in seen for estimate in estimates])
         return rates, np.array([plan.solve.iterations for _, plans in seen for plan in plans])
 

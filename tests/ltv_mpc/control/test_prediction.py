@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ltv_mpc import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle
+from ltv_mpc import CurrentProfile, Estimate, Vehicle
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.prediction import Prediction, currents_at_depths
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.messages import Applied, CycleTiming, Solve
+from ltv_mpc.messages import Applied, CycleTiming
 from ltv_mpc.vehicle.dynamics import derivative, heave_acceleration
+from tests.ltv_mpc.plans import plan_of
 
 PAPER = Vehicle.load("paper")
 P = PAPER.coefficients()
@@ -25,17 +26,7 @@ PROFILE = CurrentProfile(
 
 def sent() -> SentCommands:
     commands = SentCommands(PAPER)
-    thrust = np.array([[0.0, 0, 0], [25, -10, 30], [5, 20, 60], [-20, 30, 62.5], [-20, 30, 62.5]])
-    commands.add(
-        Plan(
-            cycle_t_ns=0,
-            t_ns=np.arange(5, dtype=np.int64) * 300_000_000,
-            thrust_N=thrust,
-            states=np.zeros((5, 6)),
-            origin=PlanOrigin.SOLVED,
-            solve=Solve(status=SolveStatus.SOLVED),
-        )
-    )
+    commands.add(plan_of(0, [[0, 0, 0], [25, -10, 30], [5, 20, 60], [-20, 30, 62.5], [-20, 30, 62.5]]))
     return commands
 
 
@@ -113,16 +104,7 @@ def test_without_reports_the_thrust_follows_the_lag_from_rest_before_the_first_p
     vehicle = msgspec.structs.replace(PAPER, thruster=thruster)
     commands = SentCommands(vehicle)
     for k in range(100):  # of a plan a cycle the older ones are forgotten
-        commands.add(
-            Plan(
-                cycle_t_ns=k * 300_000_000,
-                t_ns=k * 300_000_000 + np.array([0, 300_000_000]),
-                thrust_N=np.full((2, 3), 50.0),
-                states=np.zeros((2, 6)),
-                origin=PlanOrigin.SOLVED,
-                solve=Solve(status=SolveStatus.SOLVED),
-            )
-        )
+        commands.add(plan_of(k * 300_000_000, np.full((2, 3), 50.0)))
         if seconds <= 0.3 * (k + 1):
             break
     now = msgspec.structs.replace(estimate(round(seconds * 1e9)), depth_m=None)
@@ -137,17 +119,8 @@ def test_commands_are_kept_for_eight_lags_and_since_the_estimate_in_use(lag_s: f
     thrusters = msgspec.structs.replace(PAPER.thruster, port=msgspec.structs.replace(PAPER.thrusters[0], lag_s=lag_s))
     commands = SentCommands(msgspec.structs.replace(PAPER, thruster=thrusters))
     for t_ns in range(0, 100_000_000_000, 500_000_000):
-        commands.add(
-            Plan(
-                cycle_t_ns=t_ns,
-                t_ns=t_ns + np.array([0, 3_000_000_000]),
-                thrust_N=np.ones((2, 3)),
-                states=np.zeros((2, 6)),
-                origin=PlanOrigin.SOLVED,
-                solve=Solve(status=SolveStatus.SOLVED),
-                estimate_t_ns=max(t_ns - round(age_s * 1e9), 0),
-            )
-        )
+        seen_ns = max(t_ns - round(age_s * 1e9), 0)
+        commands.add(plan_of(t_ns, np.ones((2, 3)), 3_000_000_000, estimate_t_ns=seen_ns))
     assert (99.5 - commands.oldest[0] * 1e-9) == pytest.approx(kept_s, abs=0.51)
 
 

@@ -6,13 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle
+from ltv_mpc import CurrentProfile, Estimate, Vehicle
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.disturbance import DisturbanceObserver
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.prediction_uncertainty import growth_m
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.messages import Solve
+from tests.ltv_mpc.plans import plan_of
 
 PAPER = Vehicle.load("paper")
 S = 1_000_000_000
@@ -42,17 +42,7 @@ NEVER = learning(sd_mps=0.0)
 def sent(port: float = 1.0, starboard: float = 1.0) -> SentCommands:
     """Return commands of 8 s, each thruster's scaled."""
     commands = SentCommands(PAPER)
-    thrust = np.tile([30.0 * port, 22.0 * starboard, 0.0], (28, 1))
-    commands.add(
-        Plan(
-            cycle_t_ns=0,
-            t_ns=np.arange(28, dtype=np.int64) * 300_000_000,
-            thrust_N=thrust,
-            states=np.zeros((28, 6)),
-            origin=PlanOrigin.SOLVED,
-            solve=Solve(status=SolveStatus.SOLVED),
-        )
-    )
+    commands.add(plan_of(0, np.tile([30.0 * port, 22.0 * starboard, 0.0], (28, 1))))
     return commands
 
 

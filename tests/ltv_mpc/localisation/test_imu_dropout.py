@@ -65,7 +65,7 @@ def test_the_truth_stays_within_the_covariance_and_no_sensor_is_reported(dive, i
     assert said[-1].t_ns == 17 * S  # it goes on
 
 
-@pytest.mark.parametrize(("seed", "silent_s"), [(20, 6.0), (23, 6.0), (21, 9.0), (27, 9.0)])
+@pytest.mark.parametrize(("seed", "silent_s"), [(20, 6.0), (27, 9.0)])
 def test_after_seconds_without_any_sensor_the_filter_is_levelled_and_continues(make_dive, inbox_of, seed, silent_s):
     """Without levelling each of these is inconsistent within 6 s; the last is then 15 m further off."""
     dive = make_dive(SUITE, seed, duration_s=silent_s + 14.0)

@@ -144,7 +144,7 @@ def test_a_late_sensor_gives_the_same_belief_as_in_time(messages, inbox_of, kind
     assert late.account[f"{BY_MESSAGE[kind].name}.late_applied"] >= came_late > 0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_sensors_late_at_random_give_the_same_belief_as_in_order(messages, inbox_of, seed):
     """Up to a second each, so that they overtake each other, and carrier phases come before their epoch's fix."""
     arrived = arriving(messages, scattered(seed))

@@ -323,10 +323,10 @@ def test_progress_is_what_the_current_leaves_and_never_more_in_a_stronger_one(na
         last = metres
 
 
-@pytest.mark.parametrize("known", [True, False])
-def test_against_a_current_progress_is_what_the_top_speed_leaves(known):
+@pytest.mark.parametrize(("known", "currents_mps"), [(True, (0.4475, 0.51)), (False, (0.43, 0.51))])
+def test_against_a_current_progress_is_what_the_top_speed_leaves(known, currents_mps):
     line, last_m = Line(speed_mps=0.5, start=LINE.start, end=Place(north_m=20.0, east_m=0.0)), math.inf
-    for current_mps in (0.43, 0.4475, 0.51):
+    for current_mps in currents_mps:
         controller = Controller(PAPER, line)
         water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.array([-current_mps]), east_mps=np.zeros(1))
         estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=water)

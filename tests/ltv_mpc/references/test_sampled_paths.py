@@ -56,18 +56,24 @@ def off_curve_m(curve: Array, points: Array) -> float:
     return float(cKDTree(samples(curve, 20_000)).query(points)[0].max())
 
 
-@pytest.mark.parametrize("count", [24, 90, 359, 361, 720, 20_000])
-@pytest.mark.parametrize("radius_m", [1.0, 3.0])
+@pytest.mark.parametrize(
+    ("radius_m", "count"), [(1.0, 24), (3.0, 90), (1.0, 359), (3.0, 361), (1.0, 720), (3.0, 20_000)]
+)
 def test_a_circle_of_waypoints_takes_as_long_as_the_circle(radius_m, count):
     circle = Circle(centre=HERE, radius_m=radius_m, speed_mps=2.0).schedule(SURFACE)
     points = samples(CURVES["circle"] * radius_m / 3.0, count)
     assert waypoints(points, 2.0).schedule(SURFACE).duration_s == pytest.approx(circle.duration_s, rel=0.03)
 
 
-@pytest.mark.parametrize("count", [361, 2_000, 20_000])
-@pytest.mark.parametrize(("vehicle", "speed_mps"), [(PAPER, 0.4), (SURFACE, 2.0)], ids=["paper", "surface"])
-@pytest.mark.parametrize("curve", CURVES)
-def test_lap_time_and_path_do_not_depend_on_noise_and_number_of_points(curve, vehicle, speed_mps, count):
+@pytest.mark.parametrize(
+    ("curve", "count"),
+    [
+        *(("circle", 20_000), ("circle", 361), ("figure of eight", 2_000), ("figure of eight", 361)),
+        *(("random curve", 361), ("random curve", 20_000), ("lawnmower", 361), ("lawnmower", 2_000)),
+    ],
+)
+def test_lap_time_and_path_do_not_depend_on_noise_and_number_of_points(curve, count):
+    vehicle, speed_mps = (PAPER, 0.4) if count > 361 else (SURFACE, 2.0)
     exact = waypoints(samples(CURVES[curve], 720), speed_mps).schedule(vehicle)
     assert off_curve_m(PATHS[curve], exact.table[[NORTH, EAST]].T) < 0.02
     for noise_m in (0.0, 0.5 * NOISE_M, NOISE_M):

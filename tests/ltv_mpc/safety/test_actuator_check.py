@@ -118,19 +118,17 @@ class Loop:
 
     def _report(self, t_ns, command_N) -> Applied:
         named = self.names_plans and self.accepted is not None
-        return Applied(
-            t_ns=t_ns,
-            thrust_N=tuple(self.delivered_N.tolist()),
-            command_N=tuple(command_N.tolist()),
-            command_slew_N_per_s=(0.0, 0.0, 0.0),
-            plan_epoch=1 if named else 0,
-            plan_sequence=self.sequence - 1 if named else -1,
-            plan_cycle_t_ns=self.accepted.cycle_t_ns if named else 0,
-            plan_received_t_ns=self.received_ns if named else 0,
-            plan_late=False,
-            plans_late=self.gate.plans_late,
-            plans_rejected=0,
+        follows = (
+            {}
+            if not named
+            else {
+                "plan_epoch": 1,
+                "plan_sequence": self.sequence - 1,
+                "plan_cycle_t_ns": self.accepted.cycle_t_ns,
+                "plan_received_t_ns": self.received_ns,
+            }
         )
+        return report(t_ns, self.delivered_N, command_N, plans_late=self.gate.plans_late, **follows)
 
 
 def degraded_s(cycles):
@@ -153,17 +151,16 @@ class Release:
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("current", "settings"),
     [
-        {},
-        {"names_plans": False},
-        {"config": ControllerConfig(horizon_s=2.7)},
-        {"config": ControllerConfig(period_s=0.1)},
-        {"plan_delay_s": 0.6},
+        (CURRENTS[0], {}),
+        (CURRENTS[0], {"config": ControllerConfig(horizon_s=2.7)}),
+        (CURRENTS[1], {"names_plans": False}),
+        (CURRENTS[1], {"config": ControllerConfig(period_s=0.1)}),
+        (CURRENTS[1], {"plan_delay_s": 0.6}),
     ],
     ids=str,
 )
-@pytest.mark.parametrize("current", CURRENTS)
 def test_released_thrusters_are_noticed_and_teach_no_current(current, settings):
     release = Release()
     cycles = Loop(current, release, **settings).run(140.0)
@@ -236,8 +233,7 @@ LEGAL = (
 )
 
 
-@pytest.mark.parametrize("settings", LEGAL, ids=str)
-@pytest.mark.parametrize("reference", [POINT, LINE], ids=["point", "line"])
+@pytest.mark.parametrize(("settings", "reference"), [*zip(LEGAL, 4 * (LINE, POINT), strict=True)], ids=str)
 def test_late_reports_and_late_plans_are_no_contradiction(settings, reference):
     assert degraded_s(Loop(CURRENTS[1], start_m=(15.0, 3.0), reference=reference, **settings).run(60.0)) == []
 

@@ -8,27 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ltv_mpc.messages import Plan, PlanOrigin, Solve, SolveStatus
+from ltv_mpc.messages import Plan
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.safety.source_selector import MAX_CANDIDATES
 from ltv_mpc.vehicle.parameters import Vehicle
+from tests.ltv_mpc.plans import plan_of as plan
 
 VEHICLE = Vehicle.load("paper")  # +-62.5 N, 100 N/s
 STEP_NS = 10_000_000
 STAGE_NS = 300_000_000
 S = 1_000_000_000
-
-
-def plan(start_ns: int, thrust: np.ndarray | list[list[float]]) -> Plan:
-    thrust = np.asarray(thrust, dtype=np.float64)
-    return Plan(
-        cycle_t_ns=start_ns,
-        t_ns=start_ns + STAGE_NS * np.arange(len(thrust)),
-        thrust_N=thrust,
-        states=np.zeros((len(thrust), 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-    )
 
 
 def constant(start_ns: int, *thrust: float, knots: int = 5) -> Plan:

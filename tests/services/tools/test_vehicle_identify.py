@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Vehicle
-from ltv_mpc.messages import Applied, Authority, Estimate, Message, Plan, PlanOrigin, Solve, SolveStatus
+from ltv_mpc.messages import Applied, Authority, Estimate, Message, Plan
 from services.bus.wire import Header
 from services.cli.app import run
 from services.recording.writer import RunWriter
 from services.tools.vehicle_identify import motion_of
+from tests.ltv_mpc.plans import plan_of
+from tests.ltv_mpc.reports import report
 
 PAPER = Vehicle.load("paper")
 PERIOD_NS = 100_000_000
@@ -34,33 +36,12 @@ def estimate(k: int, speed_mps: float = 0.0, turn_radps: float = 0.0) -> Estimat
 
 def applied(k: int, thrust_N: float, command_N: float | None = None) -> Applied:
     command = thrust_N if command_N is None else command_N
-    return Applied(
-        t_ns=k * PERIOD_NS,
-        thrust_N=np.array([thrust_N, thrust_N, 0.0]),
-        command_N=np.array([command, command, 0.0]),
-        command_slew_N_per_s=np.zeros(3),
-        plan_epoch=1,
-        plan_sequence=k,
-        plan_cycle_t_ns=0,
-        plan_received_t_ns=0,
-        plan_late=False,
-        plans_late=0,
-        plans_rejected=0,
-    )
+    return report(k * PERIOD_NS, (thrust_N, thrust_N, 0.0), (command, command, 0.0), plan_epoch=1, plan_sequence=k)
 
 
 def planned(k: int, thrust_N: float, authority: Authority = Authority.CONTROLLER) -> tuple[int, Plan]:
     t_ns = k * PERIOD_NS
-    plan = Plan(
-        cycle_t_ns=t_ns,
-        t_ns=t_ns + np.array([0, 3_000_000_000]),
-        thrust_N=np.tile([thrust_N, thrust_N, 0.0], (2, 1)),
-        states=np.zeros((2, 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-        authority=authority,
-    )
-    return t_ns, plan
+    return t_ns, plan_of(t_ns, [(thrust_N, thrust_N, 0.0)] * 2, 3_000_000_000, authority=authority)
 
 
 COUNT = 400

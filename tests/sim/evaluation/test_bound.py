@@ -137,8 +137,7 @@ def kalman(suite, config, trajectory, at_s, surface_s):
     return result
 
 
-@pytest.mark.parametrize("walk", [0.0, 0.002])
-@pytest.mark.parametrize("suite", [PAPER, REALISTIC], ids=["paper", "realistic"])
+@pytest.mark.parametrize(("suite", "walk"), [(PAPER, 0.0), (REALISTIC, 0.002)], ids=["paper", "realistic"])
 def test_information_and_a_covariance_filter_come_to_the_same(suite, walk, monkeypatch):
     """Schur complements and positions kept, against gains, Joseph's form and clones; drift against an error carried.
 

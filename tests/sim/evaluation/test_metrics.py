@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 import numpy as np
 import pytest
@@ -21,6 +23,8 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.evaluation.metrics import RunMetrics
+from tests.ltv_mpc.plans import plan_of
+from tests.ltv_mpc.reports import report
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -55,25 +59,10 @@ def estimate(t_ns: int, north_m: float, east_m: float) -> Estimate:
 
 
 def plan(
-    cycle_t_ns: int,
-    *,
-    start_ns: int | None = None,
-    estimate_t_ns: int = 0,
-    reference_m: tuple[float, float] | None = None,
-    status: SolveStatus = SolveStatus.SOLVED,
-    origin: PlanOrigin = PlanOrigin.SOLVED,
+    cycle_t_ns: int, *, start_ns: int | None = None, status: SolveStatus = SolveStatus.SOLVED, **fields: Any
 ) -> Plan:
     start_ns = cycle_t_ns if start_ns is None else start_ns
-    return Plan(
-        cycle_t_ns=cycle_t_ns,
-        t_ns=start_ns + 300 * MS * np.arange(3),
-        thrust_N=np.zeros((3, 3)),
-        states=np.zeros((3, 6)),
-        origin=origin,
-        solve=Solve(status=status),
-        estimate_t_ns=estimate_t_ns,
-        reference_m=reference_m,
-    )
+    return plan_of(start_ns, np.zeros((3, 3)), cycle_t_ns=cycle_t_ns, solve=Solve(status=status), **fields)
 
 
 def applied(
@@ -86,20 +75,9 @@ def applied(
     late: int = 0,
     refused: int = 0,
 ) -> Applied:
-    epoch, sequence, received_t_ns = taken
-    return Applied(
-        t_ns=t_ns,
-        thrust_N=STILL,
-        command_N=(port_N, starboard_N, 50.0),
-        command_slew_N_per_s=slew,
-        plan_epoch=epoch,
-        plan_sequence=sequence,
-        plan_cycle_t_ns=0,
-        plan_received_t_ns=received_t_ns,
-        plan_late=False,
-        plans_late=late,
-        plans_rejected=refused,
-    )
+    by = dict(zip(("plan_epoch", "plan_sequence", "plan_received_t_ns"), taken, strict=True))
+    command_N = (port_N, starboard_N, 50.0)
+    return report(t_ns, STILL, command_N, command_slew_N_per_s=slew, plans_late=late, plans_rejected=refused, **by)
 
 
 def timing(t_ns: int, compute_ns: int, wall_ns: int = 0, age_ns: int = 0, **stage_us: float) -> CycleTiming:

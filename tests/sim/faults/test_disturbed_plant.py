@@ -8,12 +8,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import Disturbance, Plan, PlanOrigin, Solve, SolveStatus, Truth
+from ltv_mpc.messages import Disturbance, Truth
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import STEP_NS, Plant
 from sim.scenario import Mismatch, Scenario
 from sim.water import make
+from tests.ltv_mpc.plans import plan_of
 
 S = 1_000_000_000
 VEHICLE = Vehicle.load("paper")
@@ -34,15 +35,7 @@ def plant_of(*, thrust: float = 1.0, heading_rad: float = 0.0) -> Plant:
 
 def steady(thrust_N: tuple[float, float, float]) -> ReceivedMessage:
     ramp = np.minimum(np.arange(41) * 30.0 / np.abs(thrust_N).max(), 1.0)
-    plan = Plan(
-        cycle_t_ns=0,
-        t_ns=300_000_000 * np.arange(41),
-        thrust_N=np.outer(ramp, thrust_N),
-        states=np.zeros((41, 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-    )
-    return ReceivedMessage(plan, 5, 0, 0)
+    return ReceivedMessage(plan_of(0, np.outer(ramp, thrust_N)), 5, 0, 0)
 
 
 def run(plant: Plant, until_ns: int, *, disturbance: Disturbance | None = None, at_ns: int = 0, plan=None):

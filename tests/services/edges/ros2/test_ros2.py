@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from ltv_mpc.messages import Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Mailbox
 from services.bus.options import BusOptions
-from services.bus.session import open_session
+from services.bus.session import ForeignReceiver, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, decode, encode
 from services.cli.app import run
@@ -28,7 +29,10 @@ from services.edges.edge import Received, Refused
 from services.edges.ros2 import cdr
 from services.edges.ros2.conversions import Settings
 from services.edges.ros2.edge import Ros2Edge
+from services.edges.ros2.middleware import Bridge
 from services.edges.ros2.odometry import estimate_of
+from services.edges.ros2.topics import IN, TABLE
+from services.processes.ros2 import FROM_PUBLISHER, RosLink
 from services.runtime.stopping import StopRequest
 from tests.services.edges.plans import plan
 
@@ -296,6 +300,18 @@ def test_what_no_vehicle_can_do_becomes_no_estimate(fields: dict[str, Any]) -> N
 def test_bad_names_are_refused(line: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(line.split()) == 2
     assert says in capsys.readouterr().err
+
+
+def test_a_flood_on_one_topic_takes_no_room_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.processes.ros2.time", SimpleNamespace(monotonic=lambda: 7.0))
+    receivers: dict[str, ForeignReceiver] = {}
+    session: Any = SimpleNamespace(identifier="1", receive=receivers.__setitem__)
+    mailbox = Mailbox()
+    RosLink(session, Bridge(), tuple(row for row in TABLE if row.direction is IN), mailbox)
+    for _ in range(FROM_PUBLISHER + 500):
+        receivers["obstacles"](b"x", b"")
+    receivers["odometry"](b"x", b"")
+    assert (len(mailbox), mailbox.overflowed) == (FROM_PUBLISHER + 1, 500)
 
 
 def test_the_process_translates_between_the_two_key_spaces(free_port: int) -> None:

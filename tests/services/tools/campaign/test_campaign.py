@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import pytest
 from services.cli.app import run
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
+from services.tools.campaign import campaign
 from tests.waiting import until
 
 FILE = """
@@ -47,11 +48,18 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def run_each_here(work: Callable[[Any], Any], jobs: Sequence[Any], **_: object) -> Iterator[tuple[int, Any]]:
+    """Execute the jobs in this process, which has all compiled code."""
+    return enumerate(map(work, jobs))
+
+
 @pytest.fixture(scope="module")
 def finished(file: Path) -> Path:
-    """Finish the campaign with one worker."""
+    """Finish the campaign without a worker."""
     out = file.parent / "one"
-    assert run(["campaign", str(file), "--out", str(out), "--workers", "1", "--json"]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "run_each", run_each_here)
+        assert run(["campaign", str(file), "--out", str(out), "--json"]) == 0
     return out
 
 
@@ -93,10 +101,10 @@ def started(file: Path, out: Path, log: Path, *options: str) -> subprocess.Popen
     command = [sys.executable, "-P", "-m", "services.cli", "campaign", str(file), "--out", str(out), *options]
     before = len(lines(out)) if out.exists() else 1
     with log.open("wb") as said:
-        campaign = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
-    until(lambda: campaign.poll() is not None or ((out / "results.jsonl").exists() and len(lines(out)) > before))
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+    until(lambda: process.poll() is not None or ((out / "results.jsonl").exists() and len(lines(out)) > before))
     assert (out / "results.jsonl").exists(), log.read_text()
-    return campaign
+    return process
 
 
 @pytest.mark.timeout(700)
@@ -142,14 +150,15 @@ def test_the_best_point_has_the_smallest_mean_and_others_are_paired_with_it(
 
 
 def test_runs_that_cannot_be_made_are_listed_and_the_rest_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each value is good alone; a cell of 3 m in a column of 2 m is not."""
     text = FILE.replace("controller.horizon_s = [0.6, 1.2]", "water.cell_m = [1.0, 3.0]\nwater.deepest_m = [2.0, 70.0]")
     text = text.replace("vehicle.thruster.port.arm_m = [0.15, 0.2]", "").replace("seeds.count = 3", "seeds.count = 1")
     path = tmp_path / "c.toml"
     path.write_text(text)
-    said = told(capsys, path, "--out", tmp_path / "out", "--workers", 1)
+    monkeypatch.setattr(campaign, "run_each", run_each_here)
+    said = told(capsys, path, "--out", tmp_path / "out")
     assert (said["done"], said["failed"]) == (4, 1)
     rows = pq.read_table(tmp_path / "out" / "results.parquet").to_pylist()
     (failed,) = (row for row in rows if row["failed"])
@@ -221,8 +230,8 @@ def test_a_cluster_that_loses_a_worker_on_the_way_gives_the_same_bytes(
 ) -> None:
     address, (_, first, _) = cluster
     out = tmp_path / "out"
-    campaign = started(file, out, tmp_path / "campaign.log", "--cluster", address)
+    process = started(file, out, tmp_path / "campaign.log", "--cluster", address)
     first.send_signal(signal.SIGKILL)
-    assert campaign.wait(PATIENCE_S) == 0, (tmp_path / "campaign.log").read_text()
+    assert process.wait(PATIENCE_S) == 0, (tmp_path / "campaign.log").read_text()
     assert len({json.loads(line)["key"] for line in lines(out)[1:]}) == len(lines(out)) - 1 == 12
     assert results(out) == results(finished)

@@ -31,7 +31,7 @@ from sim.evaluation.cramer_rao_bound.model import ACCELEROMETER_BIAS, BEAM_BIAS,
 from tests.ltv_mpc.localisation.sensors.every_sensor import EVERY_SENSOR
 
 DURATION_S, DEPTH_M = 10.0, 2.0
-SENSORS = ("paper", "realistic", "examples/sensors/own_adcp.toml", "examples/sensors/600_khz.toml")
+SENSORS = ("realistic", "examples/sensors/own_adcp.toml")
 
 
 class Output(NamedTuple):
