@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import Force, Json, argument, invalid, option, show
+from services.cli.options import Force, Json, argument, invalid, needs, option, show
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,12 +33,15 @@ def campaign(
     """
     import msgspec
 
-    _check_packages(cluster, workers)
+    if cluster is not None and workers is not None:
+        raise invalid("option --workers", "cannot act together with --cluster, which has its own workers")
+    with needs("pyarrow", "campaign", "campaign"):
+        from services.tools.campaign import table
     from services.run import folder
     from services.runtime.console import counted
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.tools.campaign import file as files
-    from services.tools.campaign import table, text
+    from services.tools.campaign import text
     from services.tools.campaign.campaign import open_campaign, plan, run
     from services.tools.campaign.progress import Progress
     from services.tools.campaign.ranking import ranked, scores
@@ -60,16 +63,6 @@ def campaign(
         typer.echo(f"{left}: continue with the same command and --out {place}", err=True)
         return INTERRUPTED if request.interrupted else FAILED
     return FAILED if all(row["failed"] is not None for row in rows) else DONE
-
-
-def _check_packages(cluster: str | None, workers: int | None) -> None:
-    import importlib.util
-
-    if importlib.util.find_spec("pyarrow") is None:
-        problem = "needs the package pyarrow: pip install pyarrow (extra campaign)"
-        raise invalid("campaign", problem)
-    if cluster is not None and workers is not None:
-        raise invalid("option --workers", "cannot act together with --cluster, which has its own workers")
 
 
 def _write_page(folder: Path) -> None:

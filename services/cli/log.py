@@ -8,13 +8,11 @@ from typing import Annotated, TypeAlias
 
 import typer
 
-from services.cli.options import Force, Json, group, option, show
+from services.cli.options import Force, Json, argument, group, option, show
 
 log = group("log", "Inspect, recover or export the recording of a run.")
 
-Run: TypeAlias = Annotated[
-    str, typer.Argument(metavar="RUN", help="Recorded run: its folder, its run.mcap, or latest.")
-]
+Run: TypeAlias = Annotated[str, argument("RUN", "Recorded run: its folder, its run.mcap, or latest.")]
 
 
 class Format(enum.StrEnum):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from services.cli.bus import with_bus
 from services.cli.options import (
@@ -19,7 +19,17 @@ from services.cli.options import (
 )  # fmt: skip
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ltv_mpc.control.config import ResolvedConfig
+    from ltv_mpc.vehicle.parameters import Vehicle
     from services.bus.options import BusOptions
+
+
+InputDelay: TypeAlias = Annotated[
+    float,
+    option("D", "Smallest delay of an estimate (s), used without clock and plan reports in applied.", min=0, max=10),
+]
 
 
 @with_bus("controller")
@@ -37,15 +47,7 @@ def controller(
     metrics: Annotated[
         int | None, option("PORT", "Serve /metrics for Prometheus on 127.0.0.1.", min=1, max=65535)
     ] = None,
-    input_delay_s: Annotated[
-        float,
-        option(
-            "D",
-            "Smallest delay of an estimate (s), used without clock and without plan reports in applied.",
-            min=0,
-            max=10,
-        ),
-    ] = 0.0,
+    input_delay_s: InputDelay = 0.0,
     failed_qps: Annotated[
         Path | None, option("DIR", "Store QPs that were not solved here, for `ltv-mpc qp show`.")
     ] = None,
@@ -67,11 +69,7 @@ def controller(
     Reads estimate, applied, command and manual; writes plan, acknowledged and controller/status. It starts disarmed:
     `ltv-mpc ctl arm`. Without a clock topic it takes the time from the stamps of the estimates, whatever their origin.
     """
-    from msgspec.structs import replace
-
     from ltv_mpc import references
-    from ltv_mpc.control.config import ControllerConfig
-    from ltv_mpc.control.resolution import settled
     from ltv_mpc.geofence.fence import fence_for
     from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -79,11 +77,7 @@ def controller(
         raise invalid("option --resume-armed", "needs --state DIR, the folder of the checkpoint")
     parameters = Vehicle.load(vehicle)
     fence_for(parameters, references.load(reference), fence or "")
-    control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
-    given = {"period_s": None if rate_hz is None else 1.0 / rate_hz, "horizon_s": horizon_s}
-    control = replace(control, **{name: value for name, value in given.items() if value is not None})
-    source = "options --rate-hz, --horizon-s" if settings is None else f"controller settings {settings}"
-    control = settled(control, parameters, source=source)
+    control = _control(parameters, settings, {"period_s": rate_hz and 1.0 / rate_hz, "horizon_s": horizon_s})
     from services.processes import controller as process
 
     return process.main(
@@ -103,3 +97,16 @@ def controller(
             resume_within_s=resume_within_s if resume_armed else None,
         )
     )
+
+
+def _control(vehicle: Vehicle, settings: Path | None, given: Mapping[str, float | None]) -> ResolvedConfig:
+    """Return the controller's settings, in which a given value replaces that of the file. Raises ``ConfigError``."""
+    from msgspec.structs import replace
+
+    from ltv_mpc.control.config import ControllerConfig
+    from ltv_mpc.control.resolution import settled
+
+    control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
+    control = replace(control, **{name: value for name, value in given.items() if value is not None})
+    source = "options --rate-hz, --horizon-s" if settings is None else f"controller settings {settings}"
+    return settled(control, vehicle, source=source)

@@ -13,10 +13,24 @@ from pathlib import Path
 import pytest
 
 from services.run import version as versions
+from services.tools import doctor
 from tests.docs.pages import ROOT
 
 PACKAGES = ("ltv_mpc", "sim", "services")
-EXTRAS = {"viz", "secure", "ros2", "mavlink", "gpx", "parquet", "campaign", "bench", "docs", "mutation", "dev"}
+EXTRAS = {
+    "viz",
+    "secure",
+    "ros2",
+    "mavlink",
+    "gpx",
+    "parquet",
+    "campaign",
+    "bench",
+    "docs",
+    "mutation",
+    "dev",
+    "notebook",
+}
 CORE_LACKS = (
     "plotly",
     "matplotlib",
@@ -86,7 +100,7 @@ def test_the_core_is_lean_and_the_extras_are_those_that_are_promised(ours: zipfi
 
 def test_its_name_is_nobody_else_s_and_its_command_is_there(ours: zipfile.ZipFile) -> None:
     found = metadata(ours)
-    assert found["Name"] == versions.DISTRIBUTION
+    assert found["Name"] == doctor.DISTRIBUTION
     assert found["Requires-Python"] == "<3.14,>=3.11"
     (entries,) = (name for name in ours.namelist() if name.endswith("entry_points.txt"))
     assert "ltv-mpc = services.cli.app:main" in ours.read(entries).decode()
@@ -112,7 +126,6 @@ def test_a_checkout_reports_its_current_commit_not_the_installed_one(installed: 
 def test_command_run_and_doctor_say_the_same_version(capsys: pytest.CaptureFixture[str]) -> None:
     from services.cli.app import run
     from services.run.provenance import provenance_table
-    from services.tools import doctor
 
     assert run(["--version"]) == 0
     said = capsys.readouterr().out.split()[-1]

@@ -47,7 +47,7 @@ class Alone(NamedTuple):
 
     def plan(self) -> Plan | None:
         found = self.newest.get(BY_TYPE[Plan].key)
-        return None if found is None else decode(Plan, found[1])[0]
+        return None if found is None else decode(Plan, found.payload)[0]
 
 
 @contextmanager
@@ -200,7 +200,7 @@ def test_another_source_is_used_when_it_is_named_and_both_are_in_the_status(
 
         def source() -> str:
             found = newest.get("controller/status")
-            return "" if found is None else decode(ControllerStatus, found[1])[0].source
+            return "" if found is None else decode(ControllerStatus, found.payload)[0].source
 
         def publish() -> None:
             sequence = 0
