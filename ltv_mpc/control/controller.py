@@ -463,7 +463,8 @@ class Controller:
             estimate = self.observer.correct(estimate, self._prediction, self.sent_commands, learns=check.learns)
             self._prediction.coefficients[:] = self.observer.coefficients
             self._lateral.set_coefficients(self._prediction.coefficients)
-            self.vehicle_file_check.update(estimate.t_ns, fit, bounded=self.observer.is_bounded)
+            bounded, in_waves = self.observer.is_bounded, self.observer.in_waves
+            self.vehicle_file_check.update(estimate.t_ns, fit, bounded=bounded, in_waves=in_waves)
         own = self._estimates.health(now_ns)
         if estimate is not None and own.health is Health.DEGRADED:
             growth = growth_m(self._prediction, estimate, now_ns, self.sent_commands, self.observer)

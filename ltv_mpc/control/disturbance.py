@@ -55,8 +55,10 @@ of a strong current, and a wider one makes a current of the model's error in the
 PROFILE_SD_MPS, PROFILE_WALK_MPS_PER_RTS, FADING_S = 0.02, 0.001, 10.0
 """Prior standard deviation and random walk of the bias of a profile, and time constant with which it fades."""
 
-NOISE_SHARE = 0.0015
-"""Default noise of the velocity over ground, over the top speed: what is unmodelled grows with a vehicle's speed."""
+NOISE_SHARE, CARRIED = 0.0015, 400.0
+"""Default noise of the velocity over ground, over the top speed: what is unmodelled grows with a vehicle's speed; and
+the variance of the velocity by waves, over that of the noise, from which the waves carry the vehicle.
+"""
 
 ARM_WALK_M_PER_RTS = 1e-3
 """Random walk of the lever arm: it is fixed to the hull, but the pivot of a hull depends on its motion."""
@@ -206,6 +208,11 @@ class DisturbanceObserver:
     def waves_m(self) -> float:
         """Standard deviation of the displacement by waves, to which the vehicle yields (m)."""
         return self._waves_share * math.sqrt(self._track[SQUARE, 0]) / BAND_RADPS
+
+    @property
+    def in_waves(self) -> bool:
+        """True while waves carry the vehicle to and fro with more than noise: its motion shows little of its file."""
+        return bool(self._track[SQUARE, 0] > CARRIED * self._noise[0])
 
     @property
     def _waves_share(self) -> float:
@@ -395,15 +402,10 @@ class DisturbanceObserver:
         later = profile if last.current is None else estimate.current or profile
         seconds = (estimate.t_ns - last.t_ns) * 1e-9
         s2 = velocity_change_variance(velocity_variance(last), velocity_variance(estimate), seconds)
+        north, east, yaw_rate = _motion(estimate)
         mean, P, north, east, yaw_rate = update_belief(
             (self._belief[0], self._propagated(last, estimate)),
-            (
-                estimate.t_ns,
-                estimate.velocity_north_mps,
-                estimate.velocity_east_mps,
-                estimate.heading_rad,
-                estimate.yaw_rate_radps,
-            ),
+            (estimate.t_ns, north, east, estimate.heading_rad, yaw_rate),
             self._file,
             prediction.measured(last, commands),
             prediction.delivered(commands),

@@ -11,16 +11,18 @@ through the water, a mass shows in accelerations alone, and a delay shifts all o
               s   loss of thrust: logarithm of port's share of its thrust if negative, minus that of starboard's if not
 
 From one estimate to the next the equations of motion (``vehicle/dynamics.py``) with x and the impulses of the delivered
-thrust d seconds before give the change of u, v and r. What they lack is added up over segments of ``SEGMENT_S`` and
-taken from its mean there, so that e (3, K) is the error of each estimated velocity up to a constant. Noise of an
-estimate then is in one error, and not in the thrust with which the controller answered it. From the error of r its
-slope is taken, too: a velocity that is wrong for some seconds gives a Munk moment. x is that of the least
+thrust d seconds before give the change of u, v and r. What they lack is added up over segments of ``SEGMENT_S``: e is
+the error of each estimated velocity up to a constant. Noise of an estimate then is in one error, and not in the thrust
+with which the controller answered it. Gusts, waves and a current that varies add up and are slow, noise of the
+estimates is not. So each segment is transformed to cosines of 1 to ``MODES`` half periods, E (3, M), in ``BANDS``, each
+with its own noise. x is that of the least
 
-    J = sum over i of log(|e_i|^2 / K + ``NOISE``^2) K / (2 k_i) + sum over j of x_j^2 / (2 sd_j^2)
+    J = sum over i, bands b of log(|E_ib|^2 / K_b + ``NOISE``^2) K_b / 2 + sum over j of x_j^2 / (2 sd_j^2)
 
-k_i = (1 + rho) / (1 - rho), with rho the correlation of successive errors: so many of them are worth one that is
-independent. One step of Gauss and Newton each ``EVALUATED`` estimates follows it, and H^-1 is the covariance.
-Source  Ljung 1999, System identification, section 7.4 (concentrated likelihood), section 9.6 (coloured residuals).
+K_b is the number of the cosines in a band. One step of Gauss and Newton each ``EVALUATED`` estimates follows it, and
+H^-1 is the covariance if the noise is independent of the motion. What moves the vehicle is not, so names need far more
+than noise would (``SIGMAS``).
+Source  Ljung 1999, System identification, section 7.4 (concentrated likelihood), section 7.8 (frequency domain).
 """
 
 from __future__ import annotations
@@ -54,12 +56,15 @@ NOISE = 2e-3
 MAX_DELAY_S, DELAY_STEP_S, STEP = 1.5, 0.05, 1e-4
 """Largest delay; and steps of the finite differences: of the delay (s), and of the others over their scales."""
 
-SIGMAS = np.where(np.arange(SIZE) == DELAY, 3.5, 5.0)
-"""Unknowns over their standard deviations from which they are certain (docs/notes/wrong-file.md). A delay needs less:
-nothing but late stamps makes thrust act late.
+MODES, BANDS = 7, (0, 1, 3)
+"""Half periods in a segment that are fitted, from 1 on, and the places where bands begin: 1, 2 to 3, 4 to 7."""
+
+SIGMAS = np.array([5.0] * MODEL + [16.0] * (DELAY - MODEL) + [10.0, 5.0])
+"""Unknowns over their standard deviations from which they are certain (docs/notes/wrong-file.md): the model's of right
+files reach 11, and their delays 8.
 """
 
-BOUND_SIGMAS = 2.0
+BOUND_SIGMAS = 4.0
 """Standard deviations by which an unknown may be less than it seems: noise that the controller answers shifts it."""
 
 PREDICTED_AFTER_NS = 1_000_000_000
@@ -139,41 +144,44 @@ class MotionFit:
         self._new += 1
         if self._new >= EVALUATED:
             self._new, self._motion = 0, self._motion[self._motion[:, 0] > t - MEMORY_S]
-            self._segments = np.unique(self._motion[:, 7], return_index=True, return_counts=True)[1:]
-            if len(self._segments[0]) > MIN_SEGMENTS:
-                since = self._motion[:, 0] - self._mean(self._motion[:, 0])
-                self._ramp = since / np.sqrt(np.maximum(self._mean(since**2), 1e-9))
+            if self._motion[-1, 7] - self._motion[0, 7] >= MIN_SEGMENTS:
+                self._set_modes()
                 self._step()
 
-    def _mean(self, of: Array) -> Array:
-        """Return the mean of each segment, at each estimate in it."""
-        begins, sizes = self._segments
-        return (np.add.reduceat(of, begins, axis=-1) / sizes).repeat(sizes, axis=-1)
+    def _set_modes(self) -> None:
+        """Set the cosines of the segments."""
+        K, segments = len(self._motion), self._motion[:, 7]
+        each, begins, sizes = np.unique(segments, return_index=True, return_counts=True)
+        m, n = np.arange(1, MODES + 1)[:, None], sizes.repeat(sizes)
+        angle = np.pi * (np.arange(K) - begins.repeat(sizes) + 0.5) / n
+        cosines = np.sqrt(2.0 / n) * np.cos(m * angle) * (m < n)
+        self._modes = (cosines[:, None] * (each[:, None] == segments)).reshape(-1, K).T  # (K, M), by m
+        self._begins = np.array(BANDS) * len(each)
+        self._worth = np.maximum(np.add.reduceat((m < sizes).sum(axis=1), BANDS), 1)
 
     def _misfit(self, x: Array) -> Array:
-        """Return the errors e (3, K) of the velocities."""
+        """Return the errors E (3, M) of the velocities."""
         e = np.empty((3, len(self._motion)))
         _fill_misfit(x, self._file, self._motion, self._impulse.rows, e)
-        e -= self._mean(e)
-        e[2] -= self._mean(e[2] * self._ramp) * self._ramp
-        return e
+        return e @ self._modes
+
+    def _noise(self, E: Array) -> Array:
+        """Return the variances (3, B) of the errors in each band."""
+        return np.add.reduceat(E**2, self._begins, axis=1) / self._worth + self._floor[:, None]
 
     def _step(self) -> None:
         """Take one step of Gauss and Newton, as far as J falls."""
         x, steps, prior = self.x, STEP * self._scale, (SD * self._scale) ** -2.0
         steps[DELAY] = DELAY_STEP_S
-        e = self._misfit(x)
-        slopes = np.stack([self._misfit(x + step) - e for step in np.diag(steps)], axis=1) / steps[:, None]
-        squares = (e**2).mean(axis=1) + self._floor
-        rho = np.clip((e[:, 1:] * e[:, :-1]).mean(axis=1) / squares, 0.0, 0.95)
-        worth = e.shape[1] * (1.0 - rho) / (1.0 + rho)  # in independent errors
-        weighted = slopes * (worth / squares / e.shape[1])[:, None, None]
+        E = self._misfit(x)
+        slopes = np.stack([self._misfit(x + step) - E for step in np.diag(steps)], axis=1) / steps[:, None]
+        widths = np.diff(self._begins, append=E.shape[1])
+        weighted = slopes / self._noise(E).repeat(widths, axis=1)[:, None]
         H = (weighted @ slopes.mT).sum(axis=0) + np.diag(prior)
-        step = np.linalg.solve(H, -np.einsum("ijk,ik->j", weighted, e) - prior * x)
+        step = np.linalg.solve(H, -np.einsum("ijk,ik->j", weighted, E) - prior * x)
 
         def cost(x: Array) -> float:
-            errors = self._misfit(x)
-            return float(worth @ np.log((errors**2).mean(axis=1) + self._floor) + prior @ x**2)
+            return float((np.log(self._noise(self._misfit(x))) @ self._worth).sum() + prior @ x**2)
 
         self.x = min((np.clip(x + share * step, *self._bounds) for share in (1.0, 0.4, 0.16, 0.0)), key=cost)
         if self.x[DELAY] == 0.0:  # at its bound it is no unknown

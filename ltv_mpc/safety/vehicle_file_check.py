@@ -7,6 +7,7 @@ A wrong model can look like a lever arm, too: by up to 0.25 m with the hull of t
 its data sheet (docs/notes/lever-arm.md).
 
 Estimates that are older than their stamps move the origin to another time, so while they are, nothing else is named.
+Nor is the file while waves carry the vehicle: what they do to it, no noise of the fit is like.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class VehicleFileCheck:
         """True while the alarm is that of late stamps: the motion then says nothing of the thrust, either."""
         return LATE in self.why
 
-    def update(self, t_ns: int, fit: MotionFit, *, bounded: bool = False) -> None:
+    def update(self, t_ns: int, fit: MotionFit, *, bounded: bool = False, in_waves: bool = False) -> None:
         """Update the alarm.
 
         Parameters
@@ -67,10 +68,9 @@ class VehicleFileCheck:
         t_ns : time of the newest estimate, vehicle time (ns).
         fit : what the motion says of reference point, model and stamps.
         bounded : the learned current is at its bound.
+        in_waves : they carry the vehicle.
         """
-        if not bounded and not self._since_ns and not fit.certain.any():
-            return
-        errors = dict(_errors(fit))
+        errors = {} if in_waves else dict(_errors(fit))
         if bounded:
             errors[BOUNDED] = f"{BOUNDED}: check estimates, thrusters and vehicle file"
         delay_s = float(fit.x[DELAY])

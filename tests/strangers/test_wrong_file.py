@@ -59,13 +59,14 @@ def test_a_wrong_file_is_learned_and_named_within_two_corners(factors, named):
 @pytest.mark.parametrize(
     ("hull", "case", "wrong"),
     [
-        ("bluerobotics-boat", "wind=0.1", False),
+        ("bluerobotics-boat", "wind=0.1 gust=0.05", False),
+        ("surface", "waves_V=0.15", False),
         ("surface", "arm=0.7", True),
     ],
 )
-def test_wind_is_no_wrong_file_and_a_wrong_one_is_named_within_30_s_of_its_second_corner(hull, case, wrong):
+def test_gusts_and_waves_are_no_wrong_file_and_a_wrong_one_is_named_within_30_s_of_its_second_corner(hull, case, wrong):
     """With errors of the estimated velocity, and a current that nothing tells."""
-    run = judged((Row(hull, "square", case), 3))
+    run = judged((Row(hull, "square", case), 4))
     assert bool(run.named) is wrong
     assert run.after_s < 30.0 or not wrong
 

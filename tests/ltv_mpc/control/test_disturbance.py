@@ -379,7 +379,9 @@ def test_waves_are_no_current_no_arm_and_no_other_vehicle_and_the_vehicle_yields
             np.testing.assert_allclose(observer.save().mean[2:4], 0.0, atol=0.05)
             np.testing.assert_allclose(observer.save().mean[4:], 0.0, atol=0.5)
             assert 0.2 < observer.waves_m / (speed_mps / rate) < 1.5
+            assert observer.in_waves
     assert observer.waves_m == 0.0
+    assert not observer.in_waves
     assert slow[-1][:2] == (given.north_m, given.east_m)
 
 

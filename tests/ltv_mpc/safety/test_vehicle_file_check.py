@@ -103,6 +103,15 @@ def test_late_stamps_are_named_with_the_delay_and_nothing_that_they_explain():
         assert "thrusters" not in text
 
 
+def test_while_waves_carry_the_vehicle_late_stamps_are_named_and_the_file_is_not():
+    wrong, late = VehicleFileCheck(), VehicleFileCheck()
+    for t in range(21):
+        wrong.update(t * S, fit((0.5, 0.0), {0: 2.0}), in_waves=True)
+        late.update(t * S, fit(late_s=0.5), in_waves=True)
+    assert wrong.why == ""
+    assert late.stamps_are_late
+
+
 def test_without_reports_late_stamps_or_thrusters_that_answer_late_are_named():
     check = VehicleFileCheck()
     for t in range(11):
