@@ -59,12 +59,12 @@ MAX_DELAY_S, DELAY_STEP_S, STEP = 1.5, 0.05, 1e-4
 MODES, BANDS = 7, (0, 1, 3)
 """Half periods in a segment that are fitted, from 1 on, and the places where bands begin: 1, 2 to 3, 4 to 7."""
 
-SIGMAS = np.array([5.0] * MODEL + [16.0] * (DELAY - MODEL) + [10.0, 5.0])
-"""Unknowns over their standard deviations from which they are certain (docs/notes/wrong-file.md): the model's of right
-files reach 11, and their delays 8.
+SIGMAS = np.where(np.arange(SIZE) == MODEL + 2, 13.0, 10.0)
+"""Unknowns over their standard deviations from which they are certain (docs/notes/wrong-file.md). Right files reach 11
+with the inertia, which velocities that are wrong for some seconds change by the Munk moment, and 9 with the others.
 """
 
-BOUND_SIGMAS = 4.0
+BOUND_SIGMAS = 3.0
 """Standard deviations by which an unknown may be less than it seems: noise that the controller answers shifts it."""
 
 PREDICTED_AFTER_NS = 1_000_000_000
@@ -163,7 +163,8 @@ class MotionFit:
         """Return the errors E (3, M) of the velocities."""
         e = np.empty((3, len(self._motion)))
         _fill_misfit(x, self._file, self._motion, self._impulse.rows, e)
-        return e @ self._modes
+        E: Array = e @ self._modes
+        return E
 
     def _noise(self, E: Array) -> Array:
         """Return the variances (3, B) of the errors in each band."""
