@@ -397,7 +397,7 @@ def _current_error(axis: str, colour: str) -> Plot:
     return Plot(
         name=f"current_error_{axis}",
         title=f"Error of the estimated current, {axis}",
-        x=Axis(label="error (m/s)", min_span=0.02),
+        x=Axis(label=f"error {axis} (m/s)", min_span=0.02),
         y=Axis(label="depth (m)", downwards=True, min_span=1.0),
         over_time=False,
         group=Group.REVIEW,
