@@ -30,8 +30,8 @@ PERIOD_US = 1_000_000
 CYCLE_WINDOW_US = 10_000_000
 """Window over which cycle times are evaluated (us)."""
 
-StatusSink = Callable[[ControllerStatus, int], None]
-"""Consumer of each status besides the bus; the second argument is the monotonic time in microseconds."""
+StatusSink = Callable[[ControllerStatus], None]
+"""Consumer of each status besides the bus."""
 
 
 class ControllerStatusReporter:
@@ -127,7 +127,7 @@ class ControllerStatusReporter:
         )
         self._changes.on_status(status)
         for sink in self._sinks:
-            sink(status, now_us)
+            sink(status)
         return status
 
     def _error_m(self) -> float | None:

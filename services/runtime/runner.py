@@ -36,20 +36,14 @@ from services.bus.topics import BY_TYPE, NAMED, expression
 from services.runtime.clock import monotonic_us
 from services.runtime.clock_master import ClockMaster
 from services.runtime.clock_sync import ClockSync
+from services.runtime.input_receiver import Connected
 from services.runtime.node_io import NodeIO
-from services.runtime.node_status import (
-    CLOCK_MESSAGE,
-    CLOCK_OR_ESTIMATE,
-    NodeStatusReporter,
-    Reporters,
-    SettingsPublisher,
-    WaitingFor,
-)
+from services.runtime.node_status import CLOCK_MESSAGE, CLOCK_OR_ESTIMATE, NodeStatusReporter, WaitingFor
 from services.runtime.process_time import ClockOptions, ProcessTime
 from services.runtime.saved_state import SavedState
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
-from services.runtime.step_loop import StepLoop, StepLoopPorts, times_cycles
+from services.runtime.step_loop import StepLoop, times_cycles
 from services.runtime.stopping import Say, StopRequest
 
 if TYPE_CHECKING:  # only a controller needs it
@@ -75,31 +69,28 @@ class Runner:
 
     ``clock`` selects the clock that the process follows. ``stages`` is the stopwatch that the node was given.
     ``compute_delay_ns`` is added between a plan and its publication, in vehicle time. ``report`` publishes a status of
-    the node's own, besides the node status of every process.
+    the node's own, besides the node status of every process. ``settings`` are published for recorders.
     """
 
     def __init__(
         self,
         node: Node,
         *,
-        stop: StopRequest,
-        say: Say,
         clock: ClockOptions = ClockOptions(),  # noqa: B008
         compute_delay_ns: int = 0,
         stages: StageTimer | None = None,
         report: ControllerStatusReporter | None = None,
+        settings: NodeSettings | None = None,
     ) -> None:
-        self.stop = stop
+        self.stop = StopRequest()
         self.mailbox = Mailbox()
-        stop.on_request(self.mailbox.wake)
+        self.stop.on_request(self.mailbox.wake)
         self._node = node
-        self._say = say
         self._master_settings = clock.master
         self._compute_delay_ns = compute_delay_ns
         self._stages = stages or StageTimer()
         self._report = report
-        self.settings: NodeSettings | None = None
-        """Settings that the process publishes for recorders, if they are set before ``serve``."""
+        self._settings = settings
         self._epoch = new_epoch()
         self._time = ProcessTime(node, clock, epoch=self._epoch)
 
@@ -118,7 +109,7 @@ class Runner:
         """Synchronisation with the other side's clock, for a process that may take the time from its inputs."""
         return self._time.sync
 
-    def serve(self, bus: BusOptions, saved: SavedState | None = None) -> None:
+    def serve(self, bus: BusOptions, saved: SavedState | None = None, say: Say = print) -> None:
         """Connect, report ready, run the steps, report finished, disconnect.
 
         ``saved`` has the state that the node continues from, if there is one: the newest one that a node of this name
@@ -130,18 +121,16 @@ class Runner:
         """
         gc.collect()
         gc.freeze()  # objects that live until the end: no later collection visits them
-        with open_session(bus, stop=self.stop, say=self._say) as session:
-            connected = self._connect(session, saved)
-            loop = StepLoop(
-                self._node, connected, stop=self.stop, stopwatch=self._stages, compute_delay_ns=self._compute_delay_ns
-            )
+        with open_session(bus, stop=self.stop, say=say) as session:
+            connected = self._connect(session, saved, say)
+            loop = StepLoop(connected, stop=self.stop, stopwatch=self._stages, compute_delay_ns=self._compute_delay_ns)
             SERVICE_MANAGER.ready()
             try:
                 loop.run()
             finally:
                 loop.finish()
 
-    def _connect(self, session: Session, saved: SavedState | None) -> StepLoopPorts:
+    def _connect(self, session: Session, saved: SavedState | None, say: Say) -> Connected:
         """Declare publishers and subscribers, and start the clock's part of the process."""
         node, time, keeps_time = self._node, self._time, self._master_settings is not None
         inputs = [kind for kind in node.reads if BY_TYPE[kind].written_by != node.name]  # its own need no bus
@@ -150,7 +139,7 @@ class Runner:
             CycleTiming: times_cycles(node),
             ClockStep: ClockStep in node.reads,
             Clock: keeps_time,
-            NodeSettings: self.settings is not None,
+            NodeSettings: self._settings is not None,
         }
         kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, RejectedFrame, RunEvent]
         kinds += [kind for kind, is_written in optional.items() if is_written]
@@ -164,7 +153,7 @@ class Runner:
             node_waits=(lambda: node.waiting_for) if isinstance(node, WaitingNode) else None,
         )
         status = NodeStatusReporter(
-            node.name, outbox=outbox, counts=validator, mailbox=self.mailbox, waiting=waiting, say=self._say
+            node.name, outbox=outbox, counts=validator, mailbox=self.mailbox, waiting=waiting, say=say
         )
         for kind in dict.fromkeys([*inputs, *(CLOCK_MASTER_INPUTS if keeps_time else (Clock,))]):
             topic = BY_TYPE[kind]  # one mailbox for all, so that arrivals have one order
@@ -175,5 +164,4 @@ class Runner:
             )
         time.start_schedule()
         io = NodeIO(node.name, outbox, saved)
-        settings = None if self.settings is None else SettingsPublisher(self.settings, outbox)
-        return StepLoopPorts(self.mailbox, io, time, Reporters(status, self._report, settings), validator)
+        return Connected(node, self.mailbox, io, time, status, self._report, self._settings, validator)

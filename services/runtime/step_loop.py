@@ -14,24 +14,21 @@ the supervisor restarts it (``services/supervisor/failure_handler.py``).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-from ltv_mpc.messages import ClockMode, CycleTiming, Message, Plan, RunEvent
+from ltv_mpc.messages import ClockMode, CycleTiming, Message, NodeSettings, Plan, RunEvent
 from ltv_mpc.node import Cycle, Node
 from ltv_mpc.safety.source_selector import Source
-from services.bus.mailbox import Mailbox
-from services.bus.message_validation import MessageValidator
+from services.bus.topics import BY_TYPE
 from services.runtime.clock import monotonic_us
 from services.runtime.deadlines import DeadlineQueue
-from services.runtime.input_receiver import InputReceiver
-from services.runtime.node_io import NodeIO
-from services.runtime.node_status import Reporters
-from services.runtime.process_time import ProcessTime
+from services.runtime.input_receiver import Connected, InputReceiver
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import StopRequest
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
+SETTINGS_PERIOD_US = BY_TYPE[NodeSettings].period_ns // 1000
 MAX_DRAIN_US = 20_000
 """Longest time that taking inputs may delay a due step, so that a message flood cannot starve the controller."""
 
@@ -48,34 +45,24 @@ class NavigatedNode(Protocol):
     def active_source(self) -> Source | None: ...
 
 
-class StepLoopPorts(NamedTuple):
-    """Objects that a step loop reads from and writes to, once the process is connected."""
-
-    mailbox: Mailbox
-    io: NodeIO
-    time: ProcessTime
-    reporters: Reporters
-    validator: MessageValidator
-
-
 class StepLoop:
     """Loop of one connected process, from its first step to its last."""
 
     def __init__(
-        self, node: Node, connected: StepLoopPorts, *, stop: StopRequest, stopwatch: StageTimer, compute_delay_ns: int
+        self, connected: Connected, *, stop: StopRequest, stopwatch: StageTimer, compute_delay_ns: int
     ) -> None:
-        self._node = node
+        self._node, self._mailbox, self._io, self._time, self._status, self._report, _, _ = connected
         self._stop = stop
         self._stopwatch = stopwatch
         self._compute_delay_ns = compute_delay_ns
-        self._measures_cycles = times_cycles(node)
-        self._mailbox, self._io, self._time, self._reporters, validator = connected
-        self._receiver = InputReceiver(node, self._io, self._time, self._reporters, validator)
+        self._measures_cycles = times_cycles(self._node)
+        self._receiver = InputReceiver(connected)
         self._command = ""  # key of a command that the next step must not wait for
-        self._navigated = node if isinstance(node, NavigatedNode) else None
+        self._navigated = self._node if isinstance(self._node, NavigatedNode) else None
         self._source: Source | None = None  # of the estimates in use
+        self._settings_due_us = 0
         self._deadlines = DeadlineQueue()
-        self._add_deadlines(validator)
+        self._add_deadlines(connected)
 
     def run(self) -> None:
         """Step until a stop is requested or the schedule ends; then take the inputs that are still on their way."""
@@ -90,22 +77,27 @@ class StepLoop:
     def finish(self) -> None:
         """Publish the record of the last steps and the last status."""
         self._io.publish_record()
-        self._reporters.process.publish(monotonic_us(), finished=True)
+        self._status.publish(monotonic_us(), finished=True)
 
     # --- waiting -----------------------------------------------------------------------------------------------------
 
-    def _add_deadlines(self, validator: MessageValidator) -> None:
+    def _add_deadlines(self, connected: Connected) -> None:
         """Add the periodic duties of the process to the deadline queue."""
-        (status, report, settings), master = self._reporters, self._time.master
+        _, _, io, time, status, report, settings, validator = connected
+        master = time.master
         self._deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
         self._deadlines.add(lambda: SERVICE_MANAGER.due_us, SERVICE_MANAGER.beat)
         if master is not None:
             self._deadlines.add(lambda: master.due_us, master.run_due)
         if settings is not None:  # before the first status and the first step
-            self._deadlines.add(lambda: settings.due_us, settings.publish)
+
+            def publish_settings(now_us: int) -> None:
+                self._settings_due_us = now_us + SETTINGS_PERIOD_US
+                io.publish(settings)
+
+            self._deadlines.add(lambda: self._settings_due_us, publish_settings)
         self._deadlines.add(lambda: status.due_us, self._publish_status)
         if report is not None:
-            time, io = self._time, self._io
 
             def publish(now_us: int) -> None:
                 io.publish(report.status(now_us, time.now_ns(now_us), validator, time.sync.offset(now_us)))
@@ -171,10 +163,10 @@ class StepLoop:
 
     def _step(self, t_ns: int, cause: str, due_us: int) -> None:
         """Take a step that was due at the monotonic time ``due_us``; publish its outputs after its record."""
-        status, report, settings = self._reporters
+        status, report = self._status, self._report
         self._stopwatch.start()
-        if settings is not None and status.steps == 0:
-            settings.due_us = 0  # a recorder that receives the first step can replay the node
+        if status.steps == 0:
+            self._settings_due_us = 0  # a recorder that receives the first step can replay the node
         if self._navigated is not None:
             self._follow_source(self._navigated.active_source, t_ns)
         self._io.shift_ns = self._time.sync.published_shift_ns
@@ -243,7 +235,7 @@ class StepLoop:
         """Publish the record of the last steps, then the status of the process."""
         self._io.publish_record()
         master = self._time.master
-        self._reporters.process.publish(now_us, others=master.waiting_for if master else "")
+        self._status.publish(now_us, others=master.waiting_for if master else "")
 
 
 def times_cycles(node: Node) -> bool:

@@ -68,9 +68,9 @@ class StopRequest:
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[StopRequest]:
+def stop_on_signals(request: StopRequest | None = None) -> Iterator[StopRequest]:
     """Make SIGTERM, SIGINT and SIGHUP request a clean stop within the context; ``nohup`` ignores SIGHUP."""
-    request = StopRequest()
+    request = request or StopRequest()
     numbers = [signal.SIGTERM, signal.SIGINT]
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         numbers.append(signal.SIGHUP)
