@@ -23,7 +23,7 @@ from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
 from services.runtime.console import Tell
 from services.runtime.controller_changes import ControllerChanges, Event
-from services.runtime.saved_state import SavedState
+from services.runtime.node_io import SavedState
 
 PERIOD_US = 1_000_000
 """Time between two statuses (us)."""

@@ -9,7 +9,7 @@ from services.bus.options import BusOptions
 from services.bus.session import BusError, Stopped
 from services.runtime.clock import ClockError
 from services.runtime.console import Console
-from services.runtime.saved_state import SavedState, SupervisorState
+from services.runtime.node_io import SavedState, SupervisorState
 from services.runtime.stopping import FAILED, Say, StopRequest, stop_on_signals
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 

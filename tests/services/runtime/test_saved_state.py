@@ -10,8 +10,7 @@ import pytest
 from ltv_mpc.messages import Acknowledgement, Authority, ControllerState, Estimate, Message
 from services.bus.outbox import Outbox
 from services.bus.wire import Header, encode
-from services.runtime.node_io import NodeIO
-from services.runtime.saved_state import SupervisorState
+from services.runtime.node_io import NodeIO, SupervisorState
 from tests.services.bus.messages import CONTROLLER_STATE, HEADER
 
 STOPPED = ControllerState(t_ns=5, authority=Authority.STOPPED)
