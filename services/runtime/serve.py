@@ -47,7 +47,6 @@ def serve(console: Console, bus: BusOptions, runner: Runner, saved: SavedState |
     """
 
     def work(_: StopRequest, say: Say) -> None:
-        state = SUPERVISOR_LINK.restored_state()
-        runner.serve(bus, saved or SupervisorState(runner.name, state), say)
+        runner.serve(bus, saved or SupervisorState(runner.name, SUPERVISOR_LINK.state), say)
 
     return run_until_stopped(console, work, request=runner.stop)
