@@ -15,6 +15,7 @@ from ltv_mpc.messages import (
     ClockStep,
     Command,
     Heartbeat,
+    InboxEntry,
     Message,
     NodeSettings,
     NodeStatus,
@@ -26,7 +27,7 @@ from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator, RateExceeded, rejection
 from services.bus.time_shift import shifted
 from services.bus.topics import OPERATOR
-from services.bus.wire import WireError
+from services.bus.wire import WireError, crc
 from services.runtime.clock import monotonic_us
 from services.runtime.node_io import NodeIO
 from services.runtime.node_status import NodeStatusReporter
@@ -104,10 +105,15 @@ class InputReceiver:
         self._pass_to_clock(message)
         if kind not in self._node.reads:
             return None
-        received_ns = time.received_ns(message, received_us)
-        io.add_to_inbox(
-            message, header, key=frame.key, payload=frame.payload, received_t_ns=received_ns, shift_ns=shift_ns
+        entry = InboxEntry(
+            key=frame.key,
+            epoch=header.epoch,
+            sequence=header.sequence,
+            crc=crc(frame.payload),
+            received_t_ns=time.received_ns(message, received_us),
+            shift_ns=shift_ns,
         )
+        io.add_to_inbox(message, entry)
         if kind in self._triggers:
             stamped: Any = message  # a type that causes steps has its validity time
             return StepTrigger(frame.key, stamped.t_ns)
