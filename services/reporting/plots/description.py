@@ -35,7 +35,7 @@ class Group(enum.StrEnum):
     REVIEW = "What does a reviewer ask?"
 
 
-class Series(msgspec.Struct, frozen=True, kw_only=True):
+class Series(msgspec.Struct, frozen=True):
     """Data series: columns ``x`` and ``y`` of a table. For a band, ``x_high`` or ``y_high`` is the other edge."""
 
     label: str
@@ -49,7 +49,7 @@ class Series(msgspec.Struct, frozen=True, kw_only=True):
     compared: bool = False  # drawn for each run when several runs are overlaid
 
 
-class Level(msgspec.Struct, frozen=True, kw_only=True):
+class Level(msgspec.Struct, frozen=True):
     """Horizontal line at a value of the run; not drawn if the run does not have the value."""
 
     label: str
@@ -57,7 +57,7 @@ class Level(msgspec.Struct, frozen=True, kw_only=True):
     colour: str
 
 
-class Axis(msgspec.Struct, frozen=True, kw_only=True):
+class Axis(msgspec.Struct, frozen=True):
     """Axis of a plot. ``label`` ends with the unit in parentheses."""
 
     label: str
