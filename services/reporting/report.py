@@ -25,6 +25,7 @@ from services.reporting.plots.catalogue import PLOTS, REVIEW
 from services.reporting.plots.collector import ROWS
 from services.reporting.plots.description import NO_DATA, Plot, Series
 from services.reporting.plots.recorded import PlotData, read
+from services.reporting.plots.table import Columns
 from services.reporting.run_summary_text import failure, how
 from services.reporting.safety_part import number
 from services.run.folder import draft_of
@@ -51,30 +52,43 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
 
     Raises ``NoPlotly``, ``ConfigError`` if a file is not a recording, and ``OSError``.
     """
-    plotly, script = static_files.report_scripts()
+    static_files.plotly_path()  # before the recordings are read
     plot_data = [read(run.recording, rows=min(ROWS, ROWS_OF_ALL // len(runs))) for run in runs]
     figures = differences.rows([run.summary for run in runs])
     title = f"{runs[0].name}" if len(runs) == 1 else f"{len(runs)} runs"
-    text = static_files.filled(
-        static_files.text("report.html"),
-        title=html.escape(title),
-        style=static_files.text("style.css") + static_files.text("report.css"),
-        lines="\n".join(_lines(runs, plot_data)),
-        safe=safety_part.part([run.name for run in runs], plot_data),
-        tables="\n".join(_tables(runs, plot_data, figures)),
-        plotly=plotly,
-        data=_data(runs, plot_data),
-        script=script,
-    )
-    with draft_of(out) as draft:
-        draft.write_text(text, encoding="utf-8")
+    parts = {
+        "lines": "\n".join(_lines(runs, plot_data)),
+        "safe": safety_part.part([run.name for run in runs], plot_data),
+        "tables": "\n".join(_tables(runs, plot_data, figures)),
+    }
+    _write_page(out, title, plots_with_data(plot_data), _shown(runs, plot_data), **parts)
     return figures
 
 
-def _data(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> str:
-    """Return the data for report.js as JSON in which no HTML tag can start."""
+def write_plots(out: Path, plots: Sequence[Plot], tables: Mapping[str, Columns], **values: float) -> None:
+    """Write a page of the plots of one result, drawn as those of a run; ``values`` are those of their levels.
+
+    The group of the first plot is the title. Raises ``NoPlotly`` and ``OSError``.
+    """
+    shown = {"name": plots[0].group, "colour": None, "tables": tables, "values": values, "marks": ()}
+    _write_page(out, plots[0].group, plots, [shown], lines="", safe="", tables="")
+
+
+def _write_page(out: Path, title: str, plots: Sequence[Plot], runs: Sequence[Mapping[str, Any]], **parts: str) -> None:
+    """Write a page, whose data for report.js are JSON in which no HTML tag can start."""
+    plotly, script = static_files.report_scripts()
+    data = msgspec.json.encode({"plots": plots, "runs": runs, "dark": palette.DARK}).decode().replace("<", "\\u003c")
+    style = static_files.text("style.css") + static_files.text("report.css")
+    page = {"title": html.escape(title), "style": style, "plotly": plotly, "data": data, "script": script}
+    text = static_files.filled(static_files.text("report.html"), **page, **parts)
+    with draft_of(out) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
+def _shown(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[dict[str, Any]]:
+    """Return the data of each run for report.js."""
     several = len(runs) > 1
-    shown = [
+    return [
         {
             "name": run.name,
             "colour": palette.RUNS[i % len(palette.RUNS)] if several else None,
@@ -84,9 +98,6 @@ def _data(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> str:
         }
         for i, (run, data) in enumerate(zip(runs, plot_data, strict=True))
     ]
-    content = {"plots": plots_with_data(plot_data), "runs": shown, "dark": palette.DARK}
-    text = msgspec.json.encode(content).decode()
-    return text.replace("<", "\\u003c")
 
 
 def plots_with_data(plot_data: Sequence[PlotData]) -> list[Plot]:

@@ -81,7 +81,7 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
     from_start: bool = False  # data before t = 0 are hidden as soon as there are later ones
     empty: str = NO_DATA  # text shown without data
     note: str = ""  # explanation shown with the title
-    group: Group = Group.WHY
+    group: str = Group.WHY  # a question of the report, or the heading of another page
     drifts: bool = False  # counts from the first message: a plot that began late says from when
     diving: bool = False  # the report of a surface craft leaves the plot out
     follow: tuple[str, ...] = ()  # tables around which the view can follow the vehicle
