@@ -20,6 +20,7 @@ from services.recording.node_settings import vehicle_name
 from services.recording.writer import VEHICLE_MODE
 from services.reporting import differences, safety_part, static_files
 from services.reporting.assessment import assessment
+from services.reporting.html_table import NUMBER, number, row, table
 from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS, REVIEW
 from services.reporting.plots.collector import ROWS
@@ -27,7 +28,6 @@ from services.reporting.plots.description import NO_DATA, Plot, Series
 from services.reporting.plots.recorded import PlotData, read
 from services.reporting.plots.table import Columns
 from services.reporting.run_summary_text import failure, how
-from services.reporting.safety_part import number
 from services.run.folder import draft_of
 
 MAX_RUNS = 40
@@ -65,13 +65,22 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
     return figures
 
 
-def write_plots(out: Path, plots: Sequence[Plot], tables: Mapping[str, Columns], **values: float) -> None:
-    """Write a page of the plots of one result, drawn as those of a run; ``values`` are those of their levels.
+def write_plots(
+    out: Path,
+    title: str,
+    plots: Sequence[Plot],
+    tables: Mapping[str, Columns],
+    *,
+    values: Mapping[str, float] | None = None,
+    lines: str = "",
+    below: str = "",
+) -> None:
+    """Write a page of the plots of one result, drawn as those of a run. Raises ``NoPlotly`` and ``OSError``.
 
-    The group of the first plot is the title. Raises ``NoPlotly`` and ``OSError``.
+    ``values`` are those of levels; ``lines`` and ``below`` are HTML under the title and under the plots.
     """
-    shown = {"name": plots[0].group, "colour": None, "tables": tables, "values": values, "marks": ()}
-    _write_page(out, plots[0].group, plots, [shown], lines="", safe="", tables="")
+    shown = {"name": title, "colour": None, "tables": tables, "values": values or {}, "marks": ()}
+    _write_page(out, title, plots, [shown], lines=lines, safe="", tables=below)
 
 
 def _write_page(out: Path, title: str, plots: Sequence[Plot], runs: Sequence[Mapping[str, Any]], **parts: str) -> None:
@@ -187,27 +196,23 @@ def _file(title: str, text: str) -> str:
 
 def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
     """Return the table of figures; several runs have a column each, then the differences to the first."""
-    names = [html.escape(run.name) for run in runs] if len(runs) > 1 else ["value"]
-    head = "".join(f'<th class="number">{name}</th>' for name in names)
-    if len(runs) > 1:
-        head += "".join(f'<th class="number">{html.escape(run.name)} − first</th>' for run in runs[1:])
+    names = ["value"] if len(runs) == 1 else [run.name for run in runs]
+    names += [f"{run.name} − first" for run in runs[1:]]
     body = "".join(
-        f"<tr><td>{html.escape(row.label)}{f' ({row.unit})' if row.unit else ''}</td>"
-        + "".join(f'<td class="number">{number(value, row.digits)}</td>' for value in row.values)
-        + "".join(f'<td class="number">{number(value, row.digits, signed=True)}</td>' for value in row.differences)
-        + "</tr>"
-        for row in figures
+        row(
+            (
+                f"{one.label} ({one.unit})" if one.unit else one.label,
+                *(number(value, one.digits) for value in one.values),
+                *(number(value, one.digits, signed=True) for value in one.differences),
+            )
+        )
+        for one in figures
     )
-    wide = " wide" if len(runs) > 1 else ""
-    head = f"<thead><tr><th>figure</th>{head}</tr></thead>"
-    table = f'<table id="figures" class="sortable">{head}<tbody>{body}</tbody></table>'
-    table = f'<div class="scroll" tabindex="0" role="region" aria-label="Results">{table}</div>'
-    return f'<section class="panel{wide}"><h3>Results</h3>{table}</section>'
+    content = table("Results", ("figure", *((name, NUMBER) for name in names)), body)
+    return f'<section id="figures" class="panel{" wide" if len(runs) > 1 else ""}"><h3>Results</h3>{content}</section>'
 
 
 def _events(run: Run, data: PlotData) -> str:
-    title = f"Events of {html.escape(run.name)}"
-    head = '<tr><th class="number">time (s)</th><th>process</th><th>what happened</th></tr>'
-    table = f'<table class="sortable"><thead>{head}</thead><tbody>{safety_part.event_rows(data)}</tbody></table>'
-    table = f'<div class="scroll events" tabindex="0" role="region" aria-label="{title}">{table}</div>'
-    return f'<section class="panel"><h3>{title}</h3>{table}</section>'
+    title, head = f"Events of {run.name}", (("time (s)", NUMBER), "process", "what happened")
+    content = table(title, head, safety_part.event_rows(data), frame="scroll events")
+    return f'<section class="panel"><h3>{html.escape(title)}</h3>{content}</section>'

@@ -118,7 +118,7 @@ def write(of: DivePlan, out: Path) -> None:
     for name, values in (("budget", shares), ("gains", gains)):
         tables[name] = {"value": list(values.values()), "row": [float(i) for i in range(len(values))]}
     tables["run"] = {} if of.against is None else {"t_s": [*of.against.t_s], "drift_m": [*of.against.drift_m]}
-    report.write_plots(out, plots, tables, **({} if of.limit_m is None else {"limit_m": of.limit_m}))
+    report.write_plots(out, title, plots, tables, values={} if of.limit_m is None else {"limit_m": of.limit_m})
 
 
 def _by_row(name: str, title: str, label: str, values: Mapping[str, float], group: str) -> Plot:

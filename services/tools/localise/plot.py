@@ -102,7 +102,7 @@ def write(data: PlotData, out: Path) -> None:
     for name, velocity in (("north", water.north_mps), ("east", water.east_mps)):
         edges = {"": velocity, "_low": velocity - water.sd_mps, "_high": velocity + water.sd_mps}
         tables["water"] |= {f"{name}{edge}": list(map(short, values)) for edge, values in edges.items()}
-    report.write_plots(out, PLOTS, tables)
+    report.write_plots(out, RESULT, PLOTS, tables)
 
 
 def _columns(t_s: Array, position_m: Array, truth_m: Array | None = None) -> Columns:
