@@ -23,6 +23,9 @@ from services.tools.dive_plan.plan import POINTS, DivePlan, RecordedDrift
 
 SECOND_NS = 1_000_000_000
 
+AT_THE_END = "Expected drift; budget and changes at the end of the dive"
+"""Heading of the plots."""
+
 SHOWN_SHARE = 5e-4
 """Smallest share of the error budget that is shown."""
 
@@ -99,7 +102,7 @@ def write(of: DivePlan, out: Path) -> None:
             title="Drift since submergence, one axis",
             x=TIME,
             y=Axis("standard deviation (m)"),
-            group=title,
+            group=AT_THE_END,
             series=(
                 *(
                     Series(name, name, "t_s", "drift_m", colour)
@@ -109,8 +112,8 @@ def write(of: DivePlan, out: Path) -> None:
             ),
             levels=(Level("limit", "limit_m", palette.LIMIT),),
         ),
-        _by_row("budget", f"Error budget with {names[0]}", "share of the variance at the end (%)", shares, title),
-        _by_row("gains", "Drift after one change", "standard deviation at the end (m)", gains, title),
+        _by_row("budget", f"Error budget with {names[0]}", "share of the variance (%)", shares),
+        _by_row("gains", "Drift after one change", "standard deviation (m)", gains),
     )
     tables: dict[str, Columns] = {
         name: {"t_s": [0.0, *of.t_s], "drift_m": [0.0, *drifts]} for name, drifts in zip(names, of.drift_m, strict=True)
@@ -121,11 +124,11 @@ def write(of: DivePlan, out: Path) -> None:
     report.write_plots(out, title, plots, tables, values={} if of.limit_m is None else {"limit_m": of.limit_m})
 
 
-def _by_row(name: str, title: str, label: str, values: Mapping[str, float], group: str) -> Plot:
+def _by_row(name: str, title: str, label: str, values: Mapping[str, float]) -> Plot:
     """Return the plot of one value for each row."""
     series = (Series("", name, "value", "row", palette.OTHER, Style.DOT),)
     rows = Axis("", downwards=True, rows=tuple(values))
-    return Plot(name=name, title=title, x=Axis(label), y=rows, over_time=False, group=group, series=series)
+    return Plot(name=name, title=title, x=Axis(label), y=rows, over_time=False, group=AT_THE_END, series=series)
 
 
 def _names(of: DivePlan) -> list[str]:
