@@ -95,7 +95,7 @@ class TrackErrors:
             return None
         zero = np.zeros(1, dtype=np.int64)
         start = _track(self._estimate, zero)
-        true = _track(self._truth, at) - _track(self._truth, zero) + start
+        true = _track(self._truth, at) + (start - _track(self._truth, zero))
         return Positions(at / 1e9, _track(self._estimate, at), true, self._references(at, start))
 
     def errors(self) -> tuple[Spread, Spread, Spread, Spread]:

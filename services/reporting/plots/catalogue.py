@@ -309,7 +309,7 @@ def _current_error(axis: str, colour: str) -> Plot:
     return Plot(
         name=f"current_error_{axis}",
         title=f"Error of the estimated current, {axis}",
-        x=Axis("error (m/s)", min_span=0.02),
+        x=Axis(f"error {axis} (m/s)", min_span=0.02),
         y=Axis("depth (m)", downwards=True, min_span=1.0),
         over_time=False,
         group=Group.REVIEW,
