@@ -11,6 +11,12 @@ from services.reporting.plots.vehicle_from_above import CURRENT_MPS
 TIME = Axis("time (s)")
 NO_TIMES = "no times; none are measured in lock step"
 
+
+def _limits(label: str, *values: str) -> tuple[Level, ...]:
+    """Return a horizontal line at each of these values of the run."""
+    return tuple(Level(label, value, palette.LIMIT) for value in values)
+
+
 TRACK = Plot(
     name="track",
     title="View from above",
@@ -136,12 +142,7 @@ THRUST = Plot(
         Series("port, planned", "ahead", "t_s", "port_N", palette.PORT, Style.DASHED),
         Series("starboard, planned", "ahead", "t_s", "starboard_N", palette.STARBOARD, Style.DASHED),
     ),
-    levels=(
-        Level("limits", "port_min_N", palette.LIMIT),
-        Level("limits", "port_max_N", palette.LIMIT),
-        Level("limits", "starboard_min_N", palette.LIMIT),
-        Level("limits", "starboard_max_N", palette.LIMIT),
-    ),
+    levels=_limits("limits", "port_min_N", "port_max_N", "starboard_min_N", "starboard_max_N"),
 )
 
 CURRENT = Plot(
@@ -172,10 +173,7 @@ VERTICAL = Plot(
         Series("delivered", "thrust", "t_s", "vertical_N", palette.OTHER, compared=True),
         Series("planned", "ahead", "t_s", "vertical_N", palette.PLAN, Style.DASHED),
     ),
-    levels=(
-        Level("limits", "vertical_min_N", palette.LIMIT),
-        Level("limits", "vertical_max_N", palette.LIMIT),
-    ),
+    levels=_limits("limits", "vertical_min_N", "vertical_max_N"),
 )
 
 HEADING = Plot(
@@ -224,10 +222,7 @@ NIS_BY_SENSOR = Plot(
         Series(sensor, table, "t_s", "deviation", palette.RUNS[i % len(palette.RUNS)])
         for i, (sensor, table) in enumerate(NIS.items())
     ),
-    levels=(
-        Level("95 % of consistent means", "nis_low", palette.LIMIT),
-        Level("95 % of consistent means", "nis_high", palette.LIMIT),
-    ),
+    levels=_limits("95 % of consistent means", "nis_low", "nis_high"),
 )
 
 ENERGY = Plot(
@@ -305,7 +300,6 @@ def _of_both_sides(table: str, x: str, unit: str) -> tuple[Series, Series]:
 
 def _current_error(axis: str, colour: str) -> Plot:
     """Return the plot of the error of the estimated current along ``axis``, north or east."""
-    columns = (("error", f"{axis}_mps"), ("+2 sd", f"{axis}_high_mps"), ("-2 sd", f"{axis}_low_mps"))
     return Plot(
         name=f"current_error_{axis}",
         title=f"Error of the estimated current, {axis}",
@@ -315,17 +309,12 @@ def _current_error(axis: str, colour: str) -> Plot:
         group=Group.REVIEW,
         diving=True,
         note="At the end of the run, where the vehicle has been; two standard deviations of the filter.",
-        series=tuple(
-            Series(
-                label,
-                "current_error",
-                column,
-                "depth_m",
-                colour if label == "error" else palette.REFERENCE,
-                Style.LINE if label == "error" else Style.DASHED,
-                compared=True,
-            )
-            for label, column in columns
+        series=(
+            Series("error", "current_error", f"{axis}_mps", "depth_m", colour, compared=True),
+            *(
+                Series(label, "current_error", column, "depth_m", palette.REFERENCE, Style.DASHED, compared=True)
+                for label, column in (("+2 sd", f"{axis}_high_mps"), ("-2 sd", f"{axis}_low_mps"))
+            ),
         ),
     )
 
