@@ -14,9 +14,8 @@ from typing import Any
 
 import msgspec
 
-from ltv_mpc.config import loads
 from services.recording.info import utc
-from services.recording.node_settings import vehicle_name
+from services.recording.node_settings import SCENARIO, table_of, vehicle_name
 from services.recording.writer import VEHICLE_MODE
 from services.reporting import differences, safety_part, static_files
 from services.reporting.assessment import assessment
@@ -33,8 +32,6 @@ from services.run.folder import draft_of
 MAX_RUNS = 40
 ROWS_OF_ALL = 4 * ROWS
 """Rows of one table, summed over all runs: a report of many runs is no larger than one of a few."""
-
-SCENARIO = "scenario.toml"
 
 _CODE = r"<code>\1</code>"
 
@@ -166,10 +163,7 @@ def _how(summary: Mapping[str, Any], metadata: Mapping[str, str]) -> str:
 
 def _scenario(metadata: Mapping[str, str]) -> str:
     """Return the title of the scenario and the name of the vehicle; empty if the recording does not hold them."""
-    try:
-        title = loads(metadata.get(SCENARIO, "")).get("title", "")
-    except (ValueError, RecursionError):
-        title = ""
+    title = table_of(metadata, SCENARIO).get("title", "")
     return ", ".join(filter(None, (str(title), f"vehicle {name}" if (name := vehicle_name(metadata)) else "")))
 
 
