@@ -24,7 +24,12 @@ extensions = [
 exclude_patterns = ["extensions"]
 smartquotes = False  # two dashes are an option
 nitpicky = True  # a type in a signature has an entry on the page of Python names
-nitpick_ignore = {("py:class", "collections.abc.Callable"), ("py:class", "scipy.sparse._csc.csc_array")}
+nitpick_ignore_regex = {  # of other projects, or not a name for users
+    (
+        "py:class",
+        r"(collections\.abc|pandas|pathlib|scipy)\..*|ltv_mpc\.(messages\.Message|control\.failed_qp\.NamedQp)",
+    )
+}
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4  # as GitHub makes them, so that the same links work there

@@ -122,7 +122,7 @@ def expected(kind: Type | None, value: Any = None) -> str:
             return f"a list of {len(kind.item_types)}, each {expected(kind.item_types[0])}"
         case inspect.VarTupleType() | inspect.ListType():
             least, most = kind.min_length, kind.max_length
-            ends = [f"at least {least}"] * bool(least) + [f"at most {most:,}"] * bool(most)
+            ends = [f"at {word} {n:,}" for word, n in (("least", least), ("most", most)) if n]
             return f"a list{' of ' * bool(ends)}{' and '.join(ends)}, each {expected(kind.item_type)}"
         case inspect.StructType():
             return f"a table with {', '.join(field_names(kind))}"

@@ -1,7 +1,7 @@
 """Links inside the built site: each one that leads to no file or to no anchor is a warning.
 
 viewcode links from a source page back to the reference by one package for all names of a module: that of the first
-documented one. So that these links have a target, each entry has a second anchor, with the module of its source.
+documented one. So that these links have a target, each entry has anchors with the module of its source and ``ltv_mpc``.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ def _add(_app: Sphinx, page: nodes.document) -> None:
         module, name = signature.get("module"), signature.get("fullname")
         thing = getattr(import_module(module), name.partition(".")[0], None) if module else None
         source = str(getattr(thing, "__module__", ""))
-        if source.startswith("ltv_mpc"):
+        if source.startswith(("ltv_mpc", "services")):
             signature["module"] = source
-            if f"{source}.{name}" not in signature["ids"]:
-                signature["ids"].append(f"{source}.{name}")
+            more = (f"{source}.{name}", f"ltv_mpc.{name}")
+            signature["ids"] += [anchor for anchor in more if anchor not in signature["ids"]]
 
 
 def _look(app: Sphinx, error: Exception | None) -> None:

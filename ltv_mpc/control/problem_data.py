@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import Weights
@@ -23,6 +24,12 @@ from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 
 COMMANDS, CHANGES = 8, 10
 """Places of the commands and of their changes among the numbers of a stage (``ocp/assembly.py``)."""
+
+W = len(Weights.__struct_fields__)
+"""Numbers of a packed objective in front of its limits: the weights, in the order of ``Weights`` and ``Objective``."""
+
+KNOTS = W + 19
+"""Place of the first knot in a packed objective; their number is in front of it."""
 
 
 class Objective(NamedTuple):
@@ -65,16 +72,9 @@ def pack_objective(knots: Array, limits: HorizonLimits, weights: Weights) -> Arr
 
     Returns
     -------
-    (25 + N+1,) packed objective.
+    (KNOTS + N+1,) packed objective.
     """
-    cost = (
-        weights.position_per_m2,
-        weights.terminal_position_per_m2,
-        weights.terminal_velocity_s2_per_m2,
-        weights.thrust,
-        weights.thrust_change,
-        weights.heading_per_rad2,
-    )
+    cost = msgspec.structs.astuple(weights)
     bounds = (limits.low, limits.high, limits.max_change, limits.thrust_scale)
     return np.concatenate([cost, *bounds, limits.state_scale, *limits.state_bounds, [len(knots)], knots])
 
@@ -94,7 +94,7 @@ def pack_constants(
 
     Returns
     -------
-    (52 + N,) packed constants; they begin with a packed objective.
+    (KNOTS + N+1 + 26,) packed constants; they begin with a packed objective.
     """
     vertical = vehicle.thrusters[2]
     rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s, time_ratio(vehicle))
@@ -104,7 +104,7 @@ def pack_constants(
 
 def coefficients_of(packed: Array) -> Array:
     """Return the view (21,) of the vehicle's coefficients in packed constants."""
-    begin = 25 + int(packed[24])
+    begin = KNOTS + int(packed[KNOTS - 1])
     return packed[begin : begin + 21]
 
 
@@ -115,24 +115,23 @@ def bow_first(packed: Array) -> bool:
     ----------
     packed : packed constants.
     """
-    return bool(packed[20] >= 0.0)
+    return bool(packed[W + 14] >= 0.0)
 
 
 @jit
 def unpack_objective(packed: Array) -> Objective:
     """Return the objective at the beginning of a packed objective or of packed constants."""
-    end = 25 + int(packed[24])
+    end, rest = KNOTS + int(packed[KNOTS - 1]), packed[W:]
     return Objective(
         packed[0], packed[1], packed[2], packed[3], packed[4], packed[5],
-        packed[6:8], packed[8:10], packed[10:12], packed[12:14], packed[14:20], packed[20:22], packed[22:24],
-        packed[25:end],
+        rest[0:2], rest[2:4], rest[4:6], rest[6:8], rest[8:14], rest[14:16], rest[16:18], packed[KNOTS:end],
     )  # fmt: skip
 
 
 @jit
 def unpack_constants(packed: Array) -> Constants:
     """Return the constants that ``pack_constants`` packed."""
-    rest = packed[25 + int(packed[24]) :]
+    rest = packed[KNOTS + int(packed[KNOTS - 1]) :]
     return Constants(unpack_objective(packed), coefficients(rest[:21]), rest[21:24], rest[24], rest[25])
 
 

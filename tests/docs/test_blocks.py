@@ -36,7 +36,7 @@ from tests.docs.pages import NAMES, ROOT, Command, blocks, commands, prose, spok
 
 RUN_HERE = {"sh", "python", "toml", "json"}
 SHOWN = {"text", "diff", "{toctree}", "{eval-rst}", "{include}"}
-"""Outputs, equations and drawings; changes of the code (test_add_sensor.py builds them); the site's own directives."""
+"""Outputs, equations and drawings; changes of the code (test_add_pages.py builds them); the site's own directives."""
 
 UNTIL_STOPPED = "a process that runs until it is stopped; tests/system, tests/services/launch start it"
 MINUTES = "takes minutes; a short one is run by"

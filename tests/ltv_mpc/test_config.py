@@ -89,6 +89,11 @@ def test_a_list_of_the_wrong_length_is_refused() -> None:
     assert "] lever_arm_m = [0.0]: must be a list of 3, each a number" in refusal(text, SensorConfig)
 
 
+def test_a_number_where_a_list_of_any_length_belongs_is_refused() -> None:
+    text = PAPER.replace("[thruster.port]\n", "[thruster.port]\npwm_us = 3\n")
+    assert "] pwm_us = 3: must be a list, each a number >= 800 and <= 2200" in refusal(text, Vehicle)
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [

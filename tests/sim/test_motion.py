@@ -85,7 +85,7 @@ def test_sinking_through_shear_conserves_momentum_of_dry_and_added_mass():
 
 
 def equations(t, x, p, command, lag, current):
-    """Return the derivative by the equations of docs/model.md, written again for scalars and a continuous governor."""
+    """Return the derivative by the equations of sim/motion.py, written again for scalars and a continuous governor."""
     u, v, psi, r, z, w, n1, n2, n3 = x[2:]
     m_x, m_y, m_z, i_z = p.mass_surge, p.mass_sway, p.mass_heave, p.inertia_yaw
     a, b = 0.4 * RHO * DIAMETER**4, RHO * DIAMETER**3 / 3

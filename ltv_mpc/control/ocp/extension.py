@@ -20,15 +20,15 @@ STATE_STEPS = np.array([1e-4, 1e-4, 1e-5, 1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3, 1e
 
 
 class Motion(NamedTuple):
-    """Motion along a horizon, at the knots 1 .. N."""
+    """Motion along a horizon, at the knots 1 .. N.
 
-    states: Array
-    """(N, 10) north, east (m), surge, sway (m/s), heading (rad), yaw rate (rad/s), delivered and commanded thrust of
-    port and starboard (N)."""
-    lengths: Array
-    """(N,) lengths of the stages that end there, in units of the first one."""
-    target: Array
-    """(N, 2) north and east wanted (m)."""
+    A state has north, east (m), surge, sway (m/s), heading (rad), yaw rate (rad/s), delivered and commanded thrusts of
+    port and starboard (N).
+    """
+
+    states: Array  # (N, 10)
+    lengths: Array  # (N,) of the stages that end there, in units of the first one
+    target: Array  # (N, 2) north and east wanted (m)
 
 
 class Term:

@@ -1,4 +1,4 @@
-"""Satellite fixes, carrier phase, pressure and compass: statistics against the table of model.md."""
+"""Satellite fixes, carrier phase, pressure and compass: statistics against their settings."""
 
 from __future__ import annotations
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import asdict
 
 from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.linearisation import Linearisation, velocity_over_ground
@@ -17,7 +18,7 @@ from tests.ltv_mpc.control.problems import LIMITS, Form, motion, precise
 
 N = 6
 KNOTS = np.array([0.0, 1.0, 2.0, 3.0, 4.3, 6.0, 8.2])
-WEIGHTS = Weights(thrust=0.2, thrust_change=0.1, heading_per_rad2=0.4)
+WEIGHTS = Weights(**{name: weight or 0.4 for name, weight in asdict(Weights(thrust=0.2, thrust_change=0.1)).items()})
 OBJECTIVE: Objective = unpack_objective(pack_objective(KNOTS, LIMITS, WEIGHTS))
 SCALES = assembly.scales(LIMITS)
 TERMS = Objective._fields[: len(Weights.__struct_fields__)]
