@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks import sheet
 from benchmarks.lockstep_job import Job
 from ltv_mpc.messages import Array, Estimate, Truth
-from services.reporting import sheet
 from services.reporting.plots import palette
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run

@@ -27,6 +27,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import Progress
 
+from benchmarks import sheet
 from benchmarks.lockstep_job import Job
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
@@ -35,7 +36,6 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE
 from ltv_mpc.messages import ImuSample, ImuSamples
 from ltv_mpc.node import Inbox
-from services.reporting import sheet
 from services.reporting.plots import palette
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run

@@ -28,10 +28,10 @@ import msgspec
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks import sheet
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Applied, Disturbance, Estimate, Message, ModelCheck, Triple, Truth
 from ltv_mpc.node import Grid, Inbox, Node, ReceivedMessage
-from services.reporting import sheet
 from services.reporting.plots import palette
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve

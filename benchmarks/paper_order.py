@@ -24,11 +24,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binomtest, qmc
 
+from benchmarks import sheet
 from benchmarks.loop import Loop, run_config
 from benchmarks.paper.settings import COMPUTING_S, LONG_S, SHORT_S
 from ltv_mpc.control import config, controller, fallback, lateral, solvers
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.reporting import sheet
 from services.reporting.plots import palette
 
 SAMPLE_SEED, FIRST_SEED = 2012, 700

@@ -21,13 +21,13 @@ import msgspec
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks import sheet
 from benchmarks.loop import Loop, Outcome, run_config
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.resolution import settled
 from ltv_mpc.control.scaling import THRUST_WEIGHT_FACTOR
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.reporting import sheet
 from services.reporting.plots import palette
 from services.tools.batch.executor import run_each
 

@@ -72,7 +72,6 @@ ThrustShare: TypeAlias = Annotated[float, Meta(ge=0.1, le=1.0, extra={"unit": "s
 Dimensionless: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12, extra={"unit": "dimensionless"})]
 SpeedOfTime: TypeAlias = Annotated[float, Meta(ge=0.01, le=1000.0, extra={"unit": "vehicle s per s"})]
 Voltage: TypeAlias = Annotated[float, Meta(ge=0.0, le=10_000.0, extra={"unit": "V"})]
-MessageFaultSize: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "share or s"})]
 # Finite even if the solve failed.
 Residual: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e300, extra={"unit": "dimensionless"})]
 VehicleState: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "m, m/s, rad, rad/s"})]
@@ -1015,51 +1014,6 @@ class Kill(Message, frozen=True, kw_only=True, eq=False):
     """Command to the supervisor of a simulation to kill one process, to test the reaction of the others."""
 
     node: Annotated[str, Meta(description="node whose process is killed")]
-
-
-class MessageFault(enum.StrEnum):
-    """Kind of fault that the fault injector applies to a message on its way."""
-
-    LOSS = "loss"
-    DELAY = "delay"
-    REORDER = "reorder"  # delivered after its successor
-    DUPLICATE = "duplicate"
-    CORRUPTION = "corruption"  # a few bits of the frame are flipped
-    NOT_A_NUMBER = "not_a_number"  # one of its numbers becomes NaN or infinity
-    STALE = "stale"  # the sender repeats an old message
-    CLOCK_JUMP = "clock_jump"  # its stamps come from a clock that has jumped
-
-
-class Injection(Message, frozen=True, kw_only=True, eq=False):
-    """Request to the fault injector for a fault in the messages of one key. No process aboard the vehicle reads it.
-
-    ``size`` is the share of the affected messages, except for "delay" (seconds), "clock_jump" (seconds ahead of the
-    true time) and "stale" (unused).
-    """
-
-    key: Annotated[str, Meta(description="key of the affected messages")]
-    fault: Annotated[MessageFault, Meta(description="kind of fault")]
-    start_t_ns: Annotated[Time, Meta(description="vehicle time at which it starts; immediately if that is past")]
-    end_t_ns: Annotated[Time, Meta(description="vehicle time at which it ends")]
-    size: Annotated[
-        MessageFaultSize,
-        Meta(description="share of the messages; delay: seconds; clock_jump: seconds ahead of the time; stale: unused"),
-    ] = 1.0
-    seed: Annotated[
-        Identifier, Meta(description="seed of the random draws: which messages, which bits, which numbers")
-    ] = 0
-
-
-class InjectorFrame(Message, frozen=True, kw_only=True, eq=False):
-    """Frame on the link between the fault injector and the node under test that differs from the frame on the bus.
-
-    On this link the node receives the altered frames, and publishes the original of a frame that the injector alters.
-    """
-
-    t_ns: Annotated[Time, Meta(description="time at which the injector received it")]
-    key: Annotated[str, Meta(description="key on which the node under test received or published it")]
-    crc: Crc
-    payload_base64: Annotated[str, Meta(description="the whole frame")]
 
 
 # --- written by every process: status, events, rejected frames, a record of each step --------------------------------

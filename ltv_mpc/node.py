@@ -1,6 +1,6 @@
 """Node interface: pure steps, without clock, unseeded random numbers or threads.
 
-The callers are ``sim/scheduler.py`` (one process, simulated clock), ``services/runtime/step_loop.py`` (Zenoh, wall
+The callers are ``sim/scheduler.py`` (one process, simulated clock), ``services/runtime/runner.py`` (Zenoh, wall
 clock) and a replay. For the same state and (t_ns, inbox) a step returns the same messages, bit for bit, so a recording
 replays through the nodes without tolerances.
 """

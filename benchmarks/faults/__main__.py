@@ -8,7 +8,7 @@ Results are stored in DIR when a run ends, so a campaign can be interrupted and 
 failed, which is printed, or a fault could not be injected.
 
 `inject` copies all messages between the routers and harms some of them: lost, delayed, reordered, doubled, damaged,
-NaN, stale, or stamped by a clock that jumped. Faults come from --fault and the topic `inject`. Times are vehicle times.
+NaN, stale, or stamped by a clock that jumped. Faults come from --fault. Times are vehicle times.
 Without faults it copies everything byte for byte.
 """
 
@@ -155,6 +155,7 @@ def _inject(parser: argparse.ArgumentParser, words: Sequence[str]) -> int:
     parser.add_argument("--to", required=True, metavar="ENDPOINT", help="router B")
     parser.add_argument("--connect", metavar="ENDPOINT", help="router A; default tcp/127.0.0.1:7447")
     parser.add_argument("--fault", action="append", default=[], metavar="FAULT", help=inject.WORDS)
+    parser.add_argument("--link", default="", metavar="FILE", help="record the frames that differ beyond the injector")
     parser.add_argument("--namespace", default="")
     parser.add_argument("--certs", type=Path, metavar="DIR", help="use mTLS with these certificates")
     options = parser.parse_args(words)
@@ -165,7 +166,7 @@ def _inject(parser: argparse.ArgumentParser, words: Sequence[str]) -> int:
     common = {"mode": "client", "namespace": options.namespace, "certs": options.certs, "role": inject.NAME}
     at_a, at_b = (BusOptions(connect=(place,) if place else (), **common) for place in (options.connect, options.to))
     injections = tuple(inject.parse(text) for text in options.fault)
-    return inject.main(inject.Config(node=options.node, injections=injections, at_a=at_a, at_b=at_b))
+    return inject.main(inject.Config(node=options.node, injections=injections, at_a=at_a, at_b=at_b, link=options.link))
 
 
 if __name__ == "__main__":

@@ -9,12 +9,12 @@ the number of harmed messages. Times are vehicle times.
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import heapq
 import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -22,22 +22,22 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Clock, ImuSample, ImuSamples, Injection, InjectorFrame, Message, MessageFault, RunEvent
+from ltv_mpc.messages import Clock, ImuSample, ImuSamples, Message, RunEvent
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import bounds
 from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import MessageValidator
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import Publisher, Session, Stopped, open_session
-from services.bus.topics import BY_TYPE, NAMED, TOPICS, Topic, expression, topic_at
-from services.bus.wire import Header, WireError, crc, decode, encode
+from services.bus.topics import NAMED, TOPICS, Topic, expression, topic_at
+from services.bus.wire import Header, WireError, crc, decode, encode, unpack
+from services.recording.writer import RunWriter
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 from sim.faults.interval import Interval
-from sim.faults.message_faults import MessageFaultInterval, MessageFaults
+from sim.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
 from sim.scheduler import Delivery
 
 NAME = "inject"
@@ -57,13 +57,23 @@ SHARES = (
 
 MAX_DELAY_S = 60.0
 
+EARLIEST_NS = -(10**15)
+"""Vehicle time of log time 0 in the recording of the link: before any start of a run."""
+
+LINK = "link.mcap"
+"""Recording of the link to the node under test in the folder of a run."""
+
 WORDS = "HARM,KEY,START_S,END_S[,SIZE[,SEED]]"
 
 Time = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 
-class Entry(msgspec.Struct, frozen=True, kw_only=True):
-    """Fault as a text gives it. Times are vehicle times (s)."""
+class Injection(msgspec.Struct, frozen=True, kw_only=True):
+    """Fault in the messages of one key. Times are vehicle times (s).
+
+    ``size`` is the share of the affected messages, except for "delay" (seconds), "clock_jump" (seconds ahead of the
+    true time) and "stale" (unused).
+    """
 
     harm: MessageFault
     key: str
@@ -72,17 +82,20 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     size: Annotated[float, Meta(ge=-1e6, le=1e6)] = 1.0
     seed: Annotated[int, Meta(ge=0, le=2**53 - 1)] = 0
 
+    @property
+    def interval(self) -> Interval:
+        """Vehicle times of its begin and end (ns)."""
+        return Interval(round(self.start_s * 1e9), round(self.end_s * 1e9))
+
 
 def parse(text: str) -> Injection:
     """Parse a fault of the command line, as in ``WORDS``. Raises ``ConfigError``."""
-    source, names = "option --fault", Entry.__struct_fields__
+    source, names = "option --fault", Injection.__struct_fields__
     values = [value.strip() for value in text.split(",")]
     if not 4 <= len(values) <= len(names):
         raise ConfigError(source, "", f"must be {WORDS}", value=text)
     table = {name: config.number_or_text(value) for name, value in zip(names, values, strict=False)}
-    entry = config.parse(table, Entry, source=source)
-    times = {"start_t_ns": round(entry.start_s * 1e9), "end_t_ns": round(entry.end_s * 1e9)}
-    injection = Injection(key=entry.key, fault=entry.harm, size=entry.size, seed=entry.seed, **times)
+    injection = config.parse(table, Injection, source=source)
     if (found := problem(injection)) is not None:
         raise ConfigError(source, *found)
     return injection
@@ -95,16 +108,16 @@ def problem(injection: Injection) -> tuple[str, str] | None:
         return "key", "must be a key of `ltv-mpc topics`"
     if topic.message_type in NAMED and injection.key != topic.key:
         return "key", f"must be {topic.key}: a fault there concerns all of its sources"
-    if injection.end_t_ns <= injection.start_t_ns:
-        return "end_s", f"must be > start_s = {injection.start_t_ns / 1e9:g}"
-    if injection.fault in SHARES and not 0 < injection.size <= 1:
-        return "size", f"must be > 0 and <= 1 (a share of the messages) for {injection.fault}"
-    if injection.fault is MessageFault.DELAY and not 0 < injection.size <= MAX_DELAY_S:
-        return "size", f"must be > 0 and <= {MAX_DELAY_S:g} (s) for {injection.fault}"
+    if injection.end_s <= injection.start_s:
+        return "end_s", f"must be > start_s = {injection.start_s:g}"
+    if injection.harm in SHARES and not 0 < injection.size <= 1:
+        return "size", f"must be > 0 and <= 1 (a share of the messages) for {injection.harm}"
+    if injection.harm is MessageFault.DELAY and not 0 < injection.size <= MAX_DELAY_S:
+        return "size", f"must be > 0 and <= {MAX_DELAY_S:g} (s) for {injection.harm}"
     # NaN in an array with gaps is a missing value.
     kind = ImuSample if topic.message_type is ImuSamples else topic.message_type
     harmable = (isinstance(of.low, float) and not of.has_gaps for of in bounds(kind).values())
-    if injection.fault is MessageFault.NOT_A_NUMBER and not any(harmable):
+    if injection.harm is MessageFault.NOT_A_NUMBER and not any(harmable):
         return "key", "has no field that can be NaN"
     return None
 
@@ -122,10 +135,8 @@ class Interference:
         """Add an injection that takes effect from now on."""
         topic = topic_at(injection.key)
         assert topic is not None  # by ``problem``
-        interval = Interval(injection.start_t_ns, injection.end_t_ns)
-        self._message_faults.add(
-            MessageFaultInterval((topic.message_type,), injection.fault, interval, injection.size, injection.seed)
-        )
+        kinds, interval = (topic.message_type,), injection.interval
+        self._message_faults.add(MessageFaultInterval(kinds, injection.harm, interval, injection.size, injection.seed))
         self.asked.append(injection)
 
     @property
@@ -202,8 +213,13 @@ class _Side:
 class Injector:
     """Bridge between the two routers that applies the faults, until it is stopped."""
 
-    def __init__(self, node: str, injections: Iterable[Injection], *, stop: StopRequest, say: Say) -> None:
-        """Prepare the bridge for the node under test, ``node``, which is alone at B."""
+    def __init__(
+        self, node: str, injections: Iterable[Injection], *, link: RunWriter | None, stop: StopRequest, say: Say
+    ) -> None:
+        """Prepare the bridge for the node under test, ``node``, which is alone at B.
+
+        ``link`` records the frames at B that differ from those at A.
+        """
         self._interference = Interference()
         self._mailbox = Mailbox()
         self._stop = stop
@@ -211,7 +227,7 @@ class Injector:
         stop.on_request(self._mailbox.wake)
         self._node = node
         self._clock = VehicleClock()
-        self._validator = MessageValidator()
+        self._link = link
         self._delayed: list[tuple[int, int, str, bytes]] = []  # heap: due (ns), count, key, frame
         self._count = 0
         self._events: list[tuple[int, int, str]] = []  # heap: time (ns), number of the fault, "begins" or "ends"
@@ -236,10 +252,9 @@ class Injector:
             side_a = _Side(at_a, self._mailbox, lambda key: key not in own)
             side_b = _Side(at_b, self._mailbox, lambda key: key in own)
             self._sides = side_a, side_b
-            self._out = Outbox(at_a, node=NAME, epoch=new_epoch(), kinds=(RunEvent, InjectorFrame))
+            self._out = Outbox(at_a, node=NAME, epoch=new_epoch(), kinds=(RunEvent,))
             for key, topic in others.items():
                 side_a.subscribe(key, topic)
-            side_a.subscribe(BY_TYPE[Injection].key, BY_TYPE[Injection])
             for key, topic in own.items():
                 side_b.subscribe(key, topic)
             self._own = own
@@ -252,9 +267,6 @@ class Injector:
 
     def _take(self, frame: Frame) -> None:
         assert frame.topic is not None
-        if frame.topic.message_type is Injection:
-            self._accept(frame)
-            return
         if frame.topic.message_type is Clock:
             with contextlib.suppress(WireError, ClockError):  # the processes that follow the clock report it
                 self._clock.follow(decode(Clock, frame.payload)[0])
@@ -264,8 +276,10 @@ class Injector:
             return
         come = self._interference.carry(frame.topic, frame.payload, now_ns)
         for payload in unlike_at_a(frame.payload, come, now_ns, said_at_b=frame.key in self._own):
-            text = base64.b64encode(payload).decode()
-            self._out.publish(InjectorFrame(t_ns=now_ns, key=frame.key, crc=crc(payload), payload_base64=text))
+            if self._link is not None:
+                with contextlib.suppress(WireError):  # a damaged frame, which the node cannot read either
+                    kind = frame.topic.message_type
+                    self._link.write_plain(frame.key, kind, unpack(payload), now_ns, crc(payload))
         for due_ns, payload in come:
             if due_ns <= now_ns:
                 self._send(frame.key, payload)
@@ -273,24 +287,11 @@ class Injector:
                 self._count += 1
                 heapq.heappush(self._delayed, (due_ns, self._count, frame.key, payload))
 
-    def _accept(self, frame: Frame) -> None:
-        """Accept a fault that is requested on the bus during the run."""
-        try:
-            injection, _ = self._validator.validate(frame)
-        except WireError as error:
-            self._say(f"rejected: {error}")
-            return
-        assert isinstance(injection, Injection)
-        if (found := problem(injection)) is not None:
-            self._say(f"rejected: {' '.join(found)}")
-        else:
-            self._add(injection)
-
     def _add(self, injection: Injection) -> None:
         number = len(self._interference.asked)
         self._interference.add(injection)
-        heapq.heappush(self._events, (injection.start_t_ns, number, "begins"))
-        heapq.heappush(self._events, (injection.end_t_ns, number, "ends"))
+        heapq.heappush(self._events, (injection.interval.start_ns, number, "begins"))
+        heapq.heappush(self._events, (injection.interval.end_ns, number, "ends"))
 
     def _tend(self) -> None:
         """Forward delayed frames that are due, and publish the begin and end events of faults."""
@@ -302,7 +303,7 @@ class Injector:
         while self._events and self._events[0][0] <= now_ns:
             _, number, what = heapq.heappop(self._events)
             asked, harmed = self._interference.asked[number], self._interference.harmed[number]
-            text = f"{asked.fault} of {asked.key} {what}" + (f", {harmed} harmed" if what == "ends" else "")
+            text = f"{asked.harm} of {asked.key} {what}" + (f", {harmed} harmed" if what == "ends" else "")
             self._out.publish(RunEvent(t_ns=now_ns, node=NAME, kind="injected", text=text))
 
     def _send(self, key: str, payload: bytes) -> None:
@@ -352,15 +353,20 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
     injections: tuple[Injection, ...]
     at_a: BusOptions  # where everyone else is
     at_b: BusOptions  # where the node under test is
+    link: str = ""  # recording of the frames at B that differ from those at A; empty: none
 
 
 def main(config: Config) -> int:
     """Inject until stopped; the last line on stdout is the number of harmed messages by fault, as JSON."""
 
     def work(request: StopRequest, say: Say) -> None:
-        injector = Injector(config.node, config.injections, stop=request, say=say)
-        with contextlib.suppress(Stopped):
-            injector.serve(config.at_a, config.at_b)
+        with contextlib.ExitStack() as stack:
+            link = None
+            if config.link:
+                link = stack.enter_context(RunWriter(Path(config.link), start_ns=EARLIEST_NS, metadata={}))
+            injector = Injector(config.node, config.injections, link=link, stop=request, say=say)
+            with contextlib.suppress(Stopped):
+                injector.serve(config.at_a, config.at_b)
         sys.stdout.write(json.dumps(injector.account) + "\n")
 
     return run_until_stopped(Console(NAME), work)

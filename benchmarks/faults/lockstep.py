@@ -13,7 +13,7 @@ from benchmarks.faults.draw import Run
 from benchmarks.faults.kinds import INSTRUMENTS, MESSAGES, Fault
 from benchmarks.faults.log import INTRUDERS_EPOCH, Case, Log, Observed, lost_between
 from benchmarks.faults.own_clock import ClockStepFault, OwnClock
-from ltv_mpc.messages import Disturbance, Message, MessageFault
+from ltv_mpc.messages import Disturbance, Message
 from ltv_mpc.node import Node, ReceivedMessage
 from ltv_mpc.validation import rejection_reason
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -26,7 +26,7 @@ from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from sim.faults.antenna import Antenna
 from sim.faults.interval import Interval
-from sim.faults.message_faults import MessageFaultInterval, MessageFaults
+from sim.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
 from sim.faults.restarted_node import RestartedNode
 from sim.faults.second_source import SecondSource
 from sim.faults.sensor_faults import Failure, FaultySensors, SensorFault

@@ -35,7 +35,7 @@ from benchmarks.faults.kinds import Fault
 from benchmarks.faults.lockstep import SCENARIO, run_config
 from benchmarks.faults.recorded import Injected
 from benchmarks.processes import Process, Started, await_router, children, end
-from ltv_mpc.messages import Clock, ClockState, Injection, MessageFault
+from ltv_mpc.messages import Clock, ClockState
 from services.bus.options import BusOptions
 from services.bus.roles import DISPLAY
 from services.bus.session import open_session
@@ -45,6 +45,7 @@ from services.processes import plant
 from services.run import folder as run_folder
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.supervisor import entry_point, loopback, process_table
+from sim.faults.message_faults import MessageFault
 
 SPEED = 2.0
 """Vehicle seconds per wall second."""
@@ -182,16 +183,10 @@ def _clock_of(process: Process, folder: Path, sessions: ExitStack) -> _Time | No
 # --- behind an injector ----------------------------------------------------------------------------------------------
 
 
-def injection(fault: Fault) -> Injection:
-    """Convert a fault of the campaign to the injector's message."""
-    return Injection(
-        key=fault.target,
-        fault=MessageFault(fault.kind.removeprefix("message_")),
-        start_t_ns=fault.start_ns,
-        end_t_ns=fault.end_ns,
-        size=fault.size,
-        seed=fault.seed,
-    )
+def injection(fault: Fault) -> inject.Injection:
+    """Convert a fault of the campaign to the injector's."""
+    harm, times = MessageFault(fault.kind.removeprefix("message_")), {"start_s": fault.start_s, "end_s": fault.end_s}
+    return inject.Injection(key=fault.target, harm=harm, size=fault.size, seed=fault.seed, **times)
 
 
 def behind_injector(run: Run, folder: Path) -> Ended:
@@ -201,10 +196,7 @@ def behind_injector(run: Run, folder: Path) -> Ended:
     logs = made.path / "logs"
     logs.mkdir()
     namespace = f"auv/{secrets.token_hex(4)}"
-    a, b = (
-        process_table.RunContext(folder=made, router=f"tcp/127.0.0.1:{loopback.free_port()}", namespace=namespace)
-        for _ in range(2)
-    )
+    a, b = (BusOptions(connect=(f"tcp/127.0.0.1:{loopback.free_port()}",), namespace=namespace) for _ in range(2))
     modules = {row.name: row.module for row in process_table.processes(of.scenario)}
     running: dict[str, Process] = {}
     with Started() as started:
@@ -216,18 +208,16 @@ def behind_injector(run: Run, folder: Path) -> Ended:
             with file.with_suffix(".log").open("wb") as log:
                 running[name] = started.start(*words, stdout=log, stderr=log)
 
-        for name, place in (("router", a), ("router-b", b)):
-            start(name, modules["router"], process_table.config_of("router", of, place))
-            await_router(place.router)
-        at_a, at_b = (
-            BusOptions(connect=(place.router,), mode="client", namespace=namespace, role=inject.NAME)
-            for place in (a, b)
-        )
+        for name, bus in (("router", a), ("router-b", b)):
+            start(name, modules["router"], process_table.config_of("router", of, made, bus))
+            await_router(bus.connect[0])
+        at_a, at_b = (msgspec.structs.replace(bus, mode="client", role=inject.NAME) for bus in (a, b))
         injections = tuple(map(injection, run.faults))
-        settings = inject.Config(node=UNDER_TEST, injections=injections, at_a=at_a, at_b=at_b)
+        link = str(made.path / inject.LINK)
+        settings = inject.Config(node=UNDER_TEST, injections=injections, at_a=at_a, at_b=at_b, link=link)
         start("inject", inject.__name__, settings)
         for name in ("recorder", "plant", "sensors", "estimator", UNDER_TEST):
-            start(name, modules[name], process_table.config_of(name, of, b if name == UNDER_TEST else a))
+            start(name, modules[name], process_table.config_of(name, of, made, b if name == UNDER_TEST else a))
         with suppress(subprocess.TimeoutExpired):
             running["plant"].wait(patience_s(run))
         codes = {name: end(running[name], STOP_S) for name in IN_ORDER}

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Sequence
+from heapq import merge
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +21,7 @@ from services.bus.wire import WireError
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.recording.sequence_gaps import SequenceGaps
+from services.recording.writer import RunWriter
 
 RECORDER, CONTROLLER, PLANT = "recorder", "controller", "plant"
 ESTIMATE, PLAN, TRUTH = (BY_TYPE[kind].key for kind in (Estimate, Plan, Truth))
@@ -52,6 +55,20 @@ class Sent(NamedTuple):
     epoch: int
     sequence: int
     at_us: int
+
+
+def with_link(recording: Path, link: Path, out: Path) -> None:
+    """Write a recording of both sides of the injector into ``out``: that of the run, and the one of the link.
+
+    It has every frame that the node under test received or published, so that its replay finds them.
+    """
+    run, beyond = Recording(recording), Recording(link)
+    messages = merge(run, beyond, key=attrgetter("t_ns"))
+    first = next(messages)  # reading has begun: the metadata are known
+    with RunWriter(out, start_ns=int(run.metadata["start_ns"]), metadata=run.metadata, flush_s=None) as writer:
+        for stored in (first, *messages):
+            if stored.kind is not None:
+                writer.write_plain(stored.key, stored.kind, stored.plain, stored.t_ns, stored.crc)
 
 
 class Recorded:

@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks import sheet
 from benchmarks.paper import renderer
 from ltv_mpc import references
 from ltv_mpc.control.controller import Controller
@@ -26,7 +27,6 @@ from ltv_mpc.geofence.fence import Fence
 from ltv_mpc.geofence.zones import clearances, pack_zones
 from ltv_mpc.messages import Array, CurrentProfile, Estimate, FenceInForce, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.reporting import sheet
 from services.reporting.plots import catalogue, fence
 
 ROOT = Path(__file__).resolve().parents[2]

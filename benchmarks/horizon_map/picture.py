@@ -14,7 +14,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from services.reporting import sheet
+from benchmarks import sheet
 from services.reporting.plots import palette
 
 RATIOS = (1, 1.5, 2, 3, 5, 10)

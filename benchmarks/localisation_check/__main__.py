@@ -33,10 +33,10 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import Progress
 
+from benchmarks import sheet
 from benchmarks.localisation_check import check
 from benchmarks.localisation_check.judgement import MIN_DRAWS
 from ltv_mpc.errors import ConfigError
-from services.reporting import sheet
 from services.reporting.plots import palette
 from services.tools.batch.results_store import open_store
 

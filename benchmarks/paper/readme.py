@@ -8,9 +8,9 @@ from pathlib import Path
 import msgspec
 from matplotlib.figure import Figure
 
+from benchmarks import sheet
 from benchmarks.paper import renderer, sheets
 from benchmarks.paper.renderer import Run
-from services.reporting import sheet
 from services.reporting.plots import catalogue
 
 CONTROL_ERROR = msgspec.structs.replace(

@@ -17,8 +17,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from benchmarks import sheet
 from ltv_mpc.messages import Array
-from services.reporting import sheet
 from services.reporting.plots import palette
 from services.reporting.plots.description import Axis, Plot, Series, Style
 from services.reporting.plots.events import Mark

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import msgspec
 from matplotlib.figure import Figure
 
+from benchmarks import sheet
 from benchmarks.paper import renderer
 from benchmarks.paper.renderer import Run
 from benchmarks.paper.structure import structure
-from services.reporting import sheet
 from services.reporting.plots import catalogue
 from services.reporting.plots.delays import CYCLE, STAGES
 from services.reporting.plots.description import Axis, Plot

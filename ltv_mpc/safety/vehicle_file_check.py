@@ -93,7 +93,13 @@ def _errors(fit: MotionFit) -> Iterator[tuple[str, str]]:
         along = f"{abs(forward_m):.1f} m {'ahead' if forward_m >= 0.0 else 'astern'}"
         across = f"{abs(starboard_m):.1f} m to {'starboard' if starboard_m >= 0.0 else 'port'}"
         yield UNDECLARED, f"{UNDECLARED}: {along} and {across} of it"
-    for i, factor in enumerate(FACTORS, MODEL):
-        if factor is not None and abs(fit.certain[i]) > math.log(factor[1]):
-            name, times = factor[0], f"looks {math.exp(fit.x[i]):.2g} of the file's: run `ltv-mpc vehicle identify`"
+    rows = [MODEL, MODEL + 2, MODEL + 3]  # mass, inertia and drag ahead all seem larger if the thrust is smaller
+    logs, certain = fit.x[rows], fit.certain[rows]
+    if certain[:2].min() > math.log(1.5) and logs.min() > 0.5 * logs.max():
+        factor = math.exp(-logs.mean())
+        yield "thrust differs from the vehicle file's", f"thrust looks {factor:.2g} of the file's: clear the thrusters"
+        return
+    for i, named in enumerate(FACTORS, MODEL):
+        if named is not None and abs(fit.certain[i]) > math.log(named[1]):
+            name, times = named[0], f"looks {math.exp(fit.x[i]):.2g} of the file's: run `ltv-mpc vehicle identify`"
             yield f"{name} differs from the vehicle file's", f"{name} {times}"

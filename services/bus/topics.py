@@ -32,8 +32,6 @@ from ltv_mpc.messages import (
     GnssFix,
     Heartbeat,
     ImuSamples,
-    Injection,
-    InjectorFrame,
     Kill,
     LblRange,
     Leak,
@@ -92,7 +90,6 @@ TOPICS = (
     #     message type        key                    period_ns       delivery  written by    read by
     Topic(Truth,              "world/truth",             10_000_000, EVERY,    "plant",      ("sensors",)),
     Topic(Disturbance,        "world/disturbance",                0, EVERY,    OPERATOR,     ("plant",)),
-    Topic(Injection,          "inject",                           0, EVERY,    OPERATOR,     ("inject",)),
     Topic(Applied,            "applied",                100_000_000, EVERY,    "plant",      ("controller",)),
     Topic(ImuSamples,         "sensor/imu",              50_000_000, EVERY,    "sensors",    ("estimator",)),
     Topic(GnssFix,            "sensor/gnss",          1_000_000_000, EVERY,    "sensors",    ("estimator",)),
@@ -127,7 +124,6 @@ TOPICS = (
     Topic(NodeSettings,       "settings",        10_000_000_000, EVERY,    "*",          ()),
     Topic(StepRecord,         "record",                           0, EVERY,    "*",          ()),
     Topic(RejectedFrame,      "rejected",                         0, EVERY,    "*",          ()),
-    Topic(InjectorFrame,      "inject/frame",                     0, EVERY,    "inject",     ()),
     Topic(RunEvent,           "event",                            0, EVERY,    "*",          ("supervisor",)),
 )  # fmt: skip
 

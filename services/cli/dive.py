@@ -44,7 +44,7 @@ def plan_(
     runs: Annotated[int, option("N", "Number of simulated dives per number of fixes.", min=1, max=100)] = 4,
     as_json: Json = False,
     force: Force = False,
-    out: Annotated[Path | None, option("DIR", "Also write dive-plan.json and .png into this folder.")] = None,
+    out: Annotated[Path | None, option("DIR", "Also write dive-plan.json and .html into this folder.")] = None,
 ) -> int:
     """Plan a dive: expected drift over time, its error budget, and what would reduce it.
 
@@ -75,10 +75,12 @@ def plan_(
     plain = show(result, lambda: report.text(result), as_json=as_json)
     if written is not None:
         (written / "dive-plan.json").write_text(plain + "\n", encoding="utf-8")
+        from services.reporting.static_files import NoPlotly
+
         try:
-            report.draw(result, written / "dive-plan.png")
-        except ImportError:
-            typer.echo("no picture: matplotlib is not installed: pip install matplotlib (extra viz)", err=True)
+            report.write(result, written / "dive-plan.html")
+        except NoPlotly as error:
+            typer.echo(f"no plots: {error}: pip install plotly (extra viz)", err=True)
         typer.echo(str(written), err=as_json)
     return 0
 

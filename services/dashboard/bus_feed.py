@@ -9,23 +9,17 @@ from typing import TypeVar
 import msgspec
 
 from ltv_mpc.messages import (
-    Acknowledgement,
     Applied,
     Clock,
     ClockState,
-    Command,
     ControllerStatus,
-    CycleTiming,
     Estimate,
-    FenceInForce,
     FenceReport,
     Heartbeat,
     LocalisationReport,
     Message,
     NodeSettings,
     NodeStatus,
-    Plan,
-    RunEvent,
     Truth,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -37,15 +31,13 @@ from services.bus.session import Session
 from services.bus.topics import BY_TYPE, OPERATOR, expression
 from services.bus.wire import Header
 from services.dashboard.late_joining import HistoryQuery
-from services.reporting.plots.collector import Collector
+from services.reporting.plots.collector import EVERY, NEWEST, Collector
 from services.reporting.safety import process_state
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.supervisor.screen import in_order
 
 S = TypeVar("S", bound=Message)
 
-NEWEST = (Clock, Truth, Estimate, Applied, FenceInForce, ControllerStatus, LocalisationReport)
-EVERY = (Plan, CycleTiming, RunEvent, Command, Acknowledgement)
 WAITING = 200
 """Queue length of the messages of ``EVERY`` between two updates; at 20 times real time there are 14."""
 

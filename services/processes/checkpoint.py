@@ -113,7 +113,7 @@ class Checkpoint:
         if released and not job.done.wait(MAX_WAIT_S):
             self._problem = f"the disk does not answer within {MAX_WAIT_S:g} s"
 
-    def show(self, status: ControllerStatus, _now_us: int) -> None:
+    def show(self, status: ControllerStatus) -> None:
         """Print a problem of the disk when it begins and when it ends."""
         problem = self._problem
         if problem != self._reported:

@@ -54,7 +54,7 @@ from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
-from services.runtime.stopping import FAILED, Say, StopRequest
+from services.runtime.stopping import FAILED
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
@@ -108,34 +108,31 @@ def main(config: Config) -> int:
             node.controller.set_bathymetry(bottom)
         stack.callback(console.close)
 
-        def show(status: ControllerStatus, _now_us: int) -> None:
+        def show(status: ControllerStatus) -> None:
             line = status_line(status, key_in(bus, BY_TYPE[Estimate]))
             console.show(line)
             SERVICE_MANAGER.status(line)
 
-        def make_runner(request: StopRequest, say: Say) -> Runner:
-            for text in (*announcement(bus, settings), *reference.notes(vehicle)):
-                say(text)
-            if published is None:
-                say(TOO_LARGE)
-            shown: list[StatusSink] = [show, metrics.show]
-            if checkpoint is not None:
-                shown.append(checkpoint.show)
-            if config.failed_qps is not None:
-                shown.append(FailedQps(recorder, config.failed_qps, say).show)
-            runner = Runner(
-                node,
-                stop=request,
-                say=say,
-                clock=ClockOptions(sync_to_inputs=True, input_delay_ns=round(config.input_delay_s * 1e9)),
-                compute_delay_ns=round(config.compute_delay_s * 1e9),
-                stages=node_stages,
-                report=ControllerStatusReporter(node, shown, console.tell, checkpoint),
-            )
-            runner.settings = published
-            return runner
-
-        return serve(console, bus, make_runner, checkpoint)
+        for text in (
+            *announcement(bus, settings),
+            *reference.notes(vehicle),
+            *([TOO_LARGE] if published is None else []),
+        ):
+            console.say(text)
+        shown: list[StatusSink] = [show, metrics.show]
+        if checkpoint is not None:
+            shown.append(checkpoint.show)
+        if config.failed_qps is not None:
+            shown.append(FailedQps(recorder, config.failed_qps, console.say).show)
+        runner = Runner(
+            node,
+            clock=ClockOptions(sync_to_inputs=True, input_delay_ns=round(config.input_delay_s * 1e9)),
+            compute_delay_ns=round(config.compute_delay_s * 1e9),
+            stages=node_stages,
+            report=ControllerStatusReporter(node, shown, console.tell, checkpoint),
+            settings=published,
+        )
+        return serve(console, bus, runner, checkpoint)
 
 
 INTERNAL_TYPES = (ControllerState, RejectedFrame)

@@ -22,7 +22,6 @@ from services.runtime.console import Console
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from services.runtime.service_manager import SERVICE_MANAGER
-from services.runtime.stopping import Say, StopRequest
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 
@@ -44,16 +43,11 @@ def main(config: Config) -> int:
     warm_up(sensor_config, settings)
     SERVICE_MANAGER.status("waiting for the router")
     published = node_settings(Estimator.name, estimator_files(config.sensors, settings))
-
-    def make(request: StopRequest, say: Say) -> Runner:
-        node = Estimator(sensor_config, settings, prior, progress=_beat)
-        if published is None:
-            say(TOO_LARGE)
-        runner = Runner(node, stop=request, say=say)
-        runner.settings = published
-        return runner
-
-    return serve(Console(Estimator.name, as_json=config.log_json), config.bus, make)
+    console = Console(Estimator.name, as_json=config.log_json)
+    if published is None:
+        console.say(TOO_LARGE)
+    node = Estimator(sensor_config, settings, prior, progress=_beat)
+    return serve(console, config.bus, Runner(node, settings=published))
 
 
 def _beat() -> None:

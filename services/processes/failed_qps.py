@@ -22,7 +22,7 @@ class FailedQps:
         self._seen: NamedQp | None = None
         self.written = 0
 
-    def show(self, status: ControllerStatus, _now_us: int) -> None:
+    def show(self, status: ControllerStatus) -> None:
         """Write the last failed QP, if it was not written before."""
         failed = self._recorder.failed
         if failed is None or failed is self._seen or self.written >= self._max_files:

@@ -11,7 +11,7 @@ from services.runtime.console import Console
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
-from services.runtime.stopping import DONE, FAILED, Say, StopRequest
+from services.runtime.stopping import DONE, FAILED
 from sim.plant import Plant
 
 
@@ -36,15 +36,10 @@ def main(config: Config) -> int:
         expects=("sensors", *estimator, "controller", *config.expects),
     )
     warm_up(run_config)
-    runners: list[Runner] = []
-
-    def make_runner(request: StopRequest, say: Say) -> Runner:
-        runners.append(Runner(_make(run_config), stop=request, say=say, clock=ClockOptions(master=clock_master)))
-        return runners[0]
-
+    runner = Runner(_make(run_config), clock=ClockOptions(master=clock_master))
     console = Console(Plant.name, as_json=config.log_json)
-    code = serve(console, config.bus, make_runner)
-    if code == DONE and not (runners and runners[0].finished):
+    code = serve(console, config.bus, runner)
+    if code == DONE and not runner.finished:
         console.say("stopped before the end of the run")
         return FAILED
     return code

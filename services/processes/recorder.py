@@ -14,7 +14,6 @@ from services.runtime.console import Console
 from services.runtime.recording_loop import NAME, RecordingLoop
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
-from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 MODE = "services"
 """Mode in the metadata of a recording of a simulation as processes."""
@@ -39,7 +38,6 @@ def main(config: Config) -> int:
     """Record until a stop is requested."""
 
     def work(request: StopRequest, say: Say) -> None:
-        SUPERVISOR_LINK.restored_state()
         recording = config.folder / "run.mcap"
         with SegmentWriter(recording, start_ns=config.start_ns or 0, metadata=config.metadata) as writer:
             RecordingLoop(writer, start_ns=config.start_ns, say=say).serve(config.bus, request)

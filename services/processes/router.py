@@ -52,32 +52,21 @@ def main(config: Config) -> int:
     options = msgspec.structs.replace(bus, listen=endpoints, mode=bus.mode or "router", namespace=namespace)
 
     def work(request: StopRequest, say: Say) -> None:
-        SUPERVISOR_LINK.restored_state()
-        if secure:
-            _route_with_roles(options, request, say)
-            return
-        with open_session(options, stop=request, say=say):
+        denials, due_us = Denials(), 0
+        log = _zenoh_log(denials) if secure else contextlib.nullcontext()
+        with log, open_session(options, stop=request, say=say) as session:
+            report = _Report(session, denials, say) if secure else None
             say(f"ready at {', '.join(endpoints)}")
             while not request.wait(PULSE_S):
-                SUPERVISOR_LINK.beat(monotonic_us())
+                now_us = monotonic_us()
+                SUPERVISOR_LINK.beat(now_us)
+                if report is not None and now_us >= due_us:
+                    due_us = now_us + STATUS_US
+                    report.publish()
+            if report is not None:
+                report.publish(finished=True)
 
     return run_until_stopped(Console(ROUTER, as_json=config.log_json), work)
-
-
-def _route_with_roles(options: BusOptions, request: StopRequest, say: Say) -> None:
-    """Route for clients with a role, and report denials."""
-    denials = Denials()
-    with _zenoh_log(denials), open_session(options, stop=request, say=say) as session:
-        report = _Report(session, denials, say)
-        say(f"ready at {', '.join(options.listen)}")
-        due_us = 0
-        while not request.wait(PULSE_S):
-            now_us = monotonic_us()
-            SUPERVISOR_LINK.beat(now_us)
-            if now_us >= due_us:
-                due_us = now_us + STATUS_US
-                report.publish()
-        report.publish(finished=True)
 
 
 class _Report:

@@ -28,13 +28,8 @@ def main(config: Config) -> int:
     """Run the sensors until they are stopped; return the exit code."""
     run_config = resolve(config.scenario)
     warm_up(run_config)
-    return serve(
-        Console(Sensors.name, as_json=config.log_json),
-        config.bus,
-        lambda request, say: Runner(
-            _make(run_config), stop=request, say=say, clock=ClockOptions(speed=run_config.scenario.run.speed)
-        ),
-    )
+    runner = Runner(_make(run_config), clock=ClockOptions(speed=run_config.scenario.run.speed))
+    return serve(Console(Sensors.name, as_json=config.log_json), config.bus, runner)
 
 
 def warm_up(run_config: RunConfig) -> None:

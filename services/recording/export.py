@@ -15,6 +15,7 @@ import csv
 import itertools
 import math
 import re
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -109,8 +110,8 @@ def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
 
     Raises ``ConfigError`` if a segment is not an MCAP file, or pyarrow is needed and not installed.
     """
-    open_sink = _csv if form == "csv" else _parquet()
-    layouts: dict[str, _Layout] = {}
+    open_sink = _CsvSink if form == "csv" else _parquet()
+    layouts: dict[str, dict[str, _Field]] = {}
     unreadable = 0
     for raw, message in _rows(parts):
         if message is None:
@@ -118,9 +119,11 @@ def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
             continue
         if raw.key not in layouts and len(layouts) >= MAX_KEYS:
             raise ConfigError(f"recording {parts[0]}", "", f"more than {MAX_KEYS} keys")
-        layouts.setdefault(raw.key, _Layout()).add(message)
+        fields = layouts.setdefault(raw.key, defaultdict(_Field))
+        for path, value in message.items():
+            fields[path].add(value)
     tables = {
-        key: _Table(key, layout.spreads(), folder, name, open_sink) for key, layout, name in _named(layouts, form)
+        key: _Table(key, _mappings(fields), folder, name, open_sink) for key, fields, name in _named(layouts, form)
     }
     try:
         for raw, message in _rows(parts):
@@ -156,7 +159,7 @@ def _leaves(table: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
             yield f"{prefix}{name}", value
 
 
-def _named(layouts: dict[str, _Layout], form: Format) -> Iterator[tuple[str, _Layout, str]]:
+def _named(layouts: dict[str, dict[str, _Field]], form: Format) -> Iterator[tuple[str, dict[str, _Field], str]]:
     """Yield each key with a safe file name: keys come from a file, and must not lead out of the folder."""
     taken: set[str] = set()
     for key in sorted(layouts):
@@ -235,25 +238,11 @@ def _floats(value: list[Any]) -> list[Any]:
     return [_floats(x) if isinstance(x, list) else None if x is None else float(x) for x in value]
 
 
-class _Layout:
-    """Fields of a key's messages."""
-
-    def __init__(self) -> None:
-        self._fields: dict[str, _Field] = {}
-
-    def add(self, message: dict[str, Any]) -> None:
-        """Add a message of the key."""
-        for path, value in message.items():
-            field = self._fields.get(path)
-            if field is None:
-                field = self._fields[path] = _Field()
-            field.add(value)
-
-    def spreads(self) -> list[ColumnMapping]:
-        """Return the mappings in the order in which the fields were first seen."""
-        parents = {path.rpartition(".")[0] for path in self._fields}
-        # a field that is null in some messages and a map in others has the columns of the map
-        return [field.spread(path) for path, field in self._fields.items() if field.kinds or path not in parents]
+def _mappings(fields: dict[str, _Field]) -> list[ColumnMapping]:
+    """Return the mappings of a key's fields in the order in which they were first seen."""
+    parents = {path.rpartition(".")[0] for path in fields}
+    # a field that is null in some messages and a map in others has the columns of the map
+    return [field.spread(path) for path, field in fields.items() if field.kinds or path not in parents]
 
 
 class _Table:
@@ -307,7 +296,7 @@ class _Table:
 
 
 class _CsvSink:
-    def __init__(self, path: Path, columns: list[Column]) -> None:
+    def __init__(self, path: Path, _key: str, columns: list[Column]) -> None:
         self._file: IO[str] = path.open("w", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._writer.writerow([column.name for column in columns])
@@ -323,11 +312,6 @@ class _CsvSink:
 
     def close(self) -> None:
         self._file.close()
-
-
-def _csv(path: Path, key: str, columns: list[Column]) -> Sink:
-    del key  # the file name has it
-    return _CsvSink(path, columns)
 
 
 def need_pyarrow() -> None:

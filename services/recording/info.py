@@ -10,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
-from ltv_mpc.config import loads
 from ltv_mpc.messages import NodeSettings, RunEvent
 from services.bus import topics
 from services.bus.roles import SUPERVISOR
 from services.bus.wire import Header, WireError
-from services.recording.node_settings import vehicle_name
+from services.recording.node_settings import SCENARIO, table_of, vehicle_name
 from services.recording.reader import Recording, StoredMessage
 from services.recording.recover import RECOVERY
 from services.recording.sequence_gaps import SequenceGaps
@@ -188,19 +186,21 @@ def read(parts: Sequence[Path]) -> Info:
     keys = tuple(_key(name, statistics) for name, statistics in sorted(collector.keys.items()))
     first = min((key.first_s for key in keys), default=0.0)
     last = max((key.last_s for key in keys), default=0.0)
-    scenario = _scenario(metadata)
+    scenario = table_of(metadata, SCENARIO)
+    title, provenance = scenario.get("title"), scenario.get("made_by")
     published = {name: text for settings in collector.settings.values() for name, text in settings.files.items()}
-    made_by = _table(scenario, "made_by") or next((settings.made_by for settings in collector.settings.values()), {})
+    if not (isinstance(provenance, dict) and provenance):
+        provenance = next((settings.made_by for settings in collector.settings.values()), {})
     return Info(
         recording=str(parts[0]),
-        scenario=_text(scenario, "title"),
+        scenario=title if isinstance(title, str) and title else "unknown",
         vehicle=vehicle_name({**metadata, **published}),
         mode=metadata.get("mode", "unknown"),
         seed=metadata.get("seed", "unknown"),
         start_s=first,
         start_utc=utc(first) if metadata.get("mode") == VEHICLE_MODE else None,
         duration_s=last - first,
-        made_by={name: str(value) for name, value in made_by.items()},
+        made_by={name: str(value) for name, value in provenance.items()},
         whole=all(segment.whole for segment in segments),
         recovered=recovered,
         messages=sum(key.messages for key in keys),
@@ -271,20 +271,3 @@ def utc(t_s: float) -> str | None:
     if not FIRST_DATE_S <= t_s <= LAST_DATE_S:
         return None
     return datetime.fromtimestamp(t_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def _scenario(metadata: dict[str, str]) -> dict[str, Any]:
-    try:
-        return loads(metadata.get("scenario.toml", ""))
-    except (ValueError, RecursionError):
-        return {}
-
-
-def _table(scenario: dict[str, Any], name: str) -> dict[str, Any]:
-    table = scenario.get(name)
-    return table if isinstance(table, dict) else {}
-
-
-def _text(scenario: dict[str, Any], name: str) -> str:
-    value = scenario.get(name)
-    return value if isinstance(value, str) and value else "unknown"

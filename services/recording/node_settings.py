@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Mapping
 from itertools import chain
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import msgspec
 
@@ -17,7 +17,7 @@ from services.bus.wire import WireError, from_map
 from services.recording.reader import Recording
 
 PREFIX = f"{BY_TYPE[NodeSettings].key}/"
-VEHICLE = "config/vehicle.toml"
+SCENARIO, VEHICLE = "scenario.toml", "config/vehicle.toml"
 
 
 class NoSettingsError(LookupError):
@@ -44,12 +44,17 @@ def published_settings(recordings: Iterable[Recording]) -> tuple[SettingsByStart
     return settings, (times[0], times[1]) if times else (0, 0)
 
 
+def table_of(files: Mapping[str, str], name: str) -> dict[str, Any]:
+    """Return a settings file as a table; an empty one if there is none, or it is not TOML."""
+    try:
+        return loads(files.get(name, ""))
+    except (ValueError, RecursionError):
+        return {}
+
+
 def vehicle_name(files: Mapping[str, str]) -> str:
     """Return the name in a vehicle file; "unknown" if there is none."""
-    try:
-        name = loads(files.get(VEHICLE, "")).get("name")
-    except (ValueError, RecursionError):
-        return "unknown"
+    name = table_of(files, VEHICLE).get("name")
     return name if isinstance(name, str) and name.isprintable() else "unknown"
 
 

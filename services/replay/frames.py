@@ -7,32 +7,12 @@ the CRC identifies the one that the node received.
 
 from __future__ import annotations
 
-import base64
-from typing import Any
-
-import msgspec
-
-from ltv_mpc.messages import InboxEntry, InjectorFrame
+from ltv_mpc.messages import InboxEntry
 from ltv_mpc.node import ReceivedMessage
 from services.bus import wire
 from services.bus.time_shift import shifted
-from services.bus.topics import BY_TYPE, source_of, topic_at
+from services.bus.topics import source_of
 from services.recording.reader import StoredMessage
-
-INJECTOR_KEY = BY_TYPE[InjectorFrame].key
-"""Key of the frames that travelled only between an injector and the node under test."""
-
-
-def unwrap(stored: StoredMessage) -> StoredMessage | None:
-    """Return the frame inside an ``InjectorFrame`` as if it were recorded on its own key; None if it is unreadable."""
-    try:
-        relayed: Any = stored.message()
-        payload = base64.b64decode(relayed.payload_base64)
-        data = msgspec.json.encode(wire.unpack(payload))
-    except (ValueError, TypeError, RecursionError):  # a damaged frame, which the node could not read either
-        return None
-    topic = topic_at(relayed.key)
-    return StoredMessage(relayed.key, topic.message_type if topic else None, stored.t_ns, wire.crc(payload), data)
 
 
 class Frames:

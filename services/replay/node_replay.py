@@ -17,7 +17,7 @@ from services.bus.topics import STATES, key_of, table_key
 from services.bus.wire import Header, WireError
 from services.recording.reader import Recording, StoredMessage
 from services.replay.epoch import REACH, Epoch, Outcome
-from services.replay.frames import INJECTOR_KEY, Frames, unwrap
+from services.replay.frames import Frames
 
 SWEEP = 10_000
 """Messages between two removals of those that are too old to be needed."""
@@ -113,17 +113,15 @@ def feed(
             readers.setdefault(key, []).append(node)
     every = list(dict.fromkeys(node for of_key in readers.values() for node in of_key))
     t_ns = None
-    stream = chain.from_iterable(recording.stored(_Keys({*readers, INJECTOR_KEY})) for recording in recordings)
+    stream = chain.from_iterable(recording.stored(_Keys(set(readers))) for recording in recordings)
     for at, stored in enumerate(stream, 1):
         if t_ns is None:
             progress(stored.t_ns)
         t_ns = stored.t_ns
-        frame = stored if stored.key != INJECTOR_KEY else unwrap(stored)
-        if frame is not None:
-            with contextlib.suppress(WireError):
-                header = frame.header()
-                for node in readers.get(table_key(frame.key), ()):
-                    node.take(frame, header, at)
+        with contextlib.suppress(WireError):
+            header = stored.header()
+            for node in readers.get(table_key(stored.key), ()):
+                node.take(stored, header, at)
         if at % SWEEP == 0:
             progress(t_ns)
             for node in every:

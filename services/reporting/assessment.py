@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from enum import Enum
 from typing import Any
 
@@ -19,13 +19,18 @@ GOOD_M = 0.05
 """Mean error (m) below which a run gets no advice: a fortieth of the length of the shipped vehicle."""
 
 OFTEN = 0.1
-"""Share of the cycles above which plans that are late, or a health that is not nominal, are the cause."""
-
-OFTEN_SATURATED = 0.1
-"""Share of the time at a thrust limit above which that limit is explained, as a bound of the tracking error."""
+"""Share of cycles, or of the time in a margin or at a thrust limit, above which that is the cause of the error."""
 
 AT_ITS_LARGEST = 0.95
 """Ratio of the last error to the largest one above which the vehicle was not held at the reference."""
+
+ALWAYS_CHANGING, RESTLESS = 0.7, 0.3
+"""Mean rate of the lateral commands over their largest, from which the slew limit bounds the error, or noise moves the
+thrusters: 0.06 to 0.1 in shipped scenarios, 0.3 to 0.55 with noisy sensors, 0.9 with a slew limit of a tenth.
+"""
+
+LONG_DELAY = 0.05
+"""Delay over the proposed horizon above which it is the cause: 0.7 s doubles the error of the shipped vehicle."""
 
 
 def assessment(summary: Mapping[str, Any]) -> list[str]:
@@ -47,78 +52,96 @@ def next_option(summary: Mapping[str, Any]) -> str | None:
             return f"--horizon-s {summary['proposed_horizon_s']:g}"
         case _Cause.TRACKING_WITH_HIGH_EFFORT:
             return f"--horizon-s {2 * summary['horizon_s']:.0f}"
-        case _Cause.DRIFT:
+        case _Cause.DRIFT | _Cause.NOISE:
             return WITHOUT_DRIFT
+        case _Cause.DELAY if summary.get("mode") == "lockstep":  # else the delay is measured
+            return "--set run.compute_delay_s=0"
     return None
 
 
 class _Cause(Enum):
-    """Larger part of the error of the vehicle, with the sentence that says what reduces it."""
+    """Cause of the error of the vehicle, with the sentence that says what reduces it."""
 
     GOOD = ""
-    DRIFT = (
-        "Better sensors or more fixes reduce the drift, more thrust does not; "
-        f"`{WITHOUT_DRIFT}` shows the same run without drift."
+    NOISE = (
+        f"Noise of the estimate, or waves, keep the thrusters moving: `{WITHOUT_DRIFT}` shows the run without noise."
     )
-    SATURATION = "The thrust limits bound it: a slower reference, a weaker current or stronger thrusters reduce it."
-    SHORT_HORIZON = (
-        "A plan that ends before a turn does cannot see what the turn is for, and drives in circles or astern."
-    )
-    LATE = (
-        "Plans that come too late leave the vehicle on old ones: a lower `--speed` or a shorter cycle gives them time."
-    )
-    HEALTH = "What degrades the health comes first."
+    DRIFT = f"Better sensors or more fixes reduce the drift, more thrust does not; `{WITHOUT_DRIFT}` shows it without."
     NO_THRUST = "The lateral thrusts were zero, so the water carried the vehicle."
-    TRACKING = f"`{LESS_TRACKING_ERROR}` reduces the tracking error, for more thrust."
+    DROPOUT = "The estimates dropped out, and the vehicle followed its prediction: estimator and sensors come first."
+    OTHER_SOURCE = "Another source of thrust, or none, drove the thrusters: end it, or switch them on."
+    WEAK = "The thrusters are weak: clear or mend them, or correct the thrusts in the vehicle file."
+    WRONG_FILE = "The vehicle file is wrong: `ltv-mpc vehicle identify` finds values that explain the motion."
+    HEALTH = "What degrades the health comes first."
+    LATE = "Plans that come too late leave the vehicle on old ones: a lower `--speed` gives them more time."
+    SHORT_HORIZON = (
+        "A plan that ends before a turn does cannot see what the turn is for: it drives in circles or astern."
+    )
+    SLEW = (
+        "The slew limit bounds it: a larger `slew_N_per_s` of the vehicle file reduces it, if the thrusters allow it."
+    )
+    DELAY = "The delay bounds it: a faster computer, fewer stages or a smaller `run.compute_delay_s` reduces it."
+    FENCE = "The fence bounds it: a start or reference outside of its zones and margins reduces it."
+    SATURATION = "The thrust limits bound it: a slower reference, a weaker current or stronger thrusters reduce it."
     TRACKING_WITH_HIGH_EFFORT = "A longer horizon may reduce the tracking error."
+    TRACKING = f"`{LESS_TRACKING_ERROR}` reduces the tracking error, for more thrust."
+
+
+OF_HEALTH = _Cause.DROPOUT, _Cause.OTHER_SOURCE, _Cause.WEAK, _Cause.WRONG_FILE, _Cause.HEALTH
+"""Causes that the reason of the health names."""
 
 
 def _cause(summary: Mapping[str, Any]) -> _Cause | None:
-    """Return the larger part of the error, the controller's or the estimator's; None if the truth is not known."""
+    """Return the first cause whose condition holds; None if the truth is not known."""
     tracking, true, localisation = _errors_m(summary)
-    if tracking is None or true is None or localisation is None:
+    if math.isnan(tracking + true + localisation):
         return None
-    if true < GOOD_M:
-        return _Cause.GOOD
-    cycles = max(summary.get("cycles", 0), 1)
-    if localisation > tracking:
-        return _Cause.DRIFT
-    if _figure(summary, "thrust", "mean_abs_N") == 0.0:
-        return _Cause.NO_THRUST
-    if _not_nominal(summary) > OFTEN * cycles:
-        return _Cause.HEALTH
-    if summary.get("deadline_misses", 0) > OFTEN * cycles:
-        return _Cause.LATE
-    if _short_horizon(summary):
-        return _Cause.SHORT_HORIZON
-    if (_figure(summary, "thrust", "saturated_fraction") or 0.0) > OFTEN_SATURATED:
-        return _Cause.SATURATION
-    return _Cause.TRACKING_WITH_HIGH_EFFORT if summary.get("effort") == "high" else _Cause.TRACKING
+    cycles, duration_s = max(summary.get("cycles", 0), 1), max(summary.get("duration_s", 0.0), 1.0)
+    health = _health(summary, OFTEN)
+    travel_N, largest_N_per_s = (_figure(summary, "thrust", name) for name in ("travel_N", "max_slew_N_per_s"))
+    changing = travel_N / max(2.0 * duration_s * largest_N_per_s, 1e-9)
+    delay_s, held = _figure(summary, "end_to_end_delay_s", "median"), not _not_held(summary)
+    in_fence_s = sum(zone["inside_s"] + zone["in_margin_s"] for zone in summary.get("fence", ()))
+    conditions = {
+        _Cause.GOOD: true < GOOD_M,
+        _Cause.NOISE: RESTLESS < changing < ALWAYS_CHANGING and not summary.get("perfect_state"),
+        _Cause.DRIFT: localisation > tracking,
+        _Cause.NO_THRUST: _figure(summary, "thrust", "mean_abs_N") == 0.0,
+        _Cause.DROPOUT: "no new estimates" in health,
+        _Cause.OTHER_SOURCE: "somebody else" in health,
+        _Cause.WEAK: "thruster weak" in health or "thrust differs" in health,
+        _Cause.WRONG_FILE: "vehicle file" in health,
+        _Cause.HEALTH: bool(health),
+        _Cause.LATE: summary.get("deadline_misses", 0) - 1 > OFTEN * cycles,  # the delay of the first is not known
+        _Cause.SHORT_HORIZON: bool(_short_horizon(summary)),
+        _Cause.SLEW: changing >= ALWAYS_CHANGING,
+        _Cause.DELAY: held and delay_s > LONG_DELAY * summary.get("proposed_horizon_s", math.inf),
+        _Cause.FENCE: held and in_fence_s > OFTEN * duration_s,
+        _Cause.SATURATION: _figure(summary, "thrust", "saturated_fraction") > OFTEN,
+        _Cause.TRACKING_WITH_HIGH_EFFORT: summary.get("effort") == "high",
+    }
+    return next((cause for cause, holds in conditions.items() if holds), _Cause.TRACKING)
 
 
 def _error(summary: Mapping[str, Any]) -> list[str]:
     """Name the error, the part that is larger, and what reduces it."""
     (tracking, true, localisation), cause = _errors_m(summary), _cause(summary)
-    if tracking is None:
+    if math.isnan(tracking):
         return []
     if cause is None:
         good = f", which is good: less than {GOOD_M:g} m" if tracking < GOOD_M else ""
         return [f"The estimate was {tracking:.3f} m from the reference on average{good}."]
-    average = f"The vehicle was {true:.3f} m from the reference on average"
-    perfect = ""
-    if summary.get("perfect_state"):
-        perfect = f"All of this is tracking, because `{WITHOUT_DRIFT}` gave the true state to the controller."
-    if cause is _Cause.GOOD:
-        return [f"{average}, which is good: less than {GOOD_M:g} m.", perfect]
-    if cause is _Cause.DRIFT:
+    average, perfect = f"The vehicle was {true:.3f} m from the reference on average", summary.get("perfect_state")
+    parts = f"Tracking is the larger part, {tracking:.3f} m; the drift of the estimate is {localisation:.3f} m."
+    if perfect:
+        parts = f"All of this is tracking, because `{WITHOUT_DRIFT}` gave the true state to the controller."
+    elif localisation > tracking:
         parts = f"Drift of the estimate is the larger part, {localisation:.3f} m; tracking is {tracking:.3f} m."
-    else:
-        parts = (
-            perfect
-            or f"Tracking is the larger part, {tracking:.3f} m; the drift of the estimate is {localisation:.3f} m."
-        )
-    why = _health(summary) if cause is _Cause.HEALTH else ""
-    return [_short_horizon(summary), f"{average}.", parts, why, _not_held(summary, cause), cause.value]
+    if cause is _Cause.GOOD:
+        return [f"{average}, which is good: less than {GOOD_M:g} m.", parts if perfect else ""]
+    why = _health(summary) if cause in OF_HEALTH else ""
+    held = _not_held(summary) if cause is _Cause.SATURATION else ""
+    return [_short_horizon(summary), f"{average}.", parts, why, held, cause.value]
 
 
 def _short_horizon(summary: Mapping[str, Any]) -> str:
@@ -129,20 +152,17 @@ def _short_horizon(summary: Mapping[str, Any]) -> str:
     return f"The horizon of {horizon_s:.1f} s is shorter than a turn and a stop: {proposed_s:.1f} s is proposed."
 
 
-def _not_held(summary: Mapping[str, Any], cause: _Cause) -> str:
+def _not_held(summary: Mapping[str, Any]) -> str:
     """Say so if thrusters at their limits could not hold the vehicle at the reference."""
     largest, last = (_figure(summary, "true_error_m", name) for name in ("max", "final"))
-    if cause is not _Cause.SATURATION or largest is None or last is None or last < AT_ITS_LARGEST * largest:
+    if not (_figure(summary, "thrust", "saturated_fraction") > OFTEN and last >= AT_ITS_LARGEST * largest):
         return ""
     return f"The distance ended at {last:.3f} m, about its largest: the thrust was not sufficient to hold the vehicle."
 
 
-def _errors_m(summary: Mapping[str, Any]) -> tuple[float | None, float | None, float | None]:
-    """Return the mean errors of tracking, of the vehicle and of the estimate (m)."""
-    tracking, true, localisation = (
-        _figure(summary, f"{error}_error_m", "mean") for error in ("tracking", "true", "localisation")
-    )
-    return tracking, true, localisation
+def _errors_m(summary: Mapping[str, Any]) -> Iterator[float]:
+    """Yield the mean errors of tracking, of the vehicle and of the estimate (m)."""
+    return (_figure(summary, f"{error}_error_m", "mean") for error in ("tracking", "true", "localisation"))
 
 
 def _fence(summary: Mapping[str, Any]) -> str:
@@ -159,7 +179,7 @@ def _fence(summary: Mapping[str, Any]) -> str:
 
 def _lateral_thrust(summary: Mapping[str, Any]) -> str:
     saturated = _figure(summary, "thrust", "saturated_fraction")
-    if saturated is None or _figure(summary, "thrust", "mean_abs_N") == 0.0:
+    if math.isnan(saturated) or _figure(summary, "thrust", "mean_abs_N") == 0.0:
         return ""
     if saturated == 0.0:
         return "No lateral thruster reached its limit."
@@ -169,10 +189,10 @@ def _lateral_thrust(summary: Mapping[str, Any]) -> str:
 def _vertical_thrust(summary: Mapping[str, Any]) -> str:
     """Tell how long the vertical thruster was at its limit, and what asks for so much thrust."""
     saturated = _figure(summary, "thrust", "vertical_saturated_fraction")
-    if not saturated:
+    if not saturated > 0.0:
         return ""
     sentence = f"The vertical thruster was at its limit for {100 * saturated:.1f} % of the time"
-    if saturated <= OFTEN_SATURATED:
+    if saturated <= OFTEN:
         return f"{sentence}."
     return (
         f"{sentence}, because the vertical speed of the reference and the buoyancy need all of its thrust: "
@@ -180,27 +200,20 @@ def _vertical_thrust(summary: Mapping[str, Any]) -> str:
     )
 
 
-def _health(summary: Mapping[str, Any]) -> str:
-    """Count the cycles in which the controller's health was not nominal, and name the most frequent reason."""
+def _health(summary: Mapping[str, Any], share: float = 0.0) -> str:
+    """Count the cycles whose health was not nominal, if more than a share, and name the most frequent reason."""
     counts = {text: count for text, count in summary.get("health", {}).items() if text != Health.NOMINAL.value}
-    if not counts:
+    total, cycles = sum(counts.values()), summary.get("cycles", 0)
+    if total <= share * cycles:
         return ""
-    most_frequent = max(counts, key=lambda text: counts[text])
-    return (
-        f"The controller's health was not nominal in {_not_nominal(summary)} of {summary['cycles']} cycles, "
-        f"most often {most_frequent}."
-    )
-
-
-def _not_nominal(summary: Mapping[str, Any]) -> int:
-    """Return the number of cycles in which the controller's health was not nominal."""
-    return sum(count for text, count in summary.get("health", {}).items() if text != Health.NOMINAL.value)
+    reason = max(counts, key=lambda text: counts[text]).rstrip("?")
+    return f"The controller's health was not nominal in {total} of {cycles} cycles, most often {reason}."
 
 
 def _delay(summary: Mapping[str, Any]) -> list[str]:
     """Tell the delay from estimate to effect, and how many plans came after their start."""
     delay_s = _figure(summary, "end_to_end_delay_s", "median")
-    if delay_s is None:
+    if math.isnan(delay_s):
         return []
     late, measured = summary["deadline_misses"], summary.get("mode") != "lockstep"
     effect = f"A plan took effect {delay_s:.2f} s after its estimate, and was made for that time." if measured else ""
@@ -224,7 +237,7 @@ def _losses(summary: Mapping[str, Any]) -> str:
     return f"Not all went well: {bad}. The report lists the events." if bad else "No message was lost."
 
 
-def _figure(summary: Mapping[str, Any], group: str, name: str) -> float | None:
-    """Return a figure, or None where a summary that was cut off lacks it."""
+def _figure(summary: Mapping[str, Any], group: str, name: str) -> float:
+    """Return a figure, or NaN where a summary that was cut off lacks it: no condition on it holds."""
     value: float | None = summary.get(group, {}).get(name)
-    return value
+    return math.nan if value is None else value

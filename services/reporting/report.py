@@ -14,26 +14,24 @@ from typing import Any
 
 import msgspec
 
-from ltv_mpc.config import loads
 from services.recording.info import utc
-from services.recording.node_settings import vehicle_name
+from services.recording.node_settings import SCENARIO, table_of, vehicle_name
 from services.recording.writer import VEHICLE_MODE
 from services.reporting import differences, safety_part, static_files
 from services.reporting.assessment import assessment
+from services.reporting.html_table import NUMBER, number, row, table
 from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS, REVIEW
 from services.reporting.plots.collector import ROWS
 from services.reporting.plots.description import NO_DATA, Plot, Series
 from services.reporting.plots.recorded import PlotData, read
+from services.reporting.plots.table import Columns
 from services.reporting.run_summary_text import failure, how
-from services.reporting.safety_part import number
 from services.run.folder import draft_of
 
 MAX_RUNS = 40
 ROWS_OF_ALL = 4 * ROWS
 """Rows of one table, summed over all runs: a report of many runs is no larger than one of a few."""
-
-SCENARIO = "scenario.toml"
 
 _CODE = r"<code>\1</code>"
 
@@ -51,30 +49,52 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
 
     Raises ``NoPlotly``, ``ConfigError`` if a file is not a recording, and ``OSError``.
     """
-    plotly, script = static_files.report_scripts()
+    static_files.plotly_path()  # before the recordings are read
     plot_data = [read(run.recording, rows=min(ROWS, ROWS_OF_ALL // len(runs))) for run in runs]
     figures = differences.rows([run.summary for run in runs])
     title = f"{runs[0].name}" if len(runs) == 1 else f"{len(runs)} runs"
-    text = static_files.filled(
-        static_files.text("report.html"),
-        title=html.escape(title),
-        style=static_files.text("style.css") + static_files.text("report.css"),
-        lines="\n".join(_lines(runs, plot_data)),
-        safe=safety_part.part([run.name for run in runs], plot_data),
-        tables="\n".join(_tables(runs, plot_data, figures)),
-        plotly=plotly,
-        data=_data(runs, plot_data),
-        script=script,
-    )
-    with draft_of(out) as draft:
-        draft.write_text(text, encoding="utf-8")
+    parts = {
+        "lines": "\n".join(_lines(runs, plot_data)),
+        "safe": safety_part.part([run.name for run in runs], plot_data),
+        "tables": "\n".join(_tables(runs, plot_data, figures)),
+    }
+    _write_page(out, title, plots_with_data(plot_data), _shown(runs, plot_data), **parts)
     return figures
 
 
-def _data(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> str:
-    """Return the data for report.js as JSON in which no HTML tag can start."""
+def write_plots(
+    out: Path,
+    title: str,
+    plots: Sequence[Plot],
+    tables: Mapping[str, Columns],
+    *,
+    values: Mapping[str, float] | None = None,
+    lines: str = "",
+    below: str = "",
+) -> None:
+    """Write a page of the plots of one result, drawn as those of a run. Raises ``NoPlotly`` and ``OSError``.
+
+    ``values`` are those of levels; ``lines`` and ``below`` are HTML under the title and under the plots.
+    """
+    shown = {"name": title, "colour": None, "tables": tables, "values": values or {}, "marks": ()}
+    _write_page(out, title, plots, [shown], lines=lines, safe="", tables=below)
+
+
+def _write_page(out: Path, title: str, plots: Sequence[Plot], runs: Sequence[Mapping[str, Any]], **parts: str) -> None:
+    """Write a page, whose data for report.js are JSON in which no HTML tag can start."""
+    plotly, script = static_files.report_scripts()
+    data = msgspec.json.encode({"plots": plots, "runs": runs, "dark": palette.DARK}).decode().replace("<", "\\u003c")
+    style = static_files.text("style.css") + static_files.text("report.css")
+    page = {"title": html.escape(title), "style": style, "plotly": plotly, "data": data, "script": script}
+    text = static_files.filled(static_files.text("report.html"), **page, **parts)
+    with draft_of(out) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
+def _shown(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[dict[str, Any]]:
+    """Return the data of each run for report.js."""
     several = len(runs) > 1
-    shown = [
+    return [
         {
             "name": run.name,
             "colour": palette.RUNS[i % len(palette.RUNS)] if several else None,
@@ -84,9 +104,6 @@ def _data(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> str:
         }
         for i, (run, data) in enumerate(zip(runs, plot_data, strict=True))
     ]
-    content = {"plots": plots_with_data(plot_data), "runs": shown, "dark": palette.DARK}
-    text = msgspec.json.encode(content).decode()
-    return text.replace("<", "\\u003c")
 
 
 def plots_with_data(plot_data: Sequence[PlotData]) -> list[Plot]:
@@ -146,10 +163,7 @@ def _how(summary: Mapping[str, Any], metadata: Mapping[str, str]) -> str:
 
 def _scenario(metadata: Mapping[str, str]) -> str:
     """Return the title of the scenario and the name of the vehicle; empty if the recording does not hold them."""
-    try:
-        title = loads(metadata.get(SCENARIO, "")).get("title", "")
-    except (ValueError, RecursionError):
-        title = ""
+    title = table_of(metadata, SCENARIO).get("title", "")
     return ", ".join(filter(None, (str(title), f"vehicle {name}" if (name := vehicle_name(metadata)) else "")))
 
 
@@ -176,27 +190,23 @@ def _file(title: str, text: str) -> str:
 
 def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
     """Return the table of figures; several runs have a column each, then the differences to the first."""
-    names = [html.escape(run.name) for run in runs] if len(runs) > 1 else ["value"]
-    head = "".join(f'<th class="number">{name}</th>' for name in names)
-    if len(runs) > 1:
-        head += "".join(f'<th class="number">{html.escape(run.name)} − first</th>' for run in runs[1:])
+    names = ["value"] if len(runs) == 1 else [run.name for run in runs]
+    names += [f"{run.name} − first" for run in runs[1:]]
     body = "".join(
-        f"<tr><td>{html.escape(row.label)}{f' ({row.unit})' if row.unit else ''}</td>"
-        + "".join(f'<td class="number">{number(value, row.digits)}</td>' for value in row.values)
-        + "".join(f'<td class="number">{number(value, row.digits, signed=True)}</td>' for value in row.differences)
-        + "</tr>"
-        for row in figures
+        row(
+            (
+                f"{one.label} ({one.unit})" if one.unit else one.label,
+                *(number(value, one.digits) for value in one.values),
+                *(number(value, one.digits, signed=True) for value in one.differences),
+            )
+        )
+        for one in figures
     )
-    wide = " wide" if len(runs) > 1 else ""
-    head = f"<thead><tr><th>figure</th>{head}</tr></thead>"
-    table = f'<table id="figures" class="sortable">{head}<tbody>{body}</tbody></table>'
-    table = f'<div class="scroll" tabindex="0" role="region" aria-label="Results">{table}</div>'
-    return f'<section class="panel{wide}"><h3>Results</h3>{table}</section>'
+    content = table("Results", ("figure", *((name, NUMBER) for name in names)), body)
+    return f'<section id="figures" class="panel{" wide" if len(runs) > 1 else ""}"><h3>Results</h3>{content}</section>'
 
 
 def _events(run: Run, data: PlotData) -> str:
-    title = f"Events of {html.escape(run.name)}"
-    head = '<tr><th class="number">time (s)</th><th>process</th><th>what happened</th></tr>'
-    table = f'<table class="sortable"><thead>{head}</thead><tbody>{safety_part.event_rows(data)}</tbody></table>'
-    table = f'<div class="scroll events" tabindex="0" role="region" aria-label="{title}">{table}</div>'
-    return f'<section class="panel"><h3>{title}</h3>{table}</section>'
+    title, head = f"Events of {run.name}", (("time (s)", NUMBER), "process", "what happened")
+    content = table(title, head, safety_part.event_rows(data), frame="scroll events")
+    return f'<section class="panel"><h3>{html.escape(title)}</h3>{content}</section>'

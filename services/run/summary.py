@@ -15,6 +15,7 @@ from services.recording.reader import Recording
 from services.recording.writer import ENDED
 from services.run.run_config import RunConfig
 from services.run.water import EstimatedCurrent
+from sim.evaluation.further import further
 from sim.evaluation.metrics import RunMetrics, quantiles
 from sim.evaluation.summary import Messages, Summary
 from sim.plant import PERIOD_NS
@@ -37,7 +38,7 @@ def summarise(
     """
     scenario = run_config.scenario
     measured = mode == SERVICES
-    tracking, true, localisation, absolute = metrics.errors()
+    tracking, true, localisation, absolute = metrics.track.errors()
     nothing = quantiles([])
     return Summary(
         scenario=run_config.name,
@@ -46,23 +47,23 @@ def summarise(
         why=why,
         seed=scenario.run.seed,
         speed=scenario.run.speed if measured else None,
-        speed_reached=metrics.speed_reached() if measured else None,
-        duration_s=_duration_ns(metrics.until_ns, scenario.end_ns) / 1e9,
+        speed_reached=metrics.clock.reached() if measured else None,
+        duration_s=_duration_ns(metrics.track.until_ns, scenario.end_ns) / 1e9,
         cycles=metrics.cycles,
         tracking_error_m=tracking,
         true_error_m=true,
         localisation_error_m=localisation,
         localisation_error_absolute_m=absolute,
-        further=metrics.further(),
-        thrust=metrics.thrust(),
-        fence=metrics.fence(),
-        arrived_s=metrics.arrived_s(),
-        fence_exceeded=metrics.fence_exceeded(),
-        compute_delay_s=metrics.compute_delay(),
-        compute_delay_wall_s=metrics.compute_delay(wall=True) if measured else nothing,
-        end_to_end_delay_s=metrics.end_to_end_delay(),
-        end_to_end_delay_wall_s=metrics.end_to_end_delay(wall=True) if measured else nothing,
-        stages_us=metrics.stages() if measured else {},
+        further=further(metrics.track.positions),
+        thrust=metrics.commands.thrust(),
+        fence=metrics.fence.figures(),
+        arrived_s=metrics.track.arrived_s,
+        fence_exceeded=metrics.fence.exceeded,
+        compute_delay_s=metrics.delays.compute(),
+        compute_delay_wall_s=metrics.delays.compute(wall=True) if measured else nothing,
+        end_to_end_delay_s=metrics.delays.end_to_end(),
+        end_to_end_delay_wall_s=metrics.delays.end_to_end(wall=True) if measured else nothing,
+        stages_us=metrics.delays.stages() if measured else {},
         deadline_misses=metrics.deadline_misses,
         plans_refused=metrics.plans_refused,
         qp_status=dict(sorted(metrics.qp_status.items())),

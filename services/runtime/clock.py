@@ -3,7 +3,7 @@
     vehicle time = vehicle_ns + (monotonic - at_monotonic) x speed_num / speed_den      while running
 
 CLOCK_MONOTONIC is the same for all processes of one host, so a follower needs no synchronisation: it applies each
-announced segment from that segment's own instant on. A change (start, pause, speed) is announced at least ``LEAD_US``
+announced segment from that segment's own instant on. A change (start, pause, speed) is announced 50 ms
 ahead. A follower that receives it too late holds its reading until the new segment catches up: a reading never steps
 back.
 """
@@ -18,9 +18,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ltv_mpc.messages import Clock, ClockState
-
-LEAD_US = 50_000
-"""Lead time of an announced change: many times the transit time of a message through a router."""
 
 BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")
 NO_BOOT_ID = "unknown"
@@ -63,6 +60,11 @@ class ClockSegment(NamedTuple):
     num: int
     den: int
     state: ClockState
+
+    @classmethod
+    def announced(cls, clock: Clock) -> ClockSegment:
+        """Return the segment that an announcement describes."""
+        return cls(clock.at_monotonic_us, clock.vehicle_ns, clock.speed_num, clock.speed_den, clock.state)
 
     def read(self, now_us: int) -> int:
         """Return the vehicle time (ns)."""
@@ -120,10 +122,7 @@ class VehicleClock:
                 "whose value applies: start both with the same scenario"
             )
         self._epoch, self._sequence = message.clock_epoch, message.clock_sequence
-        segment = ClockSegment(
-            message.at_monotonic_us, message.vehicle_ns, message.speed_num, message.speed_den, message.state
-        )
-        self._segments.append(segment)
+        self._segments.append(ClockSegment.announced(message))
         if len(self._segments) > MAX_SEGMENTS:
             del self._segments[-2]  # neither the segments that are active soon nor the newest
         return True
@@ -164,67 +163,3 @@ class VehicleClock:
             if due is not None and (last or due < self._segments[i + 1].at_us):
                 return due
         return None
-
-
-class ClockSource:
-    """Source of the clock announcements. The clock master repeats ``message``, so that late joiners receive it too."""
-
-    def __init__(self, *, epoch: int, start_ns: int, speed: float, now_us: int) -> None:
-        self._speed = self._requested = fraction_of(speed)
-        self.slipped_ns = 0  # vehicle time given up in all, because the machine could not keep up
-        self.slips = 0  # number of slips
-        self.message = Clock(
-            clock_epoch=epoch,
-            clock_sequence=0,
-            host_boot_id=boot_id(),
-            at_monotonic_us=now_us,
-            vehicle_ns=start_ns,
-            speed_num=self._speed.numerator,
-            speed_den=self._speed.denominator,
-            requested_speed=float(self._requested),
-            state=ClockState.WAITING,
-        )
-
-    @property
-    def speed(self) -> Fraction:
-        """Requested speed: vehicle seconds per second."""
-        return self._requested
-
-    def run(self, now_us: int) -> Clock:
-        """Start, or continue after a pause."""
-        return self._announce(now_us, ClockState.RUNNING)
-
-    def pause(self, now_us: int) -> Clock:
-        """Pause."""
-        return self._announce(now_us, ClockState.PAUSED)
-
-    def set_speed(self, now_us: int, speed: Fraction, *, requested: float | None = None) -> Clock:
-        """Continue at ``speed``, which the machine can keep. ``requested`` replaces the requested speed, if given."""
-        self._speed = speed
-        if requested is not None:
-            self._requested = fraction_of(requested)
-        return self._announce(now_us, self.message.state)
-
-    def slip(self, now_us: int, late_us: int) -> Clock:
-        """Slip by ``late_us`` of wall time that cannot be caught up with: the clock holds still that much longer."""
-        self.slips += 1
-        slip_ns = late_us * 1000 * self._speed.numerator // self._speed.denominator
-        self.slipped_ns += slip_ns
-        return self._announce(now_us, self.message.state, slip_ns=slip_ns)
-
-    def _announce(self, now_us: int, state: ClockState, *, slip_ns: int = 0) -> Clock:
-        old = self.message
-        segment = ClockSegment(old.at_monotonic_us, old.vehicle_ns, old.speed_num, old.speed_den, old.state)
-        at_us = max(now_us + LEAD_US, old.at_monotonic_us)
-        self.message = Clock(
-            clock_epoch=old.clock_epoch,
-            clock_sequence=old.clock_sequence + 1,
-            host_boot_id=old.host_boot_id,
-            at_monotonic_us=at_us,
-            vehicle_ns=segment.read(at_us) - slip_ns,
-            speed_num=self._speed.numerator,
-            speed_den=self._speed.denominator,
-            requested_speed=float(self._requested),
-            state=state,
-        )
-        return self.message

@@ -1,18 +1,22 @@
 """Clock master: starts the clock when all nodes are ready, announces it ten times a second, and slows it.
 
-The clock slips when a node cannot keep up, this one included; then ``clock_rate.py`` also lowers its speed.
+The clock slips when a node cannot keep up, this one included; then its speed is lowered, too (``ClockRate``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
 
 import msgspec
 
 from ltv_mpc.messages import Clock, ClockCommand, ClockState, NodeStatus, RunEvent
-from services.runtime.clock import ClockSource, VehicleClock, fraction_of
-from services.runtime.clock_rate import ClockRate
+from services.runtime.clock import ClockSegment, VehicleClock, boot_id, fraction_of
 from services.runtime.node_status import MAX_BACKLOG_US
+
+LEAD_US = 50_000
+"""Lead time of an announced change: many times the transit time of a message through a router."""
 
 REPEAT_US = 100_000
 REPORT_INTERVAL_US = 1_000_000
@@ -22,6 +26,16 @@ MAX_CATCH_UP_US = 100_000
 """Wall time by which grid steps may be late and still catch up; the clock slips by what is beyond it."""
 
 
+WINDOW_US = 500_000
+FIRST_WINDOW_US = 150_000
+"""Window while the speed doubles. A node that cannot keep up reports it within 50 ms."""
+MAX_SLIP_RATIO = Fraction(1, 20)
+"""Slipped share of a window that does not change the speed: a single hiccup of the machine."""
+GROWTH = Fraction(51, 50)  # 2 % a window: about 17 s from half of a speed back to it
+REAL_TIME = Fraction(1)
+"""The speed is never lowered below real time, or below the requested speed if that is lower; the clock then slips."""
+
+
 class ClockMasterSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Settings of the clock master."""
 
@@ -29,6 +43,126 @@ class ClockMasterSettings(msgspec.Struct, frozen=True, kw_only=True):
     end_ns: int
     speed: float  # vehicle seconds per second
     expects: tuple[str, ...]  # nodes that must be ready before the clock starts
+
+
+class ClockSource:
+    """Source of the clock announcements. The clock master repeats ``message``, so that late joiners receive it too."""
+
+    def __init__(self, *, epoch: int, start_ns: int, speed: float, now_us: int) -> None:
+        self.slipped_ns = 0  # vehicle time given up in all, because the machine could not keep up
+        self.slips = 0  # number of slips
+        num, den = fraction_of(speed).as_integer_ratio()
+        self.message = Clock(
+            clock_epoch=epoch,
+            clock_sequence=0,
+            host_boot_id=boot_id(),
+            at_monotonic_us=now_us,
+            vehicle_ns=start_ns,
+            speed_num=num,
+            speed_den=den,
+            requested_speed=num / den,
+            state=ClockState.WAITING,
+        )
+
+    @property
+    def speed(self) -> Fraction:
+        """Requested speed: vehicle seconds per second."""
+        return fraction_of(self.message.requested_speed)
+
+    def run(self, now_us: int) -> Clock:
+        """Start, or continue after a pause."""
+        return self._announce(now_us, state=ClockState.RUNNING)
+
+    def pause(self, now_us: int) -> Clock:
+        """Pause."""
+        return self._announce(now_us, state=ClockState.PAUSED)
+
+    def set_speed(self, now_us: int, speed: Fraction, *, requested: float | None = None) -> Clock:
+        """Continue at ``speed``, which the machine can keep. ``requested`` replaces the requested speed, if given."""
+        requested = self.message.requested_speed if requested is None else float(fraction_of(requested))
+        return self._announce(now_us, speed_num=speed.numerator, speed_den=speed.denominator, requested_speed=requested)
+
+    def slip(self, now_us: int, late_us: int) -> Clock:
+        """Slip by ``late_us`` of wall time that cannot be caught up with: the clock holds still that much longer."""
+        self.slips += 1
+        slip_ns = late_us * 1000 * self.message.speed_num // self.message.speed_den
+        self.slipped_ns += slip_ns
+        return self._announce(now_us, slip_ns)
+
+    def _announce(self, now_us: int, slip_ns: int = 0, **changes: Any) -> Clock:
+        old = self.message
+        at_us = max(now_us + LEAD_US, old.at_monotonic_us)
+        vehicle_ns = ClockSegment.announced(old).read(at_us) - slip_ns
+        self.message = msgspec.structs.replace(
+            old, clock_sequence=old.clock_sequence + 1, at_monotonic_us=at_us, vehicle_ns=vehicle_ns, **changes
+        )
+        return self.message
+
+
+class ClockRate:
+    """Speed of the clock, adapted to a machine that cannot keep the requested one.
+
+    Slips alone do not help a machine that needs three seconds for one second of vehicle time: as soon as the clock
+    continues, messages queue again, and each delay is ``speed`` times as long in vehicle time. So the slips within a
+    window tell what the machine can do, and set the speed of the next window:
+
+        speed  <-  speed x (1 - slipped / window)       if more than ``MAX_SLIP_RATIO`` of the window slipped
+        speed  <-  min(requested, GROWTH x speed)       if nothing slipped
+
+    At first the possible speed is not known, and a run that starts too fast has seconds of vehicle time with stale
+    messages. So the clock starts in real time, and its speed doubles with each short window until something slips or
+    the requested speed is reached. The same happens when a higher speed is requested.
+    """
+
+    def __init__(self, requested: Fraction) -> None:
+        self.requested = requested
+        self.speed = min(requested, REAL_TIME)
+        self._doubles = self.speed < requested
+        self._since_us: int | None = None
+        self._slipped_us = 0
+
+    def request(self, speed: Fraction) -> None:
+        """Request a speed, which is approached as far as the machine can keep it."""
+        self.requested = speed
+        self.speed = min(speed, max(self.speed, REAL_TIME))
+        self._doubles = self.speed < speed
+        self.restart_window()
+
+    def restart_window(self) -> None:
+        """Discard the current window, because the clock was paused or changed for another reason."""
+        self._since_us, self._slipped_us = None, 0
+
+    def add_slip(self, slip_us: int) -> None:
+        """Add a slip (wall time)."""
+        self._slipped_us += slip_us
+
+    @property
+    def window_end_us(self) -> int:
+        """Monotonic time (us) at which the window ends; 0 before it starts."""
+        return 0 if self._since_us is None else self._since_us + self._window_us
+
+    @property
+    def _window_us(self) -> int:
+        return FIRST_WINDOW_US if self._doubles else WINDOW_US
+
+    def window_over(self, now_us: int) -> bool:
+        """Return True if the window has ended and ``speed`` has changed."""
+        if self._since_us is None:
+            self._since_us = now_us
+        window_us = now_us - self._since_us
+        if window_us < self._window_us:
+            return False
+        before = self.speed
+        share = min(Fraction(self._slipped_us, window_us), Fraction(1, 2))
+        if share > MAX_SLIP_RATIO:
+            self.speed = max(min(self.requested, REAL_TIME), self.speed * (1 - share))
+            self._doubles = False
+        elif not self._slipped_us:
+            self.speed = min(self.requested, self.speed * (2 if self._doubles else GROWTH))
+            self._doubles = self._doubles and self.speed < self.requested
+        self.speed = self.speed.limit_denominator(1000)
+        self._since_us, self._slipped_us = now_us, 0
+        return self.speed != before
 
 
 class ClockMaster:

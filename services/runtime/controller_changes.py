@@ -16,7 +16,6 @@ from typing import TypeAlias
 
 from ltv_mpc.messages import (
     Applied,
-    Authority,
     ClockStep,
     ControllerStatus,
     FenceInForce,
@@ -60,11 +59,10 @@ class FenceChanges:
         self._before = after
         found = [*_entered_or_left("zone", Level.ERROR, before.inside, after.inside)]
         found += _entered_or_left("margin", Level.WARNING, before.in_margin, after.in_margin)
-        if after.exceeded and not before.exceeded:
-            text = f"the plan lacks more than 1 cm of a required clearance at {after.exceeded} of its points"
-            found.append((Level.WARNING, text))
-        if before.exceeded and not after.exceeded:
-            found.append((Level.INFO, "the plan keeps the required clearances again"))
+        if bool(after.exceeded) != bool(before.exceeded):
+            lacks = f"the plan lacks more than 1 cm of a required clearance at {after.exceeded} of its points"
+            again = (Level.INFO, "the plan keeps the required clearances again")
+            found.append((Level.WARNING, lacks) if after.exceeded else again)
         if after.no_way != before.no_way:
             text = "no way round the zones leads to the target" if after.no_way else "a way to the target is found"
             found.append((Level.WARNING if after.no_way else Level.INFO, text))
@@ -116,7 +114,7 @@ class ControllerChanges:
 
     def __init__(self, tell: Tell) -> None:
         self._tell = tell
-        self._states: dict[str, object] = {}  # newest, by kind
+        self._states: dict[str, object] = {}  # fields of the newest, by kind
         self._fence = FenceChanges()
         self._arrived = True  # a controller that continues may have arrived before
         self._reported_at: dict[str, int] = {}  # counts that were reported last, by their text
@@ -130,8 +128,7 @@ class ControllerChanges:
         """
         match message:
             case Plan():
-                self._health(message.cycle_t_ns, message.health, message.health_why)
-                self._authority(message.cycle_t_ns, message.authority)
+                self._health_and_authority(message, message.cycle_t_ns)
                 before, self._arrived = self._arrived, message.arrived
                 arrived = [("arrived", Level.INFO, ARRIVED)] if message.arrived and not before else []
                 fence = [("fence", *change) for change in self._fence.update(message.fence)]
@@ -149,25 +146,19 @@ class ControllerChanges:
 
     def on_status(self, status: ControllerStatus) -> None:
         """Take in the controller's status, which also exists while there are no plans."""
-        self._health(status.t_ns, status.health, status.health_why)
-        self._authority(status.t_ns, status.authority)
-        if status.source and self._changes("source", (status.source, status.source_epoch)):
-            fields: dict[str, str | int] = {"source": status.source, "epoch": status.source_epoch}
-            text = f"source of the estimates: {status.source}, epoch {status.source_epoch}"
-            self._tell(Level.INFO, "source", text, t_ns=status.t_ns, fields=fields)
+        self._health_and_authority(status, status.t_ns)
+        if status.source:
+            source, epoch = status.source, status.source_epoch
+            text = f"source of the estimates: {source}, epoch {epoch}"
+            self._state(status.t_ns, "source", Level.INFO, text, source=source, epoch=epoch)
         for reason, count in status.rejected.items():
             self._count(status.t_ns, "rejected", f"rejected: {reason}", count, reason=reason)
 
-    def _health(self, t_ns: int, health: Health, why: str) -> None:
-        if self._changes("health", (health, why)):
-            text = f"health: {health.value} ({why})" if why else f"health: {health.value}"
-            level = LEVELS.get(health, Level.ERROR)
-            self._tell(level, "health", text, t_ns=t_ns, fields={"health": health.value, "why": why})
-
-    def _authority(self, t_ns: int, authority: Authority) -> None:
-        if self._changes("authority", authority):
-            fields: dict[str, str | int] = {"authority": authority.value}
-            self._tell(Level.INFO, "authority", f"authority: {authority.value}", t_ns=t_ns, fields=fields)
+    def _health_and_authority(self, message: Plan | ControllerStatus, t_ns: int) -> None:
+        health, why, authority = message.health.value, message.health_why, message.authority.value
+        text = f"health: {health} ({why})" if why else f"health: {health}"
+        self._state(t_ns, "health", LEVELS.get(message.health, Level.ERROR), text, health=health, why=why)
+        self._state(t_ns, "authority", Level.INFO, f"authority: {authority}", authority=authority)
 
     def _actuators(self, report: Applied) -> None:
         """Take in the counts of the actuators, which may be older than this process."""
@@ -185,11 +176,11 @@ class ControllerChanges:
             self._tell(level, kind, text, t_ns=t_ns, fields={})
         return [(t_ns, kind, text) for kind, _, text in changes]
 
-    def _changes(self, kind: str, state: object) -> bool:
-        """Return True if a state is new."""
-        before = self._states.get(kind)
-        self._states[kind] = state
-        return state != before
+    def _state(self, t_ns: int, kind: str, level: Level, text: str, **fields: str | int) -> None:
+        """Report a state of this kind if its fields are new."""
+        if self._states.get(kind) != fields:
+            self._states[kind] = fields
+            self._tell(level, kind, text, t_ns=t_ns, fields=fields)
 
     def _count(self, t_ns: int, kind: str, text: str, count: int, **fields: str | int) -> None:
         """Report a count if it has reached a power of ten since its last report."""

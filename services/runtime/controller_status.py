@@ -23,15 +23,15 @@ from services.bus.message_validation import MessageValidator
 from services.runtime.clock_offset import ClockOffset
 from services.runtime.console import Tell
 from services.runtime.controller_changes import ControllerChanges, Event
-from services.runtime.saved_state import SavedState
+from services.runtime.node_io import SavedState
 
 PERIOD_US = 1_000_000
 """Time between two statuses (us)."""
 CYCLE_WINDOW_US = 10_000_000
 """Window over which cycle times are evaluated (us)."""
 
-StatusSink = Callable[[ControllerStatus, int], None]
-"""Consumer of each status besides the bus; the second argument is the monotonic time in microseconds."""
+StatusSink = Callable[[ControllerStatus], None]
+"""Consumer of each status besides the bus."""
 
 
 class ControllerStatusReporter:
@@ -127,7 +127,7 @@ class ControllerStatusReporter:
         )
         self._changes.on_status(status)
         for sink in self._sinks:
-            sink(status, now_us)
+            sink(status)
         return status
 
     def _error_m(self) -> float | None:

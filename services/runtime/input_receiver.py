@@ -6,7 +6,7 @@ with a ``RejectedFrame`` message that names the reason.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ltv_mpc.messages import (
     Action,
@@ -15,27 +15,45 @@ from ltv_mpc.messages import (
     ClockStep,
     Command,
     Heartbeat,
+    InboxEntry,
     Message,
+    NodeSettings,
     NodeStatus,
     RejectedFrame,
     RunEvent,
 )
 from ltv_mpc.node import Node, OnMessage
-from services.bus.mailbox import Frame
+from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator, RateExceeded, rejection
 from services.bus.time_shift import shifted
 from services.bus.topics import OPERATOR
-from services.bus.wire import WireError
+from services.bus.wire import WireError, crc
 from services.runtime.clock import monotonic_us
 from services.runtime.node_io import NodeIO
-from services.runtime.node_status import Reporters
+from services.runtime.node_status import NodeStatusReporter
 from services.runtime.process_time import ProcessTime, step_text
+
+if TYPE_CHECKING:  # only a controller needs it
+    from services.runtime.controller_status import ControllerStatusReporter
 
 NO_TIME = "no estimate received yet, so there is no vehicle time: retry when the status shows estimates"
 """Rejection reason of a command before there is a time: its age is unknown when it is carried out.
 
 ``stop`` is carried out at any time, at vehicle time 0 while there is none.
 """
+
+
+class Connected(NamedTuple):
+    """Parts of a connected process, which its input receiver and its step loop share."""
+
+    node: Node
+    mailbox: Mailbox
+    io: NodeIO
+    time: ProcessTime
+    status: NodeStatusReporter
+    report: ControllerStatusReporter | None  # status of the node's own
+    settings: NodeSettings | None
+    validator: MessageValidator
 
 
 class StepTrigger(NamedTuple):
@@ -50,15 +68,10 @@ class StepTrigger(NamedTuple):
 class InputReceiver:
     """Validation and routing of one process's inputs."""
 
-    def __init__(
-        self, node: Node, io: NodeIO, time: ProcessTime, reporters: Reporters, validator: MessageValidator
-    ) -> None:
-        self._node = node
-        self._triggers = frozenset(node.schedule.types if isinstance(node.schedule, OnMessage) else ())
-        self._io = io
-        self._time = time
-        self._reporters = reporters
-        self._validator = validator
+    def __init__(self, connected: Connected) -> None:
+        self._node, _, self._io, self._time, self._status, self._report, _, self._validator = connected
+        schedule = self._node.schedule
+        self._triggers = frozenset(schedule.types if isinstance(schedule, OnMessage) else ())
 
     def take(self, frame: Frame) -> StepTrigger | None:
         """Accept or reject a frame. Return the step that it causes, if any."""
@@ -84,18 +97,23 @@ class InputReceiver:
             return None
         shift_ns = time.shift_ns(header.epoch, received_us)
         message = shifted(message, shift_ns)
-        status, kind = self._reporters.process, type(message)
-        status.waiting.on_input(kind)
-        status.on_delivery(header.sent_monotonic_us, received_us, monotonic_us())
-        if self._reporters.node is not None:
-            self._reporters.node.on_input(message)
+        kind = type(message)
+        self._status.waiting.on_input(kind)
+        self._status.on_delivery(header.sent_monotonic_us, received_us, monotonic_us())
+        if self._report is not None:
+            self._report.on_input(message)
         self._pass_to_clock(message)
         if kind not in self._node.reads:
             return None
-        received_ns = time.received_ns(message, received_us)
-        io.add_to_inbox(
-            message, header, key=frame.key, payload=frame.payload, received_t_ns=received_ns, shift_ns=shift_ns
+        entry = InboxEntry(
+            key=frame.key,
+            epoch=header.epoch,
+            sequence=header.sequence,
+            crc=crc(frame.payload),
+            received_t_ns=time.received_ns(message, received_us),
+            shift_ns=shift_ns,
         )
+        io.add_to_inbox(message, entry)
         if kind in self._triggers:
             stamped: Any = message  # a type that causes steps has its validity time
             return StepTrigger(frame.key, stamped.t_ns)
@@ -110,13 +128,13 @@ class InputReceiver:
             self._io.publish(RunEvent(t_ns=now_ns, node=self._node.name, kind="clock", text=step_text(step)))
             if ClockStep in self._node.reads:
                 self._io.publish_to_self(step, now_ns)
-            if self._reporters.node is not None:
-                self._reporters.node.on_input(step)
+            if self._report is not None:
+                self._report.on_input(step)
 
     def _pass_to_clock(self, message: Message) -> None:
         time = self._time
         if isinstance(message, Clock):
-            self._reporters.process.waiting.on_clock(monotonic_us())
+            self._status.waiting.on_clock(monotonic_us())
             time.follow(message)
         elif time.master is not None and isinstance(message, NodeStatus):
             time.master.on_status(message, monotonic_us(), self._node.name)

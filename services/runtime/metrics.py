@@ -32,9 +32,8 @@ class Metrics(Collector):
         self._registry = CollectorRegistry()
         self._registry.register(self)
 
-    def show(self, status: ControllerStatus, now_us: int) -> None:
+    def show(self, status: ControllerStatus) -> None:
         """Keep the newest status."""
-        del now_us
         self._status = status
 
     def collect(self) -> Iterator[Metric]:

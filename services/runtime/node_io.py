@@ -1,42 +1,58 @@
-"""Inputs and outputs of a node in its process: inbox of the next step, step records, and outbox."""
+"""Inputs and outputs of a node in its process: inbox of the next step, step records, outbox, and its saved state."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 from ltv_mpc.messages import InboxEntry, Message, RecordedStep, StepRecord
 from ltv_mpc.node import ReceivedMessage
 from services.bus.outbox import Outbox, SentMessage
 from services.bus.time_shift import shifted
 from services.bus.topics import BY_TYPE, LATEST, STATES, source_of
-from services.bus.wire import Header, crc
+from services.bus.wire import decode
 from services.runtime.clock import monotonic_us
-from services.runtime.saved_state import SavedState
-
-
-class PendingInbox:
-    """Inbox that fills between two steps. Of a key with delivery LATEST only the newest message is kept."""
-
-    def __init__(self) -> None:
-        self._pairs: list[tuple[ReceivedMessage, InboxEntry]] = []
-
-    def add(self, signal: Message, entry: InboxEntry, *, first: bool = False) -> None:
-        """Append a message, its times being vehicle time; ``first`` puts it before all others."""
-        if BY_TYPE[type(signal)].delivery is LATEST:
-            self._pairs = [pair for pair in self._pairs if pair[1].key != entry.key]
-        arrival = ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns, source_of(entry.key))
-        self._pairs.insert(0 if first else len(self._pairs), (arrival, entry))
-
-    def take(self) -> tuple[list[ReceivedMessage], tuple[InboxEntry, ...]]:
-        """Return and remove the messages, with their entries for the step's record."""
-        taken, self._pairs = self._pairs, []
-        return [arrival for arrival, _ in taken], tuple([entry for _, entry in taken])
-
 
 MAX_RECORDED_STEPS = 1000
 """Largest number of steps in a record: a frame has a largest size."""
 
 STATE_TYPES = tuple(STATES.values())
+
+
+class SavedState(Protocol):
+    """Place in which the states that a node publishes survive its process."""
+
+    failures: int
+    """Number of states that could not be kept."""
+
+    def restored(self, t_ns: int, now_us: int, *, own_clock: bool) -> Message | None:
+        """Return the state that the node continues from, which becomes the first message of its first step.
+
+        ``t_ns`` is the vehicle time of that step and ``now_us`` the monotonic time. ``own_clock``: vehicle time is this
+        process's own monotonic time plus an offset, so both advance alike.
+        """
+        ...
+
+    def keep(self, state: Message, now_us: int) -> None:
+        """Keep a state that the node publishes at the monotonic time ``now_us``, before it is published."""
+        ...
+
+
+class SupervisorState:
+    """State that the supervisor has given to this process; it receives the later ones from the bus."""
+
+    def __init__(self, node: str, payload: bytes) -> None:
+        """``payload`` is the encoded state; empty if there is none to continue from."""
+        self.failures = 0
+        self._state = decode(STATES[node], payload)[0] if payload else None
+
+    def restored(self, t_ns: int, now_us: int, *, own_clock: bool) -> Message | None:
+        """Return the state as it was given."""
+        del t_ns, now_us, own_clock
+        return self._state
+
+    def keep(self, state: Message, now_us: int) -> None:
+        """Leave it to the bus."""
 
 
 class NodeIO:
@@ -51,7 +67,7 @@ class NodeIO:
         self._node = node
         self._outbox = outbox
         self._saved = saved
-        self._inbox = PendingInbox()
+        self._inbox: list[tuple[ReceivedMessage, InboxEntry]] = []
         self._steps: list[RecordedStep] = []  # without a record so far
         self._recorded = 0  # steps with a record
         self.shift_ns = 0
@@ -63,18 +79,13 @@ class NodeIO:
 
     def publish_outputs(self, messages: Sequence[Message]) -> list[SentMessage]:
         """Publish the record of the steps without one, then the outputs of these steps. Return the sent outputs."""
-        records = self._take_record()
-        sent = self._outbox.publish_all([*records, *map(self._published, messages)])
-        return sent[len(records) :]
-
-    def _take_record(self) -> tuple[StepRecord, ...]:
-        """Return the record of the steps without one; an empty tuple if there is no such step."""
         steps, self._steps = tuple(self._steps), []
+        outputs = list(map(self._published, messages))
         if not steps:
-            return ()
+            return self._outbox.publish_all(outputs)
         record = StepRecord(node=self._node, epoch=self._outbox.epoch, step=self._recorded, steps=steps)
         self._recorded += len(steps)
-        return (record,)
+        return self._outbox.publish_all([record, *outputs])[1:]
 
     def restore_state(self, t_ns: int, now_us: int, *, own_clock: bool) -> None:
         """Put the state that the node continues from, if there is one, at the head of its first inbox."""
@@ -82,49 +93,29 @@ class NodeIO:
         if state is not None:
             self.publish_to_self(state, t_ns, first=True)
 
-    def add_to_inbox(
-        self, message: Message, header: Header, *, key: str, payload: bytes, received_t_ns: int, shift_ns: int = 0
-    ) -> None:
-        """Put a received message into the inbox of the next step.
+    def add_to_inbox(self, message: Message, entry: InboxEntry, *, first: bool = False) -> None:
+        """Put a message, its times being vehicle time, into the inbox of the next step.
 
-        Parameters
-        ----------
-        message, header : decoded from ``payload``, then ``shift_ns`` added to the times in the message.
-        key : key on which the message was received.
-        payload : bytes of the frame; the step's record holds their crc.
-        received_t_ns : vehicle time at reception (ns).
-        shift_ns : vehicle time minus the time of the publisher (ns).
+        Of a key with delivery LATEST only the newest message is kept. ``first`` puts it before all others. ``entry`` is
+        for the step's record.
         """
-        self._inbox.add(
-            message,
-            InboxEntry(
-                key=key,
-                epoch=header.epoch,
-                sequence=header.sequence,
-                crc=crc(payload),
-                received_t_ns=received_t_ns,
-                shift_ns=shift_ns,
-            ),
-        )
+        if BY_TYPE[type(message)].delivery is LATEST:
+            self._inbox = [pair for pair in self._inbox if pair[1].key != entry.key]
+        arrival = ReceivedMessage(message, entry.epoch, entry.sequence, entry.received_t_ns, source_of(entry.key))
+        self._inbox.insert(0 if first else len(self._inbox), (arrival, entry))
 
     def publish_to_self(self, message: Message, now_ns: int, *, first: bool = False) -> None:
-        """Publish a message and put it directly into the node's own inbox, received at ``now_ns`` (vehicle time).
-
-        ``first`` puts it before the messages that wait there.
-        """
+        """Publish a message and put it directly into the node's own inbox, received at ``now_ns`` (vehicle time)."""
         sent = self.publish(message)
-        self._inbox.add(
-            message,
-            InboxEntry(
-                key=sent.key,
-                epoch=self._outbox.epoch,
-                sequence=sent.sequence,
-                crc=sent.crc,
-                received_t_ns=now_ns,
-                shift_ns=-self.shift_ns,
-            ),
-            first=first,
+        entry = InboxEntry(
+            key=sent.key,
+            epoch=self._outbox.epoch,
+            sequence=sent.sequence,
+            crc=sent.crc,
+            received_t_ns=now_ns,
+            shift_ns=-self.shift_ns,
         )
+        self.add_to_inbox(message, entry, first=first)
 
     def take_inbox(self, t_ns: int, cause: str) -> list[ReceivedMessage]:
         """Empty the inbox for a step, keep the step for the next record, and return the messages.
@@ -134,11 +125,12 @@ class NodeIO:
         t_ns : vehicle time that the step is for (ns).
         cause : "grid", "cycle", or the key of the message that caused the step.
         """
-        inbox, entries = self._inbox.take()
+        taken, self._inbox = self._inbox, []
+        entries = tuple([entry for _, entry in taken])
         self._steps.append(RecordedStep(t_ns=t_ns, cause=cause, inbox=entries, shift_ns=self.shift_ns))
         if len(self._steps) == MAX_RECORDED_STEPS:
             self.publish_record()
-        return inbox
+        return [arrival for arrival, _ in taken]
 
     def publish_record(self) -> None:
         """Publish the record of the steps without one."""

@@ -7,19 +7,15 @@ more, with ``finished``, before it ends.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import Protocol
 
-from ltv_mpc.messages import Battery, ClockState, Leak, Message, NodeSettings, NodeStatus
+from ltv_mpc.messages import Battery, ClockState, Leak, Message, NodeStatus
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox
 from services.bus.topics import BY_TYPE, OPERATOR
 from services.runtime.clock import VehicleClock
 from services.runtime.stopping import Say
 
-if TYPE_CHECKING:  # only a controller needs it
-    from services.runtime.controller_status import ControllerStatusReporter
-
-SETTINGS_PERIOD_US = BY_TYPE[NodeSettings].period_ns // 1000
 PERIOD_US = 500_000
 EARLY_PERIOD_US = 100_000  # before the start: the clock master waits for this status
 HURRIED_PERIOD_US = 50_000  # of a process that falls behind: the clock master slows the clock before much has piled up
@@ -175,28 +171,3 @@ class NodeStatusReporter:
         )
         self._busy_us, self._busy_steps = 0, 0
         self._min_wait_us = None
-
-
-class SettingsPublisher:
-    """Publisher of one process's settings: at its start, and again for recorders that start later.
-
-    The step loop sets ``due_us`` at the first step.
-    """
-
-    def __init__(self, settings: NodeSettings, outbox: Outbox) -> None:
-        self.due_us = 0
-        self._settings = settings
-        self._outbox = outbox
-
-    def publish(self, now_us: int) -> None:
-        """Publish the settings and set the next deadline."""
-        self.due_us = now_us + SETTINGS_PERIOD_US
-        self._outbox.publish(self._settings)
-
-
-class Reporters(NamedTuple):
-    """Reporters of one process: the status of every process, the controller's own, and the settings."""
-
-    process: NodeStatusReporter
-    node: ControllerStatusReporter | None
-    settings: SettingsPublisher | None = None

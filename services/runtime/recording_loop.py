@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 from ltv_mpc.messages import Clock, NodeStatus, RejectedFrame, RunEvent, StepRecord
 from services.bus.mailbox import Frame, Mailbox
@@ -51,14 +51,6 @@ MAX_WAITING = 20_000
 BEGAN_BEFORE = "{} began before this recorder: `ltv-mpc replay` can repeat it from its next start on"
 
 
-class _Unpacked(NamedTuple):
-    """Frame that is to be written, unpacked."""
-
-    frame: Frame
-    plain_map: dict[str, Any]
-    header: Header
-
-
 class RecordingLoop:
     """Loop of one recorder: writes messages until a stop is requested, then those that are still on their way.
 
@@ -71,7 +63,7 @@ class RecordingLoop:
         self._say = say
         self.mailbox = Mailbox()
         self._time = PublicationTime(start_ns=start_ns, say=say)
-        self._waiting: list[_Unpacked] = []
+        self._waiting: list[tuple[Frame, dict[str, Any], Header]] = []  # unpacked
         self._unknown_keys = RateLimit()
         self._acceptance = Acceptance()
         self._publish_counts = PublishCounts()
@@ -212,7 +204,7 @@ class RecordingLoop:
             # A recorder also keeps what its readers reject. Only the time is not taken from it.
             with contextlib.nullcontext() if kind is Clock else contextlib.suppress(WireError):
                 self._time.add(from_map(kind, plain_map)[0], header.epoch, frame.received_monotonic_us)
-        self._waiting.append(_Unpacked(frame, plain_map, header))
+        self._waiting.append((frame, plain_map, header))
         if len(self._waiting) > MAX_WAITING:
             self._time.follow_host()
         if self._time.known:
@@ -220,11 +212,11 @@ class RecordingLoop:
 
     def _write_waiting(self) -> None:
         waiting, self._waiting = self._waiting, []
-        for unpacked in waiting:
+        for frame, plain_map, header in waiting:
             try:
-                self._write(*unpacked)
+                self._write(frame, plain_map, header)
             except WireError as error:
-                self._reject(unpacked.frame, error)
+                self._reject(frame, error)
 
     def _write(self, frame: Frame, plain_map: dict[str, Any], header: Header) -> None:
         assert frame.topic is not None

@@ -2,30 +2,41 @@
 
     bus -> Mailbox -> InputReceiver (validation, rejection) -> NodeIO (inbox) -> node.step -> NodeIO (outbox) -> bus
 
-The parts, each in its own file: ``step_loop.py`` waits and steps, ``input_receiver.py`` validates inputs,
-``node_io.py`` holds inbox, records and outbox, ``process_time.py`` the clock and the schedule, ``deadlines.py`` the
-periodic duties (heartbeat, clock, status). Every input passes validation and reaches the node through one inbox, in
-order of arrival.
+    while steps remain and no stop is requested:
+        wait    take inputs from the mailbox and run the deadlines, until the next step is due
+        step    node.step(t_ns, inbox) -> outputs: published at once, after the records of the steps
+
+A step is due by the node's schedule, by an input that causes it, or by a command. ``input_receiver.py`` validates
+inputs, ``node_io.py`` holds inbox, records and outbox, ``process_time.py`` the clock and the schedule, ``deadlines.py``
+the periodic duties (heartbeat, clock, status). Every input reaches the node through one inbox, in order of arrival.
+
+If the inputs stop, nothing changes here: the controller's cycles continue by the clock, and the controller itself
+decides what to do when its estimates stop (``ltv_mpc/safety/health.py``). If the estimator process has died or hangs,
+the supervisor restarts it (``services/supervisor/failure_handler.py``).
 """
 
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from ltv_mpc.messages import (
     Clock,
     ClockCommand,
+    ClockMode,
     ClockStep,
     CycleTiming,
     Message,
     NodeSettings,
     NodeStatus,
+    Plan,
     RejectedFrame,
     RunEvent,
     StepRecord,
 )
-from ltv_mpc.node import Node
+from ltv_mpc.node import Cycle, Node
+from ltv_mpc.safety.source_selector import Source
 from services.bus.mailbox import Mailbox
 from services.bus.message_validation import MessageValidator
 from services.bus.options import BusOptions
@@ -36,21 +47,15 @@ from services.bus.topics import BY_TYPE, NAMED, expression
 from services.runtime.clock import monotonic_us
 from services.runtime.clock_master import ClockMaster
 from services.runtime.clock_sync import ClockSync
-from services.runtime.node_io import NodeIO
-from services.runtime.node_status import (
-    CLOCK_MESSAGE,
-    CLOCK_OR_ESTIMATE,
-    NodeStatusReporter,
-    Reporters,
-    SettingsPublisher,
-    WaitingFor,
-)
+from services.runtime.deadlines import DeadlineQueue
+from services.runtime.input_receiver import Connected, InputReceiver
+from services.runtime.node_io import NodeIO, SavedState
+from services.runtime.node_status import CLOCK_MESSAGE, CLOCK_OR_ESTIMATE, NodeStatusReporter, WaitingFor
 from services.runtime.process_time import ClockOptions, ProcessTime
-from services.runtime.saved_state import SavedState
 from services.runtime.service_manager import SERVICE_MANAGER
 from services.runtime.stage_timer import StageTimer
-from services.runtime.step_loop import StepLoop, StepLoopPorts, times_cycles
 from services.runtime.stopping import Say, StopRequest
+from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 if TYPE_CHECKING:  # only a controller needs it
     from services.runtime.controller_status import ControllerStatusReporter
@@ -60,6 +65,23 @@ DELIVERED_BY_PROCESS: tuple[type[Message], ...] = (RejectedFrame, Clock)
 
 CLOCK_MASTER_INPUTS: tuple[type[Message], ...] = (NodeStatus, ClockCommand)
 """Types that the clock master's process reads for its clock."""
+
+
+SETTINGS_PERIOD_US = BY_TYPE[NodeSettings].period_ns // 1000
+MAX_DRAIN_US = 20_000
+"""Longest time that taking inputs may delay a due step, so that a message flood cannot starve the controller."""
+
+FINAL_DRAIN_US, FINAL_SILENCE_US = 300_000, 20_000
+"""After a stop request the mailbox is drained until no frame has arrived for FINAL_SILENCE_US, at most FINAL_DRAIN_US:
+messages published before the request may still be on their way."""
+
+
+@runtime_checkable
+class NavigatedNode(Protocol):
+    """Node that uses the estimates of one of several sources; None before the first."""
+
+    @property
+    def active_source(self) -> Source | None: ...
 
 
 @runtime_checkable
@@ -75,31 +97,28 @@ class Runner:
 
     ``clock`` selects the clock that the process follows. ``stages`` is the stopwatch that the node was given.
     ``compute_delay_ns`` is added between a plan and its publication, in vehicle time. ``report`` publishes a status of
-    the node's own, besides the node status of every process.
+    the node's own, besides the node status of every process. ``settings`` are published for recorders.
     """
 
     def __init__(
         self,
         node: Node,
         *,
-        stop: StopRequest,
-        say: Say,
         clock: ClockOptions = ClockOptions(),  # noqa: B008
         compute_delay_ns: int = 0,
         stages: StageTimer | None = None,
         report: ControllerStatusReporter | None = None,
+        settings: NodeSettings | None = None,
     ) -> None:
-        self.stop = stop
+        self.stop = StopRequest()
         self.mailbox = Mailbox()
-        stop.on_request(self.mailbox.wake)
+        self.stop.on_request(self.mailbox.wake)
         self._node = node
-        self._say = say
         self._master_settings = clock.master
         self._compute_delay_ns = compute_delay_ns
         self._stages = stages or StageTimer()
         self._report = report
-        self.settings: NodeSettings | None = None
-        """Settings that the process publishes for recorders, if they are set before ``serve``."""
+        self._settings = settings
         self._epoch = new_epoch()
         self._time = ProcessTime(node, clock, epoch=self._epoch)
 
@@ -118,7 +137,7 @@ class Runner:
         """Synchronisation with the other side's clock, for a process that may take the time from its inputs."""
         return self._time.sync
 
-    def serve(self, bus: BusOptions, saved: SavedState | None = None) -> None:
+    def serve(self, bus: BusOptions, saved: SavedState | None = None, say: Say = print) -> None:
         """Connect, report ready, run the steps, report finished, disconnect.
 
         ``saved`` has the state that the node continues from, if there is one: the newest one that a node of this name
@@ -130,18 +149,16 @@ class Runner:
         """
         gc.collect()
         gc.freeze()  # objects that live until the end: no later collection visits them
-        with open_session(bus, stop=self.stop, say=self._say) as session:
-            connected = self._connect(session, saved)
-            loop = StepLoop(
-                self._node, connected, stop=self.stop, stopwatch=self._stages, compute_delay_ns=self._compute_delay_ns
-            )
+        with open_session(bus, stop=self.stop, say=say) as session:
+            connected = self._connect(session, saved, say)
+            loop = StepLoop(connected, stop=self.stop, stopwatch=self._stages, compute_delay_ns=self._compute_delay_ns)
             SERVICE_MANAGER.ready()
             try:
                 loop.run()
             finally:
                 loop.finish()
 
-    def _connect(self, session: Session, saved: SavedState | None) -> StepLoopPorts:
+    def _connect(self, session: Session, saved: SavedState | None, say: Say) -> Connected:
         """Declare publishers and subscribers, and start the clock's part of the process."""
         node, time, keeps_time = self._node, self._time, self._master_settings is not None
         inputs = [kind for kind in node.reads if BY_TYPE[kind].written_by != node.name]  # its own need no bus
@@ -150,7 +167,7 @@ class Runner:
             CycleTiming: times_cycles(node),
             ClockStep: ClockStep in node.reads,
             Clock: keeps_time,
-            NodeSettings: self.settings is not None,
+            NodeSettings: self._settings is not None,
         }
         kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, RejectedFrame, RunEvent]
         kinds += [kind for kind, is_written in optional.items() if is_written]
@@ -164,7 +181,7 @@ class Runner:
             node_waits=(lambda: node.waiting_for) if isinstance(node, WaitingNode) else None,
         )
         status = NodeStatusReporter(
-            node.name, outbox=outbox, counts=validator, mailbox=self.mailbox, waiting=waiting, say=self._say
+            node.name, outbox=outbox, counts=validator, mailbox=self.mailbox, waiting=waiting, say=say
         )
         for kind in dict.fromkeys([*inputs, *(CLOCK_MASTER_INPUTS if keeps_time else (Clock,))]):
             topic = BY_TYPE[kind]  # one mailbox for all, so that arrivals have one order
@@ -175,5 +192,206 @@ class Runner:
             )
         time.start_schedule()
         io = NodeIO(node.name, outbox, saved)
-        settings = None if self.settings is None else SettingsPublisher(self.settings, outbox)
-        return StepLoopPorts(self.mailbox, io, time, Reporters(status, self._report, settings), validator)
+        return Connected(node, self.mailbox, io, time, status, self._report, self._settings, validator)
+
+
+class StepLoop:
+    """Loop of one connected process, from its first step to its last."""
+
+    def __init__(
+        self, connected: Connected, *, stop: StopRequest, stopwatch: StageTimer, compute_delay_ns: int
+    ) -> None:
+        self._node, self._mailbox, self._io, self._time, self._status, self._report, _, _ = connected
+        self._stop = stop
+        self._stopwatch = stopwatch
+        self._compute_delay_ns = compute_delay_ns
+        self._measures_cycles = times_cycles(self._node)
+        self._receiver = InputReceiver(connected)
+        self._command = ""  # key of a command that the next step must not wait for
+        self._navigated = self._node if isinstance(self._node, NavigatedNode) else None
+        self._source: Source | None = None  # of the estimates in use
+        self._settings_due_us = 0
+        self._deadlines = DeadlineQueue()
+        self._add_deadlines(connected)
+
+    def run(self) -> None:
+        """Step until a stop is requested or the schedule ends; then take the inputs that are still on their way."""
+        while not self._time.schedule.finished and self._wait(lambda: self._step_due_us):
+            self._scheduled_step()
+        SUPERVISOR_LINK.last_beat()
+        SERVICE_MANAGER.stopping()
+        if self._time.master is not None:
+            self._time.master.stop(monotonic_us())
+        self._drain()
+
+    def finish(self) -> None:
+        """Publish the record of the last steps and the last status."""
+        self._io.publish_record()
+        self._status.publish(monotonic_us(), finished=True)
+
+    # --- waiting -----------------------------------------------------------------------------------------------------
+
+    def _add_deadlines(self, connected: Connected) -> None:
+        """Add the periodic duties of the process to the deadline queue."""
+        _, _, io, time, status, report, settings, validator = connected
+        master = time.master
+        self._deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
+        self._deadlines.add(lambda: SERVICE_MANAGER.due_us, SERVICE_MANAGER.beat)
+        if master is not None:
+            self._deadlines.add(lambda: master.due_us, master.run_due)
+        if settings is not None:  # before the first status and the first step
+
+            def publish_settings(now_us: int) -> None:
+                self._settings_due_us = now_us + SETTINGS_PERIOD_US
+                io.publish(settings)
+
+            self._deadlines.add(lambda: self._settings_due_us, publish_settings)
+        self._deadlines.add(lambda: status.due_us, self._publish_status)
+        if report is not None:
+
+            def publish(now_us: int) -> None:
+                io.publish(report.status(now_us, time.now_ns(now_us), validator, time.sync.offset(now_us)))
+
+            self._deadlines.add(lambda: report.due_us, publish)
+
+    def _wait(self, due_us: Callable[[], int | None]) -> bool:
+        """Take inputs until ``due_us`` has passed and the mailbox is empty. Return False if a stop is requested."""
+        entered_us = monotonic_us()
+        while not self._stop():
+            now_us = monotonic_us()
+            self._deadlines.run_due(now_us)
+            due = due_us()
+            taken = self._take((self._deadlines.next_us(due) - now_us) / 1e6)
+            if due is None:
+                continue
+            if monotonic_us() >= (max(due, entered_us) + MAX_DRAIN_US if taken else due):
+                return True
+        return False
+
+    @property
+    def _step_due_us(self) -> int | None:
+        return monotonic_us() if self._command else self._time.next_step_us
+
+    def _take(self, timeout_s: float) -> bool:
+        """Take the next input, if one arrives in time, and the step that it causes. Return False if none arrived."""
+        frame = self._mailbox.take(timeout_s)
+        trigger = None if frame is None else self._receiver.take(frame)
+        if trigger is not None:
+            if trigger.t_ns is None:
+                self._command = trigger.cause
+            else:
+                self._step(trigger.t_ns, trigger.cause, monotonic_us())
+        return frame is not None
+
+    def _drain(self) -> None:
+        """Take the inputs that were published before the stop request and are still on their way."""
+        now_us = monotonic_us()
+        end_us, silent_us = now_us + FINAL_DRAIN_US, now_us + FINAL_SILENCE_US
+        while now_us < min(end_us, silent_us):
+            if self._take((silent_us - now_us) / 1e6):  # False also when the stop request itself wakes the mailbox
+                silent_us = monotonic_us() + FINAL_SILENCE_US
+            now_us = monotonic_us()
+
+    # --- steps -------------------------------------------------------------------------------------------------------
+
+    def _scheduled_step(self) -> None:
+        """Take the step that is due by the schedule, or the one that a command requests between two of them."""
+        now_us, time = monotonic_us(), self._time
+        if self._command:
+            cause, self._command = self._command, ""
+            self._step(time.now_ns(now_us), cause, now_us)
+            return
+        schedule = time.schedule
+        assert schedule.next_ns is not None
+        if schedule.on_grid:
+            if time.master is not None:
+                time.master.on_late_step(now_us, time.next_step_us or now_us, self._node.name)
+            self._step(schedule.next_ns, "grid", now_us)
+        else:
+            self._step(max(schedule.next_ns, time.now_ns(now_us)), "cycle", now_us)
+        schedule.advance(time.now_ns(monotonic_us()))
+
+    def _step(self, t_ns: int, cause: str, due_us: int) -> None:
+        """Take a step that was due at the monotonic time ``due_us``; publish its outputs after its record."""
+        status, report = self._status, self._report
+        self._stopwatch.start()
+        if status.steps == 0:
+            self._settings_due_us = 0  # a recorder that receives the first step can replay the node
+        if self._navigated is not None:
+            self._follow_source(self._navigated.active_source, t_ns)
+        self._io.shift_ns = self._time.sync.published_shift_ns
+        if status.steps == 0:
+            own_clock = self._time.sync.offset(due_us).mode is not ClockMode.SHARED
+            self._io.restore_state(t_ns, due_us, own_clock=own_clock)
+        inbox = self._io.take_inbox(t_ns, cause)
+        # Stage "read": reading the inbox. The controller uses the same recorded name for reading the QP's solution out,
+        # and the stage timer adds both.
+        self._stopwatch("read")
+        outputs = self._node.step(t_ns, inbox)
+        status.on_step(monotonic_us() - due_us)
+        if not outputs:
+            return
+        plan = _plan_in(outputs) if self._measures_cycles else None
+        if plan is not None and self._compute_delay_ns:
+            self._io.publish_record()
+            self._hold(self._compute_delay_ns)
+        self._publish(outputs)
+        if plan is not None:
+            self._publish_timing(plan, t_ns, due_us)
+        if report is not None:
+            now_us = monotonic_us()
+            for event in report.on_step(outputs, now_us - due_us, now_us):
+                self._io.publish(event)
+
+    def _follow_source(self, source: Source | None, t_ns: int) -> None:
+        """Publish a change of the source of the estimates in the last step, and follow its clock."""
+        if source is None or source == self._source:
+            return
+        before, self._source = self._source, source
+        self._time.follow_source(source.epoch)
+        if before is not None:
+            text = f"source of the estimates: {before} -> {source}"
+            self._io.publish(RunEvent(t_ns=t_ns, node=self._node.name, kind="source", text=text))
+
+    def _publish(self, outputs: Sequence[Message]) -> None:
+        now_us = monotonic_us()
+        for message, frame in zip(outputs, self._io.publish_outputs(outputs), strict=True):
+            if isinstance(message, Plan):
+                self._time.sync.on_plan_sent(frame.sequence, now_us)
+
+    def _hold(self, delay_ns: int) -> None:
+        """Wait on the vehicle's clock before the plan is published: the computing time of a slower machine."""
+        until_ns = self._time.now_ns(monotonic_us()) + delay_ns
+        self._wait(lambda: self._time.clock.due_us(until_ns))
+        self._stopwatch.resume()
+
+    def _publish_timing(self, plan: Plan, t_ns: int, started_us: int) -> None:
+        """Publish the computing time of a cycle, and put it into the inbox of the next one."""
+        self._stopwatch("publish")
+        now_us = monotonic_us()
+        now_ns = self._time.now_ns(now_us)
+        timing = CycleTiming(
+            t_ns=t_ns,
+            compute_ns=max(0, now_ns - t_ns),
+            compute_wall_ns=(now_us - started_us) * 1000,
+            estimate_age_ns=t_ns - plan.estimate_t_ns,
+            stage_us=self._stopwatch.stage_us,
+        )
+        self._io.publish_to_self(timing, now_ns)
+
+    # --- reporting ---------------------------------------------------------------------------------------------------
+
+    def _publish_status(self, now_us: int) -> None:
+        """Publish the record of the last steps, then the status of the process."""
+        self._io.publish_record()
+        master = self._time.master
+        self._status.publish(now_us, others=master.waiting_for if master else "")
+
+
+def times_cycles(node: Node) -> bool:
+    """Return True if the runtime measures each cycle and delivers the timing to the node's next cycle."""
+    return isinstance(node.schedule, Cycle) and CycleTiming in node.reads
+
+
+def _plan_in(outputs: Sequence[Message]) -> Plan | None:
+    return next((message for message in outputs if isinstance(message, Plan)), None)

@@ -9,7 +9,7 @@ from services.bus.options import BusOptions
 from services.bus.session import BusError, Stopped
 from services.runtime.clock import ClockError
 from services.runtime.console import Console
-from services.runtime.saved_state import SavedState, SupervisorState
+from services.runtime.node_io import SavedState, SupervisorState
 from services.runtime.stopping import FAILED, Say, StopRequest, stop_on_signals
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
@@ -22,33 +22,31 @@ def run_until_stopped(
     work: Callable[[StopRequest, Say], None],
     *,
     failures: tuple[type[Exception], ...] = (BusError, ClockError),
+    request: StopRequest | None = None,
 ) -> int:
     """Run ``work`` until it returns or a signal stops it. Return the exit code: 0 done, 1 failed, 130 Ctrl-C.
 
-    Lines go to ``console``; an exception of ``failures`` becomes one of them, with exit code 1.
+    Lines go to ``console``; an exception of ``failures`` becomes one of them, with exit code 1. The signals make
+    ``request``; None: one of its own.
     """
-    with stop_on_signals() as request:
+    with stop_on_signals(request) as stop:
         try:
-            work(request, console.say)
+            work(stop, console.say)
         except Stopped:
             pass
         except failures as error:
             console.say(str(error))
             return FAILED
-        return request.exit_code
+        return stop.exit_code
 
 
-def serve(
-    console: Console, bus: BusOptions, make: Callable[[StopRequest, Say], Runner], saved: SavedState | None = None
-) -> int:
+def serve(console: Console, bus: BusOptions, runner: Runner, saved: SavedState | None = None) -> int:
     """Run a node until it is done or a signal stops it. Return the exit code, as ``run_until_stopped``.
 
     ``saved`` is where its states are kept; None: the supervisor keeps them, if there is one.
     """
 
-    def work(request: StopRequest, say: Say) -> None:
-        state = SUPERVISOR_LINK.restored_state()
-        runner = make(request, say)
-        runner.serve(bus, saved or SupervisorState(runner.name, state))
+    def work(_: StopRequest, say: Say) -> None:
+        runner.serve(bus, saved or SupervisorState(runner.name, SUPERVISOR_LINK.state), say)
 
-    return run_until_stopped(console, work)
+    return run_until_stopped(console, work, request=runner.stop)

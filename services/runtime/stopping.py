@@ -9,13 +9,11 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, TextIO, TypeAlias, TypeVar
+from typing import Any, TextIO, TypeAlias
 
 from services.runtime.console import PrintedStream, drawn
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
-
-T = TypeVar("T")
 
 Say: TypeAlias = Callable[[str], None]
 """Function that prints one line for the user."""
@@ -68,9 +66,9 @@ class StopRequest:
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[StopRequest]:
+def stop_on_signals(request: StopRequest | None = None) -> Iterator[StopRequest]:
     """Make SIGTERM, SIGINT and SIGHUP request a clean stop within the context; ``nohup`` ignores SIGHUP."""
-    request = StopRequest()
+    request = request or StopRequest()
     numbers = [signal.SIGTERM, signal.SIGINT]
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
         numbers.append(signal.SIGHUP)
@@ -95,25 +93,24 @@ class HangUpStream:
 
     def write(self, text: str) -> int:
         """Write a text; return its length."""
-        return self._try(lambda: self._stream.write(text), len(text))
+        self._try(self._stream.write, text)
+        return len(text)
 
     def flush(self) -> None:
         """Pass the text on to the reader."""
-        self._try(self._stream.flush, None)
+        self._try(self._stream.flush)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
-    def _try(self, act: Callable[[], T], default: T) -> T:
-        if self._closed:
-            return default
+    def _try(self, act: Callable[..., object], *arguments: str) -> None:
         try:
-            return act()
+            if not self._closed:
+                act(*arguments)
         except OSError:
             self._closed = True
             if callable(signal.getsignal(signal.SIGHUP)):
                 signal.raise_signal(signal.SIGHUP)
-            return default
 
 
 @contextmanager

@@ -29,15 +29,23 @@ class SupervisorLink:
     def __init__(self) -> None:
         self.due_us: int | None = None
         """Monotonic time at which the next heartbeat is due; None without a supervisor."""
+        self.state = b""
+        """Encoded state that this process continues from; empty if there is none."""
         self._heartbeat_fd: int | None = None
-        self._stdin = STDIN
-        self._state_is_unread = False
 
     def connect(self, heartbeat_fd: int, *, stdin: int = STDIN) -> None:
-        """Use the supervisor's heartbeat pipe and standard input."""
+        """Use the supervisor's heartbeat pipe, and read the state from its other pipe.
+
+        Raises ``SystemExit`` if the supervisor has died.
+        """
         os.set_blocking(heartbeat_fd, False)
-        self._heartbeat_fd, self._stdin = heartbeat_fd, stdin
-        self._state_is_unread, self.due_us = True, 0
+        self._heartbeat_fd, self.due_us = heartbeat_fd, 0
+        with open(stdin, "rb", closefd=False) as pipe:
+            head = pipe.read(STATE_LENGTH.size)
+            (length,) = STATE_LENGTH.unpack(head) if len(head) == STATE_LENGTH.size else (1,)
+            self.state = pipe.read(length)
+        if len(self.state) < length:
+            raise SystemExit(1)
 
     def beat(self, now_us: int) -> None:
         """Send a heartbeat if one is due."""
@@ -50,26 +58,6 @@ class SupervisorLink:
         if self.due_us is not None:
             self.due_us = None
             self._write(LAST_HEARTBEAT)
-
-    def restored_state(self) -> bytes:
-        """Return the encoded state that this process continues from; empty if there is none.
-
-        Raises ``SystemExit`` if the supervisor has died.
-        """
-        if not self._state_is_unread:
-            return b""
-        self._state_is_unread = False
-        (length,) = STATE_LENGTH.unpack(self._read(STATE_LENGTH.size))
-        return self._read(length)
-
-    def _read(self, size: int) -> bytes:
-        data = b""
-        while len(data) < size:
-            piece = os.read(self._stdin, size - len(data))
-            if not piece:
-                raise SystemExit(1)
-            data += piece
-        return data
 
     def _write(self, value: int) -> None:
         assert self._heartbeat_fd is not None

@@ -1,10 +1,10 @@
-"""Bus monitor of the supervisor: the newest message of each key, decoded once, when it is first read."""
+"""Bus monitor: the newest message of each key, decoded once, when it is first read, and the view for the screen."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
-from typing import NamedTuple, TypeVar, cast
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple, TypeVar, cast
 
 from ltv_mpc.messages import (
     Applied,
@@ -23,6 +23,7 @@ from ltv_mpc.messages import (
     RunEvent,
     Truth,
 )
+from ltv_mpc.node import DEFAULT_SOURCE
 from services.bus.latest_cache import LatestCache, LatestFrame
 from services.bus.mailbox import Mailbox
 from services.bus.message_validation import valid_message
@@ -31,14 +32,22 @@ from services.bus.session import Session
 from services.bus.topics import BY_TYPE, Topic, expression
 from services.bus.wire import epoch_of
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
+from services.supervisor.screen import LiveView
 
 S = TypeVar("S", bound=Message)
 STATUS = BY_TYPE[NodeStatus].key
 
-DISPLAYED: tuple[type[Message], ...] = (
-    *(Truth, Estimate, LocalisationReport, Plan, Applied, ControllerStatus, CycleTiming, Clock),
-)
-RESTORED: tuple[type[Message], ...] = (ControllerState, EstimatorState)
+DISPLAYED: dict[str, type[Message]] = {
+    "truth": Truth,
+    "localisation": LocalisationReport,
+    "plan": Plan,
+    "applied": Applied,
+    "controller": ControllerStatus,
+    "timing": CycleTiming,
+}
+"""Types of which the view has the newest message, by its field."""
+
+OTHERS: tuple[type[Message], ...] = (Clock, Estimate, ControllerState, EstimatorState)
 PLAN_HISTORY = 32
 """Plans that are kept, 10 s of them: one of them is in force at the actuators."""
 
@@ -71,7 +80,7 @@ class BusMonitor:
         self._events = Mailbox()
         self._kills = Mailbox()
         self._clock = VehicleClock()
-        for kind in (*DISPLAYED, *RESTORED):
+        for kind in (*DISPLAYED.values(), *OTHERS):
             session.subscribe(expression(BY_TYPE[kind]), BY_TYPE[kind], self._plans if kind is Plan else self._newest)
         for node in nodes:
             session.subscribe(f"{STATUS}/{node}", BY_TYPE[NodeStatus], self._newest)
@@ -143,6 +152,43 @@ class BusMonitor:
             except ClockError:
                 return None
         return self._clock.read(monotonic_us())
+
+    def view(
+        self, states: Mapping[str, str], wall_s: float, *, start_ns: int = 0, end_ns: int | None = None
+    ) -> LiveView:
+        """Return the view of this moment. ``states`` are the states of the processes, by name.
+
+        ``start_ns`` and ``end_ns`` bound the vehicle time of a run; a vehicle has neither.
+        """
+        clock, controller, t_ns = self.newest(Clock), self.newest(ControllerStatus), self.t_ns()
+        source = DEFAULT_SOURCE if controller is None else controller.source
+        estimate = self.newest(Estimate, "" if source == DEFAULT_SOURCE else source)
+        if t_ns is None:
+            t_ns = start_ns if clock is not None or estimate is None else estimate.t_ns
+        newest: dict[str, Any] = {field: self.newest(kind) for field, kind in DISPLAYED.items()}
+        return LiveView(
+            **newest,
+            estimate=estimate,
+            t_ns=t_ns if end_ns is None else min(t_ns, end_ns),
+            start_ns=start_ns,
+            end_ns=end_ns,
+            speed=1.0 if clock is None else clock.speed_num / clock.speed_den,
+            requested_speed=1.0 if clock is None else clock.requested_speed,
+            wall_s=wall_s,
+            phase=_phase(clock, t_ns, end_ns),
+            status={name: status for name in states if (status := self.newest(NodeStatus, name)) is not None},
+            state=states,
+        )
+
+
+def _phase(clock: Clock | None, t_ns: int, end_ns: int | None) -> str:
+    if clock is None:
+        return "" if end_ns is None else "starting"
+    if clock.state is ClockState.WAITING:
+        return "starting"
+    if clock.state is ClockState.PAUSED:
+        return "stopping" if end_ns is not None and t_ns >= end_ns else "paused"
+    return "afloat" if t_ns < 0 else "diving"
 
 
 def _taken(mailbox: Mailbox, kind: type[S]) -> Iterator[S]:

@@ -121,15 +121,15 @@ def warm_up_others(run_config: RunConfig) -> None:
     estimator.warm_up(run_config.sensor_config, run_config.scenario.estimator)
 
 
-PARTS: dict[str, Callable[[RunConfig], None]] = {
-    "solver": warm_up_solver,
-    "controller": compile_controller,
-    "others": warm_up_others,
+PARTS: dict[str, tuple[int, Callable[[RunConfig], None]]] = {
+    "solver": (0, warm_up_solver),
+    "controller": (3, compile_controller),
+    "others": (5, warm_up_others),
 }
-"""Parts that are compiled at the same time, each by a process of its own."""
+"""Niceness and work of the parts that are compiled at the same time, each by a process of its own.
 
-NICENESS = {"solver": 0, "controller": 3, "others": 5}
-"""Niceness of each part. The solver's is the longest, and the controller waits for it; the others depend on none."""
+The solver's is the longest, and the controller waits for it; the others depend on none.
+"""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -137,11 +137,12 @@ def main(arguments: Sequence[str]) -> int:
     scenario, *part = arguments
     if part:
         name, parent = part
+        niceness, compile_part = PARTS[name]
         die_with_parent(int(parent))
-        os.nice(NICENESS[name])
+        os.nice(niceness)
         share_compilation()
         gc.disable()  # a compiler frees next to nothing: collection would take a twelfth of the time
-        PARTS[name](resolve(scenario))
+        compile_part(resolve(scenario))
         return 0
     children = [
         subprocess.Popen([*command(scenario), name, str(os.getpid())], stdin=subprocess.DEVNULL) for name in PARTS

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import msgspec
 
 from services.bus.options import BusOptions
@@ -34,29 +32,23 @@ PROCESSES = (
 )
 
 
-class RunContext(msgspec.Struct, frozen=True, kw_only=True):
-    """Folder and bus of one run, which its processes share."""
-
-    folder: RunFolder
-    router: str  # endpoint
-    namespace: str
-    certs: Path | None = None
-
-
 def processes(scenario: Scenario) -> tuple[ProcessRow, ...]:
     """Return the rows that a scenario needs. With ``run.perfect_state`` there is no estimator."""
     return tuple(row for row in PROCESSES if not (row.name == "estimator" and scenario.run.perfect_state))
 
 
-def config_of(name: str, run_config: RunConfig, context: RunContext) -> msgspec.Struct:
-    """Return the config of a process of this run. The process reads its settings from the run's own folder."""
+def config_of(name: str, run_config: RunConfig, folder: RunFolder, bus: BusOptions) -> msgspec.Struct:
+    """Return the config of a process of this run, whose router ``bus`` connects to.
+
+    The process reads its settings from the run's own folder.
+    """
     # Imported here: a reader of the table alone does not need them, and the router starts before the others are loaded.
     from services.processes import router
 
-    scenario, folder = run_config.scenario, RunFolder(context.folder.path.absolute())
-    bus = BusOptions(connect=(context.router,), namespace=context.namespace, certs=context.certs, role=name)
+    scenario, folder = run_config.scenario, RunFolder(folder.path.absolute())
+    bus = msgspec.structs.replace(bus, role=name)
     if name == "router":
-        return router.Config(bus=msgspec.structs.replace(bus, connect=(), listen=(context.router,)))
+        return router.Config(bus=msgspec.structs.replace(bus, connect=(), listen=bus.connect))
     from services.processes import controller, estimator, plant, recorder, sensors
 
     match name:

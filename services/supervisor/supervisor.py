@@ -38,10 +38,9 @@ from services.supervisor import jit_cache, loopback, process_table
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.failure_handler import FailureHandler, RunFailed
-from services.supervisor.live_view import live_view
 from services.supervisor.managed_process import describe_exit, last_lines
 from services.supervisor.parent_death import OrphanCleanup
-from services.supervisor.screen import LivePage, LiveView, Screen
+from services.supervisor.screen import LivePage, Screen
 from sim.evaluation.summary import Summary
 
 TICK_S = 0.05
@@ -94,11 +93,6 @@ def run(
     finally:
         screen.close()
     return outcome
-
-
-def bus_options(context: process_table.RunContext) -> BusOptions:
-    """Return the options with which the supervisor connects to the run's bus."""
-    return BusOptions(connect=(context.router,), namespace=context.namespace, certs=context.certs, role=SUPERVISOR)
 
 
 class Supervisor:
@@ -182,10 +176,10 @@ class Supervisor:
             self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group, self._request)
             self.failures = FailureHandler(self.children, self._screen)
             try:
-                context = self._open_bus(certs)
+                bus = self._open_bus(certs)
                 self._fill_jit_cache()
                 self._load()
-                self._start(sessions, context)
+                self._start(sessions, bus)
                 self._wait_until(lambda: self.children.run_complete, None, "")
                 in_order = True
             except ChildProcessError as error:
@@ -224,19 +218,23 @@ class Supervisor:
 
     # --- starting ----------------------------------------------------------------------------------------------------
 
-    def _open_bus(self, certs: Path | None) -> process_table.RunContext:
-        """Start the router and then the live page, before anything is compiled or loaded."""
-        context = process_table.RunContext(
-            folder=self._folder,
-            router=f"{SECURE if certs else 'tcp'}/127.0.0.1:{loopback.free_port()}",
+    def _open_bus(self, certs: Path | None) -> BusOptions:
+        """Start the router and then the live page, before anything is compiled or loaded.
+
+        Return the options with which the supervisor connects.
+        """
+        router = f"{SECURE if certs else 'tcp'}/127.0.0.1:{loopback.free_port()}"
+        bus = BusOptions(
+            connect=(router,),
             namespace=f"auv/{secrets.token_hex(4)}",
             certs=None if certs is None else certs.absolute(),
+            role=SUPERVISOR,
         )
-        self._start_process(process_table.PROCESSES[0], context)
-        self._wait_until(lambda: loopback.is_listening(context.router), ROUTER, "does not answer")
+        self._start_process(process_table.PROCESSES[0], bus)
+        self._wait_until(lambda: loopback.is_listening(router), ROUTER, "does not answer")
         if self._page is not None:
-            self._page.start(bus_options(context))
-        return context
+            self._page.start(bus)
+        return bus
 
     def _fill_jit_cache(self) -> None:
         """Compile all numba kernels into the cache, unless they are there already."""
@@ -270,11 +268,10 @@ class Supervisor:
                 raise RunFailed(f"loading {how}; its last lines:", last_lines(forks.log))
             self._tick()
 
-    def _start(self, sessions: ExitStack, context: process_table.RunContext) -> None:
+    def _start(self, sessions: ExitStack, bus: BusOptions) -> None:
         """Start the processes in the order of the table, the recorder first."""
         rows = process_table.processes(self._run_config.scenario)
-        session = open_session(bus_options(context), stop=self._request, say=self._screen.say)
-        sessions.enter_context(session)
+        session = sessions.enter_context(open_session(bus, stop=self._request, say=self._screen.say))
         self._connect(session, rows)
         others = rows[1:]  # the router runs
         for row in others:
@@ -282,13 +279,13 @@ class Supervisor:
                 self._wait_until_ready(others[0].name)  # the recorder: it records the first message of all others
             if row is others[-1]:
                 self._wait_for_drawing()  # the clock starts when the last process is ready
-            self._start_process(row, context)
+            self._start_process(row, bus)
         for row in others:
             self._wait_until_ready(row.name)
         self.failures.all_ready = True
 
-    def _start_process(self, row: process_table.ProcessRow, context: process_table.RunContext) -> None:
-        self.children.start(row, process_table.config_of(row.name, self._run_config, context))
+    def _start_process(self, row: process_table.ProcessRow, bus: BusOptions) -> None:
+        self.children.start(row, process_table.config_of(row.name, self._run_config, self._folder, bus))
 
     def _wait_for_drawing(self) -> None:
         """Wait until the page is drawn, so that who has opened it sees the first seconds."""
@@ -339,12 +336,8 @@ class Supervisor:
         for event in monitor.new_events():
             if event.node != SUPERVISOR:
                 self.failures.show(event)
-        self._screen.update(self._view(monitor, now_s))
-
-    def _view(self, monitor: BusMonitor, now_s: float) -> LiveView:
-        scenario = self._run_config.scenario
-        wall_s = now_s - self._started_s
-        return live_view(monitor, self._states(monitor), wall_s, start_ns=scenario.start_ns, end_ns=scenario.end_ns)
+        run, wall_s = self._run_config.scenario, now_s - self._started_s
+        self._screen.update(monitor.view(self._states(monitor), wall_s, start_ns=run.start_ns, end_ns=run.end_ns))
 
     def _states(self, monitor: BusMonitor) -> dict[str, str]:
         """Return the state of each process, for the screen."""

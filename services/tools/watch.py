@@ -16,7 +16,6 @@ from services.runtime.console import Console
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 from services.supervisor.bus_monitor import BusMonitor
-from services.supervisor.live_view import live_view
 
 UPDATE_S = 0.1
 STATUS = BY_TYPE[NodeStatus].key
@@ -73,7 +72,7 @@ def main(bus: BusOptions, vehicle: str | None) -> int:
                 while not request.wait(UPDATE_S):
                     now_s = time.monotonic()
                     states = {node: state_of(monitor, node, now_s) for node in monitor.nodes()}
-                    view = live_view(monitor, states, now_s - started_s)
+                    view = monitor.view(states, now_s - started_s)
                     screen.update(dataclasses.replace(view, phase=silence(monitor, now_s) or view.phase))
                     for namespace in others.found() if not states else ():
                         if namespace not in named:

@@ -25,7 +25,7 @@ class FenceDistances:
         self.exceeded = 0
         """Number of plans that lack more than 1 cm of a required clearance."""
 
-    def add_fence(self, fence: FenceInForce) -> None:
+    def add_fence(self, fence: FenceInForce, *_: int) -> None:
         """Add the fence that the controller publishes."""
         if [_key(zone) for zone in fence.zones] != [_key(zone) for zone in self._zones]:
             self._figures = {figures.zone: figures for figures in self.figures()}

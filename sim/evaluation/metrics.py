@@ -40,8 +40,8 @@ from ltv_mpc.messages import (
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.propulsion import propulsive_power_W, relative_power
 from sim.evaluation.fence_distances import FenceDistances
-from sim.evaluation.further import Further, Positions, further
-from sim.evaluation.summary import Quantiles, Spread, Thrust, ZoneFigures
+from sim.evaluation.further import Positions
+from sim.evaluation.summary import Quantiles, Spread, Thrust
 
 AT_BOX_N = 1e-6
 """Largest distance of a saturated command from its minimum or maximum (N)."""
@@ -75,7 +75,7 @@ class TrackErrors:
         """Add the true position."""
         self._truth.append((truth.t_ns, truth.position_m[0], truth.position_m[1]))
 
-    def add_estimate(self, estimate: Estimate) -> None:
+    def add_estimate(self, estimate: Estimate, *_: int) -> None:
         """Add the estimated position."""
         self._estimate.append((estimate.t_ns, estimate.north_m, estimate.east_m))
 
@@ -95,7 +95,7 @@ class TrackErrors:
             return None
         zero = np.zeros(1, dtype=np.int64)
         start = _track(self._estimate, zero)
-        true = _track(self._truth, at) - _track(self._truth, zero) + start
+        true = _track(self._truth, at) + (start - _track(self._truth, zero))
         return Positions(at / 1e9, _track(self._estimate, at), true, self._references(at, start))
 
     def errors(self) -> tuple[Spread, Spread, Spread, Spread]:
@@ -199,7 +199,7 @@ class ClockSpeed:
         self._first: Clock | None = None
         self._newest: Clock | None = None
 
-    def add(self, clock: Clock) -> None:
+    def add(self, clock: Clock, *_: int) -> None:
         """Add a state of the clock."""
         self.speed = clock.speed_num / clock.speed_den
         if self._first is None and clock.state is ClockState.RUNNING:
@@ -256,11 +256,11 @@ class PlanDelays:
         """Add the times of one controller cycle."""
         self._timing.append((timing, speed))
 
-    def compute(self, *, wall: bool) -> Quantiles:
+    def compute(self, *, wall: bool = False) -> Quantiles:
         """Return the delay from the start of a cycle to the publication of its plan (s)."""
         return quantiles([(t.compute_wall_ns if wall else t.compute_ns) / 1e9 for t, _ in self._timing])
 
-    def end_to_end(self, *, wall: bool) -> Quantiles:
+    def end_to_end(self, *, wall: bool = False) -> Quantiles:
         """Return the delay from an estimate's validity time to the effect of its plan (s)."""
         return quantiles(
             [(x.effect_ns - x.plan.estimate_t_ns) / 1e9 / (x.speed if wall else 1.0) for x in self._received]
@@ -289,25 +289,25 @@ class RunMetrics:
     """
 
     def __init__(self, vehicle: Vehicle, *, fence: Fence | None = None, speed: float = 1.0) -> None:
-        self._fence = FenceDistances(vehicle, fence)
+        self.fence = FenceDistances(vehicle, fence)
         self.cycles = 0
         self.deadline_misses = 0
         self.plans_refused = 0
         self.qp_status: Counter[str] = Counter()
         self.plan_origin: Counter[str] = Counter()
         self.health: Counter[str] = Counter()
-        self._track = TrackErrors()
-        self._commands = ThrustCommands(vehicle)
-        self._clock = ClockSpeed(speed)
-        self._delays = PlanDelays()
+        self.track = TrackErrors()
+        self.commands = ThrustCommands(vehicle)
+        self.clock = ClockSpeed(speed)
+        self.delays = PlanDelays()
         self._receive: dict[type[Message], Callable[[Any, int, int, int], None]] = {
             Truth: self._add_truth,
-            FenceInForce: self._add_fence,
-            Estimate: self._add_estimate,
+            FenceInForce: self.fence.add_fence,
+            Estimate: self.track.add_estimate,
             Plan: self._add_plan,
             Applied: self._add_applied,
             CycleTiming: self._add_timing,
-            Clock: self._add_clock,
+            Clock: self.clock.add,
         }
 
     @property
@@ -315,87 +315,33 @@ class RunMetrics:
         """Types of the messages in use."""
         return frozenset(self._receive)
 
-    @property
-    def until_ns(self) -> int:
-        """Vehicle time of the last truth."""
-        return self._track.until_ns
-
     def observe(self, signal: Message, *, epoch: int, sequence: int, t_ns: int) -> None:
         """Receive a message with its source's epoch, its sequence number, and its time of publication (vehicle ns)."""
         receive = self._receive.get(type(signal))
         if receive is not None:
             receive(signal, epoch, sequence, t_ns)
 
-    def errors(self) -> tuple[Spread, Spread, Spread, Spread]:
-        """Return tracking, true, localisation and absolute localisation error."""
-        return self._track.errors()
-
-    def further(self) -> Further:
-        """Return the metrics of ``further.py``."""
-        return further(self._track.positions)
-
-    def thrust(self) -> Thrust:
-        """Return statistics of the commands in force from t = 0 on."""
-        return self._commands.thrust()
-
-    def fence(self) -> tuple[ZoneFigures, ...]:
-        """Return the distance of the true hull from each zone of the fence."""
-        return self._fence.figures()
-
-    def arrived_s(self) -> float | None:
-        """Return the vehicle time of the first plan after an arrival at the end of a reference (s)."""
-        return self._track.arrived_s
-
-    def fence_exceeded(self) -> int:
-        """Return the number of plans that lack more than 1 cm of a required clearance."""
-        return self._fence.exceeded
-
-    def speed_reached(self) -> float | None:
-        """Return vehicle seconds per wall second, from the clock's start to its last change, pauses included."""
-        return self._clock.reached()
-
-    def compute_delay(self, *, wall: bool = False) -> Quantiles:
-        """Return the delay from the start of a cycle to the publication of its plan (s)."""
-        return self._delays.compute(wall=wall)
-
-    def end_to_end_delay(self, *, wall: bool = False) -> Quantiles:
-        """Return the delay from an estimate's validity time to the effect of its plan (s)."""
-        return self._delays.end_to_end(wall=wall)
-
-    def stages(self) -> dict[str, Quantiles]:
-        """Return the wall time of each stage of a cycle (us), from the age of the estimate to the plan's effect."""
-        return self._delays.stages()
-
     def _add_truth(self, truth: Truth, *_: int) -> None:
-        self._track.add_truth(truth)
-        self._fence.add_truth(truth)
-        self._commands.add_truth(truth)
-
-    def _add_fence(self, fence: FenceInForce, *_: int) -> None:
-        self._fence.add_fence(fence)
-
-    def _add_estimate(self, estimate: Estimate, *_: int) -> None:
-        self._track.add_estimate(estimate)
+        self.track.add_truth(truth)
+        self.fence.add_truth(truth)
+        self.commands.add_truth(truth)
 
     def _add_plan(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> None:
         self.cycles += 1
-        self._fence.add_plan(plan)
+        self.fence.add_plan(plan)
         self.qp_status[plan.solve.status.value] += 1
         self.plan_origin[plan.origin.value] += 1
         self.health[f"{plan.health.value}: {plan.health_why}" if plan.health_why else plan.health.value] += 1
-        self._delays.add_plan(plan, epoch, sequence, t_ns)
-        self._track.add_plan(plan)
+        self.delays.add_plan(plan, epoch, sequence, t_ns)
+        self.track.add_plan(plan)
 
     def _add_applied(self, applied: Applied, *_: int) -> None:
-        self._commands.add(applied)
+        self.commands.add(applied)
         self.deadline_misses, self.plans_refused = applied.plans_late, applied.plans_rejected
-        self._delays.add_applied(applied, self._clock.speed)
+        self.delays.add_applied(applied, self.clock.speed)
 
     def _add_timing(self, timing: CycleTiming, *_: int) -> None:
-        self._delays.add_timing(timing, self._clock.speed)
-
-    def _add_clock(self, clock: Clock, *_: int) -> None:
-        self._clock.add(clock)
+        self.delays.add_timing(timing, self.clock.speed)
 
 
 def quantiles(values: list[float]) -> Quantiles:

@@ -7,6 +7,7 @@ so that the readers' own counts can be compared with them.
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -14,11 +15,24 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.messages import ImuSample, ImuSamples, Message, MessageFault
+from ltv_mpc.messages import ImuSample, ImuSamples, Message
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import bounds
 from sim.faults.interval import Interval
 from sim.scheduler import Delivery
+
+
+class MessageFault(enum.StrEnum):
+    """Kind of fault of a message on its way."""
+
+    LOSS = "loss"
+    DELAY = "delay"
+    REORDER = "reorder"  # delivered after its successor
+    DUPLICATE = "duplicate"
+    CORRUPTION = "corruption"  # a few bits of the frame are flipped
+    NOT_A_NUMBER = "not_a_number"  # one of its numbers becomes NaN or infinity
+    STALE = "stale"  # the sender repeats an old message
+    CLOCK_JUMP = "clock_jump"  # its stamps come from a clock that has jumped
 
 
 class MessageFaultInterval(NamedTuple):

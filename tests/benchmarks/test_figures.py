@@ -7,8 +7,8 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from benchmarks import sheet
 from benchmarks.paper.renderer import Run, draw
-from services.reporting import sheet
 from services.reporting.plots import catalogue, palette
 from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.description import Plot, Style

@@ -28,7 +28,7 @@ from services.bus.wire import Header, WireError, encode
 from services.runtime.clock import VehicleClock
 from services.runtime.clock_offset import ClockOffset
 from services.runtime.clock_sync import ClockSync
-from services.runtime.saved_state import SavedState
+from services.runtime.node_io import SavedState
 from tests.foreign_plant.plant import STEP_NS, Actuators, Hull, Sender
 
 HERE = Path(__file__).parent

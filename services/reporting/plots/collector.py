@@ -11,8 +11,11 @@ from collections.abc import Callable
 from typing import Any
 
 from ltv_mpc.messages import (
+    Acknowledgement,
     Applied,
     Clock,
+    Command,
+    ControllerStatus,
     CycleTiming,
     Estimate,
     FenceInForce,
@@ -21,6 +24,7 @@ from ltv_mpc.messages import (
     Message,
     NodeSettings,
     Plan,
+    RunEvent,
     Truth,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -32,6 +36,12 @@ from services.reporting.plots.events import Marks
 from services.reporting.plots.newest import SIGMAS, NewestState
 from services.reporting.plots.table import Columns, Table
 from services.reporting.plots.truth import TrueTrack, principal
+
+NEWEST = (Clock, Truth, Estimate, Applied, FenceInForce, ControllerStatus, LocalisationReport)
+"""Messages of which the live page shows the newest."""
+
+EVERY = (Plan, CycleTiming, RunEvent, Command, Acknowledgement)
+"""Messages of which page and report show each one."""
 
 MAX_PLAIN_NS = 1_000_000_000_000_000
 """Largest vehicle time that is plotted as it is: 11 days. Times since 1970 are plotted from the first message on."""

@@ -35,7 +35,7 @@ class Group(enum.StrEnum):
     REVIEW = "What does a reviewer ask?"
 
 
-class Series(msgspec.Struct, frozen=True, kw_only=True):
+class Series(msgspec.Struct, frozen=True):
     """Data series: columns ``x`` and ``y`` of a table. For a band, ``x_high`` or ``y_high`` is the other edge."""
 
     label: str
@@ -49,7 +49,7 @@ class Series(msgspec.Struct, frozen=True, kw_only=True):
     compared: bool = False  # drawn for each run when several runs are overlaid
 
 
-class Level(msgspec.Struct, frozen=True, kw_only=True):
+class Level(msgspec.Struct, frozen=True):
     """Horizontal line at a value of the run; not drawn if the run does not have the value."""
 
     label: str
@@ -57,7 +57,7 @@ class Level(msgspec.Struct, frozen=True, kw_only=True):
     colour: str
 
 
-class Axis(msgspec.Struct, frozen=True, kw_only=True):
+class Axis(msgspec.Struct, frozen=True):
     """Axis of a plot. ``label`` ends with the unit in parentheses."""
 
     label: str
@@ -81,7 +81,7 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
     from_start: bool = False  # data before t = 0 are hidden as soon as there are later ones
     empty: str = NO_DATA  # text shown without data
     note: str = ""  # explanation shown with the title
-    group: Group = Group.WHY
+    group: str = Group.WHY  # a question of the report, or the heading of another page
     drifts: bool = False  # counts from the first message: a plot that began late says from when
     diving: bool = False  # the report of a surface craft leaves the plot out
     follow: tuple[str, ...] = ()  # tables around which the view can follow the vehicle

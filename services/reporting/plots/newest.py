@@ -16,6 +16,14 @@ ELLIPSE = 48  # points
 SIGMAS = 2.0
 
 
+def outline(covariance: Array, sigmas: float) -> Array:
+    """Return the ellipse (K, 2) of so many standard deviations round the mean of a distribution in the plane."""
+    sigma, axes = principal(covariance)
+    angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE + 1)
+    points: Array = sigmas * axes @ (sigma[:, None] * np.array([np.cos(angle), np.sin(angle)]))
+    return points.T
+
+
 class NewestState:
     """Newest estimate, plan, delivered thrusts and fence, and the newest profile of the current."""
 
@@ -72,12 +80,10 @@ class NewestState:
         """Return the 2-sigma ellipse of the estimated position."""
         if self.estimate is None or covariance is None:
             return {"north_m": [], "east_m": []}
-        sigma, axes = principal(covariance)
-        angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE + 1)
-        outline: Array = SIGMAS * axes @ (sigma[:, None] * np.array([np.cos(angle), np.sin(angle)]))  # (2, ELLIPSE+1)
+        north, east = outline(covariance, SIGMAS).T
         return {
-            "north_m": [short(x + self.estimate.north_m) for x in outline[0]],
-            "east_m": [short(x + self.estimate.east_m) for x in outline[1]],
+            "north_m": [short(x + self.estimate.north_m) for x in north],
+            "east_m": [short(x + self.estimate.east_m) for x in east],
         }
 
     def _profile(self) -> Columns:

@@ -6,23 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from ltv_mpc.messages import (
-    Acknowledgement,
-    Applied,
-    Clock,
-    Command,
-    ControllerStatus,
-    CycleTiming,
-    Estimate,
-    FenceInForce,
-    LocalisationReport,
-    Message,
-    NodeSettings,
-    NodeStatus,
-    Plan,
-    RunEvent,
-    Truth,
-)
+from ltv_mpc.messages import Applied, Estimate, Message, NodeSettings, NodeStatus, Truth
 from services.bus.wire import Header
 from services.recording.acceptance import Acceptance
 from services.recording.node_settings import vehicle_of
@@ -30,21 +14,14 @@ from services.recording.reader import Recording, StoredMessage
 from services.recording.recover import segments
 from services.recording.writer import VEHICLE_MODE
 from services.reporting.plots import analysis
-from services.reporting.plots.collector import ROWS, Collector
+from services.reporting.plots.collector import EVERY, NEWEST, ROWS, Collector
 from services.reporting.plots.events import Mark
 from services.reporting.plots.table import Columns
 from services.reporting.safety import RunSafety
 
-RARE: frozenset[type[Message]] = frozenset(
-    (
-        *(Plan, FenceInForce, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, NodeSettings, Command),
-        Acknowledgement,
-        ControllerStatus,
-    )
-)
 OFTEN: dict[type[Message], int] = {Truth: 200_000_000, Estimate: 200_000_000, Applied: 200_000_000}
 """Vehicle time (ns) between two decoded messages of these types; it grows with the length of the run."""
-SHOWN = RARE | OFTEN.keys()
+SHOWN: frozenset[type[Message]] = frozenset((*NEWEST, *EVERY, NodeStatus, NodeSettings))
 
 
 class PlotData(msgspec.Struct, frozen=True, kw_only=True):

@@ -170,7 +170,8 @@ const Plots = (() => {
     const ends = extent(traces, name);
     if (ends === null) return [0, 1];
     let [least, most] = ends;
-    if (axis.rows && axis.rows.length) return [axis.rows.length - 0.5, -0.5];
+    if (axis.rows && axis.rows.length) [least, most] = [-0.5, axis.rows.length - 0.5];
+    if (axis.rows && axis.rows.length) return axis.downwards ? [most, least] : [least, most];
     if (axis.log) return [Math.log10(Math.max(least, 1e-9)) - 0.15, Math.log10(Math.max(most, 1e-9)) + 0.15];
     const lacking = Math.max(0, (axis.min_span || 1e-6) - (most - least)) / 2;
     const margin = (name === "x" && axis.label.startsWith("time") ? 0.01 : 0.05) * (most - least + 2 * lacking);

@@ -7,17 +7,17 @@ A grid shows, for each field, the mean over seeds at each of its values, a line 
 from __future__ import annotations
 
 import html
-import string
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
-from services.reporting import static_files
+from services.reporting import report
+from services.reporting.html_table import NUMBER, row, table
 from services.reporting.plots import palette
-from services.run.folder import draft_of
+from services.reporting.plots.description import Axis, Plot, Series, Style
+from services.reporting.plots.table import Columns
 from services.runtime.console import counted
 from services.tools.campaign.campaign import reopen_campaign
 from services.tools.campaign.file import Campaign, Range
@@ -38,86 +38,71 @@ def write(folder: Path) -> Path:
     counts = f"{counted(len(rows), 'run')} at {counted(len(of.values), 'point')}"
     lines = [
         html.escape(f"{counts}, {campaign.design.kind} design: {campaign.scenario}"),
-        f"{html.escape(campaign.minimise)}: mean over seeds, 95 % intervals by bootstrap, differences paired by seed",
+        f"{html.escape(campaign.minimise)}: mean over seeds, bands of 95 % by bootstrap, differences paired by seed",
         *(f'<span class="bad">{html.escape(line)}</span>' for line in failures(failed)),
     ]
-    text = string.Template(static_files.text("campaign.html")).substitute(
-        title=html.escape(campaign.title),
-        style=static_files.text("style.css") + static_files.text("report.css"),
-        lines="\n".join(f"<p>{line}</p>" for line in lines),
-        tables=_table(best, list(campaign.varied)),
-        plotly=static_files.plotly(),
-        data=msgspec.json.encode(panels(campaign, of)).decode().replace("<", "\\u003c"),
-    )
     out = folder / NAME
-    with draft_of(out) as draft:
-        draft.write_text(text, encoding="utf-8")
+    panels = [_panel(campaign, of, key) for key in campaign.varied]
+    tables = {name: columns for _, tables in panels for name, columns in tables.items()}
+    report.write_plots(
+        out,
+        campaign.title,
+        [plot for plot, _ in panels],
+        tables,
+        lines="\n".join(f"<p>{line}</p>" for line in lines),
+        below=_table(best, list(campaign.varied)),
+    )
     return out
 
 
-def panels(campaign: Campaign, of: Scores) -> list[dict[str, Any]]:
-    """Return one panel for each varied field: title, plotly's traces and layout."""
-    keys, grid = list(campaign.varied), palette.CANVAS["grid"]
-    made = []
-    for i, key in enumerate(keys):
-        over = campaign.varied[key]
-        if campaign.design.kind == "grid" or key in campaign.cross:
-            second = keys[(i + 1) % len(keys)] if len(keys) > 1 and campaign.design.kind == "grid" else None
-            traces = list(_lines(of, key, second, campaign))
-        else:
-            traces = [_points(of, key)]
-        x = {
-            "title": {"text": html.escape(key)},
-            "zeroline": False,
-            "gridcolor": grid,
-            "automargin": True,
+def _panel(campaign: Campaign, of: Scores, key: str) -> tuple[Plot, dict[str, Columns]]:
+    """Return the plot of one varied field, and its tables."""
+    keys, over = list(campaign.varied), campaign.varied[key]
+    rows: tuple[str, ...] = ()
+    if not isinstance(over, Range) and any(isinstance(value, str | bool) for value in over):
+        rows = tuple(map(str, over))
+
+    def place(value: Any) -> float:
+        return float(rows.index(str(value)) if rows else value)
+
+    series: list[Series] = []
+    tables: dict[str, Columns] = {}
+    if campaign.design.kind == "grid" or key in campaign.cross:
+        second = keys[(keys.index(key) + 1) % len(keys)] if len(keys) > 1 and campaign.design.kind == "grid" else None
+        for number, (label, means) in enumerate(_lines(of, key, second, campaign)):
+            colour, name = palette.RUNS[number % len(palette.RUNS)], f"{key}, {label}"
+            tables[name] = {
+                "x": [place(x) for x in means],
+                "mean": [found.mean for found in means.values()],
+                "low": [found.low for found in means.values()],
+                "high": [found.high for found in means.values()],
+            }
+            series.append(Series("", name, "x", "low", colour, Style.BAND, y_high="high"))
+            series += [Series(label, name, "x", "mean", colour, style) for style in (Style.LINE, Style.DOT)]
+    else:
+        there = [point for point, values in sorted(of.values.items()) if values]
+        tables[key] = {
+            "x": [place(of.settings[point][key]) for point in there],
+            "mean": [float(np.mean(list(of.values[point].values()))) for point in there],
         }
-        if isinstance(over, Range):
-            x["type"] = over.scale
-        elif any(isinstance(value, str | bool) for value in over):
-            x["type"] = "category"
-        y = {
-            "title": {"text": html.escape(campaign.minimise)},
-            "rangemode": "tozero",
-            "gridcolor": grid,
-        }
-        layout = {
-            "xaxis": x,
-            "yaxis": {**y, "automargin": True},
-            "margin": {"l": 56, "r": 12, "t": 8, "b": 44},
-            "showlegend": len(traces) > 1,
-            "legend": {"orientation": "h", "y": -0.28, "font": {"size": 10}},
-            "font": {"size": 11, "color": palette.CANVAS["ink"]},
-            "paper_bgcolor": palette.CANVAS["paper"],
-            "plot_bgcolor": palette.CANVAS["paper"],
-        }
-        made.append({"title": key, "traces": traces, "layout": layout})
-    return made
+        series.append(Series("", key, "x", "mean", palette.ESTIMATE, Style.POINT))
+    x, y = Axis(key, log=isinstance(over, Range) and over.scale == "log", rows=rows), Axis(campaign.minimise)
+    plot = Plot(name=key, title=key, x=x, y=y, over_time=False, group="Effect of each field", series=tuple(series))
+    return plot, tables
 
 
-def _lines(of: Scores, key: str, second: str | None, campaign: Campaign) -> Iterable[dict[str, Any]]:
-    """Generate one line for each value of the field ``second``."""
+def _lines(
+    of: Scores, key: str, second: str | None, campaign: Campaign
+) -> Iterable[tuple[str, dict[Any, ConfidenceInterval]]]:
+    """Generate label and means of one line for each value of the field ``second``."""
     second_values = campaign.varied[second] if second is not None else ()
     values = second_values[:MAX_LINES] if second is not None and not isinstance(second_values, Range) else [None]
     own = campaign.varied[key]
     assert not isinstance(own, Range)  # a grid's
-    for number, value in enumerate(values):
+    for value in values:
         at = {x: _over(of, {key: x} | ({second: value} if second is not None else {})) for x in own}
-        there = [(x, found) for x, found in at.items() if found is not None]
-        yield {
-            "name": "" if second is None else f"{html.escape(second.rpartition('.')[2])} {value}",
-            "x": [x for x, _ in there],
-            "y": [found.mean for _, found in there],
-            "error_y": {
-                "type": "data",
-                "symmetric": False,
-                "array": [(found.high or found.mean) - found.mean for _, found in there],
-                "arrayminus": [found.mean - (found.low or found.mean) for _, found in there],
-                "thickness": 1,
-            },
-            "mode": "lines+markers",
-            "line": {"color": palette.RUNS[number % len(palette.RUNS)]},
-        }
+        label = "" if second is None else f"{second.rpartition('.')[2]} {value}"
+        yield label, {x: found for x, found in at.items() if found is not None}
 
 
 def _over(of: Scores, settings: Mapping[str, object]) -> ConfidenceInterval | None:
@@ -131,29 +116,20 @@ def _over(of: Scores, settings: Mapping[str, object]) -> ConfidenceInterval | No
     return interval(np.array(means)) if means else None
 
 
-def _points(of: Scores, key: str) -> dict[str, Any]:
-    there = [point for point, values in sorted(of.values.items()) if values]
-    return {
-        "x": [of.settings[point][key] for point in there],
-        "y": [float(np.mean(list(of.values[point].values()))) for point in there],
-        "mode": "markers",
-        "marker": {"color": palette.ESTIMATE, "size": 5, "opacity": 0.7},
-    }
-
-
-def _table(rows: Sequence[Standing], keys: Sequence[str]) -> str:
-    head = "".join(f'<th class="number">{html.escape(key)}</th>' for key in keys)
-    head += "".join(f'<th class="number">{name}</th>' for name in ("mean", "95 %", "over the best", "runs", "failed"))
-    body = "".join(
-        "<tr>"
-        + "".join(f'<td class="number">{html.escape(_short(row.settings[key]))}</td>' for key in keys)
-        + f'<td class="number">{"–" if row.value is None else f"{row.value.mean:.4g}"}</td>'
-        + f'<td class="number">{span(row.value)}</td><td class="number">{difference(row.over_best)}</td>'
-        + f'<td class="number">{row.runs}</td><td class="number">{row.failed or ""}</td></tr>'
-        for row in rows
+def _table(standings: Sequence[Standing], keys: Sequence[str]) -> str:
+    rows = "".join(
+        row(
+            (text, NUMBER)
+            for text in (
+                *(_short(one.settings[key]) for key in keys),
+                "–" if one.value is None else f"{one.value.mean:.4g}",
+                *(span(one.value), difference(one.over_best), str(one.runs), str(one.failed or "")),
+            )
+        )
+        for one in standings
     )
-    table = f'<div class="scroll"><table><tr>{head}</tr>{body}</table></div>'
-    return f'<section class="panel wide"><h2>The best points</h2>{table}</section>'
+    head = ((name, NUMBER) for name in (*keys, "mean", "95 %", "over the best", "runs", "failed"))
+    return f'<section class="panel wide"><h2>The best points</h2>{table("The best points", head, rows)}</section>'
 
 
 def _short(value: object) -> str:

@@ -1,4 +1,4 @@
-"""Plan of a dive as text and as a picture, and the drift of a recorded run to lay over it."""
+"""Plan of a dive as text and as plots, and the drift of a recorded run to lay over it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Mapping
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,19 +13,21 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate, Truth
 from services.recording.acceptance import accepted
 from services.recording.reader import StoredMessage
+from services.reporting import report
 from services.reporting.plots import palette
+from services.reporting.plots.catalogue import TIME
+from services.reporting.plots.description import Axis, Level, Plot, Series, Style
+from services.reporting.plots.table import Columns
 from services.runtime.console import counted
 from services.tools.dive_plan.plan import POINTS, DivePlan, RecordedDrift
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 SECOND_NS = 1_000_000_000
+
+AT_THE_END = "Expected drift; budget and changes at the end of the dive"
+"""Heading of the plots."""
 
 SHOWN_SHARE = 5e-4
 """Smallest share of the error budget that is shown."""
-
-DASHES = ("-", "--", "-.", ":")
 
 
 def recorded_drift(messages: Iterable[StoredMessage]) -> RecordedDrift:
@@ -88,40 +89,46 @@ def text(of: DivePlan) -> str:
     return "\n".join(lines + [f"note: {note}" for note in of.notes])
 
 
-def draw(of: DivePlan, out: Path) -> None:
-    """Write the picture: drift over time, error budget, and drift after each change."""
-    from matplotlib.figure import Figure
+def write(of: DivePlan, out: Path) -> None:
+    """Write the plots: drift over time, error budget, and drift after each change. Raises ``NoPlotly``."""
+    title = f"{of.duration_s:.0f} s to {of.depth_m:.0f} m, sensors {of.sensors}"
+    names = _names(of)
+    shares = {name: 100.0 * share for name, share in of.budget.items() if share >= SHOWN_SHARE}
+    gains = {"as planned": of.drift_m[0][-1], **of.gains_m}
+    run = Series(f"run, {of.against.kind if of.against else ''}", "run", "t_s", "drift_m", palette.TRUTH)
+    plots = (
+        Plot(
+            name="drift",
+            title="Drift since submergence, one axis",
+            x=TIME,
+            y=Axis("standard deviation (m)"),
+            group=AT_THE_END,
+            series=(
+                *(
+                    Series(name, name, "t_s", "drift_m", colour)
+                    for name, colour in zip(names, cycle(palette.RUNS), strict=False)
+                ),
+                run,
+            ),
+            levels=(Level("limit", "limit_m", palette.LIMIT),),
+        ),
+        _by_row("budget", f"Error budget with {names[0]}", "share of the variance (%)", shares),
+        _by_row("gains", "Drift after one change", "standard deviation (m)", gains),
+    )
+    tables: dict[str, Columns] = {
+        name: {"t_s": [0.0, *of.t_s], "drift_m": [0.0, *drifts]} for name, drifts in zip(names, of.drift_m, strict=True)
+    }
+    for name, values in (("budget", shares), ("gains", gains)):
+        tables[name] = {"value": list(values.values()), "row": [float(i) for i in range(len(values))]}
+    tables["run"] = {} if of.against is None else {"t_s": [*of.against.t_s], "drift_m": [*of.against.drift_m]}
+    report.write_plots(out, title, plots, tables, values={} if of.limit_m is None else {"limit_m": of.limit_m})
 
-    from services.reporting import sheet
 
-    with sheet.style(page=True):
-        figure = Figure(figsize=(sheet.PAGE_IN, 7.4), layout="constrained")
-        over_time, budget, gains = figure.subplots(3, 1, height_ratios=(1.3, 1.3, 0.8))
-        for name, line, colour, dash in zip(_names(of), of.drift_m, cycle(palette.RUNS), cycle(DASHES), strict=False):
-            over_time.plot([0.0, *of.t_s], [0.0, *line], label=name, color=colour, linestyle=dash)
-        if of.limit_m is not None:
-            over_time.axhline(of.limit_m, color=palette.LIMIT, linestyle=":", label=f"limit {of.limit_m:g} m")
-        if of.against is not None:
-            over_time.plot(of.against.t_s, of.against.drift_m, color=palette.TRUTH, label=f"run, {of.against.kind}")
-        over_time.set(xlabel="time (s)", ylabel="standard deviation (m)")
-        sheet.legend_above(over_time, "Drift since submergence, one axis")
-        shares = {name: share for name, share in of.budget.items() if share >= SHOWN_SHARE}
-        _bars(budget, {name: 100.0 * share for name, share in shares.items()}, "%.0f")
-        budget.set_title(f"Error budget with {_names(of)[0]}")
-        budget.set_xlabel("share of the variance at the end (%)")
-        _bars(gains, {"as planned": of.drift_m[0][-1], **of.gains_m}, "%.2f")
-        gains.set_title("Drift after one change")
-        gains.set_xlabel("standard deviation at the end (m)")
-        figure.suptitle(f"{of.duration_s:.0f} s to {of.depth_m:.0f} m, sensors {of.sensors}")
-        sheet.write(figure, [out])
-
-
-def _bars(panel: Axes, values: Mapping[str, float], label: str) -> None:
-    drawn = panel.barh(list(values), list(values.values()), color=palette.OTHER, height=0.6)
-    panel.bar_label(drawn, fmt=label, padding=3)
-    panel.invert_yaxis()
-    panel.margins(x=0.1)
-    panel.grid(visible=False, axis="y")
+def _by_row(name: str, title: str, label: str, values: Mapping[str, float]) -> Plot:
+    """Return the plot of one value for each row."""
+    series = (Series("", name, "value", "row", palette.OTHER, Style.DOT),)
+    rows = Axis("", downwards=True, rows=tuple(values))
+    return Plot(name=name, title=title, x=Axis(label), y=rows, over_time=False, group=AT_THE_END, series=series)
 
 
 def _names(of: DivePlan) -> list[str]:

@@ -122,16 +122,18 @@ def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) ->
 
 
 def write(outcome: Outcome, folder: Path) -> str:
-    """Write localise.json, track.csv, currents.csv and localise.png; return why the plot is missing, else ""."""
+    """Write localise.json, track.csv, currents.csv and localise.html; return why the plots are missing, else ""."""
     plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2)
     (folder / "localise.json").write_bytes(plain + b"\n")
     (folder / "track.csv").write_text(_table(outcome), encoding="utf-8")
     write_profile(folder / "currents.csv", outcome.track.water)
+    from services.reporting.static_files import NoPlotly
+    from services.tools.localise import plot
+
     try:
-        from services.tools.localise import plot
-    except ImportError:
-        return "no plot: matplotlib is not installed: pip install matplotlib (extra viz)"
-    plot.draw(outcome, folder / "localise.png")
+        plot.write(outcome, folder / "localise.html")
+    except NoPlotly as error:
+        return f"no plots: {error}: pip install plotly (extra viz)"
     return ""
 
 

@@ -1,4 +1,4 @@
-"""Plot of a recorded dive: horizontal track, error over time with its standard deviation, current over depth."""
+"""Plots of a recorded dive: horizontal track, error over time with its standard deviation, current over depth."""
 
 from __future__ import annotations
 
@@ -6,17 +6,69 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from ltv_mpc.localisation.recorded_dive.filter import Track
 from ltv_mpc.messages import Array
-from services.reporting import sheet
+from services.reporting import report
 from services.reporting.plots import palette
+from services.reporting.plots.catalogue import TIME
+from services.reporting.plots.description import Axis, Plot, Series, Style
+from services.reporting.plots.newest import outline
+from services.reporting.plots.table import Columns, short
+
+RESULT = "Recorded dive"
+
+PLOTS = (
+    Plot(
+        name="above",
+        title="Horizontal track",
+        x=Axis("east (m)"),
+        y=Axis("north (m)"),
+        over_time=False,
+        equal=True,
+        group=RESULT,
+        series=(
+            Series("bottom track", "truth", "east_m", "north_m", palette.TRUTH),
+            Series("filter", "filter", "east_m", "north_m", palette.ESTIMATE),
+            Series("constant velocity", "constant", "east_m", "north_m", palette.OTHER, Style.DASHED),
+            Series("3 sigma of the filter at the end", "ellipse", "east_m", "north_m", palette.ESTIMATE, Style.DOTTED),
+        ),
+    ),
+    Plot(
+        name="error",
+        title="Position error against bottom track",
+        x=TIME,
+        y=Axis("distance (m)"),
+        group=RESULT,
+        series=(
+            Series(
+                "3 sigma of the filter", "filter", "t_s", "zero", palette.ESTIMATE, Style.BAND, y_high="three_sigma_m"
+            ),
+            Series("filter", "filter", "t_s", "error_m", palette.ESTIMATE),
+            Series("constant velocity", "constant", "t_s", "error_m", palette.OTHER, Style.DASHED),
+        ),
+    ),
+    Plot(
+        name="current",
+        title="Current at the end, with 1 sigma",
+        x=Axis("current (m/s)"),
+        y=Axis("depth (m)", downwards=True),
+        over_time=False,
+        group=RESULT,
+        series=tuple(
+            series
+            for name, colour in (("north", palette.NORTH), ("east", palette.EAST))
+            for series in (
+                Series("", "water", f"{name}_low", "depth_m", colour, Style.BAND, x_high=f"{name}_high"),
+                Series(name, "water", name, "depth_m", colour),
+            )
+        ),
+    ),
+)
 
 
 class PlotData(Protocol):
-    """Data of the plot."""
+    """Data of the plots."""
 
     @property
     def track(self) -> Track:
@@ -31,69 +83,31 @@ class PlotData(Protocol):
         """Mean velocity of the fixes, (2,)."""
 
 
-def draw(data: PlotData, out: Path) -> None:
-    """Write the plot."""
-    with sheet.style(page=True):
-        figure = Figure(figsize=(9.0, 5.0), layout="constrained")
-        grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
-        _above(figure.add_subplot(grid[:, 0]), data)
-        _error(figure.add_subplot(grid[0, 1]), data)
-        _water(figure.add_subplot(grid[1, 1]), data.track)
-        sheet.write(figure, [out])
-
-
-def _above(panel: Axes, data: PlotData) -> None:
-    track, truth, constant = data.track, data.truth_m, data.constant_velocity_mps
-    panel.plot(truth[:, 1], truth[:, 0], color=palette.TRUTH, label="bottom track")
-    panel.plot(track.position_m[:, 1], track.position_m[:, 0], color=palette.ESTIMATE, label="filter")
-    if constant is not None:
-        path = constant * track.t_s[:, None]
-        panel.plot(
-            path[:, 1], path[:, 0], color=palette.OTHER, linewidth=1.0, linestyle="--", label="constant velocity"
-        )
-    # {p + 3 L [cos a, sin a]} with P = L L^T
-    spread, axes = np.linalg.eigh(track.position_covariance[-1])
-    angle = np.linspace(0, 2 * np.pi, 90)
-    ring = (
-        track.position_m[-1] + 3 * (np.stack([np.cos(angle), np.sin(angle)], axis=1) * np.sqrt(spread.clip(0))) @ axes.T
-    )
-    panel.plot(
-        ring[:, 1],
-        ring[:, 0],
-        color=palette.ESTIMATE,
-        linewidth=0.8,
-        linestyle=":",
-        label="3 sigma of the filter at the end",
-    )
-    panel.plot(0, 0, "+", color=palette.TRUTH, markersize=9)
-    panel.set(xlabel="east (m)", ylabel="north (m)")
-    panel.set_aspect("equal", adjustable="datalim")
-    sheet.legend_above(panel, "horizontal track")
-
-
-def _error(panel: Axes, data: PlotData) -> None:
-    track = data.track
-    sigma = np.sqrt(np.linalg.eigvalsh(track.position_covariance)[:, -1].clip(0))
-    label = "3 sigma of the filter"
-    panel.fill_between(track.t_s, 0, 3 * sigma, color=palette.ESTIMATE, alpha=0.2, linewidth=0, label=label)
-    error = np.hypot(*(track.position_m - data.truth_m).T)
-    panel.plot(track.t_s, error, color=palette.ESTIMATE, label="filter from bottom track")
+def write(data: PlotData, out: Path) -> None:
+    """Write the page of plots. Raises ``NoPlotly``."""
+    track, water = data.track, data.track.water
+    spread = np.sqrt(np.linalg.eigvalsh(track.position_covariance)[:, -1].clip(0))
+    ring = track.position_m[-1] + outline(track.position_covariance[-1], 3.0)
+    tables = {
+        "truth": _columns(track.t_s, data.truth_m),
+        "filter": _columns(track.t_s, track.position_m, data.truth_m)
+        | {"zero": [0.0] * len(spread), "three_sigma_m": list(map(short, 3.0 * spread))},
+        "ellipse": _columns(np.zeros(len(ring)), ring),
+        "water": {"depth_m": list(map(short, water.depth_m))},
+        "constant": {},
+    }
     if data.constant_velocity_mps is not None:
-        constant = np.hypot(*(data.constant_velocity_mps * track.t_s[:, None] - data.truth_m).T)
-        panel.plot(track.t_s, constant, color=palette.OTHER, linewidth=1.0, linestyle="--", label="constant velocity")
-    panel.set(xlabel="time (s)", ylabel="distance (m)")
-    panel.set_ylim(bottom=0)
-    sheet.legend_above(panel, "position error against bottom track")
+        path = data.constant_velocity_mps * track.t_s[:, None]
+        tables["constant"] = _columns(track.t_s, path, data.truth_m)
+    for name, velocity in (("north", water.north_mps), ("east", water.east_mps)):
+        edges = {"": velocity, "_low": velocity - water.sd_mps, "_high": velocity + water.sd_mps}
+        tables["water"] |= {f"{name}{edge}": list(map(short, values)) for edge, values in edges.items()}
+    report.write_plots(out, RESULT, PLOTS, tables)
 
 
-def _water(panel: Axes, track: Track) -> None:
-    water = track.water
-    for name, velocity, colour in (("north", water.north_mps, palette.NORTH), ("east", water.east_mps, palette.EAST)):
-        panel.fill_betweenx(
-            water.depth_m, velocity - water.sd_mps, velocity + water.sd_mps, color=colour, alpha=0.2, linewidth=0
-        )
-        style = "-" if name == "north" else "--"
-        panel.plot(velocity, water.depth_m, color=colour, linestyle=style, label=f"{name}, with 1 sigma")
-    panel.invert_yaxis()
-    panel.set(xlabel="current (m/s)", ylabel="depth (m)")
-    sheet.legend_above(panel, "current at the end")
+def _columns(t_s: Array, position_m: Array, truth_m: Array | None = None) -> Columns:
+    """Return the columns of a track (N, 2), with its distance from the truth if that is given."""
+    columns = {"t_s": t_s, "north_m": position_m[:, 0], "east_m": position_m[:, 1]}
+    if truth_m is not None:
+        columns["error_m"] = np.hypot(*(position_m - truth_m).T)
+    return {name: list(map(short, values)) for name, values in columns.items()}

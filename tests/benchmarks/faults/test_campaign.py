@@ -9,18 +9,17 @@ from __future__ import annotations
 import json
 
 import pytest
-from msgspec import structs
 
 from benchmarks.faults import campaign, inject, kinds, lockstep, process_runs, recorded
 from benchmarks.faults.__main__ import main
 from benchmarks.faults.draw import Run
 from benchmarks.faults.kinds import Fault, Place
-from ltv_mpc.messages import Injection, MessageFault
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.options import BusOptions
 from services.replay import replay
 from services.supervisor.entry_point import read_config, write_config
 from services.tools.batch.results_store import NAME, read
+from sim.faults.message_faults import MessageFault
 
 
 @pytest.mark.timeout(400)
@@ -47,7 +46,8 @@ def test_a_quick_campaign_has_no_bad_thrust_or_uncounted_loss(capsys, tmp_path, 
     (recording,) = tmp_path.glob("bus-*/run.mcap")
     log = recorded.Recorded(recording, Vehicle.load("paper")).log
     assert min(len(log.cycles), len(log.received_estimates), len(log.gate)) > 60  # else no requirement on them binds
-    verdict = replay.replay(replay.Run(recording), only="controller")
+    recorded.with_link(recording, recording.with_name(inject.LINK), tmp_path / "both.mcap")
+    verdict = replay.replay(replay.Run(tmp_path / "both.mcap"), only="controller")
     assert verdict.identical, verdict.first_difference
     assert verdict.steps_compared == verdict.steps_run > 60
 
@@ -67,12 +67,10 @@ def test_faults_move_nothing_before_they_begin():
 
 def test_the_injector_is_told_what_the_campaign_has_drawn(tmp_path):
     fault = Fault(kind="message_delay", target="plan", start_s=3.25, end_s=4.5, size=0.125, seed=77)
-    drawn = Injection(
-        key="plan", fault=MessageFault.DELAY, start_t_ns=3_250_000_000, end_t_ns=4_500_000_000, size=0.125, seed=77
-    )
+    drawn = inject.Injection(key="plan", harm=MessageFault.DELAY, start_s=3.25, end_s=4.5, size=0.125, seed=77)
     told = inject.Config(
         node="controller", injections=(process_runs.injection(fault),), at_a=BusOptions(), at_b=BusOptions()
     )
     write_config(tmp_path / "inject.json", told)
     (read,) = read_config(tmp_path / "inject.json", inject.Config).injections
-    assert structs.asdict(read) == structs.asdict(drawn)  # messages compare by identity
+    assert read == drawn

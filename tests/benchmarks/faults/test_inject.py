@@ -5,11 +5,12 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.faults import inject
-from benchmarks.faults.inject import Interference, unlike_at_a
+from benchmarks.faults.inject import Injection, Interference, unlike_at_a
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Injection, MessageFault, PressureDepth
+from ltv_mpc.messages import PressureDepth
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, encode
+from sim.faults.message_faults import MessageFault
 
 MS, S = 1_000_000, 1_000_000_000
 TOPIC = BY_TYPE[PressureDepth]
@@ -21,7 +22,7 @@ def frame(sequence: int) -> bytes:
 
 
 def fault(harm: MessageFault, size: float = 1.0, key: str = TOPIC.key) -> Injection:
-    return Injection(key=key, fault=harm, start_t_ns=S, end_t_ns=2 * S, size=size, seed=2)
+    return Injection(key=key, harm=harm, start_s=1.0, end_s=2.0, size=size, seed=2)
 
 
 def through(way: Interference) -> list[tuple[int, bytes]]:
@@ -42,8 +43,8 @@ def test_a_lost_frame_is_gone_and_counted():
 
 def test_a_fault_of_the_command_line_is_read_field_by_field():
     asked = inject.parse("delay,plan,3,4.5,0.25,6")
-    assert (asked.fault, asked.key, asked.size, asked.seed) == (MessageFault.DELAY, "plan", 0.25, 6)
-    assert (asked.start_t_ns, asked.end_t_ns) == (3 * S, 4_500_000_000)
+    assert (asked.harm, asked.key, asked.size, asked.seed) == (MessageFault.DELAY, "plan", 0.25, 6)
+    assert asked.interval == (3 * S, 4_500_000_000)
 
 
 @pytest.mark.parametrize(

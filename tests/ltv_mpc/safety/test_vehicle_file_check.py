@@ -54,6 +54,7 @@ def test_a_long_arm_is_named(arm_m, named):
         ({2: 0.5}, "moment of inertia looks 0.5 of"),
         ({3: 0.5}, "drag ahead looks 0.5 of"),
         ({5: 1.5}, "drag in yaw looks 1.5 of"),
+        ({0: 2.0, 2: 2.0, 3: 2.0}, "thrust looks 0.5 of"),
     ],
 )
 def test_a_wrong_factor_is_named_and_only_it(factors, named):

@@ -38,8 +38,6 @@ from ltv_mpc.messages import (
     ImuSample,
     ImuSamples,
     InboxEntry,
-    Injection,
-    InjectorFrame,
     InnovationSample,
     InputReport,
     Kill,
@@ -48,7 +46,6 @@ from ltv_mpc.messages import (
     LocalisationReport,
     Manual,
     Message,
-    MessageFault,
     MissionState,
     ModelCheck,
     NodeSettings,
@@ -135,7 +132,6 @@ EXAMPLES: tuple[Message, ...] = (
         thrust_N=TRIPLE,
     ),
     Disturbance(end_t_ns=10**9, thrust_scale=(0.5, 1.0, 0.0), force_N=TRIPLE, yaw_moment_Nm=-2.5),
-    Injection(key="estimate", fault=MessageFault.DELAY, start_t_ns=0, end_t_ns=10**9, size=0.25, seed=3),
     Applied(
         t_ns=5,
         thrust_N=TRIPLE,
@@ -325,6 +321,5 @@ EXAMPLES: tuple[Message, ...] = (
     CONTROLLER_STATE,
     ESTIMATOR_STATE,
     RejectedFrame(t_ns=0, node="plant", key="plan", reason="no map", crc=1, payload_base64="AAA="),
-    InjectorFrame(t_ns=5, key="plan", crc=1, payload_base64="AAA="),
     RunEvent(t_ns=0, node="plant", kind="slowed", text="by 0.4 s"),
 )

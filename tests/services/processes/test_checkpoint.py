@@ -226,7 +226,7 @@ def test_a_disk_that_hangs_is_reported(opened: Opener, tmp_path: Path, said: Sai
     checkpoint = opened()
     with hanging_disk(tmp_path / "state" / f"{FILE}.part"):
         checkpoint.keep(state(Authority.STOPPED), KEPT_US)
-        checkpoint.show(STATUS, 0)
+        checkpoint.show(STATUS)
     assert "the disk does not answer within 1 s" in said()[-1]
 
 
@@ -244,14 +244,14 @@ def test_if_writing_fails_no_checkpoint_is_left_that_arms_after_a_stop(
     for failures in (1, 2):
         checkpoint.keep(state(authority), KEPT_US)
         until(lambda failures=failures: checkpoint.failures == failures)  # type: ignore[misc]
-        checkpoint.show(STATUS, 0)
+        checkpoint.show(STATUS)
     assert said() == ["the checkpoint cannot be written: Is a directory; the controller continues without it"]
     assert path.exists() == (authority is Authority.CONTROLLER)
     draft.rmdir()
     checkpoint.keep(state(authority), KEPT_US)
     opened()  # the other one has written
     assert parse(path.read_bytes())[1].authority is authority
-    checkpoint.show(STATUS, 0)
+    checkpoint.show(STATUS)
     assert said()[1:] == ["the checkpoint is written again"]
 
 

@@ -35,7 +35,7 @@ def failure():
 
 
 def shown(writer, t_ns):
-    writer.show(SimpleNamespace(t_ns=t_ns), 0)
+    writer.show(SimpleNamespace(t_ns=t_ns))
 
 
 def test_each_failure_is_written_once_and_announced(failure, tmp_path):

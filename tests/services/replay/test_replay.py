@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import InjectorFrame, StepRecord
+from ltv_mpc.messages import StepRecord
 from services.bus import wire
 from services.bus.topics import key_of
 from services.recording.reader import StoredMessage
@@ -123,46 +122,6 @@ def test_a_lost_output_is_counted_and_its_step_is_not_compared(recording: Path, 
     estimator = of(verdict, "estimator")
     assert (estimator.outputs_lost, estimator.steps_compared) == (1, estimator.steps_run - 1)
     assert not estimator.gaps
-
-
-@pytest.mark.parametrize("at_a", [[], [1e-9]])
-def test_frames_harmed_by_an_injector_are_compared_at_both_ends(
-    recording: Path, tmp_path: Path, at_a: list[float]
-) -> None:
-    """The recorder received another plan than was published and accepted, or none; the file has both ends."""
-    run = engine.Run(recording)
-    out = tmp_path / "run.mcap"
-    count = 0
-    with RunWriter(out, start_ns=-1_000_000_000, metadata=dict(run.metadata)) as writer:
-        for stored, plain in messages(recording):
-            assert stored.kind is not None
-            if stored.key != "plan" or plain["sequence"] not in (2, 4):
-                writer.write_plain(stored.key, stored.kind, plain, stored.t_ns)
-                continue
-            payload = wire.pack(plain)
-            text = base64.b64encode(payload).decode()
-            handed = InjectorFrame(t_ns=stored.t_ns, key="plan", crc=wire.crc(payload), payload_base64=text)
-            writer.write("inject", handed, wire.Header(epoch=9, sequence=count), stored.t_ns)
-            count += 1
-            for off_N in at_a:
-                plain["thrust_N"][3][1] += off_N
-                writer.write_plain("plan", stored.kind, plain, stored.t_ns)
-    assert count == 2
-    verdict = replayed(out)
-    assert verdict.identical, verdict.first_difference
-    assert verdict.steps_compared == verdict.steps_run == replayed(recording).steps_run
-
-
-def test_an_unreadable_injector_frame_is_skipped(recording: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run.mcap"
-    with RunWriter(out, start_ns=-1_000_000_000, metadata=dict(engine.Run(recording).metadata)) as writer:
-        for i, text in enumerate(("AAA=", "?", "gA==", "")):
-            handed = InjectorFrame(t_ns=0, key="plan", crc=1, payload_base64=text)
-            writer.write("inject", handed, wire.Header(epoch=9, sequence=i), 0)
-        for stored, plain in messages(recording):
-            assert stored.kind is not None
-            writer.write_plain(stored.key, stored.kind, plain, stored.t_ns)
-    assert replayed(out, only="controller").identical
 
 
 def test_after_a_gap_a_node_is_compared_again_from_its_next_start(recording: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.errors import ConfigError
+from services.bus.options import BusOptions
 from services.cli.app import run as command
 from services.processes import controller
 from services.recording.reader import Recording
@@ -42,8 +43,7 @@ def test_the_bathymetry_of_a_scenario_is_saved_used_and_kept_by_a_replay(tmp_pat
     verdict = replay.replay(replay.Run(run.recording))
     assert verdict.identical
     assert verdict.steps_compared > 10
-    place = process_table.RunContext(folder=run, router="tcp/127.0.0.1:1", namespace="")
-    process = process_table.config_of("controller", run_config, place)
+    process = process_table.config_of("controller", run_config, run, BusOptions(connect=("tcp/127.0.0.1:1",)))
     assert isinstance(process, controller.Config)
     assert Path(process.bathymetry).read_text() == SOUNDINGS
 

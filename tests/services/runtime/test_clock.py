@@ -12,15 +12,13 @@ from hypothesis import strategies as st
 
 from ltv_mpc.messages import Clock, ClockState
 from services.runtime.clock import (
-    LEAD_US,
     MAX_SEGMENTS,
     ClockError,
     ClockSegment,
-    ClockSource,
     VehicleClock,
     fraction_of,
 )
-from services.runtime.clock_master import MAX_CATCH_UP_US, ClockMaster, ClockMasterSettings
+from services.runtime.clock_master import LEAD_US, MAX_CATCH_UP_US, ClockMaster, ClockMasterSettings, ClockSource
 from services.runtime.node_status import MAX_BACKLOG_US
 from tests.services.words import status
 

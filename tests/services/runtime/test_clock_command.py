@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ltv_mpc.messages import Clock, ClockCommand, ClockState, RunEvent
-from services.runtime.clock import LEAD_US, VehicleClock
-from services.runtime.clock_master import ClockMaster, ClockMasterSettings
+from services.runtime.clock import VehicleClock
+from services.runtime.clock_master import LEAD_US, ClockMaster, ClockMasterSettings
 
 MS = 1_000
 

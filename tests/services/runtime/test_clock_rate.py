@@ -9,8 +9,15 @@ import pytest
 
 from ltv_mpc.messages import Clock, RunEvent
 from services.runtime.clock import VehicleClock
-from services.runtime.clock_master import ClockMaster, ClockMasterSettings
-from services.runtime.clock_rate import FIRST_WINDOW_US, GROWTH, MAX_SLIP_RATIO, WINDOW_US, ClockRate
+from services.runtime.clock_master import (
+    FIRST_WINDOW_US,
+    GROWTH,
+    MAX_SLIP_RATIO,
+    WINDOW_US,
+    ClockMaster,
+    ClockMasterSettings,
+    ClockRate,
+)
 from services.runtime.node_status import MAX_BACKLOG_US
 from tests.services.words import status
 

@@ -9,7 +9,8 @@ import msgspec
 import pytest
 
 from ltv_mpc.messages import Applied, ClockMode, ClockStep, Estimate
-from services.runtime.clock import ClockSource, VehicleClock
+from services.runtime.clock import VehicleClock
+from services.runtime.clock_master import ClockSource
 from services.runtime.clock_sync import GRACE_US, ClockSync
 
 YEARS_NS = 1_763_740_800_000_000_000  # Unix time of late 2025

@@ -76,7 +76,7 @@ def node() -> ControllerNode:
 
 def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(node: ControllerNode) -> None:
     shown: list[ControllerStatus] = []
-    report = ControllerStatusReporter(node, [lambda status, _: shown.append(status)])
+    report = ControllerStatusReporter(node, [lambda status: shown.append(status)])
     first = report.status(0, 0, MessageValidator(), SHARED)
     assert (first.estimate_age_ns, first.cycle_median_us, first.error_m) == (None, None, None)
     assert (first.authority, first.health) == ("disarmed", "degraded")
@@ -227,7 +227,7 @@ def asked(port: int, method: str = "GET", path: str = "/metrics", host: str | No
 
 def test_prometheus_reads_every_figure_in_seconds_with_labels_escaped(port: int, metrics: Metrics) -> None:
     assert asked(port) == (200, "")
-    metrics.show(STATUS, 0)
+    metrics.show(STATUS)
     status, body = asked(port)
     assert status == 200
     lines = (line.rsplit(" ", 1) for line in body.splitlines() if not line.startswith("#"))
@@ -243,9 +243,9 @@ def test_prometheus_reads_every_figure_in_seconds_with_labels_escaped(port: int,
     assert "ltv_mpc_progress_ratio" not in samples
     named = {line.split()[2] for line in body.splitlines() if line.startswith("# TYPE")}
     assert named == {name.partition("{")[0] for name in samples}
-    metrics.show(msgspec.structs.replace(STATUS, clock_error_ns=None), 0)
+    metrics.show(msgspec.structs.replace(STATUS, clock_error_ns=None))
     assert "clock_error" not in asked(port)[1]
-    metrics.show(msgspec.structs.replace(STATUS, source="gnss", source_epoch=5, rejected_epoch=6), 0)
+    metrics.show(msgspec.structs.replace(STATUS, source="gnss", source_epoch=5, rejected_epoch=6))
     body = asked(port)[1]
     assert 'ltv_mpc_source{epoch="5",name="gnss"} 1.0' in body
     assert 'ltv_mpc_source{epoch="6",name="gnss"} 0.0' in body
@@ -284,5 +284,5 @@ def test_the_status_names_the_sources_and_shows_the_error_of_the_one_in_use(
 def test_nothing_else_is_answered_and_no_other_name_is_taken(
     port: int, metrics: Metrics, method: str, path: str, host: str | None, code: int
 ) -> None:
-    metrics.show(STATUS, 0)
+    metrics.show(STATUS)
     assert asked(port, method, path, host)[0] == code

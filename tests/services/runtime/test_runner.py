@@ -217,8 +217,6 @@ def run(
     runners = [
         Runner(
             node,
-            stop=StopRequest(),
-            say=print,
             clock=ClockOptions(master=clock_master if i == 0 else None),
             compute_delay_ns=delay_ns,
         )
@@ -308,7 +306,7 @@ def test_a_slow_cycle_publishes_after_its_delay_and_the_next_one_waits_for_it(bu
 
 def test_arrival_across_keys_keeps_the_order_of_one_source(bus: BusOptions) -> None:
     node = Listener()
-    runner = Runner(node, stop=StopRequest(), say=print)
+    runner = Runner(node)
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
         out = Outbox(session, node="test", epoch=5, kinds=node.reads)
@@ -328,7 +326,7 @@ def test_arrival_across_keys_keeps_the_order_of_one_source(bus: BusOptions) -> N
 
 def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_them(bus: BusOptions) -> None:
     node = Listener()
-    runner = Runner(node, stop=StopRequest(), say=print)
+    runner = Runner(node)
     frames: list[Frame] = []
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
@@ -351,7 +349,7 @@ def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus: BusOptions) -> None:
     """A replay can then raise it again."""
-    runner = Runner(Listener(ArithmeticError("made up")), stop=StopRequest(), say=print)
+    runner = Runner(Listener(ArithmeticError("made up")))
     frames: list[Frame] = []
     with ExitStack() as stack:
         session, box = stack.enter_context(listening(bus))
@@ -366,8 +364,7 @@ def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus
 def test_settings_are_published_at_the_start_and_again_at_the_first_step(bus: BusOptions) -> None:
     """A recorder that receives the first step has the settings, whenever it started."""
     settings = NodeSettings(node="estimator", files={"config/sensors.toml": "x = 1"}, made_by={"numpy": "2"})
-    runner = Runner(Listener(), stop=StopRequest(), say=print)
-    runner.settings = settings
+    runner = Runner(Listener(), settings=settings)
     frames: list[Frame] = []
 
     def published() -> list[NodeSettings]:
@@ -397,7 +394,7 @@ def test_messages_on_their_way_at_a_stop_request_are_taken(bus: BusOptions) -> N
             return super().step(t_ns, inbox)
 
     node = ToldToStop()
-    runner = Runner(node, stop=StopRequest(), say=print)
+    runner = Runner(node)
     with listening(bus) as (session, box):
         out = Outbox(session, node="test", epoch=5, kinds=(PressureDepth,))
         with running(bus, runner):
@@ -436,7 +433,7 @@ def test_a_step_that_is_late_takes_all_that_has_arrived_before_it_starts(bus: Bu
 
     node = Slow(burst)
     clock_master = ClockMasterSettings(start_ns=0, end_ns=10**12, speed=1.0, expects=())
-    runner = Runner(node, stop=StopRequest(), say=print, clock=ClockOptions(master=clock_master))
+    runner = Runner(node, clock=ClockOptions(master=clock_master))
     with listening(bus) as (session, _), running(bus, runner):
         until(lambda: len(node.inboxes) > 2)
     assert node.inboxes[:3] == [[], list(range(50)), []]
@@ -463,8 +460,6 @@ def test_a_flood_does_not_keep_a_cycle_from_its_time(bus: BusOptions) -> None:
     node, topic = Flooded(), BY_TYPE[PressureDepth]
     runner = Runner(
         node,
-        stop=StopRequest(),
-        say=print,
         clock=ClockOptions(master=ClockMasterSettings(start_ns=0, end_ns=10**12, speed=1.0, expects=())),
     )
     take = runner.mailbox.take
@@ -482,7 +477,7 @@ def test_without_a_clock_estimates_give_the_time_and_earlier_commands_are_reject
 ) -> None:
     """The other side stamps in Unix time and reports each received plan by its own clock."""
     offset_ns = 1_763_740_800_000_000_000
-    runner = Runner(Commanded(), stop=StopRequest(), say=print, clock=ClockOptions(sync_to_inputs=True))
+    runner = Runner(Commanded(), clock=ClockOptions(sync_to_inputs=True))
     frames: list[Frame] = []
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
@@ -532,7 +527,7 @@ def answer(header: Header, plan: Plan, t_ns: int) -> Applied:
 
 def test_an_estimate_stamped_an_hour_off_is_rejected(bus: BusOptions) -> None:
     controller = Controller()
-    runner = Runner(controller, stop=StopRequest(), say=print, clock=ClockOptions(sync_to_inputs=True))
+    runner = Runner(controller, clock=ClockOptions(sync_to_inputs=True))
     frames: list[Frame] = []
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
@@ -564,7 +559,7 @@ def test_obstacles_from_the_future_are_rejected_with_the_reason(bus: BusOptions,
     controller = Avoiding()
     master = None if sync_to_inputs else ClockMasterSettings(start_ns=1, end_ns=10**15, speed=1.0, expects=())
     options = ClockOptions(sync_to_inputs=sync_to_inputs, master=master)
-    runner = Runner(controller, stop=StopRequest(), say=print, clock=options)
+    runner = Runner(controller, clock=options)
     start_ns, frames = time.monotonic_ns(), list[Frame]()
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
@@ -601,7 +596,7 @@ class Rare(Commanded):
 def test_a_command_does_not_wait_for_the_next_cycle(bus: BusOptions) -> None:
     clock_master = ClockMasterSettings(start_ns=1, end_ns=10**15, speed=1.0, expects=())
     controller = Rare()
-    runner = Runner(controller, stop=StopRequest(), say=print, clock=ClockOptions(master=clock_master))
+    runner = Runner(controller, clock=ClockOptions(master=clock_master))
     frames: list[Frame] = []
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) and s.t_ns > 1 for _, s, _ in read(drained(box, []))))

@@ -7,12 +7,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from ltv_mpc.messages import Acknowledgement, Authority, ControllerState, Estimate, Message
+from ltv_mpc.messages import Acknowledgement, Authority, ControllerState, Estimate, InboxEntry, Message
 from services.bus.outbox import Outbox
 from services.bus.wire import Header, encode
-from services.runtime.node_io import NodeIO
-from services.runtime.saved_state import SupervisorState
-from tests.services.bus.messages import CONTROLLER_STATE, HEADER
+from services.runtime.node_io import NodeIO, SupervisorState
+from tests.services.bus.messages import CONTROLLER_STATE
 
 STOPPED = ControllerState(t_ns=5, authority=Authority.STOPPED)
 ACKNOWLEDGED = Acknowledgement(t_ns=5, command_id=1, accepted=True, authority=Authority.STOPPED, why="")
@@ -58,7 +57,7 @@ def test_a_state_is_kept_before_it_and_the_acknowledgement_are_published(
 
 def test_the_state_to_continue_from_comes_before_messages_that_have_waited(opened: Callable[[], NodeIO]) -> None:
     io = opened()
-    io.add_to_inbox(Estimate.at_rest(), HEADER, key="estimate", payload=b"", received_t_ns=1)
+    io.add_to_inbox(Estimate.at_rest(), InboxEntry(key="estimate", epoch=1, sequence=0, crc=0, received_t_ns=1))
     io.restore_state(7, 8, own_clock=True)
     assert [type(arrival.message) for arrival in io.take_inbox(7, "cycle")] == [ControllerState, Estimate]
 

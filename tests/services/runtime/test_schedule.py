@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Cycle, Grid, OnMessage
-from services.runtime.schedule import StepSchedule
+from services.runtime.process_time import StepSchedule
 
 PERIOD_NS = 300_000_000
 

@@ -41,6 +41,15 @@ def given(stdin: tuple[int, int], data: bytes) -> None:
     os.close(stdin[1])
 
 
+def connected(pipe: tuple[int, int], state: bytes = b"") -> SupervisorLink:
+    """Return a link to a supervisor that has given a state."""
+    link, (reading, writing) = SupervisorLink(), os.pipe()
+    given((reading, writing), STATE_LENGTH.pack(len(state)) + state)
+    link.connect(pipe[1], stdin=reading)
+    os.close(reading)
+    return link
+
+
 def beats(pipe: tuple[int, int]) -> list[int]:
     try:
         return [value for (value,) in HEARTBEAT_FORMAT.iter_unpack(os.read(pipe[0], 1 << 16))]
@@ -49,8 +58,7 @@ def beats(pipe: tuple[int, int]) -> list[int]:
 
 
 def test_a_loop_sends_a_heartbeat_each_turn_up_to_the_expected_rate(pipe: tuple[int, int]) -> None:
-    process = SupervisorLink()
-    process.connect(pipe[1])
+    process = connected(pipe)
     for now_us in range(1_000_000, 1_200_001, 10_000):
         process.beat(now_us)
     assert beats(pipe) == list(range(1_000_000, 1_200_001, HEARTBEAT_PERIOD_US))
@@ -60,8 +68,7 @@ def test_a_loop_sends_a_heartbeat_each_turn_up_to_the_expected_rate(pipe: tuple[
 
 
 def test_each_stage_of_a_cycle_sends_a_heartbeat(pipe: tuple[int, int]) -> None:
-    process = SupervisorLink()
-    process.connect(pipe[1])
+    process = connected(pipe)
     timer = StageTimer(process)
     timer.start()
     timer("build")
@@ -73,37 +80,25 @@ def test_an_unsupervised_process_sends_no_heartbeats_and_starts_at_once() -> Non
     process.beat(1)
     process.last_beat()
     assert process.due_us is None
-    assert process.restored_state() == b""
+    assert process.state == b""
 
 
 def test_a_supervisor_that_does_not_read_blocks_no_process(pipe: tuple[int, int]) -> None:
-    process = SupervisorLink()
-    process.connect(pipe[1])
+    process = connected(pipe)
     for k in range(20_000):
         process.beat(k * HEARTBEAT_PERIOD_US)
     assert 0 < len(beats(pipe)) <= (1 << 16) // HEARTBEAT_FORMAT.size
 
 
-def test_a_restarted_process_reads_its_restored_state_once(pipe: tuple[int, int], stdin: tuple[int, int]) -> None:
-    given(stdin, STATE_LENGTH.pack(5) + b"state")
-    process = SupervisorLink()
-    process.connect(pipe[1], stdin=stdin[0])
-    assert process.restored_state() == b"state"
-    assert process.restored_state() == b""  # it has had it
+@pytest.mark.parametrize("state", [b"state", b""])
+def test_a_restarted_process_reads_its_restored_state(pipe: tuple[int, int], state: bytes) -> None:
+    assert connected(pipe, state).state == state
 
 
-def test_the_restored_state_may_be_empty(pipe: tuple[int, int], stdin: tuple[int, int]) -> None:
-    given(stdin, STATE_LENGTH.pack(0))
-    process = SupervisorLink()
-    process.connect(pipe[1], stdin=stdin[0])
-    assert process.restored_state() == b""
-
-
+@pytest.mark.parametrize("data", [STATE_LENGTH.pack(100) + b"half", b"\0", b""])
 def test_a_process_whose_supervisor_is_dead_exits_before_it_starts(
-    pipe: tuple[int, int], stdin: tuple[int, int]
+    pipe: tuple[int, int], stdin: tuple[int, int], data: bytes
 ) -> None:
-    given(stdin, STATE_LENGTH.pack(100) + b"half")
-    process = SupervisorLink()
-    process.connect(pipe[1], stdin=stdin[0])
+    given(stdin, data)
     with pytest.raises(SystemExit):
-        process.restored_state()
+        SupervisorLink().connect(pipe[1], stdin=stdin[0])

@@ -36,7 +36,6 @@ class Config(msgspec.Struct):
 def main(config):
     '''In the place of a node: what its config asks for.'''
     print(config.task, flush=True)
-    SUPERVISOR_LINK.restored_state()
     SUPERVISOR_LINK.beat(time.monotonic_ns() // 1000)
     match config.task:
         case "exits":

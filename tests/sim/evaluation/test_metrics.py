@@ -95,7 +95,7 @@ def test_errors_are_drift_since_the_descent_began_and_the_absolute_one_is_not(me
     """The fix at the surface is (10, -4) off. Then the truth drifts by (0, 4), the estimate by (3, 4)."""
     feed(metrics, truth(0, 100.0, 200.0), estimate(0, 110.0, 196.0), plan(0, reference_m=(110.0, 196.0)))
     feed(metrics, truth(S, 100.0, 204.0), estimate(S, 113.0, 200.0))
-    tracking, true, localisation, absolute = metrics.errors()
+    tracking, true, localisation, absolute = metrics.track.errors()
     assert tracking.final == pytest.approx(5.0)  # the estimate is (3, 4) off the line
     assert true.final == pytest.approx(4.0)  # the truth has left its own start by (0, 4)
     assert localisation.final == pytest.approx(3.0)  # the estimate has drifted from the truth by (3, 0)
@@ -106,7 +106,7 @@ def test_mean_maximum_and_final_are_over_the_estimates_after_zero(metrics: RunMe
     feed(metrics, plan(0, reference_m=(0.0, 0.0)))
     for t_s, north_m in ((-1, 50.0), (0, 0.0), (1, 1.0), (2, 6.0), (3, 2.0)):
         feed(metrics, truth(t_s * S, 0.0, 0.0), estimate(t_s * S, north_m, 0.0))
-    tracking, _, _, _ = metrics.errors()
+    tracking, _, _, _ = metrics.track.errors()
     assert (tracking.mean, tracking.max, tracking.final) == pytest.approx((3.0, 6.0, 2.0))
 
 
@@ -115,19 +115,19 @@ def test_depth_is_in_no_error(metrics: RunMetrics) -> None:
     for t_s in (0, 1):
         deep = msgspec.structs.replace(truth(t_s * S, 0.0, 0.0), position_m=(0.0, 0.0, 20.0 * t_s))
         feed(metrics, deep, estimate(t_s * S, 0.0, 0.0))
-    assert [error.max for error in metrics.errors()] == [0.0, 0.0, 0.0, 0.0]
+    assert [error.max for error in metrics.track.errors()] == [0.0, 0.0, 0.0, 0.0]
 
 
 def test_the_truth_at_an_estimates_time_is_interpolated(metrics: RunMetrics) -> None:
     feed(metrics, truth(0, 0.0, 0.0), truth(2 * S, 8.0, 0.0), estimate(0, 0.0, 0.0), estimate(S, 0.0, 0.0))
-    assert metrics.errors()[2].final == pytest.approx(4.0)
+    assert metrics.track.errors()[2].final == pytest.approx(4.0)
 
 
 def test_the_reference_is_that_of_the_newest_plan_and_before_the_first_that_one(metrics: RunMetrics) -> None:
     feed(metrics, plan(-S, reference_m=None), plan(2 * S, reference_m=(1.0, 0.0)), plan(4 * S, reference_m=(5.0, 0.0)))
     for t_s in range(6):
         feed(metrics, truth(t_s * S, 0.0, 0.0), estimate(t_s * S, 0.0, 0.0))
-    tracking = metrics.errors()[0]
+    tracking = metrics.track.errors()[0]
     assert tracking.mean == pytest.approx((1 + 1 + 1 + 5 + 5) / 5)
 
 
@@ -138,7 +138,7 @@ def test_the_target_of_a_path_moves_evenly_from_plan_to_plan_at_their_first_knot
     feed(metrics, truth(0, 0.0, 0.0), estimate(0, 0.0, 0.0))
     for t_s, north in ((2, 2.0), (3, 4.0), (4, 6.5)):
         feed(metrics, truth(t_s * S, north, 0.0), estimate(t_s * S, north, 0.0))
-    tracking = metrics.errors()[0]
+    tracking = metrics.track.errors()[0]
     assert tracking.max == pytest.approx(0.5)
     assert tracking.mean == pytest.approx(0.5 / 3)
 
@@ -146,16 +146,16 @@ def test_the_target_of_a_path_moves_evenly_from_plan_to_plan_at_their_first_knot
 def test_without_any_reference_the_line_passes_through_the_estimate_at_zero(metrics: RunMetrics) -> None:
     for t_s in range(3):
         feed(metrics, truth(t_s * S, 0.0, 0.0), estimate(t_s * S, 7.0 + t_s, 0.0))
-    assert metrics.errors()[0].final == pytest.approx(2.0)
+    assert metrics.track.errors()[0].final == pytest.approx(2.0)
 
 
 def test_a_run_that_never_left_the_surface_has_no_figures(metrics: RunMetrics) -> None:
     feed(metrics, truth(-S, 0.0, 0.0), estimate(-S, 0.0, 0.0), applied(-S, 3.0))
-    assert {error.mean for error in metrics.errors()} == {None}
-    assert metrics.thrust().mean_abs_N is None
-    assert metrics.end_to_end_delay().median is None
-    assert metrics.stages() == {}
-    assert metrics.until_ns == -S
+    assert {error.mean for error in metrics.track.errors()} == {None}
+    assert metrics.commands.thrust().mean_abs_N is None
+    assert metrics.delays.end_to_end().median is None
+    assert metrics.delays.stages() == {}
+    assert metrics.track.until_ns == -S
 
 
 def test_the_energy_is_that_of_revolutions_and_torque_from_zero_on(metrics: RunMetrics) -> None:
@@ -164,7 +164,7 @@ def test_the_energy_is_that_of_revolutions_and_torque_from_zero_on(metrics: RunM
     for t_s in range(-1, 5):
         report = msgspec.structs.replace(applied(t_s * S, 62.5, 0.0), thrust_N=(62.5, 0.0, 62.5))
         feed(metrics, msgspec.structs.replace(ahead, t_ns=t_s * S), report)
-    thrust = metrics.thrust()
+    thrust = metrics.commands.thrust()
     assert thrust.lateral_energy_J == pytest.approx(4 * 101.06, abs=0.1)
     assert thrust.propulsive_energy_J == pytest.approx(4 * (101.06 + 85.86), abs=0.1)
     assert thrust.relative_power == pytest.approx(0.5)
@@ -180,7 +180,7 @@ def test_thrust_figures_are_over_time_of_the_lateral_commands_from_zero_on(metri
         applied(4 * S, 62.5 - 0.9e-6, 20.0, slew=(0.0, 82.5, 999.0)),
         applied(5 * S, 0.0, 0.0, slew=(62.5, 20.0, 999.0)),
     )
-    thrust = metrics.thrust()
+    thrust = metrics.commands.thrust()
     assert thrust.saturated_fraction == pytest.approx(2 / 5)
     assert thrust.max_abs_N == 62.5
     port_Ns = 5.0 + 36.25 + 125.0 + 31.25
@@ -201,14 +201,14 @@ def test_the_delivered_slew_is_that_of_the_lateral_thrust_from_zero_on(metrics: 
     for ms, thrust_N in at_ms.items():
         feed(metrics, msgspec.structs.replace(truth(ms * MS, 0.0, 0.0), thrust_N=thrust_N))
     feed(metrics, applied(0, 0.0, 0.0), applied(S, 0.0, 0.0))
-    assert metrics.thrust().max_delivered_slew_N_per_s == pytest.approx(170.0)
+    assert metrics.commands.thrust().max_delivered_slew_N_per_s == pytest.approx(170.0)
 
 
 def test_a_command_inside_the_box_or_between_its_bounds_is_not_saturated(metrics: RunMetrics) -> None:
     inside_N = 62.5 - 2e-6
     feed(metrics, applied(0, inside_N, 62.5), applied(S, inside_N, -62.5), applied(2 * S, -inside_N, -inside_N))
     feed(metrics, applied(3 * S, -inside_N, -inside_N))
-    assert metrics.thrust().saturated_fraction == 0.0
+    assert metrics.commands.thrust().saturated_fraction == 0.0
 
 
 def test_each_thruster_is_held_against_its_own_box(vehicle: Vehicle) -> None:
@@ -218,13 +218,13 @@ def test_each_thruster_is_held_against_its_own_box(vehicle: Vehicle) -> None:
     metrics = RunMetrics(lame)
     feed(metrics, applied(0, 20.0, 0.0), applied(S, 20.0, 20.0), applied(2 * S, 0.0, 20.0))
     feed(metrics, applied(3 * S, -10.0, -10.0), applied(4 * S, -10.0, -10.0))
-    assert metrics.thrust().saturated_fraction == 0.5
+    assert metrics.commands.thrust().saturated_fraction == 0.5
 
 
 def test_a_vertical_thruster_at_its_limit_counts_by_itself(metrics: RunMetrics) -> None:
     for t_s, vertical_N in enumerate((62.5, 62.5, 62.5, 10.0, -62.5, -62.5)):
         feed(metrics, msgspec.structs.replace(applied(t_s * S, 0.0, 0.0), command_N=(0.0, 0.0, vertical_N)))
-    thrust = metrics.thrust()
+    thrust = metrics.commands.thrust()
     assert thrust.vertical_saturated_fraction == pytest.approx(3 / 5)
     assert thrust.saturated_fraction == 0.0
 
@@ -235,7 +235,7 @@ def test_a_surface_craft_has_no_vertical_thruster_to_be_at_a_limit(vehicle: Vehi
     )
     metrics = RunMetrics(craft)
     feed(metrics, applied(0, 0.0, 0.0), applied(S, 0.0, 0.0))
-    assert metrics.thrust().vertical_saturated_fraction is None
+    assert metrics.commands.thrust().vertical_saturated_fraction is None
 
 
 def test_end_to_end_delay_ends_at_the_plans_start_or_its_later_arrival(metrics: RunMetrics) -> None:
@@ -244,38 +244,38 @@ def test_end_to_end_delay_ends_at_the_plans_start_or_its_later_arrival(metrics: 
     feed(metrics, applied(1390 * MS, taken=(7, 0, 1350 * MS)))  # in time: takes effect at its start
     feed(metrics, applied(1490 * MS, taken=(7, 0, 1350 * MS)))  # the same plan again is no other plan
     feed(metrics, applied(2690 * MS, taken=(7, 1, 2600 * MS)))  # late: takes effect when it arrives
-    delay = metrics.end_to_end_delay()
+    delay = metrics.delays.end_to_end()
     assert (delay.median, delay.max) == pytest.approx(((0.5 + 0.7) / 2, 0.7))
 
 
 def test_a_plan_of_another_epoch_with_the_same_number_is_another_plan(metrics: RunMetrics) -> None:
     feed(metrics, plan(0, start_ns=S, estimate_t_ns=0), epoch=7, sequence=0)
     feed(metrics, applied(S, taken=(8, 0, 0)))
-    assert metrics.end_to_end_delay().max is None
+    assert metrics.delays.end_to_end().max is None
 
 
 def test_wall_delays_are_vehicle_delays_divided_by_the_clock_speed_then(vehicle: Vehicle) -> None:
     metrics = RunMetrics(vehicle, speed=10.0)
     feed(metrics, plan(0, start_ns=S, estimate_t_ns=0), sequence=0)
     feed(metrics, applied(S, taken=(1, 0, 0)))
-    assert metrics.end_to_end_delay(wall=True).max == pytest.approx(0.1)
+    assert metrics.delays.end_to_end(wall=True).max == pytest.approx(0.1)
     slower = clock(at_us=0, vehicle_ns=0, state=ClockState.RUNNING)
     feed(metrics, slower, plan(2 * S, start_ns=3 * S, estimate_t_ns=S), sequence=1)
     feed(metrics, applied(3 * S, taken=(1, 1, 0)))
-    assert metrics.end_to_end_delay(wall=True).max == pytest.approx(2.0 / 2.5)
-    assert metrics.end_to_end_delay().max == pytest.approx(2.0)
+    assert metrics.delays.end_to_end(wall=True).max == pytest.approx(2.0 / 2.5)
+    assert metrics.delays.end_to_end().max == pytest.approx(2.0)
 
 
 def test_the_speed_reached_is_that_from_the_start_to_the_last_change_of_the_clock(vehicle: Vehicle) -> None:
     metrics = RunMetrics(vehicle, speed=10.0)
-    assert metrics.speed_reached() is None
+    assert metrics.clock.reached() is None
     waiting = clock(at_us=0, vehicle_ns=-S, state=ClockState.WAITING)
     feed(metrics, waiting)
-    assert metrics.speed_reached() is None
+    assert metrics.clock.reached() is None
     feed(metrics, clock(at_us=3_000_000, vehicle_ns=-S, state=ClockState.RUNNING))
     feed(metrics, clock(at_us=4_000_000, vehicle_ns=4 * S, state=ClockState.RUNNING))
     feed(metrics, clock(at_us=5_000_000, vehicle_ns=5 * S, state=ClockState.PAUSED))
-    assert metrics.speed_reached() == pytest.approx(3.0)
+    assert metrics.clock.reached() == pytest.approx(3.0)
 
 
 def clock(*, at_us: int, vehicle_ns: int, state: ClockState) -> Clock:
@@ -296,7 +296,7 @@ def clock(*, at_us: int, vehicle_ns: int, state: ClockState) -> Clock:
 def test_compute_delay_has_median_p99_and_max_in_vehicle_and_wall_seconds(metrics: RunMetrics) -> None:
     for ms in range(1, 101):
         feed(metrics, timing(0, compute_ns=10 * ms * MS, wall_ns=ms * MS))
-    vehicle, wall = metrics.compute_delay(), metrics.compute_delay(wall=True)
+    vehicle, wall = metrics.delays.compute(), metrics.delays.compute(wall=True)
     assert (vehicle.median, vehicle.max) == pytest.approx((0.505, 1.0))
     assert vehicle.p99 == pytest.approx(0.9901)  # linear between the 99th and the 100th of 100
     assert (wall.median, wall.max) == pytest.approx((0.0505, 0.1))
@@ -307,7 +307,7 @@ def test_stages_span_the_estimates_age_to_the_plans_start_in_wall_microseconds(v
     feed(metrics, timing(0, 0, age_ns=80 * MS, predict=11.0, solve=100.0), timing(0, 0, age_ns=80 * MS, solve=300.0))
     feed(metrics, plan(0, start_ns=50 * MS), sequence=3, t_ns=20 * MS)
     feed(metrics, applied(60 * MS, taken=(1, 3, 30 * MS)))
-    stages = metrics.stages()
+    stages = metrics.delays.stages()
     assert list(stages) == ["age", "predict", "solve", "transport", "apply"]
     assert {name: stage.median for name, stage in stages.items()} == pytest.approx(
         {"age": 40_000.0, "predict": 11.0, "solve": 200.0, "transport": 5_000.0, "apply": 10_000.0}
@@ -333,10 +333,10 @@ def test_plans_are_counted_by_health_and_its_reason(metrics: RunMetrics) -> None
 
 
 def test_the_arrival_is_that_of_the_first_plan_that_says_so(metrics: RunMetrics) -> None:
-    assert metrics.arrived_s() is None
+    assert metrics.track.arrived_s is None
     for sequence, (t_ns, arrived) in enumerate(((0, False), (S, True), (2 * S, True), (3 * S, False), (4 * S, True))):
         feed(metrics, msgspec.structs.replace(plan(t_ns), arrived=arrived), sequence=sequence)
-    assert metrics.arrived_s() == 1.0
+    assert metrics.track.arrived_s == 1.0
 
 
 def test_misses_and_refusals_are_the_plants_last_word(metrics: RunMetrics) -> None:

@@ -77,10 +77,12 @@ def test_the_page_has_a_panel_for_each_field_with_the_means_and_shows_what_faile
     assert "1 failed: no &lt;such&gt; thing (point 1, seed 2)" in text
     own = text.replace(static_files.plotly(), "")
     assert not re.search(r'(src|href)="(http|//)', own)
-    horizon, sensors = json.loads(re.search(r'id="data">(.*?)</script>', text, re.S)[1])
-    assert [trace["name"] for trace in horizon["traces"]] == ["sensors paper", "sensors realistic"]
-    paper = horizon["traces"][0]
+    data = json.loads(re.search(r'id="data">(.*?)</script>', text, re.S)[1])
+    horizon, sensors = data["plots"]
+    labels = [series["label"] for series in horizon["series"] if series["style"] == "line"]
+    assert labels == ["sensors paper", "sensors realistic"]
+    paper = data["runs"][0]["tables"][horizon["series"][0]["table"]]
     assert paper["x"] == [2.5, 5.0, 10.0]
-    assert paper["y"] == pytest.approx([0.4 + 0.25, 0.4 + 0.5, 0.4 + 1.0])
-    assert all(e > 0 for e in paper["error_y"]["array"] + paper["error_y"]["arrayminus"])
-    assert sensors["layout"]["xaxis"]["type"] == "category"
+    assert paper["mean"] == pytest.approx([0.4 + 0.25, 0.4 + 0.5, 0.4 + 1.0])
+    assert all(low < mean < high for low, mean, high in zip(paper["low"], paper["mean"], paper["high"], strict=True))
+    assert sensors["x"]["rows"] == ["paper", "realistic"]

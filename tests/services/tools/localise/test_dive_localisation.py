@@ -87,7 +87,7 @@ def test_the_folder_holds_result_track_current_and_picture(
     out = tmp_path / "out"
     assert command(made, out=out) == 0
     assert capsys.readouterr().out.splitlines()[-1] == str(out)
-    assert sorted(path.name for path in out.iterdir()) == ["currents.csv", "localise.json", "localise.png", "track.csv"]
+    assert {path.name for path in out.iterdir()} == {"currents.csv", "localise.html", "localise.json", "track.csv"}
     result = json.loads((out / "localise.json").read_text())
     with (out / "track.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -99,7 +99,7 @@ def test_the_folder_holds_result_track_current_and_picture(
     water = read_prior(out / "currents.csv")
     assert water.depth_m[0] <= 2
     assert water.depth_m[-1] > 50
-    assert (out / "localise.png").read_bytes().startswith(b"\x89PNG")
+    assert "Position error against bottom track" in (out / "localise.html").read_text(encoding="utf-8")
     little = written_to(tmp_path, small())
     with pytest.raises(ConfigError, match="--force"):
         command(little, out=out)

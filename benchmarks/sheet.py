@@ -1,4 +1,4 @@
-"""Style sheet of every figure that matplotlib draws: sizes, fonts, colours, place of the legend, output files.
+"""Style sheet of the figures that matplotlib draws: sizes, fonts, colours, place of the legend, output files.
 
 The colours are those of ``services.reporting.plots.palette``. Legends stand above or below the axes, never on the data.
 """
