@@ -26,6 +26,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Authority, ControllerState, ControllerStatus, Message
 from services.bus.time_shift import shifted
 from services.bus.wire import MAX_PAYLOAD_BYTES, Header, decode, encode
+from services.run.folder import draft_of
 from services.runtime.clock import NO_BOOT_ID, boot_id
 from services.runtime.console import Console, Level
 
@@ -210,18 +211,11 @@ def parse(contents: bytes) -> tuple[Stamp, ControllerState]:
 
 def write(path: Path, folder: int, contents: bytes) -> None:
     """Replace a file so that a crash at any time leaves the old one or the new one. ``folder`` is its open folder."""
-    draft = path.with_name(path.name + ".part")
-    try:
-        with draft.open("wb") as file:
-            file.write(contents)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
-        os.fsync(folder)
-    except OSError:
-        with contextlib.suppress(OSError):
-            draft.unlink(missing_ok=True)
-        raise
+    with draft_of(path) as draft, draft.open("wb") as file:
+        file.write(contents)
+        file.flush()
+        os.fsync(file.fileno())
+    os.fsync(folder)
 
 
 def _after_reboot(state: ControllerState, t_ns: int) -> ControllerState:

@@ -12,6 +12,7 @@ from services.bus.time_shift import shifted
 from services.bus.topics import BY_TYPE, LATEST, STATES, source_of
 from services.bus.wire import decode
 from services.runtime.clock import monotonic_us
+from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 MAX_RECORDED_STEPS = 1000
 """Largest number of steps in a record: a frame has a largest size."""
@@ -38,23 +39,6 @@ class SavedState(Protocol):
         ...
 
 
-class SupervisorState:
-    """State that the supervisor has given to this process; it receives the later ones from the bus."""
-
-    def __init__(self, node: str, payload: bytes) -> None:
-        """``payload`` is the encoded state; empty if there is none to continue from."""
-        self.failures = 0
-        self._state = decode(STATES[node], payload)[0] if payload else None
-
-    def restored(self, t_ns: int, now_us: int, *, own_clock: bool) -> Message | None:
-        """Return the state as it was given."""
-        del t_ns, now_us, own_clock
-        return self._state
-
-    def keep(self, state: Message, now_us: int) -> None:
-        """Leave it to the bus."""
-
-
 class NodeIO:
     """Inbox, step records and outbox of one node; all of its messages have one epoch.
 
@@ -63,7 +47,10 @@ class NodeIO:
     """
 
     def __init__(self, node: str, outbox: Outbox, saved: SavedState | None = None) -> None:
-        """Begin with an empty inbox; ``saved`` keeps the node's states and may have one that it continues from."""
+        """Begin with an empty inbox; ``saved`` keeps the node's states and may have one that it continues from.
+
+        Without it the supervisor, which receives the states from the bus, may have given one.
+        """
         self._node = node
         self._outbox = outbox
         self._saved = saved
@@ -89,7 +76,11 @@ class NodeIO:
 
     def restore_state(self, t_ns: int, now_us: int, *, own_clock: bool) -> None:
         """Put the state that the node continues from, if there is one, at the head of its first inbox."""
-        state = None if self._saved is None else self._saved.restored(t_ns, now_us, own_clock=own_clock)
+        state: Message | None = None
+        if self._saved is not None:
+            state = self._saved.restored(t_ns, now_us, own_clock=own_clock)
+        elif SUPERVISOR_LINK.state:
+            state = decode(STATES[self._node], SUPERVISOR_LINK.state)[0]
         if state is not None:
             self.publish_to_self(state, t_ns, first=True)
 

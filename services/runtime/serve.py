@@ -9,9 +9,8 @@ from services.bus.options import BusOptions
 from services.bus.session import BusError, Stopped
 from services.runtime.clock import ClockError
 from services.runtime.console import Console
-from services.runtime.node_io import SavedState, SupervisorState
+from services.runtime.node_io import SavedState
 from services.runtime.stopping import FAILED, Say, StopRequest, stop_on_signals
-from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 if TYPE_CHECKING:
     from services.runtime.runner import Runner
@@ -47,6 +46,6 @@ def serve(console: Console, bus: BusOptions, runner: Runner, saved: SavedState |
     """
 
     def work(_: StopRequest, say: Say) -> None:
-        runner.serve(bus, saved or SupervisorState(runner.name, SUPERVISOR_LINK.state), say)
+        runner.serve(bus, saved, say)
 
     return run_until_stopped(console, work, request=runner.stop)

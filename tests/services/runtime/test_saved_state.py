@@ -7,10 +7,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from ltv_mpc.messages import Acknowledgement, Authority, ControllerState, Estimate, InboxEntry, Message
+from ltv_mpc.messages import Acknowledgement, Authority, ControllerState, Estimate, InboxEntry, Message, StepRecord
 from services.bus.outbox import Outbox
 from services.bus.wire import Header, encode
-from services.runtime.node_io import NodeIO, SupervisorState
+from services.runtime.node_io import NodeIO
+from services.runtime.supervisor_link import SUPERVISOR_LINK
 from tests.services.bus.messages import CONTROLLER_STATE
 
 STOPPED = ControllerState(t_ns=5, authority=Authority.STOPPED)
@@ -62,12 +63,13 @@ def test_the_state_to_continue_from_comes_before_messages_that_have_waited(opene
     assert [type(arrival.message) for arrival in io.take_inbox(7, "cycle")] == [ControllerState, Estimate]
 
 
-def test_the_supervisor_s_state_is_returned_as_it_was_given() -> None:
-    found = SupervisorState("controller", encode(CONTROLLER_STATE, Header(epoch=0, sequence=0))).restored(
-        1, 2, own_clock=False
-    )
-    assert isinstance(found, ControllerState)
-    assert (found.t_ns, found.depth_integral_N) == (CONTROLLER_STATE.t_ns, CONTROLLER_STATE.depth_integral_N)
-    assert found.disturbance.mean.tolist() == CONTROLLER_STATE.disturbance.mean.tolist()
-    for node in ("controller", "sensors"):
-        assert SupervisorState(node, b"").restored(1, 2, own_clock=False) is None
+def test_the_supervisor_s_state_is_the_first_message_as_it_was_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus = SimpleNamespace(publisher=lambda _: SimpleNamespace(put=lambda _: None))
+    io = NodeIO("controller", Outbox(bus, node="controller", epoch=3, kinds=(ControllerState, StepRecord)))  # type: ignore[arg-type]
+    io.restore_state(7, 8, own_clock=False)
+    assert io.take_inbox(7, "cycle") == []  # it has given none
+    given = encode(CONTROLLER_STATE, Header(epoch=0, sequence=0))
+    monkeypatch.setattr(SUPERVISOR_LINK, "state", given)
+    io.restore_state(7, 8, own_clock=False)
+    (arrival,) = io.take_inbox(7, "cycle")
+    assert encode(arrival.message, Header(epoch=0, sequence=0)) == given
