@@ -55,9 +55,10 @@ of a strong current, and a wider one makes a current of the model's error in the
 PROFILE_SD_MPS, PROFILE_WALK_MPS_PER_RTS, FADING_S = 0.02, 0.001, 10.0
 """Prior standard deviation and random walk of the bias of a profile, and time constant with which it fades."""
 
-NOISE_SHARE, CARRIED = 0.0015, 400.0
-"""Default noise of the velocity over ground, over the top speed: what is unmodelled grows with a vehicle's speed; and
-the variance of the velocity by waves, over that of the noise, from which the waves carry the vehicle.
+NOISE_SHARE, YIELDS, CARRIED = 0.0015, 40.0, 400.0
+"""Default noise of the velocity over ground, over the top speed: what is unmodelled grows with a vehicle's speed. And
+variances of the velocity by waves, over that of the noise: that to which the vehicle yields, beyond what an undeclared
+arm or a thruster that is suddenly weak looks like; and that by which the waves carry the vehicle.
 """
 
 ARM_WALK_M_PER_RTS = 1e-3
@@ -216,8 +217,8 @@ class DisturbanceObserver:
 
     @property
     def _waves_share(self) -> float:
-        """Share of the displacement by waves that is used: more than noise."""
-        return _significance(float(self._track[SQUARE, 0]) / self._noise[0])
+        """Share of the displacement by waves that is used: more than what an arm or a wrong model looks like."""
+        return _significance(float(self._track[SQUARE, 0]) / (YIELDS * self._noise[0]))
 
     @property
     def covariance(self) -> Array:

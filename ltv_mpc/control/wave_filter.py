@@ -8,9 +8,9 @@ vehicle file. In each axis the innovation z of the velocity is that of three sta
 
 x' has the variance s^2 without end. With s = w = 0 the slow velocity is the estimated one. Innovations of right s and w
 are white, so both follow from their spectrum: w falls with the product of successive ones; s^2 rises with their power
-in the band of waves beyond that below it, relative to white noise, if they go to both sides. A wrong model shows below
-the band, in one direction, or is expected as long as the belief is uncertain. s^2 falls where innovations are less than
-it predicts.
+in the band of waves beyond that below it, relative to white noise, as far as they go to both sides. A wrong model shows
+below the band, in one direction, as a thruster that is suddenly weak, or is expected as long as the belief is
+uncertain. s^2 falls where innovations are less than it predicts.
 
 Sources: Fossen 2021, Handbook of marine craft hydrodynamics and motion control, section 13.2 (linear wave model); Mehra
 1970, IEEE T-AC 15(2) (noise from the correlation of innovations).
@@ -97,7 +97,7 @@ def correct_noise(track: Array, seconds: float, r2: Array, explained: Array, z: 
             band = track[FAST, i] - track[SLOW, i]
             track[HIGH, i] = max((1.0 - slow) * track[HIGH, i], band)
             track[LOW, i] = max((1.0 - slow) * track[LOW, i], -band)
-            power += 0.5 * track[HIGH, i] * track[LOW, i] / of_band
+            power += 0.8 * min(track[HIGH, i], track[LOW, i]) ** 2 / of_band
             power -= track[SLOW, i] ** 2 / of_slow + explained[i]
             excess += z[i] ** 2 - track[VV, i]
         moved[i], moving[i] = x / r2[i] * z[i], v / r2[i] * z[i]

@@ -59,12 +59,13 @@ MAX_DELAY_S, DELAY_STEP_S, STEP = 1.5, 0.05, 1e-4
 MODES, BANDS = 7, (0, 1, 3)
 """Half periods in a segment that are fitted, from 1 on, and the places where bands begin: 1, 2 to 3, 4 to 7."""
 
-SIGMAS = np.where(np.arange(SIZE) == MODEL + 2, 13.0, 10.0)
+SIGMAS = np.array([10.0] * ARM + [5.0] * 2 + [10.0, 10.0, 13.0] + [10.0] * (SIZE - MODEL - 3))
 """Unknowns over their standard deviations from which they are certain (docs/notes/wrong-file.md). Right files reach 11
-with the inertia, which velocities that are wrong for some seconds change by the Munk moment, and 9 with the others.
+with the inertia, which velocities that are wrong for some seconds change by the Munk moment, and 9 with the others; an
+arm is not named below 0.25 m.
 """
 
-BOUND_SIGMAS = 3.0
+BOUND_SIGMAS = np.where(SIGMAS < 10.0, 2.0, 3.0)
 """Standard deviations by which an unknown may be less than it seems: noise that the controller answers shifts it."""
 
 PREDICTED_AFTER_NS = 1_000_000_000

@@ -89,7 +89,7 @@ def test_the_report_has_track_thrusts_and_delays_and_no_empty_plot(recording: Pa
     text = (recording / "report.html").read_text()
     shown = data(text)
     assert [plot["name"] for plot in shown["plots"]] == [
-        *("track", "tracking", "heading", "thrust", "yaw_rate", "latency", "stages", "histogram")
+        *("track", "tracking", "north", "east", "heading", "thrust", "yaw_rate", "latency", "stages", "histogram")
     ]
     assert "vehicle foreign, times from 20" in text
     (run,) = shown["runs"]

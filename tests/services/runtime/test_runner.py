@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 import threading
 import time
 from collections import Counter
@@ -300,8 +301,8 @@ def test_a_slow_cycle_publishes_after_its_delay_and_the_next_one_waits_for_it(bu
     for timing, following in pairwise(timings):
         assert timing.compute_ns >= delay_ns
         assert following.t_ns >= timing.t_ns + timing.compute_ns - 1_000_000
-    for timing in timings[2:]:  # by then the clock has come to its speed
-        assert timing.compute_wall_ns == pytest.approx(timing.compute_ns / 4, rel=0.2)
+    ratios = [timing.compute_wall_ns / timing.compute_ns for timing in timings[2:]]  # the clock has come to its speed
+    assert statistics.median(ratios) == pytest.approx(1 / 4, rel=0.2)
 
 
 def test_arrival_across_keys_keeps_the_order_of_one_source(bus: BusOptions) -> None:

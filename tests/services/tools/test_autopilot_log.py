@@ -141,7 +141,7 @@ def test_a_log_that_cannot_be_used_is_one_line(tmp_path: Path, capsys: pytest.Ca
         ([str(log), "--vehicle", "bluerobotics-boat"], "SERVOn_FUNCTION: must have (73, 74)"),
         ([str(log), "--vehicle", "paper"], "SERVOn_FUNCTION"),
         ([str(log)], "option --vehicle: is needed"),
-        ([str(tmp_path / "none.tlog"), "--vehicle", "paper"], "none.tlog: cannot be read"),
+        ([str(tmp_path / "none.tlog"), "--vehicle", "paper"], "none.tlog: no such file"),
     ):
         assert run(["vehicle", "identify", *arguments]) == 2
         error = capsys.readouterr().err
