@@ -97,7 +97,7 @@ def correct_noise(track: Array, seconds: float, r2: Array, explained: Array, z: 
             band = track[FAST, i] - track[SLOW, i]
             track[HIGH, i] = max((1.0 - slow) * track[HIGH, i], band)
             track[LOW, i] = max((1.0 - slow) * track[LOW, i], -band)
-            power += 0.8 * min(track[HIGH, i], track[LOW, i]) ** 2 / of_band
+            power += 0.7 * min(track[HIGH, i], track[LOW, i]) ** 2 / of_band
             power -= track[SLOW, i] ** 2 / of_slow + explained[i]
             excess += z[i] ** 2 - track[VV, i]
         moved[i], moving[i] = x / r2[i] * z[i], v / r2[i] * z[i]

@@ -24,7 +24,8 @@ ROWS = {
     Row("bluerobotics-boat", "square", "mass=2"): 0.061,
     Row("bluerobotics-boat", "square", "thrust=0.7"): 0.083,
     Row("bluerobotics-boat", "square", "wind=0.1"): 0.103,
-    Row("paper", "square", "waves_V=0.15"): 0.06,
+    Row("bluerobotics-boat", "square", "waves_V=0.15"): 0.268,
+    Row("paper", "square", "waves_V=0.15"): 0.09,
     Row("bluerobotics-boat", "hold", "noise_m=0.3"): 0.064,
     Row("bluerobotics-boat", "hold", "dead_time_s=0.3"): 0.016,
 }

@@ -39,7 +39,7 @@ def test_a_late_page_in_a_browser_shows_the_figures_of_the_verdict(browser: Any,
         until(lambda: publisher.outs["plant"].publish(status("plant")) or page.inner_text("#link") == "live")
         for tenth in range(JOIN_S * 10 + 1, END_S * 10 + 1):
             publisher.publish(tenth / 10)
-        tracking, true, *_ = verdict().errors()
+        tracking, true, *_ = verdict().track.errors()
         assert true.final is not None
         assert tracking.final is not None
         assert abs(true.final - tracking.final) > 0.1  # one cannot pass for the other

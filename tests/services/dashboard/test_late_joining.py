@@ -147,12 +147,12 @@ def test_a_page_that_a_busy_machine_kept_from_reading_lacks_nothing(tmp_path: Pa
 
 def check_whole(feed: BusFeed, publisher: Publisher) -> None:
     """Check that the page shows the figures of the verdict, and the dive from its start."""
-    _, true, *_ = verdict().errors()
+    _, true, *_ = verdict().track.errors()
     shown = pytest.approx(true.final, abs=SPEED_NORTH_MPS * CYCLE_NS / S)  # the newest waits for a plan
     until(lambda: distance_m(feed) == shown or publisher.repeat())
     assert "since_s" not in feed.collector.values
     energy = feed.collector.tables["energy"].since(0)["all_J"][-1]
-    assert energy == pytest.approx(verdict().thrust().propulsive_energy_J, rel=0.02)
+    assert energy == pytest.approx(verdict().commands.thrust().propulsive_energy_J, rel=0.02)
     track = feed.collector.tables["truth"].since(0)["t_s"]
     assert track == sorted(set(track))  # type: ignore[type-var]
 

@@ -92,7 +92,13 @@ CAUSES: dict[str, tuple[str, dict[str, Any], list[str], str | None, dict[str, An
         None,
         {"water": {"sd_mps": 0.1}},
     ),
-    "weak thrusters": ("hover", LONG | mismatch(thrust=0.2), ["thrust differs", "The thrusters are weak"], None, RIGHT),
+    "weak thrusters": (
+        "hover",
+        {**LONG, "duration_s": 35.0} | mismatch(thrust=0.2),
+        ["thrust differs", "The thrusters are weak"],
+        None,
+        RIGHT,
+    ),
     "one weak thruster": (
         "hover",
         SHORT | mismatch(port_thrust=0.3),

@@ -220,7 +220,7 @@ def test_while_it_has_released_nothing_is_learned_and_then_the_boat_does_not_lun
     assert (track @ way).max() < 0.3
     assert distance_m(track[-500:]).max() < 0.3
     np.testing.assert_allclose(observer.bias_mps, believed, atol=0.05)
-    assert flight.plans[-1].health is Health.NOMINAL
+    assert (flight.plans[-1].health, flight.plans[-1].health_why) == (Health.NOMINAL, "")
 
 
 def test_what_acts_is_the_command_of_the_override_and_zero_once_it_is_released() -> None:
