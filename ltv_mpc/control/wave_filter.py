@@ -29,8 +29,10 @@ BAND_RADPS, DAMPING = 1.3, 0.4
 FAST_S, SLOW_S = 0.5, 4.0
 """Time constants of two means of the innovations: the band is the difference, and below it is the slow mean."""
 
-WHITE_SHARE, GROWING_SHARE, FALLING_SHARE = 0.03, 0.3, 0.05
-"""Shares of the newest products of innovations in w, and of their power, or lack of it, in s^2."""
+WHITE_SHARE, GROWING_SHARE, FALLING_SHARE, PEAK_SHARE = 0.03, 0.3, 0.05, 0.7
+"""Shares of the newest products of innovations in w, and of their power, or lack of it, in s^2; and variance over the
+square of the smaller peak of both sides: 0.5 for a sine, more for waves, whose peaks differ.
+"""
 
 WHITE, SQUARE, MOST, INNOVATION, FAST, SLOW, HIGH, LOW, MOVED, MOVING, DD, DX, DV, XX, XV, VV, NIS, SIZE = range(18)
 """Rows of a track (SIZE, 3), with a column for each of surge, sway and yaw: w; the last innovation, its two means, and
@@ -97,7 +99,7 @@ def correct_noise(track: Array, seconds: float, r2: Array, explained: Array, z: 
             band = track[FAST, i] - track[SLOW, i]
             track[HIGH, i] = max((1.0 - slow) * track[HIGH, i], band)
             track[LOW, i] = max((1.0 - slow) * track[LOW, i], -band)
-            power += 0.7 * min(track[HIGH, i], track[LOW, i]) ** 2 / of_band
+            power += PEAK_SHARE * min(track[HIGH, i], track[LOW, i]) ** 2 / of_band
             power -= track[SLOW, i] ** 2 / of_slow + explained[i]
             excess += z[i] ** 2 - track[VV, i]
         moved[i], moving[i] = x / r2[i] * z[i], v / r2[i] * z[i]
