@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.rivals import pid
+from benchmarks.rivals.pid import PERIOD_S
 from benchmarks.rivals.search import Span
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Applied, Array, Estimate, Pair
@@ -32,7 +33,6 @@ PATH_SPANS = {
     "k_u": Span(5.0, 500.0),  # N s/m
     "k_ui": Span(0.1, 100.0),  # N/m
 }
-PERIOD_S = 0.1
 SWITCH_M = 1.0
 """Distance from the end of a leg at which the next one begins."""
 
