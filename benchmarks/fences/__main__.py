@@ -1,4 +1,4 @@
-"""Fences in random scenes: violations and arrivals, beside the rivals.
+"""Fences in random scenes: violations and arrivals.
 
     .venv/bin/python -m benchmarks.fences --out DIR [--scenes N] [--moving N] [--methods NAME ...] [--report-s S]
         [--workers N]
@@ -10,15 +10,11 @@ obstacle crosses the lane instead, reported every 10 s or ``--report-s``. The ve
 its clearance is taken every 0.1 s. Methods:
 
     fence   the controller with the fence
-    hard    the controller with one QP a cycle, in which the fence's rows are hard, solved by PIQP
-    bent    the controller, with waypoints round the grown zones as its reference, and no fence
-    pid     heading and surge to the same waypoints, by a cascade of P laws
-    ipopt   the controller with the fence; each of its problems is solved to convergence by CasADi and IPOPT
     sensors the whole loop with realistic sensors, of the vehicles that dive; the clearance is that of the true vehicle
 
 A scene counts as violated if the hull is in a zone at any time, and as arrived if the vehicle has come within its
 length scale of the point. Scenes that DIR has already are not flown again; ``--minutes`` ends a call early, and the
-next one continues. docs/notes/fences-study.md has the results, and names the other commands of the study.
+next one continues. docs/notes/fences-study.md has the results, also of rivals.
 """
 
 from __future__ import annotations
@@ -78,27 +74,6 @@ def remarkable(found: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def against_ipopt(found: dict[str, dict[str, Any]]) -> str:
-    """Return arrivals and costs of the controller over those of the converged optimum, in the scenes of both."""
-    pairs = [(row, found.get(key.replace("ipopt", "fence"))) for key, row in found.items() if " ipopt " in key]
-    both = [(theirs, ours) for theirs, ours in pairs if ours is not None]
-    if not both:
-        return ""
-    arrived = [(theirs, ours) for theirs, ours in both if theirs["arrived"]]
-    also = [(theirs, ours) for theirs, ours in arrived if ours["arrived"]]
-    lines = [f"IPOPT arrives in {len(arrived)} of {len(both)}; the controller in {len(also)} of these"]
-    for same in (True, False):
-        some = [(theirs, ours) for theirs, ours in also if (theirs["sides"] == ours["sides"]) == same]
-        if some:
-            for name in ("cost", "duration_s", "way_m"):
-                low, middle, high = np.quantile([ours[name] / theirs[name] for theirs, ours in some], [0.05, 0.5, 0.95])
-                lines.append(
-                    f"{'same' if same else 'other'} sides, {len(some)} scenes, {name}: "
-                    f"ratio {middle:.3f} at the median, {low:.3f} to {high:.3f} in 90 %"
-                )
-    return "\n".join(lines)
-
-
 def _key(job: Job) -> str:
     kind = "zones" if not job.moving else "moving" if job.report_s == REPORT_S else f"moving, {job.report_s:g} s"
     kind += "" if job.model == "right" else f", {job.model} model"
@@ -110,7 +85,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=1000)
     parser.add_argument("--moving", type=int, default=300)
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:4])
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:1])
     parser.add_argument("--report-s", type=float, default=REPORT_S, help="time between two reports of an obstacle")
     parser.add_argument("--model", choices=MODELS, default="right", help="how the true vehicle differs from its file")
     parser.add_argument("--workers", type=int, default=1)
@@ -138,7 +113,7 @@ def main() -> None:
             store.append(_key(missing[place]), flown._asdict())
             progress.advance(task)
         found = dict(store.results())
-    print("\n\n".join(text for text in (table(found), against_ipopt(found), remarkable(found)) if text))
+    print("\n\n".join(text for text in (table(found), remarkable(found)) if text))
 
 
 if __name__ == "__main__":
