@@ -23,20 +23,17 @@ import argparse
 import math
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
 
-from benchmarks.fences.flight import METHODS, MODELS, REPORT_S, Job, fly
+from benchmarks.batch import keep_each
+from benchmarks.fences.flight import METHODS, MODELS, REPORT_S, Flown, Job, fly
 from benchmarks.fences.full_loop import DIVING
 from benchmarks.fences.scenes import scene_of
-from services.tools.batch.executor import run_each
-from services.tools.batch.results_store import open_store
+from services.tools.batch.results_store import decode, open_store
 
 
-def table(found: dict[str, dict[str, Any]]) -> str:
+def table(found: dict[str, Flown]) -> str:
     """Return the table of violations and arrivals by method."""
     lines = [
         "| scenes | method | flown | violated | least clearance (m) | depth in a margin, 95 % (m) | arrived | "
@@ -46,13 +43,13 @@ def table(found: dict[str, dict[str, Any]]) -> str:
     for kind in sorted({key.rsplit(" ", 2)[0] for key in found}, reverse=True):
         for method in METHODS:
             flown = [row for key, row in found.items() if key.startswith(f"{kind} {method} ")]
-            flown = [row for row in flown if math.isfinite(row["clearance_m"])]
+            flown = [row for row in flown if math.isfinite(row.clearance_m)]
             if not flown:
                 continue
-            least = np.array([row["clearance_m"] for row in flown])
-            entered = np.quantile([row["entered_m"] for row in flown], 0.95)
-            times = [row["duration_s"] for row in flown if row["arrived"]]
-            unsolved, cycles = sum(len(row["unsolved_s"]) for row in flown), sum(row["cycles"] for row in flown)
+            least = np.array([row.clearance_m for row in flown])
+            entered = np.quantile([row.entered_m for row in flown], 0.95)
+            times = [row.duration_s for row in flown if row.arrived]
+            unsolved, cycles = sum(len(row.unsolved_s) for row in flown), sum(row.cycles for row in flown)
             lines.append(
                 f"| {kind} | {method} | {len(flown)} | {(least < 0.0).sum()} | {least.min():.3f} | "
                 f"{entered:.3f} | {len(times)} | {np.median(times) if times else math.nan:.0f} | "
@@ -61,12 +58,12 @@ def table(found: dict[str, dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def remarkable(found: dict[str, dict[str, Any]]) -> str:
+def remarkable(found: dict[str, Flown]) -> str:
     """Return the flights with the fence that violated, did not arrive, or had a cycle that was not solved."""
     lines = []
     for key, row in sorted(found.items()):
-        if " fence " in key and (row["clearance_m"] < 0.0 or not row["arrived"] or row["unsolved_s"]):
-            first = f", first at {row['unsolved_s'][0]:.1f} s" if row["unsolved_s"] else ""
+        if " fence " in key and (row.clearance_m < 0.0 or not row.arrived or row.unsolved_s):
+            first = f", first at {row['unsolved_s'][0]:.1f} s" if row.unsolved_s else ""
             lines.append(
                 f"{key}: clearance {row['clearance_m']:.3f} m, {'arrived' if row['arrived'] else 'not arrived'} "
                 f"after {row['duration_s']:.0f} s, {len(row['unsolved_s'])} of {row['cycles']} cycles unsolved{first}"
@@ -106,13 +103,15 @@ def main() -> None:
         if method != "sensors"
     ]
     end_s = time.monotonic() + 60.0 * options.minutes
-    with open_store(options.out, {"benchmark": "fences"}) as store, Progress(console=Console(stderr=True)) as progress:
-        missing = [job for job in jobs if _key(job) not in store.keys]
-        task = progress.add_task("flights", total=len(jobs), completed=len(jobs) - len(missing))
-        for place, flown in run_each(fly, missing, workers=options.workers, stop=lambda: time.monotonic() > end_s):
-            store.append(_key(missing[place]), flown._asdict())
-            progress.advance(task)
-        found = dict(store.results())
+    with open_store(options.out, {"benchmark": "fences"}) as store:
+        keep_each(
+            fly,
+            {_key(job): job for job in jobs},
+            store,
+            workers=options.workers,
+            stop=lambda: time.monotonic() > end_s,
+        )
+        found = {key: decode(flown, Flown) for key, flown in store.results()}
     print("\n\n".join(text for text in (table(found), remarkable(found)) if text))
 
 

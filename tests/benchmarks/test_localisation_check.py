@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.batch import Job
 from benchmarks.localisation_check import check
 from benchmarks.localisation_check.probe import Record, Squares, descend
-from benchmarks.lockstep_job import Job
 from services.tools import lockstep_run
 from sim.evaluation.consistency import band
 
