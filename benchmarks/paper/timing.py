@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
 from typing import NamedTuple
 
 from benchmarks.paper.renderer import Run
@@ -41,7 +40,7 @@ class Timed(NamedTuple):
     machine: Machine
 
 
-def timed(cycles: int, *, seed: int = 0, progress: Callable[[], None]) -> Timed:
+def timed(cycles: int, *, seed: int = 0) -> Timed:
     """Measure this number of cycles at each horizon, on the problems of ``ltv-mpc profile``."""
     before = load()
     found = []
@@ -49,9 +48,7 @@ def timed(cycles: int, *, seed: int = 0, progress: Callable[[], None]) -> Timed:
         config = settled(ControllerConfig(horizon_s=horizon_s), VEHICLE)
         episodes = problems.simulated(config.stages, cycles, seed)
         warm_up = problems.simulated(config.stages, 1, seed)[0]._replace(cycles=min(WARM_UP, cycles))
-        (samples,) = measure(
-            episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=lambda _: progress()
-        )
+        (samples,) = measure(episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=lambda _: None)
         found.append(Cycle(horizon_s, config.reach_s, paper_s, Spread.of(samples.cycle_us), samples))
     return Timed(found, machine(before))
 
