@@ -85,6 +85,9 @@ class Faults(NamedTuple):
     repeated: float = 0.0
 
 
+BAD = Faults(lost=0.2, reordered=0.2, repeated=0.2)
+
+
 class MavlinkFlight(Flight):
     """Flight whose estimates and thrusts pass through the edge and the autopilot."""
 
