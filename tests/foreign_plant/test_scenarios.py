@@ -34,7 +34,7 @@ AWAY: dict[str, Any] = {"heading_rad": 1.0, "start_m": (3.0, -2.0)}
 def off_north(flight: Flight, metres: float) -> Source:
     """Return another publisher of the estimate, which is as far to the north."""
     hull = flight.hull
-    return "estimate", Sender(), lambda t_ns: {**hull.estimate(t_ns), "north_m": hull.x[0] + metres}
+    return "estimate", Sender(), lambda t_ns: {**hull.estimate(t_ns), "north_m": float(hull.x[0]) + metres}
 
 
 def not_of_the_newest(flight: Flight) -> int:
@@ -265,7 +265,7 @@ def evidence(flight: Flight, shares: tuple[float, float], seconds: float) -> lis
     flight.follow_square()
     flight.fly(12.0)
     begin = len(flight.outputs)
-    flight.hull.shares = shares
+    flight.hull.plant.outside[4:] = shares
     flight.fly(seconds)
     return [message for message in flight.outputs[begin:] if isinstance(message, ModelCheck)]
 
@@ -274,9 +274,9 @@ def test_a_weak_thruster_in_the_hold_is_named_and_forgotten_when_it_has_recovere
     """Starboard delivers a quarter of what it reports for a minute; half of that small thrust is not found."""
     flight = Flight(armed=True)
     flight.fly(30.0)
-    flight.hull.shares = 1.0, 0.25
+    flight.hull.plant.outside[4:] = 1.0, 0.25
     assert farthest_m(flight.fly(60.0)) < 0.1
-    flight.hull.shares = 1.0, 1.0
+    flight.hull.plant.outside[4:] = 1.0, 1.0
     assert farthest_m(flight.fly(40.0)) < 0.05
     begin_ns = flight.plans[0].cycle_t_ns
     weak = [plan for plan in flight.plans if "starboard thruster weak" in plan.health_why]
