@@ -17,12 +17,12 @@ import sys
 
 import numpy as np
 
+from benchmarks.localisation_check.consistency import band
 from benchmarks.localisation_check.probe import descend
 from benchmarks.lockstep_job import Job
 from ltv_mpc.messages import Array
 from services.tools.batch.executor import run_each
 from services.tools.dive_plan.plan import DESCENT_S, Dive, fly
-from sim.evaluation.consistency import band
 from sim.random_streams import Stream, generator
 
 DEPTH_M = 40.0

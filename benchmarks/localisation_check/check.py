@@ -9,6 +9,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from benchmarks.localisation_check.consistency import Consistency, band, consistency
 from benchmarks.localisation_check.judgement import (
     LEVEL,
     MIN_DRAWS,
@@ -25,7 +26,6 @@ from benchmarks.lockstep_job import Job
 from ltv_mpc.messages import Array
 from services.tools.batch.executor import run_each
 from services.tools.batch.results_store import ResultsStore, decode
-from sim.evaluation.consistency import Consistency, band, consistency
 
 MAX_RATIO = 1.2
 """Largest drift over bound."""
