@@ -142,6 +142,11 @@ def signal_is_sound(signal: Message) -> None:
         finite(signal)
 
 
+def signals_are_sound(signals: Sequence[Message]) -> None:
+    for signal in signals:
+        signal_is_sound(signal)
+
+
 def profile_is_sound(profile: CurrentProfile) -> None:
     shape = (len(profile.depth_m),)
     assert shape != (0,)
@@ -288,11 +293,7 @@ def ros2() -> Target:
                 signal_is_sound(late)
         return [output for output in outputs if not isinstance(output, Outgoing)] if edge.accepted > before[0] else None
 
-    def check(messages: Any) -> None:
-        for message in messages:
-            signal_is_sound(message)
-
-    return Target("ros2", 2, frame, take, check)
+    return Target("ros2", 2, frame, take, signals_are_sound)
 
 
 def ros2_example(ros_type: str) -> Any:
@@ -395,11 +396,7 @@ def mavlink() -> Target:
         outputs += [*edge.step(number * 1000), *edge.release(number * 1000)]
         return [one for one in outputs if not isinstance(one, Outgoing)] if edge.accepted > accepted else None
 
-    def check(messages: Any) -> None:
-        for message in messages:
-            signal_is_sound(message)
-
-    return Target("mavlink", 2, frame, take, check)
+    return Target("mavlink", 2, frame, take, signals_are_sound)
 
 
 def into_edges() -> Target:
@@ -430,11 +427,7 @@ def into_edges() -> Target:
             outputs += [*edge.step(state), *edge.release(state)]
         return [one for one in outputs if not isinstance(one, Outgoing)]
 
-    def check(messages: Any) -> None:
-        for message in messages:
-            signal_is_sound(message)
-
-    return Target("into edges", 2, frame, take, check)
+    return Target("into edges", 2, frame, take, signals_are_sound)
 
 
 def new_mavlink_edge() -> MavlinkEdge:
@@ -490,9 +483,8 @@ def command() -> Target:
         return node.step(t_ns, inbox)
 
     def check(said: Sequence[Message]) -> None:
-        for signal in said:
-            signal_is_sound(signal)
-            assert rejection_reason(signal) is None
+        signals_are_sound(said)
+        assert not any(map(rejection_reason, said))
 
     return Target("command", 0.5, of_text(seeds), take, check)
 
@@ -546,17 +538,18 @@ def of_text(seeds: Sequence[bytes]) -> Callable[[Random], bytes]:
 
 def settings() -> Iterator[Target]:
     """Targets: the files that a user writes."""
-    vehicles, suites = texts("ltv_mpc/vehicle/files"), texts("ltv_mpc/localisation/files", "examples/sensors")
     paths = [*texts("ltv_mpc/references/files", "examples/references"), TIMED_INLINE]
     controller = [b"horizon_s = 5.0\nmax_stages = 34\n[weights]\nposition = 1.0\n", b"period_s = 0.3\n[disturbance]\n"]
-    estimator = [b"current_sd_mps = 0.04\ndeepest_m = 100.0\ncell_m = 1.0\n"]
-    scenarios = texts("sim/scenarios")
-    yield file_reader("vehicle", 1.5, of_text(vehicles), lambda p: Vehicle.load(str(p)), file="vehicle.toml")
-    yield file_reader("sensors", 1.5, of_text(suites), lambda p: SensorConfig.load(str(p)), file="sensors.toml")
-    yield file_reader("scenario", 1.5, of_text(scenarios), lambda p: Scenario.load(str(p)), file="scenario.toml")
-    yield file_reader("reference", 1.5, of_text(paths), lambda p: references.load(str(p)), file="reference.toml")
-    yield file_reader("controller", 1, of_text(controller), lambda p: ControllerConfig.load(str(p)), file="c.toml")
-    yield file_reader("estimator", 1, of_text(estimator), lambda p: EstimatorConfig.load(str(p)), file="e.toml")
+    readers: dict[str, tuple[list[bytes], Callable[[str], Any]]] = {
+        "vehicle": (texts("ltv_mpc/vehicle/files"), Vehicle.load),
+        "sensors": (texts("ltv_mpc/localisation/files", "examples/sensors"), SensorConfig.load),
+        "scenario": (texts("sim/scenarios"), Scenario.load),
+        "reference": (paths, references.load),
+        "controller": (controller, ControllerConfig.load),
+        "estimator": ([b"current_sd_mps = 0.04\ndeepest_m = 100.0\ncell_m = 1.0\n"], EstimatorConfig.load),
+    }
+    for name, (seeds, load) in readers.items():
+        yield file_reader(name, 1.5, of_text(seeds), lambda path, load=load: load(str(path)), file=f"{name}.toml")
 
 
 TIMED_INLINE = b'kind = "timed"\nrows = [[0.0, 1.0, 2.0, 3.0], [10.0, 5.0, 2.0, 4.0], [20.0, 5.0, 9.0, 4.0]]\n'
@@ -726,10 +719,6 @@ def recordings() -> Iterator[Target]:
             with contextlib.suppress(WireError):
                 found.append(message.typed()[0])
         return found
-
-    def signals_are_sound(found: Sequence[Message]) -> None:
-        for signal in found:
-            signal_is_sound(signal)
 
     yield file_reader("recover", 0.6, frame, recovered, anything, file="run.mcap")
     yield file_reader("log info", 0.6, frame, lambda path: info.read([path]), finite, file="run.mcap")
