@@ -140,8 +140,8 @@ def _compared(run: Run, names: Sequence[str], progress: Progress) -> _Done:
     return _Done(tuple(map(_node_verdict, parts)), any(recording.cut for recording in recordings), *(span_ns or (0, 0)))
 
 
-def _node_verdict(part: NodeReplay[Comparison]) -> NodeVerdict:
-    counts = [outcome.counts for outcome in part.outcomes.values()]
+def _node_verdict(part: NodeReplay) -> NodeVerdict:
+    counts = [epoch.outcome for epoch in part.epochs.values() if isinstance(epoch.outcome, Comparison)]
     gaps = [epoch.gap for epoch in part.epochs.values() if epoch.gap is not None]
     return NodeVerdict(
         node=part.name,
@@ -192,7 +192,7 @@ def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Prog
         raise ConfigError("option --node", "", problem, value=only)
     started_s = time.monotonic()
     comparison = WhatIf(name)
-    part = NodeReplay(name, partial(other.make, name), comparison.epoch_outcome)
+    part = NodeReplay(name, partial(other.make, name), lambda _: comparison)
     feed(run.recordings(), [part], progress=progress)
     return WhatIfVerdict(
         recording=str(run.path),

@@ -10,8 +10,7 @@ from services.bus import wire
 from services.bus.wire import Header
 from services.recording.reader import StoredMessage
 from services.replay.comparison import Comparison
-from services.replay.epoch import REACH, Epoch
-from services.replay.frames import Frames
+from services.replay.epoch import REACH, Epoch, Frames
 
 
 def depth(sequence: int) -> tuple[StoredMessage, Header]:
@@ -68,9 +67,9 @@ def test_a_step_that_raises_only_in_the_replay_is_a_difference_and_ends_its_epoc
         StepRecord(node="sensors", epoch=7, step=1, steps=(raising, RecordedStep(t_ns=2, cause="grid", inbox=()))), 2
     )
     epoch.close()
-    assert (outcome.counts.compared, outcome.counts.identical) == (2, 1)
-    assert outcome.counts.first_difference is not None
-    assert (outcome.counts.first_difference.step, outcome.counts.first_difference.what) == (
+    assert (outcome.compared, outcome.identical) == (2, 1)
+    assert outcome.first_difference is not None
+    assert (outcome.first_difference.step, outcome.first_difference.what) == (
         1,
         "the replay raised ZeroDivisionError: at 1",
     )
@@ -115,8 +114,8 @@ def test_outputs_of_a_step_whose_record_a_new_recorder_has_missed_are_no_differe
     next output is there, of another one that comes later.
     """
     epoch, outcome = killed(depth(0), depth(2), ping(0))
-    assert outcome.counts.first_difference is None
-    assert (outcome.counts.compared, outcome.counts.identical) == (1, 1)
+    assert outcome.first_difference is None
+    assert (outcome.compared, outcome.identical) == (1, 1)
     assert epoch.gap is not None
     assert (epoch.gap.first_step, epoch.gap.steps) == (1, 1)
 
@@ -125,5 +124,5 @@ def test_an_output_that_the_replay_did_not_make_is_a_difference() -> None:
     for heard in ((depth(0), ping(0)), (depth(0), ping(0), ping(1)), (depth(0), depth(1), depth(2))):
         epoch, outcome = killed(*heard)
         assert epoch.gap is None
-        assert outcome.counts.first_difference is not None
-        assert outcome.counts.first_difference.what == "recorded, but not produced by the replay"
+        assert outcome.first_difference is not None
+        assert outcome.first_difference.what == "recorded, but not produced by the replay"
