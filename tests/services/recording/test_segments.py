@@ -88,6 +88,7 @@ def test_a_full_disk_returns_what_it_cannot_store_and_the_next_segment_has_what_
     with opened(path, clock=lambda: now_s) as writer:
         put(writer, 0)
         writer.flush_if_due(now=True)
+        flushed = path.read_bytes()
         assert writer.segment is not None
         writer.segment.file.write(b"half of a chunk")
         writer.segment.file.flush()
@@ -105,6 +106,7 @@ def test_a_full_disk_returns_what_it_cannot_store_and_the_next_segment_has_what_
         now_s = 1.5 * segments.RETRY_S
         put(writer, 4)
         assert writer.news() == ["recording continues in run.2.mcap"]
+    assert path.read_bytes() == flushed
     assert sequences(path) == [0]
     assert sequences(path.with_name("run.2.mcap")) == [4]
 
