@@ -135,13 +135,6 @@ def test_full_thrust_reaches_half_a_metre_a_second_ahead_and_a_fifth_down():
     assert heave_acceleration(-0.2, p.net_buoyancy, p) > 0.0  # drag brakes a rise
 
 
-def test_heave_is_thrust_less_both_drags_less_net_buoyancy():
-    """Computed by hand: 330 w' = 40 - 12 w - 700 |w| w - 30.5."""
-    assert P.net_buoyancy == pytest.approx(30.5)
-    assert 330 * heave_acceleration(0.5, 40.0, P) == pytest.approx(40 - 6 - 175 - 30.5)
-    assert 330 * heave_acceleration(-0.5, 40.0, P) == pytest.approx(40 + 6 + 175 - 30.5)
-
-
 def test_more_thrust_to_port_turns_clockwise():
     assert slope(np.zeros(6), np.array([10.0, -10.0]))[R] > 0.0
 
@@ -172,11 +165,13 @@ def draw(rng):
     return X, rng.uniform(-60, 60, 2), rng.uniform(-60, 60, 2), rng.normal(size=2) * 0.05, rng.normal(size=2) * 0.05
 
 
-def test_the_exact_discretisation_agrees_with_a_tight_independent_integrator():
+@pytest.mark.parametrize(("h", "atol"), [(0.3, 1e-5), (0.7, 3e-4), (1.5, 3e-4), (3.0, 3e-4)])
+def test_the_exact_discretisation_agrees_with_a_tight_independent_integrator(h, atol):
     rng = np.random.default_rng(1)
-    for _ in range(40):
+    for _ in range(40 if h == 0.3 else 5):
         X, u0, uh, c0, ch = draw(rng)
-        np.testing.assert_allclose(flow(X, u0, uh, c0, ch), integrated(X, u0, uh, c0, ch, 0.3, P), rtol=0, atol=1e-5)
+        expected = integrated(X, u0, uh, c0, ch, h, P)
+        np.testing.assert_allclose(flow(X, u0, uh, c0, ch, h), expected, rtol=0, atol=atol)
 
 
 def test_sensitivities_agree_with_finite_differences_of_the_exact_flow_to_1e_6():
@@ -223,23 +218,6 @@ def test_without_lag_a_thruster_delivers_its_command():
 def test_a_stage_is_cut_into_no_more_steps_than_its_length_needs(seconds, steps):
     """0.45 / 0.15 is not 3 in binary."""
     assert substeps(seconds) == steps
-
-
-@pytest.mark.parametrize("h", [0.7, 1.5, 3.0])
-def test_a_long_stage_agrees_with_an_independent_integrator_to_3e_4(h):
-    rng = np.random.default_rng(4)
-    for _ in range(5):
-        X = rng.uniform(-1, 1, 8) * [1.0, 1.0, 0.5, 0.3, 3.0, 0.4, 60.0, 60.0]
-        u0, uh = rng.uniform(-60, 60, (2, 2))
-
-        def rhs(t, y, u0=u0, uh=uh):
-            u = u0 + (uh - u0) * t / h
-            return np.concatenate([slope(y[:6], y[6:]), (u - y[6:]) / [P.lag_port, P.lag_starboard]])
-
-        out = np.empty(8)
-        advance_stage(X, u0, uh, ZERO, ZERO, h, P, lag_table(h, P), out)
-        want = solve_ivp(rhs, (0, h), X, method="DOP853", rtol=1e-9, atol=1e-11).y[:, -1]
-        np.testing.assert_allclose(out, want, rtol=0, atol=3e-4)
 
 
 @settings(max_examples=25)
