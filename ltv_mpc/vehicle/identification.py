@@ -143,10 +143,6 @@ class NotEnoughMotion(CannotIdentify):
     """Error of a run that is too short or too quiet for an identification."""
 
 
-class DivergedPrediction(CannotIdentify):
-    """Error of a run in which the motion predicted with the file's values diverges."""
-
-
 def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_yaw: KnownYaw = "arm") -> Identification:
     """Identify the coefficients of a vehicle from a motion.
 
@@ -161,7 +157,7 @@ def identify(vehicle: Vehicle, motion: Motion, known: Known = "thrust", known_ya
     ------
     NotEnoughMotion
         If the motion has fewer than ``MIN_SEGMENTS`` segments, is constant, or excites no coefficient.
-    DivergedPrediction
+    CannotIdentify
         If the predicted motion diverges.
     """
     fixed = {"thrust"} if known == "thrust" else {"mass_surge"}
@@ -224,7 +220,7 @@ def _solve(vehicle: Vehicle, motion: Motion, free: Sequence[str]) -> tuple[Shoot
     for final in (False, False, True):
         if not np.all(np.isfinite(fit.residuals(theta))):
             speed, rate = np.abs(motion.velocity[:, :2]).max(), np.abs(motion.velocity[:, 2]).max()
-            raise DivergedPrediction(
+            raise CannotIdentify(
                 f"the predicted motion diverges from that of the log, up to {speed:.3g} m/s and {rate:.3g} rad/s: "
                 "correct masses and damping in the vehicle file (vehicle check), or record its own motion alone"
             )

@@ -14,8 +14,7 @@ from hypothesis import given, settings
 
 from ltv_mpc import Fence
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.geofence.fence import Disc, fence_for
-from ltv_mpc.geofence.ring import ring_problem
+from ltv_mpc.geofence.fence import Disc, fence_for, ring_problem
 from ltv_mpc.messages import Array
 from ltv_mpc.references import Origin, Place, Point
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -202,7 +201,7 @@ def test_an_error_about_a_zone_of_geojson_names_the_feature(third: object, messa
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "is not valid JSON"),
+        ("{", "is not a JSON object"),
         ('{"type": "Feature"}', 'type: must be "FeatureCollection"'),
         (
             collection(feature("keep_in", "Polygon"), origin={"latitude_deg": 95.0, "longitude_deg": 5.0}),

@@ -161,7 +161,7 @@ HOME = "QGC WPL 110\n0 1 0 16 0 0 0 0 50.2 -5.1 0 1\n"
         ("m.waypoints", "QGC WPL 120\n", "line 1 = "),
         ("m.waypoints", HOME + "1 0 3 16 0 0 0 0 50.2 -5 0\n", "line 3 = "),
         ("m.waypoints", HOME, "has no path and no point"),
-        ("m.plan", "{", "is not valid JSON"),
+        ("m.plan", "{", "is not a JSON object"),
         ("m.plan", "{}", "mission: is not that of a plan"),
         ("m.plan", plan({"type": "ComplexItem", "complexItemType": "survey"}), "item 1: survey cannot be followed"),
         ("m.geojson", '{"type": "FeatureCollection", "features": []}', "they hold 0"),
