@@ -1025,13 +1025,13 @@ class NodeStatus(Message, frozen=True, kw_only=True, eq=False):
     node: Publisher
     t_ns: PublicationTime
     ready: Annotated[bool, Meta(description="the node can do its work")]
-    waiting_for: Annotated[str, Meta(description="what the node waits for; empty if nothing")]
-    steps: Annotated[Count, Meta(description="steps so far")]
+    waiting_for: Annotated[str, Meta(description="what the node waits for; empty if nothing")] = ""
+    steps: Annotated[Count, Meta(description="steps so far")] = 0
     published: Annotated[Count, Meta(description="messages published so far, on all keys")]
-    received: Annotated[Count, Meta(description="messages accepted so far")]
-    dropped: Annotated[Count, Meta(description="messages lost so far, by gaps in the sequences")]
-    rejected: Annotated[Count, Meta(description="messages rejected so far")]
-    step_us: Annotated[WallTime, Meta(description="mean wall time of a step since the last status")]
+    received: Annotated[Count, Meta(description="messages accepted so far")] = 0
+    dropped: Annotated[Count, Meta(description="messages lost so far, by gaps in the sequences")] = 0
+    rejected: Annotated[Count, Meta(description="messages rejected so far")] = 0
+    step_us: Annotated[WallTime, Meta(description="mean wall time of a step since the last status")] = 0.0
     min_queue_delay_us: Annotated[
         WholeWallTime,
         Meta(description="smallest wall time that a message waited since the last status; above 0: a standing queue"),
