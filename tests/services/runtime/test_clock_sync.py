@@ -11,6 +11,7 @@ import pytest
 from ltv_mpc.messages import Applied, ClockMode, ClockState, ClockStep, Estimate
 from services.runtime.clock import ClockSegment, VehicleClock
 from services.runtime.clock_sync import GRACE_US, ClockSync
+from tests.ltv_mpc.reports import report
 
 YEARS_NS = 1_763_740_800_000_000_000  # Unix time of late 2025
 EPOCH = 77
@@ -23,19 +24,7 @@ def estimate(t_ns: int) -> Estimate:
 
 
 def applied(t_ns: int, received_ns: int, sequence: int, epoch: int = EPOCH) -> Applied:
-    return Applied(
-        t_ns=t_ns,
-        thrust_N=(0.0, 0.0, 0.0),
-        command_N=(0.0, 0.0, 0.0),
-        command_slew_N_per_s=(0.0, 0.0, 0.0),
-        plan_epoch=epoch,
-        plan_sequence=sequence,
-        plan_cycle_t_ns=0,
-        plan_received_t_ns=received_ns,
-        plan_late=False,
-        plans_late=0,
-        plans_rejected=0,
-    )
+    return report(t_ns, (0, 0, 0), plan_epoch=epoch, plan_sequence=sequence, plan_received_t_ns=received_ns)
 
 
 def begun() -> tuple[VehicleClock, ClockSync, int]:

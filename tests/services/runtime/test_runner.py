@@ -11,7 +11,6 @@ from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
 import msgspec
-import numpy as np
 import pytest
 
 from ltv_mpc.messages import (
@@ -29,11 +28,8 @@ from ltv_mpc.messages import (
     Obstacle,
     Obstacles,
     Plan,
-    PlanOrigin,
     PressureDepth,
     RejectedFrame,
-    Solve,
-    SolveStatus,
     StepRecord,
     Truth,
 )
@@ -49,6 +45,8 @@ from services.runtime.clock_master import ClockMasterSettings
 from services.runtime.process_time import ClockOptions
 from services.runtime.runner import Runner
 from services.runtime.stopping import StopRequest
+from tests.ltv_mpc.reports import report
+from tests.services.edges.plans import plan
 from tests.stepping import as_sent
 from tests.waiting import until
 
@@ -100,15 +98,7 @@ def sensors() -> FakeNode:
 
 def controller(*more: type[Message], period_ns: int = 300_000_000) -> FakeNode:
     def step(t_ns: int, _: list[Message]) -> list[Message]:
-        plan = Plan(
-            cycle_t_ns=t_ns,
-            t_ns=np.array([t_ns, t_ns + 300_000_000]),
-            thrust_N=np.zeros((2, 3)),
-            states=np.zeros((2, 6)),
-            origin=PlanOrigin.SOLVED,
-            solve=Solve(status=SolveStatus.SOLVED),
-        )
-        return [plan]
+        return [plan(t_ns)]
 
     return FakeNode("controller", Cycle(period_ns), (Estimate, Applied, CycleTiming, *more), (Plan,), step)
 
@@ -376,19 +366,14 @@ def test_a_flood_does_not_keep_a_cycle_from_its_time(bus: BusOptions) -> None:
         until(lambda: len(node.inboxes) > 5)
 
 
-def answer(header: Header, plan: Plan, t_ns: int) -> Applied:
-    return Applied(
-        t_ns=t_ns,
-        thrust_N=ZERO,
-        command_N=ZERO,
-        command_slew_N_per_s=ZERO,
+def answer(header: Header, of: Plan, t_ns: int) -> Applied:
+    return report(
+        t_ns,
+        ZERO,
         plan_epoch=header.epoch,
         plan_sequence=header.sequence,
-        plan_cycle_t_ns=plan.cycle_t_ns,
+        plan_cycle_t_ns=of.cycle_t_ns,
         plan_received_t_ns=t_ns,
-        plan_late=False,
-        plans_late=0,
-        plans_rejected=0,
     )
 
 
@@ -405,7 +390,7 @@ def test_without_a_clock_estimates_give_the_time_and_what_contradicts_it_is_reje
         def said(*, answers: bool, ahead_ns: int = 0) -> bool:
             now_ns = offset_ns + time.monotonic_ns()
             out.publish(msgspec.structs.replace(Estimate.at_rest(), t_ns=now_ns + ahead_ns))
-            plans = [(header, plan) for _, plan, header in beside.heard if isinstance(plan, Plan)]
+            plans = [(header, message) for _, message, header in beside.heard if isinstance(message, Plan)]
             if plans and answers:
                 out.publish(answer(*plans[-1], now_ns))
             time.sleep(0.05)
@@ -423,9 +408,9 @@ def test_without_a_clock_estimates_give_the_time_and_what_contradicts_it_is_reje
     assert "no estimate received yet" in beside.of(RejectedFrame)[0].reason
     stamps = [message.t_ns for message in node.heard if isinstance(message, Estimate)]
     assert max(stamps) - min(stamps) < 600_000_000_000
-    for _, plan, header in beside.heard:
-        if isinstance(plan, Plan):
-            assert -1e9 < plan.cycle_t_ns - (offset_ns + header.sent_monotonic_us * 1000) <= reading.error_ns
+    for _, message, header in beside.heard:
+        if isinstance(message, Plan):
+            assert -1e9 < message.cycle_t_ns - (offset_ns + header.sent_monotonic_us * 1000) <= reading.error_ns
 
 
 @pytest.mark.parametrize("sync_to_inputs", [False, True], ids=["clock", "stamps"])
