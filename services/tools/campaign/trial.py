@@ -23,7 +23,7 @@ import msgspec
 import services
 from ltv_mpc.control import solvers
 from ltv_mpc.control.resolution import settled
-from ltv_mpc.errors import ConfigError, format_value, one_line
+from ltv_mpc.errors import ConfigError, one_line
 from ltv_mpc.messages import PlanOrigin, SolveStatus
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -31,8 +31,7 @@ from services.run.provenance import provenance_table
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from services.tools.campaign import keys
-from services.tools.campaign.design import Point
-from services.tools.campaign.file import metrics
+from services.tools.campaign.file import Point, metrics
 from services.tools.campaign.keys import Value
 from sim.evaluation.summary import Summary
 
@@ -87,10 +86,9 @@ def run(base: Base, version: str, trial: Trial) -> Row:
 
 def row_of(trial: Trial, version: str, failed: str = "") -> Row:
     """Return a row without metrics."""
-    nothing = dict.fromkeys([*metrics(), *(f"{table}.{name}" for table, names in COUNTS.items() for name in names)])
-    timing = {"host": platform.node(), "ended": datetime.now(UTC).isoformat(timespec="milliseconds"), "wall_s": None}
+    timing = {"host": platform.node(), "ended": datetime.now(UTC).isoformat(timespec="milliseconds")}
     who = {"point": trial.point, "seed": trial.seed, "version": version, "failed": failed or None}
-    return {**who, **trial.varied, **nothing, **timing}
+    return {**who, **trial.varied, **timing}
 
 
 def version_of(table: Mapping[str, str]) -> str:
@@ -113,7 +111,10 @@ def run_config(base: Base, settings: Mapping[str, Value], factors: Mapping[str, 
 
 
 def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> RunConfig:
-    own = [f"{key}={_toml(value)}" for key, value in keys.of_scenario(settings).items()]
+    own = [
+        f"{key}={str(value).lower() if isinstance(value, bool) else value}"
+        for key, value in keys.of_scenario(settings).items()
+    ]
     here = resolve(str(_folder(base) / "scenario.toml"), [Override("campaign", [*own, f"run.seed={seed}"])])
     if of_vehicle := keys.of(keys.VEHICLE, settings):
         vehicle = keys.with_values(here.vehicle, Vehicle, of_vehicle, keys.VEHICLE)
@@ -134,12 +135,6 @@ def flat(summary: Summary) -> Row:
     for table, names in COUNTS.items():
         row |= {f"{table}.{name}": plain[table].get(name, 0) for name in names}
     return row
-
-
-def _toml(value: Value) -> str:
-    return (
-        format_value(value) if isinstance(value, bool) else str(value) if not isinstance(value, float) else repr(value)
-    )
 
 
 @lru_cache(maxsize=4)
