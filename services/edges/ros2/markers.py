@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from ltv_mpc.geofence.obstacles import predicted_m
@@ -30,17 +31,18 @@ def zones_of(fence: FenceInForce, settings: Settings) -> Any:
     markers: list[dict[str, Any]] = [{"action": DELETE_ALL}]
     for zone in fence.zones:
         ring = zone.vertices_m.tolist()
-        shape = _cylinder(*ring[0], zone.radius_m) if zone.radius_m > 0.0 else _line([*ring, ring[0]])
+        shape = _cylinder(ring[0], zone.radius_m) if zone.radius_m > 0.0 else _line([*ring, ring[0]])
         markers.append(shape | {"ns": "zones", "text": zone.label, "color": KEEP_IN if zone.keep_in else KEEP_OUT})
     for obstacle in fence.obstacles:
-        shape = _cylinder(*predicted_m(obstacle, fence.t_ns), obstacle.radius_m)
+        shape = _cylinder(predicted_m(obstacle, fence.t_ns), obstacle.radius_m)
         markers.append(shape | {"ns": "obstacles", "text": f"obstacle {obstacle.id}", "color": OBSTACLE})
     for at, marker in enumerate(markers):
         marker |= {"id": at, "header": header(fence.t_ns, settings.frame)}
     return make("visualization_msgs/msg/MarkerArray", markers=markers)
 
 
-def _cylinder(north_m: float, east_m: float, radius_m: float) -> dict[str, Any]:
+def _cylinder(place_m: Sequence[float], radius_m: float) -> dict[str, Any]:
+    north_m, east_m = place_m
     pose = {"position": {"x": east_m, "y": north_m}, "orientation": {"w": 1.0}}
     return {"type": CYLINDER, "pose": pose, "scale": {"x": 2.0 * radius_m, "y": 2.0 * radius_m, "z": LINE_M}}
 
