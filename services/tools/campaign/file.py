@@ -36,7 +36,7 @@ import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -45,7 +45,7 @@ from scipy.stats import qmc
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.settings_schema import Type, is_text, scalar_fields, suggestion
+from ltv_mpc.settings_schema import Type, flat, is_text, scalar_fields, suggestion
 from services.tools.campaign.keys import KINDS, Value
 from sim.evaluation.summary import Summary
 
@@ -115,16 +115,14 @@ def load(path: Path) -> Campaign:
     """Read and check a campaign file; a scenario's FILE is relative to it. Raises ``ConfigError``."""
     source = f"campaign {path}"
     table = config.read_toml(path, what="campaign")
-    flat = dict(table)
     for name in ("set", "vary", "cross"):
         if isinstance(table.get(name), dict):
-            flat[name] = dict(_flatten_keys(table[name], ""))
+            table[name] = flat(table[name], whole="low")
     if isinstance(table.get("scale"), dict):
-        flat["scale"] = {
-            name: dict(_flatten_keys(powers, "")) if isinstance(powers, dict) else powers
-            for name, powers in table["scale"].items()
+        table["scale"] = {
+            name: flat(powers) if isinstance(powers, dict) else powers for name, powers in table["scale"].items()
         }
-    campaign = config.parse(flat, Campaign, source=source)
+    campaign = config.parse(table, Campaign, source=source)
     if config.is_path(campaign.scenario):
         campaign = msgspec.structs.replace(campaign, scenario=str(path.parent / campaign.scenario))
     for field, problem, value in _problems(campaign):
@@ -187,16 +185,6 @@ EXCLUDED_METRICS = frozenset(
 )  # fmt: skip
 """Keys of summary.json without a column, beside texts: seed, wall times, zones, and counts by name, which ``trial.py``
 adds."""
-
-
-def _flatten_keys(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    """Flatten nested tables to dotted keys; a table with ``low`` is a range."""
-    for key, value in table.items():
-        name = f"{prefix}.{key}" if prefix else key
-        if isinstance(value, dict) and "low" not in value:
-            yield from _flatten_keys(value, name)
-        else:
-            yield name, value
 
 
 Problem: TypeAlias = tuple[str, str, object]

@@ -26,12 +26,10 @@ VEHICLE, REFERENCE, CONTROLLER = "vehicle", "reference", "controller"
 
 def value_of(run_config: RunConfig, key: str) -> Value | None:
     """Return the value of a run's settings at ``key``; None if its table is left out."""
-    table, _, rest = key.partition(".")
-    owners = {VEHICLE: run_config.vehicle, REFERENCE: run_config.reference, CONTROLLER: run_config.controller}
-    plain = msgspec.to_builtins(owners.get(table, run_config.scenario))
-    for step in (rest if table in owners else key).split("."):
-        plain = plain.get(step) if isinstance(plain, dict) else None
-    return plain if isinstance(plain, bool | int | float | str) else None
+    tables = {VEHICLE: run_config.vehicle, REFERENCE: run_config.reference, CONTROLLER: run_config.controller}
+    plain = msgspec.to_builtins(run_config.scenario) | msgspec.to_builtins(tables)
+    value: Value | None = settings_schema.flat(plain).get(key)
+    return value
 
 
 def of(owner: str, settings: Mapping[str, Value]) -> dict[str, Value]:

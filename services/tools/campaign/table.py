@@ -28,7 +28,7 @@ def schema(campaign: Campaign) -> pa.Schema:
     values = [
         (key, pa.int64() if isinstance(kind, inspect.IntType) else pa.float64()) for key, kind in metrics().items()
     ]
-    counts = [(f"{table}.{name}", pa.int64()) for table, names in COUNTS.items() for name in names]
+    counts = [(key, pa.int64()) for key in COUNTS]
     measured = [("host", pa.string()), ("ended", pa.string()), ("wall_s", pa.float64())]
     return pa.schema([*who, *varied, *what, *values, *counts, *measured])
 
