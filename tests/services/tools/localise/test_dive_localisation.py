@@ -13,7 +13,7 @@ import pytest
 
 from ltv_mpc.currents import read_prior
 from ltv_mpc.errors import ConfigError
-from services.cli.localise import localise as command
+from services.cli.dives import localise as command
 from services.tools.localise.dive_localisation import COLUMNS, Outcome, localise
 from services.tools.localise.text import text as dive_text
 from tests.recorded.glider import World, dive
