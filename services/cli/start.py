@@ -255,11 +255,11 @@ def _run_processes(
 ) -> int:
     from services.dashboard.config import About
     from services.dashboard.sidecar import Sidecar
-    from services.reporting.terminal import screen_for
+    from services.reporting.terminal import RunScreen
     from services.supervisor import supervisor
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in run_config.vehicle.thrusters]
-    screen = screen_for(run_config.scenario.title, limits)
+    screen = RunScreen(run_config.scenario.title, limits)
     about = About(
         name=f"{run_config.scenario.title} · vehicle {run_config.vehicle.name}",
         report=str(folder.report),
