@@ -11,7 +11,6 @@ from ltv_mpc.localisation.recorded_dive.filter import Track
 from ltv_mpc.messages import Array
 from services.reporting import report
 from services.reporting.plots import palette
-from services.reporting.plots.catalogue import TIME
 from services.reporting.plots.description import Axis, Plot, Series, Style
 from services.reporting.plots.newest import outline
 from services.reporting.plots.table import Columns, short
@@ -24,7 +23,6 @@ PLOTS = (
         title="Horizontal track",
         x=Axis("east (m)"),
         y=Axis("north (m)"),
-        over_time=False,
         equal=True,
         group=RESULT,
         series=(
@@ -37,7 +35,6 @@ PLOTS = (
     Plot(
         name="error",
         title="Position error against bottom track",
-        x=TIME,
         y=Axis("distance (m)"),
         group=RESULT,
         series=(
@@ -53,7 +50,6 @@ PLOTS = (
         title="Current at the end, with 1 sigma",
         x=Axis("current (m/s)"),
         y=Axis("depth (m)", downwards=True),
-        over_time=False,
         group=RESULT,
         series=tuple(
             series
