@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from pathlib import Path
 from typing import Annotated
 
@@ -49,10 +50,9 @@ def plan_(
     these sensors allow.
     """
     import msgspec
-    from rich.console import Console
-    from rich.progress import Progress
 
     from services.recording.reader import Recording
+    from services.reporting.terminal import progress_bar
     from services.run import folder
     from services.tools.dive_plan import plan, report
 
@@ -63,10 +63,10 @@ def plan_(
     wanted.run_config()
     recorded = None if against is None else report.recorded_drift(Recording(folder.find(against)))
     written = None if out is None else folder.open_folder(out, force=force)
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(f"dives with {sensors} sensors", total=plan.count_of_results(numbers, runs))
+    total, done = plan.count_of_results(numbers, runs), itertools.count(1)
+    with progress_bar(f"dives with {sensors} sensors") as progress:
         result = plan.plan(
-            wanted, fixes=numbers, runs=runs, limit_m=limit_m, progress=lambda count: progress.advance(task, count)
+            wanted, fixes=numbers, runs=runs, limit_m=limit_m, progress=lambda _: progress(next(done) / total)
         )
     result = msgspec.structs.replace(result, against=recorded)
     plain = show(result, lambda: report.text(result), as_json=as_json)

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import typer
 
-from services.cli.options import Force, Json, argument, group, invalid, option, plots_or_a_line, show
-
-if TYPE_CHECKING:
-    from services.reporting.report import Run
+from services.cli.options import Force, Json, argument, flag, group, invalid, option, plots_or_a_line, show
 
 
 def report(
@@ -35,6 +31,7 @@ def report(
     from services.reporting import report as page
     from services.reporting.terminal import reading_progress
     from services.run import folder
+    from services.tools.python_run import summary_of
 
     if runs is not None and len(runs) == 1 and (Path(runs[0]) / "campaign.toml").is_file():
         from services.tools.campaign import page as campaign_page
@@ -45,7 +42,10 @@ def report(
     recordings = [folder.find(text) for text in runs or [folder.LATEST]]
     if len(recordings) > page.MAX_RUNS:
         raise invalid("argument RUN", f"at most {page.MAX_RUNS} runs fit into one report")
-    shown = [_run(recording, name) for recording, name in zip(recordings, _names(recordings), strict=True)]
+    shown = [
+        page.Run(name=name, recording=recording, summary=summary_of(recording))
+        for recording, name in zip(recordings, _names(recordings), strict=True)
+    ]
     target = _target(recordings, out, force=force)
     with plots_or_a_line("report", wanted=True), reading_progress(", ".join(run.name for run in shown)):
         figures = page.write(shown, target)
@@ -74,13 +74,6 @@ def after_run(recording: Path, summary: dict[str, Any]) -> str:
     return f"report: {target}"
 
 
-def _run(recording: Path, name: str) -> Run:
-    from services.reporting.report import Run
-    from services.tools.python_run import summary_of
-
-    return Run(name=name, recording=recording, summary=summary_of(recording))
-
-
 def _names(recordings: Sequence[Path]) -> list[str]:
     """Return the names of the runs' folders, or their full paths if two names are equal."""
     names = [path.absolute().parent.name if path.name == "run.mcap" else path.stem for path in recordings]
@@ -88,14 +81,11 @@ def _names(recordings: Sequence[Path]) -> list[str]:
 
 
 def _target(recordings: Sequence[Path], out: Path | None, *, force: bool) -> Path:
-    from datetime import UTC, datetime
-
     from services.run import folder
 
     if out is None and len(recordings) == 1:
         return recordings[0].with_name(folder.REPORT)
-    if out is None:  # not by folder.make, which creates the folder of a run and links `latest` to it
-        out = folder.ROOT / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-report"
+    out = out or folder.make_default("report")
     target = out if out.suffix == ".html" else out / folder.REPORT
     if target.exists() and not force:
         raise invalid("option --out", "exists: name another, or add --force", value=str(target))
@@ -135,13 +125,10 @@ def replay(
             """Open the bar at the first progress: it starts a thread, and processes must be forked before that."""
             return shown.enter_context(run_progress_bar(*made.nodes.span_ns))
 
-        def progress(t_ns: int) -> None:
-            bar()(t_ns)
-
-        if with_ is not None:
-            would = nodes.what_if(made, with_, only=node, progress=progress)
+        if with_ is None:
+            verdict = nodes.replay(made, only=node, progress=lambda t_ns: bar()(t_ns))
         else:
-            verdict = nodes.replay(made, only=node, progress=progress)
+            would = nodes.what_if(made, with_, only=node, progress=lambda t_ns: bar()(t_ns))
     if with_ is not None:
         show(would, lambda: replay_text.what_if_text(would), as_json=as_json)
         return 0
@@ -152,13 +139,6 @@ def replay(
 log = group("log", "Inspect, recover or export the recording of a run.")
 
 RecordedRun: TypeAlias = Annotated[str, argument("RUN", "Recorded run: its folder, its run.mcap, or latest.")]
-
-
-class Format(enum.StrEnum):
-    """File format of an export."""
-
-    CSV = "csv"
-    PARQUET = "parquet"
 
 
 @log.command()
@@ -220,7 +200,7 @@ def recover(
 @log.command()
 def export(
     run: RecordedRun = "latest",
-    form: Annotated[Format, typer.Option("--format", help="Format of the tables.")] = Format.CSV,
+    form: Annotated[Literal["csv", "parquet"], flag("--format", "Format of the tables.")] = "csv",
     out: Annotated[
         Path | None, option("DIR", "Folder to write. Default: a folder with the name of the format in RUN.")
     ] = None,
@@ -234,12 +214,12 @@ def export(
 
     recording = folder.find(run)
     parts = segments(recording)
-    if form is Format.PARQUET:
+    if form == "parquet":
         tables.need_pyarrow()
-    place = folder.open_folder(out or recording.parent / form.value, force=force)
+    place = folder.open_folder(out or recording.parent / form, force=force)
     from services.reporting import log_text
     from services.reporting.terminal import reading_progress
 
-    with reading_progress(f"{recording} as {form.value}, twice"):
-        result = tables.export(parts, place, "csv" if form is Format.CSV else "parquet")
+    with reading_progress(f"{recording} as {form}, twice"):
+        result = tables.export(parts, place, form)
     show(result, lambda: f"{log_text.exported(result)}\n{place}", as_json=as_json)

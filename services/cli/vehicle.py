@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -103,21 +102,7 @@ def controller(
 
 vehicle = group("vehicle", "Create, check or identify a vehicle file.")
 
-Overwrite = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
-
-
-class Known(StrEnum):
-    """Quantity of surge and sway taken from the file."""
-
-    THRUST = "thrust"
-    MASS = "mass"
-
-
-class KnownYaw(StrEnum):
-    """Quantity of yaw taken from the file."""
-
-    ARM = "arm"
-    INERTIA = "inertia"
+Overwrite = Annotated[bool, flag("--force", "Replace a file that is there.")]
 
 
 @vehicle.command()
@@ -198,11 +183,11 @@ def identify(
         str | None, option("NAME|FILE", "Vehicle to start from. Default: that of the run.", "--vehicle")
     ] = None,
     known: Annotated[
-        Known, typer.Option("--known", help="Mass and thrust are not separable: take this one from the file.")
-    ] = (Known.THRUST),
+        Literal["thrust", "mass"], flag("--known", "Mass and thrust are not separable: take this one from the file.")
+    ] = "thrust",
     known_yaw: Annotated[
-        KnownYaw, typer.Option("--known-yaw", help="Inertia and arms are not separable: take this one from the file.")
-    ] = KnownYaw.ARM,
+        Literal["arm", "inertia"], flag("--known-yaw", "Inertia and arms are not separable: this is the file's.")
+    ] = "arm",
     out: Annotated[Path | None, option("FILE", "Write the identified vehicle.")] = None,
     force: Overwrite = False,
     as_json: Json = False,
@@ -217,7 +202,7 @@ def identify(
     from services.reporting.terminal import reading_progress
 
     with reading_progress(source if isinstance(source, Path) else source.recording):
-        report, identification = vehicle_identify.identify_run(source, loaded, known.value, known_yaw.value)
+        report, identification = vehicle_identify.identify_run(source, loaded, known, known_yaw)
     show(report, lambda: vehicle_identify.format_text(report), as_json=as_json)
     if out is not None:
         identified = vehicle_identify.identified_vehicle(source, loaded, identification)
