@@ -29,7 +29,7 @@ def ctl(
     file: Annotated[
         str | None,
         argument(
-            "NAME|FILE", "follow: a reference; fence: a FILE, or `none`; source: its NAME, or none for the order."
+            "NAME|FILE", "follow: a reference; fence: a FILE, or `none`; source: its NAME, or nothing."
         ),
     ] = None,
     force: Annotated[bool, flag("--force", "Arm although pre-arm checks fail; prints what it skips.")] = False,

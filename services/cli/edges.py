@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from services.cli.options import BusOptions, check_namespace, flag, invalid, needs, option, with_bus
 
@@ -15,11 +15,14 @@ if TYPE_CHECKING:
     from services.edges.ros2.topics import Row
 
 
+DDS, RMW_ZENOH = "ros2dds", "rmw_zenoh"
+
+
 @with_bus("ros2")
 def ros2(
     middleware: Annotated[
-        Literal["ros2dds", "rmw_zenoh"], flag("--middleware", "zenoh-bridge-ros2dds, or ROS 2 nodes with rmw_zenoh.")
-    ] = "ros2dds",
+        str, option(f"{DDS}|{RMW_ZENOH}", "zenoh-bridge-ros2dds, or ROS 2 nodes with rmw_zenoh.")
+    ] = DDS,
     domain_id: Annotated[int, option("D", "ROS_DOMAIN_ID, for rmw_zenoh.", min=0, max=232)] = 0,
     topic: Annotated[
         list[str] | None, option("NAME=/TOPIC", "Other topic for a row of docs/ros2.md; repeatable.")
@@ -42,9 +45,7 @@ def ros2(
     from ltv_mpc.vehicle.parameters import Vehicle
     from services.bus.session import configuration
 
-    if bus.certs is not None and middleware == "ros2dds":
-        problem = "only with --middleware rmw_zenoh: the keys of the bridge have no domain, and so no role"
-        raise invalid("option --certs", problem)
+    _check(middleware, bus)
     with needs("rosbags", "ros2", "ros2"):
         from services.edges.ros2.conversions import Settings
         from services.processes import ros2 as process
@@ -55,11 +56,20 @@ def ros2(
         bus=bus,
         ros=ros,
         rows=_rows(topic or (), array, scale),
-        domain_id=domain_id if middleware == "rmw_zenoh" else None,
+        domain_id=domain_id if middleware == RMW_ZENOH else None,
         edge=Settings(vehicle=Vehicle.load(vehicle), speed_mps=speed_mps, array=array, scale=scale),
         rate_hz=rate_hz,
     )
     return process.main(config)
+
+
+def _check(middleware: str, bus: BusOptions) -> None:
+    """Raise ``ConfigError`` for an unknown middleware, or one that cannot use certificates."""
+    if middleware not in (DDS, RMW_ZENOH):
+        raise invalid("option --middleware", f"must be {DDS} or {RMW_ZENOH}", value=middleware)
+    if bus.certs is not None and middleware == DDS:
+        problem = f"only with --middleware {RMW_ZENOH}: the keys of the bridge have no domain, and so no role"
+        raise invalid("option --certs", problem)
 
 
 def _rows(topics: Iterable[str], array: str, scale: float) -> tuple[Row, ...]:
