@@ -28,9 +28,7 @@ def ctl(
     action: Annotated[ActionName, argument("ACTION", "What it does; docs/operate.md.")],
     file: Annotated[
         str | None,
-        argument(
-            "NAME|FILE", "follow: a reference; fence: a FILE, or `none`; source: its NAME, or nothing."
-        ),
+        argument("NAME|FILE", "follow: a reference; fence: a FILE, or `none`; source: its NAME, or nothing."),
     ] = None,
     force: Annotated[bool, flag("--force", "Arm although pre-arm checks fail; prints what it skips.")] = False,
     *,
