@@ -46,8 +46,7 @@ def controller(
         int | None, option("PORT", "Serve /metrics for Prometheus on 127.0.0.1.", min=1, max=65535)
     ] = None,
     input_delay_s: Annotated[
-        float,
-        option("D", "Least delay of an estimate (s), used without clock and plan reports in applied.", min=0, max=10),
+        float, option("D", "Least delay of an estimate (s), without clock and plan reports in applied.", min=0, max=10)
     ] = 0.0,
     failed_qps: Annotated[
         Path | None, option("DIR", "Store QPs that were not solved here, for `ltv-mpc qp show`.")
