@@ -48,16 +48,10 @@ def controller(
     input_delay_s: Annotated[
         float, option("D", "Least delay of an estimate (s), without clock and plan reports in applied.", min=0, max=10)
     ] = 0.0,
-    failed_qps: Annotated[
-        Path | None, option("DIR", "Store QPs that were not solved here, for `ltv-mpc qp show`.")
-    ] = None,
+    failed_qps: Annotated[Path | None, option("DIR", "Store unsolved QPs here, for `ltv-mpc qp show`.")] = None,
     log_json: LogJson = False,
-    state: Annotated[
-        Path | None, option("DIR", "Keep a checkpoint here, and continue from it after a restart.")
-    ] = None,
-    resume_armed: Annotated[
-        bool, flag("--resume-armed", "Continue armed after a restart. Without it: disarmed.")
-    ] = False,
+    state: Annotated[Path | None, option("DIR", "Keep a checkpoint here, and continue from it after a start.")] = None,
+    resume_armed: Annotated[bool, flag("--resume-armed", "Continue armed; without it: disarmed.")] = False,
     resume_within_s: Annotated[
         float, option("S", "Largest age of a checkpoint that arms (s).", min=0, max=3600)
     ] = 60.0,
