@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from benchmarks.faults.effects import Interval
 from ltv_mpc.messages import Message, Plan, PlanOrigin, Solve, SolveStatus, Triple
 from ltv_mpc.node import Grid, Inbox
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.faults.interval import Interval
 
 PERIOD_NS = 100_000_000
 

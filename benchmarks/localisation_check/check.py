@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.batch import Job, keep_each
+from benchmarks.localisation_check.consistency import Consistency, band, consistency
 from benchmarks.localisation_check.judgement import (
     LEVEL,
     MIN_DRAWS,
@@ -23,7 +24,6 @@ from benchmarks.localisation_check.judgement import (
 from benchmarks.localisation_check.probe import Record, Squares, descend
 from ltv_mpc.messages import Array
 from services.tools.batch.results_store import ResultsStore, decode
-from sim.evaluation.consistency import Consistency, band, consistency
 
 MAX_RATIO = 1.2
 """Largest drift over bound."""

@@ -80,10 +80,13 @@ class Lqr:
 
     def _gain(self, u: float, Q: Array, R: Array) -> Array:
         """Return the gain (2, 6) at the trim speed u (m/s), in axes along the trim's heading."""
-        A, B = np.zeros((6, 6)), np.zeros((6, 2))
-        dynamics.jacobian(np.array([0.0, 0.0, u, 0.0, 0.0, 0.0]), np.zeros(2), self._p, A)
+        trim, step = np.array([0.0, 0.0, u, 0.0, 0.0, 0.0, 0.0, 0.0]), 1e-6
+        ahead, behind = (
+            np.array([dynamics.rates(*at[2:], 0.0, 0.0, 0.0, 0.0, self._p) for at in trim + side * step * np.eye(8)])
+            for side in (1.0, -1.0)
+        )
+        A, B = np.split((ahead - behind).T / (2.0 * step), [6], axis=1)
         A[3, 3] = -(self._p.linear_sway + 2.0 * self._p.quadratic_sway * self._sway_mps) / self._p.mass_sway
-        dynamics.thrust_gain(self._p, B)
         B *= self._most_N
         h = PERIOD_S
         held = expm(h * np.block([[A, B], [np.zeros((2, 8))]]))  # the thrust is held for a period
