@@ -231,7 +231,7 @@ class Injector:
         self._link = link
         self._delayed: list[tuple[int, int, str, bytes]] = []  # heap: due (ns), count, key, frame
         self._count = 0
-        self._events = sorted(  # time (ns), number of the fault, "begins" or "ends"
+        self._events: list[tuple[int, int, str]] = sorted(  # time (ns), number of the fault, "begins" or "ends"
             event
             for i, one in enumerate(config.injections)
             for event in ((one.interval.start_ns, i, "begins"), (one.interval.end_ns, i, "ends"))
