@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import msgspec
@@ -59,14 +60,16 @@ def check_fence(fence: Fence, hull_m: float, schedule: Schedule, start: Pair | N
     free = clearances(packed, path.points) - hull_m
     checks = [_zone(zone.label, zone.margin_m, free[:, z], path) for z, zone in enumerate(zones)]
     is_point = schedule.table[WAY, -1] == 0.0
-    problems: list[str] = []
-    notes: list[str] = []
+    problems, notes = list[str](), list[str]()
     if start is not None:
         problems += _start_problems(labels, packed.margin, clearances(packed, np.array([start]))[0] - hull_m)
     elif not is_point:
         problems += _start_problems(labels, np.zeros(len(labels)), free[0])
     lacking = free < packed.margin
-    problems += _end_problems(labels, lacking[-1], schedule, allowed, is_point=is_point)
+    if lacking[-1].any():
+        ends = "point" if is_point else "end of the path"
+        what = f"the {ends} is not allowed ({', '.join(label for z, label in enumerate(labels) if lacking[-1, z])})"
+        problems.append(_end_problem(what, schedule, allowed))
     if allowed is not schedule:
         for zone, check, no_way in zip(zones, checks, _blocked(allowed, router, lacking, path.way), strict=True):
             if check.in_margin_m > 0.0:
@@ -100,31 +103,22 @@ def _zone(label: str, margin_m: float, free: Array, path: PathSamples) -> ZoneCh
     )
 
 
-def _start_problems(labels: list[str], margin: Array, free: Array) -> list[str]:
-    """Return why the vehicle cannot begin where the hull has the distances ``free`` (Z,) from the zones."""
-    problems = []
+def _start_problems(labels: list[str], margin: Array, free: Array) -> Iterator[str]:
+    """Yield why the vehicle cannot begin where the hull has the distances ``free`` (Z,) from the zones."""
     for label, margin_m, free_m in zip(labels, margin.tolist(), free.tolist(), strict=True):
         if free_m < 0.0:
-            problems.append(f"the start is not allowed: hull {distance(free_m)} of {label}")
+            yield f"the start is not allowed: hull {distance(free_m)} of {label}"
         elif free_m < margin_m:
-            where = f"hull {distance(free_m)} from it, margin {margin_m:g} m"
-            problems.append(f"the start is in the margin of {label}: {where}")
-    return problems
+            yield f"the start is in the margin of {label}: hull {distance(free_m)} from it, margin {margin_m:g} m"
 
 
-def _end_problems(
-    labels: list[str], lacking: Mask, schedule: Schedule, allowed: Schedule, *, is_point: bool
-) -> list[str]:
-    """Return where the vehicle ends instead, if the end lacks the distance from zones, ``lacking`` (Z,)."""
-    if not lacking.any():
-        return []
-    zones = ", ".join(label for label, lacks in zip(labels, lacking, strict=True) if lacks)
-    what = f"the {'point' if is_point else 'end of the path'} is not allowed ({zones})"
+def _end_problem(what: str, schedule: Schedule, allowed: Schedule) -> str:
+    """Return where the vehicle ends instead of an end that is not allowed."""
     if allowed is schedule:
-        return [f"{what}, and no allowed point is near it"]
+        return f"{what}, and no allowed point is near it"
     end, moved = schedule.table[[NORTH, EAST], -1], allowed.table[[NORTH, EAST], -1]
     place = f"({moved[0]:.1f}, {moved[1]:.1f})"
-    return [f"{what}: the vehicle holds at {place} instead, {math.dist(end, moved):.1f} m away"]
+    return f"{what}: the vehicle holds at {place} instead, {math.dist(end, moved):.1f} m away"
 
 
 def _blocked(allowed: Schedule, router: Router, lacking: Mask, way: Array) -> Mask:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import msgspec
 import numpy as np
@@ -74,14 +75,19 @@ def check_mission(
     drift_m = None if can.turn_90deg_s is None else current_mps * can.turn_90deg_s
     stop = stopping(vehicle, speed_mps) if speed_mps > 0.0 else (0.0, 0.0)
     stopping_m = None if stop is None else stop[0] + current_mps * stop[1]
-    problems = _current_problems(vehicle, current_mps) + _heading_problems(vehicle, reference, current_mps, can)
     limits = limits or MotionLimits()
-    problems += _corridor_problems(reference, limits.max_cross_track_m, drift_m, current_mps)
-    problems += _depth_problems(largest, bottom if isinstance(bottom, float) else None, limits)
-    if schedule is None:
-        problems += _unchecked_problems(fence, bottom)
+    problems = [
+        *_current_problems(vehicle, current_mps),
+        *_heading_problems(vehicle, reference, current_mps, can),
+        *_corridor_problems(reference, limits.max_cross_track_m, drift_m, current_mps),
+        *_depth_problems(largest, bottom if isinstance(bottom, float) else None, limits),
+    ]
     lowest = None
-    if isinstance(bottom, Bathymetry) and schedule is not None:
+    if schedule is None:
+        why = "is not checked: the reference begins where the vehicle is; give this position with --start NORTH,EAST"
+        unchecked = {"--fence": fence is not None, "--bottom": isinstance(bottom, Bathymetry)}
+        problems += [f"{option} {why}" for option, is_given in unchecked.items() if is_given]
+    elif isinstance(bottom, Bathymetry):
         lowest, too_deep = check_bottom(bottom, schedule, limits.min_altitude_m or 0.0)
         problems += too_deep
     zones, corridor_m, needed_m, notes = [], None, None, reference.notes(vehicle)
@@ -91,11 +97,16 @@ def check_mission(
         found = check_fence(fence, hull_m, schedule, start)
         zones, duration_s = found.zones, found.duration_s
         notes += found.notes
-        problems += found.problems + _margin_problems(zones, stopping_m, speed_mps)
+        problems += [*found.problems, *_margin_problems(zones, stopping_m, speed_mps)]
         corridor_m = None if found.narrowest is None else found.narrowest[0]
         if drift_m is not None:
             needed_m = 2.0 * hull_m + 2.0 * found.widest_margin_m + drift_m
-            problems += _width_problems(found.narrowest, needed_m, drift_m, current_mps)
+            if found.narrowest is not None and found.narrowest[0] < needed_m:
+                problems.append(
+                    f"the corridor is {corridor_m:.1f} m wide at {found.narrowest[1]:.0f} m of the path: the vehicle "
+                    f"needs {needed_m:.1f} m, hull and two margins and {drift_m:.1f} m of drift while it turns into "
+                    f"{current_mps:g} m/s"
+                )
     return MissionCheck(
         length_m=0.0 if schedule is None else float(schedule.table[WAY, -1]),
         duration_s=duration_s,
@@ -162,94 +173,67 @@ def _schedule(vehicle: Vehicle, reference: Reference, start: Pair | None) -> tup
     return Schedule(np.hstack([column, column]), 0.0), column[-1], 0.0
 
 
-def _unchecked_problems(fence: Fence | None, bottom: float | Bathymetry | None) -> list[str]:
-    """Return what is not checked because the position of the reference is not known."""
-    why = "is not checked: the reference begins where the vehicle is; give this position with --start NORTH,EAST"
-    unchecked = {"--fence": fence is not None, "--bottom": isinstance(bottom, Bathymetry)}
-    return [f"{option} {why}" for option, is_given in unchecked.items() if is_given]
-
-
-def _width_problems(narrowest: Pair | None, needed_m: float, drift_m: float, current_mps: float) -> list[str]:
-    """Return where the allowed path is narrower than the width that the vehicle needs."""
-    if narrowest is None or narrowest[0] >= needed_m:
-        return []
-    return [
-        f"the corridor is {narrowest[0]:.1f} m wide at {narrowest[1]:.0f} m of the path: the vehicle needs "
-        f"{needed_m:.1f} m, hull and two margins and {drift_m:.1f} m of drift while it turns into {current_mps:g} m/s"
-    ]
-
-
-def _margin_problems(zones: list[ZoneCheck], stopping_m: float | None, speed_mps: float) -> list[str]:
-    """Return the margins that are shorter than the stopping distance, of zones that the path comes that near to."""
+def _margin_problems(zones: list[ZoneCheck], stopping_m: float | None, speed_mps: float) -> Iterator[str]:
+    """Yield the margins that are shorter than the stopping distance, of zones that the path comes that near to."""
     if stopping_m is None:
-        return [f"the vehicle does not stop from {speed_mps:.2f} m/s, so no margin is long enough"]
-    return [
-        f"{zone.zone}: stopping from {speed_mps:.2f} m/s takes {stopping_m:.1f} m, margin {zone.margin_m:g} m"
-        for zone in zones
-        if stopping_m > zone.margin_m and zone.clearance_m < stopping_m
-    ]
+        yield f"the vehicle does not stop from {speed_mps:.2f} m/s, so no margin is long enough"
+        return
+    takes = f"stopping from {speed_mps:.2f} m/s takes {stopping_m:.1f} m"
+    for zone in zones:
+        if stopping_m > zone.margin_m and zone.clearance_m < stopping_m:
+            yield f"{zone.zone}: {takes}, margin {zone.margin_m:g} m"
 
 
-def _current_problems(vehicle: Vehicle, current_mps: float) -> list[str]:
-    """Return why the vehicle cannot stay in the current, or can do so only without a reserve of thrust."""
-    limits = path_limits(vehicle)
-    if current_mps < limits.cruise_mps:
-        return []
+def _current_problems(vehicle: Vehicle, current_mps: float) -> Iterator[str]:
+    """Yield why the vehicle cannot stay in the current, or can do so only without a reserve of thrust."""
+    limits, current = path_limits(vehicle), f"a current of {current_mps:g} m/s"
     if current_mps >= limits.top_mps:
-        return [
-            f"a current of {current_mps:g} m/s carries the vehicle away: full thrust holds {limits.top_mps:.2f} m/s"
-        ]
-    return [
-        f"a current of {current_mps:g} m/s takes more than 80 % of the thrust, which hold {limits.cruise_mps:.2f} m/s: "
-        f"full thrust makes {limits.top_mps - current_mps:.2g} m/s against it, without a reserve for waves and steering"
-    ]
+        yield f"{current} carries the vehicle away: full thrust holds {limits.top_mps:.2f} m/s"
+    elif current_mps >= limits.cruise_mps:
+        left = f"full thrust makes {limits.top_mps - current_mps:.2g} m/s against it"
+        yield (
+            f"{current} takes more than 80 % of the thrust, which hold {limits.cruise_mps:.2f} m/s: {left}, without a "
+            "reserve for waves and steering"
+        )
 
 
-def _heading_problems(vehicle: Vehicle, reference: Reference, current_mps: float, can: Performance) -> list[str]:
-    """Return at which angles to the current the vehicle holds a fixed heading, and what pushes it at others."""
+def _heading_problems(vehicle: Vehicle, reference: Reference, current_mps: float, can: Performance) -> Iterator[str]:
+    """Yield at which angles to the current the vehicle holds a fixed heading, and what pushes it at others."""
     if not isinstance(reference, Point | Hold) or reference.heading_deg is None or current_mps == 0.0:
-        return []
+        return
     astern_mps = can.strongest_current_stern_mps
     stern = astern_mps is None or current_mps <= astern_mps
     ends = "bow or stern into the current (0 or 180 degrees)" if stern else "the bow into the current (0 degrees)"
     oblique_N, across_N = (sideways_drag_N(vehicle, current_mps, angle_deg) for angle_deg in (45.0, 90.0))
-    return [
+    yield (
         f"heading_deg = {reference.heading_deg:g} is held in a current of {current_mps:g} m/s only with {ends}: at 45 "
         f"degrees the water pushes sideways with {oblique_N:.1f} N, at 90 degrees with {across_N:.1f} N, and the "
         "vehicle has no side thrust, so the bow turns and swings to hold the position"
-    ]
+    )
 
 
 def _corridor_problems(
     reference: Reference, half_width_m: float | None, drift_m: float | None, current_mps: float
-) -> list[str]:
-    """Return why the vehicle cannot keep to its largest cross-track distance."""
+) -> Iterator[str]:
+    """Yield why the vehicle cannot keep to its largest cross-track distance."""
     if half_width_m is None or isinstance(reference, Point | Hold):
-        return []
+        return
+    kept = f"max_cross_track_m = {half_width_m:g} is not kept: the vehicle"
     if drift_m is None:
-        return [f"max_cross_track_m = {half_width_m:g} is not kept: the vehicle cannot turn into a current"]
-    if drift_m <= half_width_m:
-        return []
-    return [
-        f"max_cross_track_m = {half_width_m:g} is not kept: the vehicle drifts {drift_m:.2f} m while it turns into "
-        f"{current_mps:g} m/s"
-    ]
+        yield f"{kept} cannot turn into a current"
+    elif drift_m > half_width_m:
+        yield f"{kept} drifts {drift_m:.2f} m while it turns into {current_mps:g} m/s"
 
 
-def _depth_problems(largest: float | None, bottom_m: float | None, limits: MotionLimits) -> list[str]:
-    """Return what is wrong with the depths of the reference."""
+def _depth_problems(largest: float | None, bottom_m: float | None, limits: MotionLimits) -> Iterator[str]:
+    """Yield what is wrong with the depths of the reference."""
     if largest is None:
-        return []
-    problems = []
-    if bottom_m is not None:
-        altitude_m = limits.min_altitude_m or 0.0
-        if largest > bottom_m - altitude_m:
-            ends = (
-                f"with min_altitude_m = {altitude_m:g} the vehicle stops at {bottom_m - altitude_m:g} m"
-                if altitude_m
-                else "no min_altitude_m stops the vehicle"
-            )
-            problems.append(f"the reference descends to {largest:g} m, the bottom is at {bottom_m:g} m: {ends}")
+        return
+    altitude_m = limits.min_altitude_m or 0.0
+    if bottom_m is not None and largest > bottom_m - altitude_m:
+        ends = "no min_altitude_m stops the vehicle"
+        if altitude_m:
+            ends = f"with min_altitude_m = {altitude_m:g} the vehicle stops at {bottom_m - altitude_m:g} m"
+        yield f"the reference descends to {largest:g} m, the bottom is at {bottom_m:g} m: {ends}"
     if limits.max_depth_m is not None and largest > limits.max_depth_m:
-        problems.append(f"the reference descends to {largest:g} m: max_depth_m = {limits.max_depth_m:g}")
-    return problems
+        yield f"the reference descends to {largest:g} m: max_depth_m = {limits.max_depth_m:g}"
