@@ -14,15 +14,18 @@ from ltv_mpc.geofence.fence import Fence, compare_origins, hull_radius_m
 from ltv_mpc.messages import Array, Estimate, Pair
 from ltv_mpc.references import Hold, Point, Reference
 from ltv_mpc.references.limits import path_limits
-from ltv_mpc.references.schedule import WAY, Schedule
+from ltv_mpc.references.schedule import EAST, NORTH, WAY, Schedule
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance, sideways_drag_N, stopping
-from services.tools import text_map
-from services.tools.bottom_check import BottomCheck, check_bottom
-from services.tools.fence_check import ZoneCheck, check_fence, distance
+from services.reporting.plots.fence import boundary
+from services.tools.path_check import BottomCheck, ZoneCheck, check_bottom, check_fence, distance
 
 LABEL_WIDTH = 38
 """Least width of the first column of the table."""
+
+COLUMNS, ROWS = 72, 24
+ASPECT = 2.0
+"""Height of a letter over its width."""
 
 
 class MissionCheck(msgspec.Struct, frozen=True, kw_only=True):
@@ -124,8 +127,37 @@ def check_mission(
 
 
 def picture(vehicle: Vehicle, reference: Reference, fence: Fence | None, start: Pair | None = None) -> str:
-    """Return a map of the reference and the fence as text, as ``check_mission`` takes them."""
-    return text_map.draw(_schedule(vehicle, reference, start)[0], fence)
+    """Return a map of the reference and the fence as text, north up: what the files were read as.
+
+    B begin, E end, * path, + keep-in, # keep-out; empty if there is nothing to draw.
+    """
+    schedule = _schedule(vehicle, reference, start)[0]
+    lines = [("+" if zone.keep_in else "#", boundary(zone)) for zone in (fence.zones() if fence else ())]
+    if schedule is not None:
+        way = schedule.table[[NORTH, EAST]].T
+        lines += [("*", way), ("B", way[:1]), ("E", way[-1:])]
+    if not lines:
+        return ""
+    places = np.concatenate([line for _, line in lines])
+    low, extent = places.min(axis=0), np.ptp(places, axis=0)
+    column_m = max(extent[1] / (COLUMNS - 1), extent[0] / (ROWS - 1) / ASPECT, 0.01)
+    rows = int(extent[0] / column_m / ASPECT) + 1
+    letters = np.full((rows, int(extent[1] / column_m) + 1), " ")
+    for letter, line in lines:
+        cells = np.rint((_dense(line, 0.5 * column_m) - low) / (column_m * ASPECT, column_m)).astype(np.int64)
+        row, column = np.minimum(cells, np.array(letters.shape) - 1).T
+        letters[rows - 1 - row, column] = letter
+    keys = {"*": "B to E path", "+": "+ keep-in", "#": "# keep-out"}
+    legend = [key for letter, key in keys.items() if letter in {letter for letter, _ in lines}]
+    scale = f"north up, {extent[1]:.3g} m east by {extent[0]:.3g} m north, a letter is {column_m:.2g} m wide"
+    return "\n".join([*("  " + "".join(row).rstrip() for row in letters), f"  {', '.join([*legend, scale])}"])
+
+
+def _dense(line: Array, step_m: float) -> Array:
+    """Return points (P, 2) along a line that are at most ``step_m`` apart."""
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    at = np.linspace(0.0, way[-1], int(way[-1] / step_m) + 2)
+    return np.column_stack([np.interp(at, way, column) for column in line.T])
 
 
 def table(of: MissionCheck) -> str:
