@@ -104,12 +104,7 @@ def check_mission(
         corridor_m = None if found.narrowest is None else found.narrowest[0]
         if drift_m is not None:
             needed_m = 2.0 * hull_m + 2.0 * found.widest_margin_m + drift_m
-            if found.narrowest is not None and found.narrowest[0] < needed_m:
-                problems.append(
-                    f"the corridor is {corridor_m:.1f} m wide at {found.narrowest[1]:.0f} m of the path: the vehicle "
-                    f"needs {needed_m:.1f} m, hull and two margins and {drift_m:.1f} m of drift while it turns into "
-                    f"{current_mps:g} m/s"
-                )
+            problems += _width_problems(found.narrowest, needed_m, drift_m, current_mps)
     return MissionCheck(
         length_m=0.0 if schedule is None else float(schedule.table[WAY, -1]),
         duration_s=duration_s,
@@ -203,6 +198,16 @@ def _schedule(vehicle: Vehicle, reference: Reference, start: Pair | None) -> tup
     place = reference.position(anchor or reference.anchor(Estimate.at_rest()))
     column = np.array([[0.0, 0.0, *place, depth_m]]).T
     return Schedule(np.hstack([column, column]), 0.0), column[-1], 0.0
+
+
+def _width_problems(narrowest: Pair | None, needed_m: float, drift_m: float, current_mps: float) -> Iterator[str]:
+    """Yield where the allowed path is narrower than the width that the vehicle needs."""
+    if narrowest is not None and narrowest[0] < needed_m:
+        width_m, way_m = narrowest
+        yield (
+            f"the corridor is {width_m:.1f} m wide at {way_m:.0f} m of the path: the vehicle needs {needed_m:.1f} m, "
+            f"hull and two margins and {drift_m:.1f} m of drift while it turns into {current_mps:g} m/s"
+        )
 
 
 def _margin_problems(zones: list[ZoneCheck], stopping_m: float | None, speed_mps: float) -> Iterator[str]:

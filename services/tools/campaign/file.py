@@ -217,7 +217,7 @@ Problem: TypeAlias = tuple[str, str, object]
 
 
 def _problems(campaign: Campaign) -> Iterator[Problem]:
-    """Yield what is wrong by the rules that concern several fields; a problem is told only without those before it."""
+    """Yield what is wrong by the rules that concern several fields; the first one is the error."""
     grid, table_of = campaign.design.kind == "grid", dict[str, str]()
     for table, keys in (("set", campaign.settings), ("vary", campaign.vary), ("cross", campaign.cross)):
         names = {*KINDS, *(campaign.scale if table != "set" else ())}
