@@ -70,9 +70,7 @@ class Session(PageReader):
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", TUTORIALS)
-def test_each_shown_line_is_printed_by_the_commands_above_it(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_shown_line_is_printed_by_the_commands_above_it(page, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     session, side_by_side = Session(tmp_path, capsys), False
     last = max(i for i, block in enumerate(blocks(page)) if block.language == "text")

@@ -102,9 +102,7 @@ def alone(without_estimates: Alone) -> Iterator[Alone]:
             speaker.join()
 
 
-def test_stop_is_accepted_before_the_first_estimate_and_arm_is_not(
-    without_estimates: Alone, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_stop_is_accepted_before_the_first_estimate_and_arm_is_not(without_estimates, capsys) -> None:
     assert without_estimates.plan() is None
     assert without_estimates.ctl("stop") == 0
     assert "command authority: stopped" in capsys.readouterr().out
@@ -113,9 +111,7 @@ def test_stop_is_accepted_before_the_first_estimate_and_arm_is_not(
     assert without_estimates.ctl("stop") == 0
 
 
-def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(
-    alone: Alone, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(alone, tmp_path, capsys) -> None:
     assert alone.ctl("stop") == 0
     until(lambda: alone.plan().authority is Authority.STOPPED)
     assert alone.ctl("arm") == alone.ctl("disarm") == 0
@@ -149,9 +145,7 @@ def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(
 
 
 @pytest.mark.parametrize("name", ["fence.toml", "fence.geojson"])
-def test_a_fence_is_in_force_until_another_one_or_none_is_sent(
-    alone: Alone, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_a_fence_is_in_force_until_another_one_or_none_is_sent(alone, tmp_path, capsys, name) -> None:
     buoy = Disc(name="buoy", centre=Place(north_m=51.0, east_m=0.0), radius_m=3.0)
     origin = Origin(latitude_deg=50.0, longitude_deg=-5.0)
     Fence(margin_m=2.0, origin=origin, keep_out_disc=(buoy,)).save(str(tmp_path / name))
@@ -170,9 +164,7 @@ def test_a_fence_is_in_force_until_another_one_or_none_is_sent(
     until(lambda: alone.plan().fence is None)
 
 
-def test_arm_is_refused_by_a_pre_arm_check_and_forced_with_what_it_skips(
-    alone: Alone, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_arm_is_refused_by_a_pre_arm_check_and_forced_with_what_it_skips(alone, tmp_path, capsys) -> None:
     far = tmp_path / "far.toml"
     far.write_text('kind = "point"\nnorth_m = 9000.0\neast_m = 0.0\n')
     assert alone.ctl("stop") == alone.ctl("follow", str(far)) == 0
@@ -185,9 +177,7 @@ def test_arm_is_refused_by_a_pre_arm_check_and_forced_with_what_it_skips(
     assert alone.ctl("follow", "hover") == alone.ctl("disarm") == 0
 
 
-def test_another_source_is_used_when_it_is_named_and_both_are_in_the_status(
-    alone: Alone, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_another_source_is_used_when_it_is_named_and_both_are_in_the_status(alone, capsys) -> None:
     """The other one, 40 m away, publishes on a key of its own."""
     assert alone.ctl("source", "gnss") == 1
     assert "no valid message of source gnss in the last 10 s; sources: default" in capsys.readouterr().err

@@ -39,9 +39,7 @@ def test_an_existing_file_is_not_replaced_without_force(here: Path, capsys: pyte
     assert (here / "mine.toml").read_text() != "precious"
 
 
-def test_check_warns_of_a_vehicle_whose_drag_is_faster_than_a_stage(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_warns_of_a_vehicle_whose_drag_is_faster_than_a_stage(here, capsys) -> None:
     """1.5 kg with the drag of 500 kg: its linearised stages overflow."""
     (here / "light.toml").write_text(PAPER.replace("\nmass_kg = 500.0", "\nmass_kg = 1.5"))
     assert run(["vehicle", "check", "light.toml"]) == 0
@@ -94,9 +92,7 @@ def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.Captu
     assert "mass_surge" in capsys.readouterr().out
 
 
-def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_says_what_of_a_mission_cannot_be_and_exits_with_1(here, capsys) -> None:
     (here / "fence.toml").write_text(
         'margin_m = 1.0\n[[keep_out_disc]]\nname = "buoy"\ncentre = { north_m = 0.0, east_m = 0.0 }\nradius_m = 3.0\n'
     )

@@ -74,9 +74,7 @@ def test_the_address_is_said_and_the_page_ends_with_the_run(tmp_path: Path, free
 
 
 @pytest.mark.parametrize("waits", [True, False])
-def test_the_run_waits_for_a_page_from_opened_to_drawn_and_then_until_it_has_the_report(
-    tmp_path: Path, free_port: int, waits: bool
-) -> None:
+def test_the_run_waits_for_a_page_from_opened_to_drawn_and_then_until_it_has_the_report(tmp_path, free_port, waits):
     endpoint = f"tcp/127.0.0.1:{free_port}"
     report = tmp_path / "report.html"
     page, said = page_of(tmp_path, waits=waits, report=report)
