@@ -21,8 +21,8 @@ from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.description import NO_DATA, Group
 from services.supervisor import loopback
 from tests.browser.conftest import PHONE, SCREEN, SETTLED, TABLET, background, ended, fits, looks, tab
-from tests.services.dashboard.synthetic_vehicle import NODES, Served, serving
-from tests.services.reporting.synthetic_run import OFFSET, SPEED_NORTH_MPS, WRECK
+from tests.services.dashboard.synthetic_vehicle import Served, serving
+from tests.services.reporting.synthetic_run import NODES, OFFSET, SPEED_NORTH_MPS, WRECK
 from tests.waiting import until
 
 FRESH = [

@@ -11,7 +11,7 @@ from services.bus.outbox import Outbox
 from services.bus.session import FrameReceiver, Session
 from services.bus.topics import BY_TYPE, Topic, key_of
 from services.dashboard.bus_feed import BusFeed
-from tests.services.dashboard.synthetic_vehicle import status
+from tests.services.words import status
 from tests.waiting import until
 
 
