@@ -31,16 +31,7 @@ class Sidecar:
     Start it from the main thread: the process ends with the thread that started it.
     """
 
-    def __init__(
-        self,
-        say: Say,
-        *,
-        folder: Path,
-        vehicle: Path,
-        about: About,
-        open_browser: bool,
-        waits: bool,
-    ) -> None:
+    def __init__(self, say: Say, *, folder: Path, vehicle: Path, about: About, open_browser: bool, waits: bool) -> None:
         self._say = say
         self._log = folder / "logs" / "dashboard.log"
         self._config = folder / "logs" / "dashboard.json"
