@@ -101,7 +101,7 @@ def make(
             Route("/report", report),
             WebSocketRoute("/stream", live),
         ],
-        middleware=[Middleware(AccessGuard, allowed=allowed, inline_scripts=static_files.report_scripts())],
+        middleware=[Middleware(AccessGuard, allowed=allowed)],
         lifespan=lifespan,
     )
 
