@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,7 +24,9 @@ from services.cli.options import (
 
 if TYPE_CHECKING:
     from services.tools.campaign.ranking import Standing
-    from services.tools.campaign.trial import Row
+
+SHOWN = 10
+"""Number of the best points of a campaign that are printed."""
 
 
 def profile(
@@ -61,15 +61,8 @@ def profile(
         by_horizon = recorded or [problems.simulated(N, cycles, seed) for N in stages]
         named = latency.parse_solvers(solvers, by_horizon[0][0])
         written = None if out is None else folder.open_folder(out, force=force)
-        names = ", ".join(str(episodes[0].config.stages) for episodes in by_horizon)
-        total, done = (latency.WARM_UP + cycles) * len(stages), itertools.count(1)
-        measured = latency.run(
-            by_horizon,
-            named,
-            seed=seed,
-            progress=lambda: show_progress(next(done) / total, f"cycles at {names} stages"),
-            on_rows=lambda rows: typer.echo("\n".join(map(table.short, rows)), err=True),
-        )
+        text = f"cycles at {', '.join(str(episodes[0].config.stages) for episodes in by_horizon)} stages"
+        measured = latency.run(by_horizon, named, seed=seed, progress=lambda share: show_progress(share, text))
     plain = show(measured, lambda: table.text(measured), as_json=as_json)
     if written is not None:
         (written / "profile.json").write_text(plain + "\n", encoding="utf-8")
@@ -98,49 +91,62 @@ def campaign(
         raise invalid("option --workers", "cannot act together with --cluster, which has its own workers")
     with needs("pyarrow", "campaign", "campaign"):
         from services.tools.campaign import table
+    if cluster is not None:
+        with needs("distributed", "campaign", "campaign --cluster"):
+            import distributed  # noqa: F401
+    from services.reporting.terminal import progress_bar
     from services.run import folder
     from services.runtime.console import counted
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.tools.campaign import file as files
-    from services.tools.campaign import page, text
+    from services.tools.campaign import page
     from services.tools.campaign.campaign import open_campaign, plan, run
-    from services.tools.campaign.progress import Progress
-    from services.tools.campaign.ranking import ranked, scores
+    from services.tools.campaign.ranking import failures, ranked, scores
 
     design = files.load(file)
     planned = plan(design, f"campaign {file}")
     place = out or folder.make_default(file.stem)
     with open_campaign(place, planned, force=force) as store, stop_on_signals() as request:
-        there = [row for _, row in store.results()]
-        with Progress(design, there, planned.runs, quiet=as_json) as progress:
-            run(planned, store, workers=workers, cluster=cluster, on_row=progress.add, stop=request)
-        rows: Sequence[Row] = progress.rows
+        rows = [row for _, row in store.results()]
+        with progress_bar(design.title) as told:
+            for row in run(planned, store, workers=workers, cluster=cluster, stop=request):
+                rows.append(row)
+                told(len(rows) / planned.runs)
         table.write(place, design, rows, {"made_by": msgspec.json.encode(planned.made_by).decode()})
     with plots_or_a_line(f"no {page.NAME}"):
         page.write(place)
-    best = ranked(scores(rows, design.minimise, design.varied), text.SHOWN)
-    _print_result(place, rows, best, runs=planned.runs, minimise=design.minimise, as_json=as_json)
+    failed = sum(row["failed"] is not None for row in rows)
+    best = ranked(scores(rows, design.minimise, design.varied), SHOWN)
+    counts = {"runs": planned.runs, "done": len(rows), "failed": failed}
+    show(
+        {"out": str(place), **counts, "minimise": design.minimise, "best": best},
+        lambda: "\n".join([_text(best, design.minimise), *failures(rows), str(place)]),
+        as_json=as_json,
+    )
     if len(rows) < planned.runs:
         left = f"{planned.runs - len(rows)} of {counted(planned.runs, 'run')} left"
         typer.echo(f"{left}: continue with the same command and --out {place}", err=True)
         return INTERRUPTED if request.interrupted else FAILED
-    return FAILED if all(row["failed"] is not None for row in rows) else DONE
+    return FAILED if failed == len(rows) else DONE
 
 
-def _print_result(
-    place: Path, rows: Sequence[Row], best: list[Standing], *, runs: int, minimise: str, as_json: bool
-) -> None:
+def _text(best: list[Standing], minimise: str) -> str:
+    """Tabulate the best points."""
     from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
 
-    from services.tools.campaign import text
+    from services.tools.campaign.ranking import HEAD, cells
 
-    failed = [row for row in rows if row["failed"] is not None]
-    counts = {"runs": runs, "done": len(rows), "failed": len(failed)}
+    table = Table(title=f"{minimise}, mean over seeds with 95 % interval", title_justify="left", box=None)
+    for name in (*(key.rpartition(".")[2] for key in best[0].settings), *HEAD) if best else ():
+        table.add_column(name, justify="right")
+    for one in best:
+        table.add_row(*map(Text, cells(one)))
     console = Console()
-    with console.capture() as table:
-        console.print(text.standings(best, minimise))
-    lines = [table.get().rstrip("\n"), *text.failures(failed), str(place)]
-    show({"out": str(place), **counts, "minimise": minimise, "best": best}, lambda: "\n".join(lines), as_json=as_json)
+    with console.capture() as text:
+        console.print(table)
+    return text.get().rstrip("\n")
 
 
 qp = group("qp", "Show a QP that was not solved, or export the QP as C.")
