@@ -128,6 +128,8 @@ def test_without_plotly_a_run_says_in_one_line_that_it_wrote_none(tmp_path, monk
     assert said == ["no report.html: plotly is not installed: pip install plotly (extra viz)"]
     assert (out / "summary.json").exists()
     assert not (out / "report.html").exists()
+    assert app.run(["report", str(out)]) == 1
+    assert capsys.readouterr().err == "report: plotly is not installed: pip install plotly (extra viz)\n"
 
 
 def test_beside_a_vehicle_no_plot_of_a_truth_is_drawn_and_times_count_from_the_start(tmp_path: Path) -> None:
