@@ -17,7 +17,7 @@ from ltv_mpc.control.solvers.sparse import SparseLayout
 from ltv_mpc.messages import Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
-from services.processes.failed_qps import FailedQps
+from services.processes.controller import FailedQps
 
 
 @pytest.fixture
