@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from ltv_mpc import Vehicle
 from ltv_mpc.vehicle.identification import CannotIdentify, Identification, NotEnoughMotion, identify, with_coefficients
 from ltv_mpc.vehicle.reference_point import ReferencePoint
-from ltv_mpc.vehicle.shooting_fit import Motion, lagged_thrust, segments
+from ltv_mpc.vehicle.shooting_fit import Motion, segments
 from tests.foreign_plant import plant
 
 BELIEVED = Vehicle.load("paper")
@@ -338,14 +338,6 @@ def test_shear_acts_on_the_dry_mass() -> None:
     assert identify(ARMS, sheared).sd[0] < 0.5 * identify(ARMS, drifting).sd[0]
 
 
-def test_intervals_narrow_as_errors_do() -> None:
-    wide, narrow = (
-        {one.name: one.high - one.low for one in identify(ARMS, moved(90.0, 4, sd=scale * np.array(SD))).coefficients}
-        for scale in (1.0, 0.1)
-    )
-    assert wide["mass_surge"] == pytest.approx(10.0 * narrow["mass_surge"], rel=0.5)
-
-
 def test_unexcited_coefficients_are_reported_and_keep_their_value() -> None:
     """The vehicle moves straight ahead, faster and slower, without turns or sway."""
     t = np.arange(0.0, 60.0, H)
@@ -374,11 +366,6 @@ def test_a_run_that_is_too_short_raises_an_error(clean: Motion) -> None:
 def test_segments_end_at_gaps() -> None:
     t = np.concatenate([np.arange(0.0, 13.0, 0.1), np.arange(20.0, 22.0, 0.1)])
     assert [(round(t[a], 1), round(t[b - 1], 1)) for a, b in segments(t)] == [(0.0, 6.0), (6.1, 12.1)]
-
-
-def test_a_lag_is_a_first_order_lag() -> None:
-    t = np.arange(0.0, 3.0, 0.1)
-    assert lagged_thrust(t, np.ones(30), 0.0, 0.5) == pytest.approx(1.0 - np.exp(-t / 0.5))
 
 
 def test_identified_coefficients_become_a_vehicle(clean: Motion) -> None:
