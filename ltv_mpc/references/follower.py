@@ -208,9 +208,7 @@ class Follower:
         same = track is not None and track.start == start
         whole = track.whole if track and same else self.reference.schedule(self._vehicle, start)
         schedule, self.skipped_m = self._allowed(whole)
-        is_point = isinstance(self.reference, Point | Hold)
-        leash_m = math.inf if is_point else max(LEASH_S * self._speeds.cruise_mps, MIN_LEASH_M)
-        return _Track(schedule, whole, start, leash_m)
+        return _Track(schedule, whole, start, max(LEASH_S * self._speeds.cruise_mps, MIN_LEASH_M))
 
     def path_beside(self, t_ns: Times) -> PathBeside | None:
         """Return the path beside a plan: from behind the target at its first knot to ahead of that at its last one.

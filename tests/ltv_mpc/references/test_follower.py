@@ -140,8 +140,9 @@ def test_the_cross_track_error_is_of_the_vehicle_from_the_path(east_m, sign):
 
 
 def test_a_point_and_here_have_no_progress_and_a_target_at_rest():
-    for reference in (Point(north_m=1.0, east_m=2.0), Hold()):
-        follower = has_started(reference, north_m=1.0, east_m=2.0)
+    for reference, from_m in ((Point(north_m=1.0, east_m=2.0), (4.0, 6.0)), (Hold(), (1.0, 2.0))):
+        follower = has_started(reference, north_m=from_m[0], east_m=from_m[1])
+        assert follower.start_distance_m == math.dist(from_m, (1.0, 2.0))
         assert go(follower, 5.0, 0.0, 0.0) == (1.0, 2.0)
         assert follower.progress == (None, None, None)
         target = np.full((18, 2), np.nan)
