@@ -1098,19 +1098,19 @@ class NodeStatus(Message, frozen=True, kw_only=True, eq=False):
     """time of publication"""
     ready: bool
     """the node can do its work"""
-    waiting_for: str
+    waiting_for: str = ""
     """what the node waits for; empty if nothing"""
-    steps: Count
+    steps: Count = 0
     """steps so far"""
     published: Count
     """messages published so far, on all keys"""
-    received: Count
+    received: Count = 0
     """messages accepted so far"""
-    dropped: Count
+    dropped: Count = 0
     """messages lost so far, by gaps in the sequences"""
-    rejected: Count
+    rejected: Count = 0
     """messages rejected so far"""
-    step_us: WallTime
+    step_us: WallTime = 0.0
     """mean wall time of a step since the last status"""
     min_queue_delay_us: WholeWallTime = 0
     """smallest wall time that a message waited since the last status; above 0: a standing queue"""

@@ -17,8 +17,7 @@ import math
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from benchmarks.rivals.law import PERIOD_NS
-from benchmarks.rivals.pid import nearer_axis
+from benchmarks.rivals.pid import PERIOD_S, nearer_axis
 from benchmarks.rivals.search import Span
 from ltv_mpc.control.prediction import currents_at_depths
 from ltv_mpc.frames import wrap_angle
@@ -89,7 +88,7 @@ class Lqr:
         A, B = np.split((ahead - behind).T / (2.0 * step), [6], axis=1)
         A[3, 3] = -(self._p.linear_sway + 2.0 * self._p.quadratic_sway * self._sway_mps) / self._p.mass_sway
         B *= self._most_N
-        h = PERIOD_NS * 1e-9
+        h = PERIOD_S
         held = expm(h * np.block([[A, B], [np.zeros((2, 8))]]))  # the thrust is held for a period
         F, G = held[:6, :6], held[:6, 6:]
         S = solve_discrete_are(F, G, h * Q, h * R)

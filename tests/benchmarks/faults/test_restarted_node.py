@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import msgspec
 
+from benchmarks.faults.effects import Interval, RestartedNode
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Action, Authority, Command, Estimate, Plan, PlanOrigin
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.faults.interval import Interval
-from sim.faults.restarted_node import RestartedNode
 
 S = 1_000_000_000
 POINT = Point(north_m=0.0, east_m=0.0)

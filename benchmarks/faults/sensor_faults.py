@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from benchmarks.faults.effects import Interval, NodeWrapper
 from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, ImuSamples, Message, PressureDepth, TdcpFix
 from ltv_mpc.node import Inbox, Node
-from sim.faults.interval import Interval
-from sim.faults.node_wrapper import NodeWrapper
 
 
 class Reading(NamedTuple):

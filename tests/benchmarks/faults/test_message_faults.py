@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.faults.effects import Interval
+from benchmarks.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
 from ltv_mpc.messages import Estimate, ImuSample, ImuSamples, Message, PressureDepth, RejectedFrame
 from ltv_mpc.node import Grid, Inbox, OnMessage, ReceivedMessage
 from ltv_mpc.validation import rejection_reason
-from sim.faults.interval import Interval
-from sim.faults.message_faults import MessageFault, MessageFaultInterval, MessageFaults
 from sim.scheduler import Delivery, LockStep
 from tests.stepping import as_sent
 

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from benchmarks.faults.effects import Interval
 from ltv_mpc.messages import ImuSample, ImuSamples, Message
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import bounds
-from sim.faults.interval import Interval
 from sim.scheduler import Delivery
 
 

@@ -5,7 +5,15 @@ Band    If the filter is consistent, the sum over the runs at an instant is chi-
         freedom. It lies between the quantiles 2.5 % and 97.5 % at 95 % of the instants in the long run. Errors that
         hardly change, such as constant biases, are one draw per run: all instants are inside or all outside.
 Observed  Only currents that a beam has measured count: the two grid points around each of its cells.
-Source  Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to tracking and navigation, section 5.4.
+Water   The true current c(z) has any shape; the filter's profile is linear between grid points. Its true state is
+            c* = argmin of the integral of |sum_k c_k hat_k(z) - c(z)|^2 over the grid,   hat_k: 1 at k, 0 at others
+            M c* = f,  M_kl = integral of hat_k hat_l,  f_k = integral of hat_k c
+        c* equals c at the grid points only if c is linear between them. Beams measure all depths of a cell while the
+        vehicle passes, so the mean of many pings tends to c*, not to c at the grid points. The rest c - c* is finer
+        than a cell and not a state. Between the bends of c and the grid points every integrand is quadratic: Simpson's
+        rule is exact.
+Source  Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to tracking and navigation, section 5.4; L2
+        projection on linear splines: e.g. de Boor 2001, A practical guide to splines, chapter III.
 """
 
 from __future__ import annotations
@@ -16,6 +24,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import LinAlgError
 from scipy.linalg.lapack import dpotrf, dtrtrs
+from scipy.sparse import csr_array, diags_array
+from scipy.sparse.linalg import splu
 from scipy.special import gammaincinv
 
 from ltv_mpc.frames import rotation, rotation_log
@@ -38,7 +48,7 @@ class TrueState(NamedTuple):
     near_bias_mps: Array  # (4,)
     mounting: Array  # (3, 3)
     compass_bias_rad: float
-    water_mps: Array  # (G, 2) projection onto the filter's grid (``cells.py``)
+    water_mps: Array  # (G, 2) projection onto the filter's grid (``GridProjection``)
 
 
 class Consistency(NamedTuple):
@@ -190,3 +200,31 @@ def nodes_around(depths_m: Array, cell_m: float, nodes: int) -> Mask:
     seen = np.zeros(nodes, dtype=bool)
     seen[k] = seen[k + 1] = True
     return seen
+
+
+class GridProjection:
+    """Projection of the current in one water column onto one depth grid.
+
+    Parameters
+    ----------
+    node_m : (G,) depths of the grid points, increasing (m).
+    bend_m : depths between which the current is linear, increasing (m).
+    """
+
+    def __init__(self, node_m: Array, bend_m: Array) -> None:
+        ends = np.union1d(node_m, bend_m[(bend_m > node_m[0]) & (bend_m < node_m[-1])])
+        h = np.diff(ends)
+        self.depth_m = np.concatenate([ends[:-1], ends[:-1] + 0.5 * h, ends[1:]])  # sampling depths, (D,)
+        share = np.concatenate([h, 4.0 * h, h]) / (6.0 * (ends[-1] - ends[0]))
+        k = np.clip(np.searchsorted(node_m, self.depth_m, side="right") - 1, 0, len(node_m) - 2)
+        t = (self.depth_m - node_m[k]) / (node_m[k + 1] - node_m[k])
+        rows = np.arange(len(k))
+        hats = np.concatenate([1.0 - t, t]), (np.concatenate([rows, rows]), np.concatenate([k, k + 1]))
+        hats_at = csr_array(hats, shape=(len(k), len(node_m)))
+        self._weighted = hats_at.T @ diags_array(share)
+        self._solve = splu((self._weighted @ hats_at).tocsc()).solve
+
+    def fit(self, water_mps: Array) -> Array:
+        """Return c*, (G, 2), for the current at ``depth_m``, (D, 2) (m/s)."""
+        fitted: Array = self._solve(self._weighted @ water_mps)
+        return fitted

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.faults.effects import Interval
+from benchmarks.faults.sensor_faults import READINGS, Failure, FaultySensors, SensorFault
 from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, Message, PressureDepth, TdcpFix, Truth
 from ltv_mpc.node import Inbox, OnMessage
-from sim.faults.interval import Interval
-from sim.faults.sensor_faults import READINGS, Failure, FaultySensors, SensorFault
 
 MS, S = 1_000_000, 1_000_000_000
 INTERVAL = Interval(S, 2 * S)

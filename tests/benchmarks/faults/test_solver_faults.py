@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.solvers import make
-from ltv_mpc.control.solvers.interface import Result
-from ltv_mpc.messages import Solve, SolveStatus
-from ltv_mpc.vehicle.parameters import Vehicle
-from sim.faults.interval import Interval
-from sim.faults.solver_faults import (
+from benchmarks.faults.effects import (
     FaultySolver,
     InjectedSolverError,
+    Interval,
     SolverClock,
     SolverFault,
     SolverFaultInterval,
     faulty_solvers,
 )
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.solvers import make
+from ltv_mpc.control.solvers.interface import Result
+from ltv_mpc.messages import Solve, SolveStatus
+from ltv_mpc.vehicle.parameters import Vehicle
 
 INTERVAL = Interval(100, 200)
 GOOD = Result(np.ones((3, 2)), Solve(status=SolveStatus.SOLVED))
