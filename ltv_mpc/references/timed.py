@@ -120,10 +120,9 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
     def _table(self, vehicle: Vehicle) -> Array:
         """Return the table (5, K) of the schedule: each row at its time, or as soon as the vehicle can be there."""
         rows, limits = np.array(self.rows), path_limits(vehicle)
-        depth = (
-            rows[:, 3] if rows.shape[1] == 4 else np.full(len(rows), np.nan if self.depth_m is None else self.depth_m)
-        )
-        fit = fit_legs(np.column_stack([rows[:, 1:3], depth]), CORNER_M)
+        if rows.shape[1] == 3:
+            rows = np.column_stack([rows, np.full(len(rows), np.nan if self.depth_m is None else self.depth_m)])
+        fit = fit_legs(rows[:, 1:], CORNER_M)
         points = along(fit.ends, fit.at)
         corners = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(fit.ends[:, :2], axis=0).T))])
         way = np.interp(fit.at, np.arange(len(corners)), corners)
