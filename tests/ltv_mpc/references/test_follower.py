@@ -238,29 +238,6 @@ def test_references_are_replaced_live_without_a_jump_beyond_the_slew_limit():
     assert {plan.origin.value for plan in plans} == {"solved"}
 
 
-def test_a_restored_controller_continues_at_the_same_target():
-    one, other = Controller(PAPER, LINE), Controller(PAPER, LINE)
-    estimate = Estimate.at_rest(depth_m=0.0)
-    for _ in range(30):
-        plan = one.plan(estimate)
-        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
-    other.restore(one.save(estimate.t_ns), estimate.t_ns)
-    mine, theirs = one.plan(estimate), other.plan(estimate)
-    assert theirs.reference_m == mine.reference_m
-    assert theirs.progress == pytest.approx(mine.progress, rel=1e-12)
-
-
-def test_ahead_the_vehicle_is_on_its_path_from_the_target_on():
-    follower, seconds = has_started(LINE), np.array([0.0, 10.0, 1000.0])
-    for k in range(40):
-        target = go(follower, 0.3 * (k + 1), *(follower.target_m or STILL))
-    ahead = follower.places_ahead(np.zeros(6), STILL, seconds)
-    assert ahead is not None
-    assert ahead[:, 0] == pytest.approx([target[0], target[0] + 3.0, 12.0])
-    assert ahead[:, 1] == pytest.approx(0.0)
-    assert Follower(LINE, PAPER).places_ahead(np.zeros(6), STILL, seconds) is None
-
-
 def test_ahead_the_vehicle_is_on_the_line_to_its_point_as_early_as_possible():
     follower, lateral = has_started(Point(north_m=30.0, east_m=40.0)), np.zeros(6)
     cruise_mps = path_limits(PAPER).cruise_mps
