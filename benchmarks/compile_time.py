@@ -60,7 +60,7 @@ class Own(event.Listener):
 event.register("numba:compile", Own())
 gc.disable()
 from services.supervisor import jit_cache
-jit_cache.PARTS[sys.argv[1]][1](jit_cache.resolve(sys.argv[2]))
+jit_cache.warm_up(jit_cache.resolve(sys.argv[2]), sys.argv[1])
 print(json.dumps({"total_s": time.process_time() - started_s, "rows": rows}))
 """
 """Program that compiles one part and prints for each function: seconds, specialisations, functions of numba."""
