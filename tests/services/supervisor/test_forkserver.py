@@ -137,17 +137,17 @@ def test_a_fork_server_that_fails_kills_no_child_and_is_replaced(crew: ChildProc
     first = crew.forks.pid
     sensors = started(crew, "sensors", "sleeps")
     os.kill(first, number)
-    plant = started(crew, "plant", "sleeps")  # spawned
+    plant = started(crew, "plant", "sleeps")
+    spawned = plant.pid
     assert stat(plant.pid)[1] == str(os.getpid())
     crew.forks.load()
     until(crew.forks.is_loaded)
     assert crew.forks.pid != first
     plant.kill()
-    crew.restart("plant", b"")
+    plant.start()
     assert [child.exit_code() for child in crew.by_name.values()] == [None, None]
-    ours = {sensors.pid, crew.by_name["plant"].pid, crew.forks.pid}
-    assert ours <= children_of(os.getpid()).keys()
-    until(lambda: not {first, plant.pid} & children_of(os.getpid()).keys())
+    assert {sensors.pid, plant.pid, crew.forks.pid} <= children_of(os.getpid()).keys()
+    until(lambda: not {first, spawned} & children_of(os.getpid()).keys())
 
 
 SUPERVISOR = f"""
