@@ -105,7 +105,8 @@ def test_a_checkpoint_restores_the_filters_belief_to_the_bit_over_the_wire_too(d
     assert list(belief.column.dropped) == list(own.column.dropped)
     assert len(own.column.dropped) > 0  # else this shows nothing
     for node, link in own.column.dropped.items():
-        assert all(np.array_equal(a, b) for a, b in zip(link, belief.column.dropped[node], strict=True))
+        other = belief.column.dropped[node]
+        assert all(np.array_equal(getattr(link, name), getattr(other, name)) for name in link.__struct_fields__)
     assert np.array_equal(belief.column.prior.covariance(slice(None)), own.column.prior.covariance(slice(None)))
 
 

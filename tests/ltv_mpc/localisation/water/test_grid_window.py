@@ -218,7 +218,9 @@ def test_a_position_fix_removes_the_shared_error_of_dropped_depths():
         measured(belief, node, np.array([[1.0, 0, 0], [0, 0, 0]]), 1e-4, rng.standard_normal(2))
     sink(belief, 30.0)
     link = belief.column.dropped[3]
-    assert abs(link.B[0, 0]) > 0.2 * np.sqrt(link.C[0, 0] * link.S[0, 0])
+    assert abs(link.position_cross_covariance[0, 0]) > 0.2 * np.sqrt(
+        link.covariance[0, 0] * link.position_covariance[0, 0]
+    )
     belief.P[0, :] *= 1e-3  # as fixed to a thousandth of what it was
     belief.P[:, 0] *= 1e-3
     sink(belief, 0.0)
@@ -257,10 +259,10 @@ def test_a_walk_in_time_makes_a_remembered_depth_less_certain():
         link = belief.column.dropped[0]
         belief.column.walked += after_s * 1e-6
         water = conditioning_states(LAYOUT, 0) >= LAYOUT.north.start
-        assert np.abs(link.A[:, water]).max() > 0.1
+        assert np.abs(link.regression[:, water]).max() > 0.1
         np.testing.assert_allclose(
-            link_covariance(link, water, belief.column.walked) - link.C,
-            after_s * 1e-6 * (np.eye(2) + link.A[:, water] @ link.A[:, water].T),
+            link_covariance(link, water, belief.column.walked) - link.covariance,
+            after_s * 1e-6 * (np.eye(2) + link.regression[:, water] @ link.regression[:, water].T),
             atol=1e-12,
         )
         sink(belief, 0.0)
