@@ -8,7 +8,6 @@ independent of where the track starts.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,20 +22,26 @@ from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
 from ltv_mpc.localisation.pd0.reader import Recording
 from ltv_mpc.localisation.pd0.records import Ensemble, Settings
-from ltv_mpc.localisation.recorded_dive import study
+from ltv_mpc.localisation.recorded_dive.bottom_track import (
+    BottomTrackPath,
+    StartResult,
+    constant_velocity,
+    dead_reckon,
+    evaluate_track,
+    run_start,
+    starts,
+    uniformity,
+    window_end,
+)
 from ltv_mpc.localisation.recorded_dive.filter import Track, run
-from ltv_mpc.localisation.recorded_dive.noise import BeamNoise
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-from ltv_mpc.localisation.recorded_dive.truth import BottomTrackPath, dead_reckon
-from ltv_mpc.localisation.recorded_dive.uniformity import uniformity
+from ltv_mpc.localisation.recorded_dive.recording import BeamNoise
 from ltv_mpc.messages import Array
 from services.tools.localise.dive_result import (
     InstrumentRow,
     LocalisationResult,
-    LostBytes,
     StudyRow,
     TrackRow,
-    WaterRow,
 )
 
 MAX_STARTS = 60
@@ -96,18 +101,17 @@ def localise(
         ensembles=len(ensembles),
         lost_bytes=recording.lost_bytes,
         lost_places=recording.lost_places,
-        losses=tuple(LostBytes(offset=x.offset, length=x.length, why=x.why) for x in recording.losses),
+        losses=recording.losses,
         surface_fixes=fixes,
         instrument=_instrument(settings, noise),
         track=_track(track, dive, ensembles[first].number),
-        water=None if water is None else WaterRow(**dataclasses.asdict(water)),
+        water=water,
         error=error,
         study=many,
         notes=(*heads, *_notes(settings, dive, track, why), *_inconsistency(track, many)),
         parameters=parameters,
     )
-    constant = study.constant_velocity(dive[:fixes])
-    return Outcome(result, dive, track, _truth(ground), constant)
+    return Outcome(result, dive, track, _truth(ground), constant_velocity(dive[:fixes]))
 
 
 def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> tuple[int, str]:
@@ -205,9 +209,9 @@ def _track(track: Track, dive: Sequence[BeamEnsemble], number: int) -> TrackRow:
     )
 
 
-def _error(dive: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, fixes: int) -> study.StartResult | None:
-    end = study.window_end(ground, 0)
-    return None if end is None else study.evaluate_track(dive, ground, track, start=0, end=end, offered_fixes=fixes)
+def _error(dive: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, fixes: int) -> StartResult | None:
+    end = window_end(ground, 0)
+    return None if end is None else evaluate_track(dive, ground, track, start=0, end=end, offered_fixes=fixes)
 
 
 def _study(
@@ -222,10 +226,10 @@ def _study(
     ground = dead_reckon(dive)
     noise = BeamNoise(dive, parameters.min_good_share)
     rows = []
-    starts = study.starts(dive)[:MAX_STARTS]
-    for done, start in enumerate(starts):
-        progress(done / len(starts))
-        result = study.run_start(dive, ground, noise, parameters, start=start, offered_fixes=fixes)
+    first = starts(dive)[:MAX_STARTS]
+    for done, start in enumerate(first):
+        progress(done / len(first))
+        result = run_start(dive, ground, noise, parameters, start=start, offered_fixes=fixes)
         if result is not None:
             rows.append(result)
     if not rows:

@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
-from ltv_mpc.localisation.recorded_dive import study
+from ltv_mpc.localisation.pd0.reader import Loss
+from ltv_mpc.localisation.recorded_dive.bottom_track import StartResult, Uniformity
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-
-
-class LostBytes(msgspec.Struct, frozen=True, kw_only=True):
-    """Part of the file that could not be read as an ensemble."""
-
-    offset: int
-    length: int
-    why: str
 
 
 class InstrumentRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -48,15 +41,6 @@ class TrackRow(msgspec.Struct, frozen=True, kw_only=True):
     nis: float
 
 
-class WaterRow(msgspec.Struct, frozen=True, kw_only=True):
-    """Change of the current along the track, from bottom track."""
-
-    change_mps_per_rtm: float
-    change_mps: float  # over the whole track
-    run_m: float
-    uniform: bool  # false: sigma is widened by the change
-
-
 class StudyRow(msgspec.Struct, frozen=True, kw_only=True):
     """Statistics over all starts for which a true track exists."""
 
@@ -65,7 +49,7 @@ class StudyRow(msgspec.Struct, frozen=True, kw_only=True):
     median_constant_velocity_error_m: float | None  # None without a fix
     ratio: float | None
     inside_3_sigma: float  # share
-    each: tuple[study.StartResult, ...]
+    each: tuple[StartResult, ...]
 
 
 class LocalisationResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -76,12 +60,12 @@ class LocalisationResult(msgspec.Struct, frozen=True, kw_only=True):
     ensembles: int
     lost_bytes: int
     lost_places: int
-    losses: tuple[LostBytes, ...]
+    losses: tuple[Loss, ...]
     surface_fixes: int
     instrument: InstrumentRow
     track: TrackRow
-    water: WaterRow | None  # None: too little bottom track
-    error: study.StartResult | None
+    water: Uniformity | None  # None: too little bottom track
+    error: StartResult | None
     study: StudyRow | None
     notes: tuple[str, ...]
     parameters: DiveParameters

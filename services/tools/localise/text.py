@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from ltv_mpc.localisation.recorded_dive.study import MAX_START_DEPTH_M, MIN_START_DEPTH_M, WINDOW_S, StartResult
-from services.tools.localise.dive_result import LocalisationResult, StudyRow, WaterRow
+from ltv_mpc.localisation.recorded_dive.bottom_track import (
+    MAX_START_DEPTH_M,
+    MIN_START_DEPTH_M,
+    WINDOW_S,
+    StartResult,
+    Uniformity,
+)
+from services.tools.localise.dive_result import LocalisationResult, StudyRow
 
 _STARTS = f"between {MIN_START_DEPTH_M:g} and {MAX_START_DEPTH_M:g} m"
 
@@ -34,7 +40,7 @@ def text(result: LocalisationResult) -> str:
     return "\n".join(f"{name:<11} {words}" for name, words in rows)
 
 
-def _water_text(w: WaterRow | None) -> str:
+def _water_text(w: Uniformity | None) -> str:
     if w is None:
         return "too little bottom track to tell whether it is horizontally uniform"
     change = f"changes by {100 * w.change_mps:.0f} cm/s along {w.run_m:.0f} m"
