@@ -11,7 +11,7 @@ import sys
 
 import msgspec
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import track
 
 from tests.fuzz import campaign
 from tests.fuzz.targets import all_targets
@@ -29,32 +29,20 @@ def main() -> int:
     targets = [target for target in all_targets() if options.only in target.name]
     if not targets or options.frames < 1:
         parser.error("no frames: --frames N must be positive, and --only NAME part of a reader's name")
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(f"{options.frames} frames at {len(targets)} readers", total=1.0)
-        result = campaign.run(
-            targets,
-            options.frames,
-            options.seed,
-            first=options.first,
-            told=lambda name, share: progress.update(task, completed=share, description=name),
-        )
-    print(msgspec.json.encode(result).decode() if options.json else text(result))
-    return 0 if result.held else 1
-
-
-def text(result: campaign.Result) -> str:
-    """Format a line for each reader, then the invalid frames that were accepted."""
-    lines = [f"{'reader':<24}{'frames':>9}{'accepted':>10}{'crashes':>9}{'let in':>8}{'slowest ms':>12}{'most MB':>9}"]
-    for of in result.targets:
-        counts = f"{of.frames:>9}{of.accepted:>10}{of.crashes:>9}{of.let_in:>8}"
-        lines.append(f"{of.target:<24}{counts}{of.slowest_ms:>12.1f}{of.largest_bytes / 1e6:>9.1f}")
-    lines += [f"{failure.target} {failure.index}: {failure.what}" for failure in result.failures]
-    lines.append(
-        f"{result.frames} frames, seed {result.seed}, {result.seconds:.0f} s: {result.crashes} crashes, "
-        f"{result.let_in} wrong values let in, {result.beyond_memory} beyond {campaign.MOST_MEMORY >> 20} MiB for one "
-        f"frame; the process grew by {result.grown_bytes / 1e6:.1f} MB"
-    )
-    return "\n".join(lines)
+    each = list(zip(targets, campaign.shares(targets, options.frames), strict=True))
+    accounts = [
+        campaign.attack(target, frames, options.seed, first=options.first)
+        for target, frames in track(each, f"{options.frames} frames", console=Console(stderr=True))
+    ]
+    if options.json:
+        print(msgspec.json.encode(accounts).decode())
+    else:
+        print(f"{'reader':<24}{'frames':>9}{'accepted':>10}{'failed':>9}{'slowest ms':>12}{'most MB':>9}")
+        for of in accounts:
+            counts = f"{of.frames:>9}{of.accepted:>10}{of.failed:>9}"
+            print(f"{of.target:<24}{counts}{of.slowest_ms:>12.1f}{of.largest_bytes / 1e6:>9.1f}")
+        print(*(failure for of in accounts for failure in of.failures), sep="\n", end="")
+    return int(any(of.failed for of in accounts))
 
 
 if __name__ == "__main__":

@@ -13,8 +13,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from benchmarks.batch import Job
 from benchmarks.localisation_check.consistency import GridProjection, TrueState, drawn, nees, nodes_around, squared
-from benchmarks.lockstep_job import Job
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.estimator import Estimator

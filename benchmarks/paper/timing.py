@@ -49,9 +49,7 @@ def timed(cycles: int, *, seed: int = 0, progress: Callable[[], None]) -> Timed:
         config = settled(ControllerConfig(horizon_s=horizon_s), VEHICLE)
         episodes = problems.simulated(config.stages, cycles, seed)
         warm_up = problems.simulated(config.stages, 1, seed)[0]._replace(cycles=min(WARM_UP, cycles))
-        (samples,) = measure(
-            episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=lambda _: progress()
-        )
+        (samples,) = measure(episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=progress)
         found.append(Cycle(horizon_s, config.reach_s, paper_s, Spread.of(samples.cycle_us), samples))
     return Timed(found, machine(before))
 

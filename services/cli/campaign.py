@@ -10,10 +10,10 @@ import typer
 from services.cli.options import Force, Json, argument, invalid, needs, option, show
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from services.tools.campaign.ranking import Standing
-    from services.tools.campaign.trial import Row
+
+
+SHOWN = 10
 
 
 def campaign(
@@ -37,32 +37,41 @@ def campaign(
         raise invalid("option --workers", "cannot act together with --cluster, which has its own workers")
     with needs("pyarrow", "campaign", "campaign"):
         from services.tools.campaign import table
+    if cluster is not None:
+        with needs("distributed", "campaign", "campaign --cluster"):
+            import distributed  # noqa: F401
+    from services.reporting.terminal import progress_bar
     from services.run import folder
     from services.runtime.console import counted
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.tools.campaign import file as files
-    from services.tools.campaign import text
     from services.tools.campaign.campaign import open_campaign, plan, run
-    from services.tools.campaign.progress import Progress
-    from services.tools.campaign.ranking import ranked, scores
+    from services.tools.campaign.ranking import failures, ranked, scores
 
     design = files.load(file)
     planned = plan(design, f"campaign {file}")
     place = out or folder.make_default(file.stem)
     with open_campaign(place, planned, force=force) as store, stop_on_signals() as request:
-        there = [row for _, row in store.results()]
-        with Progress(design, there, planned.runs, quiet=as_json) as progress:
-            run(planned, store, workers=workers, cluster=cluster, on_row=progress.add, stop=request)
-        rows: Sequence[Row] = progress.rows
+        rows = [row for _, row in store.results()]
+        with progress_bar(design.title) as told:
+            for row in run(planned, store, workers=workers, cluster=cluster, stop=request):
+                rows.append(row)
+                told(len(rows) / planned.runs)
         table.write(place, design, rows, {"made_by": msgspec.json.encode(planned.made_by).decode()})
     _write_page(place)
-    best = ranked(scores(rows, design.minimise, design.varied), text.SHOWN)
-    _print_result(place, rows, best, runs=planned.runs, minimise=design.minimise, as_json=as_json)
+    failed = sum(row["failed"] is not None for row in rows)
+    best = ranked(scores(rows, design.minimise, design.varied), SHOWN)
+    counts = {"runs": planned.runs, "done": len(rows), "failed": failed}
+    show(
+        {"out": str(place), **counts, "minimise": design.minimise, "best": best},
+        lambda: "\n".join([_text(best, design.minimise), *failures(rows), str(place)]),
+        as_json=as_json,
+    )
     if len(rows) < planned.runs:
         left = f"{planned.runs - len(rows)} of {counted(planned.runs, 'run')} left"
         typer.echo(f"{left}: continue with the same command and --out {place}", err=True)
         return INTERRUPTED if request.interrupted else FAILED
-    return FAILED if all(row["failed"] is not None for row in rows) else DONE
+    return FAILED if failed == len(rows) else DONE
 
 
 def _write_page(folder: Path) -> None:
@@ -75,17 +84,20 @@ def _write_page(folder: Path) -> None:
         typer.echo(f"no {page.NAME}: {missing}: pip install plotly (extra viz)", err=True)
 
 
-def _print_result(
-    place: Path, rows: Sequence[Row], best: list[Standing], *, runs: int, minimise: str, as_json: bool
-) -> None:
+def _text(best: list[Standing], minimise: str) -> str:
+    """Tabulate the best points."""
     from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
 
-    from services.tools.campaign import text
+    from services.tools.campaign.ranking import HEAD, cells
 
-    failed = [row for row in rows if row["failed"] is not None]
-    counts = {"runs": runs, "done": len(rows), "failed": len(failed)}
+    table = Table(title=f"{minimise}, mean over seeds with 95 % interval", title_justify="left", box=None)
+    for name in (*(key.rpartition(".")[2] for key in best[0].settings), *HEAD) if best else ():
+        table.add_column(name, justify="right")
+    for one in best:
+        table.add_row(*map(Text, cells(one)))
     console = Console()
-    with console.capture() as table:
-        console.print(text.standings(best, minimise))
-    lines = [table.get().rstrip("\n"), *text.failures(failed), str(place)]
-    show({"out": str(place), **counts, "minimise": minimise, "best": best}, lambda: "\n".join(lines), as_json=as_json)
+    with console.capture() as text:
+        console.print(table)
+    return text.get().rstrip("\n")

@@ -30,13 +30,9 @@ def profile(
     with a current of 4 cm/s that the controller does not know, a quarter that start 2 m off with a heading error of up
     to 3 rad. Every solver solves each cycle, in random order. The ratios compare it with PIQP by its own interface.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from services.reporting.terminal import progress_bar
 
-    columns = TextColumn("{task.description}"), BarColumn(20), TaskProgressColumn(), TimeElapsedColumn()
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("loading and compiling", total=None)  # before the imports, which take seconds
+    with progress_bar("loading and compiling") as told:  # before the imports, which take seconds
         from services.run import folder
         from services.tools.profile import problems, table
         from services.tools.profile import run as latency
@@ -46,15 +42,8 @@ def profile(
         by_horizon = recorded or [problems.simulated(N, cycles, seed) for N in stages]
         named = latency.parse_solvers(solvers, by_horizon[0][0])
         written = None if out is None else folder.open_folder(out, force=force)
-        names = ", ".join(str(episodes[0].config.stages) for episodes in by_horizon)
-        progress.update(task, description=f"cycles at {names} stages", total=(latency.WARM_UP + cycles) * len(stages))
-        measured = latency.run(
-            by_horizon,
-            named,
-            seed=seed,
-            progress=lambda: progress.advance(task),
-            on_rows=lambda rows: console.out(*map(table.short, rows), sep="\n", highlight=False),
-        )
+        text = f"cycles at {', '.join(str(episodes[0].config.stages) for episodes in by_horizon)} stages"
+        measured = latency.run(by_horizon, named, seed=seed, progress=lambda share: told(share, text))
     plain = show(measured, lambda: table.text(measured), as_json=as_json)
     if written is not None:
         (written / "profile.json").write_text(plain + "\n", encoding="utf-8")

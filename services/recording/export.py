@@ -16,13 +16,13 @@ import itertools
 import math
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from types import NoneType
-from typing import IO, Any, Literal, Protocol, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import msgspec
+import numpy as np
 
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import ImuSamples
@@ -40,8 +40,8 @@ INT64 = 2**63
 MAX_FLOAT_INT = 2**1023
 """Larger integers do not fit a float and become text."""
 
-_SCALARS: dict[type, str] = {int: "int", float: "float", bool: "bool", str: "text"}
-_NUMBERS = {int, float, NoneType}
+_KINDS: dict[type, str] = {int: "int", float: "float", bool: "bool", str: "text"}
+_NUMBERS = {"int", "float"}
 
 
 class ExportedFile(msgspec.Struct, frozen=True, kw_only=True):
@@ -61,56 +61,13 @@ class ExportResult(msgspec.Struct, frozen=True, kw_only=True):
     unreadable: int
 
 
-class Column(msgspec.Struct, frozen=True, kw_only=True):
-    """Column of a table. ``kind``: int, float, bool, text, json; or numbers or integers, lists of ``depth`` levels."""
-
-    name: str
-    kind: str
-    depth: int = 0
-
-
-class ColumnMapping(msgspec.Struct, frozen=True, kw_only=True):
-    """Mapping of a message field to columns: one, or one for each entry of a list of ``shape``."""
-
-    path: str
-    columns: tuple[Column, ...]
-    shape: tuple[int, ...] = ()
-    mixed: bool = False  # a list of integers and floats, which tables do not mix
-
-    def cells(self, value: Any) -> Sequence[Any]:
-        """Return the cell of each column."""
-        if value is None:
-            return (None,) * len(self.columns)
-        if self.mixed:
-            value = _floats(value)
-        if len(self.shape) == 2:
-            return [entry for row in value for entry in row]
-        if self.shape:
-            return value  # type: ignore[no-any-return]
-        kind = self.columns[0].kind
-        if kind == "json":
-            return (msgspec.json.encode(value).decode(),)
-        return (float(value) if kind == "float" else value,)
-
-
-class Sink(Protocol):
-    """Output file for rows."""
-
-    def write(self, rows: Sequence[Sequence[Any]]) -> None:
-        """Append rows; a row has a value for each column."""
-        ...
-
-    def close(self) -> None:
-        """Finish the file."""
-        ...
-
-
 def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
     """Export the recording's segments as tables into ``folder``, which exists.
 
     Raises ``ConfigError`` if a segment is not an MCAP file, or pyarrow is needed and not installed.
     """
-    open_sink = _CsvSink if form == "csv" else _parquet()
+    if form == "parquet":
+        need_pyarrow()
     layouts: dict[str, dict[str, _Field]] = {}
     unreadable = 0
     for raw, message in _rows(parts):
@@ -122,9 +79,8 @@ def export(parts: Sequence[Path], folder: Path, form: Format) -> ExportResult:
         fields = layouts.setdefault(raw.key, defaultdict(_Field))
         for path, value in message.items():
             fields[path].add(value)
-    tables = {
-        key: _Table(key, _mappings(fields), folder, name, open_sink) for key, fields, name in _named(layouts, form)
-    }
+    table_type = _CsvTable if form == "csv" else _ParquetTable
+    tables = {key: table_type(key, fields, folder / name) for key, fields, name in _named(layouts, form)}
     try:
         for raw, message in _rows(parts):
             if message is not None:
@@ -172,104 +128,98 @@ def _named(layouts: dict[str, dict[str, _Field]], form: Format) -> Iterator[tupl
         yield key, layouts[key], f"{name}.{form}"
 
 
+class Column(msgspec.Struct, frozen=True, kw_only=True):
+    """Column of a table: numbers (int, float), bool, text, json; or of lists of numbers, ``depth`` levels of them."""
+
+    name: str
+    kind: str
+    depth: int = 0
+
+
 class _Field:
-    """Types and shapes seen in one field."""
+    """Types and shapes seen in one field; a scalar has the shape ()."""
 
     def __init__(self) -> None:
         self.kinds: set[str] = set()
-        self._shapes: set[tuple[int, ...] | None] = set()
-        self._entries: set[type] = set()
+        self.shapes: set[tuple[int, ...]] = set()
 
     def add(self, value: Any) -> None:
         """Add a value of a message."""
         if value is None:
             return
-        if isinstance(value, list):
-            self.kinds.add("list")
-            self._add_list(value)
-            return
-        kind = _SCALARS.get(type(value), "json")
-        if kind == "int" and not -INT64 <= value < INT64:
-            kind = "float" if abs(value) < MAX_FLOAT_INT else "json"
-        self.kinds.add(kind)
+        entries, shape = _entries(value)
+        kinds = {_kind(entry) for entry in entries if entry is not None}
+        even = not shape or (len(shape) <= 2 and kinds <= _NUMBERS)
+        self.shapes.add(shape if even else ())
+        self.kinds |= kinds if even else {"json"}
 
-    def spread(self, path: str) -> ColumnMapping:
-        """Return the columns for all values seen."""
-        if self.kinds == {"list"}:
-            return self._spread_list(path)
-        if self.kinds <= {"int", "float"}:  # none of them: always null
-            kind = "int" if self.kinds == {"int"} else "float"
-        else:
-            kind = next(iter(self.kinds)) if len(self.kinds) == 1 else "json"
-        return ColumnMapping(path=path, columns=(Column(name=path, kind=kind),))
-
-    def _add_list(self, value: list[Any]) -> None:
-        rows = value if value and all(type(row) is list for row in value) else [value]
-        entries = {type(entry) for row in rows for entry in row}
-        if int in entries:
-            largest = max(abs(x) for row in rows for x in row if type(x) is int)
-            entries |= {float} if largest >= INT64 else set()
-            entries |= {str} if largest >= MAX_FLOAT_INT else set()
-        even = entries <= _NUMBERS and len({len(row) for row in rows}) == 1
-        self._entries |= entries
-        if len(self._shapes) < 3:  # with three different shapes it varies anyway
-            shape = (len(value),) if rows[0] is value else (len(rows), len(rows[0]))
-            self._shapes.add(shape if even else None)
-        elif not even:
-            self._shapes = {None}
-
-    def _spread_list(self, path: str) -> ColumnMapping:
-        shapes = self._shapes
-        if None in shapes or len({len(shape) for shape in shapes if shape is not None}) > 1:
-            return ColumnMapping(path=path, columns=(Column(name=path, kind="json"),))
-        shape = next(iter(shapes)) or ()
-        whole = self._entries <= {int, NoneType} and int in self._entries
-        mixed = not whole and int in self._entries
-        if len(shapes) > 1 or not 0 < math.prod(shape) <= MAX_COLUMNS:
-            kind = "integers" if whole else "numbers"
-            return ColumnMapping(path=path, columns=(Column(name=path, kind=kind, depth=len(shape)),), mixed=mixed)
-        kind = "int" if whole else "float"
+    def columns(self, path: str) -> tuple[Column, ...]:
+        """Return the columns for all values seen: one, or one for each entry of a list."""
+        depths = {len(shape) for shape in self.shapes} or {0}
+        numbers = self.kinds <= _NUMBERS  # none of them: always null
+        if len(depths) > 1 or not (numbers or len(self.kinds) == 1):
+            return (Column(name=path, kind="json"),)
+        kind = next(iter(self.kinds)) if len(self.kinds) == 1 else "float"
+        shape = max(self.shapes, default=())
+        if len(self.shapes) > 1 or not 0 < math.prod(shape) <= MAX_COLUMNS:
+            return (Column(name=path, kind=kind, depth=len(shape)),)
         places = itertools.product(*map(range, shape))
-        columns = tuple(Column(name="_".join((path, *map(str, place))), kind=kind) for place in places)
-        return ColumnMapping(path=path, columns=columns, shape=shape, mixed=mixed)
+        return tuple(Column(name="_".join((path, *map(str, place))), kind=kind) for place in places)
+
+
+def _entries(value: Any) -> tuple[list[Any], tuple[int, ...]]:
+    """Return the entries of a list or matrix, and its shape; rows of different lengths stay lists."""
+    if not isinstance(value, list):
+        return [value], ()
+    array = np.array(value, dtype=object)
+    return array.ravel().tolist(), array.shape
+
+
+def _kind(value: Any) -> str:
+    kind = _KINDS.get(type(value), "json")
+    if kind == "int" and not -INT64 <= value < INT64:
+        return "float" if abs(value) < MAX_FLOAT_INT else "json"
+    return kind
+
+
+def _cells(columns: Sequence[Column], value: Any) -> Sequence[Any]:
+    """Return the cells of a field's value."""
+    kind = columns[0].kind
+    if value is None:
+        return (None,) * len(columns)
+    if kind == "json":
+        return (msgspec.json.encode(value).decode(),)
+    if columns[0].depth:
+        return (_floats(value) if kind == "float" else value,)
+    entries, _ = _entries(value)
+    return _floats(entries) if kind == "float" else entries
 
 
 def _floats(value: list[Any]) -> list[Any]:
     return [_floats(x) if isinstance(x, list) else None if x is None else float(x) for x in value]
 
 
-def _mappings(fields: dict[str, _Field]) -> list[ColumnMapping]:
-    """Return the mappings of a key's fields in the order in which they were first seen."""
-    parents = {path.rpartition(".")[0] for path in fields}
-    # a field that is null in some messages and a map in others has the columns of the map
-    return [field.spread(path) for path, field in fields.items() if field.kinds or path not in parents]
-
-
 class _Table:
     """Table of one key, written in batches of rows."""
 
-    def __init__(
-        self,
-        key: str,
-        spreads: list[ColumnMapping],
-        folder: Path,
-        name: str,
-        open_sink: Callable[[Path, str, list[Column]], Sink],
-    ) -> None:
-        self._key, self._name, self._spreads = key, name, spreads
-        columns = [column for spread in spreads for column in spread.columns]
-        self._timed = Column(name="t_ns", kind="int") in columns
+    def __init__(self, key: str, fields: dict[str, _Field], path: Path) -> None:
+        self._key, self._path = key, path
+        parents = {name.rpartition(".")[0] for name in fields}
+        # A field that is null in some messages and a map in others has the columns of the map.
+        self._fields = {
+            name: field.columns(name) for name, field in fields.items() if field.kinds or name not in parents
+        }
+        self._timed = self._fields.get("t_ns") == (Column(name="t_ns", kind="int"),)
         times = [Column(name="published_s", kind="float"), Column(name="published_ns", kind="int")]
         times += [Column(name="t_s", kind="float")] if self._timed else []
-        self._width = len(times) + len(columns)
-        self._sink = open_sink(folder / name, key, [*times, *columns])
+        self.columns = [*times, *itertools.chain.from_iterable(self._fields.values())]
         self._rows: list[list[Any]] = []
         self._count = 0
 
     @property
     def exported(self) -> ExportedFile:
         """Description of the file that was written."""
-        return ExportedFile(file=self._name, key=self._key, rows=self._count, columns=self._width)
+        return ExportedFile(file=self._path.name, key=self._key, rows=self._count, columns=len(self.columns))
 
     def add(self, published_ns: int, message: dict[str, Any]) -> None:
         """Add a message of the key."""
@@ -277,8 +227,8 @@ class _Table:
         if self._timed:
             t_ns = message.get("t_ns")
             row.append(None if t_ns is None else t_ns / 1e9)
-        for spread in self._spreads:
-            row += spread.cells(message.get(spread.path))
+        for name, columns in self._fields.items():
+            row += _cells(columns, message.get(name))
         self._rows.append(row)
         self._count += 1
         if len(self._rows) >= BATCH_ROWS:
@@ -286,32 +236,35 @@ class _Table:
 
     def close(self) -> None:
         """Write the remaining rows and finish the file."""
-        self._flush()
-        self._sink.close()
+        if self._rows:
+            self._flush()
+        self._file.close()
 
     def _flush(self) -> None:
-        if self._rows:
-            self._sink.write(self._rows)
-            self._rows = []
+        self._write(self._rows)
+        self._rows = []
+
+    _file: Any
+
+    def _write(self, rows: Sequence[Sequence[Any]]) -> None:
+        raise NotImplementedError
 
 
-class _CsvSink:
-    def __init__(self, path: Path, _key: str, columns: list[Column]) -> None:
-        self._file: IO[str] = path.open("w", encoding="utf-8", newline="")
+class _CsvTable(_Table):
+    def __init__(self, key: str, fields: dict[str, _Field], path: Path) -> None:
+        super().__init__(key, fields, path)
+        self._file = path.open("w", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
-        self._writer.writerow([column.name for column in columns])
-        self._as_json = [i for i, column in enumerate(columns) if column.kind in ("numbers", "integers", "bool")]
+        self._writer.writerow([column.name for column in self.columns])
+        self._as_json = [i for i, column in enumerate(self.columns) if column.depth or column.kind == "bool"]
 
-    def write(self, rows: Sequence[Sequence[Any]]) -> None:
+    def _write(self, rows: Sequence[Sequence[Any]]) -> None:
         for row in rows:
             cells = list(row)
             for i in self._as_json:
                 if cells[i] is not None:
                     cells[i] = msgspec.json.encode(cells[i]).decode()
             self._writer.writerow(cells)
-
-    def close(self) -> None:
-        self._file.close()
 
 
 def need_pyarrow() -> None:
@@ -321,36 +274,26 @@ def need_pyarrow() -> None:
         raise ConfigError("option --format", "", problem, value="parquet")
 
 
-def _parquet() -> Callable[[Path, str, list[Column]], Sink]:
-    need_pyarrow()
-    import pyarrow as pa
-    from pyarrow import parquet as pq
+class _ParquetTable(_Table):
+    def __init__(self, key: str, fields: dict[str, _Field], path: Path) -> None:
+        import pyarrow as pa
+        from pyarrow import parquet as pq
 
-    number, integer, text = pa.float64(), pa.int64(), pa.string()
-    scalar = {"int": integer, "float": number, "bool": pa.bool_(), "text": text, "json": text}
-    scalar |= {"numbers": number, "integers": integer}
+        super().__init__(key, fields, path)
+        self._pa = pa
+        topic = topics.topic_at(key)
+        about = {"ltv_mpc.key": key, "ltv_mpc.message": "" if topic is None else topic.message_type.__name__}
+        types = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_()}
+        made = []
+        for column in self.columns:
+            kind = types.get(column.kind, pa.string())
+            for _ in range(column.depth):
+                kind = pa.list_(kind)
+            made.append((column.name, kind))
+        self._schema = pa.schema(made, metadata=about)
+        self._file = pq.ParquetWriter(path, self._schema, compression="zstd")
 
-    def kind(column: Column) -> Any:
-        made = scalar[column.kind]
-        for _ in range(column.depth):
-            made = pa.list_(made)
-        return made
-
-    class ParquetSink:
-        def __init__(self, path: Path, key: str, columns: list[Column]) -> None:
-            topic = topics.topic_at(key)
-            about = {"ltv_mpc.key": key, "ltv_mpc.message": "" if topic is None else topic.message_type.__name__}
-            self._schema = pa.schema([(column.name, kind(column)) for column in columns], metadata=about)
-            self._writer = pq.ParquetWriter(path, self._schema, compression="zstd")
-
-        def write(self, rows: Sequence[Sequence[Any]]) -> None:
-            arrays = [
-                pa.array(values, type=field.type)
-                for values, field in zip(zip(*rows, strict=True), self._schema, strict=True)
-            ]
-            self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
-
-        def close(self) -> None:
-            self._writer.close()
-
-    return ParquetSink
+    def _write(self, rows: Sequence[Sequence[Any]]) -> None:
+        columns = zip(zip(*rows, strict=True), self._schema, strict=True)
+        arrays = [self._pa.array(values, type=field.type) for values, field in columns]
+        self._file.write_table(self._pa.Table.from_arrays(arrays, schema=self._schema))

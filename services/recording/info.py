@@ -110,41 +110,71 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(slots=True)
-class _SourceStatistics:
+class _SourceFigures:
     gaps: SequenceGaps
     first_ns: int
     last_ns: int
 
+    def source(self, epoch: int) -> Source:
+        """Return the figures for the output."""
+        return Source(
+            epoch=epoch,
+            messages=self.gaps.messages,
+            first_s=self.first_ns / 1e9,
+            last_s=self.last_ns / 1e9,
+            published=self.gaps.published,
+            missing=self.gaps.missing,
+            doubled=self.gaps.doubled,
+            gaps=self.gaps.ranges[:MAX_GAPS],
+        )
 
-class _KeyStatistics:
-    def __init__(self) -> None:
-        self.first_ns: int | None = None
-        self.last_ns = 0
-        self.bytes = 0
-        self.silence_ns = 0
-        self.silence_from_ns = 0
-        self.sources: dict[int, _SourceStatistics] = {}
+
+class _KeyFigures:
+    def __init__(self, first_ns: int) -> None:
+        self._first_ns = self._last_ns = first_ns
+        self._bytes = 0
+        self._silence_ns = 0
+        self._silence_from_ns = 0
+        self._sources: dict[int, _SourceFigures] = {}
 
     def add(self, raw: StoredMessage, header: Header, *, from_first: bool) -> None:
         """Add a message. ``from_first``: a source is counted from its first recorded message on, not from 0."""
-        if self.bytes and raw.t_ns - self.last_ns > self.silence_ns:
-            self.silence_ns, self.silence_from_ns = raw.t_ns - self.last_ns, self.last_ns
-        self.first_ns = raw.t_ns if self.first_ns is None else min(self.first_ns, raw.t_ns)
-        self.last_ns = max(self.last_ns, raw.t_ns) if self.bytes else raw.t_ns
-        self.bytes += len(raw.data)
-        source = self.sources.get(header.epoch)
+        if raw.t_ns - self._last_ns > self._silence_ns:
+            self._silence_ns, self._silence_from_ns = raw.t_ns - self._last_ns, self._last_ns
+        self._first_ns, self._last_ns = min(self._first_ns, raw.t_ns), max(self._last_ns, raw.t_ns)
+        self._bytes += len(raw.data)
+        source = self._sources.get(header.epoch)
         if source is None:
-            if len(self.sources) >= MAX_SOURCES:
+            if len(self._sources) >= MAX_SOURCES:
                 raise WireError("too many sources")
             begins = header.sequence if from_first else 0
-            source = self.sources[header.epoch] = _SourceStatistics(SequenceGaps(begins), raw.t_ns, raw.t_ns)
+            source = self._sources[header.epoch] = _SourceFigures(SequenceGaps(begins), raw.t_ns, raw.t_ns)
         source.gaps.add(header.sequence)
         source.last_ns = max(source.last_ns, raw.t_ns)
+
+    def key(self, name: str) -> Key:
+        """Return the figures for the output."""
+        sources = tuple(figures.source(epoch) for epoch, figures in self._sources.items())
+        topic, over_ns = topics.topic_at(name), self._last_ns - self._first_ns
+        messages = sum(source.messages for source in sources)
+        return Key(
+            key=name,
+            message="" if topic is None else topic.message_type.__name__,
+            messages=messages,
+            rate_hz=1e9 * (messages - 1) / over_ns if over_ns > 0 else None,
+            first_s=self._first_ns / 1e9,
+            last_s=self._last_ns / 1e9,
+            silence_s=self._silence_ns / 1e9,
+            silence_from_s=self._silence_from_ns / 1e9,
+            bytes=self._bytes,
+            missing=sum(source.missing for source in sources),
+            sources=sources,
+        )
 
 
 class _Collector:
     def __init__(self) -> None:
-        self.keys: dict[str, _KeyStatistics] = {}
+        self.keys: dict[str, _KeyFigures] = {}
         self.events: list[Event] = []
         self.events_total = 0
         self.why = ""
@@ -152,10 +182,10 @@ class _Collector:
         self.settings: dict[str, NodeSettings] = {}  # newest, by key
 
     def add(self, stored: StoredMessage, *, from_first: bool) -> None:
-        """Add a message; ``from_first`` as in ``_KeyStatistics.add``."""
+        """Add a message; ``from_first`` as in ``_KeyFigures.add``."""
         try:
             header = stored.header()
-            self.keys.setdefault(stored.key, _KeyStatistics()).add(stored, header, from_first=from_first)
+            self.keys.setdefault(stored.key, _KeyFigures(stored.t_ns)).add(stored, header, from_first=from_first)
         except WireError:
             self.unreadable += 1
             return
@@ -183,7 +213,7 @@ def read(parts: Sequence[Path]) -> Info:
         segments.append(_segment(reader, collector))
         metadata = metadata or reader.metadata
         recovered = recovered or RECOVERY in reader.others
-    keys = tuple(_key(name, statistics) for name, statistics in sorted(collector.keys.items()))
+    keys = tuple(figures.key(name) for name, figures in sorted(collector.keys.items()))
     first = min((key.first_s for key in keys), default=0.0)
     last = max((key.last_s for key in keys), default=0.0)
     scenario = table_of(metadata, SCENARIO)
@@ -216,11 +246,12 @@ def read(parts: Sequence[Path]) -> Info:
 
 
 def _segment(reader: Recording, collector: _Collector) -> Segment:
-    count, first, last = 0, None, None
+    count = 0
+    times_s: tuple[float, ...] = ()  # of the first and the last message
     for raw in reader.stored():
         count += 1
-        first = raw.t_ns if first is None else min(first, raw.t_ns)
-        last = raw.t_ns if last is None else max(last, raw.t_ns)
+        t_s = raw.t_ns / 1e9
+        times_s = min((t_s, *times_s)), max((t_s, *times_s))
         collector.add(raw, from_first=reader.metadata.get("mode") == VEHICLE_MODE)
     records = reader.records
     return Segment(
@@ -229,40 +260,8 @@ def _segment(reader: Recording, collector: _Collector) -> Segment:
         whole=records.whole,
         lost_bytes=records.lost_bytes,
         messages=count,
-        first_s=None if first is None else first / 1e9,
-        last_s=None if last is None else last / 1e9,
-    )
-
-
-def _key(name: str, statistics: _KeyStatistics) -> Key:
-    topic = topics.topic_at(name)
-    messages = sum(source.gaps.messages for source in statistics.sources.values())
-    first_ns = statistics.first_ns or 0
-    over_ns = statistics.last_ns - first_ns
-    return Key(
-        key=name,
-        message="" if topic is None else topic.message_type.__name__,
-        messages=messages,
-        rate_hz=1e9 * (messages - 1) / over_ns if over_ns > 0 else None,
-        first_s=first_ns / 1e9,
-        last_s=statistics.last_ns / 1e9,
-        silence_s=statistics.silence_ns / 1e9,
-        silence_from_s=statistics.silence_from_ns / 1e9,
-        bytes=statistics.bytes,
-        missing=sum(source.gaps.missing for source in statistics.sources.values()),
-        sources=tuple(
-            Source(
-                epoch=epoch,
-                messages=source.gaps.messages,
-                first_s=source.first_ns / 1e9,
-                last_s=source.last_ns / 1e9,
-                published=source.gaps.published,
-                missing=source.gaps.missing,
-                doubled=source.gaps.doubled,
-                gaps=source.gaps.ranges[:MAX_GAPS],
-            )
-            for epoch, source in statistics.sources.items()
-        ),
+        first_s=times_s[0] if times_s else None,
+        last_s=times_s[1] if times_s else None,
     )
 
 

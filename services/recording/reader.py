@@ -6,7 +6,7 @@ of the file is not needed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -88,8 +88,8 @@ class Recording:
     def __iter__(self) -> Iterator[StoredMessage]:
         return self.stored()
 
-    def stored(self, keys: Container[str] | None = None) -> Iterator[StoredMessage]:
-        """Yield the messages without decoding them; ``keys`` selects them, None: all."""
+    def stored(self, wanted: Callable[[str], bool] = lambda _: True) -> Iterator[StoredMessage]:
+        """Yield the messages without decoding them; ``wanted`` selects them by their key."""
         channels: dict[int, tuple[str, type[Message] | None] | None] = {}
         start_ns, records = 0, self.records
         self.cut = False
@@ -102,8 +102,8 @@ class Recording:
                     yield StoredMessage(*channel, record.log_time + start_ns, record.sequence, record.data)
             elif isinstance(record, Channel):
                 topic = topics.topic_at(record.topic)
-                wanted = keys is None or record.topic in keys
-                channels[record.id] = (record.topic, topic.message_type if topic else None) if wanted else None
+                channel = record.topic, topic.message_type if topic else None
+                channels[record.id] = channel if wanted(record.topic) else None
             elif isinstance(record, Metadata) and record.name == RUN:
                 self.metadata = record.metadata
                 start_ns = start_of(record.metadata)

@@ -15,20 +15,19 @@ from __future__ import annotations
 
 import re
 import struct
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeAlias
 
-import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Message, Metadata, Schema
+from mcap.stream_reader import breakup_chunk
 
 from ltv_mpc.config import open_file
 from ltv_mpc.errors import ConfigError
@@ -48,10 +47,6 @@ FOREIGN = (
 )
 
 _HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-MESSAGE = int(Opcode.MESSAGE)  # an int compares faster than an enum, and a file has some hundred thousand records
-
-IN_CHUNK = frozenset((MESSAGE, int(Opcode.CHANNEL), int(Opcode.SCHEMA)))
 
 DECODING_ERRORS = (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError)
 """Exceptions of mcap, zstd, lz4 and struct on damaged content; UnicodeDecodeError is a ValueError."""
@@ -148,7 +143,7 @@ class Records:
                 summary = True
             elif not summary:
                 try:
-                    found = list(_decoded(opcode, content))
+                    found = _decoded(opcode, content)
                 except DECODING_ERRORS as error:
                     why = " ".join(str(error).split()) or type(error).__name__
                     self._lose(start, _HEAD.size + length, f"{_name(opcode)}: {why}"[:200])
@@ -181,64 +176,38 @@ class Records:
         return True
 
 
-def _decoded(opcode: int, content: bytes) -> Iterator[Record]:
-    """Yield the records that a record contains."""
+def _decoded(opcode: int, content: bytes) -> Iterable[Record]:
+    """Return the records that a record contains."""
+    stream = ReadDataStream(BytesIO(content))
     match opcode:
         case Opcode.CHUNK:
-            yield from _chunk(Chunk.read(_stream(content)))
+            chunk = Chunk.read(stream)
+            _check_size(chunk)
+            return breakup_chunk(chunk, validate_crc=True)  # type: ignore[return-value]  # only such records
         case Opcode.MESSAGE:
-            yield _message(content, 0, len(content))
+            return (Message.read(stream, len(content)),)
         case Opcode.CHANNEL:
-            yield Channel.read(_stream(content))
+            return (Channel.read(stream),)
         case Opcode.SCHEMA:
-            yield Schema.read(_stream(content))
+            return (Schema.read(stream),)
         case Opcode.METADATA:
-            yield Metadata.read(_stream(content))
+            return (Metadata.read(stream),)
         case _:  # an index, or a record of a later version
-            pass
+            return ()
 
 
-def _chunk(chunk: Chunk) -> Iterator[Record]:
-    data = _decompressed(chunk)
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise ValueError("its checksum is wrong")
-    start = 0
-    while start < len(data):
-        opcode, length = _HEAD.unpack_from(data, start)
-        start += _HEAD.size + length
-        if start > len(data) or opcode not in IN_CHUNK:
-            raise ValueError("a record type that a chunk cannot hold")
-        if opcode == MESSAGE:
-            yield _message(data, start - length, start)
-        else:
-            yield from _decoded(opcode, data[start - length : start])
-
-
-def _message(data: bytes, start: int, end: int) -> Message:
-    channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, start)
-    return Message(channel, log_time, data[start + _MESSAGE.size : end], publish_time, sequence)
-
-
-def _decompressed(chunk: Chunk) -> bytes:
-    if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-        raise ValueError(f"{chunk.uncompressed_size} bytes, at most {MAX_CHUNK_BYTES}")
-    if chunk.uncompressed_size > FREE_BYTES + MAX_RATIO * len(chunk.data):
-        raise ValueError(f"{chunk.uncompressed_size} bytes from {len(chunk.data)}: more than {MAX_RATIO} times as many")
-    if chunk.compression == "zstd":
-        # The frame claims a size of its own, which zstd would trust.
-        if zstandard.frame_content_size(chunk.data) > MAX_CHUNK_BYTES:
-            raise ValueError("its zstd frame claims too many bytes")
-        return zstandard.decompress(chunk.data, chunk.uncompressed_size)
-    if chunk.compression == "lz4":
-        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size)
-        return data
-    if chunk.compression:
+def _check_size(chunk: Chunk) -> None:
+    """Raise ``ValueError`` for a chunk that claims too much, or that is not compressed by zstd or LZ4."""
+    size, stored = chunk.uncompressed_size, len(chunk.data)
+    if size > MAX_CHUNK_BYTES:
+        raise ValueError(f"{size} bytes, at most {MAX_CHUNK_BYTES}")
+    if size > FREE_BYTES + MAX_RATIO * stored:
+        raise ValueError(f"{size} bytes from {stored}: more than {MAX_RATIO} times as many")
+    if chunk.compression not in ("zstd", "lz4", ""):
         raise ValueError(f"compressed by {chunk.compression[:20]!r}, which is not supported")
-    return chunk.data
-
-
-def _stream(content: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(content))
+    # The frame claims a size of its own, which zstd would trust.
+    if chunk.compression == "zstd" and zstandard.frame_content_size(chunk.data) > MAX_CHUNK_BYTES:
+        raise ValueError("its zstd frame claims too many bytes")
 
 
 def _name(opcode: int) -> str:

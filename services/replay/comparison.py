@@ -17,7 +17,6 @@ from services.bus import wire
 from services.bus.topics import key_of
 from services.bus.wire import Header
 from services.recording.reader import StoredMessage
-from services.replay.epoch import Outcome
 from services.replay.verdict import MAX_FIELDS, Difference, FieldDifference, Gap
 
 MAX_PENDING = 1000
@@ -37,8 +36,11 @@ class _Output(NamedTuple):
     message: Message
 
 
-class StepCounts:
-    """Counts of replayed steps and compared outputs, and the first difference, of one epoch."""
+class Comparison:
+    """Matching of the replayed and recorded outputs of one epoch.
+
+    The replayed outputs of each key are numbered from 0, as they were when they were published.
+    """
 
     def __init__(self, node: str, epoch: int) -> None:
         self.first_difference: Difference | None = None
@@ -46,55 +48,9 @@ class StepCounts:
         self.outputs_compared = 0
         self.outputs_lost = 0
         self.outputs_unpublished = 0
-        self._node = node
-        self._epoch = epoch
-        self._different: set[int] = set()  # steps
-        self._incomplete: set[int] = set()  # steps with a lost output
-
-    @property
-    def compared(self) -> int:
-        """Replayed steps all of whose outputs are in the file."""
-        return self.replayed - len(self._incomplete)
-
-    @property
-    def identical(self) -> int:
-        """Compared steps whose outputs are identical."""
-        return self.replayed - len(self._incomplete | self._different)
-
-    def add_lost(self, step: int) -> None:
-        """Add an output that was published and is not in the file."""
-        self.outputs_lost += 1
-        self._incomplete.add(step)
-
-    def add_difference(
-        self, output: _Output, key: str, sequence: int, what: str, fields: Sequence[FieldDifference] = ()
-    ) -> None:
-        """Add a difference; the one of the earliest step is kept."""
-        self._different.add(output.step)
-        if self.first_difference is not None and self.first_difference.step <= output.step:
-            return
-        self.first_difference = Difference(
-            node=self._node,
-            epoch=self._epoch,
-            step=output.step,
-            t_ns=output.t_ns,
-            key=key,
-            sequence=sequence,
-            what=what or ("" if fields else SAME_VALUES),
-            fields=tuple(fields[:MAX_FIELDS]),
-            more_fields=max(0, len(fields) - MAX_FIELDS),
-        )
-
-
-class Comparison(Outcome):
-    """Matching of the replayed and recorded outputs of one epoch.
-
-    The replayed outputs of each key are numbered from 0, as they were when they were published.
-    """
-
-    def __init__(self, node: str, epoch: int) -> None:
-        self.counts = StepCounts(node, epoch)
         self._node, self._epoch = node, epoch
+        self._different_steps: set[int] = set()
+        self._incomplete_steps: set[int] = set()  # with a lost output
         self._replayed: dict[_Name, _Output] = {}  # not recorded yet
         self._recorded: dict[_Name, list[tuple[StoredMessage, Header]]] = {}  # not replayed yet
         self._different: dict[_Name, tuple[StoredMessage, Header]] = {}  # an identical copy may follow
@@ -104,7 +60,17 @@ class Comparison(Outcome):
         self._last = (-1, 0)  # step and time of the newest record
 
     @property
-    def behind(self) -> bool:  # type: ignore[override]
+    def compared(self) -> int:
+        """Replayed steps all of whose outputs are in the file."""
+        return self.replayed - len(self._incomplete_steps)
+
+    @property
+    def identical(self) -> int:
+        """Compared steps whose outputs are identical."""
+        return self.replayed - len(self._incomplete_steps | self._different_steps)
+
+    @property
+    def behind(self) -> bool:
         """True if the file has outputs of later steps than were replayed.
 
         It has, if the next output of one key is recorded, and of another key only a later one. A restarted recorder
@@ -118,7 +84,7 @@ class Comparison(Outcome):
 
     def add_replayed(self, number: int, step: RecordedStep, messages: Sequence[Message]) -> None:
         """Add the outputs of a replayed step."""
-        self.counts.replayed += 1
+        self.replayed += 1
         self._last = number, step.t_ns
         for entry in step.inbox:
             if entry.epoch == self._epoch:  # from the node's own process: the state that it started from
@@ -134,9 +100,9 @@ class Comparison(Outcome):
 
     def step_failed(self, number: int, step: RecordedStep, error: Exception) -> None:
         """Add a replayed step that raised. The recorded one did not, because the node survived it."""
-        self.counts.replayed += 1
+        self.replayed += 1
         what = f"the replay raised {type(error).__name__}: {error}"
-        self.counts.add_difference(_Output(number, step.t_ns, Message()), "", -1, what)
+        self._add_difference(_Output(number, step.t_ns, Message()), "", -1, what)
 
     def add_recorded(self, stored: StoredMessage, header: Header) -> None:
         """Add a recorded output of the epoch."""
@@ -161,14 +127,15 @@ class Comparison(Outcome):
         last_step = max((output.step for output in self._replayed.values()), default=-1)
         for (key, sequence), output in self._replayed.items():
             if sequence > self._newest.get(key, -1) and output.step == last_step:
-                self.counts.outputs_unpublished += 1
+                self.outputs_unpublished += 1
             elif sequence > self._newest.get(key, -1) and complete and not self._has_hole():
-                self.counts.add_difference(output, key, sequence, NOT_RECORDED)
+                self._add_difference(output, key, sequence, NOT_RECORDED)
             else:
-                self.counts.add_lost(output.step)
+                self.outputs_lost += 1
+                self._incomplete_steps.add(output.step)
         for key, sequence in self._recorded:
             if complete and sequence == self._next.get(key, 0):
-                self.counts.add_difference(_Output(*self._last, Message()), key, sequence, NOT_REPLAYED)
+                self._add_difference(_Output(*self._last, Message()), key, sequence, NOT_REPLAYED)
 
     def _has_hole(self) -> bool:
         """Return True if the file misses an output behind which it has a later one of the same key."""
@@ -182,7 +149,7 @@ class Comparison(Outcome):
         if msgspec.json.encode(plain) == stored.data and wire.crc(wire.pack(plain)) == stored.crc:
             del self._replayed[name]
             self._different.pop(name, None)
-            self.counts.outputs_compared += 1
+            self.outputs_compared += 1
         else:
             self._different.setdefault(name, (stored, header))
             if len(self._different) > MAX_PENDING:
@@ -191,16 +158,29 @@ class Comparison(Outcome):
     def _count_difference(self, name: _Name) -> None:
         stored, header = self._different.pop(name)
         output = self._replayed.pop(name)
-        self.counts.outputs_compared += 1
-        self.counts.add_difference(output, *name, "", _fields(_json(output.message, header), stored.data))
+        self.outputs_compared += 1
+        replayed = msgspec.json.encode(wire.to_map(output.message, header))
+        fields = differences(msgspec.json.decode(stored.data), msgspec.json.decode(replayed))
+        self._add_difference(output, *name, "", tuple(fields))
 
-
-def _json(message: Message, header: Header) -> bytes:
-    return msgspec.json.encode(wire.to_map(message, header))
-
-
-def _fields(replayed: bytes, recorded: bytes) -> list[FieldDifference]:
-    return list(differences(msgspec.json.decode(recorded), msgspec.json.decode(replayed)))
+    def _add_difference(
+        self, output: _Output, key: str, sequence: int, what: str, fields: tuple[FieldDifference, ...] = ()
+    ) -> None:
+        """Add a difference; the one of the earliest step is kept."""
+        self._different_steps.add(output.step)
+        if self.first_difference is not None and self.first_difference.step <= output.step:
+            return
+        self.first_difference = Difference(
+            node=self._node,
+            epoch=self._epoch,
+            step=output.step,
+            t_ns=output.t_ns,
+            key=key,
+            sequence=sequence,
+            what=what or ("" if fields else SAME_VALUES),
+            fields=fields[:MAX_FIELDS],
+            more_fields=max(0, len(fields) - MAX_FIELDS),
+        )
 
 
 def differences(recorded: Any, replayed: Any, path: str = "") -> Iterator[FieldDifference]:

@@ -1,4 +1,9 @@
-"""Replay of one start of a node: a new node steps on the inbox of each recorded step, in their order."""
+"""Replay of one start of a node: a new node steps on the inbox of each recorded step, in their order.
+
+A record names a message by its key, its source's epoch, its sequence number and the CRC-32 of the frame. If the
+recorder listened on both sides of a bad link, the file may have a frame twice, or a damaged copy under the same number:
+the CRC identifies the one that the node received.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +11,17 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from ltv_mpc.messages import InboxEntry, Message, RecordedStep, StepRecord
-from ltv_mpc.node import Node
+from ltv_mpc.messages import InboxEntry, RecordedStep, StepRecord
+from ltv_mpc.node import Node, ReceivedMessage
+from services.bus import wire
 from services.bus.time_shift import shifted
-from services.bus.wire import Header, WireError
+from services.bus.topics import source_of
+from services.bus.wire import WireError
 from services.recording.node_settings import NoSettingsError
 from services.recording.reader import StoredMessage
-from services.replay.frames import Frames, received_message
+from services.replay.comparison import Comparison
 from services.replay.verdict import Gap
+from services.replay.what_if import WhatIf
 
 REACH = 100_000
 """Largest distance in the file, in messages, between a step's record and a message of its inbox. The file has the
@@ -23,35 +31,54 @@ messages of several processes in the order in which the recorder received them, 
 FIRST_STEP = "the record of its first step, which it published before the recorder was there,"
 
 
-class Outcome:
-    """Consumer of an epoch's replayed and recorded outputs."""
+class Frames:
+    """Frames in the order of the file. ``at`` is the position in the file, by which old frames are discarded."""
 
-    behind = False
-    """True if the file has outputs of later steps than were replayed."""
+    def __init__(self) -> None:
+        self._of_source: dict[tuple[str, int], dict[int, list[tuple[int, StoredMessage]]]] = {}
 
-    def add_replayed(self, number: int, step: RecordedStep, messages: Sequence[Message]) -> None:
-        """Add the outputs of a replayed step."""
-        raise NotImplementedError
+    def add(self, stored: StoredMessage, header: wire.Header, at: int) -> None:
+        """Add a message of the file."""
+        source = self._of_source.setdefault((stored.key, header.epoch), {})
+        source.setdefault(header.sequence, []).append((at, stored))
 
-    def step_failed(self, number: int, step: RecordedStep, error: Exception) -> None:
-        """Add a replayed step that raised. The recorded one did not, because the node survived it."""
-        raise NotImplementedError
+    def find(self, entry: InboxEntry) -> StoredMessage | None:
+        """Return the frame that the node received; None if it is not here."""
+        copies = self._of_source.get((entry.key, entry.epoch), {}).get(entry.sequence, ())
+        return next((stored for _, stored in copies if stored.crc == entry.crc), None)
 
-    def add_recorded(self, stored: StoredMessage, header: Header) -> None:
-        """Add a recorded output of the epoch."""
-        raise NotImplementedError
+    def discard_through(self, entry: InboxEntry) -> None:
+        """Discard the frames of the entry's source up to this one: a node accepts growing sequence numbers only."""
+        source = self._of_source[entry.key, entry.epoch]
+        for sequence in [sequence for sequence in source if sequence <= entry.sequence]:
+            del source[sequence]
 
-    def stop(self) -> None:
-        """Note a gap: no more steps are replayed."""
+    def discard_before(self, before: int) -> None:
+        """Discard the frames before position ``before``."""
+        for source in self._of_source.values():
+            for sequence in [sequence for sequence, copies in source.items() if copies[-1][0] < before]:
+                del source[sequence]
+        self._of_source = {name: source for name, source in self._of_source.items() if source}
 
-    def close(self, gap: Gap | None) -> None:
-        """Note the end of the file."""
+    def __len__(self) -> int:
+        return sum(map(len, self._of_source.values()))
+
+
+def received_message(stored: StoredMessage, entry: InboxEntry) -> ReceivedMessage:
+    """Return the entry as the node received it. Raises ``WireError`` if this version has no such message."""
+    return ReceivedMessage(
+        shifted(stored.message(), entry.shift_ns),
+        entry.epoch,
+        entry.sequence,
+        entry.received_t_ns,
+        source_of(entry.key),
+    )
 
 
 class Epoch:
     """Epoch of a node, from its first record to its last. No step is replayed after a gap: the state is unknown."""
 
-    def __init__(self, number: int, make: Callable[[], Node], frames: Frames, outcome: Outcome) -> None:
+    def __init__(self, number: int, make: Callable[[], Node], frames: Frames, outcome: Comparison | WhatIf) -> None:
         self.number = number
         self.outcome = outcome
         self.last_at = 0  # position of its newest record in the file

@@ -6,34 +6,33 @@ These are the nodes that read it, wrote it, or whose step it records.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import chain
-from typing import Generic, TypeVar
 
 from ltv_mpc.messages import NodeStatus, StepRecord
 from ltv_mpc.node import Node
 from services.bus.topics import STATES, key_of, table_key
 from services.bus.wire import Header, WireError
 from services.recording.reader import Recording, StoredMessage
-from services.replay.epoch import REACH, Epoch, Outcome
-from services.replay.frames import Frames
+from services.replay.comparison import Comparison
+from services.replay.epoch import REACH, Epoch, Frames
+from services.replay.what_if import WhatIf
 
 SWEEP = 10_000
 """Messages between two removals of those that are too old to be needed."""
 
-Made = TypeVar("Made", bound=Outcome)
 
-
-class NodeReplay(Generic[Made]):
+class NodeReplay:
     """Replay of one node: its epochs by number, in the order of their start."""
 
-    def __init__(self, name: str, make: Callable[[int | None], Node], outcome: Callable[[int], Made]) -> None:
+    def __init__(
+        self, name: str, make: Callable[[int | None], Node], outcome: Callable[[int], Comparison | WhatIf]
+    ) -> None:
         """``make`` builds the node of an epoch, None: of any; ``outcome`` builds the consumer of its outputs."""
         node = make(None)
         self.name = name
         self.epochs: dict[int, Epoch] = {}
-        self.outcomes: dict[int, Made] = {}
         self.record_key, self.status_key = key_of(StepRecord, name), key_of(NodeStatus, name)
         restored = (STATES[name],) if name in STATES else ()  # the state that a new process begins from
         self.reads = frozenset(key_of(kind, name) for kind in (*node.reads, *restored))
@@ -84,36 +83,29 @@ class NodeReplay(Generic[Made]):
     def _epoch(self, number: int) -> Epoch:
         epoch = self.epochs.get(number)
         if epoch is None:
-            outcome = self.outcomes[number] = self._outcome(number)
-            epoch = self.epochs[number] = Epoch(number, partial(self._make, number), self._frames, outcome)
+            made = Epoch(number, partial(self._make, number), self._frames, self._outcome(number))
+            epoch = self.epochs[number] = made
             self._open.append(epoch)
         return epoch
 
 
-class _Keys:
-    """Keys in the table of topics, and those of the sources that publish beside them."""
-
-    def __init__(self, keys: set[str]) -> None:
-        self._keys = keys
-
-    def __contains__(self, key: object) -> bool:
-        return isinstance(key, str) and table_key(key) in self._keys
-
-
 def feed(
     recordings: Sequence[Recording],
-    nodes: Iterable[NodeReplay[Made]],
+    nodes: Sequence[NodeReplay],
     *,
     progress: Callable[[int], None] = lambda _: None,
 ) -> None:
     """Read the recordings, a run's segments in their order, once. ``progress`` receives the vehicle time."""
-    readers: dict[str, list[NodeReplay[Made]]] = {}
+    readers: dict[str, list[NodeReplay]] = {}
     for node in nodes:
         for key in node.keys:
             readers.setdefault(key, []).append(node)
-    every = list(dict.fromkeys(node for of_key in readers.values() for node in of_key))
     t_ns = None
-    stream = chain.from_iterable(recording.stored(_Keys(set(readers))) for recording in recordings)
+
+    def wanted(key: str) -> bool:
+        return table_key(key) in readers  # also of the sources that publish beside those of the table
+
+    stream = chain.from_iterable(recording.stored(wanted) for recording in recordings)
     for at, stored in enumerate(stream, 1):
         if t_ns is None:
             progress(stored.t_ns)
@@ -124,9 +116,9 @@ def feed(
                 node.take(stored, header, at)
         if at % SWEEP == 0:
             progress(t_ns)
-            for node in every:
+            for node in nodes:
                 node.sweep(at)
-    for node in every:
+    for node in nodes:
         node.close()
     if t_ns is not None:
         progress(t_ns)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -137,9 +136,3 @@ class WhatIfVerdict(msgspec.Struct, frozen=True, kw_only=True):
     shares: tuple[Shares, ...]
     wall_s: float
     provenance_differences: tuple[ProvenanceDifference, ...]
-
-
-def first(differences: Sequence[Difference | None]) -> Difference | None:
-    """Return the earliest difference in vehicle time; None if there is none."""
-    present = [difference for difference in differences if difference is not None]
-    return min(present, key=lambda difference: difference.t_ns, default=None)

@@ -19,8 +19,7 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.messages import Array, Estimate, Message, Plan, RecordedStep
 from services.bus.wire import Header, WireError
 from services.recording.reader import StoredMessage
-from services.replay.epoch import Outcome
-from services.replay.verdict import Deviation, Shares
+from services.replay.verdict import Deviation, Gap, Shares
 
 MAX_WAITING = 1000
 """Messages of one side that wait for the other side's message of the same time."""
@@ -87,20 +86,17 @@ _KINDS: Mapping[str, _Kind] = {
 class WhatIf:
     """Comparison of one node's outputs with the recorded ones, over all epochs."""
 
+    behind = False  # as ``Comparison.behind``: no step is missed here
+
     def __init__(self, node: str) -> None:
         self.pairs = 0
         self.steps = 0
         self.recorded: Counter[str] = Counter()  # by origin
         self.replayed: Counter[str] = Counter()
         self._kind = kind = _KINDS[node]
-        self._waiting: dict[bool, dict[tuple[int, int], Message]] = {False: {}, True: {}}  # by "replayed"
+        self._waiting: dict[bool, dict[int, Message]] = {False: {}, True: {}}  # by "replayed"
         self._squares, self._max_abs, self._final = (np.zeros(len(kind.columns)) for _ in range(3))
         self._rows = 0
-
-    @property
-    def kind(self) -> type[Message]:
-        """Output type that is compared."""
-        return self._kind.message_type
 
     @property
     def deviations(self) -> tuple[Deviation, ...]:
@@ -123,23 +119,41 @@ class WhatIf:
             if name and total and again
         )
 
-    def epoch_outcome(self, epoch: int) -> WhatIfEpoch:
-        """Return the consumer of one epoch's outputs."""
-        return WhatIfEpoch(self, epoch)
+    def add_replayed(self, number: int, step: RecordedStep, messages: Sequence[Message]) -> None:  # noqa: ARG002
+        """Add the outputs of a replayed step."""
+        self.steps += 1
+        for message in messages:
+            self._add(message, replayed=True)
 
-    def add(self, epoch: int, message: Message, *, replayed: bool) -> None:
+    def step_failed(self, number: int, step: RecordedStep, error: Exception) -> None:
+        """Raise: other settings must not break a node."""
+        raise RuntimeError(f"step {number} at {step.t_ns / 1e9:.3f} s") from error
+
+    def add_recorded(self, stored: StoredMessage, header: Header) -> None:  # noqa: ARG002
+        """Add a recorded output."""
+        if stored.kind is self._kind.message_type:
+            with contextlib.suppress(WireError):  # an invalid message on this key
+                self._add(stored.message(), replayed=False)
+
+    def stop(self) -> None:
+        """Note a gap: the recorded outputs behind it find no pair."""
+
+    def close(self, gap: Gap | None) -> None:
+        """Note the end of an epoch."""
+
+    def _add(self, message: Message, *, replayed: bool) -> None:
         """Add a message of one side, in any order. Messages of another type, or of a paired time, are skipped."""
         kind = self._kind
         if not isinstance(message, kind.message_type):
             return
         (self.replayed if replayed else self.recorded)[kind.origin(message)] += 1
-        name = epoch, kind.time(message)
-        other = self._waiting[not replayed].pop(name, None)
+        t_ns = kind.time(message)
+        other = self._waiting[not replayed].pop(t_ns, None)
         if other is not None:
             self._pair(kind.deviations(other, message) if replayed else kind.deviations(message, other))
             return
         mine = self._waiting[replayed]
-        mine[name] = message
+        mine[t_ns] = message
         if len(mine) > MAX_WAITING:
             del mine[next(iter(mine))]
 
@@ -151,27 +165,3 @@ class WhatIf:
         self._squares += (rows**2).sum(axis=0)
         self._max_abs = np.maximum(self._max_abs, np.abs(rows).max(axis=0))
         self._final = rows[0]
-
-
-class WhatIfEpoch(Outcome):
-    """Consumer of one epoch's outputs, which adds them to the comparison of all."""
-
-    def __init__(self, comparison: WhatIf, epoch: int) -> None:
-        self._comparison = comparison
-        self._epoch = epoch
-
-    def add_replayed(self, number: int, step: RecordedStep, messages: Sequence[Message]) -> None:  # noqa: ARG002
-        """Add the outputs of a replayed step."""
-        self._comparison.steps += 1
-        for message in messages:
-            self._comparison.add(self._epoch, message, replayed=True)
-
-    def step_failed(self, number: int, step: RecordedStep, error: Exception) -> None:
-        """Raise: other settings must not break a node."""
-        raise RuntimeError(f"step {number} at {step.t_ns / 1e9:.3f} s") from error
-
-    def add_recorded(self, stored: StoredMessage, header: Header) -> None:  # noqa: ARG002
-        """Add a recorded output of the epoch."""
-        if stored.kind is self._comparison.kind:
-            with contextlib.suppress(WireError):  # an invalid message on this key
-                self._comparison.add(self._epoch, stored.message(), replayed=False)

@@ -29,11 +29,11 @@ SIMULATION_HANG_TIMEOUT_S = 10.0
 class ChildProcesses:
     """Current child processes. A restarted process replaces the failed one under the same name."""
 
-    def __init__(self, scenario: Path, logs: Path, group: int, stop: Callable[[], bool] = lambda: False) -> None:
-        """Start the fork server; ``group`` is the process group of all processes, ``stop`` ends its waits."""
+    def __init__(self, scenario: Path, logs: Path, group: int) -> None:
+        """``group`` is the process group of all processes."""
         self.by_name: dict[str, ManagedProcess] = {}
         """Child processes in the order of their start."""
-        self.forks = ForkServer(scenario, logs / "forkserver.log", group, stop)
+        self.forks = ForkServer(scenario, logs / "forkserver.log", group)
         self._logs = logs
         self._rows: dict[str, process_table.ProcessRow] = {}
         self._starts: dict[str, int] = {}

@@ -25,8 +25,7 @@ from services.bus.roles import SUPERVISOR
 from services.bus.topics import STATES
 from services.bus.wire import Header, encode
 from services.recording.writer import ENDED
-from services.runtime.stopping import DONE
-from services.supervisor.bus_monitor import BusMonitor
+from services.supervisor.bus_monitor import Activity, BusMonitor
 from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.managed_process import ManagedProcess, describe_exit
 from services.supervisor.screen import Screen
@@ -45,25 +44,18 @@ RECONNECT_S = 1.0
 """Time after the router's return in which all processes have found it again."""
 
 
-class ProcessFailure(NamedTuple):
-    """Death or hang of one process."""
+class Failure(NamedTuple):
+    """Death or hang of one process, until a new process in its place has shown that it works."""
 
     node: str
     how: str  # "was ended by SIGKILL", "hung: ..."
     alive_s: float  # last sign of life: the newest heartbeat
-    seen_s: float  # when the supervisor noticed
+    old_epoch: int = 0  # epoch of the process that failed; 0 if it has none
+    restarted_s: float = 0.0
 
-
-class Recovery(NamedTuple):
-    """Restarted process that has not shown yet that it works."""
-
-    failure: ProcessFailure
-    old_epoch: int  # epoch of the process that failed; 0 if it has none
-    started_s: float
-
-    def is_over(self, epoch: int, arrived_s: float) -> bool:
-        """Return True if a message of ``epoch`` that arrived at ``arrived_s`` shows that the new process works."""
-        return arrived_s > self.started_s and (epoch != self.old_epoch or self.old_epoch == 0)
+    def is_over(self, activity: Activity) -> bool:
+        """Return True if ``activity`` shows that the new process works."""
+        return activity.arrived_s > self.restarted_s and (activity.epoch != self.old_epoch or self.old_epoch == 0)
 
 
 class RunFailed(Exception):
@@ -78,20 +70,6 @@ class RunFailed(Exception):
         self.in_order = in_order
 
 
-class RestartBudget:
-    """Limit on the restarts of all processes together; times are seconds of one monotonic clock."""
-
-    def __init__(self) -> None:
-        self._restarts_s: deque[float] = deque(maxlen=MAX_RESTARTS)
-
-    def spend(self, now_s: float) -> bool:
-        """Spend one restart. Return False if none is left."""
-        if len(self._restarts_s) == MAX_RESTARTS and now_s - self._restarts_s[0] < WINDOW_S:
-            return False
-        self._restarts_s.append(now_s)
-        return True
-
-
 class FailureHandler:
     """Restarts of one run, with their events: shown at once, published as soon as they can be recorded.
 
@@ -103,8 +81,8 @@ class FailureHandler:
         self.all_ready = False
         """Set once every process has been ready."""
         self._children = children
-        self._budget = RestartBudget()
-        self._recoveries: dict[str, Recovery] = {}
+        self._restarts_s: deque[float] = deque(maxlen=MAX_RESTARTS)  # monotonic times
+        self._failures: dict[str, Failure] = {}  # not recovered yet
         self._screen = screen
         self._pending: list[RunEvent] = []  # not published yet
         self._publish_from_s = 0.0
@@ -118,7 +96,7 @@ class FailureHandler:
     @property
     def settled(self) -> bool:
         """True if every restarted process works again and all events are published."""
-        return not self._recoveries and not self._pending
+        return not self._failures and not self._pending
 
     def end(self, why: str) -> None:
         """Publish at once why the run ends early; the screen shows it as the outcome of the run."""
@@ -132,12 +110,11 @@ class FailureHandler:
     @property
     def recovering(self) -> Collection[str]:
         """Names of the restarted processes that do not work again yet."""
-        return self._recoveries.keys()
+        return self._failures.keys()
 
-    def failure_of(self, name: str) -> ProcessFailure | None:
+    def failure_of(self, name: str) -> Failure | None:
         """Return the failure that a process has not recovered from yet."""
-        recovery = self._recoveries.get(name)
-        return None if recovery is None else recovery.failure
+        return self._failures.get(name)
 
     def check(self, now_s: float) -> None:
         """Find failed processes and restart them.
@@ -145,60 +122,63 @@ class FailureHandler:
         Raises ``RunFailed`` if a process may not be restarted.
         """
         for name, child in tuple(self._children.by_name.items()):
-            failure = self._find_failure(name, child, now_s)
-            if failure is not None:
-                self._restart(failure)
+            if how := self._how_failed(child, now_s):
+                self._restart(name, how, child.hang_detector.last_s or now_s, now_s)
 
     def check_recoveries(self, now_s: float) -> None:
         """End the recoveries of processes that work again; restart those that do not come back in time."""
-        for name, recovery in tuple(self._recoveries.items()):
-            activity, failure = self._monitor.last_activity(name), recovery.failure
-            if activity is not None and recovery.is_over(activity.epoch, activity.arrived_s):
-                del self._recoveries[name]
+        for name, failure in tuple(self._failures.items()):
+            activity = self._monitor.last_activity(name)
+            if activity is not None and failure.is_over(activity):
+                del self._failures[name]
                 if name in RECORDING_PROCESSES:
                     self._publish_from_s = now_s + RECONNECT_S
                 took_s = activity.arrived_s - failure.alive_s
                 self._report("restart", f"{name} {failure.how}; recovered {took_s:.2f} s after its last heartbeat")
-            elif now_s - recovery.started_s > RECOVERY_TIMEOUT_S:
+            elif now_s - failure.restarted_s > RECOVERY_TIMEOUT_S:
                 self._children.by_name[name].kill()
-                how = f"did not recover within {RECOVERY_TIMEOUT_S:.0f} s"
-                self._restart(ProcessFailure(name, how, failure.alive_s, now_s))
-        if now_s >= self._publish_from_s and not self._recoveries.keys() & RECORDING_PROCESSES:
+                self._restart(name, f"did not recover within {RECOVERY_TIMEOUT_S:.0f} s", failure.alive_s, now_s)
+        if now_s >= self._publish_from_s and not self._failures.keys() & RECORDING_PROCESSES:
             self._publish()
 
-    def _find_failure(self, name: str, child: ManagedProcess, now_s: float) -> ProcessFailure | None:
-        """Return the failure of a process that is dead, or that hangs and is killed here."""
-        alive_s = child.hang_detector.last_s or now_s
-        code = child.exit_code()
-        if code is None:
-            if self._children.run_complete or not child.hang_detector.hung(now_s):
-                return None
-            child.kill()
-            return ProcessFailure(name, f"hung: no heartbeat for {now_s - alive_s:.2f} s", alive_s, now_s)
-        if (name == "plant" and code == DONE) or self._children.run_complete:
-            return None
-        return ProcessFailure(name, describe_exit(code), alive_s, now_s)
+    def may_restart(self, now_s: float) -> bool:
+        """Count one restart of any process. Return False if none is left."""
+        if len(self._restarts_s) == MAX_RESTARTS and now_s - self._restarts_s[0] < WINDOW_S:
+            return False
+        self._restarts_s.append(now_s)
+        return True
 
-    def _restart(self, failure: ProcessFailure) -> None:
-        name = failure.node
-        text, lines = f"{name} {failure.how}", self._children.by_name[name].last_lines()
+    def _how_failed(self, child: ManagedProcess, now_s: float) -> str:
+        """Say how a process is dead, or hangs and is killed here; empty if it is well."""
+        code = child.exit_code()
+        if self._children.run_complete:
+            return ""
+        if code is not None:
+            return describe_exit(code)
+        if not child.hang_detector.hung(now_s):
+            return ""
+        child.kill()
+        return f"hung: no heartbeat for {now_s - (child.hang_detector.last_s or now_s):.2f} s"
+
+    def _restart(self, name: str, how: str, alive_s: float, now_s: float) -> None:
+        text, lines = f"{name} {how}", self._children.by_name[name].last_lines()
         if not self._children.restartable(name) or not self.all_ready:
-            raise RunFailed(f"{text}; its last lines:", lines)
-        if not self._budget.spend(failure.seen_s):
+            raise RunFailed(text, lines)
+        if not self.may_restart(now_s):
             limit = f"the limit of {MAX_RESTARTS} restarts within {WINDOW_S:.0f} s is reached: stopping safely"
-            raise RunFailed(f"{text}; {limit}; its last lines:", lines, in_order=True)
+            raise RunFailed(f"{text}; {limit}", lines, in_order=True)
         before = self._monitor.last_activity(name)
         self._children.restart(name, restore_state(name, self._monitor))
         self.restarts += 1
-        earlier = self.failure_of(name)
-        alive_s = failure.alive_s if earlier is None else earlier.alive_s
-        self._recoveries[name] = Recovery(
-            failure._replace(alive_s=alive_s),
+        earlier = self._failures.get(name)
+        self._failures[name] = Failure(
+            name,
+            how,
+            alive_s if earlier is None else earlier.alive_s,
             old_epoch=0 if before is None else before.epoch,
-            started_s=time.monotonic(),
+            restarted_s=time.monotonic(),
         )
-        silent_s = failure.seen_s - failure.alive_s
-        self._report("fault", f"{name} {failure.how}; detected {silent_s:.2f} s after its last heartbeat")
+        self._report("fault", f"{text}; detected {now_s - alive_s:.2f} s after its last heartbeat")
 
     def _report(self, kind: str, text: str) -> None:
         """Show an event, and queue it for publication."""

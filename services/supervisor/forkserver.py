@@ -3,14 +3,14 @@
 This file holds the supervisor's handle and the server's program.
 
 It makes starts and restarts quicker, because a forked process need not import and load compiled code: a failed
-estimator or controller must be back within 2 s (docs/restarts.md). Measured times are in docs/notes/process-start.md.
-The server is the same after a fork, so the second restart is as quick as the first.
+estimator or controller must be back within 3 s (docs/restarts.md). Measured times are in docs/notes/process-start.md.
+The server is the same after a fork, so the second restart is as quick as the first. A child is spawned instead, which
+takes longer, while no server has loaded, as the router, which is the first of all, or if the server does not reply.
 
+    reply     0: the server has loaded
     request   module, config and log (JSON), with the child's standard input and heartbeat pipe (descriptors)
     reply     the child's pid
-    request   nothing: load; the reply, ``LOADED``, comes when that is done
 
-While it loads it also forks: such a child imports what is missing itself, as the router, which is the first of all.
 The server has one thread and opens no Zenoh session, so no lock is held during a fork. It forks twice, and the process
 in between ends at once. The supervisor, as the nearest subreaper, then adopts the child: it can wait for it, and the
 child dies with it. If the server dies, its children live on, and another one takes its place. The standard library's
@@ -31,7 +31,6 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -43,33 +42,24 @@ from services.supervisor.parent_death import die_with_parent
 PR_SET_CHILD_SUBREAPER = 36
 PID = struct.Struct("<q")
 LOADED = 0
-"""Reply in place of a pid: the server has loaded."""
 
+PYTHON = (sys.executable, "-P")
 PROGRAM = ("-m", "services.supervisor.forkserver")
+ENTRY_POINT = ("-m", "services.supervisor.entry_point")
 NAME = "ltv-forkserver"
 MAX_REQUEST_BYTES = 65_536
 DESCRIPTORS = 2
-REPLY_TIMEOUT_S, LOADING_REPLY_TIMEOUT_S = 2.0, 20.0
-"""A fork takes about 10 ms, about 100 ms on a busy machine; of a server that starts or loads, up to some seconds there.
-A server that does not reply in time is killed."""
-POLL_S = 0.1
+REPLY_TIMEOUT_S = 1.0
+"""A fork takes about 10 ms, about 100 ms on a busy machine. A server that does not reply in time is killed."""
 
 ADOPTION_TIMEOUT_S = 2.0  # a child waits at most this long for its new parent, which may have died
 PIPE_BYTES = 1 << 20  # a state fits into the pipe, so that a stopped child does not block the supervisor
 
 
-class Request(msgspec.Struct, frozen=True):
-    """Request to fork a process; without a module, to load."""
-
-    module: str = ""
-    config: str = ""
-    log: str = ""
-
-
 # --- the supervisor's end --------------------------------------------------------------------------------------------
 
 
-class Forked(NamedTuple):
+class Child(NamedTuple):
     """Child process of the supervisor, and the supervisor's ends of the two pipes to it."""
 
     pid: int
@@ -78,28 +68,31 @@ class Forked(NamedTuple):
 
 
 class ForkServer:
-    """Handle of the fork server; one that dies or does not answer is replaced.
+    """Handle of the fork server, and of another one in its place if it dies.
 
     Construct it in the main thread: the server and its children end with that thread (parent_death.py). ``group`` is
-    the process group of all of them; ``stop`` ends a wait for a reply.
+    the process group of all of them.
     """
 
-    def __init__(self, scenario: Path, log: Path, group: int, stop: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self, scenario: Path, log: Path, group: int) -> None:
         self.log = log
-        self._stop = stop
         self._scenario = scenario
         self._group = group
-        self._loads = False
-        _set_subreaper(True)
-        self._start()
-
-    def _start(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._requests: socket.socket
         self._loaded = False
+        _set_subreaper(True)
+
+    def load(self) -> None:
+        """Start a server, unless one runs; it loads what the processes of the scenario use."""
+        if self._process is not None and self.exit_code() is None:
+            return
+        self._end()
         self._requests, server_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         arguments = map(str, (os.getpid(), server_socket.fileno(), self._scenario, self._group))
         with server_socket, self.log.open("ab") as output:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", *PROGRAM, *arguments],
+                [*PYTHON, *PROGRAM, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -109,95 +102,73 @@ class ForkServer:
 
     @property
     def pid(self) -> int:
-        """Process id of the fork server."""
-        return self._process.pid
+        """Process id of the fork server; 0 if none was started."""
+        return 0 if self._process is None else self._process.pid
 
     def exit_code(self) -> int | None:
-        """Return the exit code of the fork server; None while it runs."""
-        return self._process.poll()
-
-    def load(self) -> None:
-        """Begin to load what the processes of the scenario use."""
-        self._loads = True
-        with contextlib.suppress(OSError):
-            self._requests.send(msgspec.json.encode(Request()))
+        """Return the exit code of the fork server; None while it runs, or if none was started."""
+        return None if self._process is None else self._process.poll()
 
     def is_loaded(self) -> bool:
-        """Return True if the server has loaded. One that is stopped is replaced."""
-        if self._is_stopped():
-            self._replace()
-        if not self._loaded and select.select([self._requests], [], [], 0.0)[0]:
-            self._loaded = self._reply() == LOADED
+        """Return True if the server has loaded."""
+        self._loaded = self._loaded or (self.pid != 0 and self._reply(0.0) == LOADED)
         return self._loaded
 
-    def replace_if_dead(self) -> None:
-        """Start another server if this one is dead or stopped."""
-        if self.exit_code() is not None or self._is_stopped():
-            self._replace()
-
-    def fork(self, module: str, config: Path, log: Path) -> Forked:
-        """Fork a child. Raises ``ChildProcessError`` if neither this server nor another one replies in time, and
-        ``InterruptedError`` after a stop request.
-        """
-        request = msgspec.json.encode(Request(module, str(config), str(log)))
-        for _ in range(2):
-            stdin, into_stdin = os.pipe()
-            heartbeats, heartbeat = os.pipe()
-            with contextlib.suppress(OSError):  # more than this user is allowed
-                fcntl.fcntl(into_stdin, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-            os.set_blocking(heartbeats, False)
-            pid = self._request_fork(request, (stdin, heartbeat))
+    def start(self, module: str, config: Path, log: Path) -> Child:
+        """Start a child: forked by the server, or spawned if the server has not loaded, or does not reply in time."""
+        stdin, into_stdin = os.pipe()
+        heartbeats, heartbeat = os.pipe()
+        with contextlib.suppress(OSError):  # more than this user is allowed
+            fcntl.fcntl(into_stdin, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+        os.set_blocking(heartbeats, False)
+        try:
+            pid = self._fork((module, str(config), str(log)), stdin, heartbeat)
+            pid = pid or self._spawn(module, config, log, stdin, heartbeat)
+        finally:
             os.close(stdin)
             os.close(heartbeat)
-            if pid is not None:
-                return Forked(pid, into_stdin, heartbeats)
-            os.close(into_stdin)  # a child that was forked too late ends at the end of its input
-            os.close(heartbeats)
-            if self._stop():
-                raise InterruptedError
-            self._replace()
-        raise ChildProcessError(f"{module} is not started: the fork server does not answer")
+        return Child(pid, into_stdin, heartbeats)
 
     def close(self) -> None:
         """Kill the server; its children live on."""
         self._end()
         _set_subreaper(False)
 
-    def _replace(self) -> None:
-        self._end()
-        self._start()
-        if self._loads:
-            self.load()
-
-    def _is_stopped(self) -> bool:
-        try:
-            return Path(f"/proc/{self.pid}/stat").read_text(errors="replace").rpartition(")")[2].split()[0] == "T"
-        except OSError:
-            return False
-
-    def _end(self) -> None:
-        self._requests.close()
-        self._process.kill()
-        self._process.wait()
-
-    def _request_fork(self, request: bytes, descriptors: tuple[int, int]) -> int | None:
-        """Return the pid of the child; None if the server does not reply in time or is stopped, or after a request."""
+    def _fork(self, request: tuple[str, str, str], stdin: int, heartbeat: int) -> int | None:
+        """Return the pid of a forked child; None without a server that replies, which is killed then."""
+        if not self.is_loaded():
+            return None
         with contextlib.suppress(ConnectionError):  # the server has died
-            socket.send_fds(self._requests, [request], descriptors)
-            until = time.monotonic() + (REPLY_TIMEOUT_S if self._loaded else LOADING_REPLY_TIMEOUT_S)
-            while time.monotonic() < until and not self._stop() and not self._is_stopped():
-                if select.select([self._requests], [], [], POLL_S)[0]:
-                    if (pid := self._reply()) != LOADED:
-                        return pid
-                    self._loaded = True
-        return None
+            socket.send_fds(self._requests, [msgspec.json.encode(request)], (stdin, heartbeat))
+        pid = self._reply(REPLY_TIMEOUT_S)
+        if pid is None:
+            self._end()
+        return pid
 
-    def _reply(self) -> int | None:
-        """Return the next reply; None if the server has died."""
+    def _spawn(self, module: str, config: Path, log: Path, stdin: int, heartbeat: int) -> int:
+        """Return the pid of a spawned child."""
+        arguments = [*PYTHON, *ENTRY_POINT, str(os.getpid()), module, str(config), str(heartbeat)]
+        actions = [
+            (os.POSIX_SPAWN_DUP2, stdin, 0),
+            (os.POSIX_SPAWN_OPEN, 1, log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666),
+            (os.POSIX_SPAWN_DUP2, 1, 2),
+            (os.POSIX_SPAWN_DUP2, heartbeat, heartbeat),  # which makes it inheritable
+        ]
+        return os.posix_spawn(sys.executable, arguments, os.environ, file_actions=actions, setpgroup=self._group)
+
+    def _reply(self, timeout_s: float) -> int | None:
+        """Return the next reply; None if there is none in time or the server has died."""
         with contextlib.suppress(ConnectionError):
-            if data := self._requests.recv(PID.size):
+            if select.select([self._requests], [], [], timeout_s)[0] and (data := self._requests.recv(PID.size)):
                 return int(PID.unpack(data)[0])
         return None
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._requests.close()
+            self._process.kill()
+            self._process.wait()
+        self._process, self._loaded = None, False
 
 
 def _set_subreaper(on: bool) -> None:
@@ -215,43 +186,32 @@ def main() -> None:
     with contextlib.suppress(OSError):  # the orphan cleanup has died before any child was started
         os.setpgid(0, int(group))
     entry_point.name_process(NAME)
-    loading: Iterator[None] | None = None
+    load(scenario)
     with socket.socket(fileno=int(channel)) as requests:
+        requests.send(PID.pack(LOADED))
         while True:
-            if loading is not None and not select.select([requests], [], [], 0.0)[0]:
-                if next(loading, LOADED) == LOADED:
-                    loading = None
-                    requests.send(PID.pack(LOADED))
-                continue
             data, descriptors, _, _ = socket.recv_fds(requests, MAX_REQUEST_BYTES, DESCRIPTORS)
             if not data:
                 return
-            request = msgspec.json.decode(data, type=Request)
-            if request.module:
-                requests.send(PID.pack(_fork(int(parent), request, descriptors, requests)))
-            else:
-                loading = load(scenario)
+            request = msgspec.json.decode(data, type=tuple[str, str, str])
+            requests.send(PID.pack(_fork(int(parent), request, descriptors, requests)))
 
 
-def load(scenario: str) -> Iterator[None]:
-    """Import what the processes of this scenario use, and warm up its nodes; at each step the server may fork."""
+def load(scenario: str) -> None:
+    """Import what the processes of this scenario use, and warm up its nodes."""
     import services.processes.recorder
     import services.processes.router  # noqa: F401
-
-    yield
     from services.run.run_config import resolve
     from services.supervisor import jit_cache
 
     run_config = resolve(scenario)
-    yield
     jit_cache.warm_up_controller(run_config)
-    yield
     jit_cache.warm_up_others(run_config)
     gc.collect()
     gc.freeze()  # so that a child's garbage collection does not copy the shared pages
 
 
-def _fork(parent: int, request: Request, descriptors: list[int], requests: socket.socket) -> int:
+def _fork(parent: int, request: tuple[str, str, str], descriptors: list[int], requests: socket.socket) -> int:
     """Fork a child of ``parent``. Return its pid."""
     reading, writing = os.pipe()
     intermediate_pid = os.fork()
@@ -262,7 +222,7 @@ def _fork(parent: int, request: Request, descriptors: list[int], requests: socke
                 for fd in (reading, writing):
                     os.close(fd)
                 requests.close()
-                _run_child(parent, request, descriptors)
+                _run_child(parent, *request, *descriptors)
             os.write(writing, PID.pack(pid))
         finally:
             os._exit(0)
@@ -274,20 +234,19 @@ def _fork(parent: int, request: Request, descriptors: list[int], requests: socke
     return int(pid)
 
 
-def _run_child(parent: int, request: Request, descriptors: list[int]) -> NoReturn:
+def _run_child(parent: int, module: str, config: str, log: str, stdin: int, heartbeat: int) -> NoReturn:
     """Run the requested child to its end."""
     code = 1
     try:
-        stdin, heartbeat = descriptors
-        log = os.open(request.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
-        for number, target_fd in ((stdin, 0), (log, 1), (log, 2)):
+        output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        for number, target_fd in ((stdin, 0), (output, 1), (output, 2)):
             os.dup2(number, target_fd)
         os.close(stdin)
-        os.close(log)
+        os.close(output)
         until = time.monotonic() + ADOPTION_TIMEOUT_S
         while os.getppid() != parent and time.monotonic() < until:
             time.sleep(0.001)
-        code = entry_point.run(str(parent), request.module, request.config, str(heartbeat))
+        code = entry_point.run(str(parent), module, config, str(heartbeat))
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
     except BaseException:

@@ -46,7 +46,7 @@ class ManagedProcess:
         """True once the child has closed its heartbeat pipe: it has ended, or is about to."""
         self._log = log
         self._code: int | None = None
-        self.pid, self._stdin, self.heartbeat_fd = forks.fork(module, config, log)
+        self.pid, self._stdin, self.heartbeat_fd = forks.start(module, config, log)
         self._pidfd = os.pidfd_open(self.pid)
         self.hang_detector = HangDetector(ProcessorLack(self.pid), hang_timeout_s)
         with contextlib.suppress(BrokenPipeError):  # the child is already dead, which is noticed elsewhere

@@ -44,11 +44,10 @@ from services.supervisor.screen import LivePage, Screen
 from sim.evaluation.summary import Summary
 
 TICK_S = 0.05
-LAST_LINES = "; its last lines:"
-"""End of a reason that the last lines of a log follow."""
 READY_TIMEOUT_S = 60.0
 """Longest time from a process's start to its first status. The slowest process needs 2 s on busy cores, or 30 s if it
 must compile."""
+LOADING_TIMEOUT_S = 20.0
 QUICK_S = 1.0
 """Time from which a summary shows its progress."""
 SKIPPED = "the summary was skipped; `ltv-mpc report` computes it from the recording"
@@ -69,6 +68,10 @@ class Outcome:
     last_lines: tuple[str, ...] = ()
     summary: Summary | None = None
 
+    def failed(self, why: str, code: int = FAILED) -> Outcome:
+        """Return the outcome of a run that has also failed in this way. The first failure is the one that is named."""
+        return replace(self, completed=False, exit_code=self.exit_code or code, why=self.why or why)
+
 
 def run(
     run_config: RunConfig,
@@ -87,9 +90,10 @@ def run(
     supervisor = Supervisor(run_config, folder, screen, page)
     try:
         outcome = supervisor.run(certs)
-        for line in (outcome.why, *(f"    {text}" for text in outcome.last_lines)):
-            if line:
-                screen.say(line)
+        if outcome.why:
+            screen.say(f"{outcome.why}{'; its last lines:' if outcome.last_lines else ''}")
+        for text in outcome.last_lines:
+            screen.say(f"    {text}")
     finally:
         screen.close()
     return outcome
@@ -131,18 +135,18 @@ class Supervisor:
             with report_progress(progress):
                 return self._with_summary(outcome)
         except Stopped:
-            code, why = INTERRUPTED if self._request.interrupted else FAILED, SKIPPED
+            outcome, code, why = replace(outcome, exit_code=0), self._stop_code, SKIPPED
         except (ConfigError, OSError) as error:
-            code, why = outcome.exit_code or FAILED, str(error)
+            code, why = FAILED, str(error)
         if outcome.why:
             self._screen.say(why)
-        return replace(outcome, completed=False, exit_code=code, why=outcome.why or why)
+        return outcome.failed(why, code)
 
     def _with_summary(self, outcome: Outcome) -> Outcome:
         """Join the segments of the recording and write the summary. Return the outcome with the summary."""
         for text in recover.join(self._folder.recording):
             self._screen.say(text)
-        why = outcome.why.removesuffix(LAST_LINES)
+        why = outcome.why
         if why and self._page is not None:
             self._page.show(f"failed: {one_line(why)}")
         recorder = None if self._monitor is None else self._monitor.newest(NodeStatus, "recorder")
@@ -154,16 +158,19 @@ class Supervisor:
             why=why,
         )
         if summary.cycles == 0:
-            why = outcome.why or f"{self._folder.recording}: no cycle of the controller is recorded"
-            outcome = replace(outcome, completed=False, exit_code=outcome.exit_code or FAILED, why=why)
-            summary = msgspec.structs.replace(summary, completed=False, why=why.removesuffix(LAST_LINES))
+            outcome = outcome.failed(f"{self._folder.recording}: no cycle of the controller is recorded")
+            summary = msgspec.structs.replace(summary, completed=False, why=outcome.why)
         outcome = replace(outcome, summary=summary)
         try:
             self._folder.write_result(summary, water)
         except OSError as error:
-            why = f"{self._folder.path}: the results cannot be written: {error.strerror}"
-            return replace(outcome, completed=False, exit_code=outcome.exit_code or FAILED, why=outcome.why or why)
+            return outcome.failed(f"{self._folder.path}: the results cannot be written: {error.strerror}")
         return outcome
+
+    @property
+    def _stop_code(self) -> int:
+        """Exit code of a run that a signal has ended."""
+        return INTERRUPTED if self._request.interrupted else FAILED
 
     @property
     def _logs(self) -> Path:
@@ -173,7 +180,7 @@ class Supervisor:
         in_order = False
         with ExitStack() as sessions:
             self._cleanup = OrphanCleanup()
-            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group, self._request)
+            self.children = ChildProcesses(self._folder.scenario, self._logs, self._cleanup.group)
             self.failures = FailureHandler(self.children, self._screen)
             try:
                 bus = self._open_bus(certs)
@@ -182,13 +189,11 @@ class Supervisor:
                 self._start(sessions, bus)
                 self._wait_until(lambda: self.children.run_complete, None, "")
                 in_order = True
-            except ChildProcessError as error:
-                return self._ended_early(str(error), FAILED)
             except RunFailed as failure:
                 in_order = failure.in_order
                 return self._ended_early(failure.why, FAILED, failure.last_lines)
-            except (Stopped, InterruptedError):
-                return self._ended_early(STOPPED, INTERRUPTED if self._request.interrupted else FAILED)
+            except Stopped:
+                return self._ended_early(STOPPED, self._stop_code)
             finally:
                 killed = self.children.stop(in_order=in_order, close_session=sessions.close)
                 self._cleanup.close()
@@ -197,7 +202,7 @@ class Supervisor:
     def _ended_early(self, why: str, code: int, lines: tuple[str, ...] = ()) -> Outcome:
         """Say in the recording why the run ends before its end."""
         if self._monitor is not None:
-            self.failures.end(why.removesuffix(LAST_LINES))
+            self.failures.end(why)
         return Outcome(completed=False, exit_code=code, why=why, last_lines=lines)
 
     def _final_check(self, killed: Sequence[str]) -> Outcome:
@@ -212,7 +217,7 @@ class Supervisor:
                 how = describe_exit(code)
             else:
                 continue
-            why = f"{name} {how}; its last lines:"
+            why = f"{name} {how}"
             return Outcome(completed=False, exit_code=FAILED, why=why, last_lines=child.last_lines())
         return Outcome(completed=True, exit_code=DONE)
 
@@ -251,21 +256,19 @@ class Supervisor:
 
         code = jit_cache.fill(self._folder.scenario, log, self._cleanup.group, wait)
         if code != DONE:
-            raise RunFailed(f"compiling {describe_exit(code)}; its last lines:", last_lines(log))
+            raise RunFailed(f"compiling {describe_exit(code)}", last_lines(log))
 
     def _load(self) -> None:
-        """Wait until the fork server has loaded."""
+        """Wait until the fork server has loaded; after ``LOADING_TIMEOUT_S`` the processes are spawned without it."""
         if self._page is not None:
             self._page.show("starting the processes")
-        forks, until = self.children.forks, time.monotonic() + READY_TIMEOUT_S
+        forks, until = self.children.forks, time.monotonic() + LOADING_TIMEOUT_S
         forks.load()
         for row in process_table.processes(self._run_config.scenario):
             importlib.import_module(row.module)  # for its config, while the fork server loads the same
-        while not forks.is_loaded():
-            code = forks.exit_code()
-            if code is not None or time.monotonic() > until:
-                how = f"is not done within {READY_TIMEOUT_S:.0f} s" if code is None else describe_exit(code)
-                raise RunFailed(f"loading {how}; its last lines:", last_lines(forks.log))
+        while not forks.is_loaded() and time.monotonic() < until:
+            if (code := forks.exit_code()) is not None:
+                raise RunFailed(f"loading {describe_exit(code)}", last_lines(forks.log))
             self._tick()
 
     def _start(self, sessions: ExitStack, bus: BusOptions) -> None:
@@ -332,7 +335,7 @@ class Supervisor:
                 self._screen.say(one_line(f"kill refused: no process {format_value(name)} in this run"))
         self.failures.check_recoveries(now_s)
         if not self.failures.recovering:  # a restarted process needs the processor more
-            self.children.forks.replace_if_dead()
+            self.children.forks.load()
         for event in monitor.new_events():
             if event.node != SUPERVISOR:
                 self.failures.show(event)

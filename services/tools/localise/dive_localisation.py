@@ -20,11 +20,12 @@ from ltv_mpc.currents import write_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
-from ltv_mpc.localisation.pd0.reader import Recording
+from ltv_mpc.localisation.pd0.reader import Loss, Recording
 from ltv_mpc.localisation.pd0.records import Ensemble, Settings
 from ltv_mpc.localisation.recorded_dive.bottom_track import (
     BottomTrackPath,
     StartResult,
+    Uniformity,
     constant_velocity,
     dead_reckon,
     evaluate_track,
@@ -37,12 +38,6 @@ from ltv_mpc.localisation.recorded_dive.filter import Track, run
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.recording import BeamNoise
 from ltv_mpc.messages import Array
-from services.tools.localise.dive_result import (
-    InstrumentRow,
-    LocalisationResult,
-    StudyRow,
-    TrackRow,
-)
 
 MAX_STARTS = 60
 MOST_NIS, LEAST_INSIDE = 3.0, 0.9
@@ -53,6 +48,71 @@ COLUMNS = (
     *("bottom_north_m", "bottom_east_m"),
 )
 """Columns of track.csv. Positions are relative to the first ensemble; those of bottom track are the truth."""
+
+
+class InstrumentRow(msgspec.Struct, frozen=True, kw_only=True):
+    """Instrument settings in the file, and the estimated noise."""
+
+    frequency_kHz: int
+    beam_angle_deg: float
+    looks: str
+    coordinates: str
+    bins_mapped: bool
+    cells: int
+    cell_m: float
+    first_cell_m: float
+    pings: int
+    beam_sd_mps: float  # median over the cells
+
+
+class TrackRow(msgspec.Struct, frozen=True, kw_only=True):
+    """Track from the selected start."""
+
+    start_ensemble: int
+    start_depth_m: float
+    ensembles: int
+    duration_s: float
+    fixes: int
+    end_north_m: float
+    end_east_m: float
+    end_sigma_m: float  # along the worst axis
+    cells_used: int
+    cells_screened: int
+    cells_rejected: int
+    nis: float
+
+
+class StudyRow(msgspec.Struct, frozen=True, kw_only=True):
+    """Statistics over all starts for which a true track exists."""
+
+    starts: int
+    median_error_m: float
+    median_constant_velocity_error_m: float | None  # None without a fix
+    ratio: float | None
+    inside_3_sigma: float  # share
+    each: tuple[StartResult, ...]
+
+
+class LocalisationResult(msgspec.Struct, frozen=True, kw_only=True):
+    """Content of localise.json, and the output of ``--json``.
+
+    ``error`` and ``study`` are None if the file holds no truth for them.
+    """
+
+    file: str
+    bytes: int
+    ensembles: int
+    lost_bytes: int
+    lost_places: int
+    losses: tuple[Loss, ...]
+    surface_fixes: int
+    instrument: InstrumentRow
+    track: TrackRow
+    water: Uniformity | None  # None: too little bottom track
+    error: StartResult | None
+    study: StudyRow | None
+    notes: tuple[str, ...]
+    parameters: DiveParameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +171,8 @@ def localise(
         notes=(*heads, *_notes(settings, dive, track, why), *_inconsistency(track, many)),
         parameters=parameters,
     )
-    return Outcome(result, dive, track, _truth(ground), constant_velocity(dive[:fixes]))
+    constant = constant_velocity(dive[:fixes])
+    return Outcome(result, dive, track, _truth(ground), constant)
 
 
 def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> tuple[int, str]:

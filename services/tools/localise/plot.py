@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ltv_mpc.localisation.recorded_dive.filter import Track
 from ltv_mpc.messages import Array
 from services.reporting import report
 from services.reporting.plots import palette
@@ -15,6 +14,9 @@ from services.reporting.plots.catalogue import TIME
 from services.reporting.plots.description import Axis, Plot, Series, Style
 from services.reporting.plots.newest import outline
 from services.reporting.plots.table import Columns, short
+
+if TYPE_CHECKING:
+    from services.tools.localise.dive_localisation import Outcome
 
 RESULT = "Recorded dive"
 
@@ -67,23 +69,7 @@ PLOTS = (
 )
 
 
-class PlotData(Protocol):
-    """Data of the plots."""
-
-    @property
-    def track(self) -> Track:
-        """Track of the filter."""
-
-    @property
-    def truth_m(self) -> Array:
-        """Positions from bottom track, (N, 2), NaN if unknown."""
-
-    @property
-    def constant_velocity_mps(self) -> Array | None:
-        """Mean velocity of the fixes, (2,)."""
-
-
-def write(data: PlotData, out: Path) -> None:
+def write(data: Outcome, out: Path) -> None:
     """Write the page of plots. Raises ``NoPlotly``."""
     track, water = data.track, data.track.water
     spread = np.sqrt(np.linalg.eigvalsh(track.position_covariance)[:, -1].clip(0))

@@ -9,7 +9,7 @@ from ltv_mpc.localisation.recorded_dive.bottom_track import (
     StartResult,
     Uniformity,
 )
-from services.tools.localise.dive_result import LocalisationResult, StudyRow
+from services.tools.localise.dive_localisation import LocalisationResult, StudyRow
 
 _STARTS = f"between {MIN_START_DEPTH_M:g} and {MAX_START_DEPTH_M:g} m"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from services.recording import publish_counts
 from services.recording.loss_accounting import LossAccounting
 from services.recording.publish_counts import PublishCounts
 from services.recording.sequence_gaps import SequenceGaps
@@ -9,6 +10,22 @@ from services.recording.sequence_gaps import SequenceGaps
 
 def accounting() -> LossAccounting:
     return LossAccounting(max_sources=10)
+
+
+def test_losses_are_the_gaps_of_each_key_and_epoch_and_of_a_late_recorder_those_from_its_first_message_on() -> None:
+    of = accounting()
+    of.start_at("estimate", 7, 500)
+    of.add("estimate", 7, 500)
+    of.start_at("estimate", 7, 502)  # it has begun already
+    of.add("estimate", 7, 502)
+    for epoch, sequence in ((5, 1), (5, 4), (6, 0), (6, 0)):  # another start of its source, and a duplicate
+        of.add("plan", epoch, sequence)
+    assert (of.published, of.missing) == (3 + 5 + 1, 1 + 3)
+    assert of.by_key() == {"estimate": 1, "plan": 3}
+    of.mark_lost("estimate", 7)
+    assert of.missing == 5
+    assert of.fill("plan", 5, 2)
+    assert of.missing == 4
 
 
 def test_losses_of_dropped_sources_stay_counted() -> None:
@@ -23,24 +40,9 @@ def test_losses_of_dropped_sources_stay_counted() -> None:
     of.mark_lost("plan", 0)
     of.mark_lost("plan", 999)
     assert of.missing == 2002
-
-
-def test_a_dropped_source_counts_from_its_next_message() -> None:
-    of = accounting()
-    for epoch in range(20):
-        of.add("plan", epoch, 0)
-    of.add("plan", 0, 500)
+    of.add("plan", 0, 500)  # counted from this message on
     of.add("plan", 0, 502)
-    assert of.missing == 1
-
-
-def test_keys_beyond_the_limit_share_one_sum() -> None:
-    of = accounting()
-    for k in range(100):
-        of.add(f"status/{k}", 1, 0)
-        of.add(f"status/{k}", 1, 2)  # one is missing
-    assert len(of._sources) == 10
-    assert (of.missing, sum(of.by_key().values())) == (100, 100)
+    assert of.missing == 2003
 
 
 def test_the_oldest_of_very_many_gaps_count_as_lost() -> None:
@@ -53,34 +55,22 @@ def test_the_oldest_of_very_many_gaps_count_as_lost() -> None:
     assert (of.missing, of.doubled) == (8, 1)
 
 
-def test_duplicates_do_not_replace_missing_messages() -> None:
-    of = accounting()
-    assert [of.add("plan", 7, sequence) for sequence in (0, 3, 3, 1, 1, 0)] == [True, True, False, True, False, False]
-    assert (of.published, of.missing, of.by_key()) == (4, 1, {"plan": 1})
-    kept = PublishCounts(max_epochs=10)
+def test_what_a_process_says_it_has_published_shows_what_is_missing() -> None:
+    of = PublishCounts()
     for again in (False, True, False):
-        kept.count(7)
+        of.count(7)
         if again:
-            kept.discount(7)
-    kept.set_published(7, "controller", 3)
-    kept.set_published(7, "controller", 2**50)
-    assert kept.missing == {"controller": 1}
-
-
-def test_missing_messages_of_closed_accounts_stay_counted() -> None:
-    of = PublishCounts(max_epochs=10)
-    for epoch in range(1000):
-        of.count(epoch)
-        of.set_published(epoch, f"node {epoch % 2}", 3)  # two are missing
-        of.count(5000)
-    assert len(of._accounts) == 10
-    assert of.missing == {"node 0": 1000, "node 1": 1000}
+            of.discount(7)
     assert of.unfinished(0)
-    assert not of.unfinished(5000)
+    assert not of.unfinished(7)
+    of.set_published(7, "controller", 3)
+    of.set_published(7, "controller", 2**50)
+    assert not of.unfinished(0)
+    assert of.missing == {"controller": 1}
 
 
 def test_a_process_that_published_before_counting_misses_nothing() -> None:
-    of = PublishCounts(max_epochs=10)
+    of = PublishCounts()
     assert not of.count(1, late=True)
     assert not of.count(1)
     assert of.count(2)
@@ -91,3 +81,15 @@ def test_a_process_that_published_before_counting_misses_nothing() -> None:
     of.discount(2)
     of.discount(1)
     assert of.missing == {"sensors": 1}
+
+
+def test_only_the_process_that_is_silent_longest_is_forgotten() -> None:
+    of = PublishCounts()
+    of.count(7)
+    of.set_published(7, "controller", 2)
+    for epoch in range(1000, 1000 + 2 * publish_counts.MAX_EPOCHS):
+        of.count(epoch)
+        of.count(7)
+        of.discount(7)
+    assert len(of._counts) == publish_counts.MAX_EPOCHS
+    assert of.missing == {"controller": 1}

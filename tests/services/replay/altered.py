@@ -31,12 +31,13 @@ def rewritten(
     *,
     spell: Callable[[Plain], bytes] = wire.pack,
     keep_crc: bool = False,
+    metadata: dict[str, str] | None = None,
 ) -> Path:
     """Write ``out`` with every message changed by ``change``, and the CRC of the frame that ``spell`` encodes.
 
-    ``keep_crc``: under the CRC that it had, as if somebody had edited the file.
+    ``keep_crc``: under the CRC that it had, as if somebody had edited the file. ``metadata``: in place of its own.
     """
-    metadata = dict(metadata_of(recording))
+    metadata = dict(metadata or metadata_of(recording))
     start_ns = int(metadata.pop("start_ns"))
     with RunWriter(out, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
         for stored, plain in messages(recording):

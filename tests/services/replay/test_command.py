@@ -63,6 +63,10 @@ def test_with_other_settings_it_says_what_would_have_changed(
     [
         (["nowhere"], "RUN nowhere: no such folder or file"),
         (["{run}", "--with", "{run}/scenario.toml"], "its keys fit none of them"),
+        (
+            ["{run}", "--with", "{run}/config/controller.toml", "--node", "estimator"],
+            "holds settings of the controller",
+        ),
         (["{run}", "--node", "pilot"], "must be one of plant, sensors, estimator, controller"),
     ],
 )

@@ -53,14 +53,6 @@ def test_another_weight_gives_other_plans_and_the_figures_are_those_of_the_thrus
     assert shares["solved"][1] > 0.5
 
 
-def test_a_longer_horizon_is_compared_where_the_plans_overlap(locked_run: RunFolder, tmp_path: Path) -> None:
-    settings = tmp_path / "mine.toml"
-    settings.write_text("horizon_s = 1.5\n")
-    verdict = engine.what_if(engine.Run(locked_run.recording), settings)
-    assert verdict.pairs >= 8
-    assert verdict.deviations[0].rms > 0.0
-
-
 def test_another_filter_setting_gives_other_estimates(locked_run: RunFolder, tmp_path: Path) -> None:
     settings = tmp_path / "mine.toml"
     settings.write_text("current_sd_mps = 0.4\n")
@@ -90,8 +82,3 @@ def test_a_settings_file_of_no_node_is_rejected(locked_run: RunFolder, tmp_path:
         engine.what_if(engine.Run(locked_run.recording), settings)
     assert "mine.toml" in str(refused.value)
     assert wrong in str(refused.value)
-
-
-def test_another_node_than_the_settings_is_refused(locked_run: RunFolder) -> None:
-    with pytest.raises(ConfigError, match=r"--node.*settings of the controller"):
-        engine.what_if(engine.Run(locked_run.recording), locked_run.config("controller"), only="estimator")

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from ltv_mpc.currents import WaterPrior, read_prior, write_profile
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.messages import CurrentProfile, Estimate, Message, Truth
@@ -20,7 +19,6 @@ from services.cli.app import run
 from services.processes import estimator as process
 from services.recording.reader import Recording
 from services.run import folder
-from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, RunConfig, resolve
 from services.run.summary import summarise_recording
@@ -75,11 +73,9 @@ def listen(node: Node, said: dict[type[Message], Any]) -> None:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunFolder]:
-    here = run_config("run.duration_s=10", "run.seed=4")
-    place = folder.make("descent", here.files, out=tmp_path_factory.mktemp("run") / "first")
-    lockstep_run.run(here, place)
-    return here, place
+def first() -> Visit:
+    """Visit of a place whose water a later run knows."""
+    return visit(run_config(DURATION, "run.seed=0"))
 
 
 # --- what is saved ------------------------------------------------------------------------------------------------
@@ -130,33 +126,25 @@ def test_without_an_estimate_or_its_standard_deviations_nothing_was_learned() ->
     assert heard() is None
 
 
-def test_a_run_saves_its_last_profile_and_its_recording_yields_the_same(recorded: tuple[RunConfig, RunFolder]) -> None:
-    here, place = recorded
+def test_a_run_saves_its_last_profile_and_its_recording_yields_the_same(tmp_path: Path) -> None:
+    here = run_config("run.duration_s=2", "run.seed=4")
+    place = folder.make("descent", here.files, out=tmp_path / "run")
+    lockstep_run.run(here, place)
     saved = read_prior(place.currents)
     end = [message for message in Recording(place.recording) if message.kind is Estimate][-1].typed()[0]
     assert isinstance(end, Estimate)
     assert end.current is not None
-    np.testing.assert_array_equal(saved.depth_m, end.current.depth_m)
-    np.testing.assert_array_equal(saved.north_mps, end.current.north_mps)
-    np.testing.assert_array_equal(saved.sd_mps, end.current.sd_mps)
     _, again = summarise_recording(here, place.recording)
     assert again is not None
-    assert msgspec.json.encode(again.north_mps.tolist()) == msgspec.json.encode(saved.north_mps.tolist())
+    for name in ("depth_m", "north_mps", "sd_mps"):
+        np.testing.assert_array_equal(getattr(saved, name), getattr(end.current, name))
+        np.testing.assert_array_equal(getattr(saved, name), getattr(again, name))
     assert again.sd_common_mps == saved.sd_common_mps
 
 
-def test_a_run_that_is_given_the_state_learns_nothing(tmp_path: Path) -> None:
-    here = run_config("run.duration_s=0.5", "run.perfect_state=true")
-    place = folder.make("descent", here.files, out=tmp_path / "r")
-    lockstep_run.run(here, place)
-    assert place.summary.exists()
-    assert not place.currents.exists()
-
-
-@pytest.mark.parametrize("sensors", ["paper", "realistic"])
-def test_the_saved_shared_error_is_the_filters_covariance_between_depths(sensors: str) -> None:
+def test_the_saved_shared_error_is_the_filters_covariance_between_depths(first: Visit) -> None:
     """The mean covariance of two depths that were seen; what the file says of it comes from the velocity alone."""
-    there = visit(run_config(f"sensors={sensors}", DURATION, "run.seed=4"))
+    there = first
     shared = []
     for axis in (there.belief.layout.north, there.belief.layout.east):
         P = there.belief.P[axis, axis][5:25, 5:25]
@@ -168,9 +156,10 @@ def test_the_saved_shared_error_is_the_filters_covariance_between_depths(sensors
 # --- what is handed on --------------------------------------------------------------------------------------------
 
 
-def test_the_estimator_starts_from_the_file_and_so_does_whoever_reads_its_estimates(tmp_path: Path) -> None:
+def test_the_estimator_starts_from_the_file_and_so_does_whoever_reads_its_estimates(
+    first: Visit, tmp_path: Path
+) -> None:
     """The shear of the first visit is in the second one's estimates before its own pings can have seen it."""
-    first = visit(run_config(DURATION, "run.seed=4"))
     write_profile(tmp_path / "known.csv", first.saved)
     settings = ("run.duration_s=0.1", "run.seed=9")
     informed = visit(run_config(*settings, f"estimator.water_prior={tmp_path / 'known.csv'}")).estimate.current
@@ -230,23 +219,16 @@ def test_the_process_reads_the_prior_beside_its_settings(tmp_path: Path, monkeyp
     assert given[1:] == [None, None]
 
 
-def test_a_profile_without_standard_deviations_is_no_prior(tmp_path: Path) -> None:
-    (tmp_path / "c.csv").write_text("depth_m,v_north_mps,u_east_mps\n0,0,0\n")
-    with pytest.raises(ConfigError, match="line 1: missing column sd_mps: a prior needs it"):
-        run_config(f"estimator.water_prior={tmp_path / 'c.csv'}")
-
-
 # --- what it is good for ------------------------------------------------------------------------------------------
 
 
-def test_a_place_seen_before_makes_the_velocity_surer_and_no_surer_than_it_is(tmp_path: Path) -> None:
+def test_a_place_seen_before_makes_the_velocity_surer_and_no_surer_than_it_is(first: Visit, tmp_path: Path) -> None:
     """The same water, other sensor errors: the first visit's surface fix is there for the second one too.
 
     Drift itself is luck; over ten of 200 s it fell by a third, as the velocity's error does.
     """
-    first = run_config(DURATION, "run.seed=0")
-    write_profile(tmp_path / "known.csv", visit(first).saved)
-    write_profile(tmp_path / "true.csv", first.water.profile(0))
+    write_profile(tmp_path / "known.csv", first.saved)
+    write_profile(tmp_path / "true.csv", run_config(DURATION, "run.seed=0").water.profile(0))
     again = (DURATION, "run.seed=100", "water.kind=measured", f"water.file={tmp_path / 'true.csv'}")
     prior = (f"estimator.water_prior={tmp_path / 'known.csv'}", "estimator.water_prior_change_sd_mps=0")
     sd = {}

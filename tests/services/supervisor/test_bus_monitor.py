@@ -1,66 +1,143 @@
-"""Bus monitor of the supervisor: the newest message of each key, decoded when it is first read."""
+"""Bus monitor: newest messages, signs of work, kill requests, and the state that a restarted process continues from."""
 
 from __future__ import annotations
 
-from typing import cast
+from collections.abc import Callable
+from typing import Any
 
-from ltv_mpc.messages import NodeStatus
-from services.bus.session import FrameReceiver, Session
-from services.bus.topics import BY_TYPE, Topic
-from services.bus.wire import Header, encode
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from ltv_mpc.messages import (
+    Applied,
+    Clock,
+    ClockState,
+    ControllerState,
+    Estimate,
+    EstimatorState,
+    Kill,
+    Message,
+    NodeStatus,
+    Plan,
+)
+from services.bus.topics import BY_TYPE, STATES, Topic, topic_at
+from services.bus.wire import Header, decode, encode
 from services.supervisor.bus_monitor import BusMonitor
+from services.supervisor.failure_handler import restore_state
+from tests.services.bus.messages import CONTROLLER_STATE, ESTIMATOR_STATE, EXAMPLES
 
-KEY = "status/plant"
 
-
-class Bus:
-    """Session that keeps the receiver of each key."""
+class Ether:
+    """Session that passes messages to its subscribers."""
 
     def __init__(self) -> None:
-        self.receivers: dict[str, FrameReceiver] = {}
+        self._receivers: dict[str, Callable[[Topic | None, str, bytes], None]] = {}
 
-    def subscribe(self, key: str, _topic: Topic | None, receiver: FrameReceiver) -> None:
-        self.receivers[key] = receiver
+    def subscribe(self, key: str, _topic: Topic | None, receiver: Any) -> None:
+        self._receivers[key.removesuffix("/**").removesuffix("/*")] = receiver.offer
 
-    def deliver(self, payload: bytes) -> None:
-        self.receivers[KEY].offer(BY_TYPE[NodeStatus], KEY, payload)
+    def put(self, message: Message, *, epoch: int = 1, sequence: int = 0, node: str = "") -> None:
+        key = BY_TYPE[type(message)].key + (f"/{node}" if node else "")
+        self.deliver(key, encode(message, Header(epoch=epoch, sequence=sequence)))
 
-
-def status(steps: int) -> bytes:
-    message = NodeStatus(
-        node="plant",
-        t_ns=0,
-        ready=True,
-        waiting_for="",
-        steps=steps,
-        published=1,
-        received=0,
-        dropped=0,
-        rejected=0,
-        step_us=0.0,
-    )
-    return encode(message, Header(epoch=1, sequence=steps))
+    def deliver(self, key: str, payload: bytes) -> None:
+        receive = self._receivers.get(key) or self._receivers[key.rpartition("/")[0]]
+        receive(topic_at(key), key, payload)
 
 
-def test_a_message_is_decoded_once_and_a_newer_one_replaces_it() -> None:
-    bus = Bus()
-    monitor = BusMonitor(cast(Session, bus), ["plant"])
-    assert monitor.newest(NodeStatus, "plant") is None
-    bus.deliver(status(1))
-    first = monitor.newest(NodeStatus, "plant")
-    assert first is not None
-    assert first.steps == 1
-    assert monitor.newest(NodeStatus, "plant") is first
-    bus.deliver(status(2))
-    second = monitor.newest(NodeStatus, "plant")
-    assert second is not None
-    assert second.steps == 2
+PLAN, APPLIED, STATUS, CLOCK = (
+    next(one for one in EXAMPLES if isinstance(one, kind)) for kind in (Plan, Applied, NodeStatus, Clock)
+)
 
 
-def test_a_damaged_frame_hides_the_message_before_it() -> None:
-    bus = Bus()
-    monitor = BusMonitor(cast(Session, bus), ["plant"])
-    bus.deliver(status(1))
-    assert monitor.newest(NodeStatus, "plant") is not None
-    bus.deliver(b"\xc1")
-    assert monitor.newest(NodeStatus, "plant") is None
+@pytest.fixture
+def ether() -> Ether:
+    return Ether()
+
+
+@pytest.fixture
+def watch(ether: Ether) -> BusMonitor:
+    return BusMonitor(ether, ["controller", "estimator", "recorder"])  # type: ignore[arg-type]
+
+
+def following(sequence: int, epoch: int = 5) -> Applied:
+    return replace(APPLIED, plan_epoch=epoch, plan_sequence=sequence)
+
+
+def plan(cycle_t_ns: int) -> Plan:
+    return replace(PLAN, cycle_t_ns=cycle_t_ns)
+
+
+def handed(node: str, watch: BusMonitor) -> ControllerState | EstimatorState:
+    return decode(STATES[node], restore_state(node, watch))[0]
+
+
+def test_a_newer_message_replaces_the_one_before_and_a_damaged_frame_hides_it(ether: Ether, watch: BusMonitor) -> None:
+    for steps in (1, 2):
+        ether.put(replace(STATUS, node="recorder", steps=steps), sequence=steps, node="recorder")
+        newest = watch.newest(NodeStatus, "recorder")
+        assert newest is not None
+        assert newest.steps == steps
+        assert watch.newest(NodeStatus, "recorder") is newest  # decoded once
+    ether.deliver("status/recorder", b"\xc1")
+    assert watch.newest(NodeStatus, "recorder") is None
+
+
+def test_each_kill_request_is_returned_once(ether: Ether, watch: BusMonitor) -> None:
+    ether.put(Kill(node="estimator"))
+    ether.deliver(BY_TYPE[Kill].key, b"\xc1")
+    assert watch.kill_requests() == ["estimator"]
+    assert watch.kill_requests() == []
+
+
+def test_the_plan_in_force_is_the_one_that_the_actuators_report(ether: Ether, watch: BusMonitor) -> None:
+    assert watch.plan_in_force() is None
+    for sequence in range(4):
+        ether.put(plan(sequence * 300), epoch=5, sequence=sequence)
+    ether.put(plan(9999), epoch=6, sequence=2)  # of another, refused
+    for none in (following(-1, epoch=0), following(7)):
+        ether.put(none)
+        assert watch.plan_in_force() is None
+    ether.put(following(2))
+    found = watch.plan_in_force()
+    assert found is not None
+    assert found.cycle_t_ns == 600
+    np.testing.assert_array_equal(found.thrust_N, PLAN.thrust_N)
+
+
+def test_a_new_process_receives_its_checkpoint_the_newest_estimate_and_the_plan(
+    ether: Ether, watch: BusMonitor
+) -> None:
+    assert {restore_state(node, watch) for node in ("controller", "estimator", "recorder", "router")} == {b""}
+    ether.put(plan(0), epoch=5)
+    ether.put(following(0))
+    ether.put(CONTROLLER_STATE)
+    ether.put(ESTIMATOR_STATE)
+    ether.put(Estimate.at_rest(north_m=4.0))
+    for node, own in (("controller", ControllerState), ("estimator", EstimatorState)):
+        state = handed(node, watch)
+        assert isinstance(state, own)
+        assert state.estimate is not None
+        assert state.estimate.north_m == 4.0
+    assert handed("controller", watch).plan.cycle_t_ns == 0
+
+
+def test_while_the_clock_runs_a_process_shows_by_its_outputs_that_it_works(ether: Ether, watch: BusMonitor) -> None:
+    def epoch_of(node: str) -> int | None:
+        activity = watch.last_activity(node)
+        return None if activity is None else activity.epoch
+
+    ether.put(STATUS, epoch=3, node="estimator")
+    assert (epoch_of("estimator"), epoch_of("controller")) == (3, None)
+    ether.put(replace(CLOCK, state=ClockState.RUNNING))
+    assert epoch_of("estimator") is None  # a word alone is no estimate
+    ether.put(Estimate.at_rest(), epoch=4)
+    ether.put(following(0, epoch=9))  # a plan that the actuators have taken
+    before = watch.last_activity("router")
+    ether.put(STATUS, epoch=8, node="recorder")
+    assert (epoch_of("estimator"), epoch_of("controller"), epoch_of("recorder")) == (4, 9, 8)
+    after = watch.last_activity("router")  # anything came through it
+    assert before is not None
+    assert after is not None
+    assert after.arrived_s > before.arrived_s

@@ -1,4 +1,4 @@
-"""Forked children have logs and exit codes, none outlives the supervisor, and a fork server that fails is replaced."""
+"""Children have logs and exit codes, none outlives the supervisor, and a fork server that fails is done without."""
 
 from __future__ import annotations
 
@@ -14,20 +14,16 @@ import pytest
 
 from services.supervisor import forkserver
 from services.supervisor.child_processes import ChildProcesses
-from services.supervisor.entry_point import write_config
-from services.supervisor.forkserver import ForkServer
 from services.supervisor.managed_process import ManagedProcess
 from services.supervisor.parent_death import OrphanCleanup
 from services.supervisor.process_table import ProcessRow
 from tests.waiting import until
 
-PATIENCE_S = 60.0
-
 QUICK = """
-import os, re, signal, sys, time, types
+import re, sys, time, types
 import msgspec
-from services.supervisor import forkserver
 from services.runtime.supervisor_link import SUPERVISOR_LINK
+from services.supervisor import entry_point, forkserver
 
 class Config(msgspec.Struct):
     task: str
@@ -48,130 +44,33 @@ def main(config):
             re.match("(a+)+$", "a" * 60 + "b")
 
 sys.modules["quick"] = types.SimpleNamespace(Config=Config, main=main)
-forkserver.load = lambda scenario: iter(())
-forkserver.main()
+forkserver.load = lambda scenario: None
 """
-"""Program of a fork server that loads nothing, with children that do little."""
+SERVER, SPAWNED = QUICK + "forkserver.main()", QUICK + "sys.exit(entry_point.run(*sys.argv[1:]))"
+"""Programs of a fork server that loads nothing, and of a spawned process, with children that do little."""
 
 
 class Quick(msgspec.Struct):
     """Config of these children."""
 
     task: str
-    code: int = 0
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(forkserver, "PROGRAM", ("-c", QUICK))
+    code: int | str = 0
 
 
 @pytest.fixture
-def group() -> Iterator[int]:
+def cleanup(monkeypatch: pytest.MonkeyPatch) -> Iterator[OrphanCleanup]:
+    monkeypatch.setattr(forkserver, "PROGRAM", ("-c", SERVER))
+    monkeypatch.setattr(forkserver, "ENTRY_POINT", ("-c", SPAWNED))
     cleanup = OrphanCleanup()
-    yield cleanup.group
+    yield cleanup
     cleanup.close()
 
 
 @pytest.fixture
-def server(tmp_path: Path, group: int) -> Iterator[ForkServer]:
-    server = ForkServer(tmp_path / "scenario.toml", tmp_path / "forkserver.log", group)
-    server.load()
-    until(server.is_loaded)
-    yield server
-    server.close()
-
-
-def forked(server: ForkServer, log: Path, name: str, task: str, code: int = 0) -> ManagedProcess:
-    config = log.with_name(f"{name}.json")
-    write_config(config, Quick(task, code))
-    return ManagedProcess(server, "quick", config, log)
-
-
-def stat(pid: int) -> list[str]:
-    """Return state, parent, group, session, ..."""
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-
-
-@pytest.mark.parametrize(("task", "code"), [("exits", 0), ("exits", 7), ("raises", 1)])
-def test_a_forked_child_has_its_own_exit_code_and_log(server: ForkServer, tmp_path: Path, task: str, code: int) -> None:
-    child = forked(server, tmp_path / "log", "plant", task, code)
-    assert child.wait_or_kill(PATIENCE_S)
-    child.close()
-    assert child.exit_code() == code
-    said = child.last_lines()
-    assert said[0] == task
-    assert (said[-1] == "RuntimeError: as it was told to") == (task == "raises")
-
-
-def test_a_forked_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(
-    server: ForkServer, tmp_path: Path, group: int
-) -> None:
-    child = forked(server, tmp_path / "log", "plant", "sleeps")
-    until(lambda: bool(child.last_lines()))
-    _, parent, its_group, *_ = stat(child.pid)
-    assert (int(parent), int(its_group)) == (os.getpid(), group)
-    assert Path(f"/proc/{child.pid}/comm").read_text() == "ltv-plant\n"
-    child.kill()
-    child.close()
-    assert child.exit_code() == -signal.SIGKILL
-
-
-def test_a_stopped_fork_server_is_replaced_and_what_it_forks_too_late_ends(server: ForkServer, tmp_path: Path) -> None:
-    """The other one forks before it has loaded."""
-    first, before = server.pid, set(own_children())
-    os.kill(first, signal.SIGSTOP)
-    child = forked(server, tmp_path / "log", "plant", "exits", 7)
-    assert server.pid != first
-    assert child.wait_or_kill(PATIENCE_S)
-    child.close()
-    assert child.exit_code() == 7
-    until(lambda: set(own_children()) <= (before - {first}) | {server.pid})
-
-
-def test_a_stop_request_ends_the_wait_for_the_fork_server(tmp_path: Path, group: int) -> None:
-    server = ForkServer(tmp_path / "scenario.toml", tmp_path / "forkserver.log", group, stop=lambda: True)
-    with pytest.raises(InterruptedError):
-        forked(server, tmp_path / "log", "plant", "sleeps")
-    server.close()
-
-
-def own_children() -> Iterator[int]:
-    """Yield the pids of this process's living children."""
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            state, parent, *_ = stat(int(folder.name))
-        except OSError:
-            continue
-        if int(parent) == os.getpid() and state != "Z":
-            yield int(folder.name)
-
-
-def test_heartbeats_arrive_and_the_end_is_noticed(server: ForkServer, tmp_path: Path) -> None:
-    child = forked(server, tmp_path / "log", "plant", "exits")
-
-    def ended() -> bool:
-        child.read_heartbeats()
-        return child.pipe_closed
-
-    until(ended)
-    assert child.hang_detector.last_s is not None
-    child.wait_or_kill(PATIENCE_S)
-    child.close()
-
-
-def test_one_after_the_other_is_forked_and_nothing_is_used_up(server: ForkServer, tmp_path: Path) -> None:
-    children = [forked(server, tmp_path / f"{k}.log", "plant", "sleeps") for k in range(3)]
-    until(lambda: all(child.last_lines() for child in children))
-    assert len({child.pid for child in children}) == 3
-    for child in children:
-        child.kill()
-        child.close()
-
-
-@pytest.fixture
-def crew(tmp_path: Path, group: int) -> Iterator[ChildProcesses]:
-    crew = ChildProcesses(tmp_path / "scenario.toml", tmp_path, group)
+def crew(tmp_path: Path, cleanup: OrphanCleanup) -> Iterator[ChildProcesses]:
+    crew = ChildProcesses(tmp_path / "scenario.toml", tmp_path, cleanup.group)
+    crew.forks.load()
+    until(crew.forks.is_loaded)
     yield crew
     for child in crew.by_name.values():
         child.kill()
@@ -179,66 +78,22 @@ def crew(tmp_path: Path, group: int) -> Iterator[ChildProcesses]:
     crew.forks.close()
 
 
-def test_a_dead_fork_server_kills_no_child_and_is_replaced(crew: ChildProcesses) -> None:
-    first = crew.forks.pid
-    for name in ("plant", "sensors"):
-        crew.start(ProcessRow(name, "quick", True), Quick("sleeps"))
-    until(lambda: all(child.last_lines() for child in crew.by_name.values()))
-    os.kill(first, signal.SIGKILL)
-    crew.by_name["plant"].kill()
-    crew.restart("plant", b"")
-    until(lambda: bool(crew.by_name["plant"].last_lines()))
-    assert crew.forks.pid != first
-    assert stat(crew.by_name["plant"].pid)[1] == str(os.getpid())
-    os.kill(crew.forks.pid, signal.SIGKILL)
-    until(lambda: crew.forks.exit_code() is not None)
-    crew.forks.replace_if_dead()
-    crew.forks.load()
-    until(crew.forks.is_loaded)
-    assert [child.exit_code() for child in crew.by_name.values()] == [None, None]
+def started(crew: ChildProcesses, name: str, task: str, code: int | str = 0) -> ManagedProcess:
+    """Return a child that has begun its task, or has ended."""
+    crew.start(ProcessRow(name, "quick", True), Quick(task, code))
+    child = crew.by_name[name]
 
-
-SUPERVISOR = f"""
-import sys, time
-from pathlib import Path
-import msgspec
-from services.supervisor import forkserver
-from services.supervisor.managed_process import ManagedProcess
-from services.supervisor.parent_death import OrphanCleanup
-forkserver.PROGRAM = ("-c", {QUICK!r})
-folder, cleanup = Path(sys.argv[1]), OrphanCleanup()
-server = forkserver.ForkServer(folder / "scenario.toml", folder / "forkserver.log", cleanup.group)
-print(cleanup.group, flush=True)
-print(server.pid, flush=True)
-for k, (name, task) in enumerate([("plant", "sleeps"), ("controller", "holds the GIL"), ("recorder", "holds the GIL")]):
-    config = folder / f"{{name}}.json"
-    config.write_bytes(msgspec.json.encode({{"task": task, "code": 0}}))
-    child = ManagedProcess(server, "quick", config, folder / f"{{k}}.log")
-    while not child.last_lines() or child.hang_detector.last_s is None:
+    def began() -> bool:
         child.read_heartbeats()
-    print(child.pid, flush=True)
-time.sleep(600)
-"""
+        return bool(child.last_lines()) and (child.hang_detector.last_s is not None or child.pipe_closed)
+
+    until(began)
+    return child
 
 
-def test_a_killed_supervisor_leaves_no_process_even_if_stopped_or_holding_the_gil(tmp_path: Path) -> None:
-    """The orphan cleanup is stopped, and so are the fork server and the first child."""
-    supervisor = subprocess.Popen(
-        [sys.executable, "-P", "-c", SUPERVISOR, str(tmp_path)], stdout=subprocess.PIPE, text=True
-    )
-    assert supervisor.stdout is not None
-    pids = [int(supervisor.stdout.readline()) for _ in range(5)]
-    for pid in pids[:3]:
-        os.kill(pid, signal.SIGSTOP)
-    assert all(alive(pid) for pid in pids)
-    try:
-        supervisor.kill()
-        supervisor.wait()
-        until(lambda: not any(alive(pid) for pid in pids))
-    finally:
-        supervisor.stdout.close()
-        for pid in filter(alive, pids):
-            os.kill(pid, signal.SIGKILL)
+def stat(pid: int) -> list[str]:
+    """Return state, parent, group, session, ..."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
 
 
 def alive(pid: int) -> bool:
@@ -246,3 +101,105 @@ def alive(pid: int) -> bool:
         return stat(pid)[0] != "Z"
     except OSError:
         return False
+
+
+@pytest.mark.parametrize("forked", [True, False])
+@pytest.mark.parametrize(
+    ("task", "code", "exit_code", "last"),
+    [
+        ("exits", 7, 7, "exits"),
+        ("raises", 0, 1, "RuntimeError: as it was told to"),
+        ("exits", "many", 2, "ltv-mpc: Expected `int`, got `str` - at `$.code`"),
+    ],
+)
+def test_a_child_has_its_own_exit_code_and_log(
+    crew: ChildProcesses, forked: bool, task: str, code: int | str, exit_code: int, last: str
+) -> None:
+    if not forked:
+        crew.forks._end()
+    child = started(crew, "plant", task, code)
+
+    def ended() -> bool:
+        child.read_heartbeats()
+        return child.pipe_closed
+
+    until(ended)
+    assert child.exit_code() == exit_code
+    assert child.last_lines()[-1] == last
+
+
+@pytest.mark.parametrize("forked", [True, False])
+def test_a_child_belongs_to_the_supervisor_and_its_group_is_that_of_the_cleanup(
+    crew: ChildProcesses, cleanup: OrphanCleanup, forked: bool
+) -> None:
+    if not forked:
+        crew.forks._end()
+    child = started(crew, "plant", "sleeps")
+    assert stat(child.pid)[1:3] == [str(os.getpid()), str(cleanup.group)]
+    assert Path(f"/proc/{child.pid}/comm").read_text() == "ltv-plant\n"
+    assert int(Path(f"/proc/{cleanup.group}/statm").read_text().split()[1]) * 4096 < 16e6
+    child.kill()
+    assert child.exit_code() == -signal.SIGKILL
+
+
+def own_children() -> Iterator[int]:
+    """Yield the pids of this process's living children."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        pid = int(folder.name)
+        if alive(pid) and stat(pid)[1] == str(os.getpid()):
+            yield pid
+
+
+@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
+def test_a_fork_server_that_fails_kills_no_child_and_is_replaced(crew: ChildProcesses, number: signal.Signals) -> None:
+    """What a stopped one forks too late ends."""
+    first = crew.forks.pid
+    sensors = started(crew, "sensors", "sleeps")
+    os.kill(first, number)
+    plant = started(crew, "plant", "sleeps")  # spawned
+    assert stat(plant.pid)[1] == str(os.getpid())
+    crew.forks.load()
+    until(crew.forks.is_loaded)
+    assert crew.forks.pid != first
+    plant.kill()
+    crew.restart("plant", b"")
+    assert [child.exit_code() for child in crew.by_name.values()] == [None, None]
+    ours = {sensors.pid, crew.by_name["plant"].pid, crew.forks.pid}
+    until(lambda: not {first, plant.pid} & set(own_children()) and ours <= set(own_children()))
+
+
+SUPERVISOR = f"""
+import sys, time
+from pathlib import Path
+from services.supervisor import forkserver
+from services.supervisor.parent_death import OrphanCleanup
+from tests.services.supervisor import test_forkserver as test
+forkserver.PROGRAM = ("-c", {SERVER!r})
+cleanup = OrphanCleanup()
+crew = test.ChildProcesses(Path(sys.argv[1]) / "scenario.toml", Path(sys.argv[1]), cleanup.group)
+crew.forks.load()
+test.until(crew.forks.is_loaded)
+tasks = {{"plant": "sleeps", "controller": "holds the GIL", "recorder": "holds the GIL"}}
+pids = [test.started(crew, name, task).pid for name, task in tasks.items()]
+print(cleanup.group, crew.forks.pid, *pids, flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_killed_supervisor_leaves_no_process_even_if_stopped_or_holding_the_gil(tmp_path: Path) -> None:
+    """The orphan cleanup is stopped, and so are the fork server and the first child."""
+    supervisor = subprocess.Popen([sys.executable, "-c", SUPERVISOR, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    assert supervisor.stdout is not None
+    pids = [int(word) for word in supervisor.stdout.readline().split()]
+    for pid in pids[:3]:
+        os.kill(pid, signal.SIGSTOP)
+    assert len(pids) == 5
+    assert all(map(alive, pids))
+    try:
+        supervisor.kill()
+        supervisor.wait()
+        until(lambda: not any(map(alive, pids)))
+    finally:
+        supervisor.stdout.close()
+        for pid in filter(alive, pids):
+            os.kill(pid, signal.SIGKILL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import resource
@@ -11,8 +12,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from itertools import takewhile
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,18 +22,20 @@ import pytest
 from msgspec import structs
 
 from ltv_mpc.currents import read_prior
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import ControllerState, EstimatorState, Kill, NodeStatus, Plan, RunEvent, StepRecord, Truth
 from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
 from services.bus.session import open_session
 from services.bus.topics import OPERATOR
+from services.cli.app import run as cli
 from services.recording import info
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.replay import replay
 from services.run import folder
 from services.run.run_config import Override, RunConfig, resolve
-from services.runtime.stopping import StopRequest
+from services.runtime.stopping import StopRequest, hang_up_with_stderr, stop_on_signals
 from services.supervisor import jit_cache, loopback, supervisor
 from services.supervisor.screen import LiveView
 from tests.waiting import PATIENCE_S, until
@@ -42,18 +44,21 @@ CLI = [sys.executable, "-P", "-m", "services.cli"]
 
 
 class Screen:
-    """Screen that keeps what it shows; ``on_diving`` is called once, as soon as the vehicle dives."""
+    """Screen that keeps what it shows. While the vehicle dives it does the next ``deed`` as soon as ``settled``."""
 
-    def __init__(self, on_diving: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, *deeds: Callable[[], None], settled: Callable[[int], bool] = lambda _: True) -> None:
         self.said: list[str] = []
         self.views: list[LiveView] = []
         self.closed = False
-        self._on_diving = on_diving
+        self._deeds = iter(deeds)
+        self._done = 0
+        self._settled = settled
 
     def update(self, view: LiveView) -> None:
-        if view.phase == "diving" and (not self.views or self.views[-1].phase != "diving"):
-            self._on_diving()
         self.views.append(view)
+        if view.phase == "diving" and self._settled(self._done):
+            next(self._deeds, lambda: None)()
+            self._done += 1
 
     def wait(self, what: str, share: float) -> None:
         pass
@@ -295,37 +300,16 @@ def unwritten(tmp_path_factory: pytest.TempPathFactory) -> WatchedRun:
     run = folder.make("test", s.files, out=tmp_path_factory.mktemp("unwritten") / "run")
     run.summary.mkdir()
     screen, page = Screen(), Page(drawn_s=1000.0)
-    outcome = supervisor.run(s, run, screen, page=page)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(supervisor, "DRAWING_TIMEOUT_S", 0.5)
+        outcome = supervisor.run(s, run, screen, page=page)
     return WatchedRun(run, outcome, screen, page, children_of(os.getpid()))
 
 
 def test_the_clock_does_not_wait_for_an_open_page_for_ever(unwritten: WatchedRun) -> None:
     assert unwritten.outcome.summary is not None
     assert unwritten.outcome.summary.duration_s == 1.0
-    check_wait(unwritten.screen, unwritten.page, supervisor.DRAWING_TIMEOUT_S)
-
-
-IMPATIENT = """
-import sys
-from services.cli import app
-from services.supervisor import supervisor
-supervisor.DRAWING_TIMEOUT_S = 1000.0
-sys.exit(app.run(sys.argv[1:]))
-"""
-"""Program of a run that would wait for the drawing of its page until the test gives up."""
-
-
-def test_with_json_the_clock_waits_for_no_page(tmp_path: Path) -> None:
-    """The page is opened, by a browser that never draws it."""
-    options = ["--open", "--json", "--duration-s", "1", "--speed", "10", "--out", str(tmp_path / "run")]
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", IMPATIENT, "sim", *options],
-        env={**os.environ, "BROWSER": "true %s"},
-        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert "live page: http://" in done.stderr
-    assert json.loads(done.stdout)["duration_s"] == 1.0
+    check_wait(unwritten.screen, unwritten.page, 0.5)
 
 
 def test_a_run_whose_recording_found_no_room_is_not_complete(tmp_path: Path) -> None:
@@ -362,84 +346,40 @@ def test_the_estimator_starts_from_the_prior_and_the_run_saves_its_profile(whole
     assert learned.sd_mps[at] < 0.02
 
 
-def test_a_failed_simulation_process_ends_the_run_with_its_last_lines(tmp_path: Path) -> None:
-    s = run_config(600.0)
-    run = folder.make("test", s.files, out=tmp_path / "run")
-
-    def kill_the_sensors() -> None:
-        os.kill(pid_of("sensors", os.getpid()), signal.SIGKILL)
-
-    screen = Screen(kill_the_sensors)
-    outcome = supervisor.run(s, run, screen)
-    assert (outcome.completed, outcome.exit_code) == (False, 1)
-    assert "sensors was ended by SIGKILL" in outcome.why
-    assert any("sensors: waiting for" in line for line in outcome.last_lines)
-    assert outcome.why in screen.said
-    assert not children_of(os.getpid())
-    why = "sensors was ended by SIGKILL"
-    summary = folder.read_summary(run.recording)
-    assert summary["completed"] is False
-    assert summary["why"].startswith(why)
-    assert info.read([run.recording]).why in ("", summary["why"])  # empty: a loaded host has killed the recorder
-    recording, count, _ = recorded(run.recording)
-    assert not recording.cut
-    assert count["world/truth"] > 0
-
-
-class Mischief:
-    """Screen that kills or stops one process after the other, as soon as the previous one is back.
-
-    Then it stops the plant, which ends the run: it is not complete.
-    """
-
-    def __init__(self, harm: Sequence[tuple[str, signal.Signals]]) -> None:
-        self.said: list[str] = []
-        self.supervisor: supervisor.Supervisor
-        self._harm = list(harm)
-        self._harmed = 0
-        self._over = False
-
-    def update(self, view: LiveView) -> None:
-        """Do the next harm as soon as the previous failure is recovered."""
-        back = self.supervisor.failures.restarts >= self._harmed and not self.supervisor.failures.recovering
-        if self._harm and view.phase == "diving" and back:
-            name, number = self._harm.pop(0)
-            self._harmed += 1
-            os.kill(pid_of(name, os.getpid()), number)
-        elif not self._harm and back and self.supervisor.failures.settled and not self._over:
-            self._over = True
-            self.supervisor.children.by_name["plant"].terminate()
-
-    def wait(self, what: str, share: float) -> None:
-        pass
-
-    def say(self, text: str) -> None:
-        self.said.append(text)
-
-    def close(self) -> None:
-        pass
-
-
-def test_a_killed_or_hung_process_continues_where_it_was_and_a_stopped_plant_ends(tmp_path: Path) -> None:
-    """One after the other; after the fork server, the next one is spawned, which takes longer."""
+def test_a_killed_or_hung_process_continues_where_it_was_and_a_killed_sensors_process_ends_the_run(
+    tmp_path: Path,
+) -> None:
+    """One after the other, each as soon as the one before is back; first the fork server, which is replaced."""
     s = resolve("hover", [Override("test", ["run.duration_s=600", "run.surface_time_s=2", "run.speed=1"])])
     run = folder.make("test", s.files, out=tmp_path / "run")
-    mischief = Mischief(
-        [
-            ("recorder", signal.SIGKILL),
-            ("router", signal.SIGKILL),
-            ("controller", signal.SIGKILL),
-            ("estimator", signal.SIGSTOP),
-        ]
-    )
-    mischief.supervisor = crewed = supervisor.Supervisor(s, run, mischief)
+    harm = [
+        ("forkserver", signal.SIGKILL),
+        ("recorder", signal.SIGKILL),
+        ("router", signal.SIGKILL),
+        ("controller", signal.SIGKILL),
+        ("estimator", signal.SIGSTOP),
+        ("sensors", signal.SIGKILL),
+    ]
+
+    def harmful(name: str, number: signal.Signals) -> Callable[[], None]:
+        return lambda: os.kill(pid_of(name, os.getpid()), number)
+
+    def settled(done: int) -> bool:
+        failures = crewed.failures
+        return failures.settled and failures.restarts == max(0, done - 1) and crewed.children.forks.is_loaded()
+
+    screen = Screen(*(harmful(*each) for each in harm), settled=settled)
+    crewed = supervisor.Supervisor(s, run, screen)
     outcome = crewed.run()
-    assert outcome.why == "plant ended with exit code 1; its last lines:", (outcome, mischief.said)
-    assert outcome.last_lines[-1] == "plant: stopped before the end of the run"
+    assert outcome.why == "sensors was ended by SIGKILL", (outcome, screen.said)
+    assert any("sensors: waiting for" in line for line in outcome.last_lines)
     assert (outcome.completed, outcome.exit_code) == (False, 1)
     assert outcome.summary is not None
     assert outcome.summary.restarts == 4
     assert not children_of(os.getpid())
+    summary = folder.read_summary(run.recording)
+    assert (summary["completed"], summary["why"]) == (False, outcome.why)
+    assert info.read([run.recording]).why in ("", outcome.why)  # empty: a loaded host has killed the recorder
 
     assert [path.name for path in run.path.glob("*.mcap")] == ["run.mcap"]
     records: dict[tuple[str, int], list[StepRecord]] = {}
@@ -491,18 +431,6 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_a_stopped_plant_end
             assert node.node == "controller" or len(node.gaps) == 1
 
 
-def test_a_child_that_never_starts_fails_the_run_with_the_reason_it_gave(tmp_path: Path) -> None:
-    s = run_config(3.0)
-    wrong = structs.replace(s.controller, horizon_s=-1.0)
-    s = replace(s, controller=wrong)
-    run = folder.make("test", s.files, out=tmp_path / "run")
-    outcome = supervisor.run(s, run, Screen())
-    assert outcome.exit_code == 1
-    assert "controller ended with exit code 2" in outcome.why
-    assert "horizon_s" in outcome.last_lines[-1]
-    assert not children_of(os.getpid())
-
-
 def test_ctrl_c_ends_everything_in_order_and_leaves_a_valid_recording(
     launcher: tuple[subprocess.Popen[bytes], Path],
 ) -> None:
@@ -519,37 +447,40 @@ def test_ctrl_c_ends_everything_in_order_and_leaves_a_valid_recording(
     assert count["world/truth"] > 0
 
 
-def test_a_deleted_folder_ends_the_run_with_exit_1_and_its_name(launcher: tuple[subprocess.Popen[bytes], Path]) -> None:
-    process, out = launcher
-    pids = children_of(process.pid)
-    shutil.rmtree(out)
-    until(lambda: f"{out}: the folder was deleted during the run" in (out.parent / "launcher.log").read_text())
-    assert process.wait(PATIENCE_S) == 1
-    assert not any(alive(pid) for pid in pids)
+def test_a_deleted_folder_ends_the_run_with_exit_1_and_its_name(tmp_path: Path) -> None:
+    s = run_config(600.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    outcome = supervisor.run(s, run, Screen(lambda: shutil.rmtree(run.path)))
+    assert (outcome.exit_code, outcome.why) == (1, f"{run.path}: the folder was deleted during the run")
+    assert not children_of(os.getpid())
 
 
-def test_a_closed_stderr_ends_the_run_in_order_with_its_summary(tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    process = subprocess.Popen(
-        [*CLI, "sim", "descent", "--duration-s", "600", "--out", str(out)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    try:
-        recording = out / "run.mcap"
-        until(lambda: process.poll() is not None or (recording.exists() and dives(recording)))
-        pids = children_of(process.pid)
-        assert process.stderr is not None
-        process.stderr.close()
-        verdict, _ = process.communicate(timeout=PATIENCE_S)
-    finally:
-        process.kill()
-        process.wait()
-    assert process.returncode == 1
-    assert b"localisation" in verdict
-    assert not any(alive(pid) for pid in pids)
-    assert json.loads((out / "summary.json").read_text())["duration_s"] < 200.0
+class ClosedStream(io.StringIO):
+    """Standard error whose reader has gone."""
+
+    def write(self, _: str) -> int:
+        raise BrokenPipeError
+
+
+def test_a_closed_stderr_requests_a_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", ClosedStream())
+    with stop_on_signals() as request, hang_up_with_stderr():
+        sys.stderr.write("told")
+        until(request)
+    assert not request.interrupted
+
+
+def test_with_json_the_clock_waits_for_no_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[bool] = []
+
+    def no_sidecar(*_: object, waits: bool, **__: object) -> None:
+        asked.append(waits)
+        raise ConfigError("page", "", "none here")
+
+    monkeypatch.setattr("services.dashboard.sidecar.Sidecar", no_sidecar)
+    for name, words in (("a", []), ("b", ["--json"])):
+        assert cli(["sim", "--open", *words, "--out", str(tmp_path / name)]) == 2
+    assert asked == [True, False]
 
 
 def test_a_run_without_stderr_completes(tmp_path: Path) -> None:
@@ -574,9 +505,9 @@ def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_fil
 def test_nodes_started_in_the_wrong_order_name_what_they_wait_for_and_continue(tmp_path: Path, free_port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
     scenario = tmp_path / "short.toml"
-    scenario.write_text('title = "short"\n[run]\nduration_s = 2.0\nspeed = 5.0\n')
+    scenario.write_text('title = "short"\n[run]\nduration_s = 1.0\nspeed = 5.0\nperfect_state = true\n')
     bus = ["--connect", endpoint, "--namespace", "test"]
-    logs = {name: tmp_path / f"{name}.log" for name in ("controller", "estimator", "sensors", "recorder", "plant")}
+    logs = {name: tmp_path / f"{name}.log" for name in ("controller", "sensors", "recorder", "plant")}
     arguments = {
         "sensors": [str(scenario)],
         "recorder": [str(scenario), "--out", str(tmp_path / "run")],
@@ -595,7 +526,7 @@ def test_nodes_started_in_the_wrong_order_name_what_they_wait_for_and_continue(t
         processes["router"] = subprocess.Popen([*CLI, "router", "--listen", endpoint], stderr=subprocess.DEVNULL)
         assert processes["plant"].wait(PATIENCE_S) == 0
         assert "waiting for" in logs["plant"].read_text()
-        for name in ("sensors", "estimator", "controller", "recorder", "router"):
+        for name in ("sensors", "controller", "recorder", "router"):
             processes[name].send_signal(signal.SIGTERM)
             assert processes[name].wait(PATIENCE_S) == 0
     finally:
@@ -607,5 +538,5 @@ def test_nodes_started_in_the_wrong_order_name_what_they_wait_for_and_continue(t
     assert not recording.cut
     # Processes may have published their status and their settings before the recorder was there.
     assert all(key.startswith(("status/", "settings/")) or key == "controller/status" for key in missing if "/" in key)
-    assert count["world/truth"] == 301
+    assert count["world/truth"] == 201
     assert count["plan"] > 0
